@@ -4,6 +4,5 @@ A single star is rendered through the lens while a table carries its image over 
 move. A joint calibration (S100) on frames of its own gives camera, star and installation; with it the images of single
 frames become vectors in the table's frame at zero angles (S200-S300), their concentration a standard deviation per axis
 with a confidence interval (S400-S500). Beside it the usual method, pixel residuals times an angle per pixel; the bias
-of that over the field of view; how often the interval holds the truth; and what calibrating and evaluating with the
-same data does.
+of that over the field of view; and how often the interval holds the truth.
 """

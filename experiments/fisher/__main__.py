@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.fisher.experiment import main
+from experiments.fisher.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

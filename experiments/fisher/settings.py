@@ -1,4 +1,4 @@
-"""Configuration of the accuracy of star vectors."""
+"""Settings and declaration of the accuracy of star vectors."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from typing import ClassVar
 
 from pydantic import Field, field_validator, model_validator
 
+from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
+from experiments.harness.experiment import Experiment
+from experiments.laboratory.own_frames.experiment import or_own_frames
 from experiments.laboratory.settings import SignalConfig
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 
-__all__ = ["Config", "CoverageConfig", "DynamicConfig", "EvaluationConfig", "FieldConfig", "SameDataConfig"]
+__all__ = ["Config", "CoverageConfig", "DynamicConfig", "EvaluationConfig", "FieldConfig", "experiment", "main"]
 
 
 def _table() -> TableConfig:
@@ -61,9 +64,6 @@ class FieldConfig(StrictModel):
     directions: int = Field(default=6000, ge=50, le=10**6, description="star vectors per run")
     runs: int = Field(default=40, ge=5, le=10**5, description="runs per field")
     sigma_arcsec: float = Field(default=1.0, gt=0, le=600, description="noise per axis on the axis of the camera")
-    resolution_error_fraction: float = Field(
-        default=0.01, ge=-0.5, le=0.5, description="relative error of the assumed angular resolution"
-    )
 
     @field_validator("field_deg")
     @classmethod
@@ -89,22 +89,6 @@ class CoverageConfig(StrictModel):
         return tuple(sorted(set(values)))
 
 
-class SameDataConfig(StrictModel):
-    """Calibrating and evaluating with the same data, on coordinates."""
-
-    sides: tuple[int, ...] = Field(
-        default=(4, 5, 7, 10, 15), min_length=1, description="places along each side of the detector"
-    )
-    runs: int = Field(default=60, ge=10, le=10**5, description="calibrations per point")
-
-    @field_validator("sides")
-    @classmethod
-    def _sides(cls, values: tuple[int, ...]) -> tuple[int, ...]:
-        if any(not 4 <= value <= 60 for value in values):
-            raise ValueError(f"{list(values)}; 4 ... 60 places along each side are meant")
-        return tuple(sorted(set(values)))
-
-
 class Config(SingleStarConfig):
     """FISHER23 gives bench and equations but no numbers: here the camera of ACC18, a better table than CUBE09's."""
 
@@ -113,9 +97,38 @@ class Config(SingleStarConfig):
     dynamic: DynamicConfig = DynamicConfig()
     field: FieldConfig = FieldConfig()
     coverage: CoverageConfig = CoverageConfig()
-    same_data: SameDataConfig = SameDataConfig()
 
     @model_validator(mode="after")
     def _evaluation_windows(self) -> Config:
         self.check_edge("evaluation.edge_px", self.evaluation.edge_px)
         return self
+
+
+rendered = Experiment(
+    name="fisher",
+    config=Config,
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    axes="experiment:axes",
+    takes="40 s (--quick: 20 s)",
+    examples={
+        "--quick": "a small run",
+        "--set table.reading_noise_arcsec=[0.3,0.4]": "on the table of CUBE09",
+        "--set evaluation.signal_e=10000 --set dynamic.rate_deg_per_s=0.1": "a brighter star, a faster table",
+    },
+    show=("accuracy", "field_of_view"),
+    quick={
+        "grid.columns": 9,
+        "grid.rows": 5,
+        "evaluation.columns": 9,
+        "evaluation.rows": 5,
+        "dynamic.samples": 6,
+        "field.field_deg": [3.0, 12.0, 20.0, 40.0],
+        "field.directions": 2000,
+        "field.runs": 20,
+        "coverage.counts": [5, 20, 100],
+        "coverage.runs": 1500,
+    },
+)
+experiment = or_own_frames(rendered, "experiments.fisher.own_frames")
+main = command(experiment)

@@ -8,10 +8,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from experiments.fisher.accuracy import check_config
 from experiments.fisher.acquire import merged_nodes, smeared_psfs
-from experiments.fisher.checks import check_config
-from experiments.fisher.experiment import main
-from experiments.fisher.settings import Config
+from experiments.fisher.settings import Config, main
 from optics.errors import StarbenchError
 from render.records import EffectivePsf, StarField
 
@@ -27,9 +26,8 @@ def again(tiny_run):
     table = {"table__reading_noise_arcsec": [READING_ARCSEC], "dynamic__rate_deg_per_s": RATE_DEG_PER_S}
     star = {"evaluation__columns": 10, "evaluation__rows": 8, "evaluation__edge_px": 20, "evaluation__signal_e": 10000}
     study = {"field__directions": 500, "field__runs": 6, "coverage__counts": [10], "coverage__runs": 200}
-    more = {"field__field_deg": [3.0, 20.0], "same_data__sides": [5], "same_data__runs": 10}
-    clocks = {"dynamic__jitter_ms": JITTER_MS, "dynamic__samples": 5}
-    settings = {"instrument__detector": DETECTOR, **places, **table, **star, **study, **more, **clocks}
+    clocks = {"field__field_deg": [3.0, 20.0], "dynamic__jitter_ms": JITTER_MS, "dynamic__samples": 5}
+    settings = {"instrument__detector": DETECTOR, **places, **table, **star, **study, **clocks}
     return lambda: tiny_run("fisher", **settings)
 
 
@@ -43,8 +41,7 @@ def run(again):
 def test_the_run_is_complete(run) -> None:
     assert run.status == 0
     assert (run.folder / "report.html").stat().st_size > 50_000
-    names = {"accuracy", "causes", "concentration", "coverage", "digits", "distribution", "field_of_view"}
-    names |= {"field_variants", "other_tables", "pixel_method", "same_data"}
+    names = {"accuracy", "causes", "coverage", "field_of_view"}
     assert {f"{name}.ecsv" for name in names} < {path.name for path in run.folder.iterdir()}
 
 
@@ -67,8 +64,18 @@ def test_the_scatter_is_that_of_the_table(run) -> None:
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_tables(run, again) -> None:
     second = again()
-    for name in ("accuracy.ecsv", "same_data.ecsv", "field_of_view.ecsv"):
+    for name in ("accuracy.ecsv", "coverage.ecsv", "field_of_view.ecsv"):
         assert (run.folder / name).read_bytes() == (second.folder / name).read_bytes()
+
+
+@pytest.mark.slow
+def test_the_same_data_lose_degrees_of_freedom(run) -> None:
+    """2 (n - 1) against 2 n - q of the same chords; the prediction within four standard deviations."""
+    found = run.results["same_data_rendered"]
+    free = 2 * 80 - found["unknowns"]
+    assert found["unknowns"] == 14
+    assert found["naive_arcsec"] / found["corrected_arcsec"] == pytest.approx(np.sqrt(free / (2 * 79)), rel=1e-9)
+    assert found["naive_arcsec"] == pytest.approx(found["predicted_naive_arcsec"], rel=4 / np.sqrt(2 * free))
 
 
 @pytest.mark.slow
@@ -127,7 +134,6 @@ def test_smeared_psf_has_the_variance_of_its_path() -> None:
         ("dynamic.samples=2", "dynamic.samples = 2"),
         ("field.field_deg=[3.0,150.0]", "field_deg"),
         ("coverage.counts=[2]", "counts"),
-        ("same_data.sides=[2]", "sides"),
         ("window_px=12", "odd"),
         ("passband.range_nm=[100,200]", "nm"),
         ("tabel.axes=xy", "table"),

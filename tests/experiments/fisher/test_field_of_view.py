@@ -72,16 +72,12 @@ def test_monte_carlo_finds_the_bias() -> None:
     """N = 10 runs of 3000: ratios of methods on the same vectors, so 0.02 % and better."""
     config = FieldConfig(field_deg=(3.0, 20.0), directions=3000, runs=10)
     for point in field_sweep(config, Streams(3), advance=lambda: None):
-        assert point.baseline.mean == pytest.approx(closed_form(point.field_deg), abs=5 * point.baseline.error)
-        assert point.baseline.percent_error < 0.02
-        assert point.fisher.mean == pytest.approx(1.0, abs=5 / np.sqrt(4 * 3000 * 10))
-        assert point.pixel_noise_fisher.mean == pytest.approx(
-            pixel_noise_form(point.field_deg), abs=5 * point.pixel_noise_fisher.error
-        )
-        assert point.pixel_noise_baseline.mean == pytest.approx(1.0, abs=5 / np.sqrt(4 * 3000 * 10))
-        assert point.wrong_resolution.mean == pytest.approx(1.01 * point.baseline.mean, rel=1e-12)
-        half = np.radians(point.field_deg) / 2
-        assert point.field_over_pixels.mean == pytest.approx(half / np.tan(half) * point.baseline.mean, rel=1e-12)
+        bias, opposite = point.baseline_bias_percent, point.pixel_noise_fisher_percent
+        assert bias.value == pytest.approx(100 * (closed_form(point.field_deg) - 1), abs=5 * bias.uncertainty)
+        assert bias.uncertainty < 0.02
+        assert point.fisher_bias_percent.value == pytest.approx(0.0, abs=500 / np.sqrt(4 * 3000 * 10))
+        quadrature = 100 * (pixel_noise_form(point.field_deg) - 1)
+        assert opposite.value == pytest.approx(quadrature, abs=5 * opposite.uncertainty)
 
 
 def test_coverage_by_kind() -> None:
@@ -89,11 +85,11 @@ def test_coverage_by_kind() -> None:
     points = coverage(CoverageConfig(counts=(10, 100), runs=1000), Streams(3), advance=lambda: None)
     assert len(points) == 2 * len(DISTRIBUTIONS)
     for point in points:
-        assert point.bias == pytest.approx(0.0, abs=5 * point.bias_error)
+        assert point.bias.value == pytest.approx(0.0, abs=5 * point.bias.uncertainty)
         if point.kind in ("fisher", "moderate"):
-            for share, level, error in zip(point.covered, LEVELS, point.error, strict=True):
-                assert share == pytest.approx(level, abs=4 * error)
+            for share, level in zip(point.covered, LEVELS, strict=True):
+                assert share.value == pytest.approx(level, abs=4 * share.uncertainty)
     worst = {p.kind: p for p in points if p.count == 100}
-    assert worst["tails"].covered[1] < worst["ellipse"].covered[1] < 0.92
+    assert worst["tails"].covered[1].value < worst["ellipse"].covered[1].value < 0.92
     assert worst["ellipse"].covered_effective[1] == pytest.approx(0.95, abs=0.03)
     assert true_sigma("moderate") == pytest.approx(20**-0.5)

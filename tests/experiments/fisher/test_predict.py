@@ -14,10 +14,9 @@ from calib.attitude.star_vectors import initial_frame_vectors
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.directional.fisher import mean_and_chords
 from experiments.fisher.acquire import Motion, visit_once
-from experiments.fisher.degrees_of_freedom import same_data_sweep
-from experiments.fisher.precision import digits_sweep
 from experiments.fisher.predict import (
     calibration_of_rows,
+    covariance_of_rows,
     jitter_covariance_px2,
     on_the_sphere,
     predict_independent,
@@ -27,8 +26,8 @@ from experiments.fisher.predict import (
     tangent_maps,
 )
 from experiments.fisher.reduce import baseline_px, evaluate
-from experiments.fisher.table_noise import table_share, table_sweep
 from experiments.laboratory.single_star.bench import Bench, aim
+from experiments.laboratory.single_star.reduce import Data, calibrated_bench, reduce_data
 from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import build_turntable
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
@@ -115,16 +114,36 @@ def test_same_data_lose_as_many_degrees_as_there_are_unknowns(model, bench, angl
     assert same.satterthwaite == pytest.approx(2 * len(maps) - rows.shape[2], rel=1e-9)
 
 
-def test_same_data_by_real_calibrations(model, bench) -> None:
+def test_same_data_and_others_by_real_calibrations(model, bench) -> None:
     """N = 30 calibrations at 36 places: variances known to some 4 %."""
-    (point,) = same_data_sweep(model, bench, SIGMA_PX, [6], 30, Streams(5), advance=lambda: None)
-    assert point.lost == 0
-    assert (point.count, point.unknowns) == (36, 14)
-    assert point.corrected.value == pytest.approx(1.0, abs=4 * point.corrected.error)
-    assert point.naive.value == pytest.approx(point.predicted_naive, abs=4 * point.naive.error)
-    assert point.independent.value == pytest.approx(point.predicted_independent, abs=4 * point.independent.error)
-    assert point.predicted_naive < 0.9
-    assert point.predicted_independent > 1.1
+    angle = aim(bench, model.unproject(model.geometry.grid_px(6)), np.zeros(36))
+    centroid = np.tile(SIGMA_PX**2 * np.eye(2), (36, 1, 1))
+    maps, rows = tangent_maps(model, bench, angle), calibration_of_rows(model, bench, angle)
+    noise = centroid + table_covariance_px2(model, bench, angle, Motion())
+    exact, rng, sums, covariance = model.project(bench.seen(angle)), np.random.default_rng(5), [], []
+    for run in range(30):
+        first, second = (
+            Data(
+                pixel_px=exact + SIGMA_PX * rng.standard_normal(exact.shape),
+                covariance_px2=centroid,
+                reading_rad=bench.table.read(angle, Streams(5), call=2 * run + call),
+            )
+            for call in range(2)
+        )
+        found = reduce_data(first, bench.table, model, leans=True, start_star=np.array(bench.star))
+        assert found.converged
+        own = calibrated_bench(found, bench.table)
+        vectors = [_vectors(found.model, own, data.pixel_px, data.reading_rad) for data in (first, second)]
+        sums.append([mean_and_chords(one[None])[1].sum() for one in vectors])
+        covariance.append(covariance_of_rows(found))
+    same = predict_same_data(maps, noise, rows)
+    other = predict_independent(maps, noise, rows, np.mean(covariance, axis=0))
+    error = np.std(sums, axis=0, ddof=1) / np.sqrt(30)
+    for mean, expected, spread in zip(np.mean(sums, axis=0), (same, other), error, strict=True):
+        assert mean == pytest.approx(expected.sum_rad2, abs=4 * spread)
+    assert rows.shape[2] == 14
+    assert same.effective_degrees < 0.9 * 70
+    assert other.effective_degrees > 1.1 * 70
 
 
 def test_evaluation_of_coordinates(model, bench, angle) -> None:
@@ -136,9 +155,9 @@ def test_evaluation_of_coordinates(model, bench, angle) -> None:
     judged = evaluate(model, bench, pixel, places.reading_rad)
     np.testing.assert_array_equal(np.flatnonzero(judged.outlier), [40])
     assert judged.fit.count == 80
-    expected = np.hypot(
-        SIGMA_PX * 0.0055 / 50.0 * RAD_ARCSEC, table_share(bench, angle) * np.sqrt((0.2**2 + 0.5**2) / 2)
-    )
+    across = np.cross(bench.table.angle_rates(angle), bench.star)  # of a reading's error, what moves the vector
+    table = np.sqrt(((across**2).sum(2) * [0.2**2, 0.5**2]).sum(1).mean() / 2)
+    expected = np.hypot(SIGMA_PX * 0.0055 / 50.0 * RAD_ARCSEC, table)
     assert judged.sigma_arcsec == pytest.approx(expected, rel=4 / np.sqrt(4 * 80))
     low, high = judged.interval_arcsec(0.9999)
     assert low < expected < high
@@ -160,16 +179,3 @@ def test_motion_moves_the_star_along_one_axis(bench, angle) -> None:
     np.testing.assert_allclose(length, 1e-2 * 0.075, rtol=0.05)
     late = (places.reading_rad - places.true_rad)[:, 1]
     assert late.std() == pytest.approx(np.hypot(1e-5, 0.5 * ARCSEC_RAD), rel=4 / np.sqrt(162))
-
-
-def test_other_tables(model, bench, angle) -> None:
-    points = table_sweep(model, bench, angle, SIGMA_PX * 0.0055 / 50 * RAD_ARCSEC, SIGMA_PX, Streams(3), (0.01, 1.0))
-    for point in points:
-        assert point.sigma_arcsec == pytest.approx(point.expected_arcsec, abs=0.02 * point.expected_arcsec)
-
-
-def test_digits() -> None:
-    points = digits_sweep(Streams(1), (10.0, 0.1, 0.001))
-    assert max(p.chords for p in points) < 1e-8
-    assert points[0].subtraction < 1e-5
-    assert points[2].subtraction > 0.01

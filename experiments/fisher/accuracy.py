@@ -1,0 +1,586 @@
+"""The bench from the calibration (S100) to the accuracy of star vectors (S500), rendered: at rest, and on the move.
+
+Frames of their own calibrate the camera; single frames at other places become star vectors. Their scatter is compared
+with what covariances predict (`experiments.fisher.predict`), and with the pixel-residual method on the same frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from calib.attitude.star_vectors import initial_frame_vectors
+from calib.calibration.record import Calibration
+from calib.cameras.base import CameraModel
+from calib.directional.fisher import tangent_plane
+from experiments.fisher.acquire import (
+    Acquisition,
+    Motion,
+    Places,
+    acquire,
+    motion_of,
+    place_psfs,
+    smear_px,
+    smeared_psfs,
+    visit_once,
+)
+from experiments.fisher.field_of_view import baseline_over_sphere
+from experiments.fisher.predict import (
+    Scatter,
+    calibration_of_rows,
+    covariance_of_rows,
+    jitter_covariance_px2,
+    on_the_sphere,
+    predict_independent,
+    predict_same_data,
+    ratio_scatter,
+    table_covariance_px2,
+    tangent_maps,
+)
+from experiments.fisher.reduce import CONFIDENCE, Evaluation, evaluate, expected_px
+from experiments.fisher.settings import Config
+from experiments.harness.drawings import bars, cloud, image
+from experiments.harness.progress import Progress
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, agree, below, col, two_sided_limit
+from experiments.harness.summary import Measured
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.single_star.bench import Bench
+from experiments.laboratory.single_star.derivatives import reading_covariance_px2
+from experiments.laboratory.single_star.measure import measure, window_strip_e
+from experiments.laboratory.single_star.reduce import (
+    Data,
+    calibrated_bench,
+    check_count,
+    check_fit,
+    reduce_data,
+    start_model,
+)
+from experiments.laboratory.single_star.settings import GridConfig
+from experiments.laboratory.single_star.setup import (
+    averaged,
+    build_bench,
+    build_star,
+    build_table,
+    camera_under_test,
+    check_table,
+    grid_px,
+    star_signal,
+)
+from experiments.laboratory.single_star.sketch import bench_sketch
+from experiments.laboratory.single_star.star import star_direction
+from experiments.laboratory.turntable import Turntable
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+from optics.units import RAD_ARCSEC
+from render.engine.random import Streams
+from render.forward import StarRenderer
+from render.tracing.psf import epsf_tracer
+
+__all__ = ["SECTIONS", "axes", "check_config", "rendered"]
+
+ACQUISITIONS = ("static", "dynamic")
+CAUSES = {
+    "centroids": "centroids",
+    "readings": "readings of the table",
+    "clocks": "clocks of table and camera",
+    "table": "readings and clocks",
+    "calibration": "calibration and camera model",
+}
+ANGLES = ("calibrated", "data sheet", "field over pixels")
+"""Angles per pixel that the pixel method may assume."""
+LONGEST_SMEAR_PX = 40.0
+PATH_PER_PX = 4
+"""Instants per pixel of the streak by which a PSF is smeared."""
+EXTRA_PSF_PX = 2
+SHOWN_WINDOWS = 5
+SAME_VECTORS = 5e-4
+"""Part that the prediction of pixel method over Fisher may be off: it is of first order."""
+ADVICE = (
+    "too few places (grid.columns, grid.rows) or too little motion for the unknowns, errors of the table that are not "
+    "in its reading noise (table.encoder_amplitude_arcsec), or a lens that the camera model does not describe"
+)
+"""What to look at when a calibration does not fit."""
+
+
+# --- What can be refused before anything is rendered
+
+
+def check_config(config: Config) -> Instrument:
+    """The camera; whatever can be refused without rendering is refused here."""
+    axes = len(build_table(config.table).axis)
+    check_table("table", config.table, axes)
+    if axes == 3 and len({round(roll % 360.0, 6) for roll in config.table.rolls_deg}) < 2:
+        raise ConfigError(
+            f"table.rolls_deg = {list(config.table.rolls_deg)}: a third axis that does not move says nothing about its "
+            "angle to the second; give at least two angles, or take two axes"
+        )
+    check_count(config.grid.columns * config.grid.rows, build_table(config.table))
+    instrument = camera_under_test(config)
+    grid_px(config, instrument)
+    evaluation_px(config, instrument)
+    build_star(config, instrument)
+    if (smear := smear_px(_motion(config), instrument)) > LONGEST_SMEAR_PX:
+        raise ConfigError(
+            f"dynamic.rate_deg_per_s = {config.dynamic.rate_deg_per_s:g} deg/s smears the image over {smear:.0f} px in "
+            f"{config.instrument.exposure_s:g} s; at most {LONGEST_SMEAR_PX:g} px: lower it or instrument.exposure_s"
+        )
+    if config.dynamic.samples < smear:
+        raise ConfigError(
+            f"dynamic.samples = {config.dynamic.samples} for a streak of {smear:.1f} px; at least one per "
+            "pixel is needed"
+        )
+    return instrument
+
+
+def evaluation_px(config: Config, instrument: Instrument) -> FloatArray:
+    """Places (n, 2) of the evaluation; checked like those of the calibration."""
+    chosen = config.evaluation
+    grid = GridConfig(columns=chosen.columns, rows=chosen.rows, edge_px=chosen.edge_px)
+    try:
+        check_count(chosen.columns * chosen.rows, build_table(config.table))
+        return grid_px(config.model_copy(update={"grid": grid}), instrument)
+    except DomainError as error:
+        raise DomainError(str(error).replace("grid.", "evaluation.")) from None
+
+
+def _motion(config: Config) -> Motion:
+    return motion_of(config.dynamic.rate_deg_per_s, config.dynamic.jitter_ms, config.dynamic.samples)
+
+
+# --- Calibration (S100)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibrated:
+    """The bench with its calibration, before the star vectors are acquired."""
+
+    config: Config
+    instrument: Instrument
+    streams: Streams
+    true_bench: Bench  # As it really is
+    believed: Turntable  # Axes taken as square
+    calibration: Calibration
+    model: CameraModel  # Camera and bench as calibrated
+    bench: Bench
+
+    @property
+    def wanted(self) -> FloatArray:
+        """Directions (n, 3) in cam of the places of the evaluation."""
+        place = evaluation_px(self.config, self.instrument)
+        return self.instrument.camera.nominal_direction(place[:, 0], place[:, 1], self.instrument.focal_length_mm)
+
+    def window_px(self, motion: Motion) -> int:
+        """Side of a window that holds the streak as well as a window at rest holds the star."""
+        return self.config.window_px + 2 * int(np.ceil(smear_px(motion, self.instrument) / 2))
+
+    def vectors(self, pixel_px: FloatArray, angle_rad: FloatArray) -> FloatArray:
+        """Star vectors (n, 3) of images and angles of the table (S300)."""
+        turn, mount = self.bench.table.rotation(np.array(angle_rad)), self.bench.installation
+        return initial_frame_vectors(self.model, np.array(pixel_px), installation=mount, table_rotation=turn)
+
+
+def calibrated(config: Config, instrument: Instrument, streams: Streams, stage: Any) -> Calibrated:
+    """Render the frames of the calibration, and fit camera, star, installation and axes to them."""
+    measurement = measure(config, instrument, config.table, streams.child("calibration"), advance=stage.advance)
+    believed = build_table(config.table).nominal
+    calibration = _fitted(
+        Data.of(measurement), averaged(believed, config.frames), config, instrument, "joint calibration (S100)"
+    )
+    stage.advance()
+    return Calibrated(
+        config=config,
+        instrument=instrument,
+        streams=streams,
+        true_bench=build_bench(config, config.table),
+        believed=believed,
+        calibration=calibration,
+        model=calibration.model,
+        bench=calibrated_bench(calibration, believed),
+    )
+
+
+def _fitted(data: Data, table: Turntable, config: Config, instrument: Instrument, what: str) -> Calibration:
+    """Joint calibration from a poor start: a data sheet's focal length, the simulator's direction to whole degrees."""
+    ahead = star_direction(round(config.star.azimuth_deg), round(config.star.elevation_deg))
+    calibration = reduce_data(data, table, start_model(instrument, None), leans=True, start_star=ahead)
+    check_fit(calibration, what, ADVICE)
+    return calibration
+
+
+# --- Acquisition (S200), at rest and on the move
+
+
+def acquisition(done: Calibrated, name: str, motion: Motion, psfs: FloatArray, renderer: StarRenderer) -> Acquisition:
+    """One frame and one reading at every place of the evaluation."""
+    config, own = done.config, done.streams.child(name)
+    wanted, rolls = done.wanted, np.radians(config.table.rolls_deg)
+    roll = rolls[np.arange(len(wanted)) % len(rolls)]
+    places = visit_once(done.true_bench, wanted, roll, motion, config.evaluation.columns, own)
+    return acquire(
+        name,
+        places,
+        done.true_bench,
+        _dimmed_star(done),
+        renderer,
+        smeared_psfs(psfs, _path_px(done, places)),
+        expected_px(done.model, done.bench, places.reading_rad),
+        done.instrument,
+        window_px=done.window_px(motion),
+        dark_frames=config.dark_frames,
+        streams=own,
+    )
+
+
+def _dimmed_star(done: Calibrated) -> Any:
+    signal = star_signal(done.config, done.instrument, done.config.evaluation)
+    return replace(build_star(done.config, done.instrument), signal_e=signal.signal_e)
+
+
+def _path_px(done: Calibrated, places: Places) -> FloatArray:
+    """Path of the image (n, t, 2) about its mean, from readings and rate."""
+    motion = places.motion
+    if motion.rate_rad_per_s == 0.0:
+        return np.zeros((len(places), 1, 2))
+    instants = max(8, int(np.ceil(PATH_PER_PX * smear_px(motion, done.instrument))))
+    known = replace(places, true_rad=places.reading_rad, motion=replace(motion, samples=instants))
+    seen = known.directions(done.bench, done.instrument.config.exposure_s)
+    path = done.model.project(seen.reshape(-1, 3)).reshape(len(seen), -1, 2)
+    return np.asarray(path - path.mean(1, keepdims=True))
+
+
+# --- Accuracy (S300 to S500), measured and predicted
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Accuracy:
+    """Star vectors of one acquisition: standard deviation per axis by Fisher and by pixel residuals, predicted."""
+
+    n: int = col("n")
+    sigma_arcsec: Measured = col("σ per axis", "arcsec", key="sigma")
+    sigma_interval_95_arcsec: Sequence[float] = col("95 %", "arcsec", ".4f", "end", key="interval")
+    sigma_predicted_arcsec: float = col("Predicted", "arcsec", ".4f", key="predicted")
+    z_score: float = col("off by", "sigma", "+.2f")  # By the distribution of the sum of squared chords
+    # Readings and clocks of the table taken off in quadrature; NaN where they are all of it
+    sigma_without_table_arcsec: float = col("Without table", "arcsec", ".4f", key="camera")
+    # The error is what covariances let the ratio scatter: both methods see the same noise
+    baseline_over_fisher: Measured = col(
+        "Pixel / Fisher", "", ".4f", key="ratio", json_error="baseline_over_fisher_scatter"
+    )
+    baseline_over_fisher_predicted: float = col("predicted", "", ".4f", key="predicted_ratio")
+    streak_px: float = col("Streak", "px", ".1f", key="streak", shown=False)
+    one_minus_resultant_length: float = col("1 − R", "", ".4e", key="one_minus_r", shown=False)
+    concentration_document: float = col("1/(1 − R)", "", ".4e", key="k_document", shown=False)  # FISHER23 eq. 11
+    concentration: float = col("(n − 1)/(n (1 − R))", "", ".4e", key="k", shown=False)  # Its inverse is unbiased
+    isotropy_p_value: float = col("Isotropy, p", "", ".2g", key="p_value", shown=False)  # Mauchly's test
+    isotropy_ratio: float = col("Major over minor axis", "", ".2f", key="axes", shown=False)
+    # Modified Kolmogorov statistic of k (1 - cos) against the exponential distribution, refused at 5 % above 1.094
+    exponential_statistic: float = col("Kolmogorov", "", ".3f", key="statistic", shown=False)
+    outliers: int = col("Outliers", shown=False)
+    effective_degrees: float = col("Own ν", "", ".0f", shown=False)  # From the scatter of the squared chords themselves
+    sigma_interval_95_own_degrees_arcsec: Sequence[float] = col(
+        "95 % by own ν", "arcsec", ".4f", "end", key="own_interval", shown=False
+    )
+    baseline_arcsec: FloatArray = col("Pixel method", "arcsec", ".4f", "source", shown=False)
+    offset_arcsec: FloatArray = col("Star vectors about their mean", "arcsec", dims="vector axis", json="", shown=False)
+
+
+def accuracy(done: Calibrated, taken: Acquisition) -> tuple[Accuracy, dict[str, float], dict[str, float]]:
+    """Steps S300 to S500 of one acquisition; scatter by cause, expected and realised."""
+    motion, angle = taken.places.motion, taken.places.reading_rad
+    probability = done.config.evaluation.outlier_probability
+    found = evaluate(done.model, done.bench, taken.position_px, angle, outlier_probability=probability)
+    predicted, expected = _expected(done, taken)
+    maps, noise = _noise(done, taken)
+    angles, n, fit = _angles_per_pixel(done), found.fit.count, found.fit
+    rest = found.sigma_arcsec**2 - expected["table"] ** 2
+    ratio = found.baseline_arcsec(angles["calibrated"]) / found.sigma_arcsec
+    # a rolled camera takes another mean off: some 1/n of a difference
+    chance = np.hypot(ratio_scatter(maps, noise), 1.0 / n if angle.shape[1] > 2 else 0.0)
+    return (
+        Accuracy(
+            n=n,
+            sigma_arcsec=_sigma(found),
+            sigma_interval_95_arcsec=found.interval_arcsec(),
+            sigma_predicted_arcsec=predicted.sigma_arcsec,
+            z_score=predicted.z_score(fit.chord_sum_rad2),
+            sigma_without_table_arcsec=float(np.sqrt(rest)) if rest > 0 else float("nan"),
+            baseline_over_fisher=Measured(value=ratio, uncertainty=float(ratio * chance)),
+            baseline_over_fisher_predicted=baseline_over_sphere(done.model, np.array(taken.position_px), noise),
+            streak_px=smear_px(motion, done.instrument),
+            one_minus_resultant_length=fit.deficit,
+            concentration_document=fit.concentration_document,
+            concentration=fit.concentration,
+            isotropy_p_value=found.isotropy.p_value,
+            isotropy_ratio=found.isotropy.ratio,
+            exponential_statistic=found.tails.statistic,
+            outliers=int(found.outlier.sum()),
+            effective_degrees=found.effective_degrees,
+            sigma_interval_95_own_degrees_arcsec=found.own_interval_arcsec(),
+            baseline_arcsec=np.array([found.baseline_arcsec(one) for one in angles.values()]),
+            offset_arcsec=_offsets(found, len(done.wanted)),
+        ),
+        expected,
+        _realised(done, taken),
+    )
+
+
+def _sigma(found: Evaluation) -> Measured:
+    error = found.fit.sigma_uncertainty_rad * RAD_ARCSEC
+    return Measured(value=found.sigma_arcsec, unit="arcsec", uncertainty=error, n=found.fit.count)
+
+
+def _offsets(found: Evaluation, count: int) -> FloatArray:
+    """Vectors about their mean (count, 2), NaN for places without a position."""
+    offset = np.full((count, 2), np.nan)
+    offset[: len(found.vectors)] = tangent_plane(found.vectors, found.fit.mean) * RAD_ARCSEC
+    return offset
+
+
+def _noise(done: Calibrated, taken: Acquisition) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of the vectors by the images, and covariance of the images with what the table adds."""
+    angle = np.array(taken.places.reading_rad)
+    table = table_covariance_px2(done.model, done.bench, angle, taken.places.motion)
+    return tangent_maps(done.model, done.bench, angle), np.array(taken.covariance_px2) + table
+
+
+def _expected(done: Calibrated, taken: Acquisition) -> tuple[Scatter, dict[str, float]]:
+    """Scatter from covariances, and the standard deviation per axis that each cause makes."""
+    model, bench, angle = done.model, done.bench, np.array(taken.places.reading_rad)
+    maps, noise = _noise(done, taken)
+    rows, known = calibration_of_rows(model, bench, angle), covariance_of_rows(done.calibration)
+    quiet = predict_independent(maps, 1e-30 * np.broadcast_to(np.eye(2), maps.shape), rows, known)
+    readings = on_the_sphere(maps, reading_covariance_px2(model, bench, angle))
+    clocks = on_the_sphere(maps, jitter_covariance_px2(model, bench, angle, taken.places.motion))
+    return predict_independent(maps, noise, rows, known), {
+        "centroids": on_the_sphere(maps, np.array(taken.covariance_px2)),
+        "readings": readings,
+        "clocks": clocks,
+        "table": float(np.hypot(readings, clocks)),
+        "calibration": quiet.sigma_arcsec,
+    }
+
+
+def _realised(done: Calibrated, taken: Acquisition) -> dict[str, float]:
+    """What each cause did in this run, by putting the truth in place of the measured, one after the other."""
+    places = taken.places
+
+    def spread(difference: FloatArray) -> float:
+        apart = difference - difference.mean(0)
+        return float(np.sqrt(np.sum(apart**2) / (2 * (len(apart) - 1))) * RAD_ARCSEC)
+
+    measured = done.vectors(taken.position_px, places.reading_rad)
+    rays = done.vectors(taken.bundle_px, places.reading_rad)
+    truth = done.vectors(taken.bundle_px, places.true_rad)
+    return {"centroids": spread(measured - rays), "table": spread(rays - truth), "calibration": spread(truth)}
+
+
+def _angles_per_pixel(done: Calibrated) -> dict[str, float]:
+    """Angles of a pixel [arcsec] that the pixel method may assume: `ANGLES`."""
+    camera = done.instrument.camera
+    focal, sheet = (model.value("focal_length_mm") for model in (done.model, start_model(done.instrument, None)))
+    half = camera.width_px * camera.pixel_pitch_mm / 2 / focal
+    angles = camera.pixel_pitch_mm / focal, camera.pixel_pitch_mm / sheet, 2 * np.arctan(half) / camera.width_px
+    return {name: float(angle * RAD_ARCSEC) for name, angle in zip(ANGLES, angles, strict=True)}
+
+
+# --- Causes, the same data, and what was measured with
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cause:
+    """Scatter per axis by one of `CAUSES`; NaN where the run does not tell it apart."""
+
+    expected_arcsec: Sequence[float] = col(
+        "Expected,",
+        "arcsec",
+        ".4f",
+        "acquisition",
+        key="{acquisition}_expected",
+        json={
+            one: f"[acquisition].expected_arcsec.{one}" for one in ("centroids", "readings", "clocks", "calibration")
+        },
+    )
+    realised_arcsec: Sequence[float] = col(
+        "Realised,",
+        "arcsec",
+        ".4f",
+        "acquisition",
+        key="{acquisition}_realised",
+        json={
+            one: f"[acquisition].realised_arcsec.{place}"
+            for one, place in (("centroids", "centroids"), ("table", "table"), ("calibration", "camera"))
+        },
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SameData:
+    """Static vectors, evaluated with a calibration of q unknowns that was fitted to them."""
+
+    unknowns: int = col("Unknowns q")
+    naive_arcsec: float = col("σ with 2 (n − 1) degrees of freedom", "arcsec", ".4f")
+    predicted_naive_arcsec: float = col("predicted", "arcsec", ".4f")
+    corrected_arcsec: float = col("σ with 2 n − q degrees of freedom", "arcsec", ".4f")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """What was measured with."""
+
+    lens: str = col("Lens", json="")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f", json="")
+    calibration_signal_e: float = col("Signal of the calibration", "e-", ".0f")
+    calibration_signal_star: str = col("Star of the calibration")
+    signal_e: float = col("Signal", "e-", ".0f")
+    signal_magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f")
+    signal_star_k: float = col("Temperature of that star", "K", ".0f")
+    signal_star: str = col("Star")
+    resolutions_arcsec: FloatArray = col("Angle per pixel", "arcsec", ".5f", "source")
+    windows_e: FloatArray = col("Windows of single frames, at rest and on the move", "e-", dims="row column", json="")
+
+
+def same_data(done: Calibrated, taken: Acquisition) -> SameData:
+    """Calibrate with the vectors' own data, and evaluate them with the result."""
+    angle, count = np.array(taken.places.reading_rad), len(taken.places)
+    pixel, centroid = np.array(taken.position_px), np.array(taken.covariance_px2)
+    data = Data(pixel_px=pixel, covariance_px2=centroid, reading_rad=angle)
+    what = "joint calibration with the vectors' own data"
+    calibration = _fitted(data, done.believed, done.config, done.instrument, what)
+    model, bench = calibration.model, calibrated_bench(calibration, done.believed)
+    noise = centroid + reading_covariance_px2(model, bench, angle)
+    rows, unknowns = calibration_of_rows(model, bench, angle), len(calibration.solution.names)
+    naive, corrected = (
+        evaluate(model, bench, pixel, angle, outlier_probability=None, degrees_of_freedom=freedom).sigma_arcsec
+        for freedom in (2.0 * (count - 1), 2.0 * count - unknowns)
+    )
+    return SameData(
+        unknowns=unknowns,
+        naive_arcsec=naive,
+        predicted_naive_arcsec=predict_same_data(tangent_maps(model, bench, angle), noise, rows).sigma_arcsec,
+        corrected_arcsec=corrected,
+    )
+
+
+def setup(done: Calibrated, taken: Sequence[Acquisition]) -> Setup:
+    """Light, lens and single frames."""
+    first, star = (star_signal(done.config, done.instrument, one) for one in (None, done.config.evaluation))
+    side = max(one.windows.dn.shape[-1] for one in taken)
+    rows = []
+    for one in taken:
+        chosen = np.linspace(0, one.windows.dn.shape[1] - 1, SHOWN_WINDOWS).astype(int)
+        rows.append(window_strip_e(one.windows, chosen, side))
+    return Setup(
+        lens=done.instrument.camera.lens.name,
+        pixel_arcsec=done.instrument.pixel_arcsec,
+        calibration_signal_e=first.signal_e,
+        calibration_signal_star=first.star,
+        signal_e=star.signal_e,
+        signal_magnitude_mag=star.magnitude_mag,
+        signal_star_k=star.temperature_k,
+        signal_star=star.star,
+        resolutions_arcsec=np.array(list(_angles_per_pixel(done).values())),
+        windows_e=np.vstack(rows)[:-1, :-1],
+    )
+
+
+# --- The run and its sections
+
+
+def axes(config: Config) -> Quantities:
+    """Dimensions that sections share."""
+    q = Quantities()
+    q.axis("acquisition", ACQUISITIONS, "Acquisition", key="acquisition")
+    q.axis("cause", list(CAUSES), "Cause", names=CAUSES)
+    q.axis("source", ANGLES, "Angle per pixel from")
+    half = round(50.0 * (1.0 - CONFIDENCE), 6)
+    q.axis("end", [half, 100.0 - half], "End", unit="percent", names=["from", "to"])
+    return q
+
+
+def rendered(config: Config, instrument: Instrument, streams: Streams, progress: Progress) -> Mapping[str, Any]:
+    """Calibrate, acquire at rest and on the move, evaluate: records of the sections."""
+    with progress.stage("calibration (S100)", total=5) as stage:
+        done = calibrated(config, instrument, streams, stage)
+    renderer = StarRenderer(instrument.camera, exposure_s=instrument.config.exposure_s)
+    moving = _motion(config)
+    with progress.stage("acquisition (S200)", total=3) as stage:
+        half = done.window_px(moving) // 2 + EXTRA_PSF_PX
+        tracer = epsf_tracer(instrument.camera)
+        psfs = place_psfs(tracer, _dimmed_star(done), done.wanted, instrument, half)
+        stage.advance()
+        taken = []
+        for name, motion in zip(ACQUISITIONS, (Motion(), moving), strict=True):
+            taken.append(acquisition(done, name, motion, psfs, renderer))
+            stage.advance()
+    with progress.stage("evaluation (S300-S500)"):
+        records, expected, realised = zip(*(accuracy(done, one) for one in taken), strict=True)
+        causes = [
+            Cause(
+                expected_arcsec=[one[cause] for one in expected],
+                realised_arcsec=[one.get(cause, np.nan) for one in realised],
+            )
+            for cause in CAUSES
+        ]
+        own = same_data(done, taken[0])
+    return {"setup": setup(done, taken), "accuracy": records, "causes": causes, "same_data": own}
+
+
+SECTIONS = {
+    "accuracy": Section(
+        record=Accuracy,
+        dim="acquisition",
+        place="[acquisition]",
+        table="accuracy",
+        across="end source",
+        caption="Accuracy of single-frame star vectors (S300–S500).",
+        note="Uncertainty 1 σ, interval by χ² with 2 (n − 1) degrees of freedom. Predicted: from the covariances of "
+        "centroids, readings, clocks, calibration. Without table: what readings and clocks are known to add taken off "
+        "in quadrature. Pixel method: with the calibrated angle per pixel, on the same frames.",
+        figures={
+            "vector_scatter": cloud(
+                "offset_arcsec", ellipses="sigma_arcsec sigma_predicted_arcsec", panels="acquisition"
+            )
+        },
+        verdicts=[
+            below(
+                "z_score",
+                two_sided_limit(len(ACQUISITIONS)),
+                size=True,
+                title="scatter of the star vectors against the prediction, at rest and on the move",
+                advice="the light in the centroids or the readings of the table are worse or better than stated: see "
+                "the causes",
+            ),
+            agree(
+                "baseline_over_fisher",
+                with_="baseline_over_fisher_predicted",
+                slack=SAME_VECTORS,
+                title="pixel method over Fisher, against what lens and noise predict",
+                advice="the angle per pixel changes over the field by more than the camera model describes",
+            ),
+        ],
+    ),
+    "causes": Section(
+        record=Cause,
+        dim="cause",
+        table="causes",
+        across="acquisition",
+        caption="Where the scatter comes from, per axis.",
+        note="Expected: from covariances. Realised: in this run, with the truth put in place of what was measured, "
+        "which only a simulation can do.",
+        figures={
+            "cause_bars": bars("cause", bars="realised_arcsec", points="expected_arcsec", panels="acquisition"),
+        },
+    ),
+    "same_data": Section(record=SameData, prefix="same_data_", place="same_data_rendered"),
+    "setup": Section(
+        record=Setup,
+        figures={
+            "bench_sketch": lambda outcome: bench_sketch(outcome.config.table.axes),
+            "star_windows": image("windows_e"),
+        },
+    ),
+}
