@@ -228,9 +228,9 @@ COMPARISONS = (
             "experiments.fisher.predict:tangent_maps",
             "experiments.fisher.predict:table_covariance_px2",
             "experiments.fisher.predict:calibration_of_rows",
-            "experiments.fisher.bench:_Work._predict",
+            "experiments.fisher.accuracy:_expected",
         ),
-        measured=("experiments.fisher.bench:run_bench", "experiments.fisher.degrees_of_freedom:same_data_sweep"),
+        measured=("experiments.fisher.accuracy:rendered",),
     ),
     Comparison(
         experiment="cube",
