@@ -175,14 +175,8 @@ COMPARISONS = (
     Comparison(
         experiment="chromatic",
         what="shift between filters",
-        predicted=(
-            f"{LABORATORY}.ray_prediction:bundle_prediction",
-            f"{LABORATORY}.ray_prediction:paraxial_prediction",
-        ),
-        measured=(
-            f"{LABORATORY}.chromatic_error:measure_chromatic",
-            f"{LABORATORY}.chromatic_error:reduce_chromatic",
-        ),
+        predicted=(f"{LABORATORY}.ray_prediction:bundle_prediction",),
+        measured=(f"{LABORATORY}.chromatic_error:measure_chromatic",),
     ),
     Comparison(
         experiment="budget",

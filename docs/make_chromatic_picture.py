@@ -13,8 +13,8 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from experiments.chromatic.experiment import Config, experiment, run
-from experiments.chromatic.figures import arrow_panels
+from experiments.chromatic.experiment import field_map, run
+from experiments.chromatic.settings import Config, rendered
 from experiments.harness.plotting import figure_png, house_style
 from experiments.harness.progress import Progress
 from optics.figures import draw_lens
@@ -28,11 +28,10 @@ def main() -> None:
     """Run, draw, stack."""
     Engine.start("auto")
     config = Config()
-    outcome = experiment.outcome(config, run(config, progress=Progress()))
-    pair, drawing = config.decentre.pair, draw_lens(outcome.result.instrument.camera.lens)
+    outcome = rendered.outcome(config, run(config, progress=Progress()))
+    drawing = draw_lens(outcome.result["bench"].instrument.camera.lens)
     with house_style():
-        titles = zip(("centred", "moved"), outcome.names("lens"), strict=True)
-        maps = arrow_panels(outcome, [(lens, pair, f"{pair} nm, {title}") for lens, title in titles])
+        maps = field_map(outcome, [config.pair])
         images = [Image.open(io.BytesIO(figure_png(figure))).convert("RGBA") for figure in (drawing, maps)]
     scaled = [image.resize((WIDTH_PX, round(image.height * WIDTH_PX / image.width))) for image in images]
     sheet = Image.new("RGBA", (WIDTH_PX, sum(image.height for image in scaled)), "white")

@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.chromatic.experiment import main
+from experiments.chromatic.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,102 +1,355 @@
-"""The chromatic test: run and declaration."""
+"""Chromatic error (ACC18 eq. 13-16, Table 1): the lens as designed, and moved so that it gives the published value.
+
+The published statistic first, then what it hides (how far points shift), what is left when every band has a camera
+model of its own, and what other centroiders make of the same frames. `perturbation` searches the movement, `stars`
+holds the shift of stars against the rule of one third.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from experiments.chromatic.perturbation import ELEMENTS, MOVEMENT, Movement, choose, solve
 from experiments.chromatic.settings import Config
-from experiments.harness.cli import command
-from experiments.harness.experiment import Experiment
+from experiments.chromatic.stars import STARS, stars_of, stellar_shift
+from experiments.harness.drawings import curves
+from experiments.harness.plotting import INK, PALETTE, band_colours, new_figure, scale_bar
 from experiments.harness.progress import Progress
-from experiments.laboratory.own_frames.experiment import or_own_frames
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.sections import Section, agree, below, col, ratio_near
+from experiments.harness.summary import measured
+from experiments.laboratory import sketches
+from experiments.laboratory.bench import Bench, band_pairs
+from experiments.laboratory.centroid_methods import MethodLabels
+from experiments.laboratory.checks import check_light
+from experiments.laboratory.chromatic_error import (
+    CALIBRATIONS,
+    ChromaticMeasurement,
+    after_calibration,
+    measure_chromatic,
+    rms,
+    shift_sigma,
+    shifts,
+    table1,
+    table1_sigma,
+)
+from experiments.laboratory.collimator import build_collimator
+from experiments.laboratory.collimator_effects import COLLIMATOR, collimator_shift
+from experiments.laboratory.filter_wheel import interference_filters, open_band
+from experiments.laboratory.instrument import Instrument, build_instrument
+from experiments.laboratory.point_figures import detector_outline
+from experiments.laboratory.published import ACC18_ARCSEC, ACC18_TABLE1_PX, is_published_sensor
+from experiments.laboratory.ray_prediction import bundle_prediction
+from experiments.laboratory.signal import electrons_of_star, signal_of
+from experiments.laboratory.target import CORNERS, corner_directions
 from optics.arrays import FloatArray
+from optics.errors import unknown_name
+from optics.light.spectrum import Blackbody
+from render.detector.readout import expose
+from render.engine.random import Streams
+from render.fits.files import write_frame
+from render.records import Frame
 
-if TYPE_CHECKING:
-    from experiments.chromatic.perturbation import Solution
-    from experiments.chromatic.result import Result
-    from experiments.laboratory.bench import Bench
-    from experiments.laboratory.instrument import Instrument
-    from optics.lens.system import LensSystem
+__all__ = ["SECTIONS", "axes", "field_map", "files", "run"]
 
-__all__ = ["Config", "experiment", "main", "run"]
+LIGHT_PX = 1e-3
+"""What the rendered light may be beside its ray trace: Sobol sums over pupils that other apertures cut do worst."""
 
 
-def run(config: Config, *, progress: Progress) -> Result:
-    """Render, read out, reduce and compare."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lens:
+    """One lens on the bench: frames and ray trace; p positions, j points, b filters."""
 
-    from experiments.chromatic.result import Result
-    from experiments.chromatic.stars import stellar_shift
-    from experiments.laboratory.chromatic_error import measure_chromatic, reduce_chromatic, shifts
-    from experiments.laboratory.collimator_effects import chromatic_effect
-    from experiments.laboratory.filter_wheel import open_band
-    from experiments.laboratory.instrument import build_instrument
-    from experiments.laboratory.known_motion import measure_wedged
-    from experiments.laboratory.ray_prediction import bundle_prediction, paraxial_prediction
-    from experiments.laboratory.signal import electrons_of_star, signal_of
-    from experiments.laboratory.target import CORNERS
-    from render.engine.random import Streams
+    label: str
+    bench: Bench
+    instrument: Instrument
+    frames: ChromaticMeasurement
+    traced_px: FloatArray  # (p, j, b, 2) Ray trace alone, which knows neither frames nor rendering
 
-    instrument = build_instrument(config.instrument)
-    band = open_band(config.passband, instrument, "full pass band")
-    signal = signal_of(config, band, instrument, config.stars.reference_k)
-    bench, direction = _prepare(config, instrument, signal.signal_e)
-    paraxial_px = paraxial_prediction(bench, instrument, direction)
-    solutions = _solve(config, bench, instrument, direction, progress)
-    chosen = _choose(config, bench, instrument.camera.lens, solutions)
-    moved = _moved(config, instrument, chosen)
-    streams = Streams(config.seed).child("chromatic")
-    found = {}
-    for label, stage_label, one in (("centred", "centred lens", instrument), ("moved", "moved element", moved)):
-        with progress.stage(stage_label, total=len(CORNERS)) as stage:
-            measured = measure_chromatic(bench, one, streams.child(label), advance=stage.advance)
-        found[label] = reduce_chromatic(bench, one, measured)
-    with progress.stage("wedge in a filter"):
-        wedged = measure_wedged(bench, instrument, found["centred"].measurement, streams.child("wedge"))
-    with progress.stage("stars"):
-        stellar, moved_stellar = (stellar_shift(config.stars, band, one) for one in (instrument, moved))
-        ideal = replace(bench, collimator=None)  # stars have none
-        field_shift = shifts(bundle_prediction(ideal, instrument, stellar.direction[None]), bench.pairs)
-        star_e = electrons_of_star(band, instrument, magnitude=7.5, temperature_k=config.stars.reference_k)
-    return Result(
-        config=config,
-        bench=bench,
-        instrument=instrument,
-        centred=found["centred"],
-        moved=found["moved"],
-        wedged=wedged,
-        paraxial_px=paraxial_px,
-        solutions=solutions,
-        chosen=chosen,
-        stellar=stellar,
-        moved_stellar=moved_stellar,
-        field_shift_px={name: shift[0] for name, shift in field_shift.items()},
-        star_e=star_e,
-        collimator=chromatic_effect(
-            bench,
-            instrument,
-            direction,
-            found["centred"].table1_px,
-            found["centred"].table1_sigma_px,
-            found["centred"].measurement.rms_spot_um,
-        ),
-        signal=signal,
+    @property
+    def method(self) -> str:
+        """The centroider that counts."""
+        return self.bench.methods[0]
+
+    def shift_px(self, place_px: FloatArray) -> FloatArray:
+        """Shifts (pair, p, j, 2) of places (p, j, b, 2), eq. 15."""
+        return np.stack(list(shifts(place_px, self.bench.pairs).values()))
+
+    @property
+    def measured_px(self) -> tuple[FloatArray, FloatArray]:
+        """Shifts (pair, p, j, 2) of the frames, and their standard deviations."""
+        sigma = shift_sigma(self.frames, self.bench.pairs, self.method)
+        return self.shift_px(self.frames.mean_px[self.method]), np.stack(list(sigma.values()))
+
+
+def both(place: str, moved: str = "measured.") -> Mapping[str, str]:
+    """Where ``summary.json`` has a number of the centred lens, and of the one with the moved element."""
+    return {"centred": place, "moved": f"decentre_solution.{moved}{place}"}
+
+
+# --- Table 1, and the size of the shifts behind it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entries:
+    """ACC18's Table 1 (eq. 16: signed mean of the shifts, halved) of one lens."""
+
+    label: str
+    table1_px: Any = col(
+        "Frames",
+        "px",
+        dims="pair axis",
+        json=both("table1_px"),
+        json_error=both("table1_sigma_px"),
+        key="measured_px",
+    )
+    predicted_table1_px: FloatArray = col(
+        "Ray trace", "px", ".5f", "pair axis", json=both("predicted_table1_px"), key="ray_trace_px"
+    )
+    photon_table1_px: FloatArray = col(
+        "Noiseless light", "px", ".5f", "pair axis", json=both("photon_table1_px"), key="photon_px", shown=False
+    )
+    published_px: FloatArray | None = col("Published", "px", ".4f", "pair axis", json="", default=None)
+    rms_shift_px: FloatArray = col("RMS shift of a point", "px", ".3f", "pair axis", json=both("rms_shift_px"))
+    table1_n: int = col("Frames behind an entry", json=both("table1_n"), shown=False)
+    lsfe_arcsec: Any = col(
+        "Chromatic LSFE, 3 σ", "arcsec", dims="axis", json=both("lsfe_s_arcsec_3sigma", moved=""), shown=False
+    )
+    published_lsfe_arcsec: Sequence[float] | None = col(
+        "Published", "arcsec", dims="axis", json="", shown=False, default=None
+    )
+    mean_squared_pull: Any = col(
+        "Squared deviation of a shift over its variance",
+        json=both("mean_squared_pull"),
+        json_error=both("mean_squared_pull_sigma"),
+        shown=False,
+    )
+    light_error_px: float = col(
+        "Noiseless light minus ray trace, largest shift", "px", ".1e", json=both("light_error_px"), shown=False
     )
 
 
-def _prepare(config: Config, instrument: Instrument, signal_e: float) -> tuple[Bench, FloatArray]:
-    """Laboratory and target points; whatever can be refused without rendering is refused here."""
-    from experiments.laboratory.bench import Bench
-    from experiments.laboratory.checks import check_light
-    from experiments.laboratory.collimator import build_collimator
-    from experiments.laboratory.filter_wheel import interference_filters
-    from experiments.laboratory.target import corner_directions
-    from optics.errors import unknown_name
-    from optics.light.spectrum import Blackbody
+def entries(lens: Lens, *, published: bool) -> Entries:
+    """Table 1, the angle that the document makes of it, and how the single shifts scatter."""
+    frames, pairs, names = lens.frames, lens.bench.pairs, lens.bench.pair_names
+    shift, sigma = lens.measured_px
+    light, traced = lens.shift_px(frames.photon_px), lens.shift_px(lens.traced_px)
+    entry, error = table1(shift), np.stack(list(table1_sigma(frames, pairs, lens.method).values()))
+    count = lens.bench.frames * shift[0, ..., 0].size
+    worst, scale = np.abs(entry).argmax(0), lens.instrument.pixel_arcsec
+    largest, its_error = (np.take_along_axis(one, worst[None], axis=0)[0] for one in (np.abs(entry), error))
+    pulls = (shift - light) / sigma
+    # pairs share the reference band: correlation 1/2, so 1/4 between their squares
+    freedom = independent(pulls, frames, sigma) / (1.0 + (len(pairs) - 1) / 4.0)
+    known: dict[str, Any] = {}
+    if published:
+        values = [ACC18_TABLE1_PX.get(name, (np.nan, np.nan)) for name in names]
+        known = {"published_px": np.array(values), "published_lsfe_arcsec": ACC18_ARCSEC["LSFE-S"]}
+    return Entries(
+        label=lens.label,
+        table1_px=measured(entry, error),
+        predicted_table1_px=table1(traced),
+        photon_table1_px=table1(light),
+        rms_shift_px=np.stack([rms(one) for one in shift]),
+        table1_n=count,
+        # the document: per axis the largest entry, divided by three, times three
+        lsfe_arcsec=measured(scale * largest, scale * its_error, count, "arcsec"),
+        mean_squared_pull=measured(float((pulls**2).mean()), np.sqrt(2.0 / freedom)),
+        light_error_px=float(np.abs(light - traced).max()),
+        **known,
+    )
 
+
+def independent(pulls: FloatArray, frames: ChromaticMeasurement, sigma_px: FloatArray) -> float:
+    """Pulls (n, p, j, 2) that count as independent in the mean of their squares: a line of sight moves all points."""
+    correlation = 2.0 * frames.common_mean_px**2 / float((sigma_px**2).mean())
+    return pulls.size / (1.0 + (pulls.shape[2] - 1.0) * correlation**2)
+
+
+def field_map(o: Outcome, pairs: Sequence[str] = ()) -> Figure:
+    """Shift of every point over the field, a column per lens, a row per pair; the ray trace beneath in grey."""
+    shown, lenses = list(pairs) or o.names("pair"), o.labels("lens")
+    camera = o.result["bench"].instrument.camera
+    figure, grid = new_figure(
+        len(shown), len(lenses), aspect_ratio=0.27 * len(shown) + 0.06, sharex=True, sharey=True, squeeze=False
+    )
+    for row, pair, colour in zip(grid, shown, PALETTE, strict=False):
+        for panel, (lens, label) in zip(row, lenses.items(), strict=True):
+            place = o.values("nominal_px", lens=lens)
+            found, traced = (o.values(f"{kind}_shift_px", lens=lens, pair=pair) for kind in ("measured", "predicted"))
+            longest = float(np.linalg.norm(found, axis=-1).max())
+            style = {"angles": "xy", "scale_units": "xy", "scale": longest / (1.2 * o.config.target.pitch_px)}
+            panel.quiver(*place.T, *traced.T, color="#c3c8ce", width=0.009, headwidth=3, **style)
+            panel.quiver(*place.T, *found.T, color=colour, width=0.0035, headwidth=4, **style)
+            key, middle = float(f"{longest:.0e}"), (0.58 * camera.width_px, 0.5 * camera.height_px)
+            panel.quiver(*middle, key, 0, color=INK, width=0.0045, **style)
+            panel.text(middle[0], middle[1] - 0.06 * camera.height_px, f"{key:g} px", fontsize=8)
+            detector_outline(panel, camera.width_px, camera.height_px, o.result["bench"].instrument)
+            panel.set_title(f"{pair} nm, {label}")
+        row[0].set_ylabel("row [px]")
+    for panel in grid[-1]:
+        panel.set_xlabel("column [px]")
+    return figure
+
+
+# --- Point by point
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Points:
+    """Shift of every target point (eq. 15), position after position."""
+
+    nominal_px: FloatArray = col("Nominal", "px", dims="point axis", json="", key="nominal_{axis}_px")
+    measured_shift_px: Any = col("Frames", "px", dims="pair point axis", json="", key="measured_{axis}_px")
+    photon_shift_px: FloatArray = col("Noiseless light", "px", dims="pair point axis", json="", key="photon_{axis}_px")
+    predicted_shift_px: FloatArray = col("Ray trace", "px", dims="pair point axis", json="", key="predicted_{axis}_px")
+
+
+def points(lens: Lens) -> Points:
+    """Frames, light and ray trace at the points of all positions."""
+    shift, sigma = lens.measured_px
+    light, traced = (lens.shift_px(place) for place in (lens.frames.photon_px, lens.traced_px))
+    flat = (len(shift), -1, 2)
+    return Points(
+        nominal_px=lens.frames.nominal_px.reshape(-1, 2),
+        measured_shift_px=measured(shift.reshape(flat), sigma.reshape(flat)),
+        photon_shift_px=light.reshape(flat),
+        predicted_shift_px=traced.reshape(flat),
+    )
+
+
+# --- Camera parameters of its own for each band
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibration:
+    """RMS length of the shift of a point, as found and when the camera model has parameters of its own for a band."""
+
+    residual_px: FloatArray = col(
+        "RMS", "px", ".3f", "pair step", json=both("residual_after_calibration_px"), key="{step}_px"
+    )
+    photon_residual_px: FloatArray = col(
+        "Without noise",
+        "px",
+        ".3f",
+        "pair step",
+        json=both("photon_residual_after_calibration_px"),
+        key="{step}_photon_px",
+        shown=False,
+    )
+
+
+def calibration(lens: Lens) -> Calibration:
+    """A principal point and a focal length per band, each alone and together."""
+    place = lens.frames.nominal_px - lens.instrument.camera.centre_px
+    found, light = (
+        np.array([[np.linalg.norm(rms(left)) for left in after_calibration(one, place).values()] for one in shift])
+        for shift in (lens.measured_px[0], lens.shift_px(lens.frames.photon_px))
+    )
+    return Calibration(residual_px=found, photon_residual_px=light)
+
+
+# --- The same frames by every centroider
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Centroiders:
+    """What every centroider makes of the same frames; NaN where it does not converge on some point."""
+
+    noise_px: FloatArray = col("Noise", "px", ".4f", "method", json="")
+    error_px: FloatArray = col("RMS error", "px", ".4f", "method", json="", key="rms_bias_px")
+    along_px: FloatArray = col("Table 1", "px", ".4f", "method pair", json="", key="{pair}_px")  # Along the wanted axis
+    table1_px: FloatArray = col(
+        "Table 1", "px", ".4f", "method pair axis", json=both("method_table1_px", moved=""), shown=False
+    )
+
+
+def centroiders(lens: Lens, axis: int) -> Centroiders:
+    """Noise of a frame, mean centroid against the noiseless light, Table 1."""
+    frames, methods = lens.frames, lens.bench.methods
+    entry = np.array([table1(lens.shift_px(frames.mean_px[m])) for m in methods])
+    return Centroiders(
+        noise_px=np.array([np.sqrt((frames.sigma_px[m] ** 2).mean()) for m in methods]),
+        error_px=np.array([np.sqrt(((frames.mean_px[m] - frames.photon_px) ** 2).mean()) for m in methods]),
+        along_px=entry[..., axis],
+        table1_px=entry,
+    )
+
+
+# --- The bench, and what the frames look like
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchRecord:
+    """What was measured with; the mean frame of the first target point behind every filter."""
+
+    instrument: Instrument
+    frame: Frame  # Whole detector, first position, reference filter
+    signal_e: float = col("Signal", "e-", ".0f")
+    signal_magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f")
+    signal_star_k: float = col("Temperature of that star", "K", ".0f")
+    signal_star: str = col("Star")
+    star_e: float = col("Star of V = 7.5", "e-", ".0f", json="signal_of_v7_5_star_e")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f")
+    rms_spot_um: FloatArray = col("RMS spot radius", "um", ".1f", "band")
+    reference_k: float = col("Reference star", "K", ".0f", json="stellar.reference_k")
+    temperature_k: FloatArray = col("Temperature", "K", ".0f", "temperature", json="stellar.temperature_k")
+    mean_e: FloatArray = col("Mean frame", "e-", dims="lens band row column", json="")
+
+
+def mean_windows(lens: Lens) -> FloatArray:
+    """Mean frame (band, row, column) [e-] around the first target point."""
+    stacks = lens.frames.windows
+    return np.stack([(one.dn[:, 0].mean(0) - one.offset_dn) / one.gain_dn_per_e for one in stacks])
+
+
+def spots(o: Outcome) -> Figure:
+    """The first target point behind each filter, both lenses, each window on its own scale."""
+    lenses, centres = o.labels("lens"), o.config.filters.centres_nm
+    figure, grid = new_figure(len(lenses), len(centres), aspect_ratio=0.8, width="half", squeeze=False)
+    for row, (lens, label) in zip(grid, lenses.items(), strict=True):
+        for panel, image in zip(row, o.values("mean_e", lens=lens), strict=True):
+            panel.imshow(image, vmin=-30.0, vmax=image.max())
+            panel.grid(visible=False)
+            panel.set(xticks=[], yticks=[])
+        row[0].set_ylabel(label, fontsize=7)
+        scale_bar(row[-1])
+    for panel, centre, colour in zip(grid[0], centres, band_colours(centres), strict=True):
+        panel.set_title(f"{centre:g} nm", color=colour)
+    return figure
+
+
+# --- The run
+
+
+def axes(config: Config) -> Quantities:
+    """Dimensions that all sections share."""
+    q, wheel = Quantities(), config.filters
+    pairs = band_pairs(wheel.centres_nm, wheel.centres_nm.index(wheel.reference_nm))
+    q.axis("pair", [name for name, _, _ in pairs], "Bands", unit="nm", key="bands")
+    q.axis("axis", ["x", "y"], "Axis", names=["X", "Y"])
+    labels = MethodLabels(own="PSF of each filter", reference="PSF of the reference filter")
+    q.axis("method", list(config.methods), "Centroider", names=labels)
+    q.axis("step", [step.replace(" ", "_") for step in CALIBRATIONS], "Calibration", names=list(CALIBRATIONS))
+    q.axis("band", [f"{centre:g}" for centre in wheel.centres_nm], "Band", unit="nm")
+    q.axis("point", np.arange(len(CORNERS) * config.target.rows * config.target.columns) + 1, "Target point")
+    kelvin = {"unit": "K", "format": ".0f", "key": "temperature_k"}
+    q.axis("temperature", config.stars.temperatures_k, "Effective temperature", **kelvin)
+    return q
+
+
+def _lens_axis(q: Quantities, lenses: Sequence[Entries]) -> None:
+    q.axis("lens", ["centred", "moved"], "Lens", names=[one.label for one in lenses])
+
+
+def laboratory(config: Config, instrument: Instrument, signal_e: float) -> tuple[Bench, FloatArray]:
+    """Bench and target points; whatever can be refused without rendering is refused here."""
     wheel = config.filters
     filters = interference_filters(wheel)
     bench = Bench(
@@ -113,9 +366,8 @@ def _prepare(config: Config, instrument: Instrument, signal_e: float) -> tuple[B
     )
     for band in bench.filters:
         instrument.check_band("filters.centres_nm", band)
-    names = [name for name, _, _ in bench.pairs]
-    if config.pair not in names:
-        raise unknown_name("decentre.pair", config.pair, names)
+    if config.pair not in bench.pair_names:
+        raise unknown_name("decentre.pair", config.pair, bench.pair_names)
     if config.decentre.element != "auto":
         instrument.camera.lens.indices_of(config.decentre.element)
     direction = corner_directions(config.target, instrument)
@@ -123,94 +375,177 @@ def _prepare(config: Config, instrument: Instrument, signal_e: float) -> tuple[B
     return bench, direction
 
 
-def _solve(
-    config: Config, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
-) -> list[Solution]:
-    """The movement of every element, decentre and tilt, that gives the published number."""
-    from experiments.chromatic.perturbation import solve_perturbation
+def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+    """Search the movement; render, read out and reduce both lenses; trace what they should show.
 
-    moves = [(element, kind) for kind in ("decentre", "tilt") for element in instrument.camera.lens.elements]
-    return [
-        solve_perturbation(
-            bench,
-            instrument,
-            direction,
-            element=element,
-            kind=kind,
-            pair=config.pair,
-            axis="xy".index(config.decentre.axis),
+    Raises
+    ------
+    StarbenchError
+        On anything the user can mend: unknown names, a target off the detector or too faint, light beyond the range of
+        the data, an entry of Table 1 that no movement gives.
+    """
+    instrument = build_instrument(config.instrument)
+    band = open_band(config.passband, instrument, "full pass band")
+    signal = signal_of(config, band, instrument, config.stars.reference_k)
+    bench, direction = laboratory(config, instrument, signal.signal_e)
+    solutions = solve(config, bench, instrument, direction, progress)
+    chosen = choose(config, bench, instrument.camera.lens, solutions)
+    axis = "xy".index(config.decentre.axis)
+    moved = build_instrument(config.instrument, chosen.apply(instrument.camera.lens, axis))
+    streams = Streams(config.seed).child("chromatic")
+    lenses, stars = [], []
+    for name, label, stage_label, one in (
+        ("centred", "centred", "centred lens", instrument),
+        ("moved", chosen.label, "moved element", moved),
+    ):
+        with progress.stage(stage_label, total=len(CORNERS)) as stage:
+            frames = measure_chromatic(bench, one, streams.child(name), advance=stage.advance)
+        traced = bundle_prediction(bench, one, frames.direction)
+        lenses.append(Lens(label=label, bench=bench, instrument=one, frames=frames, traced_px=traced))
+    ideal = replace(bench, collimator=None)  # stars have none
+    with progress.stage("stars"):
+        for one in (instrument, moved):
+            shift = stellar_shift(config.stars, band, one)
+            places = bundle_prediction(ideal, one, shift.direction[None])
+            stars.append(stars_of(shift, {name: by[0] for name, by in shifts(places, bench.pairs).items()}))
+    example = lenses[0].frames.example
+    table = [entries(lens, published=is_published_sensor(config)) for lens in lenses]
+    seen = lenses[0].shift_px(lenses[0].frames.mean_px[bench.methods[0]])
+    sigma = np.stack(list(table1_sigma(lenses[0].frames, bench.pairs, bench.methods[0]).values()))
+    image_px = float(np.linalg.norm(chosen.boresight_px))
+    return {
+        "table1": table,
+        "points": [points(lens) for lens in lenses],
+        "calibration": [calibration(lens) for lens in lenses],
+        "movement": Movement(
+            element=chosen.element,
+            kind=chosen.kind,
+            amount=chosen.amount,
+            unit=chosen.unit,
             wanted_px=config.decentre.wanted_px,
-        )
-        for element, kind in progress.track(moves, "which element")
-    ]
+            image_px=image_px,
+            image_arcsec=image_px * instrument.pixel_arcsec,
+        ),
+        "elements": solutions,
+        "stars": stars,
+        "centroiders": [centroiders(lens, axis) for lens in lenses],
+        "collimator": collimator_shift(bench, instrument, direction, table1(seen), sigma, lenses[0].frames.rms_spot_um),
+        "bench": BenchRecord(
+            instrument=instrument,
+            frame=expose(
+                example,
+                instrument.detector,
+                streams=streams.child("centred", "example"),
+                temperature_c=config.instrument.chip_temperature_c,
+                band=example.band[bench.reference],
+            ),
+            signal_e=signal.signal_e,
+            signal_magnitude_mag=signal.magnitude_mag,
+            signal_star_k=signal.temperature_k,
+            signal_star=signal.star,
+            star_e=electrons_of_star(band, instrument, magnitude=7.5, temperature_k=config.stars.reference_k),
+            pixel_arcsec=instrument.pixel_arcsec,
+            rms_spot_um=lenses[0].frames.rms_spot_um,
+            reference_k=config.stars.reference_k,
+            temperature_k=np.array(config.stars.temperatures_k),
+            mean_e=np.stack([mean_windows(lens) for lens in lenses]),
+        ),
+    }
 
 
-def _moved(config: Config, instrument: Instrument, chosen: Solution) -> Instrument:
-    """The camera with the chosen element moved."""
-    from experiments.laboratory.instrument import build_instrument
-
-    return build_instrument(config.instrument, chosen.apply(instrument.camera.lens, "xy".index(config.decentre.axis)))
-
-
-def _choose(config: Config, bench: Bench, lens: LensSystem, solutions: Sequence[Solution]) -> Solution:
-    """The configured element, or the one whose movement of the wanted kind is smallest."""
-    from experiments.chromatic.perturbation import check_motion
-    from optics.errors import ConvergenceError
-
-    wanted = config.decentre
-    able = [
-        s
-        for s in solutions
-        if s.kind == wanted.kind and wanted.element in ("auto", s.element) and np.isfinite(s.amount)
-    ]
-    if not able:
-        who = "any element" if wanted.element == "auto" else f"element {wanted.element}"
-        reach = "3 mm" if wanted.kind == "decentre" else "3 deg"
-        if not lens.glasses:
-            raise ConvergenceError(
-                f"lens {lens.name!r} has no glass, and mirrors no colour: no movement gives a mean shift of "
-                f"decentre.wanted_px = {wanted.wanted_px:g} px; set decentre.wanted_px = 0"
-            )
-        raise ConvergenceError(
-            f"no {wanted.kind} of {who} up to {reach} gives a mean shift of decentre.wanted_px = "
-            f"{wanted.wanted_px:g} px in {config.pair}, {wanted.axis}; lower it, or choose another "
-            "decentre.element or decentre.kind"
-        )
-    chosen = min(able, key=lambda s: abs(s.amount))
-    check_motion(bench, chosen, wanted.wanted_px)
-    return chosen
-
-
-def files(result: Result, folder: Any) -> None:
+def files(result: Mapping[str, Any], folder: Path) -> None:
     """One frame as FITS: the first position behind the reference filter, the whole detector."""
-    from render.detector.readout import expose
-    from render.engine.random import Streams
-    from render.fits.files import write_frame
-
-    example = result.centred.measurement.example
-    frame = expose(
-        example,
-        result.instrument.detector,
-        streams=Streams(result.config.seed).child("chromatic", "centred", "example"),
-        temperature_c=result.config.instrument.chip_temperature_c,
-        band=example.band[result.config.filters.centres_nm.index(result.config.filters.reference_nm)],
-    )
-    write_frame(frame, folder / "frame_upper_left.fits")
+    write_frame(result["bench"].frame, folder / "frame_upper_left.fits")
 
 
-rendered = Experiment(
-    name="chromatic",
-    config=Config,
-    run=run,
-    takes="45 s (--quick: 20 s)",
-    examples={
-        "--quick": "a small run",
-        "--set decentre.element=L3 --set decentre.kind=tilt": "another element of the lens moved",
-        "--set centroid=cog --set instrument.defocus_mm=0.03": "another centroider, out of focus",
-    },
-    show=("table1",),
-    files=files,
-    quick={"frames": 6, "dark_frames": 20, "stars.grid": 3, "target.rows": 3, "target.columns": 3, "compare": ["cog"]},
-)
-experiment = or_own_frames(rendered, "experiments.chromatic.own_frames")
-main = command(experiment)
+SECTIONS = {
+    "table1": Section(
+        record=Entries,
+        dim="lens",
+        axes=_lens_axis,
+        table="table1",
+        rows="lens pair axis",
+        caption="ACC18 Table 1: mean shift between filters, halved (eq. 16).",
+        note="One standard deviation: noise of the frames and size of the fixed pattern. RMS shift: per axis, of the "
+        "points, not halved.",
+        figures={"field_map": field_map},
+        verdicts=[
+            agree(
+                "table1_px",
+                "predicted_table1_px",
+                title="Table 1, frames against ray trace, both lenses",
+                advice="the centroider does not follow all the light of comatic spots, or window_px cuts them",
+            ),
+            ratio_near(
+                "mean_squared_pull",
+                within=0.0,
+                mean=True,
+                false_alarm=1e-3,
+                title="Squared deviation of single shifts over the predicted variance",
+                advice="noise, fixed pattern or PSF are not what the prediction takes them for",
+            ),
+            below(
+                "light_error_px",
+                LIGHT_PX,
+                title="Noiseless light minus ray trace, largest shift",
+                advice="apertures inside the lens cut the light where the trace has too few rays",
+            ),
+        ],
+    ),
+    "points": Section(
+        record=Points,
+        dim="lens",
+        table="points",
+        rows="lens pair point",
+        across="axis",
+        caption="Shift of every target point.",
+        figures={
+            "fig7": curves(
+                "point",
+                points="measured_shift_px",
+                lines="predicted_shift_px",
+                by="pair",
+                panels="axis",
+                at={"lens": "centred"},
+                y="Shift",
+                aspect_ratio=0.4,
+            )
+        },
+        verdicts=[
+            agree(
+                "measured_shift_px",
+                "predicted_shift_px",
+                title="Shift of single points, frames against ray trace",
+                advice="a point on a bad pixel, or a centroider that does not follow all the light",
+            )
+        ],
+    ),
+    "calibration": Section(
+        record=Calibration,
+        dim="lens",
+        table="calibration",
+        rows="lens pair",
+        across="step",
+        caption="RMS length of the shift of a point, by what the camera model has of its own for each band.",
+        note="Noise of the centroids included.",
+    ),
+    "movement": MOVEMENT,
+    "elements": ELEMENTS,
+    "stars": STARS,
+    "centroiders": Section(
+        record=Centroiders,
+        dim="lens",
+        prefix="method_",
+        table="centroiders",
+        rows="lens method",
+        across="pair",
+        caption="The same frames by every centroider; Table 1 along the axis of the movement.",
+        note="Noise: standard deviation of a frame. RMS error: mean centroid against the centroid of the noiseless "
+        "light. Both per axis, over all points and filters. Empty: no convergence on some point.",
+    ),
+    "collimator": COLLIMATOR,
+    "bench": Section(
+        record=BenchRecord,
+        figures={"bench_sketch": lambda _: sketches.collimator_bench(filters=True), "spots": spots},
+    ),
+}

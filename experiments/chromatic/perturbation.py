@@ -1,15 +1,18 @@
-"""The movement of one lens element that gives a wanted chromatic shift, by ray trace."""
+"""Which movement of which lens element gives a wanted entry of Table 1, by ray trace."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
 
+from experiments.chromatic.settings import Config
+from experiments.harness.progress import Progress
+from experiments.harness.sections import Section, col
 from experiments.laboratory.bench import Bench, point_field
-from experiments.laboratory.chromatic_error import rms, shifts, table1
+from experiments.laboratory.chromatic_error import shifts, table1
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.readout.search import SEARCH_MARGIN_PX
 from optics.arrays import FloatArray
@@ -18,7 +21,68 @@ from optics.lens.perturb import decentre, tilt
 from optics.lens.system import LensSystem
 from render.tracing.tracer import Tracer
 
-__all__ = ["Solution", "check_motion", "perturbed", "solve_perturbation"]
+__all__ = ["ELEMENTS", "MOVEMENT", "Movement", "Solution", "choose", "perturbed", "solve", "solve_perturbation"]
+
+REACHED_PX = 1e-12
+"""A mean shift that differs by no more from the wanted one needs no movement; mirrors have no other."""
+LIMIT = {"decentre": 3.0, "tilt": 3.0}
+"""Largest movement that is tried [mm, deg]."""
+UNIT = {"decentre": 1e3, "tilt": 60.0}
+"""um per mm, arcmin per deg: `Solution.amount` against the argument of `perturbed`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solution:
+    """The movement of one element that gives the wanted entry of Table 1; NaN where none up to the limit does."""
+
+    element: str = col("Element")
+    movement: str = col("Movement", json="")
+    along_px: FloatArray = col("Table 1", "px", ".4f", "pair", json="", key="mean_{pair}_px")  # Along the wanted axis
+    image_px: float = col("Image moves", "px", "+.0f", json="", key="boresight_px")
+    kind: str = col("Kind", shown=False)
+    amount: float = col("Amount", shown=False)
+    unit: str = col("Unit", shown=False)
+    table1_px: FloatArray = col("Table 1", "px", ".4f", "pair axis", shown=False)
+    boresight_px: FloatArray = col("Image moves", "px", ".1f", "axis", shown=False)  # In the reference band
+
+    @property
+    def label(self) -> str:
+        """What is moved, and how far: "L2 decentred +117 µm"."""
+        return f"{self.element} {self.movement}"
+
+    def apply(self, lens: LensSystem, axis: int) -> LensSystem:
+        """The lens with the element moved by this amount; see `perturbed`."""
+        return perturbed(lens, self.element, self.kind, axis, self.amount / UNIT[self.kind])
+
+
+ELEMENTS = Section(
+    record=Solution,
+    dim="solution",
+    prefix="solution_",
+    place="decentre_solution.all_elements[solution]",
+    table="elements",
+    hidden="solution",
+    across="pair",
+    caption="Movement of each element that gives the wanted entry of Table 1, and what the other pairs then show.",
+    note="By ray trace. Empty: not within 3 mm or 3 deg. Tilts are about the element's first vertex. Decentres count "
+    "along increasing column (x), against increasing row (y).",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Movement:
+    """The movement that is rendered."""
+
+    element: str = col("Element")
+    kind: str = col("Movement")
+    amount: float = col("Amount")
+    unit: str = col("Unit")
+    wanted_px: float = col("Wanted entry of Table 1", "px", "g")
+    image_px: float = col("Image moves", "px", ".0f", json="")
+    image_arcsec: float = col("Image moves", "arcsec", ".0f", json="")
+
+
+MOVEMENT = Section(record=Movement, prefix="moved_", place="decentre_solution")
 
 
 def perturbed(lens: LensSystem, element: str, kind: str, axis: int, amount: float) -> LensSystem:
@@ -28,43 +92,16 @@ def perturbed(lens: LensSystem, element: str, kind: str, axis: int, amount: floa
     return tilt(lens, element, *((0.0, amount) if axis == 0 else (amount, 0.0)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Solution:
-    """The movement of one element that gives the published mean shift."""
-
-    element: str  # Which, and how: ``decentre`` or ``tilt``
-    kind: str  # Which, and how: ``decentre`` or ``tilt``
-    amount: float  # um for a decentre, arcmin for a tilt; NaN, as all below, when none up to the limit does
-    table1_px: dict[str, FloatArray]  # (2,) ACC18's statistic at this amount, by ray trace
-    rms_px: dict[str, FloatArray]  # (2,) RMS shift per axis
-    boresight_px: FloatArray  # (2,) Motion of the whole image in the reference band
-
-    @property
-    def unit(self) -> str:
-        """Unit of `amount`."""
-        return "um" if self.kind == "decentre" else "arcmin"
-
-    @property
-    def shown_unit(self) -> str:
-        """The same for readers."""
-        return self.unit.replace("um", "µm")
-
-    @property
-    def label(self) -> str:
-        """What is moved, and how far, e.g. "L2 decentred +117 µm"."""
-        verb, digits = ("decentred", 0) if self.kind == "decentre" else ("tilted", 1)
-        return f"{self.element} {verb} {self.amount:+.{digits}f} {self.shown_unit}"
-
-    def apply(self, lens: LensSystem, axis: int) -> LensSystem:
-        """The lens with the element moved by this amount; see `perturbed`."""
-        return perturbed(lens, self.element, self.kind, axis, self.amount / _UNIT[self.kind])
-
-
-REACHED_PX = 1e-12
-"""A mean shift that differs by no more from the wanted one needs no movement; mirrors have no other."""
-_LIMIT = {"decentre": 3.0, "tilt": 3.0}
-_UNIT = {"decentre": 1e3, "tilt": 60.0}
-"""um per mm, arcmin per deg: `Solution.amount` against the argument of `perturbed`."""
+def solve(
+    config: Config, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
+) -> list[Solution]:
+    """Every element, decentred and tilted."""
+    wanted = {"pair": config.pair, "axis": "xy".index(config.decentre.axis), "wanted_px": config.decentre.wanted_px}
+    moves = [(element, kind) for kind in LIMIT for element in instrument.camera.lens.elements]
+    return [
+        solve_perturbation(bench, instrument, direction, element=element, kind=kind, **wanted)
+        for element, kind in progress.track(moves, "which element")
+    ]
 
 
 def solve_perturbation(
@@ -78,7 +115,7 @@ def solve_perturbation(
     axis: int,
     wanted_px: float,
 ) -> Solution:
-    """How far one element has to move for the statistic of one pair of bands to reach a value."""
+    """How far one element has to move for the entry of one pair of bands to reach a value."""
     lens = instrument.camera.lens
     stars = point_field(bench, instrument, direction.reshape(-1, 3))
 
@@ -90,16 +127,22 @@ def solve_perturbation(
     def excess(amount: float) -> float:
         return float(table1(shifts(means(amount), bench.pairs)[pair])[axis]) - wanted_px
 
-    amount, rest = _root(excess, _LIMIT[kind]), means(0.0)
-    found = means(amount) if np.isfinite(amount) else np.full_like(rest, np.nan)
-    every = shifts(found, bench.pairs)
+    amount, rest = _root(excess, LIMIT[kind]), means(0.0)
+    there = means(amount) if np.isfinite(amount) else np.full_like(rest, np.nan)
+    entries = np.array([table1(shift) for shift in shifts(there, bench.pairs).values()])
+    boresight = (there - rest)[:, :, bench.reference].mean((0, 1))
+    shown = f"{amount * 1e3:+.0f} µm" if kind == "decentre" else f"{amount * 60.0:+.1f} arcmin"
+    verb, shown = {"decentre": "decentred", "tilt": "tilted"}[kind], shown.replace("-", "\N{MINUS SIGN}")
     return Solution(
         element=element,
         kind=kind,
-        amount=amount * _UNIT[kind],
-        table1_px={name: table1(shift) for name, shift in every.items()},
-        rms_px={name: rms(shift) for name, shift in every.items()},
-        boresight_px=(found - rest)[:, :, bench.reference].mean((0, 1)),
+        movement=f"{verb} {shown}" if np.isfinite(amount) else f"{verb}: not within reach",
+        amount=amount * UNIT[kind],
+        unit={"decentre": "um", "tilt": "arcmin"}[kind],
+        table1_px=entries,
+        along_px=entries[:, axis],
+        boresight_px=boresight,
+        image_px=float(boresight[axis]),
     )
 
 
@@ -130,14 +173,43 @@ def _root(excess: Callable[[float], float], limit: float) -> float:
     return float(root)
 
 
-def check_motion(bench: Bench, chosen: Solution, wanted_px: float) -> None:
-    """Refuse a moved element that carries the target's image out of the search area or off the detector."""
+def choose(config: Config, bench: Bench, lens: LensSystem, solutions: Sequence[Solution]) -> Solution:
+    """The configured element, or the one whose movement of the wanted kind is smallest.
+
+    Raises
+    ------
+    ConvergenceError
+        If no movement gives the wanted entry.
+    DomainError
+        If the movement carries the target's image out of the search area or off the detector.
+    """
+    wanted = config.decentre
+    able = [
+        s
+        for s in solutions
+        if s.kind == wanted.kind and wanted.element in ("auto", s.element) and np.isfinite(s.amount)
+    ]
+    if not able:
+        who = "any element" if wanted.element == "auto" else f"element {wanted.element}"
+        reach = "3 mm" if wanted.kind == "decentre" else "3 deg"
+        if not lens.glasses:
+            raise ConvergenceError(
+                f"lens {lens.name!r} has no glass, and mirrors no colour: no movement gives a mean shift of "
+                f"decentre.wanted_px = {wanted.wanted_px:g} px; set decentre.wanted_px = 0"
+            )
+        raise ConvergenceError(
+            f"no {wanted.kind} of {who} up to {reach} gives a mean shift of decentre.wanted_px = "
+            f"{wanted.wanted_px:g} px in {config.pair}, {wanted.axis}; lower it, or choose another "
+            "decentre.element or decentre.kind"
+        )
+    chosen = min(able, key=lambda s: abs(s.amount))
     moves = float(np.abs(chosen.boresight_px).max())
     room = min(float(SEARCH_MARGIN_PX), bench.target.edge_px - bench.window_px // 2 - 1)
     if moves > room:
         raise DomainError(
-            f"a mean shift of decentre.wanted_px = {wanted_px:g} px takes a {chosen.kind} of {chosen.element} by "
-            f"{chosen.amount:.0f} {chosen.unit}, which moves the whole image by {moves:.0f} px; at most {room:.0f} px "
-            f"can be followed (target.edge_px = {bench.target.edge_px:g} px, and {SEARCH_MARGIN_PX} px in any case): "
-            "lower decentre.wanted_px or name another decentre.element"
+            f"a mean shift of decentre.wanted_px = {wanted.wanted_px:g} px takes a {chosen.kind} of {chosen.element} "
+            f"by {chosen.amount:.0f} {chosen.unit}, which moves the whole image by {moves:.0f} px; at most "
+            f"{room:.0f} px can be followed (target.edge_px = {bench.target.edge_px:g} px, and {SEARCH_MARGIN_PX} px "
+            "in any case): lower decentre.wanted_px or name another decentre.element"
         )
+    return chosen

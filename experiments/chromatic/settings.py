@@ -1,4 +1,4 @@
-"""Configuration of the chromatic test."""
+"""Settings and declaration of the chromatic test."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
+from experiments.harness.experiment import Experiment
 from experiments.laboratory.centroid_methods import MethodName
 from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
+from experiments.laboratory.own_frames.experiment import or_own_frames
 from experiments.laboratory.own_frames.option import OwnFramesConfig
 from experiments.laboratory.settings import (
     FilterConfig,
@@ -20,7 +23,7 @@ from experiments.laboratory.settings import (
     check_windows,
 )
 
-__all__ = ["Config", "DecentreConfig"]
+__all__ = ["Config", "DecentreConfig", "experiment", "main"]
 
 
 class DecentreConfig(StrictModel):
@@ -73,3 +76,23 @@ class Config(OwnFramesConfig, SignalConfig):
     def _windows(self) -> Config:
         check_windows(self.window_px, self.target)
         return self
+
+
+rendered = Experiment(
+    name="chromatic",
+    config=Config,
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    axes="experiment:axes",
+    files="experiment:files",
+    takes="45 s (--quick: 20 s)",
+    examples={
+        "--quick": "a small run",
+        "--set decentre.element=L3 --set decentre.kind=tilt": "another element of the lens moved",
+        "--set centroid=cog --set instrument.defocus_mm=0.03": "another centroider, out of focus",
+    },
+    show=("table1",),
+    quick={"frames": 6, "dark_frames": 20, "stars.grid": 3, "target.rows": 3, "target.columns": 3, "compare": ["cog"]},
+)
+experiment = or_own_frames(rendered, "experiments.chromatic.own_frames")
+main = command(experiment)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from experiments.harness.drawings import curves
+from experiments.harness.sections import Section, col
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.settings import StarsConfig
 from optics.arrays import FloatArray
@@ -15,10 +17,10 @@ from optics.light.spectrum import Blackbody
 from render.forward import StarRenderer
 from render.records import StarField
 
-__all__ = ["StellarShift", "stellar_shift"]
-
+__all__ = ["STARS", "Stars", "StellarShift", "stars_of", "stellar_shift"]
 
 NODES = 48
+"""Wavelength nodes over the full pass band."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,16 +36,6 @@ class StellarShift:
     def rms_px(self) -> FloatArray:
         """RMS length of the shift over the field, per temperature."""
         return np.asarray(np.sqrt((self.shift_px**2).sum(2).mean(1)))
-
-    @property
-    def max_px(self) -> FloatArray:
-        """Largest shift over the field, per temperature."""
-        return np.asarray(np.linalg.norm(self.shift_px, axis=2).max(1))
-
-    @property
-    def mean_px(self) -> FloatArray:
-        """Mean shift over the field (t, 2): what a signed mean keeps."""
-        return np.asarray(self.shift_px.mean(1))
 
     @property
     def most_different_rms_px(self) -> float:
@@ -79,3 +71,75 @@ def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> St
         position_px=position[-1],
         shift_px=position[:-1] - position[-1],
     )
+
+
+def of_lenses(centred: str, moved: str = "") -> Mapping[str, str]:
+    """Places in ``summary.json`` for the centred lens and, where it has one, for that with the moved element."""
+    return {"centred": f"stellar.{centred}"} | ({"moved": f"stellar.moved_element.{moved}"} if moved else {})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stars:
+    """Stars through one lens against the reference star, and ACC18's rule of one third."""
+
+    rms_px: FloatArray = col(
+        "RMS over the field", "px", ".4f", "temperature", json=of_lenses("rms_shift_px", "rms_shift_px")
+    )
+    mean_size_px: FloatArray = col("Mean over the field", "px", ".4f", "temperature", json="")
+    max_px: FloatArray = col("Largest in the field", "px", ".4f", "temperature", json=of_lenses("max_shift_px"))
+    mean_px: FloatArray = col(
+        "Mean shift", "px", ".4f", "temperature component", json={"moved": "stellar.moved_element.mean_shift_px"}
+    )
+    most_different_px: float = col(
+        "RMS distance of the two most different stars",
+        "px",
+        ".4f",
+        json=of_lenses("most_different_rms_px", "most_different_rms_px"),
+        shown=False,
+    )
+    # Half of the shift between filters at the same places, RMS over the field, of the pair that differs most
+    half_px: float = col("Half the RMS shift between filters", "px", ".4f", json="", shown=False)
+    third_px: float = col(
+        "One third rule",
+        "px",
+        ".3f",
+        json=of_lenses("one_third_rule_px.one_third_of_half_the_RMS_filter_shift"),
+        shown=False,
+    )
+
+
+def stars_of(shift: StellarShift, filter_shift_px: Mapping[str, FloatArray]) -> Stars:
+    """Statistics of stars over the field, beside the shifts (g, 2) between the filters at the same places."""
+    half = max(np.sqrt((one**2).sum(-1).mean()) for one in filter_shift_px.values()) / 2.0
+    mean = shift.shift_px.mean(1)
+    return Stars(
+        rms_px=shift.rms_px,
+        mean_size_px=np.linalg.norm(mean, axis=1),
+        max_px=np.linalg.norm(shift.shift_px, axis=2).max(1),
+        mean_px=mean,
+        most_different_px=shift.most_different_rms_px,
+        half_px=float(half),
+        third_px=float(half) / 3.0,
+    )
+
+
+STARS = Section(
+    record=Stars,
+    dim="lens",
+    prefix="star_",
+    table="stars",
+    rows="lens temperature",
+    columns="rms_px mean_size_px max_px",
+    caption="Shift of black-body stars against the reference star.",
+    figures={
+        "star_shifts": curves(
+            "temperature",
+            lines="star_rms_px star_mean_size_px star_max_px",
+            panels="lens",
+            dashes="star_third_px",
+            log="x",
+            y="Shift against the reference star",
+            aspect_ratio=0.42,
+        )
+    },
+)

@@ -122,9 +122,10 @@ def curves(
                 panel.fill_between(at_x, 1e-9 if "y" in log else 0.0, bound, color=SHADE, linewidth=0, zorder=0)
                 panel.set_ylim(0.75 * np.nanmin(o.values(floor)) if "y" in log else 0.0, None)
             if dashes and dashes in o.data:
-                value = float(part(dashes)[0])
+                value, shown = float(part(dashes)[0]), o.quantity(dashes)
                 panel.axhline(value, color=GREY, linewidth=0.9, dashes=(5, 3))
-                panel.text(at_x[-1], value, f"{o.quantity(dashes).label.lower()} {value:g}", ha="right", va="bottom")
+                words = f"{shown.label[:1].lower()}{shown.label[1:]} {value:{shown.format or 'g'}}"
+                panel.text(at_x[-1], value, words, ha="right", va="bottom")
             panel.set(xlabel=o.heading(x), title=o.label(panels, key) if panels else "")
             for letter in log:
                 panel.set(**{f"{letter}scale": "log"})

@@ -74,14 +74,15 @@ class Measured:
 
 
 def measured(values: Any, uncertainty: Any, n: int | None = None, unit: str = "") -> Any:
-    """Array of `Measured`, shaped as ``values``."""
+    """Array of `Measured`, shaped as ``values``; a single one of a number."""
     every = [
         Measured(value=float(value), unit=unit, uncertainty=float(error), n=n)
         for value, error in np.nditer([np.asarray(values, float), np.asarray(uncertainty, float)])
     ]
     array = np.empty(len(every), dtype=object)
     array[:] = every
-    return array.reshape(np.broadcast_shapes(np.shape(values), np.shape(uncertainty)))
+    shaped = array.reshape(np.broadcast_shapes(np.shape(values), np.shape(uncertainty)))
+    return shaped if shaped.ndim else shaped.item()
 
 
 def verdict_line(criteria: Sequence[Criterion], judged: str = "simulation") -> str:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from optics.arrays import FloatArray
 
-__all__ = ["chromatic_arcsec", "chromatic_px", "distortion_arcsec", "high_frequency_arcsec", "temporal_arcsec"]
+__all__ = ["distortion_arcsec", "high_frequency_arcsec", "temporal_arcsec"]
 
 
 def temporal_arcsec(position_px: FloatArray, pixel_arcsec: float) -> tuple[float, float]:
@@ -40,33 +40,6 @@ def high_frequency_arcsec(mean_px: FloatArray, pixel_arcsec: float) -> tuple[flo
             square += math.fsum((v - platform) ** 2 for v in moved)
         found.append(3.0 * math.sqrt(square / (stars * (positions - 1))) * pixel_arcsec)
     return found[0], found[1]
-
-
-def chromatic_px(
-    mean_px: FloatArray, centres_nm: Sequence[float], reference_nm: float
-) -> dict[str, tuple[float, float]]:
-    """Table 1 (eq. 13-16), X and Y, by pair of bands: longer minus shorter wavelength, mean of all points, halved."""
-    positions, points = mean_px.shape[:2]
-    reference = list(centres_nm).index(reference_nm)
-    table = {}
-    for band, centre in enumerate(centres_nm):
-        if band == reference:
-            continue
-        red, blue = (band, reference) if centre > reference_nm else (reference, band)
-        x = y = 0.0
-        for k in range(positions):
-            for j in range(points):
-                x += float(mean_px[k, j, red, 0]) - float(mean_px[k, j, blue, 0])
-                y += float(mean_px[k, j, red, 1]) - float(mean_px[k, j, blue, 1])
-        count = 2 * positions * points
-        table[f"{centres_nm[red]:g}-{centres_nm[blue]:g}"] = (x / count, y / count)
-    return table
-
-
-def chromatic_arcsec(table_px: dict[str, tuple[float, float]], pixel_arcsec: float) -> tuple[float, float]:
-    """LSFE-S (3 sigma) of section 1.4.1, x and y: per axis the largest entry is three standard deviations of a star."""
-    x, y = (3.0 * max(abs(entry[axis]) for entry in table_px.values()) / 3.0 * pixel_arcsec for axis in (0, 1))
-    return x, y
 
 
 def distortion_arcsec(

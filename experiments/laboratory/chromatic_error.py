@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.points import PointMeasurement, PointReadout
-from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.target import CORNERS, corner_directions
 from experiments.laboratory.target_light import target_light
 from optics.arrays import FloatArray
@@ -19,17 +18,20 @@ from render.engine.random import Streams
 from render.records import ExpectedImage, WindowStack
 
 __all__ = [
+    "CALIBRATIONS",
     "ChromaticMeasurement",
-    "ChromaticReduction",
     "after_calibration",
     "measure_chromatic",
-    "reduce_chromatic",
     "rms",
     "shift_sigma",
     "shifts",
     "table1",
     "table1_sigma",
 ]
+
+
+CALIBRATIONS = {"as found": [], "principal point": [0, 1], "focal length": [2], "both": [0, 1, 2]}
+"""What a camera model may have of its own for a band -> its columns in the design of `after_calibration`."""
 
 
 def shifts(position_px: FloatArray, pairs: Sequence[tuple[str, int, int]]) -> dict[str, FloatArray]:
@@ -54,9 +56,8 @@ def after_calibration(shift_px: FloatArray, from_centre_px: FloatArray) -> dict[
     one[:, 0, 0] = one[:, 1, 1] = 1.0
     one[:, :, 2] = place
     design, data = one.reshape(-1, 3), shift.ravel()
-    columns = {"as found": [], "principal point": [0, 1], "focal length": [2], "both": [0, 1, 2]}
     left = {}
-    for name, use in columns.items():
+    for name, use in CALIBRATIONS.items():
         fit = design[:, use] @ np.linalg.lstsq(design[:, use], data, rcond=None)[0] if use else np.zeros_like(data)
         left[name] = (data - fit).reshape(shift_px.shape)
     return left
@@ -68,9 +69,7 @@ class ChromaticMeasurement:
 
     direction: FloatArray  # (p, j, 3) Unit vectors in cam
     nominal_px: FloatArray  # (p, j, 2) Where an ideal lens would image the points
-    chief_px: FloatArray  # (p, j, b, 2) Truth
-    bundle_px: FloatArray  # (p, j, b, 2) Truth
-    photon_px: FloatArray  # (p, j, b, 2) Truth
+    photon_px: FloatArray  # (p, j, b, 2) Truth: centroid of the noiseless light
     mean_px: Mapping[str, FloatArray]  # (p, j, b, 2) Mean centroid over the frames, by method
     sigma_px: Mapping[str, FloatArray]  # (p, j, b, 2) Standard deviation of a single frame's centroid
     # (p, j, b, 2) The same as predicted, first method; without what moves all points of a position
@@ -114,8 +113,6 @@ def measure_chromatic(
     return ChromaticMeasurement(
         direction=np.stack([part.direction for part in parts]),
         nominal_px=np.stack([part.nominal_px for part in parts]),
-        chief_px=np.stack([part.chief_px for part in parts]),
-        bundle_px=np.stack([part.bundle_px for part in parts]),
         photon_px=np.stack([part.photon_px for part in parts]),
         mean_px={m: np.stack([part.mean_px[m] for part in parts]) for m in bench.methods},
         sigma_px={m: np.stack([part.sigma_px[m] for part in parts]) for m in bench.methods},
@@ -127,39 +124,6 @@ def measure_chromatic(
         windows=parts[0].windows,
         common_px=bench.power_px2(instrument)[0] ** 0.5,
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChromaticReduction:
-    """Reduction of one lens's measurement; pairs of bands are keys such as "800-600"."""
-
-    measurement: ChromaticMeasurement  # The frames' centroids and the truth
-    # (p, j, 2) Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone
-    shift_px: Mapping[str, FloatArray]
-    # (p, j, 2) Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone
-    photon_shift_px: Mapping[str, FloatArray]
-    # (p, j, 2) Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone
-    bundle_shift_px: Mapping[str, FloatArray]
-    # (p, j, 2) Shifts of eq. 15: measured, of the noiseless light, of the traced bundle, by ray trace alone
-    predicted_shift_px: Mapping[str, FloatArray]
-    # (p, j, 2) Standard deviation of a measured shift: frames and predicted fixed pattern
-    shift_sigma_px: Mapping[str, FloatArray]
-    table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 of each, with the standard deviation of the measured
-    table1_sigma_px: Mapping[str, FloatArray]  # (2,) Eq. 16 of each, with the standard deviation of the measured
-    photon_table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 of each, with the standard deviation of the measured
-    bundle_table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 of each, with the standard deviation of the measured
-    predicted_table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 of each, with the standard deviation of the measured
-    method_table1_px: Mapping[str, Mapping[str, FloatArray]]  # (2,) Eq. 16 by every centroider
-    # RMS length of the shift as found and after calibration of the band: of the measured, of the noiseless light
-    residual_px: Mapping[str, Mapping[str, float]]
-    # RMS length of the shift as found and after calibration of the band: of the measured, of the noiseless light
-    photon_residual_px: Mapping[str, Mapping[str, float]]
-    largest_pull: float  # Largest |measured - photon| / sigma of all points, pairs and axes
-    # Mean of ((measured - photon) / sigma)^2 over all points, pairs and axes; as if ``chi2_n`` of them were
-    # independent (a line of sight that is not at rest moves all points of a position alike)
-    chi2: float
-    chi2_n: int
-    truth_bias_px: tuple[float, float]  # (2,) Largest and RMS distance of the mean centroid from the photon centroid
 
 
 def shift_sigma(
@@ -196,53 +160,3 @@ def table1_sigma(
         own = temporal.sum((0, 1)) / (2 * count) ** 2
         sigma[name] = np.sqrt(own + common + (table1(pattern[name]) ** 2).mean(0))
     return sigma
-
-
-def reduce_chromatic(bench: Bench, instrument: Instrument, measured: ChromaticMeasurement) -> ChromaticReduction:
-    """Reduce one measurement as ACC18 does and set it beside truth and prediction."""
-    pairs, method = bench.pairs, bench.methods[0]
-    mean = measured.mean_px[method]
-    found = shifts(mean, pairs)
-    photon, bundle = shifts(measured.photon_px, pairs), shifts(measured.bundle_px, pairs)
-    predicted = shifts(bundle_prediction(bench, instrument, measured.direction), pairs)
-    sigma = shift_sigma(measured, pairs, method)
-    place = measured.nominal_px - instrument.camera.centre_px
-    pulls = np.stack([(found[n] - photon[n]) / sigma[n] for n, _, _ in pairs])
-    distance = np.linalg.norm(mean - measured.photon_px, axis=-1)
-    return ChromaticReduction(
-        measurement=measured,
-        shift_px=found,
-        photon_shift_px=photon,
-        bundle_shift_px=bundle,
-        predicted_shift_px=predicted,
-        shift_sigma_px=sigma,
-        table1_px={n: table1(v) for n, v in found.items()},
-        table1_sigma_px=table1_sigma(measured, pairs, method),
-        photon_table1_px={n: table1(v) for n, v in photon.items()},
-        bundle_table1_px={n: table1(v) for n, v in bundle.items()},
-        predicted_table1_px={n: table1(v) for n, v in predicted.items()},
-        method_table1_px={
-            m: {n: table1(v) for n, v in shifts(measured.mean_px[m], pairs).items()} for m in bench.methods
-        },
-        residual_px=_residuals(found, place),
-        photon_residual_px=_residuals(photon, place),
-        largest_pull=float(np.abs(pulls).max()),
-        chi2=float((pulls**2).mean()),
-        chi2_n=_independent(pulls, measured, sigma),
-        truth_bias_px=(float(distance.max()), float(np.sqrt((distance**2).mean()))),
-    )
-
-
-def _independent(pulls: FloatArray, measured: ChromaticMeasurement, sigma_px: Mapping[str, FloatArray]) -> int:
-    """Pulls (n, p, j, 2) that count as independent in the mean of their squares."""
-    variance = np.mean([sigma**2 for sigma in sigma_px.values()])
-    correlation = 2.0 * measured.common_mean_px**2 / variance
-    return int(pulls.size / (1.0 + (pulls.shape[2] - 1.0) * correlation**2))
-
-
-def _residuals(shift_px: Mapping[str, FloatArray], place_px: FloatArray) -> dict[str, dict[str, float]]:
-    """RMS length of the shifts of each pair, as found and after each calibration."""
-    return {
-        name: {step: float(np.linalg.norm(rms(left))) for step, left in after_calibration(shift, place_px).items()}
-        for name, shift in shift_px.items()
-    }

@@ -23,8 +23,8 @@ import numpy as np
 
 from experiments.harness.pivot import Pivot
 from experiments.harness.quantities import Quantities
-from experiments.harness.sections import Section, col, ratio_near
-from experiments.harness.summary import Criterion, Measured, farthest_from_one
+from experiments.harness.sections import Section, agree, col, ratio_near
+from experiments.harness.summary import Criterion, Measured, farthest_from_one, measured
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.chromatic_error import shifts, table1
 from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
@@ -39,8 +39,10 @@ from optics.rays.spots import SpotMoments, spot_moments
 from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM
 
 __all__ = [
+    "COLLIMATOR",
     "PARTS",
     "ChromaticEffect",
+    "CollimatorShift",
     "LineOfSight",
     "add_chromatic_effect",
     "add_line_of_sight",
@@ -49,6 +51,7 @@ __all__ = [
     "chromatic_table",
     "closed_motion_px",
     "closed_spot_um",
+    "collimator_shift",
     "line_of_sight",
     "line_of_sight_criterion",
 ]
@@ -147,6 +150,67 @@ def chromatic_effect(
         spot_um=None if seen_spot_um is None else closed_spot_um(bench, instrument, direction),
         seen_spot_um=seen_spot_um,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CollimatorShift:
+    """What the collimator adds to Table 1; the dimensions ``pair``, ``axis`` and ``band`` are described elsewhere."""
+
+    part_px: FloatArray = col("Closed form", "px", "+.4f", "part pair axis", json="parts_px", key="collimator_part_px")
+    together_px: FloatArray = col("Together", "px", "+.4f", "pair axis", key="collimator_together_px")
+    seen_px: Any = col("Measured", "px", dims="pair axis", json_error="sigma_px", key="collimator_seen_px")
+    spot_ratio: FloatArray | None = col(
+        "Radius of the rendered spots over the closed form", dims="band", json="", shown=False, default=None
+    )
+
+
+def _parts_axis(q: Quantities, _: Any) -> None:
+    q.axis("part", list(PARTS), "Part", names=PARTS)
+
+
+COLLIMATOR = Section(
+    record=CollimatorShift,
+    prefix="collimator_",
+    place="collimator",
+    axes=_parts_axis,
+    table="collimator",
+    rows="pair axis",
+    across="part",
+    caption="What the collimator adds to Table 1.",
+    note="*Measured*: Table 1 of the frames less that traced through the lens alone.",
+    verdicts=[
+        agree(
+            "collimator_seen_px",
+            "collimator_together_px",
+            slack=FIELD_RATIO,
+            title="collimator in Table 1, measured against (n - 1) wedge, air and decollimation",
+        ),
+        ratio_near(
+            "collimator_spot_ratio",
+            within=SPOT_RATIO,
+            title="rendered spots over those of a refocused camera and a disk",
+        ),
+    ],
+)
+
+
+def collimator_shift(
+    bench: Bench,
+    instrument: Instrument,
+    direction: FloatArray,
+    table1_px: FloatArray,
+    sigma_px: FloatArray,
+    seen_spot_um: FloatArray | None = None,
+) -> CollimatorShift | None:
+    """Closed forms beside Table 1 as measured (pair, 2) and the spots (b,) of the light; None for a perfect one."""
+    if bench.collimator is None:
+        return None
+    without = shifts(bundle_prediction(replace(bench, collimator=None), instrument, direction), bench.pairs)
+    motion = closed_motion_px(bench, instrument)
+    parts = np.array([[(of[high] - of[low]) / 2.0 for _, high, low in bench.pairs] for of in motion.values()])
+    seen = table1_px - np.array([table1(shift) for shift in without.values()])
+    ratio = None if seen_spot_um is None else seen_spot_um / closed_spot_um(bench, instrument, direction)
+    return CollimatorShift(part_px=parts, together_px=parts.sum(0), seen_px=measured(seen, sigma_px), spot_ratio=ratio)
 
 
 def add_chromatic_effect(q: Quantities, effect: ChromaticEffect) -> None:

@@ -2,9 +2,8 @@
 
 The size of a motion on the detector is that between the places of both ends by the NumPy trace (no renderer, image or
 centroid takes part). All motions are whole pixels: what a centroider makes of the place within a pixel is the same at
-both ends. Three motions, one for each kind of error of ACC18:
+both ends. Two motions, one for each kind of error of ACC18:
 
-* a wedge in one filter moves the image behind it: Table 1 has to show half of the motion (eq. 13-16);
 * a target that stands at two places for half of the frames each: the scatter over the frames is known (eq. 1-2);
 * points that walk about the platform's path, each for itself: the RMS of their steps is known (eq. 3-12).
 """
@@ -18,7 +17,6 @@ import numpy as np
 
 from experiments.harness.summary import Measured
 from experiments.laboratory.bench import Bench
-from experiments.laboratory.chromatic_error import ChromaticMeasurement, measure_chromatic, shifts, table1
 from experiments.laboratory.hexapod import Hexapod
 from experiments.laboratory.high_frequency import HighFrequencyMeasurement, StepPlan, measure_high_frequency
 from experiments.laboratory.instrument import Instrument
@@ -35,15 +33,11 @@ from render.records import EffectivePsf
 __all__ = [
     "ShakenTarget",
     "WalkingPoints",
-    "WedgedFilter",
     "measure_shaken",
     "measure_walking",
-    "measure_wedged",
     "traced_motion_px",
 ]
 
-WEDGE_PX = (2.0, -1.0)
-"""Image motion by the wedge."""
 SHAKE_PX = (2.0, 1.0)
 """Distance between the two places of the target."""
 WALK_PX = (1.0, 2.0)
@@ -55,58 +49,6 @@ def traced_motion_px(bench: Bench, instrument: Instrument, before: FloatArray, a
     """Motion (m, j, 2) [px] of the images of points whose directions (m, j, 3) change, behind the reference filter."""
     places = [expected_spots(one_filter(bench), instrument, one)[0][:, :, 0] for one in (before, after)]
     return places[1] - places[0]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WedgedFilter:
-    """ACC18's chromatic test before and after a wedge was put into one filter; p positions, j points, b filters."""
-
-    pairs: Sequence[tuple[str, int, int]]  # (str, int, int) Pairs of bands (`experiments.laboratory.bench.band_pairs`)
-    band: int  # The filter with the wedge
-    motion_px: FloatArray  # (2,) Mean motion of the image behind it, by the NumPy trace
-    before_px: FloatArray  # (p, j, b, 2) Mean centroids, first method
-    after_px: FloatArray  # (p, j, b, 2) Mean centroids, first method
-    # (2,) Standard deviation of the mean over all points of the motion that centroids see: frames and fixed pattern
-    sigma_px: FloatArray
-
-    @property
-    def pair(self) -> tuple[str, float]:
-        """The pair of bands that shows the motion, and the sign that it has there."""
-        name, high, _ = next(one for one in self.pairs if self.band in one[1:])
-        return name, 1.0 if high == self.band else -1.0
-
-    @property
-    def change_px(self) -> FloatArray:
-        """Change (2,) of the pair's entry of Table 1."""
-        name, _ = self.pair
-        before, after = (table1(shifts(place, self.pairs)[name]) for place in (self.before_px, self.after_px))
-        return np.asarray(after - before)
-
-
-def measure_wedged(bench: Bench, instrument: Instrument, plain: ChromaticMeasurement, streams: Streams) -> WedgedFilter:
-    """Put a wedge into the last filter that is not the reference and measure its points again."""
-    method, band = bench.methods[0], max(set(range(len(bench.filters))) - {bench.reference})
-    filters = [bench.filters[bench.reference], bench.filters[band]] if method.endswith("_reference") else []
-    one = replace(bench, filters=filters or [bench.filters[band]], reference=0, methods=(method,))
-    direction = nudged(instrument, plain.direction, WEDGE_PX)
-    wedged = measure_chromatic(one, instrument, streams, directions=direction)
-    after = plain.mean_px[method].copy()
-    after[:, :, band] = wedged.mean_px[method][:, :, -1]
-    variance = np.zeros(2)
-    for measured, index in ((plain, band), (wedged, -1)):
-        frames = measured.sigma_px[method][:, :, index] ** 2 / measured.frames_used[:, :, index, None]
-        variance += frames.mean((0, 1)) / frames[..., 0].size
-        variance += measured.common_mean_px**2 * (1.0 / len(frames) - 1.0 / frames[..., 0].size)
-        variance += (measured.pattern_px[method][..., index, :].mean((1, 2)) ** 2).mean(0)
-    behind = replace(bench, filters=[bench.filters[band]], reference=0)
-    return WedgedFilter(
-        pairs=bench.pairs,
-        band=band,
-        motion_px=traced_motion_px(behind, instrument, plain.direction, direction).mean((0, 1)),
-        before_px=plain.mean_px[method],
-        after_px=after,
-        sigma_px=np.sqrt(variance),
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,9 +37,7 @@ class PointMeasurement:
 
     direction: FloatArray  # (j, 3) Unit vectors in cam
     nominal_px: FloatArray  # (j, 2) Where an ideal lens would image the points
-    chief_px: FloatArray  # (j, b, 2) Truth
-    bundle_px: FloatArray  # (j, b, 2) Truth
-    photon_px: FloatArray  # (j, b, 2) Truth
+    photon_px: FloatArray  # (j, b, 2) Truth: centroid of the noiseless light
     mean_px: Mapping[str, FloatArray]  # (j, b, 2) Mean centroid over the frames, by method
     sigma_px: Mapping[str, FloatArray]  # (j, b, 2) Standard deviation of a single frame's centroid
     # (j, b, 2) The same as predicted by linear response, first method; without what moves all points alike
@@ -108,8 +106,6 @@ class PointReadout:
         found = PointMeasurement(
             direction=direction,
             nominal_px=nominal,
-            chief_px=np.stack([truth.chief_x_px, truth.chief_y_px], axis=-1),
-            bundle_px=bundle,
             photon_px=np.stack([truth.photon_x_px, truth.photon_y_px], axis=-1),
             mean_px={m: np.stack([one[0][m] for one in results], axis=1) for m in bench.methods},
             sigma_px={m: np.stack([one[1][m] for one in results], axis=1) for m in bench.methods},

@@ -9,10 +9,9 @@ from experiments.laboratory.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
 from optics.light.band import band_nodes
-from optics.rays.paraxial import lateral_colour_mm
 from optics.rays.spots import SpotMoments, spot_moments
 
-__all__ = ["bundle_prediction", "expected_spots", "light_shares", "paraxial_prediction", "spots_of"]
+__all__ = ["bundle_prediction", "expected_spots", "light_shares", "spots_of"]
 
 ORDER = (5, 12)
 """Rings and azimuths in the pupil."""
@@ -69,18 +68,3 @@ def spots_of(
 def bundle_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
     """Photon-weighted bundle means (p, j, b, 2) [px] by the NumPy trace, without renderer, image or noise."""
     return expected_spots(bench, instrument, direction)[0]
-
-
-def paraxial_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
-    """Positions (p, j, b, 2) [px] relative to the reference band by paraxial lateral colour of the centred lens.
-
-    The chief ray's height is averaged over the light of each band: over 100 nm it is far from linear in wavelength.
-    """
-    camera = instrument.camera
-    wavelength, share = light_shares(bench, instrument)
-    tangent = direction.reshape(-1, 3)[:, :2] / direction.reshape(-1, 3)[:, 2:]
-    # the paraxial chief ray is linear in the tangent of the field
-    height_mm = lateral_colour_mm(camera.focused_lens, 1.0, wavelength) / np.tan(np.radians(1.0))
-    per_tangent = (height_mm * share).sum(1)
-    per_tangent = (per_tangent - per_tangent[bench.reference]) / camera.pixel_pitch_mm
-    return (tangent[:, None, :] * per_tangent[:, None]).reshape(*direction.shape[:2], len(share), 2)

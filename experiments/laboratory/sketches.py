@@ -12,11 +12,9 @@ from numpy.typing import ArrayLike
 from experiments.harness.plotting import INK, PALETTE, new_figure
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.point_figures import detector_outline
-from experiments.laboratory.settings import TargetConfig
-from experiments.laboratory.target import CORNERS, corner_centres
 from optics.arrays import FloatArray
 
-__all__ = ["camera_model", "collimator_bench", "field_places", "grid_on_detector"]
+__all__ = ["camera_model", "collimator_bench", "grid_on_detector"]
 
 FILL, FAINT, LIGHT = "#eef0f2", "#8a9099", "#e6a817"
 
@@ -94,21 +92,6 @@ def collimator_bench(*, filters: bool = False) -> Figure:
         for a, b in ((x, x + 0.55), (x + 1.1, x + 0.55)):
             sheet.plot([a, b], [foot, top], color=INK, linewidth=1.6, solid_capstyle="round")
     _word(sheet, (18.0, 2.4), "hexapod", ha="left")
-    return figure
-
-
-def field_places(target: TargetConfig, instrument: Instrument) -> Figure:
-    """The detector with the target in its four places (ACC18 section 1.4.1), to scale."""
-    width_px, height_px = instrument.camera.width_px, instrument.camera.height_px
-    figure, sheet = _detector(instrument)
-    steps_x = (np.arange(target.columns) - (target.columns - 1) / 2) * target.pitch_px
-    steps_y = (np.arange(target.rows) - (target.rows - 1) / 2) * target.pitch_px
-    for k, (name, centre) in enumerate(zip(CORNERS, corner_centres(target, width_px, height_px), strict=True)):
-        x, y = np.meshgrid(centre[0] + steps_x, centre[1] + steps_y)
-        sheet.plot(x.ravel(), y.ravel(), "o", color=PALETTE[k], markersize=2.6, markeredgewidth=0)
-        below = centre[1] + steps_y[-1] + 0.075 * height_px
-        above = centre[1] + steps_y[0] - 0.075 * height_px
-        _word(sheet, (centre[0], below if k < 2 else above), f"{k + 1}  {name}")
     return figure
 
 

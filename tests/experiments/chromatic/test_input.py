@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.chromatic.experiment import main
+from experiments.chromatic.settings import main
 from optics.lens_file import load_lens
 
 ROOT = Path(__file__).parents[3]

@@ -105,7 +105,7 @@ def solution_of(engine, star_camera, bench_of):
 def test_solution_by_an_independent_trace(solution_of, star_camera, bench_of, element, kind, axis):
     """The movement found must give the wanted mean in a brute-force trace that knows neither frames nor pupils."""
     bench, found = bench_of(), solution_of(element, kind, axis)
-    assert found.table1_px["800-600"][axis] == pytest.approx(0.12, abs=1e-6)
+    assert found.table1_px[1][axis] == pytest.approx(0.12, abs=1e-6)
     amount = found.amount / {"decentre": 1e3, "tilt": 60.0}[kind]
     lens = perturbed(star_camera.camera.lens, element, kind, axis, amount)
     moved = replace(star_camera, camera=replace(star_camera.camera, lens=lens))
@@ -118,7 +118,7 @@ def test_solution_by_an_independent_trace(solution_of, star_camera, bench_of, el
 def test_solution_of_the_opposite_shift_is_the_opposite_movement(solution_of):
     one, other = solution_of(wanted_px=0.12), solution_of(wanted_px=-0.12)
     assert other.amount == pytest.approx(-one.amount, rel=1e-5)
-    assert other.table1_px["600-500"] == pytest.approx(-one.table1_px["600-500"], abs=1e-6)
+    assert other.table1_px[0] == pytest.approx(-one.table1_px[0], abs=1e-6)
     assert other.boresight_px == pytest.approx(-one.boresight_px, abs=1e-3)
 
 

@@ -11,7 +11,6 @@ from pydantic import ValidationError
 from scipy.special import erf, j1
 
 from experiments.chromatic.settings import Config
-from experiments.laboratory import collimator as model
 from experiments.laboratory import collimator_effects as effects
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.chromatic_error import shifts, table1
@@ -165,25 +164,29 @@ def laboratory():
     return bench, instrument, corner_directions(config.target, instrument)
 
 
-def judged(laboratory, spot_um=None):
-    """Criteria on what a laboratory without noise would find, by ray trace."""
+def shift_of(laboratory):
+    """What a laboratory without noise finds, by ray trace, beside the closed forms."""
     bench, instrument, direction = laboratory
-    found = shifts(bundle_prediction(bench, instrument, direction), bench.pairs)
-    table = {pair: table1(shift) for pair, shift in found.items()}
-    if spot_um is None:
-        radius = np.hypot(
-            expected_spots(bench, instrument, direction)[1] * instrument.camera.pixel_pitch_mm * 1e3,
-            bench.collimator.source_radius_rad * instrument.focal_length_mm * 1e3 / 2**0.5,
-        )
-        spot_um = radius.mean((0, 1))
-    sigma = dict.fromkeys(table, np.full(2, 1e-3))
-    effect = effects.chromatic_effect(bench, instrument, direction, table, sigma, spot_um)
-    return [one.passed for one in effects.chromatic_criteria(effect)], effect
+    table = np.array([table1(s) for s in shifts(bundle_prediction(bench, instrument, direction), bench.pairs).values()])
+    radius = np.hypot(
+        expected_spots(bench, instrument, direction)[1] * instrument.camera.pixel_pitch_mm * 1e3,
+        bench.collimator.source_radius_rad * instrument.focal_length_mm * 1e3 / 2**0.5,
+    )
+    return effects.collimator_shift(bench, instrument, direction, table, 0.0 * table, radius.mean((0, 1)))
+
+
+def apart_px(effect):
+    """Largest deviation from the closed forms."""
+    return max(
+        abs(seen.value - known) for seen, known in zip(effect.seen_px.flat, effect.together_px.flat, strict=True)
+    )
 
 
 def test_closed_forms_hold_and_are_constant_over_the_field(laboratory):
-    passed, effect = judged(laboratory)
-    assert passed == [True, True]
+    effect = shift_of(laboratory)
+    assert apart_px(effect) < 0.03 * np.abs(effect.together_px).max()  # distortion changes the scale over the field
+    assert effect.spot_ratio == pytest.approx(1.0, abs=0.03)
+    assert np.abs(effect.part_px).max((1, 2)).min() > 0.01
     bench, instrument, direction = laboratory
     without = shifts(bundle_prediction(replace(bench, collimator=None), instrument, direction), bench.pairs)
     seen = shifts(bundle_prediction(bench, instrument, direction), bench.pairs)
@@ -191,28 +194,6 @@ def test_closed_forms_hold_and_are_constant_over_the_field(laboratory):
         added = shift - without[pair]
         assert np.abs(added - added.mean((0, 1))).max() < 0.02 * np.abs(added.mean((0, 1))).max()
         assert np.abs(table1(without[pair])).max() < 1e-6  # lateral colour is odd: nothing of it is left
-    for part, of in effect.part_px.items():
-        assert max(np.abs(value).max() for value in of.values()) > 0.01, part
-
-
-@pytest.mark.parametrize(
-    "broken", ["n in place of n - 1", "wedge turned over", "air upside down", "vergence", "offset"]
-)
-def test_broken_equations_fail_a_criterion(laboratory, monkeypatch, broken):
-    snell, air = model.refracted_slope, model._air_slope
-    bench, instrument, direction = laboratory
-    if broken.startswith("n "):
-        monkeypatch.setattr(model, "refracted_slope", lambda angle, *rest: snell(angle, *rest) + angle * ARCSEC_RAD)
-    elif broken.startswith("wedge"):
-        monkeypatch.setattr(model, "refracted_slope", lambda *given: -snell(*given))
-    elif broken.startswith("air"):
-        monkeypatch.setattr(model, "_air_slope", lambda *given: -air(*given))
-    else:
-        made = model.Collimation
-        change = {"vergence": "vergence_per_mm", "offset": "slope_rad"}[broken]
-        monkeypatch.setattr(model, "Collimation", lambda **given: made(**(given | {change: -given[change]})))
-    passed, _ = judged((bench, instrument, direction))
-    assert not all(passed)
 
 
 @pytest.mark.slow
