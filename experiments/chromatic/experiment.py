@@ -51,6 +51,7 @@ from experiments.laboratory.target import CORNERS, corner_directions
 from optics.arrays import FloatArray
 from optics.errors import unknown_name
 from optics.light.spectrum import Blackbody
+from optics.rays.paraxial import chief_ray
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.fits.files import write_frame
@@ -364,6 +365,7 @@ def laboratory(config: Config, instrument: Instrument, signal_e: float) -> tuple
         methods=config.methods,
         collimator=build_collimator(config.collimator, filters),
     )
+    chief_ray(instrument.camera.focused_lens, 1.0)  # the reference of the test is a centred lens; others are refused
     for band in bench.filters:
         instrument.check_band("filters.centres_nm", band)
     if config.pair not in bench.pair_names:

@@ -89,7 +89,7 @@ def curves(
             def part(name: str, key: Any = key, **more: Any) -> tuple[Any, Any]:
                 where = {panels: key, **(at or {}), **more}
                 where = {dim: one for dim, one in where.items() if dim and dim in o.data[name].dims}
-                some = slice(None) if group is None or by not in more else group == more[by]
+                some = ... if group is None or by not in more else group == more[by]
                 return o.values(name, **where)[some], o.errors(name, **where)[some]
 
             if level is not None:
