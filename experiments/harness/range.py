@@ -9,17 +9,17 @@ import math
 import operator
 import re
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError, unknown_name
-from optics.validate import parse_model
+from optics.validate import allowed_range, parse_model
 
 __all__ = [
     "SweepRange",
@@ -58,15 +58,11 @@ def leaf_keys(model: type[BaseModel], prefix: str = "") -> dict[str, FieldInfo]:
     return found
 
 
-def _members(annotation: Any) -> Iterator[Any]:
-    arguments = typing.get_args(annotation)
-    yield from arguments if arguments and typing.get_origin(annotation) not in (tuple, list) else (annotation,)
-
-
 def _number_of(annotation: Any) -> type | None:
     """``float`` or ``int`` if the field holds one such number (or nothing), else None."""
-    kinds = [member for member in _members(annotation) if member is not type(None)]
-    return kinds[0] if len(kinds) == 1 and kinds[0] in (float, int) else None
+    several = typing.get_origin(annotation) not in (None, tuple, list)
+    kinds = {*(typing.get_args(annotation) if several else (annotation,))} - {type(None)}
+    return next(iter(kinds)) if kinds in ({float}, {int}) else None
 
 
 def parse_sweep(text: str, keys: Mapping[str, FieldInfo]) -> SweepRange:
@@ -161,30 +157,26 @@ def quantity_of(key: str) -> tuple[str, str]:
 
 def check_range(model: type[BaseModel], sweep: SweepRange) -> None:
     """Refuse a sweep that leaves the allowed values of its parameter."""
-    tests = {"ge": (operator.ge, "at least"), "gt": (operator.gt, "above")}
-    tests |= {"le": (operator.le, "at most"), "lt": (operator.lt, "below")}
-    for limit in leaf_keys(model)[sweep.key].metadata:
-        for name, (holds, words) in tests.items():
-            bound = getattr(limit, name, None)
-            for value in (min(sweep.values), max(sweep.values)):
-                if bound is not None and not holds(value, bound):
-                    raise ConfigError(f"sweep: {sweep.key} = {value:g} is not allowed; it must be {words} {bound:g}")
+    field = leaf_keys(model)[sweep.key]
+    takes = TypeAdapter(Annotated[field.annotation, *field.metadata])
+    for value in (min(sweep.values), max(sweep.values)):
+        try:
+            takes.validate_python(value)
+        except ValidationError:
+            bounds = allowed_range(field)
+            raise ConfigError(f"sweep: {sweep.key} = {value:g} is not allowed; it must be {bounds}") from None
 
 
 def value_at(config: BaseModel, key: str) -> Any:
     """The value at a dotted key."""
-    node: Any = config
-    for word in key.split("."):
-        node = getattr(node, word)
-    return node
+    return operator.attrgetter(key)(config)
 
 
 def with_value(config: Any, key: str, value: Any) -> Any:
     """A copy of a configuration with another value at a dotted key; checked again."""
-    values = config.model_dump()
-    node = values
-    words: Sequence[str] = key.split(".")
-    for word in words[:-1]:
+    values = node = config.model_dump()
+    *tables, last = key.split(".")
+    for word in tables:
         node = node[word]
-    node[words[-1]] = value
+    node[last] = value
     return parse_model(type(config), values, key)

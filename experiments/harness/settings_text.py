@@ -43,63 +43,42 @@ def toml_value(value: Any) -> str:
 
 def about(name: str, field: FieldInfo) -> str:
     """What a key means, with unit and allowed values as far as its name, type and constraints tell."""
-    facts = [unit_of(name), _choices(field.annotation), allowed_range(field)]
-    told = ", ".join(fact for fact in facts if fact)
+    choices = " or ".join(map(toml_value, _choices(field.annotation)))
+    told = ", ".join(fact for fact in (unit_of(name), choices, allowed_range(field)) if fact)
     return f"{field.description or ''}{f' [{told}]' if told else ''}".strip()
 
 
-def _choices(annotation: Any) -> str:
-    """The values of a Literal, ``true or false``."""
-    found = list(_literals(annotation))
-    return " or ".join(toml_value(value) for value in found)
-
-
-def _literals(annotation: Any) -> Iterator[Any]:
+def _choices(annotation: Any) -> list[Any]:
+    """The values of a Literal, true or false."""
+    if annotation is bool:
+        return [True, False]
     if typing.get_origin(annotation) is typing.Literal:
-        yield from typing.get_args(annotation)
-    elif annotation is bool:
-        yield from (True, False)
-    else:
-        for part in typing.get_args(annotation):
-            yield from _literals(part)
+        return list(typing.get_args(annotation))
+    return [choice for part in typing.get_args(annotation) for choice in _choices(part)]
 
 
 def _table(config: BaseModel, at: tuple[str, ...]) -> Iterator[str]:
     """Keys with plain values first: in TOML they would belong to the table above otherwise."""
-    fields = type(config).model_fields
-    tables = {name: getattr(config, name) for name in fields if _is_table(getattr(config, name))}
-    for name, field in fields.items():
-        if name not in tables:
-            yield from _key(name, field, getattr(config, name))
-    for name, value in tables.items():
-        here = (*at, name)
-        for one in (value,) if isinstance(value, BaseModel) else value:
-            yield from ["", f"[{'.'.join(here)}]" if isinstance(value, BaseModel) else f"[[{'.'.join(here)}]]"]
-            yield from _comment(_about_table(fields[name], one))
-            yield from _table(one, here)
+    tables: list[tuple[str, FieldInfo, str, BaseModel]] = []
+    for name, field in type(config).model_fields.items():
+        value, key = getattr(config, name), ".".join((*at, name))
+        if isinstance(value, BaseModel):
+            tables.append((name, field, f"[{key}]", value))
+        elif isinstance(value, tuple) and value and all(isinstance(one, BaseModel) for one in value):
+            tables.extend((name, field, f"[[{key}]]", one) for one in value)
+        else:
+            yield from _comment(about(name, field))
+            yield f"# {name} =" if value is None else f"{name} = {toml_value(absolute(field, value))}"
+    for name, field, head, table in tables:
+        yield from ["", head, *_comment(_about_table(field, table))]
+        yield from _table(table, (*at, name))
 
 
-def _is_table(value: Any) -> bool:
-    several = isinstance(value, tuple) and bool(value) and all(isinstance(one, BaseModel) for one in value)
-    return isinstance(value, BaseModel) or several
-
-
-def _about_table(field: FieldInfo, config: BaseModel) -> str:
-    words = field.description or (type(config).__doc__ or "").strip().partition("\n\n")[0]
-    kinds = [
-        part.model_fields["kind"].default
-        for part in alternatives(field.annotation)
-        if isinstance(part, type) and issubclass(part, BaseModel) and "kind" in part.model_fields
-    ]
+def _about_table(field: FieldInfo, table: BaseModel) -> str:
+    words = field.description or (type(table).__doc__ or "").strip().partition("\n\n")[0]
+    models = [part for part in alternatives(field.annotation) if isinstance(part, type) and issubclass(part, BaseModel)]
+    kinds = [model.model_fields["kind"].default for model in models if "kind" in model.model_fields]
     return words + (f" (kinds, each with its own keys: {', '.join(kinds)})" if len(kinds) > 1 else "")
-
-
-def _key(name: str, field: FieldInfo, value: Any) -> Iterator[str]:
-    yield from _comment(about(name, field))
-    if value is None:
-        yield f"# {name} ="
-    else:
-        yield f"{name} = {toml_value(absolute(field, value))}"
 
 
 def _comment(text: str) -> list[str]:

@@ -6,9 +6,9 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -17,32 +17,10 @@ from experiments.harness.registry import found
 from optics.errors import ConfigError, unknown_name
 from optics.textfile import write_text
 
-__all__ = ["Entry", "read_entry", "run_all", "write_index"]
+__all__ = ["read_entry", "run_all", "write_index"]
 
 INDEX = "index.html"
 MARK = '<meta name="generator" content="starbench">'
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
-    """One line of the page."""
-
-    name: str
-    about: str  # First line of the experiment's description
-    status: int  # Exit status of the run
-    criteria: int = 0  # How many were judged
-    failed: tuple[str, ...] = ()  # Names of the criteria that do not hold
-    runtime_s: float | None = None  # From the run's provenance
-    quick: bool = False
-
-    @property
-    def verdict(self) -> str:
-        """In a few words."""
-        if self.status == EXIT_INTERRUPTED:
-            return "interrupted"
-        if self.status not in (EXIT_GOOD, EXIT_FAILED):
-            return f"no result (exit code {self.status})"
-        return f"{self.criteria - len(self.failed)} of {self.criteria} criteria hold"
 
 
 @click.command(
@@ -65,7 +43,7 @@ def run_all(out: str, names: tuple[str, ...], **options: str | int | bool | None
             raise unknown_name("experiment", name, known)
     given = [(f"--{name}", value) for name, value in options.items() if value is not None and value is not False]
     words = [word for option, value in given for word in ((option,) if value is True else (option, str(value)))]
-    folder, entries = _folder(out), list[Entry]()
+    folder, entries = _folder(out), list[dict[str, Any]]()
     for name in [name for name in known if not names or name in names]:
         click.echo(f"\n== {name}")
         command = [sys.executable, "-m", "experiments", name, "--out", str(folder / name), *words]
@@ -73,12 +51,12 @@ def run_all(out: str, names: tuple[str, ...], **options: str | int | bool | None
             status = subprocess.run(command, check=False).returncode
         except KeyboardInterrupt:  # the child had it too, and wrote nothing
             status = EXIT_INTERRUPTED
-        entries.append(read_entry(folder / name, name=name, about=known[name], status=status))
+        entries.append(read_entry(folder / name, status) | {"name": name, "about": known[name]})
         write_index(entries, folder)
         if status == EXIT_INTERRUPTED:
             return EXIT_INTERRUPTED
     click.echo(f"\nall reports: {folder / INDEX}")
-    statuses = {entry.status for entry in entries}
+    statuses = {entry["status"] for entry in entries}
     return max(statuses, default=EXIT_GOOD) if statuses <= {EXIT_GOOD, EXIT_FAILED} else EXIT_BROKEN
 
 
@@ -97,24 +75,19 @@ def _folder(out: str) -> Path:
     return folder
 
 
-def read_entry(folder: Path, *, name: str, about: str, status: int) -> Entry:
-    """What a finished run left in its folder."""
+def read_entry(folder: Path, status: int) -> dict[str, Any]:
+    """What a run that ended with ``status`` left in its folder: a line of the page."""
     if status not in (EXIT_GOOD, EXIT_FAILED):
-        return Entry(name=name, about=about, status=status)
+        return {"status": status, "verdict": f"no result (exit code {status})"}
     criteria = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["criteria"]
     origin = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
-    return Entry(
-        name=name,
-        about=about,
-        status=status,
-        criteria=len(criteria),
-        failed=tuple(criterion["name"] for criterion in criteria if not criterion["passed"]),
-        runtime_s=origin.get("runtime_s"),
-        quick=bool(origin.get("quick")),
-    )
+    failed = [criterion["name"] for criterion in criteria if not criterion["passed"]]
+    verdict = f"{len(criteria) - len(failed)} of {len(criteria)} criteria hold"
+    verdict += f"; not: {'; '.join(failed)}" if failed else ""
+    return {"status": status, "verdict": verdict, "runtime_s": origin["runtime_s"], "quick": origin["quick"]}
 
 
-def write_index(entries: Sequence[Entry], folder: Path) -> None:
+def write_index(entries: Sequence[Mapping[str, Any]], folder: Path) -> None:
     """Write the page; an older one is replaced in one step."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

@@ -7,49 +7,38 @@ import pytest
 
 from experiments.__main__ import main
 from experiments.harness import together
-from experiments.harness.together import read_entry, write_index
 
 KNOWN = {"alpha": "The first.", "beta": "The <second>."}
 
 
-def run_all(arguments):
-    return main(["--all", *arguments])
-
-
-def result(folder, *passed, runtime_s=12.0):
-    """A folder as an experiment leaves it, with criteria that hold or do not."""
-    folder.mkdir(parents=True)
-    criteria = [
-        {"name": f"number {k}", "value": 1, "limit": 2, "unit": "", "passed": ok} for k, ok in enumerate(passed)
-    ]
-    (folder / "summary.json").write_text(json.dumps({"criteria": criteria}))
-    (folder / "provenance.json").write_text(json.dumps({"runtime_s": runtime_s, "quick": True}))
-    (folder / "report.html").write_text("report")
-
-
 @pytest.fixture
 def scripted(monkeypatch, tmp_path):
-    """Runs a stand-in process for each experiment that exits as told; gives the commands that were started."""
-    codes, started = {}, []
+    """``runs``: exit status and passed criteria of each experiment, whose processes are stood in for; ``started``."""
+    monkeypatch.chdir(tmp_path)
+    runs, started = {}, []
 
     def run(command, check):
         assert check is False
         started.append(command)
         name = command[3]
-        code, passed = codes[name]
+        code, passed = runs[name]
         if passed is not None:
-            result(tmp_path / "out" / name, *passed)
+            folder = tmp_path / "out" / name
+            folder.mkdir(parents=True)
+            criteria = [{"name": f"number {k}", "passed": ok} for k, ok in enumerate(passed)]
+            (folder / "summary.json").write_text(json.dumps({"criteria": criteria}))
+            (folder / "provenance.json").write_text(json.dumps({"runtime_s": 12.0, "quick": True}))
         return type("Done", (), {"returncode": code})()
 
     monkeypatch.setattr(together.subprocess, "run", run)
     monkeypatch.setattr(together, "found", lambda: KNOWN)
-    return codes, started
+    return runs, started
 
 
 def test_page_links_reports_and_names_failures(tmp_path, scripted, capsys):
-    codes, started = scripted
-    codes |= {"alpha": (0, (True, True)), "beta": (1, (True, False))}
-    assert run_all(["--out", str(tmp_path / "out"), "--quick", "--seed", "7"]) == 1
+    runs, started = scripted
+    runs |= {"alpha": (0, (True, True)), "beta": (1, (True, False))}
+    assert main(["--quick", "--all", "--seed", "0"]) == 1
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert '<a href="alpha/report.html">' in page
     assert "2 of 2 criteria hold" in page
@@ -58,33 +47,31 @@ def test_page_links_reports_and_names_failures(tmp_path, scripted, capsys):
     assert "12 s" in page
     assert "quick runs" in page
     assert started[0] == [
-        *(sys.executable, "-m", "experiments", "alpha", "--out", str(tmp_path / "out" / "alpha")),
-        *("--quick", "--seed", "7", "--backend", "auto"),
+        *(sys.executable, "-m", "experiments", "alpha", "--out", "out/alpha"),
+        *("--quick", "--seed", "0", "--backend", "auto"),
     ]
     assert "index.html" in capsys.readouterr().out
+    together.write_index(
+        [together.read_entry(tmp_path / "out" / "alpha", 0) | {"name": "alpha", "about": ""}], tmp_path
+    )
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "out"]
 
 
-def test_run_without_result_is_said_and_not_linked(tmp_path, scripted):
-    codes, _ = scripted
-    codes |= {"alpha": (2, None), "beta": (0, (True,))}
-    assert run_all(["--out", str(tmp_path / "out")]) == 3
+@pytest.mark.parametrize(
+    ("runs", "words", "status", "ran", "said"),
+    [
+        ({"alpha": (2, None), "beta": (0, (True,))}, [], 3, ["alpha", "beta"], "no result (exit code 2)"),
+        ({"alpha": (130, None)}, [], 130, ["alpha"], "no result (exit code 130)"),
+        ({"beta": (0, (True,))}, ["beta"], 0, ["beta"], "1 of 1"),
+    ],
+)
+def test_what_runs_and_what_is_said(tmp_path, scripted, runs, words, status, ran, said):
+    scripted[0].update(runs)
+    assert main(["all", *words]) == status
+    assert [command[3] for command in scripted[1]] == ran
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
-    assert "alpha/report.html" not in page
-    assert "no result (exit code 2)" in page
-
-
-def test_interrupt_stops_the_rest(tmp_path, scripted):
-    codes, started = scripted
-    codes |= {"alpha": (130, None)}
-    assert run_all(["--out", str(tmp_path / "out")]) == 130
-    assert len(started) == 1
-
-
-def test_names_choose(tmp_path, scripted):
-    codes, started = scripted
-    codes |= {"beta": (0, (True,))}
-    assert run_all(["--out", str(tmp_path / "out"), "beta"]) == 0
-    assert [command[3] for command in started] == ["beta"]
+    assert said in page
+    assert ("alpha/report.html" in page) == ("alpha" in ran and status == 0)
 
 
 @pytest.mark.parametrize(
@@ -97,21 +84,13 @@ def test_names_choose(tmp_path, scripted):
         (["--unheard"], "--unheard"),
     ],
 )
-def test_bad_input(tmp_path, monkeypatch, capsys, scripted, arguments, expected):
-    monkeypatch.chdir(tmp_path)
+def test_bad_input(tmp_path, capsys, scripted, arguments, expected):
     (tmp_path / "file").touch()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "index.html").write_text("<h1>thesis</h1>")
-    assert run_all(arguments) == 2
+    assert main(["all", *arguments]) == 2
     said = capsys.readouterr().err
     assert expected in said
     assert said.count("\n") == 1
     assert scripted[1] == []
     assert (tmp_path / "mine" / "index.html").read_text() == "<h1>thesis</h1>"
-
-
-def test_page_is_replaced_and_nothing_else_left(tmp_path):
-    result(tmp_path / "alpha", True)
-    for _ in range(2):
-        write_index([read_entry(tmp_path / "alpha", name="alpha", about="", status=0)], tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["alpha", "index.html"]
