@@ -22,10 +22,10 @@ import numpy as np
 
 from experiments.budget.combine import PRINTED, Budget
 from experiments.budget.settings import Config
-from experiments.harness.run import configuration_file
 from experiments.harness.config import load_config
 from experiments.harness.interrupts import invoke
 from experiments.harness.range import with_value
+from experiments.harness.run import configuration_file
 from experiments.laboratory.published import ACC18_ARCSEC
 from optics.arrays import FloatArray
 

@@ -9,9 +9,9 @@ from experiments.budget.laboratory import build_laboratory, moved_lens
 from experiments.budget.settings import AttitudeConfig, Config, MovedConfig
 from experiments.budget.tolerances import cubic_basis
 from experiments.budget.tune import as_toml, differences
-from experiments.harness.run import configuration_file
 from experiments.harness.config import load_config
 from experiments.harness.range import leaf_keys, logarithmic, parse_sweep, value_at, with_value
+from experiments.harness.run import configuration_file
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
 from experiments.laboratory.published import chromatic_of_table1_arcsec
 from optics.errors import ConfigError

@@ -14,9 +14,9 @@ from pydantic import BaseModel
 
 from experiments.dataset.frames.attitude_files import read_attitudes
 from experiments.dataset.production.check import check
-from experiments.harness.run import configuration_file
 from experiments.harness.config import alternatives, load_config
 from experiments.harness.progress import Progress
+from experiments.harness.run import configuration_file
 from experiments.laboratory.own_frames.settings import FolderSettings, read_settings
 from experiments.laboratory.sensor_file import SensorConfig, read_sensor
 from experiments.laboratory.settings import CatalogueConfig
