@@ -46,9 +46,7 @@ MAGNITUDE_OF_SIDE = {256: 9.6, 512: 8.1, 1024: 6.6, 1536: 5.8}
 
 def rate(settings: list[str], frames: int, workers: int) -> dict[str, Any]:
     """Results of one run of the command."""
-    options = [
-        part for setting in (*settings, "verify.frames=0", "verify.resume_frames=0") for part in ("--set", setting)
-    ]
+    options = [part for setting in (*settings, "verify.frames=0") for part in ("--set", setting)]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "dataset"
@@ -79,10 +77,9 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
     Engine.start("llvm")
     import drjit as dr
 
-    from experiments.dataset.frames.maker import FrameMaker
-    from experiments.dataset.frames.point_sources import point_sources
-    from experiments.dataset.frames.scene import build_scene
-    from experiments.dataset.production import job as work
+    from experiments.dataset import job as work
+    from experiments.dataset.frame import FrameMaker
+    from experiments.dataset.scene import build_scene, point_sources
     from render.detector import readout
 
     dr.set_thread_count(1)
@@ -99,7 +96,7 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
 
         return call
 
-    from experiments.dataset.frames import maker as module
+    from experiments.dataset import frame as module
 
     replaced = {
         (module, "point_sources"): ("stars of the field", point_sources),

@@ -235,12 +235,12 @@ COMPARISONS = (
     Comparison(
         experiment="dataset",
         what="centroid error against its bound",
-        predicted=("experiments.dataset.evaluation.centroid_bound:dataset_bound",),
+        predicted=("experiments.dataset.detection:dataset_bound",),
         measured=(
-            "experiments.dataset.production.schedule:make_frames",
-            "experiments.dataset.evaluation.evaluate:evaluate",
+            "experiments.dataset.workers:make_frames",
+            "experiments.dataset.experiment:evaluate",
         ),
-        settings=("workers=1", "verify.resume_frames=0"),
+        settings=("workers=1",),
     ),
 )
 

@@ -5,6 +5,7 @@ is. Frame k is the same bytes whether it is made alone, in any order, or by many
 same command again after an interrupt, a killed machine or a full disk, and it goes on where it stopped; ask for more
 frames, and the dataset grows.
 
-Rooms: ``frames`` makes one frame, ``truth`` says what is true of it, ``production`` makes many and resumes what was
-interrupted, ``exports`` writes what others read, ``evaluation`` looks at the frames as others will.
+One frame: ``plan`` (attitude, motion; ``splits``), ``scene`` (camera, stars, light of the sky), ``frame``, ``truth``,
+``labels``, ``truth_files``. Many frames: ``job``, ``workers``, ``folder``, ``remote``. For others: ``card``,
+``exports``, ``calibration``. Looked at as others will: ``detection``, ``solve``. All of it in order: ``experiment``.
 """

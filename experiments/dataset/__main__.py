@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.dataset.experiment import main
+from experiments.dataset.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

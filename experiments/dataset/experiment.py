@@ -1,57 +1,92 @@
-"""Datasets of star frames with exact truth: the declaration, and the run that makes what is missing."""
+"""Datasets of star frames with exact truth: what is missing is made, exported, and looked at as others will."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import nullcontext
-from dataclasses import replace
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-import click
+import numpy as np
+from matplotlib.figure import Figure
 
-from experiments.dataset.production.folder import DatasetFolder
-from experiments.dataset.production.identity import for_workers, identity, software
-from experiments.dataset.production.remote import RemoteDataset, is_url, working_copy
+from calib.cameras.fit import fit_camera
+from experiments.dataset import detection, solve
+from experiments.dataset.calibration import write_calibration
+from experiments.dataset.card import about, chosen, write_closing_files
+from experiments.dataset.detection import Example, compare_frame, dataset_bound, joined, wcs_misses_px
+from experiments.dataset.exports import COCO, WEBDATASET, check_webdataset, export_coco, export_shards
+from experiments.dataset.folder import DatasetFolder, StorageError, for_workers, in_words, software
+from experiments.dataset.frame import FrameMaker
+from experiments.dataset.job import Job
+from experiments.dataset.labels import LabelMaker
+from experiments.dataset.scene import Scene, build_scene
 from experiments.dataset.settings import Config
-from experiments.harness.cli import command
-from experiments.harness.experiment import Experiment
-from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, interrupts
-from experiments.harness.progress import Progress, terminal_progress
+from experiments.dataset.solve import BlindSolver, attitudes, star_patterns
+from experiments.dataset.truth import FrameRecord
+from experiments.dataset.truth_files import read_table
+from experiments.dataset.workers import make_frames
+from experiments.harness.progress import Progress
+from experiments.harness.quantities import Outcome
+from experiments.harness.sections import Section, col
+from experiments.harness.system import prompt_pool
+from experiments.laboratory.centroid_methods import needs_epsf
+from experiments.laboratory.checks import focus_remark
+from experiments.laboratory.filter_wheel import open_band
+from experiments.laboratory.readout.frames import empty_frame, mean_dark_frame
+from experiments.laboratory.readout.noise_model import true_noise
+from experiments.laboratory.readout.psf_grid import render_psf_grid
+from experiments.laboratory.readout.reduction import Reduction, measure_frame
 from optics.errors import ConfigError
 from render.engine import Engine
+from render.fits.files import read_frame
 
-if TYPE_CHECKING:
-    from experiments.dataset.evaluation.evaluate import Evaluation
-    from experiments.dataset.frames.scene import Scene
-    from experiments.dataset.production.job import Job
-    from experiments.dataset.production.resume_check import ResumeCheck
-    from experiments.dataset.result import Result
-    from experiments.dataset.truth.frame_record import FrameRecord
+__all__ = ["SECTIONS", "extra", "files", "run"]
 
-__all__ = ["Config", "experiment", "main", "run"]
-
-
-def output(path: str, config: Config) -> DatasetFolder:
-    """The folder of the dataset, new or begun, or a URL."""
-    if is_url(path):
-        remote = RemoteDataset(path, config=identity(config), frames=config.frames, truth=config.files.truth)
-        if remote.only_here and (config.workers > 1 or config.scheduler):
-            raise ConfigError(f"{path}: is seen by this process alone; set workers = 1 and no scheduler")
-        return remote
-    return DatasetFolder(path, config=identity(config), frames=config.frames, truth=config.files.truth)
+EXPORTS = (COCO, WEBDATASET)
+"""Their names are those of their folders."""
+EMPTY = "empty"
+"""Random streams of frames without stars."""
+SMALLEST_SHARE = {"none": 1.0, "rice": 0.1, "gzip": 0.1}
+"""No frame with noise is packed smaller than this."""
+FAINTEST_SHARE = 0.5
+"""Least size of a packed frame over that of the first, which may hold the Moon, or a mask that the others lack."""
 
 
-def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
-    """Make the frames that are missing."""
-    from experiments.dataset.exports.webdataset_shards import check_webdataset
-    from experiments.dataset.exports.write import write_exports
-    from experiments.dataset.frames.scene import build_scene
-    from experiments.dataset.production.complete import complete
-    from experiments.dataset.production.job import Job
-    from experiments.dataset.result import Result
-    from experiments.laboratory.checks import focus_remark
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frames:
+    """A dataset that is complete."""
 
+    frames: int = col("Frames")
+    frames_made: int = col("Frames made by this run")
+    # From the first finished frame to the last, all workers together; NaN for fewer than two
+    frames_per_s: float = col("Frames per second", format=".1f")
+    workers: int = col("Processes")
+    stars: int = col("Star images")
+    frames_without_stars: int = col("Frames without stars")
+    damaged: tuple[int, ...]  # Frames that were there and damaged; they were made again
+    folder: Path  # Where the dataset is
+    scene: Scene  # What the frames have in common
+    records: tuple[FrameRecord, ...]  # One per frame, in their order
+    exports: Mapping[str, str]  # Name of an export -> what was written, in words
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solver:
+    """What frames are solved with."""
+
+    camera_model_max_px: float = col("Camera model, largest misfit", "px", ".1e")
+    temperature_k: float  # Colour of the stars that the camera is calibrated for: the median
+    blind: bool  # Whether stars were identified without a rough attitude
+
+
+# --- Make what is missing
+
+
+def run(config: Config, *, progress: Progress, output: DatasetFolder) -> dict[str, Any]:
+    """Make the frames that are missing, write the exports, look at the first frames."""
     with progress.stage("prepare"):
         if "webdataset" in config.exports:
             check_webdataset()
@@ -59,41 +94,22 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> Result:
         _check_window(config, scene)
     if remark := focus_remark(scene.instrument.camera, scene.light.wavelength_nm.ravel()):
         progress.note(remark)
-    backend, camera = Engine.active().backend, scene.instrument.camera
+    backend = Engine.active().backend
     job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend, url=output.url)
     output.open(software(backend))
     try:
-        there = complete(config, output, job, pixels=camera.width_px * camera.height_px, progress=progress)
-        output.fetch(_needed(config, output, there.records))
-        exports = write_exports(scene, output.path, there.records, progress)
-        evaluation = _evaluate(config, output, scene, there.records, progress)
-        return Result(
-            config=config,
-            folder=output.path,
-            scene=scene,
-            records=there.records,
-            made=there.made,
-            damaged=there.damaged,
-            frames_per_s=there.frames_per_s,
-            workers=there.workers,
-            exports=exports,
-            resume=_resume(config, job, there.records, progress),
-            evaluation=evaluation,
+        made = _complete(scene, output, job, progress)
+        output.fetch(_needed(config, output, made["records"]))
+        exports = _export(scene, output.path, made["records"], progress)
+        frames = Frames(**made, folder=output.path, scene=scene, exports=exports)
+        return (
+            dict.fromkeys(SECTIONS)
+            | {"frames": frames}
+            | _look_at(scene, output.path, made["records"][: config.verify.frames], progress)
         )
     except BaseException:
         output.close()
         raise
-
-
-def _needed(config: Config, output: DatasetFolder, records: Sequence[FrameRecord]) -> list[str]:
-    """Files that are looked at on this machine: every truth, and frames for exports, report and contact sheet."""
-    from experiments.dataset.exports.contact_sheet import chosen
-    from experiments.dataset.exports.write import EXPORTS
-
-    exported = bool(config.exports) or any((output.path / name).is_dir() for name in EXPORTS)
-    seen = max(config.verify.frames, config.verify.resume_frames)
-    some = records if exported else (*records[:seen], *chosen(records))
-    return list(dict.fromkeys([*(one.truth for one in records), *(one.file for one in some)]))
 
 
 def _check_window(config: Config, scene: Scene) -> None:
@@ -107,74 +123,229 @@ def _check_window(config: Config, scene: Scene) -> None:
         )
 
 
-def _evaluate(
-    config: Config, output: DatasetFolder, scene: Scene, records: tuple[FrameRecord, ...], progress: Progress
-) -> Evaluation | None:
-    """Look at the first frames, as others will."""
-    from experiments.dataset.evaluation.evaluate import evaluate
-    from experiments.dataset.evaluation.solve import star_patterns
+def _complete(scene: Scene, output: DatasetFolder, job: Job, progress: Progress) -> dict[str, Any]:
+    """A dataset brought to the frames wanted: those that are there and whole are kept, the others are made."""
+    config, camera = scene.config, scene.instrument.camera
+    if output.repaired:
+        progress.note(f"{output.shown}: {output.repaired}")
+    there = output.numbers()
+    with prompt_pool() as pool:
+        checked = progress.track(pool.map(output.checked, there), "look at the frames there are", total=len(there))
+        records = {record.frame: record for record in checked if record is not None}
+    damaged = tuple(frame for frame in there if frame not in records)
+    missing = [frame for frame in range(config.frames) if frame not in records]
+    if missing:
+        bytes_each = 2 * camera.width_px * camera.height_px * SMALLEST_SHARE[config.files.compression]
+        output.check_room(len(missing) * bytes_each)
+    times: list[tuple[float, int]] = []
+    with progress.stage("make frames", total=len(missing)) as stage:
 
-    looked_at = records[: config.verify.frames]
-    if not looked_at:
-        return None
+        def done(batch: Sequence[FrameRecord]) -> None:
+            records.update({record.frame: record for record in batch})
+            if not times and config.files.compression != "none":  # by now it is known how well frames are packed
+                output.check_room((len(missing) - len(batch)) * batch[0].frame_bytes * FAINTEST_SHARE)
+            times.append((time.perf_counter(), len(batch)))
+            stage.advance(len(batch))
+
+        try:
+            processes = 1 if output.only_here else config.workers
+            workers = make_frames(job, missing, workers=processes, scheduler=config.scheduler, done=done)
+        except StorageError as error:
+            raise StorageError(
+                f"{output.shown}: {error}; {output.count()} of {config.frames} frames are whole and kept: make room "
+                "and run the same command again"
+            ) from None
+    rate = math.nan
+    if len(times) > 1:
+        rate = sum(count for _, count in times[1:]) / (times[-1][0] - times[0][0])
+    ordered = tuple(records[frame] for frame in range(config.frames))
+    output.digests |= {record.file: record.sha256 for record in ordered}
+    if damaged:
+        progress.note(f"{output.shown}: frames that were damaged and are made again: {in_words(damaged)}")
+    stars = [record.stars for record in ordered]
+    return {
+        "records": ordered,
+        "frames": len(ordered),
+        "frames_made": len(missing),
+        "damaged": damaged,
+        "frames_per_s": rate,
+        "workers": workers,
+        "stars": sum(stars),
+        "frames_without_stars": stars.count(0),
+    }
+
+
+def _needed(config: Config, output: DatasetFolder, records: Sequence[FrameRecord]) -> list[str]:
+    """Files that are looked at on this machine: every truth, and frames for exports, report and contact sheet."""
+    exported = bool(config.exports) or any((output.path / name).is_dir() for name in EXPORTS)
+    some = records if exported else (*records[: config.verify.frames], *chosen(records))
+    return list(dict.fromkeys([*(record.truth for record in records), *(record.file for record in some)]))
+
+
+def _export(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, str]:
+    """The exports wanted; name -> what was written, in words."""
+    config = scene.config
+    written: dict[str, str] = {}
+    there = {name for name in EXPORTS if (folder / name).is_dir()}  # what was exported once is kept up to date
+    for name in sorted({*config.exports, *there}):
+        with progress.stage(f"export {name}", total=len(records)) as stage:
+            if name == WEBDATASET:
+                written[name] = export_shards(folder, records, done=stage.advance)
+                continue
+            written[name] = export_coco(
+                folder,
+                records,
+                diffusion_px=scene.instrument.detector.diffusion_sigma_px,
+                bits=config.png_bits,
+                labels=LabelMaker(scene, FrameMaker(scene).hits).labels,
+                about=about(config, scene.catalogue.catalog),
+                done=stage.advance,
+            )
+    if config.calibration_frames > 1:
+        with progress.stage("calibration", total=3) as stage:
+            written["calibration"] = write_calibration(scene, folder, config.calibration_frames, stage.advance)
+    return written
+
+
+# --- Look at the first frames as others will: read back from the files, stars measured, attitudes solved blind
+
+
+def _look_at(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, Any]:
+    if not records:
+        return {}
     with progress.stage("star patterns of the sky (made once, then kept on disk)"):
         patterns = star_patterns(scene)
-    with progress.stage("look at frames", total=len(looked_at)) as stage:
-        return evaluate(output.path, scene, looked_at, patterns=patterns, advance=stage.advance)
+    with progress.stage("look at frames", total=len(records)) as stage:
+        return evaluate(folder, scene, records, patterns=patterns, advance=stage.advance)
 
 
-def _resume(config: Config, job: Job, records: tuple[FrameRecord, ...], progress: Progress) -> ResumeCheck | None:
-    """Kill a run of the first frames and take it up again, somewhere else."""
-    from experiments.dataset.production.resume_check import check_resume
+def evaluate(
+    folder: Path, scene: Scene, records: Sequence[FrameRecord], *, patterns: Any, advance: Callable[[], None]
+) -> dict[str, Any]:
+    """Sections of what is detected and solved in frames of a dataset."""
+    config, camera, instrument = scene.config, scene.instrument.camera, scene.instrument
+    streams, dark_frames = scene.plan.streams.child("verify"), config.verify.dark_frames
+    dark = mean_dark_frame(instrument, dark_frames, streams=streams, label=EMPTY)
+    temperature_k = float(np.median(scene.temperature_k))
+    psfs = render_psf_grid(instrument, scene.light, temperature_k=temperature_k, window_px=config.window_px)
+    reduction = Reduction(
+        dark_dn=dark,
+        noise=true_noise(instrument, dark_frames=dark_frames),
+        centroid=config.centroid,
+        window_px=config.window_px,
+        threshold_sigma=config.threshold_sigma,
+        psfs=psfs if needs_epsf(config.centroid) else None,
+    )
+    known = instrument.pixel_map(open_band(config.passband, instrument), temperature_k=temperature_k)
+    calibration = fit_camera(known)
+    solver = BlindSolver(scene, calibration, patterns)
+    size = {"width_px": camera.width_px, "height_px": camera.height_px}
+    stars, solved, misses = [], [], [np.zeros(0)]
+    example: Example | None = None
+    for record in records:
+        frame, table = read_frame(folder / record.file), read_table(folder / record.truth)
+        truth = {name: np.asarray(table[name]) for name in table.colnames}
+        smear = np.hypot(truth["smear_x_px"], truth["smear_y_px"])
+        measured = measure_frame(frame, reduction, smear_px=float(np.nanmax(smear, initial=0.0)))
+        stars.append(compare_frame(record.frame, measured, truth, **size))
+        if not (config.instrument.line_time_us and any(record.rate_deg_per_s)):  # rows with attitudes of their own
+            misses.append(wcs_misses_px(folder / record.file, truth, **size))
+        if not solver.missing:
+            solved.append(solver.solve(record, measured.at_once(solver.turned(record, measured))))
+        if example is None and record.stars:
+            light = (frame.dn - dark) / np.float32(frame.gain_dn_per_e)
+            example = Example(frame=record.frame, electrons=light, measured=measured, truth=truth)
+        advance()
+    sky_e = float(np.mean([record.background_e for record in records]))
+    empty = streams.child("empty")
+    unflagged = [
+        np.count_nonzero(~measure_frame(one, reduction).stars.sharp)
+        for one in (empty_frame(instrument, k, sky_e=sky_e, streams=empty, label=EMPTY) for k in range(dark_frames))
+    ]
+    return detection.detection(
+        joined(stars),
+        dataset_bound(scene, psfs, sky_e),
+        empty_frames=dark_frames,
+        empty_detections=int(sum(unflagged)),
+        wcs_misses=np.concatenate(misses),
+        cosmic_rays=config.radiation.environment != "none",
+        example=example,
+    ) | {
+        "solver": Solver(camera_model_max_px=calibration.max_px, temperature_k=temperature_k, blind=solver.blind),
+        "attitudes": attitudes(solved) if solved else None,
+        "solved_frames": solved or None,
+        "unsolved": None if solved else solve.Unsolved(without_solver=solver.missing),
+    }
 
-    some = records[: config.verify.resume_frames]
-    if len(some) < 2:
-        return None
-    with progress.stage("kill a run and take it up"):
-        return check_resume(replace(job, url=""), some, truth=config.files.truth)
+
+# --- What is written and shown
 
 
-def files(result: Result, folder: Path) -> None:
+def extra(result: Mapping[str, Any]) -> dict[str, Any]:
+    """What ``summary.json`` says in words."""
+    return {"exports": dict(result["frames"].exports)}
+
+
+def files(result: Mapping[str, Any], folder: Path) -> None:
     """Index, data card and contact sheet, beside what the command line writes."""
-    from experiments.dataset.exports.write import write_closing_files
-
-    write_closing_files(result, folder)
-
-
-experiment = Experiment(
-    name="dataset",
-    config=Config,
-    run=run,
-    takes="50 s (--quick: 12 s)",
-    examples={
-        "--frames 1000 --out sky": "the real sky, 1024 x 1024 px, random attitudes; the same command goes on",
-        "--frames 5000 --workers 8 --out sky": "let it grow, sooner",
-        "check sky": "read every file, say what is damaged and what a run would make again",
-        "--sensor my.toml --set 'exports=[\"coco\"]'": "another sensor, copies for learning programs",
-    },
-    extra="quantities:extra",
-    files=files,
-    output=output,
-    options={
-        "frames": ("frames", "Frames in all."),
-        "workers": ("workers", "Processes; 0: one per processor."),
-        "scheduler": ("scheduler", "Address of a Dask scheduler."),
-    },
-    quick={"frames": 6, "instrument.width_px": 512, "instrument.height_px": 512},
-)
+    frames, seen = result["frames"], result.get("detection")
+    write_closing_files(
+        frames.scene,
+        frames.folder,
+        frames.records,
+        folder,
+        exports=frames.exports,
+        baseline=_baseline(frames.scene.config, result),
+        example=None if seen is None else seen.example,
+    )
 
 
-main = command(experiment)
+def _baseline(config: Config, result: Mapping[str, Any]) -> dict[str, str]:
+    """What simple methods reach in the frames: for whoever wants to do better."""
+    seen, solved, bins = (result.get(name) for name in ("detection", "attitudes", "centroids"))
+    if seen is None or not seen.bright_stars:
+        return {}
+    half = seen.magnitude_of_half
+    faint = f", half of those of {half:.2f} mag" if math.isfinite(half) else ""
+    texts = {
+        f"detection at {config.threshold_sigma:g} sigma, first {seen.frames_looked_at} frames": (
+            f"{100 * seen.bright_undisturbed:.2f} % of undisturbed stars of SNR 10 and more{faint}; "
+            f"{seen.false_not_flagged:.2f} false ones a frame"
+        )
+    }
+    if bins and math.isfinite(ratio := detection.mean_ratio(bins)[0]):
+        texts[f"centroid ({config.centroid})"] = f"error {ratio:.2f} times the Cramer-Rao bound"
+    if solved is not None:
+        texts["attitude (tetra3rs, lost in space)"] = (
+            f"{solved.solved} of {solved.attempted} frames solved, boresight error "
+            f"{solved.median_arcsec.value:.2f} arcsec in the median, {solved.p95_arcsec:.2f} for 95 %"
+        )
+    return texts
 
 
-@main.command(help="Read every file of a dataset and say what is damaged, and what a run would make again.")
-@click.argument("folder", metavar="FOLDER_OR_URL")
-def check(folder: str) -> int:
-    """0 if every file is as it was written, 1 if not."""
-    from experiments.dataset.production.check import check as checked
+def sky_coverage(outcome: Outcome) -> Figure:
+    """Where the frames look; icrs, east to the left."""
+    from experiments.harness.plotting import PALETTE, new_figure
 
-    interrupts.at_once, interrupts.said = False, lambda: "interrupted; nothing was changed"
-    with working_copy(folder) if is_url(folder) else nullcontext(Path(folder)) as held:
-        found = checked(held, terminal_progress())
-    click.echo("\n".join(found.lines()))
-    return EXIT_FAILED if found.damaged or found.missing else EXIT_GOOD
+    figure, axis = new_figure(aspect_ratio=0.52, subplot_kw={"projection": "mollweide"})
+    records, solved = outcome.result["frames"].records, outcome.result.get("solved_frames") or ()
+    ra, dec = (np.radians([getattr(record, f"{name}_deg") for record in records]) for name in ("ra", "dec"))
+    left = -((ra + np.pi) % (2 * np.pi) - np.pi)  # right ascension grows to the left, 0h in the middle
+    stars = np.array([record.stars for record in records], float)
+    shown = axis.scatter(left, dec, c=stars, s=np.clip(2000 / max(len(ra), 1), 4, 30), cmap="viridis", linewidths=0)
+    figure.colorbar(shown, ax=axis, shrink=0.7, label="stars", pad=0.03)
+    lost = [frame.frame for frame in solved if not frame.solved]  # frames are looked at from the first one on
+    if lost:
+        axis.scatter(left[lost], dec[lost], s=60, marker="x", color=PALETTE[1], label="not solved")
+        axis.legend(loc="lower right")
+    axis.set_xticks(np.radians(np.arange(-120, 121, 60)), ["8h", "4h", "0h", "20h", "16h"])
+    axis.tick_params(labelsize=7)
+    return figure
+
+
+SECTIONS = {
+    "frames": Section(record=Frames, figures={"sky_coverage": sky_coverage}),
+    **detection.SECTIONS,
+    "solver": Section(record=Solver),
+    **solve.SECTIONS,
+}

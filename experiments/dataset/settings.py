@@ -1,17 +1,27 @@
-"""Configuration of a dataset of star frames."""
+"""Settings and declaration of datasets of star frames; the commands ``dataset`` and ``dataset check``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
+import click
 from pydantic import Field, field_validator, model_validator
 
+from experiments.harness.cli import command
 from experiments.harness.config import AngleDeg, FileName, StrictModel
+from experiments.harness.experiment import Experiment
+from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, interrupts
 from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.sensor_file import SensorExperimentConfig
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
+from optics.errors import ConfigError
+
+if TYPE_CHECKING:
+    from experiments.dataset.folder import DatasetFolder
 
 __all__ = [
     "BackgroundConfig",
@@ -31,6 +41,8 @@ __all__ = [
     "SkyPointing",
     "SplitsConfig",
     "VerifyConfig",
+    "experiment",
+    "main",
 ]
 
 DeclinationDeg = Annotated[float, Field(ge=-90, le=90)]
@@ -240,9 +252,6 @@ class VerifyConfig(StrictModel):
     """What is done with the frames afterwards: stars measured, attitudes solved blind, world coordinates tried."""
 
     frames: int = Field(default=200, ge=0, le=10_000_000, description="frames looked at, the first ones; 0: none")
-    resume_frames: int = Field(
-        default=0, ge=0, le=1000, description="frames made again by a run that is killed and taken up; 0 or 1: none"
-    )
     dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light in the mean dark")
 
 
@@ -313,3 +322,60 @@ class Config(SensorExperimentConfig):
         if len(set(values)) != len(values):
             raise ValueError("an export is named twice")
         return values
+
+
+# --- The commands
+
+
+def output(path: str, config: Config) -> DatasetFolder:
+    """The folder of the dataset, new or begun, or a URL."""
+    from experiments.dataset.folder import DatasetFolder, identity
+    from experiments.dataset.remote import RemoteDataset, is_url
+
+    wanted: dict[str, Any] = {"config": identity(config), "frames": config.frames, "truth": config.files.truth}
+    if not is_url(path):
+        return DatasetFolder(path, **wanted)
+    remote = RemoteDataset(path, **wanted)
+    if remote.only_here and (config.workers > 1 or config.scheduler):
+        raise ConfigError(f"{path}: is seen by this process alone; set workers = 1 and no scheduler")
+    return remote
+
+
+experiment = Experiment(
+    name="dataset",
+    config=Config,
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    extra="experiment:extra",
+    files="experiment:files",
+    output=output,
+    takes="50 s (--quick: 12 s)",
+    examples={
+        "--frames 1000 --out sky": "the real sky, 1024 x 1024 px, random attitudes; the same command goes on",
+        "--frames 5000 --workers 8 --out sky": "let it grow, sooner",
+        "check sky": "read every file, say what is damaged and what a run would make again",
+        "--sensor my.toml --set 'exports=[\"coco\"]'": "another sensor, copies for learning programs",
+    },
+    options={
+        "frames": ("frames", "Frames in all."),
+        "workers": ("workers", "Processes; 0: one per processor."),
+        "scheduler": ("scheduler", "Address of a Dask scheduler."),
+    },
+    quick={"frames": 6, "instrument.width_px": 512, "instrument.height_px": 512},
+)
+main = command(experiment)
+
+
+@main.command(help="Read every file of a dataset and say what is damaged, and what a run would make again.")
+@click.argument("folder", metavar="FOLDER_OR_URL")
+def check(folder: str) -> int:
+    """0 if every file is as it was written, 1 if not."""
+    from experiments.dataset.folder import check as check_folder
+    from experiments.dataset.remote import is_url, working_copy
+    from experiments.harness.progress import terminal_progress
+
+    interrupts.at_once, interrupts.said = False, lambda: "interrupted; nothing was changed"
+    with working_copy(folder) if is_url(folder) else nullcontext(Path(folder)) as place:
+        checked = check_folder(place, terminal_progress())
+    click.echo("\n".join(checked.lines()))
+    return EXIT_FAILED if checked.damaged or checked.missing else EXIT_GOOD

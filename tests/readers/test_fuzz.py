@@ -23,11 +23,10 @@ from astropy.io import fits
 from astropy.table import Table
 
 from calib.measure.image import read_image
-from experiments.dataset.frames.attitude_files import read_attitudes, read_motion
+from experiments.dataset.plan import read_attitudes, read_motion
 from experiments.dataset.settings import Config
-from experiments.dataset.truth.files import index_bytes, read_record, read_table, truth_bytes
-from experiments.dataset.truth.frame_record import FrameRecord
-from experiments.dataset.truth.star_truth import COLUMNS
+from experiments.dataset.truth import COLUMNS, FrameRecord
+from experiments.dataset.truth_files import index_bytes, read_record, read_table, truth_bytes
 from experiments.harness.config import load_config
 from experiments.laboratory.own_frames import settings as own_frames
 from optics.errors import StarbenchError

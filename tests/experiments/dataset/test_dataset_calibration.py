@@ -11,9 +11,9 @@ import pytest
 from astropy.io import fits
 from astropy.time import Time
 
-from experiments.dataset.exports.calibration import write_calibration
-from experiments.dataset.frames.scene import build_scene
-from experiments.dataset.production.job import Job, make_frame
+from experiments.dataset.calibration import write_calibration
+from experiments.dataset.job import Job, make_frame
+from experiments.dataset.scene import build_scene
 from experiments.dataset.settings import Config, ScanPointing, VerifyConfig
 from experiments.laboratory.settings import InstrumentConfig
 from render.detector.maps import sensor_maps

@@ -13,7 +13,7 @@ from astropy.io import fits
 from astropy.table import Table
 from scipy.stats import chi2
 
-from experiments.dataset.experiment import main
+from experiments.dataset.settings import main
 
 pytestmark = pytest.mark.slow  # a whole run
 
@@ -33,7 +33,6 @@ def folder(engine, tmp_path_factory):
         "catalogue.faintest_mag": 7.5,
         "passband.range_nm": "[460, 890]",
         "verify.dark_frames": DARK_FRAMES,
-        "verify.resume_frames": 0,
         "seed": 3,
     }
     options = [part for key, value in settings.items() for part in ("--set", f"{key}={value}")]
@@ -96,6 +95,9 @@ def test_bound_of_centroids_is_that_of_gaussian_spots(folder, truth):
         mine = number == np.floor(np.log10(row["snr"]) * BINS_PER_DECADE)
         assert row["bound_px"] == pytest.approx(np.median(bound[mine]), rel=0.1)
         assert row["stars"] <= mine.sum()
+    noise_alone = table[(table["snr"] >= 8.0) & (table["snr"] <= 25.0)]
+    assert noise_alone["stars"].sum() >= 200
+    assert 0.93 < np.average(noise_alone["ratio"], weights=noise_alone["stars"]) < 1.3
 
 
 def test_boresights_are_as_far_off_as_their_stars_allow(folder, truth):
@@ -117,7 +119,8 @@ def test_counts_are_those_of_the_truth(folder, truth):
     lit = (truth["flags"] & 64) == 0
     assert results["stars"] == lit.sum()
     assert results["completeness"]["stars"] == (lit & (truth["snr"] >= 10.0) & ((truth["flags"] & 2) == 0)).sum()
-    assert results["blends"]["stars"] == (lit & ((truth["flags"] & 4) != 0)).sum()
+    flags = {row["flag"]: row["stars"] for row in Table.read(folder / "flags.ecsv")}
+    assert flags["blended"] == (lit & ((truth["flags"] & 4) != 0)).sum()
     assert sum(Table.read(folder / "completeness.ecsv")["stars"]) == (lit & ((truth["flags"] & 2) == 0)).sum()
     assert results["frames_made"] == FRAMES == results["solver"]["attempted"]
 

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from experiments.dataset.exports.coco import export_coco
-from experiments.dataset.exports.contact_sheet import preview
-from experiments.dataset.exports.webdataset_shards import check_webdataset, export_shards
-from experiments.dataset.production.folder import StorageError
-from experiments.dataset.production.job import Job, make_frame
+from experiments.dataset.card import preview
+from experiments.dataset.exports import check_webdataset, export_coco, export_shards
+from experiments.dataset.folder import StorageError
+from experiments.dataset.job import Job, make_frame
+from experiments.dataset.labels import CLASSES
 from experiments.dataset.settings import ConePointing, Config, VerifyConfig
-from experiments.dataset.truth.files import read_table
-from experiments.dataset.truth.labels import CLASSES
+from experiments.dataset.truth_files import read_table
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from optics.errors import ConfigError
 from render.fits.files import read_frame

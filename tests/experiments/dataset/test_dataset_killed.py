@@ -30,7 +30,6 @@ SMALL = [
         "instrument.height_px=128",
     ),
     *("--set", "nodes=3", "--set", "catalogue.faintest_mag=10", "--set", "verify.frames=0"),
-    *("--set", "verify.resume_frames=0"),
     *("--set", "pointing.kind=cone", "--set", "pointing.ra_deg=56.75", "--set", "pointing.dec_deg=24.12"),
     *("--set", "pointing.radius_deg=0.1", "--backend", "llvm"),
 ]

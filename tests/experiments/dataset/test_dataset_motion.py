@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 
-from experiments.dataset.frames.maker import FrameMaker
-from experiments.dataset.frames.scene import build_scene
+from experiments.dataset.frame import FrameMaker
+from experiments.dataset.scene import build_scene
 from experiments.dataset.settings import ConePointing, Config, FixedRate, ScanPointing
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from optics.frames import field_angles_deg

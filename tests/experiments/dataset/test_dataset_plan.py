@@ -9,9 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from scipy.spatial.transform import Rotation
 
-from experiments.dataset.frames.attitude_files import read_attitudes
-from experiments.dataset.frames.plan import build_plan, plan_frame
-from experiments.dataset.frames.splits import leakage
+from experiments.dataset.plan import build_plan, plan_frame, read_attitudes
 from experiments.dataset.settings import (
     ConePointing,
     Config,
@@ -22,6 +20,7 @@ from experiments.dataset.settings import (
     ScanPointing,
     SplitsConfig,
 )
+from experiments.dataset.splits import leakage
 from optics.attitude import angles_from_attitude
 from optics.errors import ConfigError, DomainError, StarbenchError
 

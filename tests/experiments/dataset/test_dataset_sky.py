@@ -7,10 +7,9 @@ import pytest
 from astropy.coordinates import SkyCoord, get_body, get_body_barycentric, get_sun
 from astropy.time import Time
 
-from experiments.dataset.frames.maker import FrameMaker
-from experiments.dataset.frames.plan import build_plan, plan_frame
-from experiments.dataset.frames.scene import build_scene
-from experiments.dataset.frames.sky_light import PLANET_IDS
+from experiments.dataset.frame import FrameMaker
+from experiments.dataset.plan import build_plan, plan_frame
+from experiments.dataset.scene import PLANET_IDS, build_scene
 from experiments.dataset.settings import (
     BackgroundConfig,
     ConePointing,
@@ -18,7 +17,7 @@ from experiments.dataset.settings import (
     RadiationConfig,
     SkyPointing,
 )
-from experiments.dataset.truth.star_truth import FLAGS
+from experiments.dataset.truth import FLAGS
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from optics.errors import StarbenchError
 

@@ -8,9 +8,9 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from scipy.special import erf
 
-from experiments.dataset.frames.maker import FrameMaker
-from experiments.dataset.frames.scene import build_scene, stars_of
-from experiments.dataset.production.job import _record
+from experiments.dataset.frame import FrameMaker
+from experiments.dataset.job import _record
+from experiments.dataset.scene import build_scene, stars_of
 from experiments.dataset.settings import (
     BackgroundConfig,
     ConePointing,
@@ -18,8 +18,7 @@ from experiments.dataset.settings import (
     FixedRate,
     JitterConfig,
 )
-from experiments.dataset.truth.frame_record import record_from_text
-from experiments.dataset.truth.star_truth import FLAGS, flux_snr, footprint_px
+from experiments.dataset.truth import FLAGS, flux_snr, footprint_px, record_from_text
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
 from optics.errors import DomainError, StarbenchError
 from optics.frames import field_angles_deg
@@ -106,7 +105,7 @@ def test_snr_of_a_faint_gaussian_spot():
     assert flux_snr(np.array([1e6]), total, total, noise_e2=0.0)[0] == pytest.approx(1e3)
 
 
-def test_a_record_survives_their_text(maker, made):
+def test_a_record_says_the_same_in_text_and_in_angles(maker, made):
     record = _record(made, maker.scene, "frames/a.fits", "truth/a.parquet", b"content")
     assert record_from_text(record.to_text()) == record
     x, y, z, w = record.quat_xyzw
@@ -114,6 +113,11 @@ def test_a_record_survives_their_text(maker, made):
     boresight = SkyCoord(record.ra_deg, record.dec_deg, unit="deg").cartesian.xyz.value
     turned = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])  # third row, scalar last
     assert turned == pytest.approx(boresight, abs=1e-12)
+    down = np.array([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)])  # rows count downwards
+    here, up = (SkyCoord(*v, representation_type="cartesian") for v in (boresight, boresight - 1e-6 * down))
+    here, up = (SkyCoord(one.spherical.lon, one.spherical.lat) for one in (here, up))
+    off = here.position_angle(up).rad - np.radians(record.roll_deg)
+    assert (off + np.pi) % (2 * np.pi) - np.pi == pytest.approx(0.0, abs=1e-5)
 
 
 def test_no_light_at_all(engine):

@@ -12,8 +12,8 @@ import pytest
 from astropy.io import fits
 from fsspec.implementations.memory import MemoryFileSystem
 
-from experiments.dataset.experiment import main
-from experiments.dataset.production.remote import Store, working_copy
+from experiments.dataset.remote import Store, working_copy
+from experiments.dataset.settings import main
 from optics.errors import ConfigError
 from render.fits.files import read_frame
 

@@ -5,9 +5,8 @@ import pytest
 
 from calib.flags import StarFlag
 from calib.records import NoiseModel, StarTable
-from experiments.dataset.evaluation.centroid_bound import centroid_bound
-from experiments.dataset.evaluation.detection import compare_frame, joined
-from experiments.dataset.truth.star_truth import FLAGS
+from experiments.dataset.detection import centroid_bound, compare_frame, joined
+from experiments.dataset.truth import FLAGS
 from experiments.laboratory.readout.reduction import MeasuredFrame
 from render.records import EffectivePsf
 

@@ -7,9 +7,10 @@ from astropy.coordinates import GCRS, SkyCoord, get_body
 from astropy.time import Time
 from scipy import ndimage
 
-from experiments.dataset.frames.maker import FrameMaker
-from experiments.dataset.frames.scene import build_scene
-from experiments.dataset.production.job import _record, pixel_marks
+from experiments.dataset.frame import FrameMaker
+from experiments.dataset.job import _record, pixel_marks
+from experiments.dataset.labels import LabelMaker, disk_truth
+from experiments.dataset.scene import build_scene
 from experiments.dataset.settings import (
     BackgroundConfig,
     BodyPointing,
@@ -18,9 +19,7 @@ from experiments.dataset.settings import (
     RadiationConfig,
     VerifyConfig,
 )
-from experiments.dataset.truth.disk_truth import disk_truth
-from experiments.dataset.truth.frame_record import record_from_text
-from experiments.dataset.truth.labels import LabelMaker
+from experiments.dataset.truth import record_from_text
 from experiments.laboratory.settings import InstrumentConfig
 from render.bodies.solar_system import solar_system
 from render.detector.cosmic_rays import cosmic_ray_hits

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from astropy.io import fits
 
-from experiments.dataset.experiment import main
+from experiments.dataset.settings import main
 
 pytestmark = [
     pytest.mark.reference,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 
 import pytest
 
-from experiments.dataset.production import schedule
+from experiments.dataset import job as making
+from experiments.dataset import workers
+from experiments.dataset.job import Job
 from optics.errors import BackendError, ConfigError
 
 
@@ -15,12 +18,12 @@ def cluster(monkeypatch):
     """A cluster that is as the test says, and a clock."""
     held = SimpleNamespace(now=100.0, workers={"a": {"nthreads": 1}}, status="running")
     held.scheduler_info = lambda n_workers: {"workers": held.workers}
-    monkeypatch.setattr(schedule.time, "monotonic", lambda: held.now)
+    monkeypatch.setattr(workers.time, "monotonic", lambda: held.now)
     return held
 
 
 def test_workers_that_are_gone(cluster, capsys):
-    watch = schedule._Watch(cluster, "scheduler tcp://head:8786")
+    watch = workers._Watch(cluster, "scheduler tcp://head:8786")
     cluster.workers = {}
     told = {}
     for second in range(1, 300):
@@ -37,7 +40,7 @@ def test_workers_that_are_gone(cluster, capsys):
 
 def test_workers_that_come_and_go(cluster, capsys):
     """Adaptive scaling: more frames are handed out ahead to more workers."""
-    watch = schedule._Watch(cluster, "scheduler")
+    watch = workers._Watch(cluster, "scheduler")
     assert watch.slots == 1
     for second, count in ((110, 0), (115, 3), (130, 2), (140, 0), (145, 1)):
         cluster.now = float(second)
@@ -48,20 +51,8 @@ def test_workers_that_come_and_go(cluster, capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_workers_that_die_at_start(cluster):
-    watch = schedule._Watch(cluster, "the scheduler on this machine", most_workers=2 + schedule.DEATHS)
-    for again in range(4):
-        cluster.now += 2.0
-        cluster.workers = {f"w{again}": {"nthreads": 1}}
-        watch.look()
-    cluster.now += 2.0
-    cluster.workers = {"w4": {"nthreads": 1}}
-    with pytest.raises(BackendError, match=r"die as soon as they start \(6 so far"):
-        watch.look()
-
-
 def test_a_scheduler_that_is_gone(cluster):
-    watch = schedule._Watch(cluster, "scheduler tcp://head:8786")
+    watch = workers._Watch(cluster, "scheduler tcp://head:8786")
     cluster.status, cluster.now = "closed", 200.0
     with pytest.raises(BackendError, match=r"^scheduler tcp://head:8786 is gone; what was made is kept"):
         watch.look()
@@ -71,11 +62,25 @@ def test_a_cluster_that_starts_no_worker_though_there_is_work():
     future = SimpleNamespace(result=lambda timeout: (_ for _ in ()).throw(TimeoutError))
     client = SimpleNamespace(submit=lambda work, pure: future)
     with pytest.raises(ConfigError, match=r"^scheduler tcp://head:8786 has no workers, and starts none within 10 s"):
-        schedule._first_worker(client, "tcp://head:8786")
+        workers._try_worker(client, None, "tcp://head:8786")
+
+
+def job(folder, **software):
+    return Job(config="{}", folder=str(folder), backend="llvm", token="token", software=json.dumps(software))
+
+
+def test_a_worker_that_sees_another_folder_or_has_other_software(tmp_path, monkeypatch):
+    """Every worker checks itself before its first frame, also one that comes late."""
+    monkeypatch.setattr(making, "_address", lambda: "tcp://node7:1234")
+    with pytest.raises(ConfigError, match=r"^worker tcp://node7:1234 does not see the folder of the dataset; it must"):
+        making.make_frame(job(tmp_path), 0)
+    (tmp_path / "token").touch()
+    with pytest.raises(ConfigError, match=r"node7:1234 has mitsuba 3.*, here it is 2.0; frames would differ"):
+        making.make_frame(job(tmp_path, mitsuba="2.0"), 0)
 
 
 def test_an_error_is_told_with_the_first_of_its_causes():
     error = RuntimeError("Nanny failed to start.")
     error.__cause__ = RuntimeError("no worker")
     error.__cause__.__context__ = OSError(24, "Too many open files")
-    assert schedule._said(error) == "Nanny failed to start: [Errno 24] Too many open files"
+    assert workers._reason(error) == "Nanny failed to start: [Errno 24] Too many open files"

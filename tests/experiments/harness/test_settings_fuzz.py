@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from experiments.dataset.frames.attitude_files import read_attitudes
-from experiments.dataset.production.check import check
+from experiments.dataset.folder import check
+from experiments.dataset.plan import read_attitudes
 from experiments.harness.config import alternatives, load_config
 from experiments.harness.progress import Progress
 from experiments.harness.run import configuration_file

@@ -150,8 +150,8 @@ def test_temporal_error_of_a_point_target(engine, bench_of, camera):
 @pytest.fixture(scope="module")
 def dataset(engine, chip_file):
     """Frames of the sky through the chip; the pixel variance of a frame without stars, measured."""
-    from experiments.dataset.frames.maker import FrameMaker
-    from experiments.dataset.frames.scene import build_scene
+    from experiments.dataset.frame import FrameMaker
+    from experiments.dataset.scene import build_scene
     from experiments.dataset.settings import ConePointing, Config, VerifyConfig
 
     config = Config(
@@ -195,7 +195,7 @@ def test_signal_to_noise_ratio_of_the_truth(dataset):
 def test_bound_of_the_dataset(dataset, engine):
     """The bound of a faint star is that of a background with the measured variance of a pixel."""
     from calib.records import NoiseModel
-    from experiments.dataset.evaluation.centroid_bound import centroid_bound, dataset_bound
+    from experiments.dataset.detection import centroid_bound, dataset_bound
     from experiments.laboratory.readout.psf_grid import render_psf_grid
 
     maker, made = dataset

@@ -1,23 +1,21 @@
-"""One frame with its truth: a pure function of configuration and frame number.
-
-A detector with lag keeps a share of the frame before, where frames follow each other: those of a scan. What is expected
-in the frame before is then computed too, or kept from having been made last, which gives the same bytes. In all other
-datasets every frame is the first one after a long rest.
-"""
+"""One frame with its truth: a pure function of configuration and frame number; and the cards of its header."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from datetime import datetime, timedelta
+from functools import lru_cache
+from importlib import metadata
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.dataset.frames.plan import FramePlan, plan_frame
-from experiments.dataset.frames.point_sources import PointSources, point_sources, smear_px
-from experiments.dataset.frames.scene import Scene
-from experiments.dataset.frames.sky_light import Disk, diffuse_light, resolved_light
-from experiments.dataset.truth.star_truth import FLAGS, StarLightOnChip, pixel_flags, star_rows
+from experiments.dataset.plan import FramePlan, plan_frame
+from experiments.dataset.scene import Disk, PointSources, Scene, diffuse_light, point_sources, resolved_light, smear_px
+from experiments.dataset.truth import FLAGS, StarLightOnChip, pixel_flags, star_rows
+from optics.attitude import angles_from_attitude, quat_xyzw
+from optics.units import RAD_DEG
 from render.bodies.solar_system import hiding_spheres
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_hits
@@ -27,7 +25,13 @@ from render.forward import StarRenderer
 from render.records import Frame
 from render.tracing.tracer import TracedStars
 
-__all__ = ["FrameMaker", "MadeFrame"]
+if TYPE_CHECKING:
+    from experiments.dataset.frame import MadeFrame
+    from experiments.dataset.scene import Scene
+    from experiments.laboratory.instrument import Instrument
+    from render.fits.headers import Card
+
+__all__ = ["FrameMaker", "MadeFrame", "header_cards", "instrument_cards"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +40,7 @@ class MadeFrame:
 
     plan: FramePlan  # Attitude, motion, split
     frame: Frame  # Digital numbers
-    truth: dict[str, Any]  # Columns of the truth (`experiments.dataset.truth.star_truth.COLUMNS`)
+    truth: dict[str, Any]  # Columns of the truth (`experiments.dataset.truth.COLUMNS`)
     background_e: float  # Mean expected electrons per pixel of sky light
     saturated_px: int  # Pixels that are saturated
     disks: tuple[Disk, ...] = ()  # Bodies that are larger than a pixel
@@ -237,3 +241,79 @@ def _struck(hits: CosmicRayHits) -> NDArray[np.bool_]:
     counts = hits.charge_e >= 1.0
     struck[hits.row[counts], hits.column[counts]] = True
     return struck
+
+
+_J2000 = datetime(2000, 1, 1, 12)
+_MJD_J2000, _YEAR_DAYS, _DAY_S = 51544.5, 365.25, 86400.0
+
+
+# --- Cards of the header: time, instrument, attitude, rate, light, world coordinates
+
+
+def header_cards(scene: Scene, made: MadeFrame) -> list[Card]:
+    """Cards (keyword, value, comment) for ``write_frame(..., cards=...)``; nothing of the machine or its clock."""
+    config, attitude = scene.config, made.plan.attitude
+    ra, dec, roll = angles_from_attitude(attitude)
+    quaternion = zip("XYZW", quat_xyzw(attitude).tolist(), strict=True)
+    rate = zip("XYZ", (made.plan.rate_rad_per_s * RAD_DEG).tolist(), strict=True)
+    days = (config.catalogue.epoch_year - 2000.0) * _YEAR_DAYS + _since_epoch_s(scene, made) / _DAY_S
+    return [
+        ("TIMESYS", "TDB", "time scale of the dates"),
+        ("DATE-OBS", (_J2000 + timedelta(days=days)).isoformat(timespec="milliseconds"), "start of the exposure"),
+        ("MJD-OBS", _MJD_J2000 + days, "[d] start of the exposure"),
+        *instrument_cards(scene.instrument),
+        ("SEED", config.seed, "seed of the dataset"),
+        ("SPLIT", made.plan.split, "part of the dataset"),
+        ("RA_BORE", ra, "[deg] boresight, middle of the exposure"),
+        ("DEC_BORE", dec, "[deg] boresight, middle of the exposure"),
+        ("ROLL", roll, "[deg] position angle of up (smaller rows)"),
+        *((f"QUAT_{axis}", value, "attitude cam from icrs, scalar last") for axis, value in quaternion),
+        *((f"RATE_{axis}", value, "[deg/s] angular velocity in cam") for axis, value in rate),
+        ("JYEAR", config.catalogue.epoch_year, "[yr] Julian year of the exposure"),
+        ("OBSERVER", config.catalogue.observer, "earth: with parallax and aberration"),
+        ("MAGLIMIT", scene.faintest_mag, "[mag] faintest stars rendered"),
+        ("SKYLIGHT", made.background_e, "[e-] mean expected sky light per pixel"),
+        *scene.wcs.header(attitude.as_matrix()),
+    ]
+
+
+def _since_epoch_s(scene: Scene, made: MadeFrame) -> float:
+    """Start of an exposure after the epoch: frames of a scan follow each other, the middle of any other is at it."""
+    path = scene.plan.path
+    return made.plan.start_s - path.start_s if path is not None else -0.5 * scene.plan.duration_s
+
+
+def instrument_cards(instrument: Instrument) -> list[Card]:
+    """What made the image."""
+    camera, chip, config = instrument.camera, instrument.detector, instrument.config
+    pitch_um = 1e3 * camera.pixel_pitch_mm
+    return [
+        ("INSTRUME", _ascii(f"{camera.lens.name} + {chip.name}"), "lens and detector"),
+        ("LENS", _ascii(camera.lens.name), "lens prescription"),
+        ("DETECTOR", _ascii(chip.name), "detector description"),
+        ("FOCALLEN", instrument.focal_length_mm, "[mm] focal length"),
+        ("XPIXSZ", pitch_um, "[um] pixel pitch along columns"),
+        ("YPIXSZ", pitch_um, "[um] pixel pitch along rows"),
+        ("CCD-TEMP", config.chip_temperature_c, "[C] temperature of the chip"),
+        ("SATURATE", _saturation_dn(instrument), "[DN] full well or end of the converter"),
+        ("CREATOR", _creator(), "program"),
+    ]
+
+
+def _saturation_dn(instrument: Instrument) -> int:
+    chip = instrument.detector
+    curve = 1.0 + sum(chip.nonlinearity)  # at the full well
+    return min(chip.largest_dn, int(chip.offset_dn + chip.gain_dn_per_e * chip.full_well_e * curve))
+
+
+@lru_cache(maxsize=1)
+def _creator() -> str:
+    try:
+        return f"starbench {metadata.version('starbench')}"
+    except metadata.PackageNotFoundError:
+        return "starbench"
+
+
+def _ascii(text: str) -> str:
+    """Header text: printable ASCII, short enough for a card."""
+    return "".join(c if " " <= c <= "~" else "?" for c in text)[:60]

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from experiments.dataset.truth.frame_record import FrameRecord, record_from_text
-from experiments.dataset.truth.star_truth import COLUMNS, FLAGS, Column
+from experiments.dataset.truth import COLUMNS, FLAGS, Column, FrameRecord, record_from_text
 from optics.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -13,48 +13,79 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.dataset.frames.header import header_cards
-from experiments.dataset.frames.maker import FrameMaker, MadeFrame
-from experiments.dataset.frames.scene import Scene, build_scene
-from experiments.dataset.production.folder import (
+from experiments.dataset.folder import (
     FRAMES,
     TRUTH,
     checked_frame,
     frame_files,
+    origin,
+    software,
     storage_error,
     write_whole,
 )
-from experiments.dataset.production.identity import origin
-from experiments.dataset.production.remote import Store
+from experiments.dataset.frame import FrameMaker, MadeFrame, header_cards
+from experiments.dataset.labels import body_labels, disk_truth
+from experiments.dataset.remote import Store
+from experiments.dataset.scene import Scene, build_scene
 from experiments.dataset.settings import Config
-from experiments.dataset.truth.disk_truth import disk_truth
-from experiments.dataset.truth.files import truth_bytes
-from experiments.dataset.truth.frame_record import FrameRecord
-from experiments.dataset.truth.labels import body_labels
+from experiments.dataset.truth import FrameRecord
+from experiments.dataset.truth_files import truth_bytes
 from optics.attitude import angles_from_attitude, quat_xyzw
 from optics.errors import ConfigError
 from optics.units import RAD_DEG
 from render.engine import Engine
 
-__all__ = ["Job", "make_frame", "pixel_marks", "prepare"]
+__all__ = ["Job", "check_worker", "make_frame", "pixel_marks", "prepare"]
 
 _MAKERS: dict[tuple[str, str], tuple[FrameMaker, str]] = {}
+_CHECKED: set[str] = set()
+"""Tokens of the jobs for which this process was checked."""
 _LOCK = threading.Lock()
 """One frame at a time in a process: the renderer's state is the process's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """What a worker has to know; small, and pickled once per frame."""
+    """What a worker has to know; small, and pickled once per batch."""
 
     config: str  # The configuration as JSON
     folder: str  # The dataset's folder, the same for all workers
     backend: str  # "llvm" or "cuda"
     url: str = ""  # Where files go, if that is no folder; every process then works in one of its own
+    token: str = ""  # File in folder or URL by which a worker elsewhere knows that it sees the same place
+    software: str = ""  # Versions that a worker elsewhere must have, as JSON
+
+
+def check_worker(job: Job) -> None:
+    """Refuse a process that does not see the dataset's place, or has other software."""
+    where = f"worker {_address()}"
+    if not (job.token in Store(job.url).names() if job.url else (Path(job.folder) / job.token).exists()):
+        place, advice = (
+            (job.url, "it must reach it")
+            if job.url
+            else ("the folder of the dataset", "it must be on a file system that all machines share, at the same path")
+        )
+        raise ConfigError(f"{where} does not see {place}; {advice}")
+    mine = software(job.backend)
+    for package, version in json.loads(job.software).items():
+        if mine.get(package) != version:
+            raise ConfigError(
+                f"{where} has {package} {mine.get(package)}, here it is {version}; frames would differ: install the "
+                "same version"
+            )
+
+
+def _address() -> str:
+    from distributed import get_worker
+
+    return str(get_worker().address)
 
 
 def prepare(job: Job, threads: int | None = None) -> tuple[FrameMaker, str]:
     """The maker of frames of this process, and what they say of the dataset; made on the first call."""
+    if job.token and job.token not in _CHECKED:
+        check_worker(job)
+        _CHECKED.add(job.token)
     key = (job.config, job.backend)
     if key not in _MAKERS:
         Engine.start(job.backend)
@@ -75,15 +106,14 @@ def make_frame(job: Job, frame: int, threads: int | None = None) -> FrameRecord:
         if job.url:
             return _write_to_url(maker, of_dataset, job.url, frame)
         folder, truth = Path(job.folder), maker.scene.config.files.truth
-        there = checked_frame(folder, frame, truth)
-        return there if there is not None else _write(maker, of_dataset, folder, frame)
+        return checked_frame(folder, frame, truth) or _write(maker, of_dataset, folder, frame)
 
 
 def _write_to_url(maker: FrameMaker, of_dataset: str, url: str, frame: int) -> FrameRecord:
     """Make a frame in a folder of this process, and write it where it belongs: the truth last."""
     store = Store(url)
-    with tempfile.TemporaryDirectory(prefix="starbench-") as held:
-        folder = Path(held)
+    with tempfile.TemporaryDirectory(prefix="starbench-") as scratch:
+        folder = Path(scratch)
         for name in (FRAMES, TRUTH):
             (folder / name).mkdir()
         record = _write(maker, of_dataset, folder, frame)
@@ -111,12 +141,11 @@ def _write_fits(maker: FrameMaker, made: MadeFrame, path: Path) -> None:
     from render.fits.files import write_frame
 
     files = maker.scene.config.files
-    compression = None if files.compression == "none" else files.compression
     try:
         write_frame(
             made.frame,
             path,
-            compression=compression,
+            compression=None if files.compression == "none" else files.compression,
             mask=files.mask,
             cards=header_cards(maker.scene, made),
             marks=pixel_marks(maker.scene, made),
@@ -132,13 +161,13 @@ def _write_fits(maker: FrameMaker, made: MadeFrame, path: Path) -> None:
 
 def pixel_marks(scene: Scene, made: MadeFrame) -> dict[str, NDArray[np.bool_]]:
     """Pixels (h, w) that cosmic rays struck, and those of disks, where a dataset may have them, by card of the mask."""
-    found = {} if made.struck is None else {"COSMIC": made.struck}
+    marks = {} if made.struck is None else {"COSMIC": made.struck}
     if scene.sky_light.disks is not None:
         disk = np.zeros(made.frame.dn.shape, np.bool_)
         for label in body_labels(scene, made.plan):
             disk[tuple(label.pixels)] = True
-        found["DISK"] = disk
-    return found
+        marks["DISK"] = disk
+    return marks
 
 
 def _record(made: MadeFrame, scene: Scene, frame_name: str, truth_name: str, content: bytes) -> FrameRecord:

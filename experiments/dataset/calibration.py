@@ -17,11 +17,11 @@ import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
 
-from experiments.dataset.frames.header import instrument_cards
-from experiments.dataset.production.folder import storage_error, write_whole
+from experiments.dataset.folder import storage_error, write_whole
+from experiments.dataset.frame import instrument_cards
 
 if TYPE_CHECKING:
-    from experiments.dataset.frames.scene import Scene
+    from experiments.dataset.scene import Scene
 
 __all__ = ["FOLDER", "write_calibration"]
 

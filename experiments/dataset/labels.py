@@ -1,12 +1,9 @@
-"""What a frame shows besides stars: disks of the Moon and the planets, hot pixels, tracks of cosmic rays.
-
-All of it follows from the configuration and the frame number; nothing is found in the image.
-"""
+"""What a frame shows besides stars: disks of the Moon and the planets, hot pixels, tracks of cosmic rays."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from experiments.dataset.frames.plan import FramePlan, plan_frame
-from experiments.dataset.frames.scene import Scene
+from experiments.dataset.plan import FramePlan, plan_frame
+from experiments.dataset.scene import PLANET_IDS, Disk, Scene
+from experiments.dataset.truth import DiskTruth
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.detector.cosmic_rays import CosmicRayHits
 from render.detector.maps import sensor_maps
 
-__all__ = ["CLASSES", "Label", "LabelMaker", "body_labels", "pixel_of", "pixels_of_ellipse"]
+__all__ = ["CLASSES", "Label", "LabelMaker", "body_labels", "disk_truth", "pixel_of", "pixels_of_ellipse"]
+
 
 IntArray = NDArray[np.int64]
 
@@ -156,3 +155,42 @@ def _tracks(hits: CosmicRayHits) -> list[Label]:
             )
         )
     return found
+
+
+# --- What is true of the bodies that a frame shows as disks
+
+
+def disk_truth(scene: Scene, plan: FramePlan, disks: Sequence[Disk]) -> tuple[DiskTruth, ...]:
+    """Truth of those disks of a frame whose light reaches the detector."""
+    system = scene.sky_light.disks
+    lit = [disk for disk in disks if disk.image.electrons[0] > 0.0]
+    if system is None or not lit:
+        return ()
+    rows = [disk.row for disk in lit]
+    turn = plan.attitude.as_matrix()
+    v_cam, to_sun = system.direction[rows] @ turn.T, system.to_sun_au[rows] @ turn.T
+    ra, dec = np.degrees(np.arctan2(*system.direction[rows].T[1::-1])) % 360.0, np.arcsin(system.direction[rows, 2])
+    found = []
+    for k, (disk, (x, y)) in enumerate(zip(lit, pixel_of(scene, v_cam), strict=True)):
+        across = to_sun[k] - v_cam[k] * (to_sun[k] @ v_cam[k])
+        magnitude = float(system.magnitude_v[disk.row])
+        found.append(
+            DiskTruth(
+                name=disk.name,
+                kind="moon" if disk.name == "moon" else "planet",
+                star_id=PLANET_IDS[disk.name],
+                ra_deg=float(ra[k]),
+                dec_deg=float(np.degrees(dec[k])),
+                x_px=float(x),
+                y_px=float(y),
+                diameter_px=float(system.angular_diameter_rad[disk.row] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)),
+                phase_deg=float(np.degrees(system.phase_rad[disk.row])),
+                sun_angle_deg=math.degrees(math.atan2(across[1], across[0])),
+                magnitude=None if math.isnan(magnitude) else magnitude,
+                electrons=float(disk.image.electrons[0]),
+                photon_x_px=float(disk.image.photon_px[0, 0]),
+                photon_y_px=float(disk.image.photon_px[0, 1]),
+                noise_share=disk.image.noise_share,
+            )
+        )
+    return tuple(found)

@@ -11,7 +11,6 @@ are looked at or exported; workers of a cluster need no common file system.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import shutil
 import tempfile
 import weakref
@@ -20,7 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from experiments.dataset.production.folder import (
+from experiments.dataset.folder import (
     FRAMES,
     IDENTITY,
     OWN_FOLDERS,
@@ -28,11 +27,11 @@ from experiments.dataset.production.folder import (
     TRUTH,
     DatasetFolder,
     StorageError,
+    checked_frame,
     frame_files,
-    numbered,
+    numbers,
 )
-from experiments.dataset.truth.files import read_record
-from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.dataset.truth import FrameRecord
 from optics.errors import ConfigError
 
 __all__ = ["RemoteDataset", "Store", "is_url", "working_copy"]
@@ -57,7 +56,7 @@ class Store:
         try:
             self._system, root = fsspec.core.url_to_fs(self.url)
         except (ImportError, ValueError) as error:
-            raise ConfigError(f"{url}: {_said(error)}") from None
+            raise ConfigError(f"{url}: {_text(error)}") from None
         self._root = str(root).rstrip("/")
 
     @property
@@ -68,23 +67,23 @@ class Store:
     def names(self) -> set[str]:
         """Names of all objects, relative."""
         self._system.invalidate_cache()
-        with self._told(self.url):
+        with self._in_one_line(self.url):
             try:
-                found = self._system.find(self._root)
+                paths = self._system.find(self._root)
             except FileNotFoundError:
                 return set()
-            names = {str(name)[len(self._root) :].lstrip("/") for name in found} - {""}
+            names = {str(path)[len(self._root) :].lstrip("/") for path in paths} - {""}
             return {name for name in names if ".." not in name.split("/")}  # such names would leave a folder
 
     def read(self, name: str) -> bytes:
         """Content of an object, which a worker may have written since the others were listed."""
         self._system.invalidate_cache()
-        with self._told(f"{self.url}/{name}"):
+        with self._in_one_line(f"{self.url}/{name}"):
             return bytes(self._system.cat_file(f"{self._root}/{name}"))
 
     def write(self, name: str, content: bytes) -> None:
         """Write an object, whole."""
-        with self._told(f"{self.url}/{name}"):
+        with self._in_one_line(f"{self.url}/{name}"):
             path = f"{self._root}/{name}"
             if self.url.partition(":")[0] not in BUCKETS:
                 self._system.makedirs(path.rpartition("/")[0], exist_ok=True)
@@ -92,32 +91,32 @@ class Store:
 
     def remove(self, name: str) -> None:
         """Remove an object."""
-        with self._told(f"{self.url}/{name}"):
+        with self._in_one_line(f"{self.url}/{name}"):
             self._system.rm_file(f"{self._root}/{name}")
 
     @contextlib.contextmanager
-    def _told(self, what: str) -> Iterator[None]:
+    def _in_one_line(self, what: str) -> Iterator[None]:
         """Whatever a store raises, in one line."""
         try:
             yield
         except Exception as error:  # every store has kinds of its own
-            raise StorageError(f"{what}: {_said(error)}") from None
+            raise StorageError(f"{what}: {_text(error)}") from None
 
 
-def _said(error: BaseException) -> str:
+def _text(error: BaseException) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def _fetch(store: Store, names: Iterable[str], folder: Path) -> None:
     """Copies of objects in a folder."""
 
-    def one(name: str) -> None:
+    def copy(name: str) -> None:
         place = folder / name
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_bytes(store.read(name))
 
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        list(pool.map(one, names))
+        list(pool.map(copy, names))
 
 
 @contextlib.contextmanager
@@ -139,7 +138,7 @@ class RemoteDataset(DatasetFolder):
         self.store = Store(url)
         self._there = self.store.names()
         foreign = {name for name in self._there if name.partition("/")[0] not in (*OWN_FOLDERS, IDENTITY)}
-        if foreign and IDENTITY not in self._there and not any(numbered(name) for name in self._there):
+        if foreign and IDENTITY not in self._there and not numbers(self._there):
             raise ConfigError(
                 f"{url}: holds {min(foreign)} but no {IDENTITY}, so it is no dataset; name another place or empty it"
             )
@@ -154,7 +153,7 @@ class RemoteDataset(DatasetFolder):
     def count(self) -> int:
         """Frames there are, as their truth files say; they are not looked into."""
         try:
-            return sum(numbered(name) for name in self.store.names())
+            return len(numbers(self.store.names()))
         except StorageError:
             return super().count()
 
@@ -175,22 +174,10 @@ class RemoteDataset(DatasetFolder):
 
     def checked(self, frame: int) -> FrameRecord | None:
         """Record of a frame if it is there and whole, otherwise None; the frame is read, and not kept."""
-        record = self._checked(frame)
+        record = checked_frame(self.path, frame, self.truth, self.store.read)
         if record is None:
             self._stale |= set(frame_files(frame, self.truth))  # it will be made again
         return record
-
-    def _checked(self, frame: int) -> FrameRecord | None:
-        frame_name, truth_name = frame_files(frame, self.truth)
-        try:
-            record = read_record(self.path / truth_name)
-            if (record.frame, record.file, record.truth) != (frame, frame_name, truth_name):
-                return None
-            content = self.store.read(frame_name)
-        except ConfigError:
-            return None
-        whole = len(content) == record.frame_bytes and hashlib.sha256(content).hexdigest() == record.sha256
-        return record if whole else None
 
     def fetch(self, names: Iterable[str]) -> None:
         """Copies of files of the dataset, where they are not in the folder yet."""

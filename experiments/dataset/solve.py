@@ -12,7 +12,8 @@ the written one turned by `PRIOR_OFF_PX` pixels, and reports say so.
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,10 @@ from calib.attitude.identify import Identification, identify
 from calib.attitude.patterns import kept_database
 from calib.attitude.star_attitude import FEWEST, MATCH_PX, balanced_attitude, identify_stars
 from calib.cameras.base import CameraModel
+from experiments.harness.drawings import cloud
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, below, col
+from experiments.harness.summary import Measured
 from experiments.laboratory.readout.reduction import MeasuredFrame
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
@@ -34,10 +39,10 @@ from render.catalogue.motion import directions_at
 
 if TYPE_CHECKING:
     from calib.cameras.fit import MapFit
-    from experiments.dataset.frames.scene import Scene
-    from experiments.dataset.truth.frame_record import FrameRecord
+    from experiments.dataset.scene import Scene
+    from experiments.dataset.truth import FrameRecord
 
-__all__ = ["BlindSolver", "SkyMap", "SolvedFrame", "field_deg", "solve_frame", "star_patterns"]
+__all__ = ["SECTIONS", "BlindSolver", "SkyMap", "SolvedFrame", "attitudes", "solve_frame", "star_patterns"]
 
 NARROWEST_BLIND_DEG = 2.0
 """Of 40 random attitudes with stars to 9.5 mag, 40 were solved blind at 2 deg and 36 at 1.5 deg."""
@@ -65,17 +70,18 @@ class SkyMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolvedFrame:
-    """What became of one frame; errors are rotation vectors in cam: across the boresight x, y, and roll z."""
+    """What became of a frame; errors are rotation vectors in cam: across the boresight x, y, and roll z."""
 
-    frame: int  # Its number
-    status: str  # Of `calib.attitude.identify.identify`; ``"wrong"`` for an attitude that is off by more than a pixel
-    message: str  # Of `calib.attitude.identify.identify`; ``"wrong"`` for an attitude that is off by more than a pixel
-    detected: int  # Detections, those without a flag, those that tetra3rs matched, those in the weighted attitude
-    fit: int  # Detections, those without a flag, those that tetra3rs matched, those in the weighted attitude
-    identified: int  # Detections, those without a flag, those that tetra3rs matched, those in the weighted attitude
-    used: int  # Detections, those without a flag, those that tetra3rs matched, those in the weighted attitude
-    error_arcsec: FloatArray  # (3,) Weighted attitude minus truth; NaN where there is none
-    sigma_arcsec: FloatArray  # (3,) What its covariance says
+    frame: int = col("Frame", json="")
+    # Of `calib.attitude.identify.identify`; "wrong" for an attitude that is off by more than a pixel
+    status: str = col("Status", json="")
+    detected: int = col("Detected", json="")
+    fit: int = col("Without a flag", json="")
+    identified: int = col("Identified", json="")
+    used: int = col("In the attitude", json="")
+    error_arcsec: FloatArray = col("Error", "arcsec", dims="axis", key="error_{axis}_arcsec", json="")  # NaN for none
+    sigma_arcsec: FloatArray = col("σ", "arcsec", dims="axis", key="sigma_{axis}_arcsec", json="")
+    message: str = col("Message", json="")
     equal_error_arcsec: FloatArray  # (3,) With equal weights, of the stars that tetra3rs matched
     common_px: float  # Common centroid error that the residuals ask for
 
@@ -87,16 +93,6 @@ class SolvedFrame:
     def solved(self) -> bool:
         """Whether the stars were identified and the attitude is right."""
         return self.status == "identified"
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether the stars matched a mirrored sky only."""
-        return self.status == "mirrored"
-
-    @property
-    def boresight_arcsec(self) -> float:
-        """Angle between the boresights."""
-        return float(np.hypot(self.error_arcsec[0], self.error_arcsec[1]))
 
 
 def solve_frame(
@@ -174,7 +170,7 @@ def _weighted(
     return solution, int(kept.sum()), common_px
 
 
-def field_deg(scene: Scene) -> float:
+def _field_deg(scene: Scene) -> float:
     """Full width of the field of view."""
     camera = scene.instrument.camera
     half = camera.width_px * camera.pixel_pitch_mm / 2 / scene.instrument.focal_length_mm
@@ -183,26 +179,19 @@ def field_deg(scene: Scene) -> float:
 
 def star_patterns(scene: Scene) -> Any:
     """Patterns of tetra3rs for the camera of a dataset; None without tetra3rs, or in a field too narrow for them."""
-    field = field_deg(scene)
+    field = _field_deg(scene)
     if importlib.util.find_spec("tetra3rs") is None or field < NARROWEST_BLIND_DEG:
         return None
     return kept_database(min_fov_deg=field * (1.0 - FIELD_MARGIN), max_fov_deg=field * (1.0 + FIELD_MARGIN))
 
 
 class BlindSolver:
-    """tetra3rs with the camera and the sky of a dataset; in narrow fields, identification near a rough attitude.
-
-    Attributes
-    ----------
-    blind : bool
-        Whether nothing but the camera is known before.
-    missing : str
-        Why no frame can be solved; "" if they can.
-    """
+    """tetra3rs with the camera and the sky of a dataset; in narrow fields, identification near a rough attitude."""
 
     def __init__(self, scene: Scene, calibration: MapFit, patterns: Any) -> None:
         self.scene, self.calibration, self.database = scene, calibration, patterns
-        self.blind = field_deg(scene) >= NARROWEST_BLIND_DEG
+        self.blind = _field_deg(scene) >= NARROWEST_BLIND_DEG  # nothing but the camera is known before
+        # why no frame can be solved; "" if they can
         self.missing = "" if patterns or not self.blind else "tetra3rs is not installed: pip install '.[solve]'"
         catalogue = scene.catalogue.catalog
         direction = directions_at(catalogue, scene.config.catalogue.epoch_year, scene.observer)
@@ -245,3 +234,110 @@ class BlindSolver:
             pixel_arcsec=self.scene.instrument.pixel_arcsec,
             near=None if self.blind else off * truth,
         )
+
+
+# --- What the sections hold
+
+UNSOLVED_SHARE = 0.005
+"""One frame may fail anyway."""
+PULL_LIMIT = 1.3
+ROBUST_SIGMA = 1.4826
+"""Median absolute deviation to standard deviation of a normal distribution."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attitudes:
+    """Attitudes of all frames against the truth; mirrored and wrong frames are not solved."""
+
+    attempted: int = col("Frames tried", shown=False)
+    solved: int = col("Frames solved")
+    mirrored: int = col("Mirrored")
+    wrong: int = col("Wrong", json="")
+    unsolved: int = col("Frames that are not solved", json="", shown=False)
+    unsolved_limit: int = col("Most that may fail", json="", shown=False)
+    median_arcsec: Measured = col("Boresight error, median", "arcsec", ".2f", json_error="median_sigma_arcsec")
+    p95_arcsec: float = col("Boresight error, 95 % below", "arcsec")
+    largest_arcsec: float = col("Boresight error, largest", "arcsec", json="")
+    equal_weights_median_arcsec: float = col("Boresight error, median, equal weights", "arcsec")
+    roll_median_arcsec: float = col("Roll error, median", "arcsec")
+    circles_arcsec: FloatArray = col("Half of the frames", "arcsec", dims="across", json="", shown=False)
+    pull_rms: FloatArray = col("Error over predicted sigma, RMS", dims="rotation", shown=False)
+    pull: float = col("Attitude error over predicted sigma, RMS", format=".2f", json="")
+    pull_limit: float = col("Limit", json="", shown=False)
+    common_px: float = col("Common centroid error, median", "px", ".3f", json="", shown=False)
+    boresight_arcsec: FloatArray = col("Boresight error", "arcsec", dims="solved_frame across", json="", shown=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unsolved:
+    """Why no frame was tried."""
+
+    without_solver: str = col("Why none was tried", json="why")
+
+
+def attitudes(frames: Sequence[SolvedFrame]) -> Attitudes:
+    """Statistics of solved frames; NaN where none was solved."""
+    good = [frame for frame in frames if frame.solved]
+    error, sigma, equal = (
+        np.array([getattr(frame, f"{name}_arcsec") for frame in good]).reshape(-1, 3)
+        for name in ("error", "sigma", "equal_error")
+    )
+    off = np.hypot(error[:, 0], error[:, 1]) if good else np.full(1, np.nan)
+    equal_off = np.hypot(equal[:, 0], equal[:, 1]) if good else off
+    median, common = float(np.median(off)), [f.common_px for f in frames if np.isfinite(f.common_px)]
+    spread = 1.2533 * ROBUST_SIGMA * float(np.median(np.abs(off - median))) / math.sqrt(len(off))
+    pull = np.sqrt(np.mean((error / sigma) ** 2, axis=0)) if good else np.full(3, np.nan)
+    return Attitudes(
+        attempted=len(frames),
+        solved=len(good),
+        mirrored=sum(frame.status == "mirrored" for frame in frames),
+        wrong=sum(frame.status == "wrong" for frame in frames),
+        unsolved=len(frames) - len(good),
+        unsolved_limit=max(1, math.floor(UNSOLVED_SHARE * len(frames))),
+        median_arcsec=Measured(value=median, uncertainty=spread, n=len(good)),
+        p95_arcsec=float(np.quantile(off, 0.95)),
+        largest_arcsec=float(off.max()),
+        equal_weights_median_arcsec=float(np.median(equal_off)),
+        roll_median_arcsec=float(np.median(np.abs(error[:, 2]))) if good else math.nan,
+        circles_arcsec=np.full(2, median),
+        pull_rms=pull,
+        pull=float(np.sqrt(np.mean(pull**2))),
+        pull_limit=PULL_LIMIT * (1.0 + 3.0 / math.sqrt(6 * max(len(good), 1))),
+        common_px=float(np.median(common)) if common else math.nan,
+        boresight_arcsec=error[:, :2],
+    )
+
+
+def _axes(q: Quantities, frames: Sequence[SolvedFrame]) -> None:
+    q.axis("axis", ["x", "y", "roll"], "Axis")
+
+
+SECTIONS = {
+    "unsolved": Section(record=Unsolved, place="solver"),
+    "attitudes": Section(
+        record=Attitudes,
+        place="solver",
+        table="solver",
+        caption="Attitudes of the solved frames against the truth.",
+        figures={"attitude_errors": cloud("boresight_arcsec", ellipses="circles_arcsec")},
+        verdicts=[
+            below(
+                "unsolved",
+                "unsolved_limit",
+                title="frames that are not solved",
+                advice="too few stars: longer exposure, fainter limit of detection, or a wider field",
+            ),
+            below("pull", "pull_limit", advice="centroids are worse than their covariance: see the bound of centroids"),
+        ],
+    ),
+    "solved_frames": Section(
+        record=SolvedFrame,
+        dim="tried",
+        along="frame",
+        prefix="frame_",
+        table="solved_frames",
+        across="axis",
+        axes=_axes,
+        caption="Every frame that was tried.",
+    ),
+}

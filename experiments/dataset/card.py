@@ -1,0 +1,301 @@
+"""What whoever finds the folder reads first: data card, index, Croissant, contact sheet, a frame to zoom into."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from experiments.dataset.folder import IDENTITY, file_digest, identity
+from experiments.dataset.labels import CLASSES
+from experiments.dataset.splits import GAP, SPLITS, leakage
+from experiments.dataset.truth import COLUMNS, FLAGS, Column, FrameRecord
+from experiments.dataset.truth_files import INDEX_COLUMNS, index_bytes
+from experiments.harness.outputs import flat
+from render.fits.files import read_frame
+
+if TYPE_CHECKING:
+    from experiments.dataset.detection import Example
+    from experiments.dataset.scene import Scene
+    from experiments.dataset.settings import Config
+    from render.catalogue.record import StarCatalog
+    from render.records import Frame
+
+__all__ = [
+    "about",
+    "chosen",
+    "contact_sheet",
+    "croissant",
+    "data_card",
+    "plain_text",
+    "preview",
+    "stretched",
+    "write_closing_files",
+]
+
+
+def write_closing_files(
+    scene: Scene,
+    source: Path,
+    records: Sequence[FrameRecord],
+    folder: Path,
+    *,
+    exports: Mapping[str, str],
+    baseline: Mapping[str, str],
+    example: Example | None,
+) -> None:
+    """Index, data card, Croissant, contact sheet and a frame's page into a folder; frames and truth from ``source``."""
+    truth = {record.truth: file_digest(source / record.truth) for record in records}
+    if scene.config.files.truth == "ecsv":
+        (folder / "index.ecsv").write_bytes(index_bytes(records, "ecsv", truth))
+    (folder / "index.parquet").write_bytes(index_bytes(records, "parquet", truth))
+    for split in SPLITS:
+        if some := [record for record in records if record.split == split]:
+            (folder / f"index_{split}.parquet").write_bytes(index_bytes(some, "parquet", truth))
+    (folder / "croissant.json").write_text(croissant(scene, records, folder), encoding="utf-8")
+    card = data_card(scene, records, exports=exports, baseline=baseline, page=example is not None)
+    (folder / "README.md").write_text(card, encoding="utf-8")
+    if example is not None:
+        _write_frame_page(source, records, example, folder)
+    (folder / "contact_sheet.png").write_bytes(contact_sheet(source, records))
+
+
+def about(config: Config, catalogue: StarCatalog) -> dict[str, str]:
+    """Title, version, licence (SPDX identifier), licence_url, citation; each on one line."""
+    card = config.card
+    licence = card.licence or ("CC-BY-SA-3.0-IGO" if "CC BY-SA 3.0 IGO" in catalogue.attribution else "")
+    texts = {
+        "title": card.title,
+        "version": card.version,
+        "licence": licence or "that of the star catalogue",
+        "licence_url": f"https://spdx.org/licenses/{licence}.html" if licence else "",
+        "citation": card.citation or f"{card.title}, version {card.version}, made by starbench; {catalogue.source}",
+    }
+    return {name: " ".join(text.split()) for name, text in texts.items()}
+
+
+# --- Data card: the README.md of a dataset; its words stand in ``data_card.md``
+
+
+def data_card(
+    scene: Scene, records: Sequence[FrameRecord], *, exports: Mapping[str, str], baseline: Mapping[str, str], page: bool
+) -> str:
+    """Markdown; the same dataset gives the same text, whoever made how much of it and when."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    environment.filters |= {"g": lambda value: f"{value:g}", "plain": plain_text, "quoted": json.dumps}
+    template = Path(__file__).with_name("data_card.md").read_text(encoding="utf-8")
+    boresights: dict[str, list[tuple[float, float]]] = {}
+    for record in records:
+        boresights.setdefault(record.split, []).append((record.ra_deg, record.dec_deg))
+    return environment.from_string(template).render(
+        baseline=baseline,
+        exports=exports,
+        page=page,
+        about=about(scene.config, scene.catalogue.catalog),
+        config=scene.config,
+        records=records,
+        scene=scene,
+        instrument=scene.instrument,
+        camera=scene.instrument.camera,
+        chip=scene.instrument.detector,
+        catalogue=scene.catalogue.catalog,
+        jitter=scene.plan.jitter,
+        stars=sum(record.stars for record in records),
+        fastest_deg_per_s=max(math.hypot(*record.rate_deg_per_s) for record in records),
+        splits=SPLITS,
+        gaps=sum(record.split == GAP for record in records),
+        leaks=leakage(boresights, scene.diagonal_deg),
+        identity_file=IDENTITY,
+        truth_columns=COLUMNS,
+        index_columns=INDEX_COLUMNS,
+        flags=FLAGS,
+        classes=CLASSES,
+        settings=flat(identity(scene.config)),
+    )
+
+
+def plain_text(value: object) -> str:
+    """Text of users and files for a Markdown table: on one line, nothing in it is markup."""
+    line = " ".join("".join(c if c.isprintable() else " " for c in str(value)).split())
+    return re.sub(r"([\\|`*\[\]<>&#])", lambda match: f"&#{ord(match[1])};", line)
+
+
+# --- Croissant 1.0: JSON-LD for dataset catalogues (https://docs.mlcommons.org/croissant/docs/croissant-spec.html)
+
+_OWN_WORDS = (
+    "citeAs column equivalentProperty extract field fileObject fileProperty fileSet format includes isLiveDataset "
+    "jsonPath key md5 parentField path recordSet references regex repeated replace samplingRate separator source "
+    "subField transform"
+)
+_CONTEXT: dict[str, Any] = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    "sc": "https://schema.org/",
+    "cr": "http://mlcommons.org/croissant/",
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "dct": "http://purl.org/dc/terms/",
+    "conformsTo": "dct:conformsTo",
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+    **{word: f"cr:{word}" for word in _OWN_WORDS.split()},
+}
+_TYPES = {"str": "sc:Text", "int32": "cr:Int32", "int64": "cr:Int64", "float64": "cr:Float64"}
+_PARQUET = "application/x-parquet"
+
+
+def croissant(scene: Scene, records: Sequence[FrameRecord], folder: Path) -> str:
+    """JSON-LD text of what a dataset holds; ``folder`` holds the index."""
+    words = about(scene.config, scene.catalogue.catalog)
+    truth = scene.config.files.truth
+    files = [
+        {
+            "@type": "cr:FileObject",
+            "@id": "index.parquet",
+            "name": "index.parquet",
+            "contentUrl": "index.parquet",
+            "encodingFormat": _PARQUET,
+            "sha256": hashlib.sha256((folder / "index.parquet").read_bytes()).hexdigest(),
+        },
+        _file_set("frames", "frames/*.fits", "application/fits", "one image per frame"),
+        _file_set("truth", f"truth/*.{truth}", _PARQUET if truth == "parquet" else "text/csv", "one table per frame"),
+    ]
+    sets = [_record_set("index", "one record per frame", INDEX_COLUMNS, {"fileObject": {"@id": "index.parquet"}})]
+    if truth == "parquet":
+        sets.append(_record_set("stars", "one record per star and frame", COLUMNS, {"fileSet": {"@id": "truth"}}))
+    content = {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        "name": words["title"],
+        "description": f"{len(records)} synthetic frames of a star sensor, each with the truth of every star",
+        "version": words["version"],
+        "license": words["licence_url"] or words["licence"],
+        "citeAs": words["citation"],
+        "distribution": files,
+        "recordSet": sets,
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False)
+
+
+def _file_set(name: str, glob: str, kind: str, text: str) -> dict[str, Any]:
+    head = {"@type": "cr:FileSet", "@id": name, "name": name, "description": text}
+    return head | {"includes": glob, "encodingFormat": kind}
+
+
+def _record_set(name: str, text: str, columns: Sequence[Column], source: dict[str, Any]) -> dict[str, Any]:
+    fields = [
+        {
+            "@type": "cr:Field",
+            "@id": f"{name}/{column.name}",
+            "name": column.name,
+            "description": f"{column.about} [{column.unit}]" if column.unit else column.about,
+            "dataType": _TYPES[column.type],
+            "source": {**source, "extract": {"column": column.name}},
+        }
+        for column in columns
+    ]
+    return {"@type": "cr:RecordSet", "@id": name, "name": name, "description": text, "field": fields}
+
+
+# --- Contact sheet: small pictures of frames, side by side
+
+ROWS, COLUMNS_OF_SHEET = 4, 6
+TILE_PX = 300
+"""Longer side of a picture."""
+PREVIEW_DARKEST_SIGMA = 3.0
+SOFT_SIGMA, BRIGHTEST_SIGMA = 3.0, 150.0
+TITLE_IN = 0.15
+GLOW_PX = 0.9
+"""Stars of a single pixel are hard to see: small pictures are blurred by this much, and scaled to keep the peaks."""
+
+
+def stretched(image: NDArray[np.float32], darkest_sigma: float = -2.0) -> NDArray[np.float32]:
+    """Brightness 0 ... 1 of an image of digital numbers: inverse hyperbolic sine above the sky, in units of its noise.
+
+    Black is ``darkest_sigma`` above the sky. Linear for what is as faint as the noise, logarithmic for what is bright
+    (R. Lupton et al., PASP 116, 133 (2004)).
+    """
+    low, sky, high = np.percentile(image, (15.9, 50.0, 84.1))
+    sigma = max(0.5 * (high - low), 0.5)
+    above = ((image - sky) / sigma - darkest_sigma) / SOFT_SIGMA
+    return np.asarray(np.clip(np.arcsinh(above) / np.arcsinh(BRIGHTEST_SIGMA / SOFT_SIGMA), 0.0, 1.0), np.float32)
+
+
+def preview(frame: Frame, size_px: int = TILE_PX) -> NDArray[np.uint8]:
+    """Small grey picture of a frame; of every block of pixels the brightest is kept, so that no star goes under."""
+    image = stretched(frame.dn.astype(np.float32), PREVIEW_DARKEST_SIGMA)
+    step = max(1, -(-max(image.shape) // size_px))
+    height, width = (side - side % step for side in image.shape)
+    blocks = image[:height, :width].reshape(height // step, step, width // step, step)
+    brightest = blocks.max((1, 3))
+    glow = gaussian_filter(brightest - np.median(brightest), GLOW_PX) * (2.0 * np.pi * GLOW_PX**2)
+    return np.asarray(np.rint(255.0 * np.clip(glow, 0.0, 1.0)), np.uint8)
+
+
+def chosen(records: Sequence[FrameRecord]) -> list[FrameRecord]:
+    """Frames for the sheet, spread evenly over the dataset."""
+    count = min(ROWS * COLUMNS_OF_SHEET, len(records))
+    return [records[i] for i in np.unique(np.linspace(0, len(records) - 1, count).round().astype(int))]
+
+
+def contact_sheet(folder: Path, records: Sequence[FrameRecord]) -> bytes:
+    """PNG of up to 24 frames of a dataset; the same frames give the same bytes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    shown = chosen(records)
+    columns = min(COLUMNS_OF_SHEET, len(shown))
+    rows = -(-len(shown) // columns)
+    pictures = [preview(read_frame(folder / record.file)) for record in shown]
+    height, width = pictures[0].shape
+    tall = 2.0 * height / width
+    inches = (2.0 * columns, (tall + TITLE_IN) * rows)
+    figure = Figure(figsize=inches, dpi=150, facecolor="#111418")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    figure.subplots_adjust(left=0.004, right=0.996, bottom=0.004, top=1.0 - TITLE_IN / inches[1])
+    figure.subplots_adjust(wspace=0.02, hspace=TITLE_IN / tall)
+    for place in axes:
+        place.set_axis_off()
+    for place, record, picture in zip(axes, shown, pictures, strict=False):
+        place.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+        title = f"{record.frame}   {record.ra_deg:.1f}° {record.dec_deg:+.1f}°   {record.stars} stars"
+        place.set_title(title, color="#d7dbe0", fontsize=6.5, pad=2.0)
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _write_frame_page(source: Path, records: Sequence[FrameRecord], example: Example, folder: Path) -> None:
+    """``frame.html``: the frame that the report shows, to zoom into."""
+    from calib.figures import star_marks
+    from experiments.laboratory.truth_marks import truth_marks
+    from optics.fits import image_header
+    from optics.page import differences, save_frame_page
+    from render.fits.wcs import sky_grid
+
+    record = next(record for record in records if record.frame == example.frame)
+    frame, true = read_frame(source / record.file), truth_marks(example.truth)
+    measured = star_marks(example.measured.stars)
+    save_frame_page(
+        folder / "frame.html",
+        frame.dn,
+        [true, *measured, differences([layer for layer in measured if layer.shape != "cross"], true)],
+        title=f"Frame {record.frame}",
+        facts={"exposure": f"{record.exposure_s:g} s", "split": record.split, "filter": frame.band},
+        flags={"saturated": frame.saturated, "defective": frame.defect},
+        sky=sky_grid(image_header(source / record.file), frame.dn.shape),
+    )

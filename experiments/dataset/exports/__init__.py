@@ -1,1 +1,0 @@
-"""Files for whoever gets a dataset: data card, contact sheet, index, COCO, WebDataset."""

@@ -1,1 +1,0 @@
-"""One frame and its truth, made from configuration and frame number: attitude, sky, light, header."""

@@ -1,0 +1,337 @@
+"""Who makes which frame: this process, a few on this machine, or a Dask cluster. The frames do not depend on it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import multiprocessing
+import secrets
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
+from dataclasses import replace
+from itertools import islice
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import Any
+
+from experiments.dataset.folder import software
+from experiments.dataset.job import Job, check_worker, make_frame
+from experiments.dataset.remote import Store
+from experiments.dataset.truth import FrameRecord
+from experiments.harness.provenance import count_memory_of_workers, peak_memory_mb
+from experiments.harness.system import THREADS, processors, signals_held
+from optics.errors import BackendError, ConfigError
+
+__all__ = ["Done", "make_frames"]
+
+Done = Callable[[Sequence[FrameRecord]], None]
+
+AHEAD = 3
+"""Batches per worker that are handed out before the first is back."""
+LARGEST_BATCH = 8
+"""Frames that are handed out together: sending them one by one costs the scheduler some milliseconds each."""
+FEW_FRAMES = 8
+"""With so few frames, starting workers takes longer than making them."""
+DEATHS = 3
+"""Workers that a frame may cost before it is given up."""
+LOOK_S, POLL_S = 1.0, 0.003
+ALONE_S, GIVE_UP_S = 10.0, 300.0
+CONNECT_S, START_S, CLOSE_S = 5.0, 120.0, 5.0
+KILL_S = 0.4
+"""For the end of a cluster whose processes are killed: what is left of it then dies with this process."""
+GO_ON = "what was made is kept: run the same command again to go on"
+
+
+def make_frames(job: Job, frames: Sequence[int], *, workers: int, scheduler: str, done: Done) -> int:
+    """Make frames; every one that is finished is reported at once. Returns the number of processes."""
+    if not frames:
+        return 0
+    if scheduler:
+        return _on_cluster(job, frames, scheduler, done)
+    count = min(workers or (1 if len(frames) <= FEW_FRAMES else processors()), len(frames))
+    if count > 1:
+        return _on_processes(job, frames, count, done)
+    for frame in frames:
+        done([make_frame(job, frame)])
+    return 1
+
+
+def make_batch(job: Job, frames: Sequence[int], threads: int | None) -> list[FrameRecord]:
+    """Make frames one after the other, in a worker."""
+    return [make_frame(job, frame, threads) for frame in frames]
+
+
+def _on_processes(job: Job, frames: Sequence[int], count: int, done: Done) -> int:
+    with contextlib.ExitStack() as stack:
+        try:
+            client = stack.enter_context(local_cluster(count))
+        except (OSError, RuntimeError, TimeoutError) as error:
+            raise BackendError(f"{count} workers cannot be started ({_reason(error)}); set workers = 1") from None
+        watch = _Watch(client, "the scheduler on this machine")
+        _gather(client, job, frames, watch=watch, threads=max(1, processors() // count), done=done)
+        with contextlib.suppress(OSError, TimeoutError, RuntimeError):
+            count_memory_of_workers(client.run(peak_memory_mb).values())
+    return count
+
+
+def _on_cluster(job: Job, frames: Sequence[int], address: str, done: Done) -> int:
+    if not address.startswith(("tcp://", "tls://", "ws://", "wss://", "ucx://")):
+        raise ConfigError(f"scheduler = {address!r}; an address such as tcp://host:8786 is needed")
+    import dask
+    import distributed
+
+    _hush()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(dask.config.set({"distributed.comm.timeouts.connect": f"{CONNECT_S:g}s"}))
+        try:
+            asyncio.run(_greet(address))
+            client = stack.enter_context(
+                distributed.Client(address, timeout=f"{CONNECT_S:g}s", set_as_default=False, name="starbench")
+            )
+        except TypeError:  # Dask's, of a missing certificate
+            raise ConfigError(
+                f"scheduler {address}: Dask knows no certificates; name them in its configuration "
+                "(distributed.comm.tls.ca-file, client.cert and client.key, see docs/dataset.md)"
+            ) from None
+        except (OSError, TimeoutError, ValueError, RuntimeError) as error:
+            raise ConfigError(
+                f"scheduler {address} does not answer as one within {CONNECT_S:g} s ({_reason(error)}); start one with "
+                "'dask scheduler', or leave scheduler out to use this machine"
+            ) from None
+        job = stack.enter_context(_marked(job))
+        _try_worker(client, job, address)
+        watch = _Watch(client, f"scheduler {address}")
+        _gather(client, job, frames, watch=watch, threads=None, done=done)
+    return watch.most
+
+
+async def _greet(address: str) -> None:
+    """Speak to the scheduler once: a client would wait for ever at a port where something else listens."""
+    import distributed
+
+    arguments = distributed.Security().get_connection_args("client")
+    comm = await asyncio.wait_for(distributed.comm.connect(address, timeout=CONNECT_S, **arguments), CONNECT_S)
+    comm.abort()
+
+
+@contextlib.contextmanager
+def _marked(job: Job) -> Iterator[Job]:
+    """The job for workers elsewhere, with a file beside the frames by which each of them is checked when it starts."""
+    token = f".token-{secrets.token_hex(8)}.partial"
+    path = Path(job.folder) / token
+    Store(job.url).write(token, b"") if job.url else path.touch()
+    try:
+        yield replace(job, token=token, software=json.dumps(software(job.backend)))
+    finally:
+        if job.url:
+            with contextlib.suppress(ConfigError):
+                Store(job.url).remove(token)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _try_worker(client: Any, job: Job, address: str) -> None:
+    """Refuse a cluster whose workers do not see the folder, or have other software, by one of them.
+
+    A cluster that scales itself starts its first worker for something to do.
+    """
+    try:
+        client.submit(int, pure=False).result(timeout=ALONE_S)
+    except TimeoutError:
+        raise ConfigError(
+            f"scheduler {address} has no workers, and starts none within {ALONE_S:g} s; start some with "
+            f"'dask worker {address}'"
+        ) from None
+    try:
+        client.submit(check_worker, job, pure=False).result()
+    except ConfigError as error:
+        raise ConfigError(f"scheduler {address}: {error}") from None
+    except Exception as error:  # whatever hinders a worker from running our function
+        raise ConfigError(
+            f"scheduler {address}: its workers cannot run starbench ({_reason(error)}); install the same version there"
+        ) from None
+
+
+class _Watch:
+    """Looks at a cluster now and then: how many frames it takes at once, and whether it is still there.
+
+    Workers may come and go (adaptive scaling); without any for `ALONE_S` seconds a note is printed, after `GIVE_UP_S`
+    the run ends.
+    """
+
+    def __init__(self, client: Any, name: str) -> None:
+        self._client, self._name = client, name
+        self.slots, self.most = 1, 0
+        self._next = self._good = time.monotonic()
+        self._noted = False
+        self.look()
+
+    def look(self) -> None:
+        """Ask the scheduler, if the last answer is old."""
+        now = time.monotonic()
+        if now < self._next:
+            return
+        self._next = now + LOOK_S
+        workers: dict[str, Any] = {}
+        with contextlib.suppress(OSError, TimeoutError, RuntimeError, KeyError, AttributeError):
+            workers = self._client.scheduler_info(n_workers=-1)["workers"]
+        if self._client.status in ("closed", "closing"):
+            raise self.gone()
+        if workers:
+            self.slots = sum(int(worker["nthreads"]) for worker in workers.values())
+            self.most = max(self.most, len(workers))
+            self._good, self._noted = now, False
+        elif now - self._good > GIVE_UP_S:
+            raise BackendError(f"{self._name}: no workers for {GIVE_UP_S:g} s; {GO_ON}")
+        elif now - self._good > ALONE_S and not self._noted:
+            self._noted = True
+            print(f"{self._name}: no workers for {ALONE_S:g} s; waiting for some", file=sys.stderr, flush=True)
+
+    def gone(self) -> BackendError:
+        """The error for a cluster that does not answer any more."""
+        return BackendError(f"{self._name} is gone; {GO_ON}")
+
+
+def _gather(
+    client: Any, job: Job, frames: Sequence[int], *, watch: _Watch, threads: int | None, done: Done
+) -> None:  # fmt: skip
+    """Hand frames out, a few ahead, and take them in as they are finished."""
+    import distributed
+
+    run = secrets.token_hex(4)
+    size = max(1, min(LARGEST_BATCH, len(frames) // (8 * watch.slots)))
+    batches = (list(frames[start : start + size]) for start in range(0, len(frames), size))
+
+    def submit(count: int) -> list[Any]:
+        return [
+            client.submit(make_batch, job, batch, threads, pure=False, key=f"frame-{batch[0]}-{run}")
+            for batch in islice(batches, max(0, count))
+        ]
+
+    running = distributed.as_completed(submit(AHEAD * watch.slots), loop=client.loop)
+    while not running.is_empty():
+        watch.look()
+        if not running.has_ready():
+            time.sleep(POLL_S)
+            continue
+        future = next(running)
+        try:
+            done(future.result())
+        except distributed.KilledWorker:
+            raise BackendError(
+                f"workers died {DEATHS + 1} times over {future.key.rsplit('-', 1)[0]} (killed, or out of memory); what "
+                "was made is kept: use fewer workers and run the same command again"
+            ) from None
+        except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError):
+            raise watch.gone() from None
+        future.release()
+        for following in submit(AHEAD * watch.slots - running.count()):
+            running.add(following)
+
+
+def _reason(error: BaseException) -> str:
+    """Text of an error and of the first of its causes: "Nanny failed to start" helps nobody."""
+    first = error
+    while before := first.__cause__ or (None if first.__suppress_context__ else first.__context__):
+        first = before
+    texts = [" ".join(str(each).split()).rstrip(".")[:160] or type(each).__name__ for each in (error, first)]
+    return ": ".join(dict.fromkeys(texts))
+
+
+def _hush() -> None:
+    """Keep Dask from logging what goes wrong: it is reported in one line."""
+    for name in [name for name in logging.root.manager.loggerDict if name.partition(".")[0] == "distributed"]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
+@contextlib.contextmanager
+def local_cluster(count: int) -> Iterator[Any]:
+    """A Dask client of so many worker processes of this machine; they end with it.
+
+    The cluster starts beside the main thread, which takes interrupts meanwhile. After one (or any other exception) the
+    processes are killed, whatever they are at: they may have been starting, or amid a frame.
+    """
+    import dask
+    import distributed
+
+    settings = {
+        "distributed.scheduler.allowed-failures": DEATHS,
+        "distributed.scheduler.active-memory-manager.start": False,
+        "distributed.worker.daemon": True,
+        "distributed.worker.profile.enabled": False,  # it would look at every worker a hundred times a second
+        # images are allocated and freed all the time: what a worker got from the system it keeps
+        "distributed.nanny.pre-spawn-environ": dict.fromkeys(THREADS, "1")
+        | {"MALLOC_TRIM_THRESHOLD_": str(1 << 30), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)},
+    }
+    others = set(multiprocessing.active_children())
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(dask.config.set(settings))
+        scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="starbench-", ignore_cleanup_errors=True))
+        up: list[Any] = []  # the cluster, then its client
+        failed: list[BaseException] = []
+        started = threading.Event()  # to join a thread would do, but Python 3.11 forgets it when that is interrupted
+
+        def start() -> None:
+            try:
+                cluster = distributed.LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=None,
+                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # its page is at a port that nobody has
+                    memory_limit=0,
+                    local_directory=scratch,
+                    silence_logs=logging.CRITICAL,
+                )
+                up.extend((cluster, distributed.Client(cluster, set_as_default=False)))
+            except BaseException as error:
+                failed.append(error)
+            finally:
+                started.set()
+
+        try:
+            resource_tracker.ensure_running()  # lets interrupts through again for the thread that it starts from
+            with signals_held(signal.SIGINT):  # threads and processes that start inherit it: an interrupt is ours
+                threading.Thread(target=start, daemon=True, name="start of the workers").start()
+            until = time.monotonic() + START_S
+            while not started.wait(0.02):
+                if time.monotonic() > until:
+                    raise TimeoutError(f"they are not up after {START_S:g} s")
+            if failed:
+                raise failed[0]
+            yield up[1]
+        except BaseException:
+            _kill(up, started, others)
+            raise
+        up[1].close()
+        up[0].close(timeout=CLOSE_S)
+
+
+def _kill(up: list[Any], started: threading.Event, others: set[Any]) -> None:
+    """End the processes, also those that start meanwhile, then what is left of the cluster."""
+    _hush()
+
+    def close() -> None:
+        started.wait()
+        with contextlib.suppress(Exception):
+            up[1].close(timeout=0)
+        with contextlib.suppress(Exception):
+            up[0].close(timeout=CLOSE_S)
+
+    for cluster in up[:1]:
+        for nanny in cluster.workers.values():
+            cluster.loop.add_callback(nanny.close_gracefully)  # it makes no new process
+    closing = threading.Thread(target=close, daemon=True, name="end of the workers")
+    closing.start()
+    until = time.monotonic() + KILL_S
+    while closing.is_alive() and time.monotonic() < until:
+        for child in set(multiprocessing.active_children()) - others:
+            child.kill()
+        closing.join(0.02)
