@@ -501,16 +501,36 @@ def _axis(dim: str, label: str) -> Any:
     return lambda q, bins: q.axis(dim, [one.bin for one in bins], label, key=dim)
 
 
-HALF = {"width": "half", "aspect_ratio": 0.7}
+HALF: dict[str, Any] = {"width": "half", "aspect_ratio": 0.7}
 SECTIONS = {
     "detection": Section(
         record=Detection,
         figures={"example_frame": example_frame},
         verdicts=[
-            below("bright_missed", 0.01, advice="threshold_sigma is too high, or the frames are smeared"),
-            below("false_excess", 4.0, advice="light that is no star passes for stars: raise threshold_sigma"),
-            below("bound_ratio", 1.3, advice="another centroid or window_px gets more out of the same light"),
-            below("wcs_judged_px", 0.01, advice="TAN-SIP does not describe the lens: use the places in the truth"),
+            below(
+                "bright_missed",
+                0.01,
+                title="share of undisturbed stars of SNR 10 and more that are not detected",
+                advice="threshold_sigma is too high, or the frames are smeared",
+            ),
+            below(
+                "false_excess",
+                4.0,
+                title="detections without star and flag, more than in frames without stars",
+                advice="light that is no star passes for stars: raise threshold_sigma",
+            ),
+            below(
+                "bound_ratio",
+                1.3,
+                title="centroid error over its Cramér-Rao bound, SNR 8 to 25",
+                advice="another centroid or window_px gets more out of the same light",
+            ),
+            below(
+                "wcs_judged_px",
+                0.01,
+                title="world coordinates in astropy against chief rays, largest",
+                advice="TAN-SIP does not describe the lens: use the places in the truth",
+            ),
         ],
     ),
     "magnitudes": Section(

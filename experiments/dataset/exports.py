@@ -83,12 +83,12 @@ def export_coco(
             objects[annotation["category_id"]] += 1
         done()
     licences = [{"id": 1, "name": about["licence"], "url": about["licence_url"]}]
-    for split, part in content.items():
-        if split == GAP and not part["images"]:
+    for split, entries in content.items():
+        if split == GAP and not entries["images"]:
             continue
         info = {"description": f"{about['title']}, {split}", "version": about["version"]}
         info |= {"contributor": about["citation"], "url": ""}
-        text = json.dumps({"info": info, "licenses": licences, "categories": _CATEGORIES, **part})
+        text = json.dumps({"info": info, "licenses": licences, "categories": _CATEGORIES, **entries})
         write_whole(root / "annotations" / f"instances_{split}.json", text.encode())
     counts = ", ".join(f"{objects[k]} of class {name}" for name, k in _IDS.items() if objects[k])
     return f"{len(records)} PNG files of {bits} bit in {COCO}/; objects: {counts or 'none'}"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import lru_cache
 from importlib import metadata
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from experiments.dataset.plan import FramePlan, plan_frame
 from experiments.dataset.scene import Disk, PointSources, Scene, diffuse_light, point_sources, resolved_light, smear_px
 from experiments.dataset.truth import FLAGS, StarLightOnChip, pixel_flags, star_rows
+from experiments.laboratory.instrument import Instrument
 from optics.attitude import angles_from_attitude, quat_xyzw
 from optics.units import RAD_DEG
 from render.bodies.solar_system import hiding_spheres
@@ -21,15 +22,10 @@ from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_hits
 from render.detector.readout import expose
 from render.engine.random import Streams
+from render.fits.headers import Card
 from render.forward import StarRenderer
 from render.records import Frame
 from render.tracing.tracer import TracedStars
-
-if TYPE_CHECKING:
-    from experiments.dataset.frame import MadeFrame
-    from experiments.dataset.scene import Scene
-    from experiments.laboratory.instrument import Instrument
-    from render.fits.headers import Card
 
 __all__ = ["FrameMaker", "MadeFrame", "header_cards", "instrument_cards"]
 

@@ -25,25 +25,42 @@ from experiments.dataset.folder import (
     OWN_FOLDERS,
     SUMS,
     TRUTH,
+    Checked,
     DatasetFolder,
     StorageError,
+    check,
     checked_frame,
     frame_files,
+    identity,
     numbers,
 )
+from experiments.dataset.settings import Config
 from experiments.dataset.truth import FrameRecord
+from experiments.harness.progress import terminal_progress
 from optics.errors import ConfigError
 
-__all__ = ["RemoteDataset", "Store", "is_url", "working_copy"]
+__all__ = ["RemoteDataset", "Store", "check_at", "dataset_at", "working_copy"]
 
 AT_ONCE = 8
 BUCKETS = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss"})
 """Stores without folders: to make one would make a bucket, of whatever name was misspelt."""
 
 
-def is_url(name: str) -> bool:
-    """Whether an output is named by a URL."""
-    return "://" in name
+def dataset_at(path: str, config: Config) -> DatasetFolder:
+    """The folder of a dataset, new or begun, or a URL."""
+    wanted: dict[str, Any] = {"config": identity(config), "frames": config.frames, "truth": config.files.truth}
+    if "://" not in path:
+        return DatasetFolder(path, **wanted)
+    remote = RemoteDataset(path, **wanted)
+    if remote.only_here and (config.workers > 1 or config.scheduler):
+        raise ConfigError(f"{path}: is seen by this process alone; set workers = 1 and no scheduler")
+    return remote
+
+
+def check_at(path: str) -> Checked:
+    """State of a dataset in a folder or at a URL, every file of which is read."""
+    with working_copy(path) if "://" in path else contextlib.nullcontext(Path(path)) as folder:
+        return check(folder, terminal_progress())
 
 
 class Store:

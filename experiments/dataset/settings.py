@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import nullcontext
 from itertools import pairwise
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import click
 from pydantic import Field, field_validator, model_validator
@@ -18,10 +16,6 @@ from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, interrupts
 from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.sensor_file import SensorExperimentConfig
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
-from optics.errors import ConfigError
-
-if TYPE_CHECKING:
-    from experiments.dataset.folder import DatasetFolder
 
 __all__ = [
     "BackgroundConfig",
@@ -327,20 +321,6 @@ class Config(SensorExperimentConfig):
 # --- The commands
 
 
-def output(path: str, config: Config) -> DatasetFolder:
-    """The folder of the dataset, new or begun, or a URL."""
-    from experiments.dataset.folder import DatasetFolder, identity
-    from experiments.dataset.remote import RemoteDataset, is_url
-
-    wanted: dict[str, Any] = {"config": identity(config), "frames": config.frames, "truth": config.files.truth}
-    if not is_url(path):
-        return DatasetFolder(path, **wanted)
-    remote = RemoteDataset(path, **wanted)
-    if remote.only_here and (config.workers > 1 or config.scheduler):
-        raise ConfigError(f"{path}: is seen by this process alone; set workers = 1 and no scheduler")
-    return remote
-
-
 experiment = Experiment(
     name="dataset",
     config=Config,
@@ -348,7 +328,7 @@ experiment = Experiment(
     sections="experiment:SECTIONS",
     extra="experiment:extra",
     files="experiment:files",
-    output=output,
+    output="remote:dataset_at",
     takes="50 s (--quick: 12 s)",
     examples={
         "--frames 1000 --out sky": "the real sky, 1024 x 1024 px, random attitudes; the same command goes on",
@@ -370,12 +350,7 @@ main = command(experiment)
 @click.argument("folder", metavar="FOLDER_OR_URL")
 def check(folder: str) -> int:
     """0 if every file is as it was written, 1 if not."""
-    from experiments.dataset.folder import check as check_folder
-    from experiments.dataset.remote import is_url, working_copy
-    from experiments.harness.progress import terminal_progress
-
     interrupts.at_once, interrupts.said = False, lambda: "interrupted; nothing was changed"
-    with working_copy(folder) if is_url(folder) else nullcontext(Path(folder)) as place:
-        checked = check_folder(place, terminal_progress())
+    checked = experiment.part("remote:check_at")(folder)
     click.echo("\n".join(checked.lines()))
     return EXIT_FAILED if checked.damaged or checked.missing else EXIT_GOOD

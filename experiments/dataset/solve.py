@@ -251,18 +251,18 @@ class Attitudes:
 
     attempted: int = col("Frames tried", shown=False)
     solved: int = col("Frames solved")
-    mirrored: int = col("Mirrored")
-    wrong: int = col("Wrong", json="")
+    mirrored: int = col("Mirrored", shown=False)
+    wrong: int = col("Wrong", json="", shown=False)
     unsolved: int = col("Frames that are not solved", json="", shown=False)
     unsolved_limit: int = col("Most that may fail", json="", shown=False)
-    median_arcsec: Measured = col("Boresight error, median", "arcsec", ".2f", json_error="median_sigma_arcsec")
-    p95_arcsec: float = col("Boresight error, 95 % below", "arcsec")
-    largest_arcsec: float = col("Boresight error, largest", "arcsec", json="")
-    equal_weights_median_arcsec: float = col("Boresight error, median, equal weights", "arcsec")
-    roll_median_arcsec: float = col("Roll error, median", "arcsec")
+    median_arcsec: Measured = col("Boresight, median", "arcsec", ".2f", json_error="median_sigma_arcsec")
+    p95_arcsec: float = col("95 % below", "arcsec")
+    largest_arcsec: float = col("Largest", "arcsec", json="")
+    equal_weights_median_arcsec: float = col("Median, equal weights", "arcsec")
+    roll_median_arcsec: float = col("Roll, median", "arcsec")
     circles_arcsec: FloatArray = col("Half of the frames", "arcsec", dims="across", json="", shown=False)
     pull_rms: FloatArray = col("Error over predicted sigma, RMS", dims="rotation", shown=False)
-    pull: float = col("Attitude error over predicted sigma, RMS", format=".2f", json="")
+    pull: float = col("Error / predicted σ", format=".2f", json="")
     pull_limit: float = col("Limit", json="", shown=False)
     common_px: float = col("Common centroid error, median", "px", ".3f", json="", shown=False)
     boresight_arcsec: FloatArray = col("Boresight error", "arcsec", dims="solved_frame across", json="", shown=False)
@@ -318,7 +318,7 @@ SECTIONS = {
         record=Attitudes,
         place="solver",
         table="solver",
-        caption="Attitudes of the solved frames against the truth.",
+        caption="Errors of the solved attitudes against the truth.",
         figures={"attitude_errors": cloud("boresight_arcsec", ellipses="circles_arcsec")},
         verdicts=[
             below(
@@ -327,7 +327,12 @@ SECTIONS = {
                 title="frames that are not solved",
                 advice="too few stars: longer exposure, fainter limit of detection, or a wider field",
             ),
-            below("pull", "pull_limit", advice="centroids are worse than their covariance: see the bound of centroids"),
+            below(
+                "pull",
+                "pull_limit",
+                title="attitude error over its predicted sigma, RMS of x, y and roll",
+                advice="centroids are worse than their covariance: see the bound of centroids",
+            ),
         ],
     ),
     "solved_frames": Section(

@@ -81,7 +81,7 @@ class Experiment:
     options: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     # ``output(path, config)``: an output folder of its own kind, for work that can be taken up again; ``run`` is then
     # given it as ``output=``
-    output: Callable[[str, Any], Any] | None = None
+    output: Part | None = None
     # ``instead(config)``: another declaration that takes over for some settings, or None
     instead: Callable[[Any], Experiment | None] | None = None
     # What several ``--sensor`` run; its configuration has a field ``sensors``, one of this experiment for each

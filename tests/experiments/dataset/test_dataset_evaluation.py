@@ -96,8 +96,9 @@ def test_bound_of_centroids_is_that_of_gaussian_spots(folder, truth):
         assert row["bound_px"] == pytest.approx(np.median(bound[mine]), rel=0.1)
         assert row["stars"] <= mine.sum()
     noise_alone = table[(table["snr"] >= 8.0) & (table["snr"] <= 25.0)]
-    assert noise_alone["stars"].sum() >= 200
-    assert 0.93 < np.average(noise_alone["ratio"], weights=noise_alone["stars"]) < 1.3
+    spread = np.sqrt(1.3604 / (2 * noise_alone["stars"].sum()))  # of a median absolute deviation, two axes a star
+    ratio = np.average(noise_alone["ratio"], weights=noise_alone["stars"])
+    assert 1.0 - 3.0 * spread < ratio < 1.0 + 3.0 * spread + 0.1  # never below the bound; a window loses some
 
 
 def test_boresights_are_as_far_off_as_their_stars_allow(folder, truth):
