@@ -193,8 +193,7 @@ def _output_folder(experiment: Experiment, options: Options, config: ExperimentC
     if experiment.output is not None:
         if options.force:
             raise ConfigError(f"--force: {experiment.name} goes on with its folder and never replaces one; remove it")
-        output: Output = experiment.part(experiment.output)(options.out, config)
-        return output
+        return experiment.part(experiment.output)(options.out, config)
     if "://" in options.out:
         raise ConfigError(f"--out {options.out}: a folder is needed; only datasets are written to URLs")
     folder = OutputFolder(options.out)
