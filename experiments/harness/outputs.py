@@ -70,12 +70,10 @@ class OutputFolder:
 
     def refuse_other_run(self, experiment: str, config: Mapping[str, Any]) -> None:
         """Refuse a folder that holds the output of another experiment, or of this one with other settings."""
-        try:
-            record = json.loads((self.path / RECORD).read_text(encoding="utf-8"))
-            held, before = record["experiment"], flat(record["config"])
-        except (OSError, ValueError, KeyError, TypeError):
-            return  # none, or none of ours, which was refused before
-        now = flat(json.loads(json.dumps(config)))
+        record = self._record()
+        if not {"experiment", "config"} <= record.keys():
+            return  # none; what is not ours was refused before
+        held, before, now = record["experiment"], flat(record["config"]), flat(json.loads(json.dumps(config)))
         advice = "name another folder with --out, or replace it with --force"
         if held != experiment:
             raise ConfigError(f"{self.shown}: holds a run of {held}; {advice}")
@@ -102,12 +100,20 @@ class OutputFolder:
             raise ConfigError(f"{self.shown}: cannot be read ({error.strerror})") from None
         if not present:
             return
-        foreign = sorted(present - _written_before(self.path))
+        record = self._record()
+        foreign = sorted(present - {RECORD, *record["files"]} if record else present)
         if foreign:
             raise ConfigError(
                 f"{self.shown}: holds {foreign[0]}{' and more' if len(foreign) > 1 else ''}, "
                 "which is no earlier output; name another folder or empty it"
             )
+
+    def _record(self) -> dict[str, Any]:
+        """Provenance of an earlier output of ours; empty if there is none."""
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            record: dict[str, Any] = json.loads((self.path / RECORD).read_text(encoding="utf-8"))
+            return record if record["program"] == PROGRAM and isinstance(record["files"], dict) else {}
+        return {}
 
     def _ancestor(self) -> Path:
         return next(folder for folder in self.path.parents if folder.exists())
@@ -145,17 +151,6 @@ def flat(value: Any, key: str = "") -> dict[str, Any]:
 def shown_value(values: Mapping[str, Any], key: str) -> str:
     """A setting for a message; it may be absent."""
     return json.dumps(values[key], ensure_ascii=False) if key in values else "nothing there"
-
-
-def _written_before(folder: Path) -> set[str]:
-    """Files that an earlier run lists as its own; empty if the folder is not an earlier output."""
-    try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-        if record["program"] != PROGRAM:
-            return set()
-        return {RECORD, *record["files"]}
-    except (OSError, ValueError, KeyError, TypeError):
-        return set()
 
 
 def _exchange(first: Path, second: Path) -> bool:

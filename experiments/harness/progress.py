@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
-from typing import Protocol, TextIO, TypeVar
+from typing import TextIO, TypeVar
 
 __all__ = ["LineProgress", "Progress", "Stage", "terminal_progress"]
 
@@ -15,18 +15,14 @@ Item = TypeVar("Item")
 Show = Callable[[int], None]
 
 
-class Stage(Protocol):
+class Stage:
     """A running stage."""
 
-    def advance(self, steps: int = 1) -> None:
-        """Report ``steps`` more of the stage's total as done."""
-
-
-class _Stage:
     def __init__(self, show: Show) -> None:
         self._show = show
 
     def advance(self, steps: int = 1) -> None:
+        """Report ``steps`` more of the stage's total as done."""
         self._show(steps)
 
 
@@ -57,7 +53,7 @@ class Progress:
         start = time.perf_counter()
         try:
             with self._display(label, total) as show:
-                yield _Stage(show)
+                yield Stage(show)
         finally:
             self.times_s[label] = self.times_s.get(label, 0.0) + time.perf_counter() - start
 

@@ -24,25 +24,17 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_new_folder_with_its_parents(tmp_path):
+def test_new_folder_with_its_parents_and_the_rights_of_any(tmp_path):
     folder = OutputFolder(tmp_path / "a" / "b")
     assert names(tmp_path) == []  # checking leaves nothing behind
     write(folder, "summary.json")
     assert names(tmp_path / "a") == ["b"]
     assert names(tmp_path / "a" / "b") == [RECORD, "summary.json"]
-
-
-def test_folder_has_the_rights_of_a_new_folder(tmp_path):
-    ordinary = tmp_path / "ordinary"
-    ordinary.mkdir()
-    write(OutputFolder(tmp_path / "out"), "a")
-    assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == stat.S_IMODE(ordinary.stat().st_mode)
-
-
-def test_empty_folder_is_taken(tmp_path):
-    (tmp_path / "out").mkdir()
-    write(OutputFolder(tmp_path / "out"), "a")
-    assert names(tmp_path / "out") == ["a", RECORD]
+    (tmp_path / "empty").mkdir()
+    rights = stat.S_IMODE((tmp_path / "empty").stat().st_mode)
+    assert stat.S_IMODE((tmp_path / "a" / "b").stat().st_mode) == rights
+    write(OutputFolder(tmp_path / "empty"), "a")
+    assert names(tmp_path / "empty") == ["a", RECORD]
 
 
 @pytest.mark.parametrize("exchange_works", [True, False])
@@ -103,34 +95,29 @@ def test_full_disk_is_one_line(tmp_path):
     assert names(tmp_path) == []
 
 
+@pytest.mark.parametrize("name", ["notes.txt", RECORD])
 @pytest.mark.parametrize(
     "record",
     [None, "{}", "not json", '["program"]', json.dumps({"program": "another", "files": {"notes.txt": ""}})],
 )
-def test_files_of_somebody_else_are_never_touched(tmp_path, record):
+def test_files_of_somebody_else_are_never_touched(tmp_path, record, name):
     out = tmp_path / "out"
     out.mkdir()
-    (out / "notes.txt").write_text("mine")
     if record is not None:
         (out / RECORD).write_text(record)
+    (out / name).write_text("mine")
     with pytest.raises(ConfigError, match="no earlier output; name another folder"):
         OutputFolder(out)
-    assert (out / "notes.txt").read_text() == "mine"
+    assert (out / name).read_text() == "mine"
 
 
-def test_a_note_put_into_an_earlier_output_is_not_lost(tmp_path):
-    out = tmp_path / "out"
-    write(OutputFolder(out), "old")
-    (out / "my-notes.txt").write_text("mine")
-    with pytest.raises(ConfigError, match=r"my-notes\.txt"):
-        OutputFolder(out)
-
-
-def test_note_that_appears_during_the_run_is_not_lost(tmp_path):
+def test_a_note_put_into_an_earlier_output_is_not_lost_before_or_during_the_run(tmp_path):
     out = tmp_path / "out"
     write(OutputFolder(out), "old")
     folder = OutputFolder(out)
     (out / "my-notes.txt").write_text("mine")
+    with pytest.raises(ConfigError, match=r"my-notes\.txt"):
+        OutputFolder(out)
     with pytest.raises(ConfigError, match=r"my-notes\.txt"):
         write(folder, "new")
     assert names(out) == ["my-notes.txt", "old", RECORD]
