@@ -158,7 +158,8 @@ def quantity_of(key: str) -> tuple[str, str]:
 def check_range(model: type[BaseModel], sweep: SweepRange) -> None:
     """Refuse a sweep that leaves the allowed values of its parameter."""
     field = leaf_keys(model)[sweep.key]
-    takes = TypeAdapter(Annotated[field.annotation, *field.metadata])
+    constrained: Any = Annotated[field.annotation, *field.metadata]
+    takes = TypeAdapter[Any](constrained)
     for value in (min(sweep.values), max(sweep.values)):
         try:
             takes.validate_python(value)
