@@ -2,44 +2,72 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from experiments.harness.pivot import Pivot
-from experiments.harness.plotting import PALETTE, new_figure
-from experiments.harness.quantities import Outcome, Quantities
-from experiments.laboratory import point_figures
+from experiments.harness.drawings import arrows
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, col
+from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench import band_pairs
 from experiments.laboratory.chromatic_error import after_calibration, rms, shifts, table1
-from experiments.laboratory.own_frames.experiment import FramesTest
-from experiments.laboratory.own_frames.folder import FrameFolder
-from experiments.laboratory.own_frames.series import SeriesFrames, reduce_series
-from experiments.laboratory.own_frames.settings import SETTINGS_FILE, Layout
+from experiments.reduce.folder import FrameFolder
+from experiments.reduce.road import FramesTest, Reduced
+from experiments.reduce.series import SeriesFrames, reduce_series
+from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 
-__all__ = ["FilterFrames", "own_frames", "reduce"]
+__all__ = ["FilterFrames", "filter_frames", "own_frames"]
+
+STEPS = ("as found", "principal point", "focal length", "both")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """Difference between two filters, first centroider."""
+
+    pair_name: str = col("Pair", json="", key="pair")
+    table1_px: Sequence[Measured] = col("Mean shift, halved", "px", dims="axis", json="table1_px[pair][axis]")
+    shift_arcsec: FloatArray = col("Shift", "arcsec", ".3f", "point axis", json="", shown=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Residual:
+    """RMS length of the shifts of a pair, as found and with camera parameters of its own for the filter."""
+
+    residual_px: FloatArray = col("RMS length", "px", ".4f", "step")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Centroider:
+    """The same frames through a centroider."""
+
+    method_table1_px: FloatArray = col("Mean shift, halved", "px", ".4f", "pair axis")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Points:
+    """Points of all places, first centroider."""
+
+    filters_nm: Sequence[float] = col("Filters", "nm", dims="filter", shown=False)
+    place_px: FloatArray = col("Place", "px", ".4f", "point axis", json="", key="{axis}_px")
+    shift_px: Sequence[Sequence[Sequence[Measured]]] = col(
+        "Shift", "px", ".4f", "pair point axis", json="", key="shift_{axis}_px"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterFrames:
     """Positions of j points at p places behind b filters."""
 
-    pixel_arcsec: float  # Angle of a pixel
-    centre_px: FloatArray  # (2,) Middle of the frames, or what the folder says
     # Central wavelengths, rising; ``reference`` indexes the one the others are compared with
     filters_nm: tuple[float, ...]
     reference: int  # See ``filters_nm``
     grid: tuple[tuple[SeriesFrames, ...], ...]  # Place by place, filter by filter
-
-    @property
-    def series(self) -> tuple[SeriesFrames, ...]:
-        """All of them, place by place."""
-        return tuple(one for row in self.grid for one in row)
 
     @property
     def pairs(self) -> list[tuple[str, int, int]]:
@@ -66,15 +94,9 @@ class FilterFrames:
             found[name] = np.stack(rows)
         return found
 
-    def residual_px(self, method: str, pair: str) -> dict[str, float]:
-        """RMS length of the shifts of a pair, as found and with camera parameters of its own for the filter."""
-        place = self.mean_px(method)[:, :, self.reference] - self.centre_px
-        left = after_calibration(self.shift_px(method)[pair], place)
-        return {step: float(np.linalg.norm(rms(values))) for step, values in left.items()}
 
-
-def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> FilterFrames:
-    """Chromatic error of a folder in which every place is seen through every filter once."""
+def filter_frames(folder: FrameFolder, methods: Sequence[str], config: Any) -> FilterFrames:
+    """Series by place and filter; every place must be seen through every filter once."""
     found: dict[tuple[str, float], SeriesFrames] = {}
     for one in folder.series:
         key = (one.settings.place, float(one.settings.filter_nm or 0.0))
@@ -100,99 +122,81 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> FilterFr
             f"({', '.join(f'{nm:g}' for nm in filters)} nm); give reference_nm"
         )
     return FilterFrames(
-        pixel_arcsec=folder.settings.pixel_arcsec,
-        centre_px=folder.centre_px,
         filters_nm=tuple(filters),
         reference=filters.index(reference),
         grid=tuple(tuple(found[place, nm] for nm in filters) for place in places),
     )
 
 
-def _describe(q: Quantities, reduced: FilterFrames, methods: Sequence[str]) -> None:
-    names = [name for name, _, _ in reduced.pairs]
-    q.axis("pair", names, "Pair")
-    q.axis("step", ["as found", "principal point", "focal length", "both"], "Calibration of the band")
-    q.add("filters_nm", list(reduced.filters_nm), "Filters", unit="nm", dims="filter")
-    sigma = reduced.shift_sigma_px(methods[0])
-    count = sigma[names[0]][..., 0].size
-    error = [np.sqrt((sigma[n] ** 2).sum((0, 1))) / (2 * count) for n in names]
-    every = {m: reduced.shift_px(m) for m in methods}
-    found = np.array([[table1(every[m][n]) for n in names] for m in methods])
-    q.add(
-        "table1_px",
-        found[0],
-        "Mean shift, halved",
-        unit="px",
-        dims="pair axis",
-        error=error,
-        n=count,
-        json="table1_px[pair][axis]",
-    )
-    q.add("method_table1_px", found, "Mean shift, halved", unit="px", dims="method pair axis", format=".4f")
-    residual = [list(reduced.residual_px(methods[0], n).values()) for n in names]
-    q.add("residual_px", residual, "RMS length", unit="px", dims="pair step", format=".4f")
-    mean = reduced.mean_px(methods[0])[:, :, reduced.reference].reshape(-1, 2)
-    q.axis("point", np.arange(len(mean)) + 1, "Point")
-    points = {"unit": "px", "format": ".4f"}
-    q.add("place_px", mean, "Place", **points, dims="point axis", key="{axis}_px", json="")
-    values = np.stack([every[methods[0]][n].reshape(-1, 2) for n in names])
-    errors = np.stack([sigma[n].reshape(-1, 2) for n in names])
-    q.add("shift_px", values, "Shift", **points, dims="pair point axis", error=errors, key="shift_{axis}_px", json="")
-
-
-def _headline(outcome: Outcome) -> Mapping[str, Any]:
-    return {
-        f"{pair} nm, {axis}: mean shift, halved": outcome.quantity("table1_px", pair=pair, axis=axis)
-        for pair in outcome.data["pair"].values.tolist()
-        for axis in "xy"
+def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
+    """Chromatic error of a folder; uncertainties by the stated noise."""
+    seen, first, scale = filter_frames(folder, methods, config), methods[0], folder.settings.pixel_arcsec
+    names = [name for name, _, _ in seen.pairs]
+    shift, sigma = seen.shift_px(first), seen.shift_sigma_px(first)
+    place = seen.mean_px(first)[:, :, seen.reference]
+    pairs, residuals = [], []
+    for name in names:
+        count = sigma[name][..., 0].size
+        error = np.sqrt((sigma[name] ** 2).sum((0, 1))) / (2 * count)
+        pairs.append(
+            Pair(
+                pair_name=name,
+                table1_px=measured(table1(shift[name]), error, n=count),
+                shift_arcsec=scale * shift[name].reshape(-1, 2),
+            )
+        )
+        left = after_calibration(shift[name], place - folder.centre_px)
+        residuals.append(Residual(residual_px=np.array([np.linalg.norm(rms(left[step])) for step in STEPS])))
+    every = [seen.shift_px(m) for m in methods]
+    whole, spread = (np.stack([one[name].reshape(-1, 2) for name in names]) for one in (shift, sigma))
+    return [one for row in seen.grid for one in row], {
+        "pairs": pairs,
+        "calibration": residuals,
+        "centroiders": [Centroider(method_table1_px=np.array([table1(of[name]) for name in names])) for of in every],
+        "points": Points(filters_nm=seen.filters_nm, place_px=place.reshape(-1, 2), shift_px=measured(whole, spread)),
     }
 
 
-def _tables(outcome: Outcome) -> Mapping[str, Pivot]:
-    return {"table1": _TABLE1, "calibration": _CALIBRATION, "centroiders": _CENTROIDERS, "points": _POINTS}
-
-
-_TABLE1 = Pivot(
-    rows="pair axis",
-    columns="table1_px",
-    caption="Mean shift between filters, halved (ACC18 Table 1, eq. 16).",
-    note="One standard deviation, by the stated noise. A shift that is the same everywhere is that of the lens, of a "
-    "wedge of the filters, or of a target that moved between two series: frames cannot tell.",
-)
-_CALIBRATION = Pivot(
-    rows="pair",
-    across="step",
-    columns="residual_px",
-    caption="RMS length of the shift of a point, as found and with camera parameters of its own for each band.",
-    note="Noise of the centroids included.",
-)
-_CENTROIDERS = Pivot(
-    rows="method", across="pair axis", columns="method_table1_px", caption="The same frames through every centroider."
-)
-_POINTS = Pivot(rows="pair point", across="axis", columns="place_px shift_px", caption="All points.")
-
-
-def _arrows(outcome: Outcome) -> Figure:
-    """Shifts of every pair as arrows over the detector."""
-    reduced, folder, pairs = outcome.result.reduced, outcome.result.folder, outcome.data["pair"].values.tolist()
-    figure, axes = new_figure(1, len(pairs), aspect_ratio=0.5, sharey=True)
-    for panel, pair in zip(np.atleast_1d(axes), pairs, strict=True):
-        error, reach = outcome.values("shift_px", pair=pair) * reduced.pixel_arcsec, 0.09 * folder.width_px
-        place = outcome.values("place_px")
-        longest = point_figures.arrows(panel, place, error, longest_px=reach, color=PALETTE[0], width=0.005)
-        point_figures.detector_outline(panel, folder.width_px, folder.height_px)
-        panel.set(xlabel="column [px]", title=f"{pair} nm: longest {longest:.2f}″")
-    np.atleast_1d(axes)[0].set_ylabel("row [px]")
-    return figure
+def _axes(q: Quantities, pairs: Sequence[Pair]) -> None:
+    q.axis("step", list(STEPS), "Calibration of the band")
+    q.axis("point", np.arange(len(pairs[0].shift_arcsec)) + 1, "Point")
 
 
 own_frames = FramesTest(
     title="Chromatic error",
     layout=Layout(needs=("filter_nm",), same_scene="place"),
     reduce=reduce,
-    describe=_describe,
-    headline=_headline,
-    tables=_tables,
-    figures={"shifts": (_arrows, "Shift of every point between two filters.")},
-    show=("table1",),
+    sections={
+        "pairs": Section(
+            record=Pair,
+            dim="pair",
+            along="pair_name",
+            axes=_axes,
+            table="table1",
+            rows="pair axis",
+            columns="table1_px",
+            caption="Mean shift between filters, halved (ACC18 Table 1, eq. 16).",
+            note="One standard deviation, by the stated noise. A shift that is the same everywhere is that of the "
+            "lens, of a wedge of the filters, or of a target that moved between two series: frames cannot tell.",
+            figures={"shifts": arrows("place_px", "shift_arcsec", panels="pair", frame="frame_size_px")},
+        ),
+        "calibration": Section(
+            record=Residual,
+            dim="pair",
+            table="calibration",
+            across="step",
+            caption="RMS length of the shift of a point, as found and with camera parameters of its own for each band.",
+            note="Noise of the centroids included.",
+        ),
+        "centroiders": Section(
+            record=Centroider,
+            dim="method",
+            table="centroiders",
+            across="pair axis",
+            caption="The same frames through every centroider.",
+        ),
+        "points": Section(record=Points, table="points", rows="pair point", across="axis", caption="All points."),
+    },
+    head={"Mean shift, halved": ("table1_px", {})},
+    captions={"shifts": "Shift of every point between two filters."},
 )

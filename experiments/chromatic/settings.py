@@ -11,8 +11,7 @@ from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.centroid_methods import MethodName
 from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
-from experiments.laboratory.own_frames.experiment import or_own_frames
-from experiments.laboratory.own_frames.option import OwnFramesConfig
+from experiments.laboratory.own_frames import OwnFramesConfig, or_own_frames
 from experiments.laboratory.settings import (
     FilterConfig,
     InstrumentConfig,
@@ -94,5 +93,5 @@ rendered = Experiment(
     show=("table1",),
     quick={"frames": 6, "dark_frames": 20, "stars.grid": 3, "target.rows": 3, "target.columns": 3, "compare": ["cog"]},
 )
-experiment = or_own_frames(rendered, "experiments.chromatic.own_frames")
+experiment = or_own_frames(rendered)
 main = command(experiment)

@@ -13,7 +13,7 @@ from experiments.distortion.settings import Config
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.laboratory.own_frames.experiment import or_own_frames
+from experiments.laboratory.own_frames import or_own_frames
 
 if TYPE_CHECKING:
     from experiments.distortion.result import Result
@@ -97,5 +97,5 @@ rendered = Experiment(
         "study.orders": [1, 3, 5],
     },
 )
-experiment = or_own_frames(rendered, "experiments.distortion.own_frames")
+experiment = or_own_frames(rendered)
 main = command(experiment)

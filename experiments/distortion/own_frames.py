@@ -2,63 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from experiments.harness.pivot import Pivot
-from experiments.harness.plotting import PALETTE, new_figure
-from experiments.harness.quantities import Outcome, Quantities
-from experiments.laboratory import point_figures
+from experiments.harness.drawings import arrows
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, col
 from experiments.laboratory.distortion_error import grid_residual_px
-from experiments.laboratory.distortion_statistics import LABELS, DistortionStatistics, Reference, distortion_statistics
-from experiments.laboratory.own_frames.experiment import FramesTest
-from experiments.laboratory.own_frames.figures import POINTS, cloud
-from experiments.laboratory.own_frames.folder import FrameFolder
-from experiments.laboratory.own_frames.series import SeriesFrames, reduce_series
-from experiments.laboratory.own_frames.settings import Layout
-from experiments.laboratory.own_frames.tables import add_points, points_table
+from experiments.laboratory.distortion_statistics import LABELS, Reference, distortion_statistics
+from experiments.reduce.folder import FrameFolder
+from experiments.reduce.road import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
+from experiments.reduce.series import reduce_series
+from experiments.reduce.frames_toml import Layout
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["GridFrames", "own_frames", "reduce"]
+__all__ = ["own_frames", "reduce"]
+
+PLACE = "distortion_arcsec_3sigma[method][reference]"
+DIMS = "method reference axis"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GridFrames:
-    """Distortion error of n target points."""
+class Grid:
+    """Distortion error (3 sigma) of n target points by method, reference and axis."""
 
-    pixel_arcsec: float  # Angle of a pixel
-    order: int  # Of the polynomial
-    nominal_px: FloatArray  # (n, 2) Target coordinates
-    place: FloatArray  # (n, 2) The same from the middle, in units of half the diagonal of the frames
-    earlier: SeriesFrames | None  # Sessions; without an earlier one there is no reference "calibrated"
-    test: SeriesFrames  # Sessions; without an earlier one there is no reference "calibrated"
-
-    @property
-    def references(self) -> tuple[Reference, ...]:
-        """How the coordinates can become pixels."""
-        return ("nominal", "aligned") if self.earlier is None else ("nominal", "aligned", "calibrated")
-
-    @property
-    def series(self) -> tuple[SeriesFrames, ...]:
-        """Sessions in order."""
-        return (self.test,) if self.earlier is None else (self.earlier, self.test)
-
-    def statistics(self, method: str, reference: Reference) -> DistortionStatistics:
-        """sigma_d, sigma_Dd and sigma_C1 [px]."""
-        if reference not in self.references:
-            raise DomainError(f"reference {reference!r} needs a series with session = 'earlier'")
-        test = self.test.points.mean_px(method)
-        earlier = test if self.earlier is None else self.earlier.points.mean_px(method)
-        d, _ = grid_residual_px(self.nominal_px, self.place, earlier, test, reference)
-        return distortion_statistics(self.place, d, self.order)
+    references: Sequence[str]  # How target coordinates become pixels; without an earlier session none is "calibrated"
+    sigma_d_arcsec: FloatArray = col(LABELS[0], "arcsec", ".3f", DIMS, json=f"{PLACE}.sigma_d")
+    sigma_left_arcsec: FloatArray = col(LABELS[1], "arcsec", ".3f", DIMS, json=f"{PLACE}.sigma_Dd")
+    sigma_c1_arcsec: FloatArray = col(LABELS[2], "arcsec", ".3f", DIMS, json=f"{PLACE}.sigma_C1")
+    order: int = col("Order of the polynomial", shown=False)
+    # First method, last reference
+    nominal_px: FloatArray = col("Target", "px", ".2f", "point axis", json="")
+    found_arcsec: FloatArray = col("Residual", "arcsec", ".3f", "point axis", json="")
+    left_arcsec: FloatArray = col("Left after the polynomial", "arcsec", ".3f", "point axis", json="")
 
 
-def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> GridFrames:
+def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
     """Distortion error of a target with stated coordinates; one session "test" and at most one "earlier"."""
     if folder.nominal_px is None:
         raise DomainError("distortion needs the coordinates of the target: points_px or target in place of points")
@@ -68,83 +51,58 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> GridFram
             f"{len(by_session['test'])} series with session 'test' and {len(by_session['earlier'])} with 'earlier'; "
             "distortion needs one, and at most one"
         )
-    earlier = [reduce_series(folder, one, methods) for one in by_session["earlier"]]
-    half = 0.5 * np.hypot(folder.width_px, folder.height_px)
-    result = GridFrames(
-        pixel_arcsec=folder.settings.pixel_arcsec,
+    series = [reduce_series(folder, one, methods) for session in by_session.values() for one in session]
+    references: tuple[Reference, ...] = ("nominal", "aligned", "calibrated")
+    references = references[: 1 + len(series)]
+    place = (folder.nominal_px - folder.centre_px) / (0.5 * np.hypot(folder.width_px, folder.height_px))
+    rows, scale = [], folder.settings.pixel_arcsec
+    for method in methods:
+        earlier, test = (one.points.mean_px(method) for one in (series[0], series[-1]))
+        residuals = [grid_residual_px(folder.nominal_px, place, earlier, test, one)[0] for one in references]
+        rows.append([distortion_statistics(place, d, config.order) for d in residuals])
+    sigma = {
+        name: 3.0 * scale * np.array([[getattr(one, f"{name}_px") for one in row] for row in rows])
+        for name in ("sigma_d", "sigma_left", "sigma_c1")
+    }
+    grid = Grid(
+        references=references,
+        sigma_d_arcsec=sigma["sigma_d"],
+        sigma_left_arcsec=sigma["sigma_left"],
+        sigma_c1_arcsec=sigma["sigma_c1"],
         order=config.order,
         nominal_px=folder.nominal_px,
-        place=(folder.nominal_px - folder.centre_px) / half,
-        earlier=earlier[0] if earlier else None,
-        test=reduce_series(folder, by_session["test"][0], methods),
+        found_arcsec=scale * rows[0][-1].d_px,
+        left_arcsec=scale * rows[0][-1].left_px,
     )
-    for reference in result.references:
-        result.statistics(methods[0], reference)  # too few points are refused here
-    return result
+    return series, {"grid": grid, **points_of(folder, series[-1], methods[0])}
 
 
-def _describe(q: Quantities, reduced: GridFrames, methods: Sequence[str]) -> None:
-    scale = 3.0 * reduced.pixel_arcsec
-    q.axis("reference", list(reduced.references), "Reference")
-    every = [[reduced.statistics(m, r) for r in reduced.references] for m in methods]
-    for name, json, label, field in (
-        ("sigma_d_arcsec", "sigma_d", LABELS[0], "sigma_d_px"),
-        ("sigma_left_arcsec", "sigma_Dd", LABELS[1], "sigma_left_px"),
-        ("sigma_c1_arcsec", "sigma_C1", LABELS[2], "sigma_c1_px"),
-    ):
-        values = scale * np.array([[getattr(one, field) for one in row] for row in every])
-        place = f"distortion_arcsec_3sigma[method][reference].{json}"
-        q.add(name, values, label, unit="arcsec", dims="method reference axis", format=".3f", json=place)
-    q.add("order", reduced.order, "Order of the polynomial")
-    add_points(q, reduced.test, methods[0])
-
-
-def _headline(outcome: Outcome) -> Mapping[str, Any]:
-    at = {"method": outcome.result.methods[0], "reference": outcome.result.reduced.references[-1]}
-    return {
-        f"Left after the polynomial, {axis} (3 σ)": outcome.quantity("sigma_left_arcsec", axis=axis, **at)
-        for axis in "xy"
-    }
-
-
-def _tables(outcome: Outcome) -> Mapping[str, Pivot]:
-    grid = Pivot(
-        rows="method reference axis",
-        columns="sigma_d_arcsec sigma_left_arcsec sigma_c1_arcsec",
-        caption=f"Distortion error (ACC18 eq. 17-30, 3 σ), polynomial of order {outcome.result.reduced.order}.",
-        note="*nominal*: stated coordinates as they are; *aligned*: shift, roll and scale fitted; *calibrated*: a "
-        "camera model from the earlier session.",
-    )
-    return {"distortion": grid, "points": points_table(outcome)}
-
-
-def _residuals(outcome: Outcome) -> Figure:
-    """Residuals before and after the polynomial as arrows over the detector."""
-    reduced, folder = outcome.result.reduced, outcome.result.folder
-    statistics = reduced.statistics(outcome.result.methods[0], reduced.references[-1])
-    figure, axes = new_figure(1, 2, aspect_ratio=0.5, sharey=True)
-    for panel, values, title in ((axes[0], statistics.d_px, "found"), (axes[1], statistics.left_px, "left")):
-        error, reach = values * reduced.pixel_arcsec, 0.09 * folder.width_px
-        longest = point_figures.arrows(
-            panel, reduced.nominal_px, error, longest_px=reach, color=PALETTE[0], width=0.005
-        )
-        point_figures.detector_outline(panel, folder.width_px, folder.height_px)
-        panel.set(xlabel="column [px]", title=f"{title}: longest {longest:.2f}″")
-    axes[0].set_ylabel("row [px]")
-    return figure
+def _axes(q: Quantities, grid: Grid) -> None:
+    q.axis("reference", list(grid.references), "Reference")
 
 
 own_frames = FramesTest(
     title="Distortion error",
     layout=Layout(),
     reduce=reduce,
-    describe=_describe,
-    headline=_headline,
-    tables=_tables,
-    figures={
-        "residuals": (_residuals, "Residuals with the last of the references: before and after the polynomial."),
-        "cloud": (cloud, POINTS),
+    sections={
+        "grid": Section(
+            record=Grid,
+            axes=_axes,
+            table="distortion",
+            rows=DIMS,
+            columns="sigma_d_arcsec sigma_left_arcsec sigma_c1_arcsec",
+            caption="Distortion error (ACC18 eq. 17-30, 3 σ).",
+            note="*nominal*: stated coordinates as they are; *aligned*: shift, roll and scale fitted; *calibrated*: a "
+            "camera model from the earlier session.",
+            figures={"residuals": arrows("nominal_px", "found_arcsec", "left_arcsec", frame="frame_size_px")},
+        ),
+        **POINTS,
     },
-    show=("distortion",),
+    head={"Left after the polynomial (3 σ)": ("sigma_left_arcsec", {"method": 0, "reference": -1})},
+    captions={
+        "residuals": "Residuals with the last of the references: before and after the polynomial.",
+        **POINTS_CAPTION,
+    },
     series="Session",
 )

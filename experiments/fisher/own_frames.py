@@ -2,44 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from experiments.fisher.predict import (
-    Scatter,
     calibration_of_rows,
     covariance_of_rows,
     on_the_sphere,
     predict_independent,
     tangent_maps,
 )
-from experiments.fisher.reduce import Evaluation, evaluate
-from experiments.harness.pivot import Pivot
-from experiments.harness.plotting import PALETTE, new_figure
-from experiments.harness.quantities import Outcome, Quantities
-from experiments.harness.summary import Criterion
-from experiments.laboratory import point_figures
-from experiments.laboratory.own_frames.experiment import FramesTest
-from experiments.laboratory.own_frames.folder import FrameFolder
-from experiments.laboratory.own_frames.series import SeriesFrames, reduce_series
-from experiments.laboratory.own_frames.settings import SETTINGS_FILE
+from experiments.fisher.reduce import evaluate
+from experiments.harness.drawings import arrows
+from experiments.harness.quantities import Outcome
+from experiments.harness.sections import Section, below, col
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
-from experiments.laboratory.single_star.own_frames import (
-    POSES,
-    PoseCalibration,
-    calibrate_poses,
-    fit_criteria,
-    pose_data,
-)
-from experiments.laboratory.single_star.reduce import Data
+from experiments.reduce.folder import FrameFolder
+from experiments.reduce.poses import FIT, POSES, calibrate_poses, fit_record, pose_data
+from experiments.reduce.road import FramesTest, Reduced
+from experiments.reduce.series import reduce_series
+from experiments.reduce.frames_toml import SETTINGS_FILE
+from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
 
-__all__ = ["VectorFrames", "own_frames", "reduce"]
+__all__ = ["own_frames"]
 
 SIGMA_LIMIT = 4.0
 FEWEST = 10
@@ -47,23 +37,33 @@ FEWEST = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VectorFrames:
-    """Star vectors of n frames that the calibration has not seen."""
+class Vectors:
+    """Star vectors of frames that the calibration has not seen: standard deviation per axis."""
 
-    fitted: PoseCalibration  # From the poses for calibration
-    evaluated: tuple[SeriesFrames, ...]  # The others, one frame each
-    data: Data  # Their images and readings
-    evaluation: Evaluation  # Steps S300 to S500
-    predicted: Scatter  # From the covariances of images, readings and calibration
-    parts_arcsec: Mapping[str, float]  # Standard deviation per axis that centroids and readings are expected to make
+    sigma_arcsec: float = col("Star vector, σ per axis", "arcsec", ".4f")
+    interval_arcsec: Sequence[float] = col("95 % interval", "arcsec", ".4f", "end", shown=False)
+    # By the covariances of images, readings and calibration
+    predicted_arcsec: float = col("Predicted", "arcsec", ".4f")
+    centroids_arcsec: float = col("of it centroids", "arcsec", ".4f", json="predicted_parts_arcsec.centroids")
+    readings_arcsec: float = col("of it readings", "arcsec", ".4f", json="predicted_parts_arcsec.readings")
+    pixel_method_arcsec: float = col("Pixel residuals", "arcsec", ".4f")
+    z_score: float = col("Measured against predicted", "sigma", shown=False)
+    calibration_poses: int = col("Poses that calibrated", shown=False)
+    place_px: FloatArray = col("Image", "px", ".2f", "vector axis", json="")
+    left_arcsec: FloatArray = col("Residual", "arcsec", ".2f", "vector axis", json="")
 
-    @property
-    def series(self) -> tuple[SeriesFrames, ...]:
-        """Poses for calibration, then those for evaluation."""
-        return (*self.fitted.series, *self.evaluated)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Distribution:
+    """Whether the vectors follow the distribution."""
+
+    vectors: int = col("Star vectors")
+    outliers: int = col("Outliers left out")
+    isotropy_p: float = col("Chance of an ellipse as long", format=".3g")
+    tails: float = col("Kolmogorov statistic of the tails", format=".3g")
 
 
-def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> VectorFrames:
+def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
     """Calibrate with some poses, evaluate the star vectors of the others."""
     chosen = [one for one in folder.series if one.settings.use == "evaluation"]
     if not chosen:
@@ -94,101 +94,79 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> VectorFr
     angle, centroid = data.reading_rad[kept], data.covariance_px2[kept]
     maps, reading = tangent_maps(model, bench, angle), reading_covariance_px2(model, bench, angle)
     rows, known = calibration_of_rows(model, bench, angle), covariance_of_rows(fitted.calibration)
-    return VectorFrames(
-        fitted=fitted,
-        evaluated=evaluated,
-        data=data,
-        evaluation=evaluation,
-        predicted=predict_independent(maps, centroid + reading, rows, known),
-        parts_arcsec={"centroids": on_the_sphere(maps, centroid), "readings": on_the_sphere(maps, reading)},
-    )
-
-
-def _describe(q: Quantities, reduced: VectorFrames, methods: Sequence[str]) -> None:
-    evaluation, angle = reduced.evaluation, {"unit": "arcsec", "format": ".4f"}
-    low, high = evaluation.interval_arcsec()
-    q.add("sigma_arcsec", evaluation.sigma_arcsec, "Star vector, σ per axis", **angle)
-    q.add("interval_arcsec", [low, high], "95 % interval", **angle, dims="end")
-    q.add("predicted_arcsec", reduced.predicted.sigma_arcsec, "Predicted", **angle)
-    for name, value in reduced.parts_arcsec.items():
-        q.add(f"{name}_arcsec", value, f"of it {name}", **angle, json=f"predicted_parts_arcsec.{name}")
-    model = reduced.fitted.calibration.model
+    predicted = predict_independent(maps, centroid + reading, rows, known)
     scale = float(np.arctan(model.geometry.pixel_pitch_mm / model.value("focal_length_mm")) / ARCSEC_RAD)
-    q.add("pixel_method_arcsec", evaluation.baseline_arcsec(scale), "Pixel residuals", **angle)
-    q.add(
-        "z_score", reduced.predicted.z_score(evaluation.fit.chord_sum_rad2), "Measured against predicted", unit="sigma"
-    )
-    q.add("vectors", int((~evaluation.outlier).sum()), "Star vectors")
-    q.add("outliers", int(evaluation.outlier.sum()), "Outliers left out")
-    q.add("isotropy_p", evaluation.isotropy.p_value, "Chance of an ellipse as long", format=".3g")
-    q.add("tails", evaluation.tails.statistic, "Kolmogorov statistic of the tails", format=".3g")
-    q.add("calibration_poses", len(reduced.fitted.series), "Poses that calibrated")
-
-
-def _headline(outcome: Outcome) -> Mapping[str, Any]:
-    return {
-        "Star vector, σ per axis": outcome.quantity("sigma_arcsec"),
-        "Predicted": outcome.quantity("predicted_arcsec"),
+    return (*fitted.series, *evaluated), {
+        "vectors": Vectors(
+            sigma_arcsec=evaluation.sigma_arcsec,
+            interval_arcsec=evaluation.interval_arcsec(),
+            predicted_arcsec=predicted.sigma_arcsec,
+            centroids_arcsec=on_the_sphere(maps, centroid),
+            readings_arcsec=on_the_sphere(maps, reading),
+            pixel_method_arcsec=evaluation.baseline_arcsec(scale),
+            z_score=predicted.z_score(evaluation.fit.chord_sum_rad2),
+            calibration_poses=len(fitted.series),
+            place_px=data.pixel_px,
+            left_arcsec=evaluation.residual_px * folder.settings.pixel_arcsec,
+        ),
+        "distribution": Distribution(
+            vectors=int(kept.sum()),
+            outliers=int(evaluation.outlier.sum()),
+            isotropy_p=evaluation.isotropy.p_value,
+            tails=evaluation.tails.statistic,
+        ),
+        "fit": fit_record(fitted, folder),
     }
 
 
-def _tables(outcome: Outcome) -> Mapping[str, Pivot]:
-    return {"accuracy": _ACCURACY, "checks": _CHECKS}
-
-
-_ACCURACY = Pivot(
-    columns="sigma_arcsec predicted_arcsec centroids_arcsec readings_arcsec pixel_method_arcsec",
-    caption="Standard deviation of a star vector per axis (FISHER23, S300 to S500), and what covariances predict.",
-    note="*Pixel residuals*: standard deviation of the residuals on the detector times the angle of a pixel.",
-)
-_CHECKS = Pivot(columns="vectors outliers isotropy_p tails", caption="Whether the vectors follow the distribution.")
-
-
-def _arrows(outcome: Outcome) -> Figure:
-    """Residuals of the evaluated images as arrows over the detector."""
-    reduced, folder = outcome.result.reduced, outcome.result.folder
-    figure, panel = new_figure(aspect_ratio=0.7)
-    error, reach = reduced.evaluation.residual_px * folder.settings.pixel_arcsec, 0.06 * folder.width_px
-    longest = point_figures.arrows(panel, reduced.data.pixel_px, error, longest_px=reach, color=PALETTE[0], width=0.004)
-    point_figures.detector_outline(panel, folder.width_px, folder.height_px)
-    panel.set(xlabel="column [px]", ylabel="row [px]", title=f"longest {longest:.2f}″")
-    return figure
-
-
-def _criteria(outcome: Outcome) -> list[Criterion]:
-    z = outcome.value("z_score")
-    more = "the star moved during exposures, the table's readings are worse than stated, or the lens needs more terms"
-    less = "the reading noise or the camera's noise is stated too large"
-    return [
-        *fit_criteria(outcome.result.reduced.fitted, outcome.result.folder),
-        Criterion(
-            name="scatter of the star vectors against what covariances predict",
-            value=z,
-            about=0.0,
-            limit=SIGMA_LIMIT,
-            unit="σ",
-            advice=f"star vectors scatter {'more' if z > 0 else 'less'} than predicted: {more if z > 0 else less}",
-        ),
-        Criterion(
-            name=f"star vectors that are outliers, at a level of {outcome.config.evaluation.outlier_probability:g}",
-            value=outcome.value("outliers"),
-            limit=0,
-            advice="a few frames are off: a lost star, readings of another frame, a table that had not settled",
-        ),
-    ]
+def _scatter_advice(outcome: Outcome) -> str:
+    if outcome.value("z_score") > 0:
+        return (
+            "star vectors scatter more than predicted: the star moved during exposures, the table's readings are worse "
+            "than stated, or the lens needs more terms"
+        )
+    return "star vectors scatter less than predicted: the reading noise or the camera's noise is stated too large"
 
 
 own_frames = FramesTest(
     title="Accuracy of star vectors",
     layout=POSES,
     reduce=reduce,
-    describe=_describe,
-    headline=_headline,
-    tables=_tables,
-    figures={
-        "residuals": (_arrows, "Images of the evaluated frames minus the star as calibrated, at the angles as read.")
+    sections={
+        "vectors": Section(
+            record=Vectors,
+            table="accuracy",
+            columns="sigma_arcsec predicted_arcsec centroids_arcsec readings_arcsec pixel_method_arcsec",
+            caption="Standard deviation of a star vector per axis (FISHER23, S300 to S500), and what covariances "
+            "predict.",
+            note="*Pixel residuals*: standard deviation of the residuals on the detector times the angle of a pixel.",
+            figures={"residuals": arrows("place_px", "left_arcsec", frame="frame_size_px")},
+            verdicts=[
+                below(
+                    "z_score",
+                    SIGMA_LIMIT,
+                    size=True,
+                    title="scatter of the star vectors against what covariances predict",
+                    advice=_scatter_advice,
+                )
+            ],
+        ),
+        "distribution": Section(
+            record=Distribution,
+            table="checks",
+            caption="Whether the vectors follow the distribution.",
+            verdicts=[
+                below(
+                    "outliers",
+                    0,
+                    title="star vectors that are outliers (evaluation.outlier_probability)",
+                    advice="a few frames are off: a lost star, readings of another frame, a table that had not settled",
+                )
+            ],
+        ),
+        "fit": FIT,
     },
-    criteria=_criteria,
-    show=("accuracy",),
+    head={"Star vector, σ per axis": ("sigma_arcsec", {}), "Predicted": ("predicted_arcsec", {})},
+    captions={"residuals": "Images of the evaluated frames minus the star as calibrated, at the angles as read."},
     series="Pose",
 )

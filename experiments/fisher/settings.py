@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.own_frames.experiment import or_own_frames
+from experiments.laboratory.own_frames import or_own_frames
 from experiments.laboratory.settings import SignalConfig
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 
@@ -130,5 +130,5 @@ rendered = Experiment(
         "coverage.runs": 1500,
     },
 )
-experiment = or_own_frames(rendered, "experiments.fisher.own_frames")
+experiment = or_own_frames(rendered)
 main = command(experiment)

@@ -13,7 +13,7 @@ from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
 from experiments.hsfe.settings import Config
-from experiments.laboratory.own_frames.experiment import or_own_frames
+from experiments.laboratory.own_frames import or_own_frames
 
 if TYPE_CHECKING:
     from experiments.hsfe.result import Result
@@ -125,5 +125,5 @@ rendered = Experiment(
         "compare": ["gaussian", "epsf"],
     },
 )
-experiment = or_own_frames(rendered, "experiments.hsfe.own_frames")
+experiment = or_own_frames(rendered)
 main = command(experiment)

@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from experiments.harness.pivot import Pivot
-from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.drawings import cloud
+from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
-from experiments.laboratory import point_figures
-from experiments.laboratory.own_frames.experiment import FramesTest
-from experiments.laboratory.own_frames.figures import POINTS, cloud
-from experiments.laboratory.own_frames.folder import FrameFolder
-from experiments.laboratory.own_frames.series import SeriesFrames, reduce_series
-from experiments.laboratory.own_frames.settings import Layout
-from experiments.laboratory.own_frames.tables import add_points, points_table
 from experiments.laboratory.step_statistics import (
     PositionError,
     document_rms_px,
@@ -26,67 +18,46 @@ from experiments.laboratory.step_statistics import (
     position_error,
     step_residual_px,
 )
+from experiments.reduce.folder import FrameFolder
+from experiments.reduce.road import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
+from experiments.reduce.series import SeriesFrames, reduce_series
+from experiments.reduce.frames_toml import Layout
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["StepFrames", "own_frames", "reduce", "said"]
+__all__ = ["interval_text", "own_frames", "reduce"]
+
+SINGLE = "single_position_arcsec_3sigma[method][axis]"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StepFrames:
-    """High spatial frequency error of m positions."""
+class Steps:
+    """High spatial frequency error (3 sigma) by method and axis."""
 
-    pixel_arcsec: float  # Angle of a pixel
-    series: tuple[SeriesFrames, ...]  # Positions, in the order of the steps
-    shift_px: FloatArray  # (m, 2) Commanded shift since the start; NaN where not stated
-
-    def mean_px(self, method: str) -> FloatArray:
-        """Mean centroids (m, j, 2)."""
-        return np.stack([one.points.mean_px(method) for one in self.series])
-
-    def document_arcsec(self, method: str) -> tuple[Measured, Measured]:
-        """HSFE as printed, 3 sigma, x and y; uncertainty by the jackknife over the stars (none for two stars)."""
-        mean, scale = self.mean_px(method), 3.0 * self.pixel_arcsec
-        value, error = document_rms_px(mean), jackknife_px(mean)
-        count = mean.shape[1] * (mean.shape[0] - 1)
-        x, y = (
-            Measured(
-                value=float(value[a] * scale),
-                unit="arcsec",
-                uncertainty=float(error[a] * scale) if np.isfinite(error[a]) else None,
-                n=count,
-            )
-            for a in range(2)
-        )
-        return x, y
-
-    def position_error(self, method: str) -> PositionError:
-        """Error of one position, temporal noise taken away (`experiments.laboratory.step_statistics`)."""
-        sigma = np.stack([one.points.sigma_px(method) for one in self.series])
-        return position_error(self.mean_px(method), sigma, np.array([one.frames for one in self.series]))
-
-    def common_px(self, method: str) -> FloatArray:
-        """Shift of the whole image since the first position (m, 2), as measured."""
-        mean = self.mean_px(method)
-        return np.asarray((mean - mean[0]).mean(1))
-
-
-def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> StepFrames:
-    """High spatial frequency error of a folder."""
-    if len(folder.series) < 2:
-        raise DomainError(f"frames of {len(folder.series)} position; at least 2 [[series]] are needed for steps")
-    if len(folder.series[0].found_px) < 2:
-        raise DomainError("1 target point; at least 2 are needed, the mean over them is taken away")
-    missing = (float("nan"), float("nan"))
-    return StepFrames(
-        pixel_arcsec=folder.settings.pixel_arcsec,
-        series=tuple(reduce_series(folder, one, methods) for one in folder.series),
-        shift_px=np.array([one.settings.shift_px or missing for one in folder.series], float),
+    hsfe_arcsec: Sequence[Sequence[Measured]] = col(
+        "As printed", "arcsec", dims="method axis", json="hsfe_arcsec_3sigma"
     )
+    single_text: Sequence[Sequence[str]] = col(
+        "One position", "arcsec", "", "method axis", json=f"{SINGLE}.said", key="single_said"
+    )
+    single_estimate_arcsec: FloatArray = col("Estimate", "arcsec", ".4f", "method axis", json=f"{SINGLE}.estimate")
+    single_low_arcsec: FloatArray = col("from", "arcsec", ".4f", "method axis", json=f"{SINGLE}.low")
+    single_high_arcsec: FloatArray = col("to", "arcsec", ".4f", "method axis", json=f"{SINGLE}.high")
+    single_upper_arcsec: FloatArray = col("at most", "arcsec", ".4f", "method axis", json=f"{SINGLE}.upper")
+    single_degrees: FloatArray = col("Degrees of freedom", "", ".0f", "method axis", json="")
+    residual_arcsec: FloatArray = col("Residual of a step", "arcsec", ".3f", "step point axis", json="")
 
 
-def said(error: PositionError, axis: int, scale: float) -> str:
-    """An estimate in words: with its interval, or as consistent with zero."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Position:
+    """Shift of the whole image since the first position."""
+
+    seen_px: FloatArray = col("Seen", "px", ".4f", "axis", json="common_shift_px", key="seen_{axis}_px")
+    commanded_px: FloatArray = col("Commanded", "px", ".4f", "axis", json="", key="commanded_{axis}_px")
+
+
+def interval_text(error: PositionError, axis: int, scale: float) -> str:
+    """An estimate with its interval, or as consistent with zero."""
     low, high, upper = (float(one[axis]) * scale for one in (error.low_px, error.high_px, error.upper_px))
     value = float(error.value_px[axis]) * scale
     if not low > 0.0:
@@ -94,81 +65,79 @@ def said(error: PositionError, axis: int, scale: float) -> str:
     return f"{value:.3f} ({low:.3f} to {high:.3f} at {error.level:.0%})"
 
 
-def _describe(q: Quantities, reduced: StepFrames, methods: Sequence[str]) -> None:
-    angle, scale = {"unit": "arcsec", "dims": "method axis"}, 3.0 * reduced.pixel_arcsec
-    q.add(
-        "hsfe_arcsec", [reduced.document_arcsec(m) for m in methods], "As printed", **angle, json="hsfe_arcsec_3sigma"
-    )
-    errors, place = [reduced.position_error(m) for m in methods], "single_position_arcsec_3sigma[method][axis]"
-    for name, label, values in (
-        ("estimate", "One position", [one.value_px for one in errors]),
-        ("low", "from", [one.low_px for one in errors]),
-        ("high", "to", [np.where(one.low_px > 0, one.high_px, np.nan) for one in errors]),
-        ("upper", "at most", [one.upper_px for one in errors]),
-    ):
-        q.add(f"single_{name}_arcsec", scale * np.array(values), label, **angle, format=".4f", json=f"{place}.{name}")
-    q.add(
-        "single_degrees",
-        [one.degrees for one in errors],
-        "Degrees of freedom",
-        dims="method axis",
-        format=".0f",
-        json="",
-    )
-    words = [[said(one, axis, scale) for axis in range(2)] for one in errors]
-    q.add("single_said", words, "One position", unit="arcsec", dims="method axis", json=f"{place}.said")
-    shift = {"unit": "px", "dims": "series axis", "format": ".4f"}
-    q.add("seen_px", reduced.common_px(methods[0]), "Seen", **shift, key="seen_{axis}_px", json="common_shift_px")
-    q.add("commanded_px", reduced.shift_px, "Commanded", **shift, key="commanded_{axis}_px", json="")
-    add_points(q, reduced.series[-1], methods[0])
+def document_arcsec(mean_px: FloatArray, scale: float) -> list[Measured]:
+    """HSFE as printed, x and y; uncertainty by the jackknife over the stars (none for two stars)."""
+    count = mean_px.shape[1] * (mean_px.shape[0] - 1)
+    rows = zip(scale * document_rms_px(mean_px), scale * jackknife_px(mean_px), strict=True)
+    return [Measured(value=float(v), uncertainty=float(e) if np.isfinite(e) else None, n=count) for v, e in rows]
 
 
-def _headline(outcome: Outcome) -> Mapping[str, Any]:
-    first = outcome.result.methods[0]
-    return {
-        f"High spatial frequency error, {axis} (3 σ)": outcome.quantity("hsfe_arcsec", method=first, axis=axis)
-        for axis in "xy"
+def steps(series: Sequence[SeriesFrames], methods: Sequence[str], scale: float) -> Steps:
+    """As printed, and of one position (analysis of variance), in units of ``scale`` [arcsec/px]."""
+    mean = {m: np.stack([one.points.mean_px(m) for one in series]) for m in methods}
+    frames = np.array([one.frames for one in series])
+    errors = [position_error(mean[m], np.stack([one.points.sigma_px(m) for one in series]), frames) for m in methods]
+    return Steps(
+        hsfe_arcsec=[document_arcsec(mean[m], scale) for m in methods],
+        single_text=[[interval_text(one, axis, scale) for axis in range(2)] for one in errors],
+        single_estimate_arcsec=scale * np.array([one.value_px for one in errors]),
+        single_low_arcsec=scale * np.array([one.low_px for one in errors]),
+        single_high_arcsec=scale * np.array([np.where(one.low_px > 0, one.high_px, np.nan) for one in errors]),
+        single_upper_arcsec=scale * np.array([one.upper_px for one in errors]),
+        single_degrees=np.array([one.degrees for one in errors]),
+        residual_arcsec=scale / 3.0 * step_residual_px(mean[methods[0]]),
+    )
+
+
+def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> Reduced:
+    """High spatial frequency error of a folder."""
+    if len(folder.series) < 2:
+        raise DomainError(f"frames of {len(folder.series)} position; at least 2 [[series]] are needed for steps")
+    if len(folder.series[0].found_px) < 2:
+        raise DomainError("1 target point; at least 2 are needed, the mean over them is taken away")
+    series = [reduce_series(folder, one, methods) for one in folder.series]
+    mean = np.stack([one.points.mean_px(methods[0]) for one in series])
+    missing = (float("nan"), float("nan"))
+    return series, {
+        "steps": steps(series, methods, 3.0 * folder.settings.pixel_arcsec),
+        "positions": [
+            Position(seen_px=seen, commanded_px=np.array(one.settings.shift_px or missing))
+            for seen, one in zip((mean - mean[0]).mean(1), series, strict=True)
+        ],
+        **points_of(folder, series[-1], methods[0]),
     }
-
-
-def _tables(outcome: Outcome) -> Mapping[str, Pivot]:
-    steps = Pivot(
-        rows="method axis",
-        columns="hsfe_arcsec single_said",
-        caption="High spatial frequency error (ACC18 eq. 3-12, 3 σ) from "
-        f"{len(outcome.result.reduced.series)} positions.",
-        note="*As printed*: RMS of differences of consecutive positions. *One position*: error of the mean centroid at "
-        "a position about its mean over the path, temporal noise taken away, by an analysis of variance.",
-    )
-    return {"hsfe": steps, "positions": _POSITIONS, "points": points_table(outcome)}
-
-
-_POSITIONS = Pivot(
-    rows="series",
-    across="axis",
-    columns="frames seen_px commanded_px",
-    caption="Shift of the whole image since the first position, as measured and as commanded.",
-)
-
-
-def _residuals(outcome: Outcome) -> Figure:
-    """Residuals of the steps."""
-    reduced, first = outcome.result.reduced, outcome.result.methods[0]
-    residual = step_residual_px(reduced.mean_px(first)) * reduced.pixel_arcsec
-    return point_figures.step_residuals(residual, {"3 σ": outcome.values("hsfe_arcsec", method=first)})
 
 
 own_frames = FramesTest(
     title="High spatial frequency error",
     layout=Layout(),
     reduce=reduce,
-    describe=_describe,
-    headline=_headline,
-    tables=_tables,
-    figures={
-        "residuals": (_residuals, "Differences of consecutive positions without their mean over the points."),
-        "cloud": (cloud, POINTS),
+    sections={
+        "steps": Section(
+            record=Steps,
+            table="hsfe",
+            rows="method axis",
+            columns="hsfe_arcsec single_text",
+            caption="High spatial frequency error (ACC18 eq. 3-12, 3 σ).",
+            note="*As printed*: RMS of differences of consecutive positions. *One position*: error of the mean "
+            "centroid at a position about its mean over the path, temporal noise taken away, by an analysis of "
+            "variance.",
+            figures={"residuals": cloud("residual_arcsec", ellipses="hsfe_arcsec", at={"method": 0})},
+        ),
+        "positions": Section(
+            record=Position,
+            dim="series",
+            table="positions",
+            across="axis",
+            columns="frames seen_px commanded_px",
+            caption="Shift of the whole image since the first position, as measured and as commanded.",
+        ),
+        **POINTS,
     },
-    show=("hsfe",),
+    head={"High spatial frequency error (3 σ)": ("hsfe_arcsec", {"method": 0})},
+    captions={
+        "residuals": "Differences of consecutive positions without their mean over the points; 3 σ.",
+        **POINTS_CAPTION,
+    },
     series="Position",
 )

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from experiments.laboratory.centroid_methods import MethodName
 from experiments.laboratory.collimator_settings import CollimatorConfig
-from experiments.laboratory.own_frames.option import OwnFramesConfig
+from experiments.laboratory.own_frames import OwnFramesConfig
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, SignalConfig, TargetConfig
 
 __all__ = ["PointConfig", "SourceConfig", "StarTargetConfig"]

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.own_frames.experiment import or_own_frames
+from experiments.laboratory.own_frames import or_own_frames
 from experiments.laboratory.point_settings import StarTargetConfig
 
 __all__ = ["BrightnessConfig", "Config", "experiment", "main"]
@@ -59,5 +59,5 @@ rendered = Experiment(
         "compare": ["tcog", "epsf"],
     },
 )
-experiment = or_own_frames(rendered, "experiments.temporal.own_frames")
+experiment = or_own_frames(rendered)
 main = command(experiment)

@@ -10,7 +10,7 @@ import numpy as np
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
-from experiments.laboratory.own_frames.experiment import or_own_frames
+from experiments.laboratory.own_frames import or_own_frames
 from experiments.turntable.settings import Config
 from optics.errors import ConfigError
 
@@ -122,5 +122,5 @@ rendered = Experiment(
         "study.field_deg": [3.0, 6.0, 12.0, 20.0, 40.0],
     },
 )
-experiment = or_own_frames(rendered, "experiments.turntable.own_frames")
+experiment = or_own_frames(rendered)
 main = command(experiment)

@@ -28,7 +28,7 @@ from experiments.dataset.settings import Config
 from experiments.dataset.truth import COLUMNS, FrameRecord
 from experiments.dataset.truth_files import index_bytes, read_record, read_table, truth_bytes
 from experiments.harness.config import load_config
-from experiments.laboratory.own_frames import settings as own_frames
+from experiments.reduce import frames_toml as own_frames
 from optics.errors import StarbenchError
 from optics.export.write import write_lens
 from optics.glass.agf import read_agf

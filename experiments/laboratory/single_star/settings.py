@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Self
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.config import AngleDeg, PlacePx, StrictModel
-from experiments.laboratory.own_frames.option import OwnFramesConfig
+from experiments.laboratory.own_frames import OwnFramesConfig
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, SignalConfig
 
 __all__ = ["LARGEST_STAR_ANGLE_DEG", "GridConfig", "SingleStarConfig", "StarConfig", "TableConfig"]

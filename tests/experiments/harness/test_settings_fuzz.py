@@ -17,7 +17,7 @@ from experiments.dataset.plan import read_attitudes
 from experiments.harness.config import alternatives, load_config
 from experiments.harness.progress import Progress
 from experiments.harness.run import configuration_file
-from experiments.laboratory.own_frames.settings import FolderSettings, read_settings
+from experiments.reduce.frames_toml import FolderSettings, read_settings
 from experiments.laboratory.sensor_file import SensorConfig, read_sensor
 from experiments.laboratory.settings import CatalogueConfig
 from optics.errors import ConfigError

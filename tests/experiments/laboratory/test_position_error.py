@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.hsfe.own_frames import said
+from experiments.hsfe.own_frames import interval_text
 from experiments.laboratory.step_statistics import position_error
 
 POSITIONS, STARS, FRAMES, RUNS = 8, 16, 10, 250
@@ -56,7 +56,7 @@ def test_estimate_and_interval_hold_the_truth(error_px, neighbours):
 def test_no_error_is_consistent_with_zero():
     """Frames of a camera without this error: that is said in 97 % of the cases; the limit is below a mean's noise."""
     found = estimates(0.0, 0.05)
-    words = [said(one, axis, 1.0) for one in found for axis in range(2)]
+    words = [interval_text(one, axis, 1.0) for one in found for axis in range(2)]
     assert np.mean([one.startswith("consistent with zero, upper limit 0.0") for one in words]) > 0.95
     upper = np.array([one.upper_px for one in found])
     assert upper.min() > 0.0  # also where the estimate is far below zero

@@ -12,7 +12,7 @@ Every number has its own statistic, and none needs more than the frames:
     of what is left of the points follows Fisher's F with (N - 1) and (N - 1)(J - 1) degrees of freedom; with a motion
     of the variance m^2 it is larger by 1 + J m^2 / s^2.
 ``noise``
-    Variance of the centroids over the variance that the noise model predicts for them.
+    Standard deviation of the centroids over that of the noise model.
 ``copies``, ``step``, ``clipped``, ``zero``
     Frames of a series that equal another one; common divisor of all readings; how often the highest reading comes
     against the four below it; share of readings of 0.
@@ -29,15 +29,26 @@ from scipy.ndimage import convolve, shift
 from scipy.stats import f as fisher_f
 from scipy.stats import poisson
 
+from experiments.harness.quantities import Outcome
+from experiments.harness.sections import Section, below, col, ratio_near, two_sided_limit
 from experiments.harness.summary import Measured
-from experiments.laboratory.own_frames.folder import FrameSeries
-from experiments.laboratory.own_frames.series import SeriesFrames
+from experiments.reduce.folder import FrameFolder, FrameSeries
+from experiments.reduce.series import SeriesFrames
 from optics.arrays import FloatArray
 
-__all__ = ["FALSE_ALARM", "MOTION_SHARE", "FrameChecks", "Motion", "check_frames", "common_motion", "photon_transfer"]
+__all__ = ["CHECKS", "FALSE_ALARM", "MOTION_SHARE", "FrameChecks", "Motion", "check_frames", "photon_transfer"]
 
 FALSE_ALARM = 1e-3
 """Probability that a check objects to frames that are as they should be."""
+RATIO_ALARM = 6.334e-5
+"""The same for gain and noise ratio, 4 sigma: what they are held against is stated to some per cent anyway."""
+GAIN_ALLOWANCE = 0.15
+"""What photon transfer may be off: charge shared between pixels and the growth of images with brightness lower the
+variance by up to a tenth in many detectors."""
+NOISE_ALLOWANCE = 0.15
+"""What the noise model may be off: motion that is let pass makes 10 %, and read noise differs from pixel to pixel."""
+GAIN_DETERMINED = 0.1
+"""Photon transfer worse than this part of its value says nothing."""
 MOTION_SHARE = 0.21
 """Motion that raises the scatter of a point by 10 % is let pass: its variance over that of the point."""
 FEWEST_FOR_MOTION = 3
@@ -62,45 +73,69 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameChecks:
-    """Of all series of a folder together."""
+    """All series of a folder together. Gain without two frames in a series or enough light: None; so is the rest."""
 
-    gain_dn_per_e: Measured | None  # K by photon transfer; None without two frames in a series or enough light
+    stated_gain: float = col("Gain, stated", "DN/e-", json="gain_dn_per_e.stated")
+    transfer_gain: Measured | None = col("Gain, photon transfer", "DN/e-", json="gain_dn_per_e.photon_transfer")
+    gain_ratio: Measured | None = col("Gain, photon transfer over stated", json="")  # None where it says nothing
+    noise_ratio: Measured | None = col("Scatter over noise model")
     motion: Motion | None  # The largest against its limit; None for single points or fewer than three frames
-    noise_ratio: Measured | None  # Standard deviation of a frame's centroid, measured over modelled
-    copies: int  # Frames that equal another one of their series; of so many
-    frames: int  # Frames that equal another one of their series; of so many
-    step_dn: int  # Largest number that divides all differences of readings
-    top_dn: int  # Highest reading, how often it comes, how often chance lets it come
-    top_count: int  # Highest reading, how often it comes, how often chance lets it come
-    top_limit: int  # Highest reading, how often it comes, how often chance lets it come
-    zero_fraction: float  # Share of readings of 0
+    common_motion_px: float | None = col("Common motion", "px", ".4f")
+    motion_limit_px: float | None = col("Common motion that is let pass", "px", ".4f", json="")
+    drift_px: float | None = col("Drift", "px", ".4f")
+    frames: int  # Of all series
+    copies: int = col("Frames that equal another one of their series", json="")
+    step_dn: int = col("Largest number that divides all differences of readings", "DN", json="")
+    top_dn: int = col("Highest reading", "DN", json="")
+    top_count: int = col("Pixels at the highest reading", json="")
+    top_limit: int = col("Pixels at the highest reading that chance lets be", json="")
+    zero_fraction: float = col("Share of readings of 0", json="")
+    flat_pattern: tuple[float, float] | None  # Response from pixel to pixel that the flat shows, and its noise
+    flat_noise: float | None = col("Noise of the mean flat over its pattern", json="")
 
 
-def check_frames(series: Sequence[FrameSeries], reduced: Sequence[SeriesFrames], method: str) -> FrameChecks:
+def check_frames(folder: FrameFolder, reduced: Sequence[SeriesFrames], method: str) -> FrameChecks:
     """Look at all series of a folder; ``method`` is the centroider that counts."""
+    series, stated = folder.series, folder.settings.gain_dn_per_e
     several = [one for one in series if len(one.windows.dn) > 1]
     motions = [
         motion
         for one in reduced
         for motion in common_motion(one.points.position_px[method], one.name, tests=2 * len(reduced))
     ]
+    motion = max(motions, key=lambda one: one.rms_px / one.limit_px, default=None)
+    gain = photon_transfer([one.windows.dn for one in several], [~one.windows.defect for one in several])
     readings = [np.unique(_each_once(one), return_counts=True) for one in series]
     top, count, limit = _top(readings)
-    every = sum(int(counts.sum()) for _, counts in readings)
     zero = sum(int(counts[values == 0].sum()) for values, counts in readings)
     steps = np.concatenate([np.diff(values.astype(np.int64)) for values, _ in readings])
+    pattern = None if folder.flat is None else folder.flat.pattern
     return FrameChecks(
-        gain_dn_per_e=photon_transfer([one.windows.dn for one in several], [~one.windows.defect for one in several]),
-        motion=max(motions, key=lambda one: one.rms_px / one.limit_px, default=None),
+        stated_gain=stated,
+        transfer_gain=gain,
+        gain_ratio=_gain_ratio(gain, stated),
         noise_ratio=_noise_ratio(reduced, method),
-        copies=sum(len(one.windows.dn) - len(_unique(one)) for one in series),
+        motion=motion,
+        common_motion_px=motion and motion.rms_px,
+        motion_limit_px=motion and motion.limit_px,
+        drift_px=motion and motion.drift_px,
         frames=sum(len(one.windows.dn) for one in series),
+        copies=sum(len(one.windows.dn) - len(_unique(one)) for one in series),
         step_dn=int(np.gcd.reduce(steps)) if steps.size else 1,
         top_dn=top,
         top_count=count,
         top_limit=limit,
-        zero_fraction=zero / every,
+        zero_fraction=zero / sum(int(counts.sum()) for _, counts in readings),
+        flat_pattern=pattern,
+        flat_noise=None if pattern is None else pattern[1] / max(pattern[0], 1e-12),
     )
+
+
+def _gain_ratio(gain: Measured | None, stated: float) -> Measured | None:
+    """Photon transfer over the stated gain; None where it is not determined."""
+    if gain is None or gain.uncertainty is None or gain.uncertainty > GAIN_DETERMINED * max(gain.value, 0.0):
+        return None
+    return Measured(value=gain.value / stated, uncertainty=gain.uncertainty / stated, n=gain.n)
 
 
 def _unique(series: FrameSeries) -> list[int]:
@@ -230,3 +265,133 @@ def _window_variances(
         instruments.append(np.column_stack([taken.sum(1), taken @ around[ok]]))
     variance = np.concatenate(variances)
     return variance, np.concatenate(designs), np.concatenate(instruments), np.full(len(variance), frames - 1.0)
+
+
+# --- What is likely wrong, and the verdicts
+
+
+def _checks(outcome: Outcome) -> FrameChecks:
+    checks: FrameChecks = outcome.result["checks"]
+    return checks
+
+
+def _copies_advice(outcome: Outcome) -> str:
+    checks = _checks(outcome)
+    return (
+        f"{checks.copies} of {checks.frames} frames are copies: one frame was stored several times, or the camera did "
+        "not refresh; noise of copies is not noise"
+    )
+
+
+def _step_advice(outcome: Outcome) -> str:
+    return (
+        f"all readings are {_checks(outcome).step_dn} DN apart or a multiple: a converter of fewer bits, shifted to "
+        "the left; divide the frames (and gain_dn_per_e, offset_dn, saturation_dn) by it"
+    )
+
+
+def _top_advice(outcome: Outcome) -> str:
+    one = _checks(outcome)
+    return (
+        f"the highest reading comes {one.top_count} times, chance lets it come {one.top_limit} times: pixels are "
+        f"saturated there; state saturation_dn = {one.top_dn} and lower the lamp or the exposure"
+    )
+
+
+def _motion_advice(outcome: Outcome) -> str:
+    """Words on a motion beyond its limit; none for less."""
+    motion = _checks(outcome).motion
+    if motion is None or motion.rms_px <= motion.limit_px:
+        return ""
+    where = f"{motion.series}, {motion.axis}"
+    if motion.drift_share > 0.5:
+        return (
+            f"the image drifts by {abs(motion.drift_px):.2g} px from the first to the last frame ({where}): the target "
+            "or the camera is not at rest"
+        )
+    return (
+        f"the image moves by {motion.rms_px:.2g} px from frame to frame, all points alike ({where}): vibration, or a "
+        "target that is not at rest"
+    )
+
+
+def _gain_advice(outcome: Outcome) -> str:
+    """Words on the motion, which disturbs photon transfer, or on a gain beyond its limit."""
+    checks = _checks(outcome)
+    gain, ratio, stated = checks.transfer_gain, checks.gain_ratio, checks.stated_gain
+    moves = _motion_advice(outcome)
+    if moves or gain is None or ratio is None:
+        return moves
+    noise = two_sided_limit(1, RATIO_ALARM) * (ratio.uncertainty or 0.0)
+    if abs(ratio.value - 1.0) <= GAIN_ALLOWANCE + noise:
+        return ""
+    words = (
+        f"variance against mean gives {gain.value:.3g} ± {gain.uncertainty:.1g} DN/e⁻, gain_dn_per_e is {stated:.3g}"
+    )
+    if abs(gain.value * stated - 1.0) < 0.3:
+        return f"{words}, the reciprocal: it was given in e⁻/DN"
+    return f"{words}: wrong for this gain setting, or frames were averaged, scaled or smoothed before they were stored"
+
+
+def _noise_advice(outcome: Outcome) -> str:
+    checks = _checks(outcome)
+    ratio = float("nan") if checks.noise_ratio is None else checks.noise_ratio.value
+    if checks.copies:
+        cause = f"{checks.copies} frames are copies"
+    elif not (cause := _gain_advice(outcome)):
+        more = "points scatter more than photons and read noise make them (vibration, air, a flickering lamp)"
+        less = "points scatter less than photons and read noise make them (frames averaged or smoothed, read_noise_e)"
+        cause = more if ratio > 1.0 else less
+    return f"the ratio is {ratio:.3g}: {cause}"
+
+
+def _flat_advice(outcome: Outcome) -> str:
+    spread, noise = _checks(outcome).flat_pattern or (0.0, 0.0)
+    return (
+        f"the flat shows {spread:.2%} from pixel to pixel, of which {noise:.2%} is its own noise: it adds more than it "
+        "takes away; average more or brighter flats, or leave it out"
+    )
+
+
+CHECKS = Section(
+    record=FrameChecks,
+    verdicts=[
+        below(
+            "copies", 0, title="frames that repeat another frame of their series, pixel by pixel", advice=_copies_advice
+        ),
+        below("step_dn", 1, title="common step of all readings", advice=_step_advice),
+        below("top_count", "top_limit", title="pixels at the highest reading of all", advice=_top_advice),
+        below(
+            "zero_fraction",
+            1e-3,
+            title="share of readings of 0 DN",
+            advice="noise is cut off at zero: raise the offset of the camera, or dark frames were taken away before",
+        ),
+        ratio_near(
+            "gain_ratio",
+            within=GAIN_ALLOWANCE,
+            false_alarm=RATIO_ALARM,
+            title="gain by the frames' own photon transfer over the stated one",
+            advice=_gain_advice,
+        ),
+        below(
+            "common_motion_px",
+            "motion_limit_px",
+            title="common motion of all points from frame to frame, the largest of all series",
+            advice=_motion_advice,
+        ),
+        ratio_near(
+            "noise_ratio",
+            within=NOISE_ALLOWANCE,
+            false_alarm=RATIO_ALARM,
+            title="scatter of the centroids over what the stated noise gives",
+            advice=_noise_advice,
+        ),
+        below(
+            "flat_noise",
+            0.5**0.5,  # A flat must know the response better than leaving it out does
+            title="noise of the mean flat over the pattern from pixel to pixel that it shows",
+            advice=_flat_advice,
+        ),
+    ],
+)

@@ -17,9 +17,20 @@ from numpy.typing import NDArray
 from calib.flags import StarFlag, has_flag
 from calib.measure.detection import detect
 from calib.measure.image import sensor_image
-from experiments.laboratory.own_frames.files import FrameReader, find_files, refuse_shared, same
-from experiments.laboratory.own_frames.masters import Flat, MeanFrame, bad_pixels, mean_flat, mean_frame
-from experiments.laboratory.own_frames.settings import (
+from experiments.laboratory.readout.search import match_points
+from experiments.laboratory.readout.windows import cut_windows, window_corners
+from experiments.reduce.frames import (
+    Flat,
+    FrameReader,
+    MeanFrame,
+    bad_pixels,
+    find_files,
+    mean_flat,
+    mean_frame,
+    refuse_shared,
+    same,
+)
+from experiments.reduce.frames_toml import (
     SETTINGS_FILE,
     FolderSettings,
     Layout,
@@ -27,8 +38,6 @@ from experiments.laboratory.own_frames.settings import (
     read_settings,
     read_table,
 )
-from experiments.laboratory.readout.search import match_points
-from experiments.laboratory.readout.windows import cut_windows, window_corners
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD

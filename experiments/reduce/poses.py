@@ -1,4 +1,7 @@
-"""Own frames of a star on a turntable: a series is a pose, with the readings of the table; the joint calibration."""
+"""Own frames of a star on a turntable: a series is a pose, with the readings of the table; the joint calibration.
+
+The methods turntable and fisher start from here.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,9 @@ import numpy as np
 from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.cameras.line_of_sight import line_of_sight_map
-from experiments.harness.summary import Criterion
-from experiments.laboratory.own_frames.folder import FrameFolder
-from experiments.laboratory.own_frames.series import SeriesFrames, reduce_series
-from experiments.laboratory.own_frames.settings import SETTINGS_FILE, Layout
+from experiments.harness.quantities import Outcome
+from experiments.harness.sections import Section, above, col, ratio_near
+from experiments.harness.summary import Measured
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.reduce import (
     Data,
@@ -25,17 +27,20 @@ from experiments.laboratory.single_star.reduce import (
 )
 from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import Turntable, build_turntable
+from experiments.reduce.folder import FrameFolder
+from experiments.reduce.series import SeriesFrames, reduce_series
+from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 from optics.units import ARCSEC_RAD
 
-__all__ = ["POSES", "PoseCalibration", "calibrate_poses", "fit_criteria", "pose_data"]
+__all__ = ["FIT", "POSES", "PoseCalibration", "calibrate_poses", "fit_record", "pose_data"]
 
 POSES = Layout(needs=("outer_deg", "inner_deg"), same_scene="none", points=1, fewest=1)
 """What a folder of poses must say; a third axis has ``middle_deg`` too."""
 KEYS = {2: ("outer_deg", "inner_deg"), 3: ("outer_deg", "middle_deg", "inner_deg")}
 LEAST_COVERAGE = 0.5
-SIGMA_LIMIT = 4.0
+FIT_ALARM = 6.334e-5  # 4 sigma
 MAP_PX = 15
 """Places along a side of the detector over which the error of the map is averaged."""
 
@@ -122,30 +127,54 @@ def pose_data(series: Sequence[SeriesFrames], table: Turntable, method: str) -> 
     )
 
 
-def fit_criteria(found: PoseCalibration, folder: FrameFolder) -> list[Criterion]:
-    """Residuals as their noise has them, and a detector that was visited."""
-    misfit = found.calibration.solution.misfit
-    more = (
-        "the reading noise is larger than stated, the star or the table moved during a pose, or the lens has more "
-        "distortion than five terms describe"
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fit:
+    """Whether residuals are as their noise has them, and the detector was visited."""
+
+    misfit: str  # In words
+    flat: bool  # Whether the response of the pixels is known
+    fit_ratio: Measured = col("Mean square of the residuals over what centroids and readings make them", json="")
+    coverage: float = col("Part of the detector visited", format=".2f")
+
+
+def fit_record(poses: PoseCalibration, folder: FrameFolder) -> Fit:
+    """How well the calibration fits."""
+    misfit = poses.calibration.solution.misfit
+    degrees = max(misfit.degrees_of_freedom, 1)
+    return Fit(
+        misfit=str(misfit).capitalize(),
+        flat=folder.flat is not None or folder.settings.prnu_fraction > 0.0,
+        fit_ratio=Measured(value=misfit.value / degrees, uncertainty=float(np.sqrt(2.0 / degrees))),
+        coverage=poses.coverage,
     )
-    if folder.flat is None and not folder.settings.prnu_fraction:
-        more += "; there is no flat, and prnu_fraction = 0 says that the pixels respond alike"
-    less = "the reading noise or read_noise_e is smaller than stated"
-    reduced = misfit.value / max(misfit.degrees_of_freedom, 1)
-    return [
-        Criterion(
-            name="calibration: mean square of the residuals over what centroids and readings make them",
-            value=reduced,
-            about=1.0,
-            limit=SIGMA_LIMIT * float(np.sqrt(2.0 / max(misfit.degrees_of_freedom, 1))),
-            advice=f"{str(misfit).capitalize()}: {more if reduced > 1.0 else less}",
+
+
+def _fit_advice(outcome: Outcome) -> str:
+    fit = outcome.result["fit"]
+    if fit.fit_ratio.value < 1.0:
+        return f"{fit.misfit}: the reading noise or read_noise_e is smaller than stated"
+    more = "" if fit.flat else "; there is no flat, and prnu_fraction = 0 says that the pixels respond alike"
+    return (
+        f"{fit.misfit}: the reading noise is larger than stated, the star or the table moved during a pose, or the "
+        f"lens has more distortion than five terms describe{more}"
+    )
+
+
+FIT = Section(
+    record=Fit,
+    verdicts=[
+        ratio_near(
+            "fit_ratio",
+            within=0.0,
+            false_alarm=FIT_ALARM,
+            title="calibration: mean square of the residuals over what centroids and readings make them",
+            advice=_fit_advice,
         ),
-        Criterion(
-            name="part of the width and of the height of the detector that the star visited, the smaller",
-            value=found.coverage,
-            limit=LEAST_COVERAGE,
-            relation=">=",
+        above(
+            "coverage",
+            LEAST_COVERAGE,
+            title="part of the width and of the height of the detector that the star visited, the smaller",
             advice="a calibration says nothing about the rest of the field: visit more of it",
         ),
-    ]
+    ],
+)

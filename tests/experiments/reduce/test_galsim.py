@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 
 import numpy as np
@@ -10,8 +9,9 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from experiments.laboratory.own_frames.folder import read_folder
-from experiments.laboratory.own_frames.series import reduce_series
+from experiments.__main__ import main as starbench
+from experiments.reduce.folder import read_folder
+from experiments.reduce.series import reduce_series
 
 galsim = pytest.importorskip("galsim")
 pytestmark = pytest.mark.reference
@@ -64,8 +64,7 @@ class Camera:
 
 
 def run(name, folder, out, *arguments):
-    main = importlib.import_module(f"experiments.{name}.experiment").main
-    status = main(["--own-frames", str(folder), "--out", str(out), *arguments])
+    status = starbench([name, "--own-frames", str(folder), "--out", str(out), *arguments])
     content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert status == 0, [one for one in content["criteria"] if not one["passed"]]
     assert "truth" not in (out / "report.html").read_text(encoding="utf-8").lower().replace("no truth", "")
@@ -209,25 +208,33 @@ def test_star_vectors_of_galsim_frames_are_as_accurate_as_what_was_put_in(poses,
 @pytest.mark.slow
 def test_poses_that_are_wrong_are_one_line(poses, tmp_path, engine, capsys):
     """Axes that turn the other way, a third axis, no evaluation; a reading noise that is stated too small."""
-    text, main = (poses / "frames.toml").read_text(), importlib.import_module("experiments.turntable.experiment").main
-    fisher = importlib.import_module("experiments.fisher.experiment").main
+    text, main = (
+        (poses / "frames.toml").read_text(),
+        importlib.import_module(declaration_of("experiments.turntable")).main,
+    )
+    fisher = importlib.import_module(declaration_of("experiments.fisher")).main
     try:
         for before, after, command, said in (
-            ("axes = 'xy'", "axes = 'x-y'", main, "put a minus before one letter of axes in [table]"),
-            ("axes = 'xy'", "axes = 'xyz'", main, "has 3 axes, a pose then has the readings outer_deg, middle_deg"),
-            ("pixel_pitch_um = 32\n", "", main, "pixel_pitch_um is missing"),
-            ("poses.csv", "calibration.csv", fisher, "no series has use = 'evaluation'"),
+            ("axes = 'xy'", "axes = 'x-y'", "turntable", "put a minus before one letter of axes in [table]"),
+            (
+                "axes = 'xy'",
+                "axes = 'xyz'",
+                "turntable",
+                "has 3 axes, a pose then has the readings outer_deg, middle_deg",
+            ),
+            ("pixel_pitch_um = 32\n", "", "turntable", "pixel_pitch_um is missing"),
+            ("poses.csv", "calibration.csv", "fisher", "no series has use = 'evaluation'"),
         ):
             rows = (poses / "poses.csv").read_text().splitlines()
             (poses / "calibration.csv").write_text("\n".join(one for one in rows if "evaluation" not in one) + "\n")
             (poses / "frames.toml").write_text(text.replace(before, after))
-            assert command(["--own-frames", str(poses), "--out", str(tmp_path / "none")]) == 2
+            assert starbench([command, "--own-frames", str(poses), "--out", str(tmp_path / "none")]) == 2
             assert said in capsys.readouterr().err
         (poses / "frames.toml").write_text(text.replace(f"[{READING}]", "[0.4]"))
-        assert main(["--own-frames", str(poses), "--out", str(tmp_path / "none")]) == 2
+        assert starbench(["turntable", "--own-frames", str(poses), "--out", str(tmp_path / "none")]) == 2
         assert "times their noise" in capsys.readouterr().err
         (poses / "frames.toml").write_text(text.replace(f"[{READING}]", "[3.0]"))
-        assert main(["--own-frames", str(poses), "--out", str(tmp_path / "out")]) == 1
+        assert starbench(["turntable", "--own-frames", str(poses), "--out", str(tmp_path / "out")]) == 1
         judged = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))["criteria"]
         (failed,) = (one for one in judged if not one["passed"])
         assert failed["name"].startswith("calibration: mean square of the residuals")

@@ -7,7 +7,7 @@ import pytest
 from astropy.io import fits
 
 from experiments.harness.progress import Progress
-from experiments.laboratory.own_frames.checks import photon_transfer
+from experiments.reduce.checks import photon_transfer
 from experiments.temporal.settings import Config, experiment
 
 GAIN, OFFSET, READ = 0.25, 60.0, 12.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from experiments.chromatic.own_frames import reduce as chromatic_from_frames
+from experiments.chromatic.own_frames import filter_frames as chromatic_from_frames
 from experiments.chromatic.settings import Config as ChromaticConfig
 from experiments.distortion.own_frames import reduce as distortion_from_frames
 from experiments.distortion.settings import Config as DistortionConfig
@@ -17,14 +17,14 @@ from experiments.laboratory.distortion_error import measure_distortion
 from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
 from experiments.laboratory.instrument import build_instrument
-from experiments.laboratory.own_frames.checks import check_frames
-from experiments.laboratory.own_frames.folder import read_folder
-from experiments.laboratory.own_frames.settings import Layout
 from experiments.laboratory.point_scene import point_scene
 from experiments.laboratory.points import nominal_px
 from experiments.laboratory.settings import InstrumentConfig
 from experiments.laboratory.targets import GridTarget
 from experiments.laboratory.temporal_error import measure_temporal, target_place
+from experiments.reduce.checks import check_frames
+from experiments.reduce.folder import read_folder
+from experiments.reduce.frames_toml import Layout
 from experiments.temporal.own_frames import reduce as temporal_from_frames
 from optics.errors import ConfigError, DomainError
 from render.detector.readout import expose
@@ -128,30 +128,28 @@ def steps(tmp_path_factory, scene, camera):
 
 def test_temporal_error_from_disk_is_that_in_memory(still, scene, camera):
     measured = measure_temporal(scene.bench, camera, place_px=PLACE, streams=Streams(4), scene=scene)
-    reduced = temporal_from_frames(read_folder(still, window_px=WINDOW_PX), METHODS)
-    for method in METHODS:
-        for found, known in zip(reduced.te_arcsec(method), measured.te_arcsec(method), strict=True):
+    series, sections = temporal_from_frames(read_folder(still, window_px=WINDOW_PX), METHODS)
+    for method, pair in zip(METHODS, sections["levels"][0].measured_arcsec, strict=True):
+        for found, known in zip(pair, measured.te_arcsec(method), strict=True):
             assert found.value == pytest.approx(known.value, rel=1e-12)
             assert found.uncertainty == pytest.approx(known.uncertainty, rel=1e-12)
     known = measured.sigma_px["dark"]["cog"][0]
-    np.testing.assert_allclose(reduced.series[0].points.sigma_px("cog"), known, rtol=1e-12)
+    np.testing.assert_allclose(series[0].points.sigma_px("cog"), known, rtol=1e-12)
 
 
 def test_the_noise_model_gives_the_scatter(still):
-    reduced = temporal_from_frames(read_folder(still, window_px=WINDOW_PX), METHODS)
+    series, _ = temporal_from_frames(read_folder(still, window_px=WINDOW_PX), METHODS)
     for method in METHODS:  # six frames of six points, two axes: 60 degrees of freedom, 9 % each
-        found = np.sqrt((reduced.series[0].points.sigma_px(method) ** 2).mean())
-        assert found == pytest.approx(
-            np.sqrt((reduced.series[0].predicted_px(method) ** 2).mean()), rel=4.0 / np.sqrt(2 * 60)
-        )
+        found = np.sqrt((series[0].points.sigma_px(method) ** 2).mean())
+        assert found == pytest.approx(np.sqrt((series[0].predicted_px(method) ** 2).mean()), rel=4.0 / np.sqrt(2 * 60))
 
 
 def test_rendered_frames_are_what_their_folder_says(still, steps, camera):
     """A detector with patterns, spread of read noise, non-linearity: gain, rest and noise hold."""
     for folder, reduce in ((still, temporal_from_frames), (steps, hsfe_from_frames)):
         read = read_folder(folder, window_px=WINDOW_PX)
-        checks = check_frames(read.series, reduce(read, METHODS).series, "cog")
-        gain = checks.gain_dn_per_e
+        checks = check_frames(read, reduce(read, METHODS)[0], "cog")
+        gain = checks.transfer_gain
         assert gain.value == pytest.approx(camera.detector.gain_dn_per_e, abs=4 * gain.uncertainty)
         assert checks.motion.rms_px < checks.motion.limit_px
         assert checks.noise_ratio.value == pytest.approx(1.0, abs=4 * checks.noise_ratio.uncertainty)
@@ -170,8 +168,8 @@ def test_the_noise_model_knows_the_dark_charge_of_each_pixel(tmp_path, scene, ca
     writer.lines += ['dark = ["dark_*.fits"]', f"points_px = {nominal_px(damaged, places).tolist()}"]
     writer.dark(image.shape, streams)
     writer.series(image, streams, "still", count=12)
-    reduced = temporal_from_frames(read_folder(writer.done(), window_px=WINDOW_PX), ("cog",))
-    ratio = (reduced.series[0].points.sigma_px("cog") / reduced.series[0].predicted_px("cog")) ** 2
+    (series,), _ = temporal_from_frames(read_folder(writer.done(), window_px=WINDOW_PX), ("cog",))
+    ratio = (series.points.sigma_px("cog") / series.predicted_px("cog")) ** 2
     assert ratio.mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / ratio.size / 11))
 
 
@@ -186,9 +184,9 @@ def test_step_test_from_disk_is_that_in_memory(steps, scene, camera):
         streams=Streams(7),
         scene=scene,
     )
-    reduced = hsfe_from_frames(read_folder(steps, window_px=WINDOW_PX), METHODS)
-    for method in METHODS:
-        for found, known in zip(reduced.document_arcsec(method), measured.document_arcsec(method), strict=True):
+    _, sections = hsfe_from_frames(read_folder(steps, window_px=WINDOW_PX), METHODS)
+    for method, pair in zip(METHODS, sections["steps"].hsfe_arcsec, strict=True):
+        for found, known in zip(pair, measured.document_arcsec(method), strict=True):
             assert found.value == pytest.approx(known.value, rel=1e-9)
             assert found.uncertainty == pytest.approx(known.uncertainty, rel=1e-9)
 
@@ -205,14 +203,15 @@ def test_distortion_error_from_disk_is_that_in_memory(tmp_path, scene, camera):
         root = Streams(2).child(session)
         writer.dark(image.shape, root, f"dark_{session}")
         writer.series(image, root, session, session=f'"{session}"', dark=f'["dark_{session}_*.fits"]')
-    reduced = distortion_from_frames(
-        read_folder(writer.done(), window_px=WINDOW_PX), METHODS, DistortionConfig(order=2)
-    )
-    known = replace(measured, order=2)
-    for reference in ("nominal", "aligned", "calibrated"):
-        one, other = reduced.statistics("cog", reference), known.statistics("cog", reference)
-        for name in ("sigma_d_px", "sigma_left_px", "sigma_c1_px"):
-            np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-8)
+    read = read_folder(writer.done(), window_px=WINDOW_PX)
+    grid = distortion_from_frames(read, METHODS, DistortionConfig(order=2))[1]["grid"]
+    known, scale = replace(measured, order=2), 3.0 * read.settings.pixel_arcsec
+    assert grid.references == ("nominal", "aligned", "calibrated")
+    for place, reference in enumerate(grid.references):
+        other = known.statistics("cog", reference)
+        for name in ("sigma_d", "sigma_left", "sigma_c1"):
+            one = getattr(grid, f"{name}_arcsec")[METHODS.index("cog")][place]
+            np.testing.assert_allclose(one, scale * getattr(other, f"{name}_px"), rtol=1e-8)
 
 
 def blank(folder, name, shape=(64, 96)):
@@ -297,7 +296,7 @@ def test_steps_need_two_positions_and_distortion_needs_coordinates(folder):
 
 def test_frames_without_dark_ones_lose_a_background(folder):
     (folder / "frames.toml").write_text(HEAD + "points = 1\n" + ONE)
-    series = temporal_from_frames(read_folder(folder, window_px=9), ("cog", "gaussian")).series[0]
+    (series,), _ = temporal_from_frames(read_folder(folder, window_px=9), ("cog", "gaussian"))
     assert series.signal_e == pytest.approx(600 * 2 * np.pi / 0.25, rel=0.02)
     np.testing.assert_allclose(series.points.mean_px("gaussian"), [[40, 30]], atol=0.02)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 
 import numpy as np
 import pytest
 from astropy.io import fits
+
+from experiments.__main__ import main as starbench
 
 HEAD = "gain_dn_per_e = 0.25\noffset_dn = 60\nread_noise_e = 12\npixel_arcsec = 5.5\n"
 PLACES = [(30.0 + 25.3 * i, 30.0 + 25.2 * j) for j in range(4) for i in range(4)]
@@ -35,8 +36,7 @@ def folder(tmp_path_factory):
 
 def run(name, folder, text, capsys, *arguments, out):
     (folder / "frames.toml").write_text(HEAD + text)
-    main = importlib.import_module(f"experiments.{name}.experiment").main
-    status = main(["--own-frames", str(folder), "--out", str(out), *arguments])
+    status = starbench([name, "--own-frames", str(folder), "--out", str(out), *arguments])
     return status, capsys.readouterr().err.strip()
 
 
@@ -110,8 +110,7 @@ def test_a_bad_folder_is_one_line(name, text, said, folder, capsys, tmp_path, en
 
 
 def test_a_missing_folder_and_a_fit_without_psf_are_one_line(folder, capsys, tmp_path, engine):
-    main = importlib.import_module("experiments.temporal.settings").main
-    assert main(["--own-frames", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
+    assert starbench(["temporal", "--own-frames", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
     assert "no such folder" in capsys.readouterr().err
     only = ("--set", "centroid=epsf", "--set", "compare=[]")
     status, text = run("temporal", folder, TEXTS["temporal"], capsys, *only, out=tmp_path / "out")

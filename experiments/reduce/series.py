@@ -10,11 +10,11 @@ import numpy as np
 from calib.measure.centroid import get_centroider
 from calib.measure.linear_response import centroid_covariance, linear_response, tight
 from calib.records import NoiseModel, Stamps
-from experiments.laboratory.own_frames.folder import FrameFolder, FrameSeries
-from experiments.laboratory.own_frames.settings import SeriesSettings
 from experiments.laboratory.point_frames import PointFrames
 from experiments.laboratory.readout.centroids import measured_positions, refuse_few_frames
 from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
+from experiments.reduce.folder import FrameFolder, FrameSeries
+from experiments.reduce.frames_toml import SeriesSettings
 from optics.arrays import FloatArray
 
 __all__ = ["SeriesFrames", "reduce_series"]

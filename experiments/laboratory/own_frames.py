@@ -1,0 +1,46 @@
+"""``--own-frames FOLDER``: a laboratory's frames reduced in place of rendered ones (`experiments.reduce`)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field
+
+from experiments.harness.config import FolderName
+from experiments.harness.experiment import Experiment
+from experiments.laboratory.sensor_file import SensorExperimentConfig
+
+if TYPE_CHECKING:
+    from experiments.reduce.road import FramesTest
+
+__all__ = ["OwnFramesConfig", "or_own_frames"]
+
+
+class OwnFramesConfig(SensorExperimentConfig):
+    """Of an experiment that renders frames, or reduces those of a folder."""
+
+    own_frames: FolderName | None = Field(
+        default=None, description="reduce the FITS frames of this folder (frames.toml says which is which), render none"
+    )
+
+
+def or_own_frames(rendered: Experiment) -> Experiment:
+    """The experiment; where ``own_frames`` is given, ``own_frames`` of its module ``own_frames`` takes over."""
+
+    def instead(config: Any) -> Experiment | None:
+        if config.own_frames is None:
+            return None
+        test: FramesTest = import_module(f"{rendered.package}.own_frames").own_frames
+        return test.experiment(rendered)
+
+    return replace(
+        rendered,
+        examples={**rendered.examples, "--own-frames my_frames": "reduce the FITS frames of a laboratory"},
+        options={
+            **rendered.options,
+            "own-frames": ("own_frames", "Reduce the FITS frames of a folder that holds frames.toml."),
+        },
+        instead=instead,
+    )

@@ -1,0 +1,230 @@
+"""The road of own frames: folder -> centroids of every series -> what the frames say of themselves -> the method.
+
+No rendering, no truth. Sections common to all methods stand here; a method adds its own (`FramesTest`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.harness.drawings import cloud
+from experiments.harness.experiment import Experiment
+from experiments.harness.progress import Progress
+from experiments.harness.quantities import Outcome, Quantities, Quantity, positions
+from experiments.harness.sections import Section, above, col
+from experiments.harness.summary import Measured
+from experiments.laboratory.centroid_methods import MethodLabels, needs_epsf
+from experiments.reduce.checks import CHECKS, check_frames
+from experiments.reduce.folder import FrameFolder, read_folder
+from experiments.reduce.series import SeriesFrames
+from experiments.reduce.frames_toml import Layout
+from optics.arrays import FloatArray
+from optics.errors import ConfigError
+
+__all__ = ["POINTS", "POINTS_CAPTION", "FramesTest", "Point", "points_of"]
+
+Errors = Sequence[Sequence[Measured]]
+Reduced = tuple[Sequence[SeriesFrames], Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FramesTest:
+    """What a method does with own frames."""
+
+    title: str  # Of the report
+    layout: Layout  # What it asks of a folder
+    # ``reduce(folder, methods, config)``: centroids of the series, records of the method's own sections
+    reduce: Callable[[FrameFolder, Sequence[str], Any], Reduced]
+    sections: Mapping[str, Section]  # The method's own
+    # Numbers at the head of the report: label -> (quantity, coordinates or positions along some dimensions)
+    head: Mapping[str, tuple[str, Mapping[str, Any]]]
+    captions: Mapping[str, str] = field(default_factory=dict)  # Of its figures, by name
+    series: str = "Series"  # What readers call a series
+
+    def run(self, config: Any, *, progress: Progress) -> dict[str, Any]:
+        """Read the folder of the configuration, centroid its frames, reduce and judge them."""
+        with progress.stage("read"):
+            folder = read_folder(config.own_frames, window_px=config.window_px, layout=self.layout)
+        first = () if folder.settings.centroid is None else (folder.settings.centroid,)
+        wanted = (*first, *getattr(config, "methods", ("gaussian",)))
+        methods = tuple(dict.fromkeys(one for one in wanted if not needs_epsf(one)))
+        if not methods:
+            raise ConfigError("frames from outside come without a PSF: name another centroid than epsf, e.g. gaussian")
+        with progress.stage("reduce"):
+            series, own = self.reduce(folder, methods, config)
+        with progress.stage("check"):
+            checks = check_frames(folder, series, methods[0])
+        return {
+            "folder": folder_record(self, folder, series, methods),
+            "series": [series_record(one) for one in series],
+            "checks": checks,
+            **own,
+        }
+
+    def experiment(self, rendered: Experiment) -> Experiment:
+        """The experiment that takes over from one on rendered frames."""
+        sections = {**COMMON, **self.sections}
+        return Experiment(
+            name=rendered.name,
+            config=rendered.config,
+            run=self.run,
+            sections=sections,
+            report=Path(__file__).with_name("report.md"),
+            renders=lambda _: False,
+            judged="reduction",
+            show=self.tables[:1],
+        )
+
+    @property
+    def tables(self) -> list[str]:
+        """Names of its own tables, the chief one first."""
+        return [one.table for one in self.sections.values() if one.table]
+
+    def headline(self, outcome: Outcome) -> dict[str, Quantity]:
+        """Label -> number, for the head of the report; further dimensions are spread."""
+        numbers = {}
+        for label, (name, at) in self.head.items():
+            named = {dim: key for dim, key in at.items() if isinstance(key, str)}
+            placed = {dim: key for dim, key in at.items() if not isinstance(key, str)}
+            whole = outcome.quantity(name, **named).at(**placed)
+            for where in positions(dict(zip(whole.dims, whole.values.shape, strict=True)), whole.dims):
+                words = [outcome.names(dim)[place] for dim, place in where.items()]
+                numbers[", ".join([label, *words])] = whole.at(**where)
+        return numbers
+
+
+# --- What all folders have
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Folder:
+    """Contents of the folder, and what was done to its frames."""
+
+    test: FramesTest
+    methods: Sequence[str]  # Centroiders, the one that counts first
+    names: Sequence[str]  # Of the series
+    source: str = col("Source", default="frames")
+    points: int = col("Points")
+    dark_frames: int = col("Frames with the lamp off")
+    flat_frames: int = col("Flats")
+    bad_pixels: int = col("Pixels of the bad-pixel map")
+    frame_size_px: Sequence[int] = col("Size of a frame", "px", dims="side")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec")
+    prnu_fraction: float = col("Response that no flat removes, stated", json="")
+    # Where there are no flats
+    percent_px: float | None = col(
+        "Moved by 1 % of response", "px", ".4f", json="without_flat.one_percent_moves_px", default=None
+    )
+    percent_over_noise: float | None = col(
+        "Over the noise of a mean", format=".2f", json="without_flat.over_noise_of_mean", default=None
+    )
+
+
+def folder_record(
+    test: FramesTest, folder: FrameFolder, series: Sequence[SeriesFrames], methods: Sequence[str]
+) -> Folder:
+    """Numbers of a folder; what a missing flat means is that of the series where it means most."""
+    flat, percent = folder.flat, np.array([one.percent_px for one in series])
+    noise = np.array([np.sqrt((one.predicted_px(methods[0]) ** 2).mean() / one.frames) for one in series])
+    return Folder(
+        test=test,
+        methods=methods,
+        names=[one.name for one in series],
+        points=len(folder.series[0].found_px),
+        dark_frames=folder.dark_frames,
+        flat_frames=0 if flat is None else flat.frames,
+        bad_pixels=folder.bad_pixels,
+        frame_size_px=[folder.width_px, folder.height_px],
+        pixel_arcsec=folder.settings.pixel_arcsec,
+        prnu_fraction=folder.settings.prnu_fraction,
+        percent_px=float(percent.max()) if flat is None else None,
+        percent_over_noise=float((percent / noise).max()) if flat is None else None,
+    )
+
+
+def _axes(q: Quantities, folder: Folder) -> None:
+    q.axis("method", list(folder.methods), "Centroider", names=MethodLabels())
+    q.axis("axis", ["x", "y"], "Axis")
+    q.axis("series", np.arange(len(folder.names)) + 1, folder.test.series, names=folder.names)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Series:
+    """A series as centroided."""
+
+    series_name: str = col("Name", json="name", shown=False)
+    frames: int = col("Frames")
+    signal_e: float = col("Signal", "e-", ".0f")
+    usable_fraction: float = col("Usable", format=".3f")
+
+
+def series_record(one: SeriesFrames) -> Series:
+    """Numbers of a series."""
+    return Series(series_name=one.name, frames=one.frames, signal_e=one.signal_e, usable_fraction=one.usable_fraction)
+
+
+COMMON = {
+    "folder": Section(record=Folder, axes=_axes),
+    "series": Section(
+        record=Series,
+        dim="series",
+        place="series[series]",
+        table="series",
+        caption="Frames, mean electrons in a window, smallest share of frames that gave a position.",
+        verdicts=[
+            above(
+                "usable_fraction",
+                0.9,
+                title="frames that gave a position, smallest share over points and centroiders",
+                advice="points are too faint for this centroider, or windows too small for the spot",
+            )
+        ],
+    ),
+    "checks": CHECKS,
+}
+
+
+# --- Points of the last series, for the methods that show them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """A target point in the last series, first centroider."""
+
+    mean_px: FloatArray = col("Mean", "px", ".4f", "axis", json="", key="mean_{axis}_px")
+    sigma_px: FloatArray = col("σ", "px", ".4f", "axis", json="", key="sigma_{axis}_px")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cloud:
+    """Centroids of the last series about the mean of each point, first centroider."""
+
+    apart_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame point axis", json="")
+
+
+def points_of(folder: FrameFolder, series: SeriesFrames, method: str) -> dict[str, Any]:
+    """Records of the sections `POINTS`."""
+    place, points = series.points.position_px[method], series.points
+    rows = zip(points.mean_px(method), points.sigma_px(method), strict=True)
+    return {
+        "points": [Point(mean_px=mean, sigma_px=sigma) for mean, sigma in rows],
+        "cloud": Cloud(apart_arcsec=folder.settings.pixel_arcsec * (place - np.nanmean(place, axis=0))),
+    }
+
+
+POINTS = {
+    "points": Section(
+        record=Point,
+        dim="point",
+        table="points",
+        across="axis",
+        caption="Centroids of the last series, first centroider; σ of a single frame.",
+    ),
+    "cloud": Section(record=Cloud, figures={"cloud": cloud("apart_arcsec")}),
+}
+POINTS_CAPTION = {"cloud": "All frames of all points about the mean of each point, last series."}
