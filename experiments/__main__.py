@@ -25,6 +25,10 @@ COMMANDS = {
         "experiments.lens.command:lens",
         "lens files (.toml, .zmx, .seq): lens show FILE, lens convert FILE NEW",
     ),
+    "reduce": (
+        "experiments.reduce.command:reduce",
+        "a laboratory's own frames, reduced and judged: reduce --frames FOLDER --method temporal",
+    ),
 }
 """Commands that are no experiments."""
 HELP = """Run an experiment: starbench NAME [--quick] [--out DIR], or python -m experiments.NAME; more by NAME --help.

@@ -35,8 +35,9 @@ ORDER = {
     "calib": "directional fitting flags < records < cameras measure < attitude < calibration figures",
 }
 # What experiments share is below them; experiments know nothing of each other's inside.
-EXPERIMENTS = {path.parent.name for path in ROOT.glob("experiments/*/__init__.py")} - {"harness", "laboratory"}
-ORDER["experiments"] = f"harness < laboratory < doctor frame {' '.join(sorted(EXPERIMENTS))} < __main__"
+SHARED = {"harness", "laboratory", "reduce"}
+EXPERIMENTS = {path.parent.name for path in ROOT.glob("experiments/*/__init__.py")} - SHARED
+ORDER["experiments"] = f"harness < laboratory < reduce < doctor frame {' '.join(sorted(EXPERIMENTS))} < __main__"
 # Names that one room may take from another one in spite of the order, by the importing room.
 EXCEPTIONS: dict[str, set[str]] = {
     "experiments.harness": {"experiments"},  # where the registry looks for them

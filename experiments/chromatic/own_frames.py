@@ -15,9 +15,9 @@ from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench import band_pairs
 from experiments.laboratory.chromatic_error import after_calibration, rms, shifts, table1
 from experiments.reduce.folder import FrameFolder
+from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
 from experiments.reduce.road import FramesTest, Reduced
 from experiments.reduce.series import SeriesFrames, reduce_series
-from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 

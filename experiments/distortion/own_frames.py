@@ -14,9 +14,9 @@ from experiments.harness.sections import Section, col
 from experiments.laboratory.distortion_error import grid_residual_px
 from experiments.laboratory.distortion_statistics import LABELS, Reference, distortion_statistics
 from experiments.reduce.folder import FrameFolder
+from experiments.reduce.frames_toml import Layout
 from experiments.reduce.road import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
 from experiments.reduce.series import reduce_series
-from experiments.reduce.frames_toml import Layout
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 

@@ -19,9 +19,9 @@ from experiments.laboratory.step_statistics import (
     step_residual_px,
 )
 from experiments.reduce.folder import FrameFolder
+from experiments.reduce.frames_toml import Layout
 from experiments.reduce.road import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
 from experiments.reduce.series import SeriesFrames, reduce_series
-from experiments.reduce.frames_toml import Layout
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 

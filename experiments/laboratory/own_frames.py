@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import Field
 
 from experiments.harness.config import FolderName
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.sensor_file import SensorExperimentConfig
-
-if TYPE_CHECKING:
-    from experiments.reduce.road import FramesTest
 
 __all__ = ["OwnFramesConfig", "or_own_frames"]
 
@@ -32,8 +29,9 @@ def or_own_frames(rendered: Experiment) -> Experiment:
     def instead(config: Any) -> Experiment | None:
         if config.own_frames is None:
             return None
-        test: FramesTest = import_module(f"{rendered.package}.own_frames").own_frames
-        return test.experiment(rendered)
+        test = import_module(f"{rendered.package}.own_frames").own_frames  # `experiments.reduce.road.FramesTest`
+        taking_over: Experiment = test.experiment(rendered)
+        return taking_over
 
     return replace(
         rendered,

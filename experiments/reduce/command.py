@@ -2,40 +2,48 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
+
 import click
 
-from experiments.harness.groups import run_group
+from experiments.harness.interrupts import invoke
 from experiments.harness.registry import load
 
 __all__ = ["METHODS", "main", "reduce"]
 
 METHODS = {
-    "temporal": "scatter of a point at rest; a series is a brightness level",
+    "temporal": "scatter of points at rest; a series is a brightness level",
     "hsfe": "error with the place on the pixels; a series is a position",
     "chromatic": "shift between filters; a series is a filter at a place",
     "distortion": "places against the coordinates of a target; a series is a session",
     "turntable": "joint calibration with a star; a series is a pose of the table",
     "fisher": "accuracy of star vectors; a series is a pose of the table",
 }
-"""Experiments that reduce own frames -> what of."""
+"""Experiments that reduce own frames -> what is measured."""
 
 
-@click.command(context_settings={"ignore_unknown_options": True, "help_option_names": ["-h", "--help"]})
-@click.option("--frames", "folder", required=True, metavar="FOLDER", help="Folder with frames.toml and FITS frames.")
+@click.command(
+    epilog="\b\nMethods:\n" + "\n".join(f"  {name:<11} {does}" for name, does in METHODS.items()),
+    context_settings={
+        "ignore_unknown_options": True,
+        "help_option_names": ["-h", "--help"],
+        "max_content_width": 100,
+    },
+)
+@click.option("--frames", required=True, metavar="FOLDER", help="Folder with FITS frames and frames.toml.")
 @click.option("--method", required=True, type=click.Choice(list(METHODS)), help="What is measured.")
 @click.argument("others", nargs=-1, type=click.UNPROCESSED, metavar="[OPTIONS OF THE METHOD]")
-@click.pass_context
-def reduce(context: click.Context, folder: str, method: str, others: tuple[str, ...]) -> None:
-    """Reduce a laboratory's own frames and judge them; as python -m experiments.METHOD --own-frames FOLDER.
+def reduce(frames: str, method: str, others: tuple[str, ...]) -> int:
+    """Reduce a laboratory's own frames, and judge whether they are what their folder says.
 
-    What the method takes besides (--set, --config, --out, --force) is passed on to it.
+    The same as python -m experiments.METHOD --own-frames FOLDER, whose further options (--set, --config, --out,
+    --force) are passed on.
     """
-    context.exit(load(method)(["--own-frames", folder, *others]))
+    words = ["--own-frames", frames, *others]
+    return int(load(method).main(words, prog_name=f"starbench {method}", standalone_mode=False) or 0)
 
 
-reduce.epilog = "\b\n" + "\n".join(f"{name:<11} {does}" for name, does in METHODS.items())
-
-
-def main(argv: list[str]) -> int:
-    """Run the command; its exit status."""
-    return run_group(reduce, argv)
+def main(argv: Sequence[str] | None = None) -> int:
+    """Exit status of the command."""
+    return invoke(reduce, sys.argv[1:] if argv is None else argv, prog="starbench reduce", alone=argv is None)

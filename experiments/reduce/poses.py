@@ -28,8 +28,8 @@ from experiments.laboratory.single_star.reduce import (
 from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import Turntable, build_turntable
 from experiments.reduce.folder import FrameFolder
-from experiments.reduce.series import SeriesFrames, reduce_series
 from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
+from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 from optics.units import ARCSEC_RAD

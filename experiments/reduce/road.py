@@ -21,8 +21,8 @@ from experiments.harness.summary import Measured
 from experiments.laboratory.centroid_methods import MethodLabels, needs_epsf
 from experiments.reduce.checks import CHECKS, check_frames
 from experiments.reduce.folder import FrameFolder, read_folder
-from experiments.reduce.series import SeriesFrames
 from experiments.reduce.frames_toml import Layout
+from experiments.reduce.series import SeriesFrames
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 

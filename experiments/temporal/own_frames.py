@@ -13,9 +13,9 @@ from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
 from experiments.laboratory.temporal_error import small_sample_factor, temporal_error_arcsec
 from experiments.reduce.folder import FrameFolder
+from experiments.reduce.frames_toml import Layout
 from experiments.reduce.road import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
 from experiments.reduce.series import SeriesFrames, reduce_series
-from experiments.reduce.frames_toml import Layout
 from optics.arrays import FloatArray
 
 __all__ = ["own_frames", "reduce"]

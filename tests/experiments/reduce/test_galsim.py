@@ -208,11 +208,7 @@ def test_star_vectors_of_galsim_frames_are_as_accurate_as_what_was_put_in(poses,
 @pytest.mark.slow
 def test_poses_that_are_wrong_are_one_line(poses, tmp_path, engine, capsys):
     """Axes that turn the other way, a third axis, no evaluation; a reading noise that is stated too small."""
-    text, main = (
-        (poses / "frames.toml").read_text(),
-        importlib.import_module(declaration_of("experiments.turntable")).main,
-    )
-    fisher = importlib.import_module(declaration_of("experiments.fisher")).main
+    text = (poses / "frames.toml").read_text()
     try:
         for before, after, command, said in (
             ("axes = 'xy'", "axes = 'x-y'", "turntable", "put a minus before one letter of axes in [table]"),
@@ -220,7 +216,7 @@ def test_poses_that_are_wrong_are_one_line(poses, tmp_path, engine, capsys):
                 "axes = 'xy'",
                 "axes = 'xyz'",
                 "turntable",
-                "has 3 axes, a pose then has the readings outer_deg, middle_deg",
+                "has 3 axes, a pose then has the readings outer_deg, middle",
             ),
             ("pixel_pitch_um = 32\n", "", "turntable", "pixel_pitch_um is missing"),
             ("poses.csv", "calibration.csv", "fisher", "no series has use = 'evaluation'"),

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from astropy.io import fits
 
 from experiments.__main__ import main as starbench
+from experiments.reduce.command import METHODS
 
+ROOT = Path(__file__).parents[3]
 HEAD = "gain_dn_per_e = 0.25\noffset_dn = 60\nread_noise_e = 12\npixel_arcsec = 5.5\n"
 PLACES = [(30.0 + 25.3 * i, 30.0 + 25.2 * j) for j in range(4) for i in range(4)]
 
@@ -49,6 +52,20 @@ TEXTS = {
     "hsfe": "points = 16\n" + "".join(series(s, f"shift_px = [{0.2 * n}, 0.0]") for n, s in enumerate("abc")),
     "distortion": f"points_px = {[list(p) for p in PLACES]}\n" + series("a", "session = 'earlier'") + series("b"),
 }
+
+
+def test_one_command_for_all_methods_gives_what_the_experiment_gives(folder, capsys, tmp_path, engine):
+    status, text = run("temporal", folder, TEXTS["temporal"], capsys, out=tmp_path / "a")
+    assert status == 0, text
+    words = ["--frames", str(folder), "--out", str(tmp_path / "b"), "--force"]
+    assert starbench(["reduce", "--method", "temporal", *words]) == 0
+    one, other = (json.loads((tmp_path / name / "summary.json").read_text(encoding="utf-8")) for name in "ab")
+    for part in ("runtime_s", "peak_memory_mb"):
+        del one["results"][part], other["results"][part]
+    assert one == other
+    assert {*METHODS, "laboratory"} == {path.parent.name for path in ROOT.glob("experiments/*/own_frames.py")}
+    assert starbench(["reduce", "--method", "temporl", *words]) == 2
+    assert "'temporal'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", TEXTS)
