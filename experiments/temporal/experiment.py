@@ -170,17 +170,17 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     place = {"place_px": config.place_px}
     scene = prepared_scene(bench, instrument, target_place(bench, instrument, config.place_px)[None], progress)
     with progress.stage("frames", total=len(reached) + 1) as stage:
-        here = {"scene": scene, "advance": stage.advance, **place}
+        here: dict[str, Any] = {"scene": scene, "advance": stage.advance, **place}
         measured = measure_temporal(bench, instrument, levels_e=reached, streams=streams, **here)
         nominal = measure_temporal(bench, instrument, streams=streams.child("nominal"), **here)
     with progress.stage("prediction"):
-        free = {"psf": nominal.light.psf, "draws": config.draws, **place}
+        free: dict[str, Any] = {"psf": nominal.light.psf, "draws": config.draws, **place}
         predicted = predict_temporal(bench, instrument, levels_e=reached, seed=config.seed, **free)
         at_nominal = predict_temporal(bench, instrument, seed=config.seed + 1, **free)
     star = point_signal(config, instrument)
     centroids_px = nominal.position_px[methods[0]]
     motion_px2 = np.concatenate([measured.motion_px2, nominal.motion_px2])
-    published = {"published_arcsec": ACC18_ARCSEC["TE"]} if is_published_sensor(config) else {}
+    published: dict[str, Any] = {"published_arcsec": ACC18_ARCSEC["TE"]} if is_published_sensor(config) else {}
     return {
         "frames": Frames(
             frames=nominal.frames,

@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pydantic import BaseModel
-
 from experiments.dataset.folder import check
 from experiments.dataset.plan import read_attitudes
+from pydantic import BaseModel
+
 from experiments.harness.config import alternatives, load_config
 from experiments.harness.progress import Progress
 from experiments.harness.run import configuration_file
-from experiments.reduce.frames_toml import FolderSettings, read_settings
 from experiments.laboratory.sensor_file import SensorConfig, read_sensor
 from experiments.laboratory.settings import CatalogueConfig
+from experiments.reduce.frames_toml import FolderSettings, read_settings
 from optics.errors import ConfigError
 from optics.lens_file import load_lens
 from optics.validate import parse_model
