@@ -23,15 +23,7 @@ from render.camera import Camera
 from render.records import EffectivePsf, StarField
 from render.tracing.tracer import Tracer
 
-__all__ = [
-    "WaveImages",
-    "epsf_tracer",
-    "pixel_shares",
-    "ray_epsf",
-    "render_epsf",
-    "trailed",
-    "wave_images",
-]
+__all__ = ["WaveImages", "epsf_tracer", "pixel_shares", "ray_epsf", "render_epsf", "trailed", "wave_images"]
 
 
 TOLERANCE = 2e-4
@@ -103,25 +95,8 @@ def ray_epsf(
 
     Rays are counted in cells of 1/``oversampling`` pixel, the cells convolved with the diffusion kernel and added up to
     pixels. Counting is exact for pixels at whole cells from the mean; rays have to lie closer than the kernel is wide.
-
-    Parameters
-    ----------
-    x_px, y_px : (n,)
-        Column and row of each ray.
-    weight : (n,)
-        Light of each ray, not negative.
-    diffusion_px : float
-        Standard deviation of the Gaussian charge diffusion.
-    oversampling : int
-        Samples per pixel, even.
-    half_size_px : int
-        Half-width of the grid; light beyond it is left out of the values, not of their scale.
-
-    Raises
-    ------
-    DomainError
-        An odd oversampling, or no light.
     """
+    # x_px, y_px (n,), weight (n,)
     if oversampling < 2 or oversampling % 2:
         raise DomainError(f"ray_epsf: oversampling = {oversampling}; an even number of at least 2 is needed")
     total = float(weight.sum())
@@ -146,14 +121,8 @@ def trailed(psf: EffectivePsf, trail_px: FloatArray) -> EffectivePsf:
     """Effective PSF of a star that moves evenly during the exposure, centred on the middle of its trail.
 
     The transform of a straight trail is a sinc; the grid has to hold the light of the whole trail.
-
-    Parameters
-    ----------
-    psf : EffectivePsf
-        At rest.
-    trail_px : (2,)
-        From the first to the last place, columns and rows.
     """
+    # trail_px (2,)
     size = len(psf.values)
     padded = 2 * size
     frequency = np.fft.fftfreq(padded, 1.0 / psf.oversampling)  # cycles per pixel
@@ -224,30 +193,8 @@ def wave_images(
     oversampling: int = 8,
     half_size_px: int = 7,
 ) -> WaveImages:
-    """Diffraction images of stars along the x axis of the field, turned about the axis of the lens.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens, focused.
-    field_x_deg : (f,)
-        Field angles.
-    wavelength_nm : (w,)
-        Vacuum wavelengths.
-    pitch_mm : float
-        Of the pixels.
-    diffusion_px : float
-        Standard deviation of the Gaussian charge diffusion.
-    azimuth_deg : float
-        Where the fields lie on the detector, from columns towards rows.
-    oversampling, half_size_px : int
-        Samples per pixel, even, and half-width of the PSFs.
-
-    Raises
-    ------
-    DomainError
-        An odd oversampling; no light of a field; what `optics.waves.pupil_field.trace_pupil` raises.
-    """
+    """Diffraction images of stars along the x axis of the field, turned about the axis of the lens."""
+    # field_x_deg (f,), wavelength_nm (w,)
     if oversampling < 2 or oversampling % 2:
         raise DomainError(f"wave_images: oversampling = {oversampling}; an even number of at least 2 is needed")
     nothing = np.zeros_like(field_x_deg)

@@ -98,11 +98,7 @@ class Tracer:
     ) -> None:
         self.camera = camera
         self.planner = PupilPlanner(
-            camera,
-            sobol_log2_rays=sobol_log2_rays,
-            sobol_seed=sobol_seed,
-            tolerance=tolerance,
-            general=general,
+            camera, sobol_log2_rays=sobol_log2_rays, sobol_seed=sobol_seed, tolerance=tolerance, general=general
         )
         by_rays = camera.diffraction == "rays"
         self.images: ImageMaker = RayImages(self.planner) if by_rays else WaveImages(self.planner)

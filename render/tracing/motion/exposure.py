@@ -33,13 +33,7 @@ from render.tracing.convergence import (
     transfer,
 )
 
-__all__ = [
-    "NODE_LADDER",
-    "ExposureMotion",
-    "IdealLens",
-    "exposure_motion",
-    "gauss_times",
-]
+__all__ = ["NODE_LADDER", "ExposureMotion", "IdealLens", "exposure_motion", "gauss_times"]
 
 
 PANEL = 24

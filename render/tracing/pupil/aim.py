@@ -10,7 +10,6 @@ taken, ends at rounding after a few steps. Points of launch are in units of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,16 +26,7 @@ from render.engine import Engine
 from render.engine.jit import dr
 from render.tracing.rays.kernel import StarKernel
 
-__all__ = [
-    "AimedLens",
-    "Chiefs",
-    "Rims",
-    "aimed_lens",
-    "find_chiefs",
-    "find_rims",
-    "find_shadow",
-    "find_stop_rims",
-]
+__all__ = ["AimedLens", "Beams", "Chiefs", "Rims", "aimed_lens", "find_chiefs"]
 
 
 AIM_STEPS, AIM_TOLERANCE, AIM_DIFFERENCE = 6, 1e-11, 1e-5
@@ -194,8 +184,11 @@ def _aimed_outwards(
     return np.where(rays.found[:, None], points, np.nan)
 
 
-class _Beams:
-    """Rays along azimuths about launch points; one lane per star, band, wavelength and azimuth."""
+class Beams:
+    """Rays along azimuths about launch points, one lane per star, band, wavelength and azimuth; outlines of beams.
+
+    The k nodes of the azimuths are c wavelengths at every time of the kernel, which holds the stars.
+    """
 
     def __init__(
         self,
@@ -204,11 +197,11 @@ class _Beams:
         chief: FloatArray,
         wavelength_nm: FloatArray,
         azimuth: FloatArray,
-        stars: IntArray | None,
-        circles: Sequence[tuple[int, float]],
+        stars: IntArray | None = None,
     ) -> None:
+        # chief (n, b, 2), wavelength_nm (b, c), azimuth (k, m) or (n, b, k, m) [rad], stars (n,)
         F, U = kernel.F, kernel.U
-        self.circles = dict(circles)
+        self.circles = dict(lens.limits)
         nodes, arms = azimuth.shape[-2:]
         self.shape = (*chief.shape[:2], nodes, arms)
         self.lens, self.kernel = lens, kernel
@@ -219,7 +212,7 @@ class _Beams:
         at = dr.arange(U, len(arm)) if azimuth.ndim == 4 else node * dr.opaque(U, arms) + arm
         self.sine, self.cosine = dr.sincos(dr.gather(F, F(np.ascontiguousarray(azimuth.ravel())), at))
 
-    def heights(self, radius: Any, program: LensProgram, numbers: tuple[int, ...]) -> tuple[Rays, list[Any]]:
+    def _heights(self, radius: Any, program: LensProgram, numbers: tuple[int, ...]) -> tuple[Rays, list[Any]]:
         """Rays at a radius, and their heights on surfaces in units of the apertures."""
         px, py = self.cx + radius * self.cosine, self.cy + radius * self.sine
         found = {}
@@ -233,12 +226,12 @@ class _Beams:
         rays = trace_program(program, self.lens.theta, rays, self.kernel.xp, visit)
         return rays, [found[number] for number in numbers]
 
-    def solve(self, program: LensProgram, numbers: tuple[int, ...]) -> tuple[Any, Any]:
+    def _solve(self, program: LensProgram, numbers: tuple[int, ...]) -> tuple[Any, Any]:
         """First radius at which one of the surfaces is touched, and whether it was found."""
         F, count = self.kernel.F, int(np.prod(self.shape))
 
         def heights(radius: Any) -> list[Any]:
-            return self.heights(radius, program, numbers)[1]
+            return self._heights(radius, program, numbers)[1]
 
         def step(radius: Any, before: Any, left: Any, at: list[Any], was: list[Any]) -> tuple[Any, ...]:
             run = radius - before
@@ -258,16 +251,44 @@ class _Beams:
         radius, _, _, at, _ = dr.while_loop(state, open_, step, mode="symbolic")
         return radius, (dr.abs(_largest(at) - 1.0) < 1e3 * RIM_TOLERANCE) & (_largest(centre) < 1.0)
 
-    def rims(self, radius: Any, found: Any, numbers: tuple[int, ...], largest: bool = False) -> Rims:
+    def _rims(self, radius: Any, found: Any, numbers: tuple[int, ...], largest: bool = False) -> Rims:
         """What becomes of rays at these radii in the whole lens; heights on some surfaces, or the largest of them."""
         lens = self.lens
-        rays, heights = self.heights(radius * (1.0 - INSIDE), lens.full, numbers)
+        rays, heights = self._heights(radius * (1.0 - INSIDE), lens.full, numbers)
         heights = [_largest(heights)] if largest and heights else heights  # a stop may be the only aperture
         good = found & (rays.status == OK)
         dr.eval(radius, found, good, *heights)
         height = np.stack([h.numpy().reshape(self.shape) for h in heights]) if heights else np.zeros((1, *self.shape))
         radius = np.where(found.numpy().astype(bool), radius.numpy(), np.nan)
         return Rims(radius.reshape(self.shape), height, good.numpy().astype(bool).reshape(self.shape))
+
+    def stop_rims(self) -> Rims:
+        """Outlines as the stop alone would make them, and the heights of their rays on all other apertures."""
+        lens = self.lens
+        others = tuple(number for number, _ in lens.limits if number != lens.stop)
+        return self._rims(*self._solve(lens.front, (lens.stop,)), others, largest=True)
+
+    def rims(self) -> Rims:
+        """Outlines as all apertures make them."""
+        numbers = tuple(number for number, _ in self.lens.limits)
+        return self._rims(*self._solve(self.lens.full, numbers), numbers)
+
+    def shadow(self) -> tuple[FloatArray, BoolArray]:
+        """Inner outlines (n, b, k, m) of beams with a hole about the chief ray, and where they were found.
+
+        They are found where the chief ray meets every circle of ``lens.holes`` inside, and a ray that is moved out by
+        `INSIDE` gets through.
+        """
+        lens, self.circles = self.lens, dict(self.lens.holes)
+        parts = [self._solve(without_apertures(lens.full), (number,)) for number, _ in lens.holes]
+        radius = _largest([part for part, _ in parts])
+        rays, _ = self._heights(radius * (1.0 + INSIDE), lens.full, ())
+        self.circles = dict(lens.limits)
+        good = rays.status == OK
+        for _, found in parts:
+            good = good & found
+        dr.eval(radius, good)
+        return radius.numpy().reshape(self.shape), good.numpy().astype(bool).reshape(self.shape)
 
 
 def _largest(values: list[Any]) -> Any:
@@ -276,57 +297,3 @@ def _largest(values: list[Any]) -> Any:
     for value in values[1:]:
         result = dr.maximum(result, value)
     return result
-
-
-def find_stop_rims(
-    lens: AimedLens,
-    kernel: StarKernel,
-    chief: FloatArray,
-    wavelength_nm: FloatArray,
-    azimuth: FloatArray,
-    stars: IntArray | None = None,
-) -> Rims:
-    """Outlines as the stop alone would make them, and the heights of their rays on all other apertures."""
-    # chief (n, b, 2), wavelength_nm (b, c), azimuth (k, m) or (n, b, k, m) [rad], stars (n,); the k nodes are c
-    # wavelengths at every time of the kernel
-    beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars, lens.limits)
-    others = tuple(number for number, _ in lens.limits if number != lens.stop)
-    return beams.rims(*beams.solve(lens.front, (lens.stop,)), others, largest=True)
-
-
-def find_rims(
-    lens: AimedLens,
-    kernel: StarKernel,
-    chief: FloatArray,
-    wavelength_nm: FloatArray,
-    azimuth: FloatArray,
-    stars: IntArray | None = None,
-) -> Rims:
-    """Outlines as all apertures make them; parameters as `find_stop_rims`."""
-    beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars, lens.limits)
-    numbers = tuple(number for number, _ in lens.limits)
-    return beams.rims(*beams.solve(lens.full, numbers), numbers)
-
-
-def find_shadow(
-    lens: AimedLens,
-    kernel: StarKernel,
-    chief: FloatArray,
-    wavelength_nm: FloatArray,
-    azimuth: FloatArray,
-    stars: IntArray | None = None,
-) -> tuple[FloatArray, BoolArray]:
-    """Inner outlines (n, b, k, m) of beams with a hole about the chief ray, and where they were found.
-
-    They are found where the chief ray meets every circle of ``lens.holes`` inside, and a ray that is moved out by
-    `INSIDE` gets through. Parameters as `find_stop_rims`.
-    """
-    beams = _Beams(lens, kernel, chief, wavelength_nm, azimuth, stars, lens.holes)
-    parts = [beams.solve(without_apertures(lens.full), (number,)) for number, _ in lens.holes]
-    radius = _largest([part for part, _ in parts])
-    rays, _ = beams.heights(radius * (1.0 + INSIDE), lens.full, ())
-    good = rays.status == OK
-    for _, found in parts:
-        good = good & found
-    dr.eval(radius, good)
-    return radius.numpy().reshape(beams.shape), good.numpy().astype(bool).reshape(beams.shape)

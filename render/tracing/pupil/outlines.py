@@ -25,25 +25,11 @@ from numpy.typing import NDArray
 from scipy.special import roots_legendre
 
 from optics.arrays import FloatArray, IntArray
-from render.tracing.pupil.aim import AimedLens, Chiefs, Rims, find_rims, find_shadow, find_stop_rims
+from render.tracing.pupil.aim import AimedLens, Beams, Chiefs, Rims
 from render.tracing.pupil.points import OutlinePoints, bounding_outline
 from render.tracing.rays.kernel import StarKernel
 
-__all__ = [
-    "ARC_LADDER",
-    "ARMS",
-    "GOLDEN",
-    "Arcs",
-    "NodePicks",
-    "Outlines",
-    "every_node",
-    "find_arcs",
-    "find_outlines",
-    "node_picks",
-    "node_turns",
-    "outline_series",
-    "rings",
-]
+__all__ = ["ARC_LADDER", "ARMS", "Arcs", "NodePicks", "Outlines", "find_arcs", "find_outlines", "node_picks", "rings"]
 
 
 GOLDEN = 0.6180339887498949
@@ -216,10 +202,11 @@ def find_outlines(lens: AimedLens, picks: NodePicks, chiefs: Chiefs) -> Outlines
     aimed = np.asarray(np.isfinite(chiefs.points).all((1, 2)))
     centre = np.where(aimed[:, None, None], chiefs.points, 0.0)
     azimuth = np.tile(2.0 * np.pi * np.arange(ARMS) / ARMS, (picks.count, 1))
-    rims = find_stop_rims(lens, picks.kernel, centre, picks.wavelength_nm, azimuth)
+    beams = Beams(lens, picks.kernel, centre, picks.wavelength_nm, azimuth)
+    rims = beams.stop_rims()
     clear, shadow = aimed & _only_the_stop(rims), None
     if lens.holes:
-        shadow, found = find_shadow(lens, picks.kernel, centre, picks.wavelength_nm, azimuth)
+        shadow, found = beams.shadow()
         clear = clear & found.all((1, 2, 3)) & _smooth(shadow) & (shadow < rims.radius).all((1, 2, 3))
     return Outlines(
         lens=lens, picks=picks, chief=centre, radius=rims.radius, clear=clear, cut=aimed & ~clear, shadow=shadow
@@ -247,11 +234,7 @@ LEAST_IN_ARC = 2
 NARROWINGS = 1
 """Steps of false position after the first."""
 ARC_LADDER = tuple(
-    zip(
-        (6, 7, 8, 9, 10, 11, 13, 16, 20, 25, 32, 41),
-        (22, 26, 31, 36, 42, 48, 58, 72, 90, 112, 144, 184),
-        strict=True,
-    )
+    zip((6, 7, 8, 9, 10, 11, 13, 16, 20, 25, 32, 41), (22, 26, 31, 36, 42, 48, 58, 72, 90, 112, 144, 184), strict=True)
 )
 """Rings and azimuths that are tried, in this order; the fewest azimuths are `LEAST_IN_ARC` times `MOST_ARCS`."""
 
@@ -275,11 +258,12 @@ class Arcs:
         at = np.searchsorted(self.stars, stars)
         picks = self.picks
         azimuth, share = _rule(self.start[at], self.length[at], order[1], alike=not picks.every)
-        rims = find_rims(self.lens, picks.kernel, self.centre[at], picks.wavelength_nm, azimuth, stars)
+        beams = Beams(self.lens, picks.kernel, self.centre[at], picks.wavelength_nm, azimuth, stars)
+        rims = beams.rims()
         found = np.where(rims.good, rims.radius, np.nan)  # its rays are lost, and with them the star is found out
         shadow = None
         if self.lens.holes:
-            dark, clear = find_shadow(self.lens, picks.kernel, self.centre[at], picks.wavelength_nm, azimuth, stars)
+            dark, clear = beams.shadow()
             found = np.where(clear & (dark < found), found, np.nan)
             shadow = picks.spread(dark, stars)
         azimuth, radius, share = (picks.spread(v, stars) for v in (azimuth, found, share))
@@ -433,11 +417,11 @@ def find_arcs(lens: AimedLens, picks: NodePicks, centre: FloatArray, stars: IntA
     """
     # centre (n, b, 2), stars (s,)
     azimuth = np.tile(_coarse_azimuth(), (picks.count, 1))
-    rims = find_rims(lens, picks.kernel, centre[stars], picks.wavelength_nm, azimuth, stars)
+    rims = Beams(lens, picks.kernel, centre[stars], picks.wavelength_nm, azimuth, stars).rims()
     kinks, good = _coarse_kinks(rims.height)
     for _ in range(NARROWINGS):
         narrower = kinks.azimuth()
-        again = find_rims(lens, picks.kernel, centre[stars], picks.wavelength_nm, narrower, stars)
+        again = Beams(lens, picks.kernel, centre[stars], picks.wavelength_nm, narrower, stars).rims()
         kinks = kinks.narrowed(narrower, again.height)
     start, length = _between(kinks)
     if not picks.every:

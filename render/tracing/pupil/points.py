@@ -18,15 +18,7 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from render.engine.jit import dr
 
-__all__ = [
-    "DiskPoints",
-    "OutlinePoints",
-    "PupilPoints",
-    "SobolPoints",
-    "TablePoints",
-    "bounding_outline",
-    "covered_points",
-]
+__all__ = ["DiskPoints", "OutlinePoints", "PupilPoints", "SobolPoints", "TablePoints", "bounding_outline"]
 
 
 BOUNDING_RINGS = (1.0 - 1e-6, 0.8, 0.5, 0.2)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from optics.rays.pupil import gauss_disk
-from render.tracing.convergence import TOLERANCE, damped_frequencies, transfer
+from render.tracing.convergence import damped_frequencies, transfer
 from render.tracing.pupil.outlines import node_turns
 from render.tracing.pupil.points import SobolPoints, TablePoints
 from render.tracing.rays.kernel import ARRIVED, FIRST, LOST, StampSums
@@ -31,26 +31,17 @@ from render.tracing.rays.kernel import ARRIVED, FIRST, LOST, StampSums
 __all__ = [
     "LADDER",
     "OUTLINE_LADDER",
-    "TOLERANCE",
     "Landed",
     "Trial",
-    "bounding_disk",
     "converged_order",
     "lowest_order",
     "probe_fields",
-    "probe_nodes",
-    "sobol_points",
     "staggered",
-    "whole_disk",
 ]
 
 
 LADDER = tuple(
-    zip(
-        (4, 6, 8, 10, 12, 15, 19, 24, 30, 38, 48, 60),
-        (8, 10, 14, 18, 22, 28, 36, 46, 58, 74, 94, 120),
-        strict=True,
-    )
+    zip((4, 6, 8, 10, 12, 15, 19, 24, 30, 38, 48, 60), (8, 10, 14, 18, 22, 28, 36, 46, 58, 74, 94, 120), strict=True)
 )
 """Rings and azimuths that are tried, in this order."""
 

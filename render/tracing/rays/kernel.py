@@ -186,13 +186,7 @@ class StarKernel:
         )
 
     def launch(
-        self,
-        star: Any,
-        px: Any,
-        py: Any,
-        wavelength_nm: Any,
-        error: Any = None,
-        program: LensProgram | None = None,
+        self, star: Any, px: Any, py: Any, wavelength_nm: Any, error: Any = None, program: LensProgram | None = None
     ) -> tuple[Any, Any, Any]:
         """Column, row [px] and status of rays through points of the launch disk; ``star`` counts times too."""
         pitch, cx, cy = self.pixels

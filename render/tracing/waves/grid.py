@@ -36,15 +36,7 @@ from render.tracing.waves.spectrum import lagrange, picked_wavelengths
 from render.tracing.waves.summed import LARGEST_RADIUS_PX, SummedImages, Trail
 from render.tracing.waves.windows import COARSE_REACH_PX, FieldSampling, PixelTable, coarser, window_samples
 
-__all__ = [
-    "MOMENTS",
-    "TOLERANCE",
-    "WING_PX",
-    "WaveGrid",
-    "build_grid",
-    "chebyshev",
-    "worth_a_grid",
-]
+__all__ = ["MOMENTS", "TOLERANCE", "WING_PX", "WaveGrid", "build_grid", "chebyshev", "worth_a_grid"]
 
 
 MOMENTS = 6

@@ -29,16 +29,7 @@ from render.tracing.pupil.outlines import rings
 from render.tracing.pupil.points import PupilPoints
 from render.tracing.rays.kernel import Shade, StarKernel
 
-__all__ = [
-    "PlaneWaves",
-    "RayArrays",
-    "WaveSeries",
-    "azimuths",
-    "hidden_points",
-    "nodes_along",
-    "phase_changes",
-    "trace_waves",
-]
+__all__ = ["PlaneWaves", "RayArrays", "WaveSeries", "hidden_points", "phase_changes", "trace_waves"]
 
 
 DIFFERENCE = 1e-6
@@ -257,10 +248,7 @@ class WaveSeries:
             spectrum = np.fft.rfft(values, axis=-1)[..., :-1] * (back[:, None] / arms)
             coefficient = np.ascontiguousarray(np.moveaxis(_legendre(count) @ spectrum, 4, 3))
             size = np.abs(coefficient)
-            tail = np.maximum(
-                size[:, :, :, -LAST_RINGS:].max((3, 5)),
-                size[..., -LAST_TURNS:].max((3, 5)),
-            )
+            tail = np.maximum(size[:, :, :, -LAST_RINGS:].max((3, 5)), size[..., -LAST_TURNS:].max((3, 5)))
             scale = np.broadcast_to(np.array([REACH_PX, REACH_PX, 1.0, 1.0]), tail.shape).copy()
             scale[..., 3] = 1.0 / size[:, :, :, 0, 3, 0]
             good = (tail * scale < TAIL).all((1, 2, 3)) & (waves.weight > 0.0).all((1, 2, 3))
