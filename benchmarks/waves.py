@@ -177,9 +177,9 @@ def sums():
 def _plane_waves():
     """Traced waves of one star at 3 deg, and how its image is sampled."""
     kernel_of = Tracer(camera_of(64, diffraction="exact_waves")).planner
-    seen = kernel_of.seen(at_rest(field_direction(3.0, 0.0)[None]), np.array([[600.0]]))
+    exposure = kernel_of.exposure(at_rest(field_direction(3.0, 0.0)[None]), np.array([[600.0]]))
     index = np.asarray(kernel_of.camera.focused_lens.indices(np.array([[600.0]]))[-1])
-    waves = trace_waves(seen.mid, staggered((36, 140), 1), np.array([[600.0]]), index, np.zeros(1, np.uint32))
+    waves = trace_waves(exposure.mid, staggered((36, 140), 1), np.array([[600.0]]), index, np.zeros(1, np.uint32))
     return waves, FieldSampling(3.85)
 
 

@@ -217,11 +217,11 @@ def _ray_image(
     """The image by rays."""
     scene = scene_of(paths)
     F, camera, planner = scene.F, tracer.camera, tracer.planner
-    seen = planner.seen(paths.plain, stars.wavelength_nm, paths.length_px)
+    exposure = planner.exposure(paths.plain, stars.wavelength_nm, paths.length_px)
     response = F(np.ascontiguousarray(camera.response_at(stars.wavelength_nm).ravel()))
     bands, nodes = stars.wavelength_nm.shape
     image = dr.zeros(F, camera.height_px * camera.width_px * bands)
-    for group in planner.sampled_by_rays(seen).groups:
+    for group in planner.sampled_by_rays(exposure).groups:
         if not len(group.members):
             continue
         outlines = _smooth(group)
@@ -614,17 +614,17 @@ def _wave_image(
     """The image by sums of plane waves."""
     camera, planner, waves = tracer.camera, tracer.planner, WaveImages(tracer.planner)
     light = tracer.light(stars, paths.plain, exposure_s)
-    seen = planner.seen(paths.plain, stars.wavelength_nm, paths.length_px)
-    few, images = waves.summed(light, seen)
+    exposure = planner.exposure(paths.plain, stars.wavelength_nm, paths.length_px)
+    few, images = waves.summed(light, exposure)
     scene = scene_of(AttachedPaths(at_rest(paths.plain.mid), paths.middle, paths.middle))
     moving = scene_of(paths) if images.trail is not None else scene
     (bands, colours), mean_nm = stars.wavelength_nm.shape, stars.wavelength_nm.mean(1)
     each = np.broadcast_to(np.eye(colours)[:, None], (colours, bands, colours))
-    mixed = waves.condensed(Light(stars.wavelength_nm, each, light.electrons), seen).share  # (k, b, q)
+    mixed = waves.condensed(Light(stars.wavelength_nm, each, light.electrons), exposure).share  # (k, b, q)
     response = camera.response_at(stars.wavelength_nm) * (math.pi * exposure_s)
     F = scene.F
     image = dr.zeros(F, camera.height_px * camera.width_px * bands)
-    near = waves.near(planner.sampled_by_rays(seen).bounds)
+    near = waves.near(planner.sampled_by_rays(exposure).bounds)
     for probe in (p for group in planner.sampled_by_waves(images.still, near).groups for p in images.probes(group)):
         outlines = _smooth(replace(probe.group, members=probe.stars))
         for part, radius, fields, order in _alike(images, probe):

@@ -25,7 +25,7 @@ from render.tracing.convergence import TOLERANCE
 from render.tracing.motion.exposure import ExposureMotion, IdealLens
 from render.tracing.motion.paths import Light, StarPaths, at_rest, pick_times, star_paths
 from render.tracing.pupil.outlines import ARC_LADDER
-from render.tracing.pupil.planning import PupilPlanner, Seen
+from render.tracing.pupil.planning import Exposure, PupilPlanner
 from render.tracing.pupil.points import PupilPoints
 from render.tracing.pupil.sampling import whole_disk
 from render.tracing.rays.images import RayImages
@@ -52,13 +52,13 @@ class TracedStars:
 class ImageMaker(Protocol):
     """Makes images of the stars of one camera."""
 
-    def add(self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
+    def add(self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
         """Add stars to the image (h, w, b) and what is known of them to the sums; how they were sampled.
 
         An image without pixels asks for the truth of rays alone.
         """
 
-    def cells(self, light: Light, seen: Seen, half_size_px: int, cells_per_px: int) -> FloatArray:
+    def cells(self, light: Light, exposure: Exposure, half_size_px: int, cells_per_px: int) -> FloatArray:
         """Light per cell (n, b, m, m) of squares about the mean of all light, in shares of what arrives."""
 
 
@@ -167,9 +167,9 @@ class Tracer:
         sums = TruthSums.empty(*light.electrons.shape)
         if not len(paths.mid):
             return sums, {}
-        seen = self.planner.seen(paths, light.wavelength_nm, length_px, shade=shade)
-        sums.chief[...] = np.where(seen.chiefs.blocked[..., None], np.nan, seen.chiefs.place_px)
-        return sums, self.images.add(light, seen, image, sums)
+        exposure = self.planner.exposure(paths, light.wavelength_nm, length_px, shade=shade)
+        sums.chief[...] = np.where(exposure.chiefs.blocked[..., None], np.nan, exposure.chiefs.place_px)
+        return sums, self.images.add(light, exposure, image, sums)
 
     def bundle_means(self, stars: StarField, *, rings: int = 6, arms: int = 14) -> FloatArray:
         """Mean landing point (n, b, 2) [px] of every star and band, without an image; NaN where no ray arrives.
@@ -183,18 +183,20 @@ class Tracer:
         """
         paths = self._in_cam(stars, None)
         light = self.light(stars, paths, 1.0)
-        seen = self.planner.seen(paths, light.wavelength_nm)
+        exposure = self.planner.exposure(paths, light.wavelength_nm)
         means = np.full((len(paths.mid), len(light.share[0]), 2), np.nan)
         if self.pupil.exact:
             every = np.arange(len(means))
-            means, clear = self._means(seen.mid, light, every, whole_disk((rings, arms), light.wavelength_nm.shape[1]))
+            means, clear = self._means(
+                exposure.mid, light, every, whole_disk((rings, arms), light.wavelength_nm.shape[1])
+            )
             left = every[~clear]
         else:
             left = np.arange(len(means))
-            for group in self.planner.sampled(seen, left).groups:
+            for group in self.planner.sampled(exposure, left).groups:
                 order = (rings, arms) if group.mode == "quadrature" else (rings, max(arms, ARC_LADDER[0][1]))
                 members = group.members
-                means[members], _ = self._means(seen.mid, light, members, group.of(members, order))
+                means[members], _ = self._means(exposure.mid, light, members, group.of(members, order))
                 left = np.setdiff1d(left, members)
         if len(left):  # beams that the kernel finds no outline of
             means[left] = self._beam_means(paths.mid[left], light.wavelength_nm, light.share[left], (rings, arms))
@@ -250,8 +252,8 @@ class Tracer:
         """
         paths = self._in_cam(stars, None)
         light = self.light(stars, paths, 1.0)
-        seen = self.planner.seen(paths, light.wavelength_nm)
-        return self.images.cells(light, seen, half_size_px, cells_per_px)
+        exposure = self.planner.exposure(paths, light.wavelength_nm)
+        return self.images.cells(light, exposure, half_size_px, cells_per_px)
 
     def _in_cam(self, stars: StarField, rotation: FloatArray | None) -> StarPaths:
         """Directions in cam of stars at rest, after a check that the lens can take the light."""

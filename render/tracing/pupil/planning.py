@@ -51,7 +51,7 @@ from render.tracing.pupil.sampling import (
 )
 from render.tracing.rays.kernel import Geometry, Shade, StarKernel, reach_px
 
-__all__ = ["Bounds", "Group", "PupilPlanner", "Sampled", "Seen"]
+__all__ = ["Bounds", "Exposure", "Group", "PupilPlanner", "Sampled"]
 
 Order = tuple[int, int]
 """Rings and azimuths."""
@@ -86,8 +86,8 @@ SHORTEST_PX = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """Stars as an exposure sees them; made by `PupilPlanner.seen`."""
+class Exposure:
+    """Stars as an exposure sees them; made by `PupilPlanner.exposure`."""
 
     planner: PupilPlanner
     # mid, nodes: In the middle of the exposure, and at its time nodes; the same for a camera at rest
@@ -251,7 +251,7 @@ class PupilPlanner:
         """Whether charge diffusion softens the edges of pixels enough for a quadrature."""
         return self.camera.charge_diffusion_px * HIGHEST_FREQUENCY >= LEAST_DAMPED
 
-    def seen(
+    def exposure(
         self,
         paths: StarPaths,
         wavelength_nm: FloatArray,
@@ -259,7 +259,7 @@ class PupilPlanner:
         *,
         shade: Shade | None = None,
         chiefs: Chiefs | None = None,
-    ) -> Seen:
+    ) -> Exposure:
         """What is needed of an exposure; chief rays are found where they are not known already."""
         mid = nodes = self.kernel(paths.mid, collimation=paths.collimation)
         if paths.nodes.shape[1] == 1 and paths.shear is None:
@@ -268,24 +268,26 @@ class PupilPlanner:
             picked, times = pick_times(paths)
             picks = node_picks(self.kernel(picked), wavelength_nm, times)
             nodes = self.kernel(paths.nodes, paths.shear, paths.collimation)
-        seen = Seen(self, mid, nodes, picks, paths, length_px, wavelength_nm, shade, None, chiefs)
-        return seen if shade is None else replace(seen, shaded=self._shaded(seen, shade))
+        exposure = Exposure(self, mid, nodes, picks, paths, length_px, wavelength_nm, shade, None, chiefs)
+        return exposure if shade is None else replace(exposure, shaded=self._shaded(exposure, shade))
 
-    def still(self, seen: Seen, wavelength_nm: FloatArray) -> Seen:
+    def still(self, exposure: Exposure, wavelength_nm: FloatArray) -> Exposure:
         """The same stars in the middle of the exposure, at wavelengths (b, k) that tell the image."""
-        if seen.nodes is seen.mid and wavelength_nm is seen.wavelength_nm:
-            return seen
-        rest = replace(at_rest(seen.paths.mid), collimation=seen.paths.collimation)
-        return replace(self.seen(rest, wavelength_nm, chiefs=seen.chiefs), shade=seen.shade, shaded=seen.shaded)
+        if exposure.nodes is exposure.mid and wavelength_nm is exposure.wavelength_nm:
+            return exposure
+        rest = replace(at_rest(exposure.paths.mid), collimation=exposure.paths.collimation)
+        return replace(
+            self.exposure(rest, wavelength_nm, chiefs=exposure.chiefs), shade=exposure.shade, shaded=exposure.shaded
+        )
 
-    def _shaded(self, seen: Seen, shade: Shade) -> BoolArray:
+    def _shaded(self, exposure: Exposure, shade: Shade) -> BoolArray:
         """Stars (n,) whose beam, or the disk beside it, something stands in."""
-        shaded = np.zeros(seen.mid.count, np.bool_)
+        shaded = np.zeros(exposure.mid.count, np.bool_)
         near = np.flatnonzero(shade.near(launch_disk(self.camera)))
         pupil, step = SobolPoints(SHADE_LOG2_RAYS, self.sobol_seed), SHADE_RAYS >> SHADE_LOG2_RAYS
         for part in (near[i : i + step] for i in range(0, len(near), step)):
-            disks = DiskPoints(pupil, *self.disks(seen, seen.wavelength_nm[:1], part))
-            shaded[part] = seen.mid.hidden_share(shade, disks, part.astype(np.uint32)) > 0.0
+            disks = DiskPoints(pupil, *self.disks(exposure, exposure.wavelength_nm[:1], part))
+            shaded[part] = exposure.mid.hidden_share(shade, disks, part.astype(np.uint32)) > 0.0
         return shaded
 
     def chiefs(self, kernel: StarKernel, wavelength_nm: FloatArray) -> Chiefs:
@@ -294,32 +296,32 @@ class PupilPlanner:
         centre = np.zeros((kernel.count, len(mean), 2)) if self.pupil.exact else None
         return find_chiefs(self._aim, kernel, mean, centre)
 
-    def _outlined(self, seen: Seen, cut: IntArray | None = None) -> tuple[list[Group], Outlines | None]:
+    def _outlined(self, exposure: Exposure, cut: IntArray | None = None) -> tuple[list[Group], Outlines | None]:
         """Groups of stars whose beams have outlines, and outlines by the stop alone.
 
         Where the launch disk is the stop itself it is the outline of all but the stars that are ``cut``.
         """
-        if not seen.mid.count or self._aim.stop not in dict(self._aim.limits):
+        if not exposure.mid.count or self._aim.stop not in dict(self._aim.limits):
             return [], None
         if self.pupil.exact and self._aim.holes:
             return [], None
         groups: list[Group] = []
         if self.pupil.exact:
-            outlines, centre = None, seen.chiefs.points
-            left = np.arange(seen.mid.count) if cut is None else cut
+            outlines, centre = None, exposure.chiefs.points
+            left = np.arange(exposure.mid.count) if cut is None else cut
         else:
-            outlines = find_outlines(self._aim, seen.picks, seen.chiefs)
+            outlines = find_outlines(self._aim, exposure.picks, exposure.chiefs)
             centre, left = outlines.chief, np.flatnonzero(~outlines.clear)
             if outlines.clear.any():
                 clear = np.flatnonzero(outlines.clear)
                 groups.append(Group("quadrature", clear, outlines.points, outlines, outlines.turns))
-        picks = seen.picks
+        picks = exposure.picks
         for again in (False,) if self._aim.holes else (False, True):
             if again:  # about a point inside the beam where that is not the chief ray's, and at every wavelength
-                if not len(left) or seen.nodes is not seen.mid:
+                if not len(left) or exposure.nodes is not exposure.mid:
                     break
-                centre, lit = self._inside(seen, left)
-                picks, left = every_node(seen.mid, seen.wavelength_nm), left[lit]
+                centre, lit = self._inside(exposure, left)
+                picks, left = every_node(exposure.mid, exposure.wavelength_nm), left[lit]
             if len(left):
                 arcs = find_arcs(self._aim, picks, centre, left)
                 if len(arcs.stars):
@@ -327,85 +329,85 @@ class PupilPlanner:
                 left = np.setdiff1d(left, arcs.stars)
         return groups, outlines
 
-    def sampled(self, seen: Seen, stars: IntArray, *, shapes: bool = True) -> Sampled:
+    def sampled(self, exposure: Exposure, stars: IntArray, *, shapes: bool = True) -> Sampled:
         """Groups of some stars whose beams have outlines; not of those in whose beam something stands."""
-        bands, colours = seen.wavelength_nm.shape
-        bounds, groups, cut = Bounds.empty(seen.mid.count, bands), [], None
-        open_ = stars if seen.shaded is None else stars[~seen.shaded[stars]]
+        bands, colours = exposure.wavelength_nm.shape
+        bounds, groups, cut = Bounds.empty(exposure.mid.count, bands), [], None
+        open_ = stars if exposure.shaded is None else stars[~exposure.shaded[stars]]
         if self.pupil.exact:
-            self._find_bounds(bounds, seen, stars)
+            self._find_bounds(bounds, exposure, stars)
             clear, cut = open_[bounds.clear[open_]], open_[~bounds.clear[open_]]
 
             def turns(count: int) -> FloatArray:
                 return np.repeat(0.5 + node_turns(colours)[:, None], count, axis=1)
 
-            points = partial(staggered, nodes=colours, times=seen.nodes.times)
+            points = partial(staggered, nodes=colours, times=exposure.nodes.times)
             groups.append(Group("quadrature", clear, lambda order, _: points(order), turns=turns))
         outlines = None
         if shapes and (cut is None or len(cut)):
-            found, outlines = self._outlined(seen, cut)
+            found, outlines = self._outlined(exposure, cut)
             groups += [replace(group, members=np.intersect1d(group.members, open_)) for group in found]
-        return Sampled(groups, bounds, outlines, (seen.mid.count, bands, colours * seen.nodes.times))
+        return Sampled(groups, bounds, outlines, (exposure.mid.count, bands, colours * exposure.nodes.times))
 
-    def sampled_by_rays(self, seen: Seen) -> Sampled:
+    def sampled_by_rays(self, exposure: Exposure) -> Sampled:
         """How all stars are sampled by rays: what no quadrature is fit for goes to the last group, of Sobol points."""
-        everyone = np.arange(seen.mid.count)
-        sampled = self.sampled(seen, everyone, shapes=self.camera.charge_diffusion_px > 0.0)
+        everyone = np.arange(exposure.mid.count)
+        sampled = self.sampled(exposure, everyone, shapes=self.camera.charge_diffusion_px > 0.0)
         groups, bounds, left = [], sampled.bounds, everyone
         holed = any(surface.holed for surface in self.camera.lens.surfaces)
         for group in sampled.groups:
             if group.outlines is None and holed:
                 continue
-            plan = self.plan(group.mode, seen, group.members)
+            plan = self.plan(group.mode, exposure, group.members)
             if plan is None:
                 continue
             if group.outlines is not None:
-                find_bounds(seen.mid, bounds, group.members, seen.picks.ends()[1], group.outlines.bounding)
+                find_bounds(exposure.mid, bounds, group.members, exposure.picks.ends()[1], group.outlines.bounding)
             groups.append(replace(group, order=plan[0], error=plan[1]))
             left = np.setdiff1d(left, group.members)
         if not self.pupil.exact:
-            self._find_bounds(bounds, seen, left)
+            self._find_bounds(bounds, exposure, left)
         log2_rays = self.sobol_log2_rays + (0 if self._blurred else UNBLURRED_MORE)
         sobol = sobol_points(sampled.nodes[2], self.sobol_seed, log2_rays)
-        if seen.nodes is not seen.mid:
-            bounds = bounds.moved(seen.paths.shift_px)
+        if exposure.nodes is not exposure.mid:
+            bounds = bounds.moved(exposure.paths.shift_px)
 
         def moved(_: Order, stars: IntArray) -> DiskPoints:
-            return DiskPoints(sobol, *self.disks(seen, seen.wavelength_nm, stars))
+            return DiskPoints(sobol, *self.disks(exposure, exposure.wavelength_nm, stars))
 
         return replace(sampled, groups=[*groups, Group("sobol", left, moved, order=(sobol.count, 1))], bounds=bounds)
 
-    def sampled_by_waves(self, seen: Seen, stars: IntArray) -> Sampled:
+    def sampled_by_waves(self, exposure: Exposure, stars: IntArray) -> Sampled:
         """How some stars at rest are sampled for sums of plane waves: those without an outline by cells."""
-        sampled, left = self.sampled(seen, stars), stars
+        sampled, left = self.sampled(exposure, stars), stars
         for group in sampled.groups:
             left = np.setdiff1d(left, group.members)
         groups = [*sampled.groups, Group("cells", left, None)]
         return replace(sampled, groups=[group for group in groups if len(group.members)])
 
-    def _find_bounds(self, bounds: Bounds, seen: Seen, stars: IntArray) -> None:
+    def _find_bounds(self, bounds: Bounds, exposure: Exposure, stars: IntArray) -> None:
         """Bounds of stars by points of the disks that hold their beams."""
 
         def points(part: IntArray) -> DiskPoints:
-            return DiskPoints(bounding_disk(), *self.disks(seen, seen.wavelength_nm, part))
+            return DiskPoints(bounding_disk(), *self.disks(exposure, exposure.wavelength_nm, part))
 
-        find_bounds(seen.mid, bounds, stars, seen.ends_nm, points)
+        find_bounds(exposure.mid, bounds, stars, exposure.ends_nm, points)
 
-    def _inside(self, seen: Seen, stars: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    def _inside(self, exposure: Exposure, stars: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """A point (n, b, 2) inside the beam of some of the stars, 0 for others, and for which there is one."""
-        middle = np.median(seen.wavelength_nm, 1)
-        found, lit = inner_points(self.camera.focused_lens, seen.paths.mid[stars], middle)
-        centre = np.zeros((seen.mid.count, len(middle), 2))
+        middle = np.median(exposure.wavelength_nm, 1)
+        found, lit = inner_points(self.camera.focused_lens, exposure.paths.mid[stars], middle)
+        centre = np.zeros((exposure.mid.count, len(middle), 2))
         centre[stars] = (found - [self.pupil.x_mm, self.pupil.y_mm]) / self.pupil.radius_mm
         return centre, np.asarray(lit.all(1))
 
-    def disks(self, seen: Seen, wavelength_nm: FloatArray, stars: IntArray) -> tuple[FloatArray, FloatArray]:
+    def disks(self, exposure: Exposure, wavelength_nm: FloatArray, stars: IntArray) -> tuple[FloatArray, FloatArray]:
         """Disks that hold the beams of some stars: centres (s, b, 2) and radii (s, b), in radii of the launch disk."""
         shape = (len(stars), len(wavelength_nm))
         if self.pupil.exact or not len(stars):
             return np.zeros((*shape, 2)), np.ones(shape)
-        times = seen.paths.nodes.shape[1]
-        ends = seen.paths.nodes[stars][:, sorted({0, times // 2, times - 1})]
+        times = exposure.paths.nodes.shape[1]
+        ends = exposure.paths.nodes[stars][:, sorted({0, times // 2, times - 1})]
         disks = launch_disks(self.camera.focused_lens, ends.reshape(-1, 3), wavelength_nm.ravel())
         x, y, radius = (v.reshape(ends.shape[:2]) for v in (disks.x_mm, disks.y_mm, disks.radius_mm))
         middle = x.mean(1), y.mean(1)
@@ -414,22 +416,22 @@ class PupilPlanner:
         unit = self.pupil.radius_mm
         return np.broadcast_to(centre / unit, (*shape, 2)), np.broadcast_to(reach[:, None] / unit, shape)
 
-    def plan(self, mode: str, seen: Seen, members: IntArray) -> tuple[Order, float] | None:
+    def plan(self, mode: str, exposure: Exposure, members: IntArray) -> tuple[Order, float] | None:
         """Order and error of a quadrature for some of the stars, which have to be clear; None if none is fit.
 
         It is found by trial on a field of the stars' extent, under a uniform motion of as many time nodes and at most
         the same length. Extent and length are rounded, so that few different ones occur, and with it the plan depends
         on lens, wavelengths, extent and motion only, not on which stars there are.
         """
-        direction, wavelength_nm = seen.paths.mid[members], seen.wavelength_nm
+        direction, wavelength_nm = exposure.paths.mid[members], exposure.wavelength_nm
         if not len(direction):
             return None
         step = math.radians(self.camera.lens.max_field_deg) / 16
         reach = math.acos(min(1.0, float(direction[:, 2].min())))
         steps = max(1, math.ceil(reach / step - 1e-9))
-        length = seen.length_px
+        length = exposure.length_px
         length = 2.0 ** (0.5 * math.floor(2.0 * math.log2(length))) if length > SHORTEST_PX else 0.0
-        key = (mode, wavelength_nm.tobytes(), steps, seen.nodes.times, length)
+        key = (mode, wavelength_nm.tobytes(), steps, exposure.nodes.times, length)
         if key not in self._plans:
             reach = min(steps * step, 1.5)
             still = (mode, wavelength_nm.tobytes(), steps, 1, 0.0)
@@ -460,12 +462,12 @@ class PupilPlanner:
         tried = min(times, MOST_TRIAL_TIMES)
         part_px = length_px * tried / times
         paths = uniform_paths(fields, tried, part_px / IdealLens.of(self.camera).focal_px)
-        seen = self.seen(paths, few, part_px)
+        exposure = self.exposure(paths, few, part_px)
         ladder: tuple[Order, ...] = LADDER
         points = partial(staggered, nodes=few.shape[1], times=tried)
         group = Group(mode, np.arange(len(paths.mid)), lambda order, _: points(order))
         if mode == "arcs" or not self.pupil.exact:
-            found = [one for one in self._outlined(seen)[0] if one.mode == mode]
+            found = [one for one in self._outlined(exposure)[0] if one.mode == mode]
             if not found:
                 return still
             group, ladder = found[0], OUTLINE_LADDER if mode == "quadrature" else ARC_LADDER
@@ -474,23 +476,23 @@ class PupilPlanner:
 
         def land(order: Order) -> Landed:
             pupil = group.of(probes, order)
-            return Landed(*seen.nodes.land(pupil, few, probes.astype(np.uint32)), pupil.weight, node_weight)
+            return Landed(*exposure.nodes.land(pupil, few, probes.astype(np.uint32)), pupil.weight, node_weight)
 
         if still is not None:
             least = LEAST_ARC_ORDER if mode == "arcs" else LEAST_ORDER
             tolerance = self.tolerance * (MOTION_TOLERANCE / TOLERANCE)
             return lowest_order(land, self.camera.charge_diffusion_px, tolerance, still[0], least)
         fewer = tuple(one for one in ladder if math.prod(one) * wavelength_nm.shape[1] <= MOST_RAYS)
-        return self._converged(seen, group, fewer)
+        return self._converged(exposure, group, fewer)
 
-    def _converged(self, seen: Seen, group: Group, ladder: tuple[Order, ...]) -> tuple[Order, float] | None:
+    def _converged(self, exposure: Exposure, group: Group, ladder: tuple[Order, ...]) -> tuple[Order, float] | None:
         """Lowest order that is converged for probe stars at rest, on stamps that hold their light."""
         if not (ladder and self._blurred):
             return None
-        probes, wavelength_nm = group.members, seen.wavelength_nm
+        probes, wavelength_nm = group.members, exposure.wavelength_nm
         stars = probes.astype(np.uint32)
         x, y, ok = (
-            v.reshape(*v.shape[:2], -1) for v in seen.nodes.land(group.of(probes, ladder[0]), wavelength_nm, stars)
+            v.reshape(*v.shape[:2], -1) for v in exposure.nodes.land(group.of(probes, ladder[0]), wavelength_nm, stars)
         )
         if not ok.any():
             return None
@@ -507,7 +509,7 @@ class PupilPlanner:
         share = np.full((len(probes), *wavelength_nm.shape), 1.0 / wavelength_nm.shape[1])
 
         def trial(order: Order) -> Trial:
-            stamps = seen.nodes.splat(
+            stamps = exposure.nodes.splat(
                 stars=stars,
                 pupil=group.of(probes, order),
                 wavelength_nm=wavelength_nm,

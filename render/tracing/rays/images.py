@@ -11,7 +11,7 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from render.camera import Camera
 from render.tracing.motion.paths import Light
-from render.tracing.pupil.planning import Bounds, Group, PupilPlanner, Sampled, Seen
+from render.tracing.pupil.planning import Bounds, Exposure, Group, PupilPlanner, Sampled
 from render.tracing.pupil.points import PupilPoints, TablePoints
 from render.tracing.rays.kernel import (
     ARRIVED,
@@ -47,15 +47,17 @@ class RayImages:
     def __init__(self, planner: PupilPlanner) -> None:
         self.planner, self.camera = planner, planner.camera
 
-    def add(self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
+    def add(self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
         """Add stars to the image and what is known of them to the sums; how they were sampled."""
-        return self.traced(light, seen, image, sums)[1]
+        return self.traced(light, exposure, image, sums)[1]
 
-    def traced(self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums) -> tuple[Sampled, Sampling]:
+    def traced(
+        self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums
+    ) -> tuple[Sampled, Sampling]:
         """The same; what the planner found of the stars, too."""
-        sampled, sampling = self.planner.sampled_by_rays(seen), Sampling()
+        sampled, sampling = self.planner.sampled_by_rays(exposure), Sampling()
         entering = (light.share * sampled.entrance).sum(2)
-        passes = _Passes(self.camera, seen.nodes, light, sampled.bounds, image, sums, entering, seen.shade)
+        passes = _Passes(self.camera, exposure.nodes, light, sampled.bounds, image, sums, entering, exposure.shade)
         lost = np.empty(0, np.int64)  # only the last group knows the pupils of stars that are not its own
         for group in sampled.groups:
             members = group.members
@@ -67,14 +69,14 @@ class RayImages:
                 sampling[group.mode] = (len(members) - len(left), group.rays * light.share.shape[2])
         return sampled, sampling
 
-    def cells(self, light: Light, seen: Seen, half_size_px: int, cells_per_px: int) -> FloatArray:
+    def cells(self, light: Light, exposure: Exposure, half_size_px: int, cells_per_px: int) -> FloatArray:
         """Light per cell (n, b, m, m) of squares about the bundle means, in shares of what arrives."""
         nothing, sums = np.zeros((0, 0, light.electrons.shape[1]), np.float32), TruthSums.empty(*light.electrons.shape)
-        sampled, _ = self.traced(light, seen, nothing, sums)
+        sampled, _ = self.traced(light, exposure, nothing, sums)
         stamp_px = 2 * half_size_px + 1
         corner = sums.bundle - 0.5 * stamp_px
         check_lit(corner)
-        passes = _Passes(self.camera, seen.nodes, light, sampled.bounds, nothing, sums, sums.entrance)
+        passes = _Passes(self.camera, exposure.nodes, light, sampled.bounds, nothing, sums, sums.entrance)
         side = stamp_px * cells_per_px
         result = np.empty((*corner.shape[:2], side, side))
         step = max(1, PASS_BYTES // (corner.shape[1] * side**2 * 16))

@@ -293,7 +293,7 @@ class _Summed:
     spectral: FloatArray  # (b, k, q) As `WaveGrid.spectral`
     judges: list[IntArray]  # (j,) Wavelengths of each band by which a grid is judged
 
-    def seen(self, diffusion_px: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def on_pixels(self, diffusion_px: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """What makes pixels about the samples of them (i, i), and which of them lie on the stamp."""
         kernel, samples = self.field.pixel(1.0, diffusion_px), self.samples_px
         smoothing = (kernel(samples[:, None] - samples) * self.field.light_step).astype(np.float32)
@@ -326,8 +326,8 @@ class _FieldImages:
         edge = np.stack([x * right + (2.0 * x - 1.0) * WING_PX, y * below + (2.0 * y - 1.0) * WING_PX], axis=-1)
         place = (edge - camera.centre_px) / self.focal_px
         for _ in range(3):
-            seen = self.planner.seen(at_rest(self._direction(place)), self.wavelength_nm)
-            place = place + np.nan_to_num((edge - seen.chiefs.place_px.mean(1)) / self.focal_px)
+            exposure = self.planner.exposure(at_rest(self._direction(place)), self.wavelength_nm)
+            place = place + np.nan_to_num((edge - exposure.chiefs.place_px.mean(1)) / self.focal_px)
         low, high = place.min(0), place.max(0)
         middle = np.where(np.abs(low + high) < CENTRED * (high - low), 0.0, 0.5 * (low + high))
         return middle, np.maximum(high - middle, middle - low) * (1.0 + 1e-3)
@@ -355,9 +355,9 @@ class _FieldImages:
         for _ in range(2):
             steps = np.linspace(low, high, CUT_STEPS + 1)
             paths = at_rest(self._direction(self.reach * np.stack([steps, np.zeros_like(steps)], axis=-1)))
-            seen = self.planner.seen(paths, self.wavelength_nm)
+            exposure = self.planner.exposure(paths, self.wavelength_nm)
             cut = np.ones(len(steps), np.bool_)
-            for group in self.planner.sampled_by_waves(seen, np.arange(len(steps))).groups:
+            for group in self.planner.sampled_by_waves(exposure, np.arange(len(steps))).groups:
                 if group.mode == "quadrature":
                     cut[group.members] = False
             first = int(np.argmax(cut))
@@ -369,11 +369,11 @@ class _FieldImages:
     def exact(self, place: FloatArray, share: FloatArray) -> tuple[SummedImages, list[Group], FloatArray, FloatArray]:
         """Images of stars whose directions have these tangents (n, 2), their groups, chief rays and entrances."""
         paths = replace(at_rest(self._direction(place)), collimation=self.collimation)
-        seen = self.planner.seen(paths, self.wavelength_nm)
-        sampled = self.planner.sampled_by_waves(seen, np.arange(len(place)))
-        chief = np.where(seen.chiefs.blocked[..., None], np.nan, seen.chiefs.place_px)
+        exposure = self.planner.exposure(paths, self.wavelength_nm)
+        sampled = self.planner.sampled_by_waves(exposure, np.arange(len(place)))
+        chief = np.where(exposure.chiefs.blocked[..., None], np.nan, exposure.chiefs.place_px)
         entrance = np.where(np.isnan(sampled.entrance), 1.0, sampled.entrance)
-        return SummedImages(self.planner, seen, share), sampled.groups, chief, entrance
+        return SummedImages(self.planner, exposure, share), sampled.groups, chief, entrance
 
     def grid(self, size: int) -> WaveGrid | None:
         """A grid with its errors; None for a lens or field without one. Mirrored: from a quarter of the field."""
@@ -386,7 +386,7 @@ class _FieldImages:
         light, moment, origin = found.light, found.moment, found.origin
         if self.mirrored:
             light, moment, origin = _unfolded(light, moment, origin, size)
-        smoothing, disk = found.seen(self.camera.charge_diffusion_px)
+        smoothing, disk = found.on_pixels(self.camera.charge_diffusion_px)
         limit = COMPONENT * (SIZES[0] / size) ** 2
         step, side = found.field.light_step, light.shape[-1]
         parts = [_components(one.reshape(-1, side, side), smoothing, disk, step, limit) for one in light]

@@ -14,7 +14,7 @@ from optics.arrays import FloatArray, IntArray
 from optics.light.collimation import Collimation
 from render.tracing.motion.exposure import IdealLens
 from render.tracing.motion.paths import Light
-from render.tracing.pupil.planning import Bounds, PupilPlanner, Seen
+from render.tracing.pupil.planning import Bounds, Exposure, PupilPlanner
 from render.tracing.pupil.points import OutlinePoints
 from render.tracing.pupil.sampling import whole_disk
 from render.tracing.rays.images import RayImages
@@ -51,56 +51,59 @@ class WaveImages:
         self.planner, self.camera, self.rays = planner, planner.camera, RayImages(planner)
         self._known: tuple[tuple[bytes, bytes], KeptLight] = (b"", b""), {}
 
-    def add(self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
+    def add(self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
         """Add stars to the image and what is known of them to the sums; how they were sampled."""
         if not image.size:
-            return self.rays.add(light, seen, image, sums)
+            return self.rays.add(light, exposure, image, sums)
         sampling = Sampling()
-        by_grid = self._add_by_grid(light, seen, image, sums, sampling)
-        left = np.setdiff1d(np.arange(seen.mid.count), by_grid)
+        by_grid = self._add_by_grid(light, exposure, image, sums, sampling)
+        left = np.setdiff1d(np.arange(exposure.mid.count), by_grid)
         if not len(by_grid):
-            self._add_summed(light, seen, image, sums, sampling)
+            self._add_summed(light, exposure, image, sums, sampling)
         elif len(left):
             others = TruthSums.empty(len(left), light.electrons.shape[1])
             others.chief[...] = sums.chief[left]
-            chiefs, length_px = seen.chiefs.take(left), seen.length_px
-            some = self.planner.seen(seen.paths.take(left), seen.wavelength_nm, length_px, chiefs=chiefs)
+            chiefs, length_px = exposure.chiefs.take(left), exposure.length_px
+            some = self.planner.exposure(exposure.paths.take(left), exposure.wavelength_nm, length_px, chiefs=chiefs)
             self._add_summed(light.take(left), some, image, others, sampling)
             sums.put(left, others)
         return sampling
 
     def _add_by_grid(
-        self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums, sampling: Sampling
+        self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums, sampling: Sampling
     ) -> IntArray:
         """Add stars by a grid of images, if they are many enough for it; which."""
         camera, nobody, chief = self.camera, np.empty(0, np.int64), sums.chief
-        if camera.diffraction != "waves" or seen.shade is not None:
+        if camera.diffraction != "waves" or exposure.shade is not None:
             return nobody
         edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
         stars = np.flatnonzero(((chief > -0.5 - WING_PX) & (chief < edge)).all((1, 2)))
         if not self._spread(chief[stars]) or not worth_a_grid(light.wavelength_nm, len(stars)):
             return nobody
-        grid = self._grid(light.wavelength_nm, seen.paths.collimation, 0.0)
+        grid = self._grid(light.wavelength_nm, exposure.paths.collimation, 0.0)
         if grid is None:
             return nobody
-        direction = seen.paths.mid
+        direction = exposure.paths.mid
         stars = stars[grid.holds(direction[stars])]
-        share, trail = self._moving(light, seen)
+        share, trail = self._moving(light, exposure)
         for part in (stars[i : i + GRID_BATCH] for i in range(0, len(stars), GRID_BATCH)):
             stamps = grid.stamps(part, direction[part], share[part], chief[part], trail)
             self._add_stamps(stamps, light, image, sums, sampling)
         return stars
 
     def _add_summed(
-        self, light: Light, seen: Seen, image: NDArray[np.float32], sums: TruthSums, sampling: Sampling
+        self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums, sampling: Sampling
     ) -> None:
         """Add diffraction images of all stars whose light may meet the detector, after the truth of their rays."""
         nothing = np.zeros((0, 0, image.shape[2]), np.float32)
-        near = self.near(self.rays.traced(light, seen, nothing, sums)[0].bounds)
+        near = self.near(self.rays.traced(light, exposure, nothing, sums)[0].bounds)
         if not len(near):
             return
-        few, images = self.summed(light, seen)
-        self._known = _state(few.wavelength_nm, seen.paths.collimation), images.kept if seen.shade is None else {}
+        few, images = self.summed(light, exposure)
+        self._known = (
+            _state(few.wavelength_nm, exposure.paths.collimation),
+            images.kept if exposure.shade is None else {},
+        )
         for group in self.planner.sampled_by_waves(images.still, near).groups:
             for stamps in images.stamps(group):
                 self._add_stamps(stamps, light, image, sums, sampling)
@@ -111,27 +114,27 @@ class WaveImages:
         inside = np.all((bounds.high > -0.5 - WING_PX) & (bounds.low < edge), axis=2)
         return np.flatnonzero(np.any(inside, axis=1))
 
-    def summed(self, light: Light, seen: Seen) -> tuple[Light, SummedImages]:
+    def summed(self, light: Light, exposure: Exposure) -> tuple[Light, SummedImages]:
         """Light of the wavelengths that have images, and these images of the stars."""
-        few = self.condensed(light, seen)
-        share, trail = self._moving(few, seen)
-        return few, SummedImages(self.planner, self.planner.still(seen, few.wavelength_nm), share, trail)
+        few = self.condensed(light, exposure)
+        share, trail = self._moving(few, exposure)
+        return few, SummedImages(self.planner, self.planner.still(exposure, few.wavelength_nm), share, trail)
 
-    def cells(self, light: Light, seen: Seen, half_size_px: int, cells_per_px: int) -> FloatArray:
+    def cells(self, light: Light, exposure: Exposure, half_size_px: int, cells_per_px: int) -> FloatArray:
         """Light per cell (n, b, m, m) of squares about the centroids, in shares of what arrives.
 
         By a grid, corners of the square are dark where its stamps have ended.
         """
-        radius_px, chiefs = math.ceil(half_size_px + 0.5), seen.chiefs
+        radius_px, chiefs = math.ceil(half_size_px + 0.5), exposure.chiefs
         if self.camera.diffraction == "waves" and worth_a_grid(light.wavelength_nm, len(light.electrons)):
-            chief, by = chiefs.place_px, (light.wavelength_nm, seen.paths.collimation)
+            chief, by = chiefs.place_px, (light.wavelength_nm, exposure.paths.collimation)
             grid = self._grid(*by, 0.0) if self._spread(chief) else None  # that of the images serves, if it is as large
             if grid is not None and grid.radius_px < radius_px:
                 grid = self._grid(*by, float(radius_px))
-            if grid is not None and grid.holds(seen.paths.mid).all() and not chiefs.blocked.any():
-                return grid.cells(seen.paths.mid, light.share, chief, half_size_px, cells_per_px)
-        few, images = self.summed(light, seen)
-        if self._known[0] == _state(few.wavelength_nm, seen.paths.collimation):
+            if grid is not None and grid.holds(exposure.paths.mid).all() and not chiefs.blocked.any():
+                return grid.cells(exposure.paths.mid, light.share, chief, half_size_px, cells_per_px)
+        few, images = self.summed(light, exposure)
+        if self._known[0] == _state(few.wavelength_nm, exposure.paths.collimation):
             images.kept = self._known[1]
         side = (2 * half_size_px + 1) * cells_per_px
         result = np.empty((*light.electrons.shape, side, side))
@@ -161,12 +164,12 @@ class WaveImages:
         """What images depend on of a camera."""
         return pickle.dumps(replace(self.camera, rotation_cam_from_world=np.eye(3), response=None))
 
-    def condensed(self, light: Light, seen: Seen) -> Light:
+    def condensed(self, light: Light, exposure: Exposure) -> Light:
         """Light of as few wavelengths as tell the images of all, unless none may be interpolated."""
         if self.camera.diffraction == "exact_waves":
             return light
         middle_nm = light.wavelength_nm.mean(1, keepdims=True)
-        x, y, arrived = seen.mid.land(whole_disk((4, 8), 1), middle_nm)
+        x, y, arrived = exposure.mid.land(whole_disk((4, 8), 1), middle_nm)
         extent = [np.where(arrived, v, -np.inf).max(-1) - np.where(arrived, v, np.inf).min(-1) for v in (x, y)]
         spot_px = 0.5 * max(float(v.max(initial=0.0, where=np.isfinite(v))) for v in extent)
         focal_px, radius_mm = IdealLens.of(self.camera).focal_px, self.planner.pupil.radius_mm
@@ -185,13 +188,13 @@ class WaveImages:
         sampling[stamps.mode] = (stars + len(stamps.stars), max(rays, stamps.rays * light.wavelength_nm.shape[1]))
 
     @staticmethod
-    def _moving(light: Light, seen: Seen) -> tuple[FloatArray, Trail | None]:
+    def _moving(light: Light, exposure: Exposure) -> tuple[FloatArray, Trail | None]:
         """Shares of wavelengths (n, b, k) of an exposure, and how images move during it; None for a camera at rest."""
         bands, colours = light.wavelength_nm.shape
         share = light.share.reshape(*light.share.shape[:2], -1, colours)
-        if seen.nodes is seen.mid:
+        if exposure.nodes is exposure.mid:
             return share.sum(2), None
-        times, chiefs = seen.nodes.times, seen.chiefs
+        times, chiefs = exposure.nodes.times, exposure.chiefs
         points = np.nan_to_num(chiefs.points)
         ray = OutlinePoints(
             centre=points,
@@ -202,6 +205,6 @@ class WaveImages:
             ring=np.zeros(1),
             ring_weight=np.ones(1),
         )
-        x, y, _ = seen.nodes.land(ray, light.wavelength_nm.mean(1, keepdims=True))
+        x, y, _ = exposure.nodes.land(ray, light.wavelength_nm.mean(1, keepdims=True))
         offset = np.stack([x[..., 0], y[..., 0]], axis=-1) - chiefs.place_px[:, :, None]
         return share.sum(2), Trail(np.nan_to_num(offset), share.sum(3))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.waves.pupil_field import LARGEST_APERTURE
-from render.tracing.pupil.planning import Group, PupilPlanner, Seen
+from render.tracing.pupil.planning import Exposure, Group, PupilPlanner
 from render.tracing.pupil.points import DiskPoints, covered_points
 from render.tracing.truth import RayMoments, WaveStamps
 from render.tracing.waves.plane_waves import (
@@ -144,7 +144,7 @@ class SummedImages:
     which `stamps` add and from which `cells` take.
     """
 
-    def __init__(self, planner: PupilPlanner, still: Seen, share: FloatArray, trail: Trail | None = None) -> None:
+    def __init__(self, planner: PupilPlanner, still: Exposure, share: FloatArray, trail: Trail | None = None) -> None:
         self.planner, self.still, self.share, self.trail = planner, still, share, trail
         self.camera, self.kernel, self.wavelength_nm = planner.camera, still.mid, still.wavelength_nm
         self.kept: KeptLight = {}

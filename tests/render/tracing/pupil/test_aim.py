@@ -24,8 +24,8 @@ def aimed(bench, name, x, y):
     """A built-in lens ready for aiming at stars near some pixels of its detector, and where it was made."""
     camera = bench.camera_of(name, film=False)
     tracer = Tracer(camera)
-    seen = tracer.planner.seen(tracer._in_cam(bench.stars_at(camera, x, y), None), WAVELENGTH_NM)
-    return camera, tracer.planner, seen, tracer.planner.chiefs(seen.mid, WAVELENGTH_NM)
+    exposure = tracer.planner.exposure(tracer._in_cam(bench.stars_at(camera, x, y), None), WAVELENGTH_NM)
+    return camera, tracer.planner, exposure, tracer.planner.chiefs(exposure.mid, WAVELENGTH_NM)
 
 
 def launched(planner, kernel, star, points, wavelength_nm):
@@ -41,9 +41,9 @@ def launched(planner, kernel, star, points, wavelength_nm):
 
 
 def test_chief_rays_meet_the_centre_of_the_stop(engine, bench):
-    camera, planner, seen, chiefs = aimed(bench, "star_tracker_26mm", [511.5, 700.2, 20.1], [511.5, 33.3, 40.4])
+    camera, planner, exposure, chiefs = aimed(bench, "star_tracker_26mm", [511.5, 700.2, 20.1], [511.5, 33.3, 40.4])
     for star, point in enumerate(chiefs.points[:, 0]):
-        at_stop = trace_path(camera.lens, launched(planner, seen.mid, star, point, 656.666666666666666))
+        at_stop = trace_path(camera.lens, launched(planner, exposure.mid, star, point, 656.666666666666666))
         assert np.hypot(*at_stop[camera.lens.stop_index + 1][..., :2]) < 1e-9
 
 
@@ -52,13 +52,13 @@ def test_rays_inside_the_outline_pass_and_those_outside_do_not(engine, bench, na
     x, y = {"star_tracker_26mm": ([511.5, 700.2, 20.1], [511.5, 333.3, 40.4])}.get(
         name, ([1023.5, 1400.2, 300.1], [1023.5, 900.7, 400.2])
     )
-    camera, planner, seen, chiefs = aimed(bench, name, x, y)
-    outlines = find_outlines(planner._aim, seen.picks, chiefs)
+    camera, planner, exposure, chiefs = aimed(bench, name, x, y)
+    outlines = find_outlines(planner._aim, exposure.picks, chiefs)
     assert (outlines.cut == np.array(cut, bool)).all()
     assert (outlines.clear != outlines.cut).all()
     azimuth = np.tile(np.linspace(0.0, 6.0, 40), (3, 1))
-    rims = Beams(planner._aim, seen.mid, chiefs.points, WAVELENGTH_NM, azimuth).rims()
-    alone = Beams(planner._aim, seen.mid, chiefs.points, WAVELENGTH_NM, azimuth).stop_rims()
+    rims = Beams(planner._aim, exposure.mid, chiefs.points, WAVELENGTH_NM, azimuth).rims()
+    alone = Beams(planner._aim, exposure.mid, chiefs.points, WAVELENGTH_NM, azimuth).stop_rims()
     assert rims.good.all()
     along = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
     found = outlines._at(outline_series(azimuth), outlines.radius, np.arange(3))
@@ -67,7 +67,7 @@ def test_rays_inside_the_outline_pass_and_those_outside_do_not(engine, bench, na
             radius = rims.radius[star, 0, node][:, None]
             for factor, passes in ((1 - 1e-8, True), (1 + 1e-8, False)):
                 points = chiefs.points[star, 0] + factor * radius * along[node]
-                out = trace(camera.lens, launched(planner, seen.mid, star, points, wavelength))
+                out = trace(camera.lens, launched(planner, exposure.mid, star, points, wavelength))
                 assert (out.status == (OK if passes else VIGNETTED)).all()
         if not cut[star]:
             assert np.abs(alone.radius[star] - rims.radius[star]).max() < 1e-12
@@ -141,14 +141,14 @@ def test_area_of_two_apertures(engine, tangent):
 
 
 def test_quadrature_inside_an_outline_converges_exponentially(engine, bench):
-    _, planner, seen, chiefs = aimed(bench, "star_tracker_26mm", [600.3, 800.7], [500.1, 300.9])
-    outlines = find_outlines(planner._aim, seen.picks, chiefs)
+    _, planner, exposure, chiefs = aimed(bench, "star_tracker_26mm", [600.3, 800.7], [500.1, 300.9])
+    outlines = find_outlines(planner._aim, exposure.picks, chiefs)
     stars = np.flatnonzero(outlines.clear)
     assert len(stars) == 2
 
     def stamps(order):
         pupil = outlines.points(order, stars)
-        x, y, ok = seen.nodes.land(pupil, WAVELENGTH_NM)
+        x, y, ok = exposure.nodes.land(pupil, WAVELENGTH_NM)
         assert ok.all()
         weight = np.broadcast_to(pupil.weight / 3, x.shape)
         corner = np.floor(x.mean((1, 2, 3))) - 10, np.floor(y.mean((1, 2, 3))) - 10

@@ -106,8 +106,8 @@ def test_chosen_order_keeps_its_tolerance(engine, bench, diffusion_px, defocus_m
     stars = bench.stars_at(camera, rng.uniform(10, 4085, 12), rng.uniform(10, 2037, 12))
     tracer = Tracer(camera)
     planner = tracer.planner
-    seen = planner.seen(tracer._in_cam(stars, None), stars.wavelength_nm)
-    group, rest = planner.sampled_by_rays(seen).groups
+    exposure = planner.exposure(tracer._in_cam(stars, None), stars.wavelength_nm)
+    group, rest = planner.sampled_by_rays(exposure).groups
     assert len(group.members) == 12
     assert len(rest.members) == 0
     assert group.error < TOLERANCE
@@ -123,8 +123,8 @@ def test_order_inside_outlines_is_high_enough_and_not_far_too_high(engine, bench
     stars = bench.stars_at(camera, *rng.uniform(500, 1540, (2, 12)), bands=((625.0, 400.0),), nodes=6)
     tracer = Tracer(camera, tolerance=tolerance)
     planner = tracer.planner
-    seen = planner.seen(tracer._in_cam(stars, None), stars.wavelength_nm)
-    group, rest = planner.sampled_by_rays(seen).groups
+    exposure = planner.exposure(tracer._in_cam(stars, None), stars.wavelength_nm)
+    group, rest = planner.sampled_by_rays(exposure).groups
     assert len(group.members) == 12
     assert len(rest.members) == 0
 
