@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.turntable.experiment import main
+from experiments.turntable.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

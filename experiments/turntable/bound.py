@@ -10,32 +10,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from calib.cameras import BrownConrady, SensorGeometry
 from calib.cameras.base import CameraModel
 from calib.cameras.line_of_sight import line_of_sight_map
-from experiments.laboratory.single_star.bench import Bench, aim
+from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.derivatives import design, reading_covariance_px2
-from experiments.laboratory.turntable import build_turntable
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.units import RAD_ARCSEC
 
-__all__ = [
-    "Bound",
-    "FieldPoint",
-    "bound",
-    "closed_form_px",
-    "field_sweep",
-    "knowledge",
-    "noise_shares",
-]
+__all__ = ["Bound", "bound", "knowledge", "noise_shares"]
 
 
-SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
-SWEEP_SIDE = 13
-"""Cameras of the field sweep: pixels along each side, their pitch, places along each side."""
 WORST_CONDITION = 1e14
 
 
@@ -146,19 +131,18 @@ def knowledge(
     angle_rad: FloatArray,
     covariance_px2: FloatArray,
     map_direction: FloatArray,
-) -> dict[str, Bound]:
-    """What it would be worth to know more: bounds of the joint calibration with something of it known."""
+) -> dict[str, float]:
+    """Bounds of the map error [arcsec, RMS length] of the joint calibration with something of it known."""
     centred = [name for name in model.parameter_names if not name.startswith(("p1", "p2"))]
-    return {
-        label: bound(model, bench, angle_rad, covariance_px2, map_direction, leans=leans, star=star, free=free)
-        for label, leans, star, free in (
-            ("nothing more", True, True, None),
-            ("the axes' angles", False, True, None),
-            ("the star's direction", True, False, None),
-            ("star and axes", False, False, None),
-            ("no tangential distortion", True, True, centred),
-        )
+    given = model, bench, angle_rad, covariance_px2, map_direction
+    known = {
+        "nothing more": bound(*given, leans=True),
+        "the axes' angles": bound(*given, leans=False),
+        "the star's direction": bound(*given, leans=True, star=False),
+        "star and axes": bound(*given, leans=False, star=False),
+        "no tangential distortion": bound(*given, leans=True, free=centred),
     }
+    return {label: one.map_sigma_arcsec for label, one in known.items()}
 
 
 def noise_shares(
@@ -191,60 +175,3 @@ def noise_shares(
         line = line_of_sight_map(model, map_direction, pixel, covariance=covariance[:count, :count])
         shares[name] = float(line.predicted_rms_arcsec)
     return shares
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FieldPoint:
-    """The bound for a camera of one field of view."""
-
-    field_deg: float  # Full width
-    full: Bound  # All unknowns, two-axis table
-    rolled: Bound  # All unknowns, three-axis table, the camera rolled by quarter turns from place to place
-    plain: Bound  # Principal point, focal length and installation alone, two-axis table
-    arcsec_per_px: float  # On the axis
-
-
-def field_sweep(fields_deg: Sequence[float], sigma_px: float) -> list[FieldPoint]:
-    """Bounds for ideal cameras of 2048 x 2048 pixels, 13 x 13 places, on perfect tables."""
-    geometry = SensorGeometry(width_px=SWEEP_PX, height_px=SWEEP_PX, pixel_pitch_mm=SWEEP_PITCH_MM)
-    points = []
-    for field in fields_deg:
-        focal = SWEEP_PX * SWEEP_PITCH_MM / 2 / np.tan(np.radians(field) / 2)
-        model = BrownConrady.create(geometry, focal_length_mm=float(focal))
-        points.append(
-            FieldPoint(
-                field_deg=float(field),
-                full=_ideal(model, "xy", sigma_px),
-                rolled=_ideal(model, "xyz", sigma_px),
-                plain=_ideal(model, "xy", sigma_px, star=False, free=("x0_px", "y0_px", "focal_length_mm")),
-                arcsec_per_px=float(SWEEP_PITCH_MM / focal * RAD_ARCSEC),
-            )
-        )
-    return points
-
-
-def _ideal(
-    model: CameraModel, axes: str, sigma_px: float, *, star: bool = True, free: Sequence[str] | None = None
-) -> Bound:
-    """Bound of one ideal camera on a perfect table; a third axis makes quarter turns."""
-    bench = Bench(table=build_turntable(axes), star=np.array([0.0, 0.0, 1.0]), installation=Rotation.identity())
-    direction = model.unproject(model.geometry.grid_px(SWEEP_SIDE))
-    angle = aim(bench, direction, np.asarray(np.arange(len(direction)) % 4 * (np.pi / 2), np.float64))
-    covariance = np.broadcast_to(np.eye(2) * sigma_px**2, (len(direction), 2, 2))
-    return bound(model, bench, angle, covariance, direction, leans=False, free=free, star=star)
-
-
-def closed_form_px(field_deg: float, sigma_px: float) -> float:
-    r"""Error of the principal point of an undistorted camera, star direction known, for small fields [px].
-
-    A shift of the principal point moves every image by (1, 0); a turn of the installation moves it by
-    (1 + t_x^2, t_x t_y) with t the tangents of the field angles. What tells them apart is (t_x^2, t_x t_y) minus its
-    mean, whose mean square over a square grid is the mean of t^4, because the mean of t_x^2 t_y^2 is the square of
-    that of t^2:
-
-    .. math:: \sigma_{x_0} = \sigma / \sqrt{n \langle t^4 \rangle}
-    """
-    side = SWEEP_SIDE
-    tangent = np.tan(np.radians(field_deg) / 2) * (SWEEP_PX - 1) / SWEEP_PX
-    fourth = tangent**4 * (side + 1) * (3 * side**2 - 7) / (15 * (side - 1) ** 3)
-    return float(sigma_px / np.sqrt(side**2 * fourth))

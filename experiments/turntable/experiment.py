@@ -1,93 +1,116 @@
-"""Run and declaration of the turntable calibration."""
+"""Joint calibration with a single star on tables of two and three axes: rendered, judged, repeated on coordinates."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
-from experiments.harness.cli import command
-from experiments.harness.experiment import Experiment
+from experiments.harness.drawings import image, maps
 from experiments.harness.progress import Progress
-from experiments.laboratory.own_frames import or_own_frames
+from experiments.harness.quantities import Quantities, shown_unit
+from experiments.harness.sections import Section, agree, below, col
+from experiments.harness.summary import Measured, measured
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.single_star.derivatives import reading_covariance_px2
+from experiments.laboratory.single_star.measure import Measurement, measure, window_strip_e
+from experiments.laboratory.single_star.reduce import (
+    Data,
+    check_count,
+    check_fit,
+    check_parity,
+    reduce_data,
+    start_model,
+)
+from experiments.laboratory.single_star.settings import TableConfig
+from experiments.laboratory.single_star.setup import (
+    averaged,
+    build_star,
+    build_table,
+    camera_under_test,
+    check_table,
+    grid_px,
+    star_signal,
+)
+from experiments.laboratory.single_star.sketch import bench_sketch
+from experiments.laboratory.single_star.star import star_direction
+from experiments.laboratory.turntable import Turntable, axis_directions
+from experiments.turntable.bound import Bound, bound, knowledge, noise_shares
+from experiments.turntable.fields import FIELDS, field_sweep
+from experiments.turntable.monte_carlo import (
+    READINGS,
+    Coordinates,
+    MonteCarlo,
+    equal_reading_noise_arcsec,
+    monte_carlo,
+    reading_sweep,
+)
 from experiments.turntable.settings import Config
-from optics.errors import ConfigError
+from experiments.turntable.truth import Reduction, TracedMap, judge, traced_map
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+from render.engine.random import Streams
 
-if TYPE_CHECKING:
-    from experiments.laboratory.instrument import Instrument
-    from experiments.turntable.result import Result
+__all__ = ["SECTIONS", "axes", "run"]
 
-__all__ = ["Config", "experiment", "main", "run"]
-
-
-def run(config: Config, *, progress: Progress) -> Result:
-    """Render, read, calibrate, and judge against the traced lens."""
-    from experiments.turntable.bound import field_sweep
-    from experiments.turntable.case import one_table
-    from experiments.turntable.lenses import lens_points
-    from experiments.turntable.monte_carlo import lean_sweep, reading_sweep
-    from experiments.turntable.result import Result
-    from experiments.turntable.traced import traced_map
-    from render.engine.random import Streams
-
-    instrument = _prepare(config)
-    streams = Streams(config.seed).child("turntable")
-    with progress.stage("trace"):
-        traced = traced_map(config, instrument)
-    named = (("two-axis", config.two_axis), ("three-axis", config.three_axis))
-    cases = [one_table(config, instrument, traced, name, table, streams, progress) for name, table in named]
-    study, setup = config.study, cases[0].coordinates
-    near = replace(setup, start=setup.model)  # the sweeps ask for errors, not for convergence
-    with progress.stage("reading noise", total=len(study.reading_noise_arcsec)) as stage:
-        by_reading = reading_sweep(
-            near,
-            traced,
-            streams.child("reading sweep"),
-            study.reading_noise_arcsec,
-            study.sweep_runs,
-            advance=stage.advance,
-        )
-    with progress.stage("leaning axes", total=len(study.non_orthogonality_arcsec)) as stage:
-        by_lean = lean_sweep(
-            near,
-            traced,
-            streams.child("lean sweep"),
-            study.non_orthogonality_arcsec,
-            study.sweep_runs,
-            advance=stage.advance,
-        )
-    with progress.stage("field of view"):
-        sigma = float(np.sqrt(np.einsum("nii->", setup.covariance_px2) / (2 * len(setup.covariance_px2))))
-        by_field = field_sweep(study.field_deg, sigma)
-    with progress.stage("other lenses"):
-        lenses = lens_points(config, instrument, traced)
-    return Result(
-        config=config,
-        instrument=instrument,
-        traced=traced,
-        cases=cases,
-        reading_sweep=by_reading,
-        lean_sweep=by_lean,
-        centroid_bound_arcsec=setup.with_reading_noise(0.0).map_bound_arcsec(traced),
-        field_sweep=by_field,
-        field_sigma_px=sigma,
-        lenses=lenses,
-    )
+TABLES = {"two_axis": "two-axis", "three_axis": "three-axis"}
+UNKNOWNS = {
+    "x0_px": "x₀",
+    "y0_px": "y₀",
+    "focal_length_mm": "f",
+    "q1_per_mm2": "q₁",
+    "q2_per_mm4": "q₂",
+    "q3_per_mm6": "q₃",
+    "p1_per_mm": "p₁",
+    "p2_per_mm": "p₂",
+    "star_azimuth_rad": "star az.",
+    "star_elevation_rad": "star el.",
+    "theta1_rad": "θ₁",
+    "theta2_rad": "θ₂",
+    "theta3_rad": "θ₃",
+    "lean1_rad": "lean, axis 2",
+    "lean2_rad": "lean, axis 3",
+}
+"""Unknowns of the calibration, the last one on three axes only."""
+REDUCTIONS = {"estimated": "leans fitted", "ignored": "taken as square", "known": "leans known"}
+LEAST_RUNS = 10
+"""Converged runs of a Monte-Carlo below which it says nothing."""
+RENDERED_QUANTILE = 0.998
+"""Of a scaled chi-square with the mean and the variance of the runs: their own quantile would be their largest."""
+PULL_SLACK = 0.05
+"""Part that second derivatives may add to the pulls."""
+MODEL_SHARE = 0.1
+ADVICE = (
+    "the axes (reduction.axes), the start of the star (reduction.star_deg), the reading noise or the camera model are "
+    "wrong, or too little of the field is visited"
+)
+"""What to look at when a calibration does not fit."""
 
 
-def _prepare(config: Config) -> Instrument:
+# --- One table: rendered, calibrated, repeated on coordinates
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """One table."""
+
+    measurement: Measurement  # The rendered run
+    # ``estimated``: non-orthogonality an unknown; ``ignored``: table taken as square; ``known``: taken as it is
+    reductions: Mapping[str, Reduction]
+    # Of noise-free rays at true angles, leans known, so that only the camera model can err
+    model: Reduction
+    coordinates: Coordinates  # The bench with that model as its camera: the truth of the Monte-Carlo
+    bound: Bound  # Cramer-Rao bound, leans unknown
+    knowledge: Mapping[str, float]  # Bounds of the map error if something were known that is not
+    shares: Mapping[str, float]  # Map error that each cause of noise makes [arcsec, RMS length]; squares add up
+    monte_carlo: MonteCarlo  # Many runs on coordinates
+
+
+def prepare(config: Config) -> Instrument:
     """The camera; whatever can be refused without rendering is refused here."""
-    from experiments.laboratory.single_star.reduce import check_count
-    from experiments.laboratory.single_star.setup import (
-        build_star,
-        build_table,
-        camera_under_test,
-        check_table,
-        grid_px,
-    )
-    from experiments.laboratory.turntable import axis_directions
-
     check_table("two_axis", config.two_axis, 2)
     check_table("three_axis", config.three_axis, 3)
     if config.reduction.axes is not None and len(axis_directions(config.reduction.axes)) != 2:
@@ -100,27 +123,454 @@ def _prepare(config: Config) -> Instrument:
     return instrument
 
 
-rendered = Experiment(
-    name="turntable",
-    config=Config,
-    run=run,
-    takes="1 min (--quick: 20 s)",
-    examples={
-        "--quick": "few places and runs",
-        "--set two_axis.non_orthogonality_arcsec=[20] --set two_axis.reading_noise_arcsec=[0.1]": "axes that lean "
-        "more, on a table that reads better",
-        "--set reduction.axes=x-y": "the reduction believes that the inner axis turns the other way: it is refused",
-    },
-    show=("unknowns_two_axis", "map_error"),
-    quick={
-        "grid.columns": 9,
-        "grid.rows": 9,
-        "study.runs": 60,
-        "study.sweep_runs": 8,
-        "study.reading_noise_arcsec": [0.01, 0.1, 0.3],
-        "study.non_orthogonality_arcsec": [0.0, 10.0, 40.0],
-        "study.field_deg": [3.0, 6.0, 12.0, 20.0, 40.0],
-    },
-)
-experiment = or_own_frames(rendered)
-main = command(experiment)
+def one_table(
+    config: Config, instrument: Instrument, traced: TracedMap, key: str, streams: Streams, progress: Progress
+) -> Case:
+    """One table from the rendering to the Monte-Carlo."""
+    name, table = TABLES[key], getattr(config, key)
+    own = streams.child(name)
+    with progress.stage(f"{name} table", total=5) as stage:
+        measurement = measure(config, instrument, table, own, advance=stage.advance)
+        reductions, alone = calibrations(config, instrument, traced, key, table, measurement)
+        stage.advance()
+    model, real = alone.calibration.model, measurement.bench
+    bench, angle = replace(real, table=averaged(real.table, config.frames)), np.array(measurement.visits.true_rad)
+    centroid_px2 = np.array(measurement.readings.covariance_px2)
+    coordinates = Coordinates(
+        model=model,
+        bench=bench,
+        true_rad=angle,
+        covariance_px2=centroid_px2,
+        start=start_model(instrument, config.reduction.focal_length_mm),
+        start_star=star_direction(*config.reduction.star_deg),
+    )
+    noise = centroid_px2 + reading_covariance_px2(model, bench, angle)
+    with progress.stage(f"{name} Monte-Carlo", total=config.study.runs) as stage:
+        found = monte_carlo(coordinates, traced, own.child("Monte-Carlo"), config.study.runs, advance=stage.advance)
+    if found.runs < LEAST_RUNS:
+        raise DomainError(
+            f"{name} table: {found.lost} of {config.study.runs} calibrations of the Monte-Carlo did not converge; "
+            "start nearer to the truth (reduction.star_deg, reduction.focal_length_mm) or visit more of the field"
+        )
+    return Case(
+        measurement=measurement,
+        reductions=reductions,
+        model=alone,
+        coordinates=coordinates,
+        bound=bound(model, bench, angle, noise, traced.direction, leans=True),
+        knowledge=knowledge(model, bench, angle, noise, traced.direction),
+        shares=noise_shares(model, bench, angle, centroid_px2, traced.direction),
+        monte_carlo=found,
+    )
+
+
+def calibrations(
+    config: Config, instrument: Instrument, traced: TracedMap, key: str, table: TableConfig, measurement: Measurement
+) -> tuple[dict[str, Reduction], Reduction]:
+    """Calibrations of the rendered run, and of noise-free rays."""
+    start, ahead = start_model(instrument, config.reduction.focal_length_mm), star_direction(*config.reduction.star_deg)
+    believed = averaged(build_table(table, config.reduction.axes if key == "two_axis" else None), config.frames)
+    real = averaged(measurement.bench.table, config.frames)
+    quiet = replace(real, reading_noise_arcsec=np.zeros(len(real.axis)))
+    rendered = Data.of(measurement)
+    rays = replace(
+        rendered, pixel_px=np.array(measurement.bundle_px), reading_rad=np.array(measurement.visits.true_rad)
+    )
+
+    def one(data: Data, taken: Turntable, *, leans: bool = False) -> Reduction:
+        return judge(reduce_data(data, taken, start, leans=leans, start_star=ahead), data, taken, traced)
+
+    check_parity(rendered, believed.nominal, start, ahead)
+    estimated = one(rendered, believed.nominal, leans=True)
+    check_fit(estimated.calibration, f"{TABLES[key]} table", ADVICE)
+    ignored, known, alone = one(rendered, believed.nominal), one(rendered, believed), one(rays, quiet)
+    check_fit(alone.calibration, f"{TABLES[key]} table, camera model against noise-free rays", ADVICE)
+    return {"estimated": estimated, "ignored": ignored, "known": known}, alone
+
+
+# --- Line of sight by table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineOfSight:
+    """Calibration on one table, by its map: RMS length of the line-of-sight error after the best rotation."""
+
+    map_error_arcsec: Sequence[float] = col("Run,", "arcsec", ".3g", "reduction", key="map_error")
+    map_predicted_arcsec: float = col("Predicted", "arcsec", ".3g")  # By the estimator's covariance
+    # Stays above the map error with the probability `RENDERED_QUANTILE`
+    map_limit_arcsec: float = col("Limit of chance", "arcsec", ".3g", json="", shown=False)
+    map_monte_carlo_arcsec: Measured = col("Monte-Carlo", "arcsec", ".3g")
+    map_bound_arcsec: float = col("Cramér–Rao", "arcsec", ".3g")
+    # Model against noise-free rays, leans known
+    camera_model_arcsec: float = col("Camera model", "arcsec", ".3g", json="map_split_arcsec.model")
+    camera_model_share: float = col("Camera model over predicted", "", ".2g", json="", shown=False)
+    reduced_chi2: Sequence[Measured] = col(
+        "χ²/dof,", "", ".3f", "reduction", shown=False, json_error="reduced_chi2_error"
+    )
+    principal_point_sigma_arcsec: FloatArray = col("Principal point alone, σ", "arcsec", ".0f", "axis", shown=False)
+    point_over_line: float = col("Principal point over line of sight", "", ".0f", json="", shown=False)  # Per axis
+    lost_runs: int = col("Runs that did not converge", shown=False)
+    places: int = col("Places", json="centroid_error_px.n", shown=False)
+    centroid_error_px: FloatArray = col(
+        "Centroid error, RMS", "px", ".4f", "axis", json="centroid_error_px.rms", shown=False
+    )
+    centroid_predicted_px: FloatArray = col("Centroid error, predicted", "px", ".4f", "axis", shown=False)
+    line_error_arcsec: FloatArray = col("Error of the line of sight", "arcsec", dims="point", json="", shown=False)
+    line_sigma_arcsec: FloatArray = col("Its predicted σ", "arcsec", dims="point", json="", shown=False)
+
+
+def line_of_sight(case: Case, pixel_arcsec: float) -> LineOfSight:
+    """The rendered run and the Monte-Carlo of one table."""
+    found, solutions = case.monte_carlo, [one.calibration.solution for one in case.reductions.values()]
+    line, readings = case.reductions["estimated"].line_of_sight, case.measurement.readings
+    sigma = dict(zip(solutions[0].names, solutions[0].sigma, strict=True))
+    point = pixel_arcsec * np.array([sigma["x0_px"], sigma["y0_px"]])
+    predicted, model = line.predicted_rms_arcsec, case.model.line_of_sight.rms_arcsec
+    return LineOfSight(
+        map_error_arcsec=[one.line_of_sight.rms_arcsec for one in case.reductions.values()],
+        map_predicted_arcsec=predicted,
+        map_limit_arcsec=predicted * rendered_limit(found.map_rms_arcsec / found.predicted_map_arcsec),
+        map_monte_carlo_arcsec=found.map_arcsec,
+        map_bound_arcsec=case.bound.map_sigma_arcsec,
+        camera_model_arcsec=model,
+        camera_model_share=model / predicted,
+        reduced_chi2=[
+            Measured(value=one.reduced_chi2, uncertainty=float(np.sqrt(2.0 / one.degrees_of_freedom)))
+            for one in solutions
+        ],
+        principal_point_sigma_arcsec=point,
+        point_over_line=point_over_line(float(point.max()), predicted),
+        lost_runs=found.lost,
+        places=len(readings.position_px),
+        centroid_error_px=np.sqrt(((readings.position_px - case.measurement.bundle_px) ** 2).mean(0)),
+        centroid_predicted_px=np.sqrt(np.einsum("nii->ni", readings.covariance_px2).mean(0)),
+        line_error_arcsec=np.linalg.norm(line.error_arcsec, axis=1),
+        line_sigma_arcsec=np.linalg.norm(line.predicted_sigma_arcsec, axis=1),
+    )
+
+
+def rendered_limit(ratio: FloatArray) -> float:
+    """What the map error over its prediction stays below with probability `RENDERED_QUANTILE`.
+
+    Its square is a sum of squares of unequal size; a scaled chi-square takes its mean and variance from all runs
+    (Satterthwaite), where a quantile so far out would hang on one or two of them.
+    """
+    square = ratio**2
+    if len(square) < 2:
+        return float("nan")
+    mean, variance = float(square.mean()), float(square.var(ddof=1))
+    freedom = 2.0 * mean**2 / variance
+    return float(np.sqrt(mean * chi2.ppf(RENDERED_QUANTILE, freedom) / freedom))
+
+
+def point_over_line(sigma_arcsec: float, map_arcsec: float) -> float:
+    """How many times worse a coordinate of the principal point is known than the line of sight, both per axis.
+
+    ``map_arcsec`` is an RMS length over two axes.
+    """
+    return float(sigma_arcsec / map_arcsec * np.sqrt(2.0))
+
+
+# --- Unknown by unknown
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unknown:
+    """One unknown on both tables, in the unit that its name ends with; NaN on a table that does not have it.
+
+    Truth of the camera: the model fitted to noise-free rays; of star, installation and axes: as set.
+    """
+
+    truth: FloatArray = col("Truth", "{unknown}", dims="table", json="[table].unknowns[unknown].truth", shown=False)
+    estimate: Sequence[Measured] = col("Run", "{unknown}", dims="table", json="[table].unknowns[unknown].estimate")
+    pull: FloatArray = col("Pull", "", "+.2f", "table", json="")
+    bound: FloatArray = col("Cramér–Rao σ", "{unknown}", dims="table", json="", shown=False)
+    monte_carlo: FloatArray = col("Monte-Carlo σ", "{unknown}", dims="table", json="", shown=False)
+    rms_pull: Sequence[Measured] = col(
+        "RMS pull",
+        "",
+        ".2f",
+        "table",
+        json="[table].unknowns[unknown].monte_carlo_rms_pull",
+        json_error="[table].unknowns[unknown].monte_carlo_rms_pull_error",
+    )
+    correlation: FloatArray = col("Correlation", dims="table other", json="", shown=False)
+
+
+def unknown(name: str, cases: Sequence[Case]) -> Unknown:
+    """One unknown of all tables."""
+    columns = np.full((8 + len(UNKNOWNS), len(cases)), np.nan)
+    for column, case in zip(columns.T, cases, strict=True):
+        found, solution = case.monte_carlo, case.reductions["estimated"].calibration.solution
+        if name not in found.names:
+            continue
+        at = found.names.index(name)
+        column[:3] = found.truth[at], solution.value[at], solution.sigma[at]
+        column[3:5] = solution.pulls(found.truth)[at], case.bound.of(name)
+        column[5:8] = found.error[:, at].std(ddof=1), found.pull_std[at], 1.0 / np.sqrt(2.0 * found.runs)
+        correlation = solution.covariance[at] / (solution.sigma * solution.sigma[at])
+        for other, value in zip(found.names, correlation, strict=True):
+            column[8 + list(UNKNOWNS).index(other)] = value
+    truth, value, sigma, pull, smallest, spread, rms, error = columns[:8]
+    return Unknown(
+        truth=truth,
+        estimate=measured(value, sigma, unit=unit_of(name)),
+        pull=pull,
+        bound=smallest,
+        monte_carlo=spread,
+        rms_pull=measured(rms, error),
+        correlation=columns[8:].T,
+    )
+
+
+def unit_of(name: str) -> str:
+    """Unit that the name of an unknown ends in."""
+    return f"1/{name.rpartition('_per_')[2]}" if "_per_" in name else name.rpartition("_")[2]
+
+
+# --- What limits it, and every place
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Share:
+    """Map error that one cause of noise makes, carried through the best estimator; squares add up to the bound."""
+
+    noise: str = col("Noise of", json="")
+    share_arcsec: Sequence[float] = col(
+        "Map error,", "arcsec", ".3g", "table", key="{table}", json="[table].noise_shares_arcsec"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """Bound of the map error if more were known."""
+
+    given: str = col("Known", json="")
+    known_arcsec: Sequence[float] = col(
+        "Bound of the map error,", "arcsec", ".3g", "table", key="{table}", json="[table].map_bound_if_known_arcsec"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """Places that the star's image visited on one table."""
+
+    wanted_px: FloatArray = col("Wanted", "px", dims="place axis", json="", key="wanted_{axis}_px")
+    true_deg: FloatArray = col("True angle", "deg", dims="place turn", json="", key="true_{turn}_deg")
+    reading_deg: FloatArray = col("Reading", "deg", dims="place turn", json="", key="reading_{turn}_deg")
+    bundle_px: FloatArray = col("Rays", "px", dims="place axis", json="", key="bundle_{axis}_px")
+    centroid_px: FloatArray = col("Centroid", "px", dims="place axis", json="", key="centroid_{axis}_px")
+    sigma_px: FloatArray = col("σ", "px", dims="place axis", json="", key="sigma_{axis}_px")
+    # Against the calibration at the angles as read, leans estimated
+    residual_px: FloatArray = col("Residual", "px", dims="place axis", json="", key="residual_{axis}_px")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """What was measured with, and what both tables share."""
+
+    lens: str = col("Lens", json="")
+    detector: str = col("Detector", json="")
+    focal_length_mm: float = col("Focal length", "mm", ".1f", json="")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f", json="")
+    signal_e: float = col("Signal", "e-", ".0f")
+    signal_magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f")
+    signal_star_k: float = col("Temperature of that star", "K", ".0f")
+    signal_star: str = col("Star")
+    reading_noise_equal_to_centroids_arcsec: float = col("Reading noise as good as centroids", "arcsec", ".3f")
+    map_px: FloatArray = col("Places of the map", "px", dims="point axis", json="")
+    windows_e: FloatArray = col("Windows of single frames", "e-", dims="row column", json="")
+
+
+def place_of(case: Case) -> Place:
+    """Images and angles of one table; angles that it does not have are NaN."""
+    visits, readings = case.measurement.visits, case.measurement.readings
+    angles = np.full((2, len(visits), 3), np.nan)
+    turns = [0, 2] if visits.true_rad.shape[1] == 2 else [0, 1, 2]
+    angles[:, :, turns] = np.degrees([visits.true_rad, visits.reading_rad])
+    return Place(
+        wanted_px=visits.wanted_px,
+        true_deg=angles[0],
+        reading_deg=angles[1],
+        bundle_px=case.measurement.bundle_px,
+        centroid_px=readings.position_px,
+        sigma_px=np.sqrt(np.einsum("nii->ni", readings.covariance_px2)),
+        residual_px=case.reductions["estimated"].residual_px,
+    )
+
+
+def setup_of(config: Config, instrument: Instrument, traced: TracedMap, case: Case, equal_arcsec: float) -> Setup:
+    """Light and lens, and single frames at nine places from edge to edge."""
+    star, stack = star_signal(config, instrument), case.measurement.readings.windows
+    size = np.array([instrument.camera.width_px, instrument.camera.height_px])
+    rows = []
+    for y in (0.02, 0.5, 0.98):
+        wanted = size * [(x, y) for x in (0.02, 0.5, 0.98)]
+        apart = np.linalg.norm(case.measurement.bundle_px[None] - wanted[:, None], axis=2)
+        rows.append(window_strip_e(stack, apart.argmin(1), stack.dn.shape[-1]))
+    return Setup(
+        lens=instrument.camera.lens.name,
+        detector=instrument.detector.name,
+        focal_length_mm=instrument.focal_length_mm,
+        pixel_arcsec=instrument.pixel_arcsec,
+        signal_e=star.signal_e,
+        signal_magnitude_mag=star.magnitude_mag,
+        signal_star_k=star.temperature_k,
+        signal_star=star.star,
+        reading_noise_equal_to_centroids_arcsec=equal_arcsec,
+        map_px=traced.pixel_px,
+        windows_e=np.vstack(rows)[:-1, :-1],
+    )
+
+
+# --- The run and its sections
+
+
+def axes(config: Config) -> Quantities:
+    """Dimensions that sections share."""
+    q = Quantities()
+    q.axis("table", list(TABLES), "Table", names=TABLES)
+    q.axis("axis", ["x", "y"], "Axis")
+    q.axis("turn", ["outer", "middle", "inner"], "Axis of the table")
+    q.axis("reduction", list(REDUCTIONS), "Calibration with", names=REDUCTIONS)
+    units = {name: unit_of(name) for name in UNKNOWNS}
+    named = [f"{label} [{shown_unit(units[name])}]" for name, label in UNKNOWNS.items()]
+    q.axis("unknown", list(UNKNOWNS), "Unknown", names=named, units=list(units.values()))
+    q.axis("other", list(UNKNOWNS), "Unknown", names=UNKNOWNS)
+    return q
+
+
+def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+    """Render, read, calibrate, and judge against the traced lens; then bounds and sweeps on coordinates.
+
+    Raises
+    ------
+    StarbenchError
+        On anything the user can mend: axes, places or settings that do not fit, light that is not seen or saturates,
+        a calibration that does not fit its data.
+    """
+    instrument = prepare(config)
+    streams, study = Streams(config.seed).child("turntable"), config.study
+    with progress.stage("trace"):
+        traced = traced_map(config, instrument)
+    cases = [one_table(config, instrument, traced, key, streams, progress) for key in TABLES]
+    two, own = cases[0].coordinates, streams.child("reading sweep")
+    with progress.stage("reading noise", total=len(study.reading_noise_arcsec)) as stage:
+        readings = reading_sweep(two, traced, own, study.reading_noise_arcsec, study.sweep_runs, advance=stage.advance)
+    with progress.stage("field of view"):
+        sigma_px = float(np.sqrt(np.einsum("nii->", two.covariance_px2) / (2 * len(two.covariance_px2))))
+        fields = field_sweep(study.field_deg, sigma_px)
+    equal = equal_reading_noise_arcsec(readings, two.with_reading_noise(0.0).map_bound_arcsec(traced))
+    causes = list(dict.fromkeys(cause for case in cases[::-1] for cause in case.shares))
+    return {
+        "setup": setup_of(config, instrument, traced, cases[0], equal),
+        "line_of_sight": [line_of_sight(case, instrument.pixel_arcsec) for case in cases],
+        "unknowns": [unknown(name, cases) for name in UNKNOWNS],
+        "shares": [Share(noise=one, share_arcsec=[case.shares.get(one, np.nan) for case in cases]) for one in causes],
+        "knowledge": [
+            Known(given=one, known_arcsec=[case.knowledge[one] for case in cases]) for one in cases[0].knowledge
+        ],
+        "places": [place_of(case) for case in cases],
+        "readings": readings,
+        "fields": fields,
+    }
+
+
+SECTIONS = {
+    "setup": Section(
+        record=Setup,
+        figures={
+            "bench": lambda outcome: bench_sketch(outcome.config.two_axis.axes),
+            "star_windows": image("windows_e"),
+        },
+    ),
+    "line_of_sight": Section(
+        record=LineOfSight,
+        dim="table",
+        place="[table]",
+        table="map_error",
+        across="reduction axis",
+        caption="Line of sight over the detector after the best rotation: RMS length of its error.",
+        note="Run: rendered, against the traced lens; non-orthogonality of the axes an unknown, left out, or given. "
+        "Predicted: by the estimator's covariance. Monte-Carlo: on coordinates, ± standard error. Camera model: fitted "
+        "to noise-free rays, against the traced lens.",
+        figures={"error_map": maps("line_error_arcsec", place="map_px", panels="table")},
+        verdicts=[
+            below(
+                "map_error_arcsec",
+                "map_limit_arcsec",
+                each="table",
+                at={"reduction": "estimated"},
+                title=f"map error of the rendered run (limit: chance of {1 - RENDERED_QUANTILE:.1%}, by the runs)",
+                advice="the readings, the centroids or the camera model are worse than stated",
+            ),
+            agree(
+                "reduced_chi2",
+                1.0,
+                at={"reduction": "estimated"},
+                title="mean square of the residuals over what centroids and readings make them",
+                advice="the noise of readings or centroids is not as stated",
+            ),
+            agree(
+                "map_monte_carlo_arcsec",
+                with_="map_bound_arcsec",
+                slack=0.1,
+                title="map error of the Monte-Carlo against its Cramér–Rao bound",
+                advice="readings so coarse, or so little field, that second derivatives count, beyond any covariance",
+            ),
+            below(
+                "camera_model_share",
+                MODEL_SHARE,
+                title="camera model against traced lens, over the predicted map error",
+                advice="the lens needs more terms than Brown-Conrady has, or a smaller detector",
+            ),
+        ],
+    ),
+    "unknowns": Section(
+        record=Unknown,
+        dim="unknown",
+        table="unknowns",
+        across="table",
+        caption="Unknowns of the joint calibration.",
+        note="Run: rendered, leans fitted, ± 1 σ of the estimator's covariance. Pull: (estimate − truth) / σ; truth "
+        "of the camera is the model fitted to noise-free rays, of star, installation (θ), axes what was set. RMS pull: "
+        "over the Monte-Carlo.",
+        figures={"correlations": maps("correlation", panels="table", zero=True)},
+        verdicts=[
+            agree(
+                "rms_pull",
+                1.0,
+                slack=PULL_SLACK,
+                title="RMS pulls of the Monte-Carlo",
+                advice="the covariance is not honest: finer readings, or more of the field, make the problem linear",
+            )
+        ],
+    ),
+    "shares": Section(
+        record=Share,
+        dim="cause",
+        along="noise",
+        table="noise_shares",
+        across="table",
+        caption="What the noise contributes to the map error, predicted; squares add up to the Cramér–Rao bound.",
+    ),
+    "knowledge": Section(
+        record=Known,
+        dim="known",
+        along="given",
+        table="knowledge",
+        across="table",
+        caption="What it would be worth to know more (Cramér–Rao).",
+    ),
+    "places": Section(
+        record=Place,
+        dim="table",
+        table="places",
+        rows="table place",
+        across="axis turn",
+        hidden="place",
+        caption="All places.",
+    ),
+    "readings": READINGS,
+    "fields": FIELDS,
+}

@@ -1,34 +1,33 @@
-"""Many runs on coordinates: does the covariance say the truth, which error dominates, what do leaning axes cost."""
+"""Many calibrations on coordinates: is the covariance honest, and which reading noise counts like the centroids?"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from calib.attitude.link import angles_of_rotation
-from calib.calibration.record import Calibration
 from calib.cameras import CameraModel
+from experiments.harness.drawings import curves
+from experiments.harness.sections import Section, col
+from experiments.harness.summary import Measured
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
 from experiments.laboratory.single_star.reduce import Data, reduce_data
 from experiments.laboratory.single_star.star import star_angles_deg
 from experiments.turntable.bound import bound
-from experiments.turntable.evaluation import judge
-from experiments.turntable.traced import TracedMap
+from experiments.turntable.truth import TracedMap, judge
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 
 __all__ = [
+    "READINGS",
     "Coordinates",
-    "LeanPoint",
     "MonteCarlo",
     "ReadingPoint",
     "equal_reading_noise_arcsec",
-    "lean_sweep",
     "monte_carlo",
     "reading_sweep",
 ]
@@ -73,17 +72,10 @@ class Coordinates:
         noise = np.full(len(table.axis), sigma_arcsec)
         return replace(self, bench=replace(self.bench, table=replace(table, reading_noise_arcsec=noise)))
 
-    def with_leans(self, lean_arcsec: float) -> Coordinates:
-        """The same with one non-orthogonality between all neighbours."""
-        table = self.bench.table
-        lean = np.full(len(table.axis) - 1, lean_arcsec)
-        return replace(self, bench=replace(self.bench, table=replace(table, non_orthogonality_arcsec=lean)))
-
     def map_bound_arcsec(self, traced: TracedMap) -> float:
         """Cramer-Rao bound of the map error, axes' leans unknown."""
         noise = self.covariance_px2 + reading_covariance_px2(self.model, self.bench, self.true_rad)
-        found = bound(self.model, self.bench, self.true_rad, noise, traced.direction, leans=True)
-        return found.map_sigma_arcsec
+        return bound(self.model, self.bench, self.true_rad, noise, traced.direction, leans=True).map_sigma_arcsec
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,67 +102,58 @@ class MonteCarlo:
         return np.asarray(np.sqrt((self.pull**2).mean(0)))
 
     @property
-    def map_arcsec(self) -> float:
-        """RMS length of the map error over runs and field."""
-        return float(np.sqrt((self.map_rms_arcsec**2).mean()))
+    def map_arcsec(self) -> Measured:
+        """RMS length of the map error over runs and field, with its standard error."""
+        square, count = self.map_rms_arcsec**2, len(self.map_rms_arcsec)
+        rms = float(np.sqrt(square.mean())) if count else float("nan")
+        error = float(square.std(ddof=1) / np.sqrt(count) / (2 * rms)) if count > 1 else float("nan")
+        return Measured(value=rms, unit="arcsec", uncertainty=error, n=count)
 
 
 def monte_carlo(
-    setup: Coordinates,
-    traced: TracedMap,
-    streams: Streams,
-    runs: int,
-    *,
-    leans: bool = True,
-    advance: Callable[[], None] = lambda: None,
+    setup: Coordinates, traced: TracedMap, streams: Streams, runs: int, *, advance: Callable[[], None] = lambda: None
 ) -> MonteCarlo:
     """Calibrate fresh noise many times; the model is the truth here, not the traced lens."""
     believed = setup.bench.table.nominal
     judged = TracedMap(direction=traced.direction, pixel_px=setup.model.project(traced.direction))
     names: tuple[str, ...] = ()
-    rows = []
+    errors, pulls, maps = [], [], []
     for run in range(runs):
         data = setup.draw(streams, run)
-        calibration = reduce_data(data, believed, setup.start, leans=leans, start_star=setup.start_star)
+        calibration = reduce_data(data, believed, setup.start, leans=True, start_star=setup.start_star)
         solution = calibration.solution
         names = solution.names
-        if _usable(calibration, leans):
+        if solution.converged:
             line = judge(calibration, data, believed, judged).line_of_sight
-            error = solution.value - setup.truth(names)
-            rows.append(
-                (error, error / solution.sigma, line.rms_arcsec, line.predicted_rms_arcsec, solution.reduced_chi2)
-            )
+            errors.append(solution.value - setup.truth(names))
+            pulls.append(errors[-1] / solution.sigma)
+            maps.append((line.rms_arcsec, line.predicted_rms_arcsec, solution.reduced_chi2))
         advance()
-    columns: list[list[Any]] = [[row[i] for row in rows] for i in range(5)]
-    error, pull = (np.array(columns[i], float).reshape(len(rows), len(names)) for i in range(2))
+    found, predicted, chi2 = np.array(maps, float).reshape(-1, 3).T
     return MonteCarlo(
         names=names,
         truth=setup.truth(names),
-        error=error,
-        pull=pull,
-        map_rms_arcsec=np.array(columns[2], float),
-        predicted_map_arcsec=np.array(columns[3], float),
-        reduced_chi2=np.array(columns[4], float),
-        lost=runs - len(rows),
+        error=np.array(errors, float).reshape(-1, len(names)),
+        pull=np.array(pulls, float).reshape(-1, len(names)),
+        map_rms_arcsec=found,
+        predicted_map_arcsec=predicted,
+        reduced_chi2=chi2,
+        lost=runs - len(maps),
     )
 
 
-def _usable(calibration: Calibration, leans: bool) -> bool:
-    """Converged; where the leans are ignored on purpose, the wrong model may end as it likes, with numbers."""
-    solution = calibration.solution
-    return solution.converged or (not leans and bool(np.isfinite(solution.sigma).all()))
+# --- Map error against the reading noise of the table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingPoint:
-    """Map error at one reading noise: measured, its standard error, bound [arcsec]; RMS pull of all unknowns."""
+    """Map error at one error of a place's mean reading, the same on all axes, the centroids as they are."""
 
-    reading_arcsec: float
-    measured_arcsec: float
-    uncertainty_arcsec: float
-    bound_arcsec: float
-    pull_rms: float
-    runs: int
+    reading_arcsec: float = col("Noise of the mean reading", "arcsec", "g", key="reading_noise_arcsec")
+    measured_arcsec: Measured = col("Map error", "arcsec", key="map_error", json_error="uncertainty_arcsec")
+    bound_arcsec: float = col("Cramér–Rao bound", "arcsec", ".4f", key="bound")
+    pull_rms: float = col("RMS pull", "", ".3f", key="rms_pull")  # Of all unknowns
+    runs: int = col("Runs that converged")
 
 
 def reading_sweep(
@@ -182,16 +165,15 @@ def reading_sweep(
     *,
     advance: Callable[[], None],
 ) -> list[ReadingPoint]:
-    """Map error against the reading noise, the same on all axes, the centroids as they are."""
-    points = []
+    """Monte Carlo at every reading noise, started at the truth: errors are asked for, not convergence."""
+    near, points = replace(setup, start=setup.model), []
     for noise in noises_arcsec:
-        noisy = setup.with_reading_noise(noise)
+        noisy = near.with_reading_noise(noise)
         found = monte_carlo(noisy, traced, streams.child(f"{noise:g}"), runs)
         points.append(
             ReadingPoint(
                 reading_arcsec=noise,
                 measured_arcsec=found.map_arcsec,
-                uncertainty_arcsec=_rms_error(found.map_rms_arcsec),
                 bound_arcsec=noisy.map_bound_arcsec(traced),
                 pull_rms=float(np.sqrt((found.pull**2).mean())) if found.runs else float("nan"),
                 runs=found.runs,
@@ -211,53 +193,17 @@ def equal_reading_noise_arcsec(points: Sequence[ReadingPoint], centroid_bound_ar
     return float(centroid_bound_arcsec / np.sqrt(slope2)) if slope2 > 0 else float("nan")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LeanPoint:
-    """Map error at one non-orthogonality, ignored and estimated, with standard errors [arcsec]; chi2 if ignored."""
-
-    lean_arcsec: float
-    ignored_arcsec: float
-    ignored_uncertainty_arcsec: float
-    estimated_arcsec: float
-    estimated_uncertainty_arcsec: float
-    ignored_reduced_chi2: float
-    runs: int
-
-
-def lean_sweep(
-    setup: Coordinates,
-    traced: TracedMap,
-    streams: Streams,
-    leans_arcsec: Sequence[float],
-    runs: int,
-    *,
-    advance: Callable[[], None],
-) -> list[LeanPoint]:
-    """Map error against the non-orthogonality of the axes, by those who know of it and by those who do not."""
-    points = []
-    for lean in leans_arcsec:
-        leaning = setup.with_leans(lean)
-        same = streams.child(f"{lean:g}")
-        ignored = monte_carlo(leaning, traced, same, runs, leans=False)
-        estimated = monte_carlo(leaning, traced, same, runs)
-        points.append(
-            LeanPoint(
-                lean_arcsec=lean,
-                ignored_arcsec=ignored.map_arcsec,
-                ignored_uncertainty_arcsec=_rms_error(ignored.map_rms_arcsec),
-                estimated_arcsec=estimated.map_arcsec,
-                estimated_uncertainty_arcsec=_rms_error(estimated.map_rms_arcsec),
-                ignored_reduced_chi2=float(ignored.reduced_chi2.mean()) if ignored.runs else float("nan"),
-                runs=min(ignored.runs, estimated.runs),
-            )
+READINGS = Section(
+    record=ReadingPoint,
+    dim="reading",
+    along="reading_arcsec",
+    prefix="sweep_",
+    place="reading_sweep[reading]",
+    table="reading_sweep",
+    caption="Map error against the reading noise, two-axis table.",
+    figures={
+        "reading_curves": curves(
+            "reading", points="sweep_measured_arcsec", lines="sweep_bound_arcsec", log="xy", y="Map error, RMS length"
         )
-        advance()
-    return points
-
-
-def _rms_error(values: FloatArray) -> float:
-    """Standard error of the root mean square of independent values."""
-    if len(values) < 2:
-        return float("nan")
-    square = values**2
-    return float(square.std(ddof=1) / np.sqrt(len(values)) / (2 * np.sqrt(square.mean())))
+    },
+)

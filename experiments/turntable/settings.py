@@ -1,10 +1,13 @@
-"""Configuration of the turntable calibration."""
+"""Settings and declaration of the turntable calibration."""
 
 from __future__ import annotations
 
 from pydantic import Field, field_validator
 
+from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
+from experiments.harness.experiment import Experiment
+from experiments.laboratory.own_frames import or_own_frames
 from experiments.laboratory.single_star.settings import (
     LARGEST_STAR_ANGLE_DEG,
     ReadingArcsec,
@@ -12,7 +15,7 @@ from experiments.laboratory.single_star.settings import (
     TableConfig,
 )
 
-__all__ = ["Config", "ReductionConfig", "StudyConfig"]
+__all__ = ["Config", "ReductionConfig", "StudyConfig", "experiment", "main"]
 
 
 def _two_axes() -> TableConfig:
@@ -58,14 +61,11 @@ class StudyConfig(StrictModel):
         min_length=2,
         description="errors of the mean reading of a place to sweep",
     )
-    non_orthogonality_arcsec: tuple[ReadingArcsec, ...] = Field(
-        default=(0.0, 2.0, 5.0, 10.0, 20.0, 40.0), min_length=2, description="non-orthogonalities to sweep"
-    )
     field_deg: tuple[float, ...] = Field(
         default=(3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0, 28.0, 40.0), min_length=2, description="full fields to sweep"
     )
 
-    @field_validator("reading_noise_arcsec", "non_orthogonality_arcsec")
+    @field_validator("reading_noise_arcsec")
     @classmethod
     def _not_negative(cls, values: tuple[float, ...]) -> tuple[float, ...]:
         if any(value < 0 for value in values):
@@ -87,3 +87,30 @@ class Config(SingleStarConfig):
     three_axis: TableConfig = Field(default_factory=_three_axes)
     reduction: ReductionConfig = ReductionConfig()
     study: StudyConfig = StudyConfig()
+
+
+rendered = Experiment(
+    name="turntable",
+    config=Config,
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    axes="experiment:axes",
+    takes="1 min (--quick: 20 s)",
+    examples={
+        "--quick": "few places and runs",
+        "--set two_axis.non_orthogonality_arcsec=[20] --set two_axis.reading_noise_arcsec=[0.1]": "axes that lean "
+        "more, on a table that reads better",
+        "--set reduction.axes=x-y": "the reduction believes that the inner axis turns the other way: it is refused",
+    },
+    show=("unknowns", "map_error"),
+    quick={
+        "grid.columns": 9,
+        "grid.rows": 9,
+        "study.runs": 60,
+        "study.sweep_runs": 8,
+        "study.reading_noise_arcsec": [0.01, 0.1, 0.3],
+        "study.field_deg": [3.0, 6.0, 12.0, 20.0, 40.0],
+    },
+)
+experiment = or_own_frames(rendered)
+main = command(experiment)

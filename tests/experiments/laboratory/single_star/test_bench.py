@@ -47,6 +47,18 @@ def test_turning_the_table_right_handed_moves_the_star_left_handed() -> None:
     np.testing.assert_allclose(seen, [[0, np.sin(0.1), np.cos(0.1)], [-np.sin(0.1), 0, np.cos(0.1)]], atol=1e-15)
 
 
+@pytest.mark.parametrize(("axes", "outer", "inner"), [("xy", [1, 0, 0], [0, 1, 0]), ("y-x", [0, 1, 0], [-1, 0, 0])])
+def test_what_the_camera_sees_in_matrices(axes: str, outer: list[float], inner: list[float]) -> None:
+    """v = A T^T s; the inner axis leans towards the outer one (FISHER23 eq. 1-6)."""
+    lean, first, second = 400.0 * ARCSEC_RAD, 0.2, -0.3
+    carried = np.cos(lean) * np.array(inner) + np.sin(lean) * np.array(outer)
+    turns = [Rotation.from_rotvec(angle * np.array(axis)) for angle, axis in ((first, outer), (second, carried))]
+    bench = _bench(axes, lean=400.0)
+    table = turns[0].as_matrix() @ turns[1].as_matrix()
+    expected = bench.installation.as_matrix() @ table.T @ bench.star
+    np.testing.assert_allclose(bench.seen(np.array([[first, second]]))[0], expected, atol=1e-14)
+
+
 def test_a_star_along_the_outer_axis_cannot_be_steered() -> None:
     bench = Bench(table=build_turntable("zx"), star=np.array([0.0, 0.0, 1.0]), installation=Rotation.identity())
     with pytest.raises(DomainError, match="cannot turn the camera"):

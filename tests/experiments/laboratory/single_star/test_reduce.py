@@ -57,6 +57,24 @@ def test_exact_data_give_the_bench_back(bench: Bench, exact: Data) -> None:
     np.testing.assert_allclose(calibration.model.project(found.seen(exact.reading_rad)), exact.pixel_px, atol=1e-3)
 
 
+def test_known_moves_of_the_data_come_back_with_their_sign(bench: Bench, exact: Data) -> None:
+    """Images: the principal point. Outer reading: the star about that axis. Inner one: the installation, A -> A R.
+
+    All three hold exactly.
+    """
+    shift, outer, inner = np.array([0.9, -0.6]), 60.0 * ARCSEC_RAD, -40.0 * ARCSEC_RAD
+    moved = replace(exact, pixel_px=exact.pixel_px + shift, reading_rad=exact.reading_rad + np.array([outer, inner]))
+    before, after = (reduce_data(data, BELIEVED, START, leans=True) for data in (exact, moved))
+    for name, size in zip(("x0_px", "y0_px"), shift, strict=True):
+        assert after.model.value(name) - before.model.value(name) == pytest.approx(size, rel=1e-3)
+    first, second = (calibrated_bench(one, BELIEVED) for one in (before, after))
+    np.testing.assert_allclose(
+        second.star, Rotation.from_rotvec([outer, 0, 0]).apply(first.star.copy()), atol=1e-3 * outer
+    )
+    mount = first.installation * Rotation.from_rotvec(inner * bench.table.true_axis[1])
+    np.testing.assert_allclose((second.installation * mount.inv()).as_rotvec(), 0.0, atol=1e-3 * abs(inner))
+
+
 @pytest.mark.parametrize("believed", ["x-y", "-xy", "yx"])
 def test_mirrored_axes_are_refused(believed: str, exact: Data) -> None:
     with pytest.raises(DomainError, match="mirrored"):

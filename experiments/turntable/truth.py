@@ -1,4 +1,4 @@
-"""The truth of the camera under test: where a traced lens images directions, without any camera model."""
+"""The truth of the camera under test, a traced lens without any camera model, and calibrations set against it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.calibration.record import Calibration
+from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
 from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.single_star.reduce import Data, calibrated_bench
 from experiments.laboratory.single_star.setup import build_star
+from experiments.laboratory.turntable import Turntable
 from experiments.turntable.settings import Config
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
@@ -15,7 +19,7 @@ from optics.records import freeze
 from optics.units import DEG_RAD
 from render.tracing.tracer import Tracer
 
-__all__ = ["TracedMap", "traced_map"]
+__all__ = ["Reduction", "TracedMap", "judge", "traced_map"]
 
 
 MAP_COLUMNS, MAP_ROWS = 33, 17
@@ -24,7 +28,7 @@ MAP_COLUMNS, MAP_ROWS = 33, 17
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TracedMap:
-    """The truth of a camera: where the light of directions lands, by ray trace, without model."""
+    """Where the light of m directions lands, by ray trace, without model."""
 
     direction: FloatArray  # (m, 3) Unit vectors in cam
     pixel_px: FloatArray  # (m, 2) Photon-weighted mean of the traced bundle
@@ -49,3 +53,28 @@ def traced_map(config: Config, instrument: Instrument) -> TracedMap:
     pixel = Tracer(camera).bundle_means(build_star(config, instrument).seen(direction, instrument))[:, 0]
     seen = np.isfinite(pixel).all(axis=1)
     return TracedMap(direction=direction[seen], pixel_px=pixel[seen])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reduction:
+    """One calibration, judged."""
+
+    calibration: Calibration  # As the estimator gives it
+    star: FloatArray  # (3,) Direction of the star in the laboratory
+    # Error against the traced lens after the best rotation, and what the covariance predicts
+    line_of_sight: LineOfSightMap
+    # (n, 2) Images minus what the calibration says at the angles as read, before any reading error is fitted
+    residual_px: FloatArray
+
+
+def judge(calibration: Calibration, data: Data, table: Turntable, traced: TracedMap) -> Reduction:
+    """Set a calibration, made with ``table`` as believed, against the traced lens."""
+    bench = calibrated_bench(calibration, table)
+    return Reduction(
+        calibration=calibration,
+        star=bench.star,
+        line_of_sight=line_of_sight_map(
+            calibration.model, traced.direction, traced.pixel_px, covariance=calibration.covariance
+        ),
+        residual_px=data.pixel_px - calibration.model.project(bench.seen(data.reading_rad)),
+    )

@@ -1,0 +1,118 @@
+r"""Principal point against line of sight, over the field of view: bounds of ideal cameras on perfect tables.
+
+A shift of the principal point moves every image by (1, 0); a turn of the installation moves it by (1 + t_x^2, t_x t_y)
+with t the tangents of the field angles. What tells them apart is of second order in the field: the error of the
+principal point of an undistorted camera with known star is :math:`\sigma / \sqrt{n \langle t^4 \rangle}` [px] for
+images of standard deviation sigma at n places, while that of the line of sight does not depend on the field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.cameras import BrownConrady, SensorGeometry
+from calib.cameras.base import CameraModel
+from experiments.harness.drawings import curves
+from experiments.harness.sections import Section, col
+from experiments.laboratory.single_star.bench import Bench, aim
+from experiments.laboratory.turntable import build_turntable
+from experiments.turntable.bound import Bound, bound
+from optics.arrays import FloatArray
+from optics.units import RAD_ARCSEC
+
+__all__ = ["FIELDS", "SWEEP_SIDE", "FieldPoint", "field_sweep", "ideal_bound", "ideal_camera"]
+
+SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
+SWEEP_SIDE = 13
+"""Cameras of the field sweep: pixels along each side, their pitch, places along each side."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldPoint:
+    """Bounds for a camera of one square field, all unknowns; rolled: quarter turns of a third axis between places."""
+
+    field_deg: float = col("Full field of view", "deg", "g")
+    principal_point_sigma_px: float = col("σ(x₀)", "px", ".3g", key="x0_px")
+    principal_point_sigma_arcsec: float = col("Principal point, two axes", "arcsec", ".3g", key="x0_arcsec")
+    principal_point_inflation: float = col("inflated", "", ".0f", key="inflation")  # Over all else known
+    rolled_point_px: float = col("σ(x₀), rolled", "px", ".3g", json="", key="rolled_x0_px")
+    rolled_point_arcsec: float = col("Principal point, three axes", "arcsec", ".3g", json="")
+    map_sigma_arcsec: float = col("Map, RMS length", "arcsec", ".4f", key="map_arcsec")
+    map_sigma_rolled_arcsec: float = col("Map, rolled", "arcsec", ".4f", key="rolled_map_arcsec")
+    line_arcsec: float = col("Line of sight per axis, two axes", "arcsec", ".3g", json="")
+    rolled_line_arcsec: float = col("Line of sight per axis, three axes", "arcsec", ".3g", json="")
+    image_arcsec: float = col("A single image", "arcsec", ".3g", json="")
+    point_over_line: float = col("Principal point over line of sight", "", ".0f", json="")
+
+
+def field_sweep(fields_deg: Sequence[float], sigma_px: float) -> list[FieldPoint]:
+    """Bounds for images of one standard deviation."""
+    points = []
+    for field in fields_deg:
+        model = ideal_camera(field)
+        full, rolled = (ideal_bound(model, axes, sigma_px) for axes in ("xy", "xyz"))
+        scale = float(SWEEP_PITCH_MM / model.value("focal_length_mm") * RAD_ARCSEC)
+        per_axis = 1.0 / float(np.sqrt(2.0))  # of a length over two axes
+        points.append(
+            FieldPoint(
+                field_deg=float(field),
+                principal_point_sigma_px=full.of("x0_px"),
+                principal_point_sigma_arcsec=full.of("x0_px") * scale,
+                principal_point_inflation=full.inflation("x0_px"),
+                rolled_point_px=rolled.of("x0_px"),
+                rolled_point_arcsec=rolled.of("x0_px") * scale,
+                map_sigma_arcsec=full.map_sigma_arcsec,
+                map_sigma_rolled_arcsec=rolled.map_sigma_arcsec,
+                line_arcsec=full.map_sigma_arcsec * per_axis,
+                rolled_line_arcsec=rolled.map_sigma_arcsec * per_axis,
+                image_arcsec=sigma_px * scale,
+                point_over_line=full.of("x0_px") * scale / (full.map_sigma_arcsec * per_axis),
+            )
+        )
+    return points
+
+
+def ideal_camera(field_deg: float) -> BrownConrady:
+    """Camera without distortion of that full field."""
+    geometry = SensorGeometry(width_px=SWEEP_PX, height_px=SWEEP_PX, pixel_pitch_mm=SWEEP_PITCH_MM)
+    focal = SWEEP_PX * SWEEP_PITCH_MM / 2 / np.tan(np.radians(field_deg) / 2)
+    return BrownConrady.create(geometry, focal_length_mm=float(focal))
+
+
+def ideal_bound(
+    model: CameraModel, axes: str, sigma_px: float, *, star: bool = True, free: Sequence[str] | None = None
+) -> Bound:
+    """Bound of one ideal camera on a perfect table; a third axis makes quarter turns."""
+    bench = Bench(table=build_turntable(axes), star=np.array([0.0, 0.0, 1.0]), installation=Rotation.identity())
+    direction = model.unproject(model.geometry.grid_px(SWEEP_SIDE))
+    angle = aim(bench, direction, np.asarray(np.arange(len(direction)) % 4 * (np.pi / 2), np.float64))
+    covariance: FloatArray = np.tile(np.eye(2) * sigma_px**2, (len(direction), 1, 1))
+    return bound(model, bench, angle, covariance, direction, leans=False, free=free, star=star)
+
+
+FIELDS = Section(
+    record=FieldPoint,
+    dim="field",
+    along="field_deg",
+    prefix="field_",
+    place="field_sweep[field]",
+    table="field_sweep",
+    columns="principal_point_sigma_px principal_point_sigma_arcsec principal_point_inflation map_sigma_arcsec "
+    "rolled_point_px map_sigma_rolled_arcsec",
+    caption="Bound of principal point and line of sight over the field (Cramér–Rao).",
+    note=f"Ideal cameras of {SWEEP_PX} × {SWEEP_PX} px, {SWEEP_SIDE} × {SWEEP_SIDE} places, perfect tables. Inflated: "
+    "over the standard deviation with everything else known. Rolled: quarter turns of a third axis between places.",
+    figures={
+        "field_curves": curves(
+            "field",
+            lines="field_principal_point_sigma_arcsec field_rolled_point_arcsec field_line_arcsec "
+            "field_rolled_line_arcsec field_image_arcsec",
+            log="xy",
+            y="1 σ per axis",
+        )
+    },
+)
