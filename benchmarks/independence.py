@@ -211,7 +211,7 @@ COMPARISONS = (
         experiment="turntable",
         what="map error against its bound",
         predicted=("experiments.turntable.bound:bound",),
-        measured=("experiments.turntable.monte_carlo:monte_carlo", "experiments.turntable.case:_calibrate"),
+        measured=("experiments.turntable.monte_carlo:monte_carlo", "experiments.turntable.experiment:calibrations"),
     ),
     Comparison(
         experiment="fisher",
