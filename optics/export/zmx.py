@@ -42,8 +42,13 @@ def _expansion(kind: str) -> Callable[[Any], Made]:
     return make
 
 
-def _qcon(table: Any) -> Made:
-    extra = {1: 0.0, 2: float(len(table.q_mm)), 3: table.norm_radius_mm, **dict(enumerate(table.q_mm, 4))}
+def _forbes(table: Any) -> Made:
+    extra = {
+        1: float(table.kind == "qcon"),
+        2: float(len(table.q_mm)),
+        3: table.norm_radius_mm,
+        **dict(enumerate(table.q_mm, 4)),
+    }
     return "QED_TYPE", _curvature(table), table.conic, {}, extra
 
 
@@ -63,7 +68,8 @@ _KINDS: dict[str, Callable[[Any], Made]] = {
     "conic": lambda t: ("STANDARD", _curvature(t), t.conic, {}, {}),
     "even_asphere": _even,
     "odd_asphere": _odd,
-    "qcon": _qcon,
+    "qbfs": _forbes,
+    "qcon": _forbes,
     "polynomial": _expansion("XPOLYNOM"),
     "cylinder": lambda t: ("TOROIDAL", _curvature(t), t.conic, {}, {}),
     "toroid": _toroid,

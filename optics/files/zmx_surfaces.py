@@ -234,15 +234,16 @@ def _zernike(ordering: str) -> Callable[[SurfaceData, float], dict[str, Any]]:
 def _qed(s: SurfaceData, unit: float) -> dict[str, Any]:
     """Q-type asphere: extra data are its type, the count of terms, the normalisation radius, the terms.
 
-    Type 0 is Q_con: makers' files of this type have apertures beyond the vertex radius, where no Q_bfs exists.
+    Type 0 is Q_bfs on a conic, type 1 Q_con (Forbes 2007).
     """
-    if s.xdat.get(1, 0.0) != 0.0:
-        raise ValueError("a Q-type asphere of another type than 0 (Q_con) is not read")
+    kind = {0.0: "qbfs", 1.0: "qcon"}.get(s.xdat.get(1, 0.0))
+    if kind is None:
+        raise ValueError("a Q-type asphere of another type than 0 (Q_bfs) or 1 (Q_con) is not read")
     count, radius = int(s.xdat.get(2, 0.0)), s.xdat.get(3, 1.0)
     if not 0 <= count <= 100:
         raise ValueError(f"{count} terms of a Q-type asphere")
     values = [unit * s.xdat.get(i + 4, 0.0) for i in range(count)]
-    shape = {"kind": "qcon", "radius_mm": s.radius_mm, "conic": s.conic}
+    shape = {"kind": kind, "radius_mm": s.radius_mm, "conic": s.conic}
     return {**shape, "norm_radius_mm": unit * radius, "q_mm": values}
 
 

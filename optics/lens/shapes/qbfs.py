@@ -1,4 +1,4 @@
-"""Asphere of Forbes' mild kind, Qbfs: departure from a best-fit sphere along its normal."""
+"""Asphere of Forbes' mild kind, Qbfs: departure from a best-fit sphere or conic along its normal."""
 
 from __future__ import annotations
 
@@ -19,52 +19,56 @@ __all__ = ["Qbfs"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Qbfs(Curved):
-    """Sphere plus u^2 (1 - u^2) / sqrt(1 - c^2 r^2) times the sum of ``q_mm[m]`` Qbfs_m(u^2) (Forbes 2007, eq. 3.1).
+    """Conic plus u^2 (1 - u^2) sqrt(1 + s^2) times the sum of ``q_mm[m]`` Qbfs_m(u^2) (Forbes 2007, eq. 3.1).
 
-    u = r / ``norm_radius_mm``; the sphere meets the surface at the vertex and at u = 1.
+    u = r / ``norm_radius_mm``; s is the slope of the conic, sqrt(1 + s^2) = sqrt(1 - k c^2 r^2) / sqrt(1 - (1 + k) c^2
+    r^2), which is Forbes' 1 / sqrt(1 - c^2 r^2) for a sphere. The conic meets the surface at the vertex and at u = 1.
     """
 
     radius_mm: float = math.inf
     norm_radius_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)]
     q_mm: tuple[FiniteFloat, ...] = ()
+    conic: FiniteFloat = 0.0
     kind: ClassVar[str] = "qbfs"
 
     def __post_init__(self) -> None:
-        require_finite(self, **{f"q_mm[{i}]": a for i, a in enumerate(self.q_mm)})
+        require_finite(self, conic=self.conic, **{f"q_mm[{i}]": a for i, a in enumerate(self.q_mm)})
         require_positive(self, norm_radius_mm=self.norm_radius_mm)
         Curved.__post_init__(self)
 
     @property
     def rim_mm(self) -> float:
-        """Radius of the sphere [mm]."""
-        return abs(self.radius_mm)
+        """Largest radius of the conic [mm]."""
+        return abs(self.radius_mm) / math.sqrt(1.0 + self.conic) if self.conic > -1.0 else math.inf
 
     @property
     def curvature(self) -> float:
-        """Vertex curvature [1/mm], that of the sphere and that of the departure."""
+        """Vertex curvature [1/mm], that of the conic and that of the departure."""
         total, _ = bfs_sum(bfs_from_q(self.q_mm), 0.0)
         return 1.0 / self.radius_mm + 2.0 * float(total) / self.norm_radius_mm**2
 
     def parameters(self) -> tuple[float, ...]:
-        """Curvature of the sphere [1/mm], reciprocal square of the normalisation radius, auxiliary coefficients."""
-        return (1.0 / self.radius_mm, self.norm_radius_mm**-2, *bfs_from_q(self.q_mm))
+        """Curvature [1/mm] and constant of the conic, reciprocal square of the normalisation radius, coefficients."""
+        return (1.0 / self.radius_mm, self.conic, self.norm_radius_mm**-2, *bfs_from_q(self.q_mm))
 
     @staticmethod
     def _profile(p: Sequence[Any], r2: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any]:
-        """Sag, its derivative with respect to r^2, whether the sphere reaches so far."""
-        base, base_slope, inside = conic_profile(p[0], 0.0, r2, xp)
-        w2 = xp.maximum(1.0 - p[0] * p[0] * r2, 1e-12)
-        w = xp.sqrt(w2)
-        x = p[1] * r2
-        total, slope = bfs_sum(p[2:], x)
+        """Sag, its derivative with respect to r^2, whether the conic reaches so far."""
+        base, base_slope, inside = conic_profile(p[0], p[1], r2, xp)
+        c2 = p[0] * p[0]
+        over, under = xp.maximum(1.0 - p[1] * c2 * r2, 1e-12), xp.maximum(1.0 - (1.0 + p[1]) * c2 * r2, 1e-12)
+        along = xp.sqrt(over / under)  # of the conic's meridian, per radius
+        x = p[2] * r2
+        total, slope = bfs_sum(p[3:], x)
         bump = x * (1.0 - x)
-        rise = p[1] * ((1.0 - 2.0 * x) * total + bump * slope) + 0.5 * p[0] * p[0] * bump * total / w2
-        return base + bump * total / w, base_slope + rise / w, inside
+        bend = 0.5 * c2 * ((1.0 + p[1]) / under - p[1] / over)
+        rise = p[2] * ((1.0 - 2.0 * x) * total + bump * slope) + bend * bump * total
+        return base + bump * total * along, base_slope + rise * along, inside
 
     @staticmethod
     def intersect(p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
         """Intersect rays that stand on the vertex plane."""
-        start = conic_path(p[0], 0.0, x, y, d, xp)
+        start = conic_path(p[0], p[1], x, y, d, xp)
         return newton_hit(lambda r2: Qbfs._profile(p, r2, xp), start, x, y, d, xp)
 
     def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:

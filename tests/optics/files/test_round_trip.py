@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -90,9 +91,20 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path: Path) -> None:
     surfaces[-1].pop("conic")
     tables = {**FOLDED, "surface": surfaces}
     file = LensFile(lens=lens_from_table(tables, where="test"), tables=tables)
-    for suffix in ("zmx", "seq"):
-        with pytest.raises(ConfigError, match="qbfs"):
-            write_lens(file, tmp_path / f"lens.{suffix}")
+    with pytest.raises(ConfigError, match="qbfs"):
+        write_lens(file, tmp_path / "lens.seq")
+
+
+@pytest.mark.parametrize(("kind", "number"), [("qbfs", "0"), ("qcon", "1")])
+def test_forbes_aspheres_are_told_apart_by_their_type(kind: str, number: str, tmp_path: Path) -> None:
+    """XDAT 1 of QED_TYPE: 0 is Qbfs on a conic, 1 Qcon; Thorlabs ASL5040-UV has f = 37.0 in place of 40.0 mm by Qcon."""
+    forbes = {"kind": kind, "radius_mm": -400.0, "conic": -0.6, "norm_radius_mm": 50.0, "q_mm": [1e-3, -2e-4]}
+    surface = {key: value for key, value in MIRRORS[-1].items() if key not in ("asphere", "conic")}
+    tables = {**FOLDED, "surface": [*MIRRORS[:-1], {**surface, **forbes}]}
+    file = LensFile(lens=lens_from_table(tables, where="test"), tables=tables)
+    (path,) = [one for one in write_lens(file, tmp_path / "lens.zmx") if one.suffix == ".zmx"]
+    assert re.search(rf"XDAT 1 {number}(\.0)?\b", path.read_text(encoding="utf-8"))
+    assert largest_difference(file.lens, read_lens_file(path).lens) < 1e-12
 
 
 def test_a_toml_file_that_would_be_refused_is_not_written(tmp_path: Path) -> None:

@@ -66,6 +66,17 @@ def test_forbes_polynomials_are_the_printed_ones(m):
     np.testing.assert_allclose(qbfs - sphere, 1e-2 * bump * QBFS_PRINTED[m](x), atol=1e-14)
 
 
+@pytest.mark.parametrize("k", [-2.0, -1.0, -0.55, 0.7])
+def test_mild_forbes_asphere_departs_along_the_normal_of_its_conic(k):
+    """Forbes 2007 eq. 3.1: the departure along z is that along the normal times sqrt(1 + slope^2); by differences."""
+    r, step = RHO * U, 1e-6
+    conic = Conic(radius_mm=R, conic=k)
+    slope = (conic.sag(r + step, NOTHING) - conic.sag(r - step, NOTHING)) / (2 * step)
+    shape = Qbfs(radius_mm=R, conic=k, norm_radius_mm=RHO, q_mm=one(2))
+    normal = 1e-2 * U**2 * (1 - U**2) * QBFS_PRINTED[2](U**2)
+    np.testing.assert_allclose(shape.sag(r, NOTHING) - conic.sag(r, NOTHING), normal * np.hypot(1.0, slope), atol=1e-11)
+
+
 def test_forbes_mild_polynomials_have_orthonormal_slopes_to_high_order():
     """What they are made for: the mean over u of dS_m/du dS_n/du with weight 1/sqrt(1 - u^2) is 1 for m = n, 0 else."""
     theta = (np.arange(200) + 0.5) * math.pi / 400

@@ -39,6 +39,7 @@ EXAMPLES = (
     OddAsphere(radius_mm=45.0, conic=0.4, terms=(0.0, 1e-3, 2e-5, -1e-6)),
     Qcon(radius_mm=40.0, conic=-0.5, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
     Qbfs(radius_mm=-35.0, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
+    Qbfs(radius_mm=30.0, conic=-1.4, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
     ParaxialLens(focal_length_mm=80.0),
     Cylinder(radius_mm=30.0, conic=0.2),
     Toroid(radius_mm=40.0, conic=-0.5, terms=(1e-3, 2e-6), rotation_radius_mm=-25.0),
