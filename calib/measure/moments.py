@@ -51,6 +51,10 @@ class Moments(NamedTuple):
         )
 
 
+TIE_PX2 = 1e-9
+"""Squares of distances that differ by less are equal."""
+
+
 def powers(offset: FloatArray) -> FloatArray:
     """Powers 0, 1 and 2 of offsets (n, m) as (n, 3, m)."""
     return np.stack([np.ones_like(offset), offset, offset**2], axis=1)
@@ -88,7 +92,9 @@ def half_light_radius(light: FloatArray, x: FloatArray, y: FloatArray) -> FloatA
     n, height, width = light.shape
     radius2 = (np.arange(width) - x[:, None])[:, None, :] ** 2 + (np.arange(height) - y[:, None])[:, :, None] ** 2
     order = np.argsort(radius2.reshape(n, height * width), axis=1)
+    sorted2 = np.take_along_axis(radius2.reshape(n, height * width), order, axis=1)
     growth = np.cumsum(np.take_along_axis(light.reshape(n, height * width), order, axis=1), axis=1)
+    growth = _even_among_equals(growth, sorted2)
     half = 0.5 * growth[:, -1:]
     first = np.argmax(growth >= half, axis=1)
     # k pixels cover the area pi r^2 = k; between two pixels the growth is taken as linear in area
@@ -97,6 +103,20 @@ def half_light_radius(light: FloatArray, x: FloatArray, y: FloatArray) -> FloatA
     rise = growth[k, first] - before
     part = np.divide(half[:, 0] - before, rise, out=np.ones(n), where=rise > 0)
     return np.sqrt((first + np.clip(part, 0.0, 1.0)) / np.pi)
+
+
+def _even_among_equals(growth: FloatArray, radius2: FloatArray) -> FloatArray:
+    """Growth curves (n, k) that rise evenly over pixels of one radius, whatever order they were sorted in."""
+    count = radius2.shape[1]
+    apart = np.diff(radius2, axis=1) > TIE_PX2
+    place = np.broadcast_to(np.arange(count), radius2.shape)
+    edge = np.ones((len(radius2), 1), dtype=bool)
+    first = np.maximum.accumulate(np.where(np.hstack([edge, apart]), place, 0), axis=1)
+    last = np.where(np.hstack([apart, edge]), place, count - 1)[:, ::-1]
+    last = np.minimum.accumulate(last, axis=1)[:, ::-1]
+    below = np.take_along_axis(np.hstack([np.zeros((len(growth), 1)), growth]), first, axis=1)
+    top = np.take_along_axis(growth, last, axis=1)
+    return below + (top - below) * (place - first + 1) / (last - first + 1)
 
 
 def gravity_table(

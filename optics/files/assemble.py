@@ -109,7 +109,7 @@ def assemble(draft: Draft, catalogues: Sequence[Path], glasses: Mapping[str, str
     after = [found[id(row)].glass if id(row) in found else None for row in draft.rows]
     media = _through_mirrors(draft.rows, after)
     wave = draft.wavelengths[draft.primary][0]
-    data = first_order(draft.rows, media, wave)
+    data = first_order(draft.rows, media, wave, _environment(draft))
     choices = [_told(draft, row, found[id(row)], media, data, wave) for row in draft.rows if id(row) in found]
     pupil_mm = _stop(draft, data)
     angles = _field_angles(draft, data, pupil_mm)
@@ -173,7 +173,7 @@ def _told(draft: Draft, row: Row, found: Found, media: list[Glass | None], data:
     assert asked is not None
     if found.meant is not None:
         meant = [found.meant if glass is found.glass else glass for glass in media]
-        other = first_order(draft.rows, meant, wave)
+        other = first_order(draft.rows, meant, wave, _environment(draft))
         choice = replace(choice, efl_mm=data.efl_mm - other.efl_mm, bfl_mm=data.bfl_mm - other.bfl_mm)
     if choice.status == "taken":
         draft.report.taken(asked.line, asked.command, f"{choice.taken}: {choice.where}", row.number)
@@ -373,13 +373,17 @@ def _remarks(draft: Draft) -> None:
         )
 
 
+def _environment(draft: Draft) -> Environment:
+    """Surroundings that the indices of the file belong to."""
+    if not draft.adjusted:
+        return CATALOGUE_AIR
+    return Environment(temperature_c=draft.temperature_c, pressure_hpa=draft.pressure_hpa)
+
+
 def _defaults(draft: Draft, angles: list[tuple[float, float]], pupil_mm: float) -> FileDefaults:
     aperture = draft.aperture
     words = "semi-diameter of the stop" if aperture is None or aperture.kind == "STOP" else ""
-    environment = CATALOGUE_AIR
-    if draft.adjusted:
-        environment = Environment(temperature_c=draft.temperature_c, pressure_hpa=draft.pressure_hpa)
-    elif (draft.temperature_c, draft.pressure_hpa) != (20.0, 1013.25):
+    if not draft.adjusted and (draft.temperature_c, draft.pressure_hpa) != (20.0, 1013.25):
         draft.report.assumed(
             "environment",
             f"the file states {draft.temperature_c:g} C, {draft.pressure_hpa:g} hPa; indices stay those of 20 C in air",
@@ -396,7 +400,7 @@ def _defaults(draft: Draft, angles: list[tuple[float, float]], pupil_mm: float) 
         aperture=words or f"{aperture.kind} {aperture.value:g}" if aperture is not None else words,
         entrance_pupil_mm=pupil_mm,
         object_mm=draft.object_mm,
-        environment=environment,
+        environment=_environment(draft),
         configuration=draft.configuration,
         configurations=draft.configurations,
     )

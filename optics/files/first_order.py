@@ -14,7 +14,9 @@ import numpy as np
 
 from optics.arrays import FloatArray
 from optics.files.draft import Row
+from optics.forbes import bfs_from_q, bfs_sum
 from optics.glass.catalogue import Glass
+from optics.glass.media import CATALOGUE_AIR, Environment
 
 __all__ = ["FirstOrder", "first_order"]
 
@@ -44,11 +46,27 @@ def _power(row: Row, before: float, after: float) -> float:
         curvature += 2.0 * shape["terms"][1]
     elif shape["kind"] == "toroid" and shape["terms"]:
         curvature += 2.0 * shape["terms"][0]
+    elif shape["kind"] == "qbfs":
+        curvature += 2.0 * float(bfs_sum(bfs_from_q(shape["q_mm"]), 0.0)[0]) / shape["norm_radius_mm"] ** 2
     return (after - before) * curvature
 
 
+def _index(glass: Glass, wavelength_nm: float, environment: Environment) -> float:
+    """Index relative to the air around the lens; that of the catalogue for a glass without thermal data."""
+    elsewhere = environment.temperature_c != glass.reference_temperature_c
+    if environment == CATALOGUE_AIR or (elsewhere and glass.dndt is None):
+        return float(glass.dispersion.index(wavelength_nm))
+    at = {"temperature_c": environment.temperature_c, "pressure_hpa": environment.pressure_hpa}
+    return float(glass.relative_index(wavelength_nm, **at))
+
+
 @np.errstate(all="ignore")
-def first_order(rows: Sequence[Row], glasses: Sequence[Glass | None], wavelength_nm: float) -> FirstOrder:
+def first_order(
+    rows: Sequence[Row],
+    glasses: Sequence[Glass | None],
+    wavelength_nm: float,
+    environment: Environment = CATALOGUE_AIR,
+) -> FirstOrder:
     """First-order data of the rows of a file.
 
     Parameters
@@ -59,6 +77,8 @@ def first_order(rows: Sequence[Row], glasses: Sequence[Glass | None], wavelength
         What follows each of them; None for air.
     wavelength_nm : float
         Design wavelength.
+    environment : Environment
+        Temperature and pressure that the indices belong to.
 
     Returns
     -------
@@ -70,7 +90,7 @@ def first_order(rows: Sequence[Row], glasses: Sequence[Glass | None], wavelength
     distance = 0.0
     for row, glass in zip(rows, glasses, strict=True):
         if not row.is_break:
-            index = side * (1.0 if glass is None else float(glass.dispersion.index(wavelength_nm)))
+            index = side * (1.0 if glass is None else _index(glass, wavelength_nm, environment))
             if row.mirror:
                 side, index = -side, -n
             refraction = np.array([[1.0, 0.0], [-_power(row, n, index), 1.0]])

@@ -75,6 +75,8 @@ class SurfaceData:
             It is known, but cannot be read as it is meant.
         """
         key = words[0].upper()
+        if len(words) > 2 and (key in ("K", "RDY", "CUY", "RDX", "CUX") or (key in _POLYNOMIAL and len(key) == 1)):
+            raise ValueError(f"{' '.join(words[2:])!r} stands behind its value; a semicolon goes between two commands")
         plain = _PLAIN.get(key)
         if plain is not None:
             return plain(self, words, line, text, unit)

@@ -10,8 +10,8 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import Field, FiniteFloat
 
 from optics.arrays import NUMPY, ArrayNamespace, FloatArray
+from optics.forbes import bfs_from_q, bfs_sum
 from optics.lens.shapes.base import Hit, require_finite, require_positive
-from optics.lens.shapes.forbes import bfs_from_q, bfs_sum
 from optics.lens.shapes.revolution import Curved, conic_path, conic_profile, newton_hit, profile_sag
 
 __all__ = ["Qbfs"]

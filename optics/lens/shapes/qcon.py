@@ -9,8 +9,8 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import Field, FiniteFloat
 
 from optics.arrays import ArrayNamespace
+from optics.forbes import qcon_sum
 from optics.lens.shapes.base import require_finite, require_positive
-from optics.lens.shapes.forbes import qcon_sum
 from optics.lens.shapes.revolution import Asphere, conic_profile
 
 __all__ = ["Qcon"]

@@ -22,3 +22,12 @@ def test_half_light_radius_of_a_gaussian(sky):
     light = sky.gaussian([15.0], [15.3], 2.0, height=31, width=31)
     found = half_light_radius(light, np.array([15.0]), np.array([15.3]))[0]
     assert found == pytest.approx(1.1774 * np.sqrt(4.0 + 1.0 / 12.0), rel=0.02)
+
+
+def test_half_light_radius_does_not_depend_on_the_order_of_equal_pixels():
+    """Around a whole pixel many distances are equal: mirrored and turned stamps gave radii 1 % apart."""
+    k = np.arange(15) - 7.0
+    light = np.outer(np.exp(-0.5 * (k / 0.9) ** 2), np.exp(-0.5 * ((k - 0.3) / 0.9) ** 2))
+    turned = np.stack([light, light[:, ::-1], light[::-1], light.T])
+    found = half_light_radius(turned, np.full(4, 7.0), np.full(4, 7.0))
+    np.testing.assert_allclose(found, found[0], rtol=1e-12)

@@ -97,7 +97,7 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("kind", "number"), [("qbfs", "0"), ("qcon", "1")])
 def test_forbes_aspheres_are_told_apart_by_their_type(kind: str, number: str, tmp_path: Path) -> None:
-    """XDAT 1 of QED_TYPE: 0 is Qbfs on a conic, 1 Qcon; Thorlabs ASL5040-UV has f = 37.0 in place of 40.0 mm by Qcon."""
+    """XDAT 1 of QED_TYPE: 0 is Qbfs on a conic, 1 Qcon; Thorlabs ASL5040-UV has f = 37.0 for 40.0 mm by Qcon."""
     forbes = {"kind": kind, "radius_mm": -400.0, "conic": -0.6, "norm_radius_mm": 50.0, "q_mm": [1e-3, -2e-4]}
     surface = {key: value for key, value in MIRRORS[-1].items() if key not in ("asphere", "conic")}
     tables = {**FOLDED, "surface": [*MIRRORS[:-1], {**surface, **forbes}]}

@@ -91,6 +91,17 @@ def test_a_singlet_has_the_focal_length_of_the_lens_makers_equation(tmp_path: Pa
     assert file.lens.surfaces[1].semi_diameter_mm == 7.0  # set by hand; the one of surface 1 was solved for
 
 
+def test_the_focal_length_of_the_report_is_at_the_temperature_of_the_file(tmp_path: Path) -> None:
+    """60 C, adjusted: the report said the focal length of 20 C."""
+    file = read_lens_file(written(tmp_path, HEADER.replace("ENVD 2.0E+1 1 0", "ENVD 6.0E+1 1 1") + SURFACES))
+    glass, warm = file.lens.glasses["N-BK7"], {"temperature_c": 60.0}
+    n = float(glass.relative_index(587.6, **warm))
+    power = (n - 1) * (0.02 + 0.01 - (n - 1) * 0.02 * 0.01 * 5.0 / n)
+    computed = {c.name: c.computed for c in file.report.comparisons}
+    assert computed["EFL"] == pytest.approx(1 / power, rel=1e-12)
+    assert abs(n - float(glass.index(587.6))) > 1e-5
+
+
 def test_every_line_is_reported_once_with_its_number(tmp_path: Path) -> None:
     file = read_lens_file(written(tmp_path, SINGLET))
     assert file.report is not None
