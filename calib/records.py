@@ -30,28 +30,12 @@ class NoiseModel:
     The expectation holds everything that arrives as electrons: star, sky background and dark current. Rounding to
     whole DN adds ``1 / (12 gain^2)`` (EMVA 1288 Release 4.0, quantisation noise). Fixed patterns (PRNU, DSNU) are not
     temporal noise and are not in it.
-
-    Attributes
-    ----------
-    read_noise_e : float
-        Standard deviation of the signal-free pixel, not negative.
-    gain_dn_per_e : float
-        System gain K (EMVA 1288), positive.
-    offset_dn : float
-        DN of a pixel without electrons.
-    quantised : bool
-        Whether the numbers were rounded to whole DN.
-
-    Raises
-    ------
-    DomainError
-        On a negative read noise, a gain that is not positive, or a value that is not finite.
     """
 
-    read_noise_e: float
-    gain_dn_per_e: float = 1.0
-    offset_dn: float = 0.0
-    quantised: bool = False
+    read_noise_e: float  # Standard deviation of the signal-free pixel, not negative
+    gain_dn_per_e: float = 1.0  # System gain K (EMVA 1288), positive
+    offset_dn: float = 0.0  # DN of a pixel without electrons
+    quantised: bool = False  # Whether the numbers were rounded to whole DN
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.read_noise_e) and self.read_noise_e >= 0):
@@ -118,33 +102,16 @@ class SensorImage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stamps:
-    """Windows around stars, in electrons, background included; pixels are (column, row) of the full image.
+    """Windows around stars, in electrons, background included; pixels are (column, row) of the full image."""
 
-    Attributes
-    ----------
-    electrons : (n, h, w)
-        (DN - offset) / gain. Where ``valid`` is false the value is 0 and means nothing.
-    valid : (n, h, w) bool
-        Pixels that may be used: inside the image, finite, neither saturated nor defective.
-    corner_px : (n, 2) int64
-        (column, row) of each window's first pixel.
-    background_e : (n,)
-        Expected electrons per pixel without the star.
-    start_px : (n, 2)
-        (column, row) where the measurement starts, in the full image.
-    flags : (n,) uint32
-        `StarFlag` bits found while cutting.
-    psf_index : (n,) int64
-        Which of several PSFs belongs to the star; zeros where there is one.
-    """
-
-    electrons: FloatArray
+    electrons: FloatArray  # (n, h, w) (DN - offset) / gain. Where ``valid`` is false the value is 0 and means nothing
+    # (n, h, w) Pixels that may be used: inside the image, finite, neither saturated nor defective
     valid: NDArray[np.bool_]
-    corner_px: NDArray[np.int64]
-    background_e: FloatArray
-    start_px: FloatArray
-    flags: NDArray[np.uint32]
-    psf_index: NDArray[np.int64]
+    corner_px: NDArray[np.int64]  # (n, 2) (column, row) of each window's first pixel
+    background_e: FloatArray  # (n,) Expected electrons per pixel without the star
+    start_px: FloatArray  # (n, 2) (column, row) where the measurement starts, in the full image
+    flags: NDArray[np.uint32]  # (n,) `StarFlag` bits found while cutting
+    psf_index: NDArray[np.int64]  # (n,) Which of several PSFs belongs to the star; zeros where there is one
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}

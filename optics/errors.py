@@ -39,22 +39,7 @@ class BackendError(StarbenchError):
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
-    """Error for a name that is not in a registry, with the nearest known names.
-
-    Parameters
-    ----------
-    kind : str
-        What the name stands for, e.g. ``"glass"``.
-    name : str
-        The name that was asked for.
-    known : iterable of str
-        The names that exist.
-
-    Returns
-    -------
-    ConfigError
-        To be raised by the caller.
-    """
+    """Error for a name that is not in a registry, with the nearest known names."""
     names = sorted(known)
     folded = {candidate.casefold(): candidate for candidate in names}
     near = [folded[match] for match in difflib.get_close_matches(str(name).casefold(), folded, n=3, cutoff=0.5)]

@@ -364,23 +364,7 @@ def draw_image(
 ) -> Axes:
     """Image of a star field, made to be looked at: faint stars visible, bright ones not burnt out, none lost.
 
-    Parameters
-    ----------
-    values : (h, w)
-        Pixels, e.g. digital numbers or electrons.
-    axes : matplotlib.axes.Axes, optional
-        Where; in a new figure if left out.
-    percentiles : (float, float)
-        Of the pixels, that are shown black, and from which on brightness is compressed to white (asinh).
-    grow : int
-        Stars are enlarged to at least so many drawn pixels.
-    widest_px : int
-        Wider images are drawn coarser, every block by its brightest pixel.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-        In pixels: (column, row), row 0 on top.
+    Shapes: ``values`` (h, w), ``percentiles`` (float, float), returns (column, row).
     """
     image = np.asarray(values, np.float32)
     height, width = image.shape

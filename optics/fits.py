@@ -45,26 +45,7 @@ _GZIP_OR_ZLIB = 47
 
 @contextmanager
 def open_fits(path: str | Path, **options: Any) -> Iterator[fits.HDUList]:
-    """A FITS file, plain or packed by gzip, bzip2 or xz.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        The file, or a URL as fsspec reads it.
-    **options
-        For `astropy.io.fits.open`.
-
-    Yields
-    ------
-    astropy.io.fits.HDUList
-        Not mapped into memory. Errors inside the ``with`` block, where astropy first looks at data, are told in one
-        line too; warnings of untidy headers are silenced, those of a file that is cut off are errors.
-
-    Raises
-    ------
-    ConfigError
-        Missing, no FITS file, cut off, damaged, or of claims that its size does not bear out.
-    """
+    """A FITS file, plain or packed by gzip, bzip2 or xz."""
     path = located(path)
     try:
         with warnings.catch_warnings():
@@ -85,13 +66,7 @@ def open_fits(path: str | Path, **options: Any) -> Iterator[fits.HDUList]:
 
 
 def image_header(path: str | Path, hdu: int | str | None = None) -> fits.Header:
-    """Header of an image: of an extension, or of the first image in the file, compressed or not.
-
-    Raises
-    ------
-    ConfigError
-        As `open_fits`; no image, no such extension.
-    """
+    """Header of an image: of an extension, or of the first image in the file, compressed or not."""
     with open_fits(path) as content:
         images = [one for one in content if one.is_image and one.header.get("NAXIS", 0) >= 2]
         try:
@@ -107,13 +82,7 @@ def located(path: str | Path) -> Path | str:
 
 
 def unpacked(path: Path) -> bytes | None:
-    """Content of a file that is packed by gzip, bzip2 or xz; None of one that is not.
-
-    Raises
-    ------
-    ConfigError
-        It unpacks to more than may be, is damaged, or packed by something else.
-    """
+    """Content of a file that is packed by gzip, bzip2 or xz; None of one that is not."""
     try:
         with path.open("rb") as stream:
             start = stream.read(6)

@@ -65,13 +65,7 @@ def field_direction(field_x_deg: ArrayLike, field_y_deg: ArrayLike) -> FloatArra
 
 
 def field_angles_deg(v_cam: ArrayLike) -> Pair:
-    """Field angles [deg] of directions (..., 3) in cam; the inverse of `field_direction`.
-
-    Raises
-    ------
-    DomainError
-        If a direction points behind the camera.
-    """
+    """Field angles [deg] of directions (..., 3) in cam; the inverse of `field_direction`."""
     v = np.asarray(v_cam, float)
     if not np.all(v[..., 2] > 0):
         raise DomainError("a direction points behind the camera: its Z_cam must be positive")
@@ -91,14 +85,7 @@ def star_direction(d_lens: ArrayLike) -> FloatArray:
 def pixel_from_lens(x_mm: ArrayLike, y_mm: ArrayLike, *, pitch_mm: float, size_px: tuple[int, int]) -> Pair:
     """Pixel (column, row) of points of the image plane.
 
-    Parameters
-    ----------
-    x_mm, y_mm : array
-        Points in the image plane, lens frame [mm]; the image plane's origin is the centre of the detector.
-    pitch_mm : float
-        Pixel pitch [mm].
-    size_px : (int, int)
-        Width and height of the detector [px].
+    Shapes: ``size_px`` (int, int).
     """
     width, height = size_px
     column = (width - 1) / 2 + np.asarray(x_mm, float) / pitch_mm

@@ -83,13 +83,7 @@ def list_lenses() -> tuple[str, ...]:
 
 
 def lens_path(name_or_path: str | Path) -> Path:
-    """File of a lens: a built-in name, or a path.
-
-    Raises
-    ------
-    ConfigError
-        A name that is neither, with the nearest built-in one; a file of another kind.
-    """
+    """File of a lens: a built-in name, or a path."""
     builtin, text = _builtin(), str(name_or_path)
     if text in builtin:
         return builtin[text]

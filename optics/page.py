@@ -116,22 +116,7 @@ class Marks:
 
 
 def differences(measured: Sequence[Marks], reference: Marks, *, within_px: float = 2.0) -> Marks:
-    """Arrows from the places of a reference to what was measured there: the nearest within a radius.
-
-    Parameters
-    ----------
-    measured : sequence of Marks
-        Layers of measured places.
-    reference : Marks
-        Where they should be.
-    within_px : float
-        How far apart a pair may be.
-
-    Returns
-    -------
-    Marks
-        Arrows, one for each measured mark that has a partner.
-    """
+    """Arrows from the places of a reference to what was measured there: the nearest within a radius."""
     from scipy.spatial import cKDTree
 
     x, y = (np.concatenate([getattr(one, name) for one in measured] or [np.empty(0)]) for name in ("x_px", "y_px"))

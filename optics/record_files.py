@@ -27,24 +27,12 @@ ODD = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 def write_record(path: str | Path, record: Any) -> None:
-    """Write a record.
-
-    Raises
-    ------
-    ConfigError
-        A field of a type that is not known here.
-    """
+    """Write a record."""
     Path(path).write_text(json.dumps(_plain(record), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_record(path: str | Path, kind: type[Record]) -> Record:
-    """Read a record of a kind.
-
-    Raises
-    ------
-    ConfigError
-        No such file, or something else in it.
-    """
+    """Read a record of a kind."""
     try:
         record = _record(json.loads(Path(path).read_text(encoding="utf-8")))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, ImportError) as error:

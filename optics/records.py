@@ -17,15 +17,7 @@ Record = TypeVar("Record")
 
 
 def concatenated(parts: Sequence[Record], **others: Any) -> Record:
-    """One record whose arrays are those of several of its kind, one after the other.
-
-    Parameters
-    ----------
-    parts : sequence of record
-        One or more frozen dataclasses.
-    **others
-        Values of the fields that are not arrays with a row for every element.
-    """
+    """One record whose arrays are those of several of its kind, one after the other."""
     kind: Any = type(parts[0])
     names = [one.name for one in fields(kind) if one.name not in others]
     joined: Record = kind(**{name: np.concatenate([getattr(one, name) for one in parts]) for name in names}, **others)

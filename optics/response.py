@@ -22,26 +22,7 @@ def checked_wavelength(
 ) -> FloatArray:
     """Wavelengths as a float64 array, all inside a range.
 
-    Parameters
-    ----------
-    wavelength_nm : array_like
-        Wavelengths [nm], any shape.
-    range_nm : (float, float)
-        Allowed range, ends included (and a part in 1e12 for the rounding of unit conversions).
-    what : str
-        Whose range it is, to open the message.
-    advice : str
-        What to do about it.
-
-    Returns
-    -------
-    numpy.ndarray
-        The same shape.
-
-    Raises
-    ------
-    DomainError
-        On the first wavelength that is NaN or outside.
+    Shapes: ``range_nm`` (float, float).
     """
     try:
         wave = np.asarray(wavelength_nm, dtype=np.float64)
@@ -56,13 +37,7 @@ def checked_wavelength(
 
 
 def check_table(wavelength_nm: FloatArray, value: FloatArray, what: str, *, upper: float = np.inf) -> None:
-    """Refuse what is no curve: fewer than two points, wavelengths not increasing, values outside 0 ... ``upper``.
-
-    Raises
-    ------
-    DomainError
-        With the position and the value of the first fault.
-    """
+    """Refuse what is no curve: fewer than two points, wavelengths not increasing, values outside 0 ... ``upper``."""
     if wavelength_nm.size < 2:
         raise DomainError(f"{what}: a table needs at least two points, got {wavelength_nm.size}")
     if wavelength_nm[0] <= 0:
@@ -84,29 +59,12 @@ def check_table(wavelength_nm: FloatArray, value: FloatArray, what: str, *, uppe
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Curve:
-    """Values tabulated over wavelength; what they are and what holds outside the table, each kind of curve says.
+    """Values tabulated over wavelength; what they are and what holds outside the table, each kind of curve says."""
 
-    Attributes
-    ----------
-    name, source : str
-        What the curve is and where its numbers come from.
-    wavelength_nm : (n,)
-        Increasing wavelengths [nm].
-    value : (n,)
-        Value at each of them.
-
-    Raises
-    ------
-    DomainError
-        Unequal lengths, NaN, wavelengths not increasing, a value outside the range of the kind.
-    ConfigError
-        No source.
-    """
-
-    name: str
+    name: str  # What the curve is and where its numbers come from
     source: str
-    wavelength_nm: FloatArray
-    value: FloatArray
+    wavelength_nm: FloatArray  # (n,) Increasing wavelengths [nm]
+    value: FloatArray  # (n,) Value at each of them
     noun: ClassVar[str] = "curve"
     largest: ClassVar[float] = 1.0
     """Largest value that makes sense; a fraction does not exceed 1."""
@@ -130,23 +88,7 @@ class Curve:
         return float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
 
     def interpolate(self, wavelength_nm: ArrayLike) -> FloatArray:
-        """Linear interpolation.
-
-        Parameters
-        ----------
-        wavelength_nm : array_like
-            Wavelengths [nm], any shape.
-
-        Returns
-        -------
-        numpy.ndarray
-            Values, the same shape.
-
-        Raises
-        ------
-        DomainError
-            Outside the table; a curve is never extrapolated.
-        """
+        """Linear interpolation."""
         wave = checked_wavelength(wavelength_nm, self.range_nm, self.title, "the table ends there")
         result: Any = np.interp(wave, self.wavelength_nm, self.value)
         return np.asarray(result)

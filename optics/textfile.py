@@ -34,20 +34,7 @@ class TextFile:
 
 
 def read_text(path: str | Path, what: str) -> TextFile:
-    """Read a text file in UTF-8, UTF-16, UTF-32 (with or without a byte order mark) or ISO-8859-1.
-
-    Parameters
-    ----------
-    path : path
-        File to read.
-    what : str
-        What it should be, for messages.
-
-    Raises
-    ------
-    ConfigError
-        No such file, not a regular file, too large, unreadable, or not text.
-    """
+    """Read a text file in UTF-8, UTF-16, UTF-32 (with or without a byte order mark) or ISO-8859-1."""
     if "\0" in str(path):
         raise ConfigError(f"{str(path)!r}: a file name cannot hold a NUL character")
     place = Path(path)
@@ -93,25 +80,7 @@ def _encoding(data: bytes) -> str:
 
 
 def write_text(path: str | Path, text: str) -> Path:
-    """Write a text file in UTF-8, on every system the same bytes; it appears whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        File to write; one that is there is replaced.
-    text : str
-        What it is to hold.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    ConfigError
-        It cannot be written.
-    """
+    """Write a text file in UTF-8, on every system the same bytes; it appears whole or not at all."""
     path = Path(path)
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:

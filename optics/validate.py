@@ -41,27 +41,7 @@ _BOUNDS = (("gt", "above {}"), ("ge", "at least {}"), ("lt", "below {}"), ("le",
 
 
 def parse_model(model_class: type[Model], mapping: Mapping[str, Any], where: str) -> Model:
-    """Validate a mapping.
-
-    Parameters
-    ----------
-    model_class : type
-        Pydantic model; give it ``model_config = ConfigDict(extra="forbid")`` so that a misspelt key is an error.
-    mapping : mapping
-        What was read.
-    where : str
-        Where it came from (file name, option), to open each line of the message.
-
-    Returns
-    -------
-    model_class
-        The validated model.
-
-    Raises
-    ------
-    ConfigError
-        One line per fault: the key, the value, the allowed range; for an unknown key the nearest existing one.
-    """
+    """Validate a mapping."""
     if not isinstance(mapping, Mapping):
         raise ConfigError(f"{where}: a table of keys is needed, got {_shown(mapping)}")
     try:
@@ -78,18 +58,6 @@ def refuse_values(
 
     What is wrong with tables as wholes, and with values that the layer does not hold, is left to `parse_model` of all
     layers.
-
-    Parameters
-    ----------
-    model_class, mapping, where
-        As of `parse_model`: the layer upon those below it.
-    given : mapping
-        The layer alone.
-
-    Raises
-    ------
-    ConfigError
-        One line per fault.
     """
     try:
         model_class.model_validate(dict(mapping))
@@ -145,23 +113,7 @@ def _refusal(model_class: type[BaseModel], faults: list[dict[str, Any]], where: 
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Parameters
-    ----------
-    path : path
-        File to read.
-
-    Returns
-    -------
-    dict
-        Its table.
-
-    Raises
-    ------
-    ConfigError
-        Missing, unreadable, or not TOML (with line and column).
-    """
+    """Read a TOML file."""
     text = "\n".join(read_text(path, "a TOML file").lines)
     try:
         table = tomllib.loads(text)
@@ -196,20 +148,7 @@ class _Lax:
 
 
 def without_lax(values: Any, model_class: type[BaseModel]) -> Any:
-    """Values of a model without those that pydantic would convert: true for a number, "1.5" for one, "yes" for true.
-
-    Parameters
-    ----------
-    values : Any
-        What is given for the model; for a validator that comes before the others.
-    model_class : type
-        The model.
-
-    Returns
-    -------
-    Any
-        The same, with something that no field takes in their places, also inside lists.
-    """
+    """Values of a model without those that pydantic would convert: true for a number, "1.5" for one, "yes" for true."""
     if not isinstance(values, Mapping):
         return values
     fields = model_class.model_fields

@@ -41,25 +41,15 @@ MAX_ROUNDS = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Association:
-    """Matches of one frame, one to one.
+    """Matches of one frame, one to one."""
 
-    Attributes
-    ----------
-    detected, catalogue : (k,) int64
-        Row of the detection and of the catalogue star of each match, in the order of the detections.
-    distance_px : (k,)
-        From the detection to the projected star [px].
-    ambiguous : (a,) int64
-        Detections with more than one possible star, or with a star that has more than one detection.
-    in_field : int
-        Catalogue stars that are projected onto the detector.
-    """
-
+    # (k,) Row of the detection and of the catalogue star of each match, in the order of the detections
     detected: IntArray
     catalogue: IntArray
-    distance_px: FloatArray
+    distance_px: FloatArray  # (k,) From the detection to the projected star [px]
+    # (a,) Detections with more than one possible star, or with a star that has more than one detection
     ambiguous: IntArray
-    in_field: int
+    in_field: int  # Catalogue stars that are projected onto the detector
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -74,28 +64,16 @@ class Association:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarMatch:
-    """What `match_stars` found.
+    """What `match_stars` found."""
 
-    Attributes
-    ----------
-    status : str
-        ``"matched"``; ``"too_few"``: fewer than three detections or catalogue stars to work with; ``"no_match"``;
-        ``"mirrored"``: no attitude fits, but one does after an axis of the image was flipped.
-    message : str
-        One line on what happened.
-    association : Association
-        The matches; empty unless matched.
-    attitude : AttitudeSolution or None
-        Attitude from the matches (all weighing the same, sigma estimated); None unless matched.
-    chance : float
-        Probability of as many matches by chance.
-    """
-
+    # ``"matched"``; ``"too_few"``: fewer than three detections or catalogue stars to work with; ``"no_match"``;
+    # ``"mirrored"``: no attitude fits, but one does after an axis of the image was flipped
     status: str
-    message: str
-    association: Association
+    message: str  # One line on what happened
+    association: Association  # The matches; empty unless matched
+    # Attitude from the matches (all weighing the same, sigma estimated); None unless matched
     attitude: AttitudeSolution | None
-    chance: float
+    chance: float  # Probability of as many matches by chance
 
     @property
     def ok(self) -> bool:

@@ -27,19 +27,7 @@ def best_exchange(
 ) -> tuple[IntArray, float]:
     """The two stars of one frame that fit best with their references exchanged.
 
-    Parameters
-    ----------
-    v_cam, v_ref : (n, 3)
-        Measured and reference directions, three stars or more.
-    weight : (n,)
-        Inverse variances.
-    rotation : (3, 3)
-        Best rotation without an exchange.
-
-    Returns
-    -------
-    rows, loss : (2,) int64, float
-        The two stars, and Wahba's loss of the frame with them exchanged.
+    Shapes: ``v_cam`` (n, 3), ``v_ref`` (n, 3), ``weight`` (n,), ``rotation`` (3, 3), returns (2,).
     """
     miss = weight * np.sum((v_cam - v_ref @ rotation.T) ** 2, axis=1)
     tried = np.sort(np.argsort(-miss, kind="stable")[:MOST_STARS])

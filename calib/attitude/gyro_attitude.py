@@ -157,29 +157,7 @@ def integrate_rates(
 ) -> Rotation:
     """Attitude of the body relative to the first time.
 
-    Parameters
-    ----------
-    time_s : (n + 1,)
-        Ends of the gyro's intervals [s], increasing.
-    rate_rad_per_s : (n, 3)
-        Mean angular velocity over each interval, in body axes [rad/s].
-    at_s : (f,), optional
-        Times at which the attitude is wanted [s]; the ends of the intervals if left out. Within an interval the rate is
-        taken as constant.
-    coning : bool
-        Whether the motion of the rotation's direction within an interval is restored from its neighbour.
-
-    Returns
-    -------
-    Rotation
-        f rotations, body at ``at_s`` from body at ``time_s[0]``: ``v_body(t) = R v_body(t_0)``. To refer them to the
-        first requested time, multiply by ``R[0].inv()`` on the right.
-
-    Raises
-    ------
-    DomainError
-        On shapes that do not agree, times that do not increase or are outside of the record, values that are not
-        finite, or turns of more than half a revolution per interval.
+    Shapes: ``time_s`` (n + 1,), ``rate_rad_per_s`` (n, 3), ``at_s`` (f,).
     """
     time, rate = _checked(time_s, rate_rad_per_s, 2)
     return Rotation.from_quat(_integrated(time, rate, at_s, coning))
@@ -190,24 +168,7 @@ def integrate_rates_many(
 ) -> tuple[Rotation, ...]:
     """As `integrate_rates`, for r records on the same times.
 
-    Parameters
-    ----------
-    time_s : (n + 1,)
-        Ends of the intervals [s].
-    rate_rad_per_s : (r, n, 3)
-        Mean rates of each record [rad/s].
-    at_s, coning
-        As in `integrate_rates`.
-
-    Returns
-    -------
-    tuple of Rotation
-        For each record f rotations.
-
-    Raises
-    ------
-    DomainError
-        As in `integrate_rates`.
+    Shapes: ``time_s`` (n + 1,), ``rate_rad_per_s`` (r, n, 3).
     """
     time, rates = _checked(time_s, rate_rad_per_s, 3)
     return tuple(Rotation.from_quat(q) for q in _integrated(time, rates, at_s, coning))

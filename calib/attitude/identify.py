@@ -168,13 +168,7 @@ def _lattice(fov_deg: float) -> int:
 
 
 def load_database(path: Path | str) -> Any:
-    """Database written by ``save_to_file``.
-
-    Raises
-    ------
-    ConfigError
-        If tetra3rs is missing, or the file is not one of its databases.
-    """
+    """Database written by ``save_to_file``."""
     if not Path(path).is_file():
         raise ConfigError(f"star pattern database {path} is not there; build_database makes one")
     try:
@@ -200,40 +194,7 @@ def identify(
 ) -> Identification:
     """Identify the stars of one frame.
 
-    Parameters
-    ----------
-    pixel_px : (n, 2)
-        Positions (column, row) of the detections [px]; rows that are not finite are left out.
-    model : CameraModel
-        The camera; a pinhole is good enough for moderate distortion.
-    database : tetra3rs.SolverDatabase
-        From `build_database`, for this field of view.
-    flux : (n,), optional
-        Brightness in any linear unit: patterns are made of the brightest stars. Without it, the order of the rows
-        counts, brightest first.
-    sigma_px : float or (n,), optional
-        Standard deviation of each position per axis, by which the residuals are judged.
-    model_error_px : float
-        Error of the camera model per axis that is allowed beside it.
-    focal_length_error : float
-        How wrong the model's focal length may be (relative).
-    tolerance_px : float
-        Largest RMS distance of the matched stars [px] after the best rotation; more is called inconsistent.
-    catalogue : mapping, optional
-        Better unit vectors by identifier; only stars in it are kept.
-    timeout_s : float
-        Time after which the search ends [s].
-
-    Returns
-    -------
-    Identification
-
-    Raises
-    ------
-    DomainError
-        On wrong shapes, or a tolerance, error or time that is not positive.
-    ConfigError
-        If tetra3rs is missing.
+    Shapes: ``pixel_px`` (n, 2), ``flux`` (n,), ``sigma_px`` (n,).
     """
     tetra = _tetra3rs()
     pixel, brightness = _checked(pixel_px, flux)

@@ -44,13 +44,7 @@ LOCKED_COSINE = 1e-9
 
 
 def rotation_of_angles(angle_rad: ArrayLike) -> Rotation:
-    """Rotation R_y(a2) R_x(a1) R_z(a3) of angles (3,) or (n, 3) [rad].
-
-    Raises
-    ------
-    DomainError
-        On a wrong shape or values that are not finite.
-    """
+    """Rotation R_y(a2) R_x(a1) R_z(a3) of angles (3,) or (n, 3) [rad]."""
     angle = np.asarray(angle_rad, dtype=np.float64)
     if angle.ndim not in (1, 2) or angle.shape[-1] != 3 or not np.all(np.isfinite(angle)):
         raise DomainError(f"attitude angles of shape {angle.shape}: three finite angles [rad] are needed")
@@ -98,17 +92,7 @@ def angle_per_increment(angle_rad: ArrayLike) -> FloatArray:
 
 
 def link_attitudes(first: Rotation, installation: Rotation, gyro_rotation: Rotation) -> Rotation:
-    """Attitudes of all frames from the first one (eq. 6): ``R_k = A G_k A^T R_1``.
-
-    Parameters
-    ----------
-    first : Rotation
-        Camera from reference in the first frame.
-    installation : Rotation
-        Camera from gyro body.
-    gyro_rotation : Rotation
-        f rotations, gyro body at frame k from gyro body at the first frame.
-    """
+    """Attitudes of all frames from the first one (eq. 6): ``R_k = A G_k A^T R_1``."""
     return installation * gyro_rotation * installation.inv() * first
 
 

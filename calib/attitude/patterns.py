@@ -42,20 +42,6 @@ def kept_database(*, min_fov_deg: float, max_fov_deg: float) -> Any:
     """Pattern database for a range of fields: from disk, or made and kept there if that can be.
 
     It is made beside the main thread, so that an interrupt need not wait for it.
-
-    Parameters
-    ----------
-    min_fov_deg, max_fov_deg : float
-        As of `calib.attitude.identify.build_database`.
-
-    Returns
-    -------
-    tetra3rs.SolverDatabase
-
-    Raises
-    ------
-    ConfigError, DomainError
-        As `calib.attitude.identify.build_database`.
     """
     folder, key = cache_folder(), _key(min_fov_deg, max_fov_deg)
     found = _kept(folder, key)

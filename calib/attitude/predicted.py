@@ -23,24 +23,7 @@ def attitude_covariance(
     Shuster and Oh, J. Guid. Control 4, 70 (1981); the estimate of `calib.attitude.solve.solve_wahba` with the right
     weights reaches it.
 
-    Parameters
-    ----------
-    v_cam : (m, 3)
-        Unit vectors of all stars of all frames.
-    variance_rad2 : (m,)
-        Of each direction, per axis across it; infinite for a star that does not count.
-    frame : (m,) int
-        Frame of each star.
-    frames : int
-        Number of frames, f.
-    share : (m,), optional
-        How likely the star is measured at all; 1 if left out. With few stars the covariance of the mean information is
-        smaller than the mean covariance.
-
-    Returns
-    -------
-    (f, 3, 3)
-        [rad^2]; infinite where fewer than two directions determine it.
+    Shapes: ``v_cam`` (m, 3), ``variance_rad2`` (m,), ``frame`` (m,), ``share`` (m,).
     """
     weight = np.divide(1.0 if share is None else share, variance_rad2)
     outer = np.empty((frames, 3, 3))

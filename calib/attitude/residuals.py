@@ -47,21 +47,7 @@ def star_residuals(
 ) -> Residuals:
     """Residuals of identified stars after the best rotation.
 
-    Parameters
-    ----------
-    pixel_px, v_ref : (k, 2), (k, 3)
-        Measured positions, and directions of the catalogue.
-    model : CameraModel
-        The camera.
-    sigma_px : float or (k,), optional
-        Standard deviation of each position per axis; without it nothing can be judged.
-    model_error_px : float
-        Error per axis of the camera model, and whatever else is not in ``sigma_px``.
-
-    Raises
-    ------
-    DomainError
-        On a sigma that is not positive, or a negative model error.
+    Shapes: ``pixel_px`` (k, 2), ``v_ref`` (k, 2), ``sigma_px`` (k,).
     """
     if not (np.isfinite(model_error_px) and model_error_px >= 0):
         raise DomainError(f"model_error_px = {model_error_px}; it must be finite and not negative")

@@ -234,19 +234,7 @@ def balanced_attitude(
 ) -> tuple[AttitudeSolution, NDArray[np.bool_], float]:
     """Attitude with outliers left out and a common error that makes the residuals as large as they should be.
 
-    Parameters
-    ----------
-    v_cam, v_ref : (n, 3)
-        Directions as measured and of the catalogue.
-    variance_px2 : (n,)
-        Variance of each centroid per axis.
-    pixel_rad : float
-        Angle of a pixel.
-
-    Returns
-    -------
-    AttitudeSolution, (n,) bool, float
-        Attitude, stars that it was made of, common error [px].
+    Shapes: ``v_cam`` (n, 3), ``v_ref`` (n, 3), ``variance_px2`` (n,).
     """
     v_ref = np.array(v_ref)  # SciPy's rotations refuse write-locked arrays, such as those of records
     kept = np.ones(len(v_cam), bool)

@@ -32,29 +32,6 @@ def initial_frame_vectors(
 
     with the unprojection u (FISHER23 eq. 4-6), the installation M (eq. 2) and the table's attitude R_i (eq. 3, 7).
 
-    Parameters
-    ----------
-    model : CameraModel
-        Calibrated camera.
-    pixel_px : (n, 2)
-        Images of the star (column, row).
-    installation : Rotation
-        Cam from table top.
-    table_rotation : Rotation
-        n attitudes of the table top, laboratory from table, or one for all.
-    band : (n,) int64, optional
-        Spectral bands, for models that tell them apart.
-
-    Returns
-    -------
-    (n, 3)
-        Unit vectors; NaN where the model cannot be inverted.
-
-    Raises
-    ------
-    DomainError
-        On shapes that do not fit together, or an installation that is several rotations.
-
     Examples
     --------
     A camera that looks along the table's z axis sees a star on that axis in the middle, whatever the roll:
@@ -66,6 +43,8 @@ def initial_frame_vectors(
     >>> initial_frame_vectors(model, [[50, 50], [50, 50]], installation=Rotation.identity(), table_rotation=turn)
     array([[0., 0., 1.],
            [0., 0., 1.]])
+
+    Shapes: ``pixel_px`` (n, 2), ``band`` (n,).
     """
     pixel = np.asarray(pixel_px, dtype=np.float64)
     if pixel.ndim != 2 or pixel.shape[1] != 2:

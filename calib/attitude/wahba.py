@@ -48,22 +48,7 @@ def rotations_of_groups(
 ) -> FloatArray:
     """Rotations R with ``seen = R reference`` of groups of directions, all groups at once.
 
-    Parameters
-    ----------
-    seen, reference : (n, 3)
-        Directions; rows of ``seen`` with NaN do not count.
-    group : (n,) int
-        What each belongs to, 0 .. groups - 1.
-    groups : int
-        Number of groups g.
-    robust : bool
-        Least sum of distances instead of squares, by reweighting with 1 / distance (Weiszfeld 1937, Tohoku Math. J. 43,
-        355), so that wrong matches do not turn a group away.
-
-    Returns
-    -------
-    (g, 3, 3)
-        Rotation matrices; the identity where a group is empty.
+    Shapes: ``seen`` (n, 3), ``reference`` (n, 3), ``group`` (n,).
     """
     good = np.all(np.isfinite(seen), axis=1)
     seen = np.where(good[:, None], seen, 0.0)

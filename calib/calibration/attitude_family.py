@@ -40,21 +40,11 @@ __all__ = ["AttitudeFamily", "Outcome", "RotationFamily", "frames_with_stars"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What a family hands back of its fit.
+    """What a family hands back of its fit."""
 
-    Attributes
-    ----------
-    state : object
-        State of its problem.
-    solution : Solution
-        Values, covariance, status and message.
-    kept : (n,) bool
-        Stars that took part.
-    """
-
-    state: Any
-    solution: Solution
-    kept: BoolArray
+    state: Any  # State of its problem
+    solution: Solution  # Values, covariance, status and message
+    kept: BoolArray  # (n,) Stars that took part
 
 
 class AttitudeFamily(ABC):
@@ -75,13 +65,7 @@ class AttitudeFamily(ABC):
         return None
 
     def check(self, observations: Observations) -> None:
-        """Refuse observations of another number of frames.
-
-        Raises
-        ------
-        DomainError
-            If they are.
-        """
+        """Refuse observations of another number of frames."""
         if self.frames is not None and self.frames != observations.frames:
             raise DomainError(
                 f"{self.frames} {self.per_frame} for {observations.frames} frames; one for each is needed"

@@ -31,25 +31,14 @@ __all__ = ["Bound", "bound"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bound:
-    """Predicted covariance of a calibration.
+    """Predicted covariance of a calibration."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Common unknowns, as in ``Calibration.solution.names``.
-    covariance : (p, p)
-        Their covariance; infinite on the diagonal for what is not determined.
-    camera_covariance : (P, P)
-        Covariance of all camera parameters, zero rows for those that are held: what `calib.cameras.line_of_sight`
-        needs.
-    condition : float
-        Condition number of the scaled Jacobian, frames eliminated.
-    """
-
-    names: tuple[str, ...]
-    covariance: FloatArray
+    names: tuple[str, ...]  # Common unknowns, as in ``Calibration.solution.names``
+    covariance: FloatArray  # (p, p) Their covariance; infinite on the diagonal for what is not determined
+    # (P, P) Covariance of all camera parameters, zero rows for those that are held: what
+    # `calib.cameras.line_of_sight` needs
     camera_covariance: FloatArray
-    condition: float
+    condition: float  # Condition number of the scaled Jacobian, frames eliminated
 
     def __post_init__(self) -> None:
         freeze(self, "covariance", shape=(len(self.names), len(self.names)), finite=False)

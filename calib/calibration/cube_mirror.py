@@ -60,24 +60,13 @@ PARALLEL_RAD = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MirrorSolution:
-    """Cube mirror against table.
+    """Cube mirror against table."""
 
-    Attributes
-    ----------
-    rotation : Rotation
-        R_pr, cube from table.
-    covariance_rad2 : (3, 3)
-        Of the error's rotation vector in the cube frame.
-    face_angle_rad : float
-        Between the first two normals.
-    misfit : ChiSquare
-        Whether the measured normals agree with one another, and with the cube's by Wahba's problem, as their
-        covariances state; not tested for TRIAD of two faces measured once.
-    """
-
-    rotation: Rotation
-    covariance_rad2: FloatArray
-    face_angle_rad: float
+    rotation: Rotation  # R_pr, cube from table
+    covariance_rad2: FloatArray  # (3, 3) Of the error's rotation vector in the cube frame
+    face_angle_rad: float  # Between the first two normals
+    # Whether the measured normals agree with one another, and with the cube's by Wahba's problem, as their
+    # covariances state; not tested for TRIAD of two faces measured once
     misfit: ChiSquare = UNTESTED
 
     def __post_init__(self) -> None:

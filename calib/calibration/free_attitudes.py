@@ -97,22 +97,7 @@ def _matrices(attitude: Rotation) -> FloatArray:
 
 
 def start_attitudes(stars: Observations, model: CameraModel, *, robust: bool = False) -> FloatArray:
-    """Attitudes by Wahba's problem with a start camera, all frames at once.
-
-    Parameters
-    ----------
-    stars : Observations
-        Measured stars.
-    model : CameraModel
-        Start camera.
-    robust : bool
-        Least lengths instead of least squares, so that wrong matches do not turn the attitude away.
-
-    Returns
-    -------
-    (f, 3, 3)
-        cam from reference; frames without stars get the identity.
-    """
+    """Attitudes by Wahba's problem with a start camera, all frames at once."""
     seen = model.unproject(stars.pixel_px, stars.band)
     return rotations_of_groups(seen, stars.direction, stars.frame, stars.frames, robust=robust)
 

@@ -59,20 +59,7 @@ class Directions:
 
 
 class StarFrames:
-    """Stars of frames in padded tables.
-
-    Parameters
-    ----------
-    observations : Observations
-        Measured stars.
-    pairs : {"all", "consecutive"}
-        All pairs of a frame, or each star with the next one of the frame (in the order of the list).
-
-    Raises
-    ------
-    DomainError
-        If the tables would be too large.
-    """
+    """Stars of frames in padded tables."""
 
     def __init__(self, observations: Observations, pairs: Pairs) -> None:
         count = np.bincount(observations.frame, minlength=observations.frames)
@@ -209,17 +196,7 @@ class PairEvaluation:
 
 
 class _CameraProblem:
-    """What both problems share: the state is the vector of all camera parameters, of which the free ones move.
-
-    Parameters
-    ----------
-    stars : StarFrames
-        Stars and pairs.
-    model : CameraModel
-        Layout of the camera.
-    free : (p,) bool
-        Parameters that move.
-    """
+    """What both problems share: the state is the vector of all camera parameters, of which the free ones move."""
 
     prior_terms = 0
 
@@ -244,15 +221,7 @@ class _CameraProblem:
 
 
 class PairProblem(_CameraProblem):
-    """Misclosures of pairs with equal weights.
-
-    Parameters
-    ----------
-    stars, model, free
-        Stars and pairs, camera, and the parameters (p,) that move.
-    sigma : float
-        Typical standard deviation of a misclosure, the same for all: it scales residuals, not weights.
-    """
+    """Misclosures of pairs with equal weights."""
 
     def __init__(self, stars: StarFrames, model: CameraModel, free: BoolArray, sigma: float) -> None:
         super().__init__(stars, model, free)
@@ -296,11 +265,6 @@ def pair_covariance(problem: PairProblem, evaluation: PairEvaluation, weight: Fl
     The estimate is (J^T W J)^-1 J^T W y, and y = G e with unit e, so that its covariance is S S^T with S = (J^T W J)^-1
     J^T W G. Equal weights are not the right ones; the inverse normal matrix alone would be too small, since it counts
     every pair as new information.
-
-    Returns
-    -------
-    (q, q)
-        Covariance; infinite diagonal where the normal matrix is singular.
     """
     seen = evaluation.seen
     assert seen is not None
@@ -317,18 +281,7 @@ def pair_covariance(problem: PairProblem, evaluation: PairEvaluation, weight: Fl
 
 
 class WeightedPairProblem(_CameraProblem):
-    """All pairs of every frame, weighted by the pseudo-inverse of their covariance, taken at one camera and kept.
-
-    Parameters
-    ----------
-    stars, model, free
-        Stars, camera at which the weights are taken, and the parameters (p,) that move.
-
-    Raises
-    ------
-    DomainError
-        If a pixel has no direction by the camera.
-    """
+    """All pairs of every frame, weighted by the pseudo-inverse of their covariance, taken at one camera and kept."""
 
     def __init__(self, stars: StarFrames, model: CameraModel, free: BoolArray) -> None:
         super().__init__(stars, model, free)

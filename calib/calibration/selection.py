@@ -18,31 +18,15 @@ LARGEST_OUTSIDE_PART = 0.01  # of the stars outside the detector, above which th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """Stars that a family of attitudes can use.
+    """Stars that a family of attitudes can use."""
 
-    Attributes
-    ----------
-    stars : Observations
-        Stars on the detector in frames with enough of them; frame numbers as before.
-    used : (n,) bool
-        Which of all stars ``stars`` are.
-    note : str
-        What was left out, for the message; empty if nothing was.
-    """
-
-    stars: Observations
-    used: BoolArray
-    note: str
+    stars: Observations  # Stars on the detector in frames with enough of them; frame numbers as before
+    used: BoolArray  # (n,) Which of all stars ``stars`` are
+    note: str  # What was left out, for the message; empty if nothing was
 
 
 def select_stars(observations: Observations, model: CameraModel, least: int) -> Selection:
-    """Stars on the detector, in frames that hold at least ``least`` of them.
-
-    Raises
-    ------
-    DomainError
-        If more than 1 % of the stars lie outside the detector: then the list is in another convention.
-    """
+    """Stars on the detector, in frames that hold at least ``least`` of them."""
     size = np.array([model.geometry.width_px, model.geometry.height_px])
     position = observations.pixel_px
     outside = np.any((position < -1.0) | (position > size), axis=1)

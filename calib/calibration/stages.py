@@ -28,13 +28,7 @@ MEDIAN_LENGTH = {1: 0.6744897501960817, 2: float(np.sqrt(2.0 * np.log(2.0)))}
 
 
 def free_mask(model: CameraModel, free: Sequence[str] | None) -> BoolArray:
-    """Which camera parameters may move (p,).
-
-    Raises
-    ------
-    ConfigError
-        On an unknown name.
-    """
+    """Which camera parameters may move (p,)."""
     for name in free or ():
         if name not in model.parameter_names:
             raise unknown_name("camera parameter", name, model.parameter_names)
@@ -55,15 +49,7 @@ def free_stages(model: CameraModel, free: BoolArray, *, two_step: bool) -> list[
 def fit_stages(
     make: Callable[[BoolArray], Problem], start: Any, stages: Sequence[BoolArray], loss: Loss
 ) -> tuple[Fit, float]:
-    """Fit stage by stage, the last one to the end.
-
-    Returns
-    -------
-    fit : Fit
-        The last fit.
-    spread : float
-        Typical residual over the stated sigma, at least 1.
-    """
+    """Fit stage by stage, the last one to the end."""
     state, steps, scale = start, 0, 1.0
     for stage in stages[:-1]:
         problem = make(stage)

@@ -31,27 +31,13 @@ __all__ = ["FrameRotations", "Prior", "StarProblem", "StarState", "whitening"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prior:
-    """Normal equations of prior knowledge; those of the frames are added to the frames' blocks.
+    """Normal equations of prior knowledge; those of the frames are added to the frames' blocks."""
 
-    Attributes
-    ----------
-    common : (a, a)
-        Information on the common unknowns.
-    gradient : (a,)
-        Its gradient.
-    block : (f, b, b)
-        Information on the frames' unknowns.
-    block_gradient : (f, b)
-        Its gradient.
-    coupling : (f - 1, b, b) or None
-        Between neighbouring frames.
-    """
-
-    common: FloatArray
-    gradient: FloatArray
-    block: FloatArray
-    block_gradient: FloatArray
-    coupling: FloatArray | None = None
+    common: FloatArray  # (a, a) Information on the common unknowns
+    gradient: FloatArray  # (a,) Its gradient
+    block: FloatArray  # (f, b, b) Information on the frames' unknowns
+    block_gradient: FloatArray  # (f, b) Its gradient
+    coupling: FloatArray | None = None  # Between neighbouring frames
 
 
 class FrameRotations(ABC):
@@ -128,19 +114,7 @@ def whitening(covariance: FloatArray) -> FloatArray:
 
 
 class StarProblem:
-    """Stars through a camera in attitudes that are unknown; a problem of `calib.fitting.least_squares`.
-
-    Parameters
-    ----------
-    observations : Observations
-        Measured stars, in the order of their frames.
-    model : CameraModel
-        Camera; its parameters are only the layout, values come from the state.
-    free : (p,) bool
-        Camera parameters that may move.
-    family : FrameRotations
-        Attitudes.
-    """
+    """Stars through a camera in attitudes that are unknown; a problem of `calib.fitting.least_squares`."""
 
     def __init__(self, observations: Observations, model: CameraModel, free: BoolArray, family: FrameRotations) -> None:
         self.observations, self.model, self.free, self.family = observations, model, free, family

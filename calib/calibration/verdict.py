@@ -97,19 +97,7 @@ def parity_hint(seen: FloatArray, reference: FloatArray, group: IntArray, groups
     rotation reaches s1 + s2 + d s3 with the parity d = +-1, the best reflection s1 + s2 - d s3 (Markley 1988, J.
     Astronaut. Sci. 36, 245).
 
-    Parameters
-    ----------
-    seen, reference : (n, 3)
-        Directions in cam by a camera, and in the reference frame; rows with NaN do not count.
-    group : (n,) int
-        Stars that share one rotation; groups of fewer than three stars have no parity.
-    groups : int
-        Number of groups.
-
-    Returns
-    -------
-    str
-        A line that says so, or nothing.
+    Shapes: ``seen`` (n, 3), ``reference`` (n, 3), ``group`` (n,).
     """
     good = np.all(np.isfinite(seen), axis=1)
     products = (seen[good][:, :, None] * reference[good][:, None, :]).reshape(-1, 9)

@@ -98,38 +98,20 @@ class SensorGeometry:
 
 
 class Projection(NamedTuple):
-    """Pixels with their derivatives; plain arrays, not copied, since fits ask for many.
+    """Pixels with their derivatives; plain arrays, not copied, since fits ask for many."""
 
-    Attributes
-    ----------
-    pixel_px : (n, 2)
-        Positions.
-    by_direction : (n, 2, 3)
-        Derivative by the components of the direction as handed in, whatever its length.
-    by_parameter : (n, 2, p)
-        Derivative by the model's parameters.
-    """
-
-    pixel_px: FloatArray
+    pixel_px: FloatArray  # (n, 2) Positions
+    # (n, 2, 3) Derivative by the components of the direction as handed in, whatever its length
     by_direction: FloatArray
-    by_parameter: FloatArray
+    by_parameter: FloatArray  # (n, 2, p) Derivative by the model's parameters
 
 
 class Unprojection(NamedTuple):
-    """Directions with their derivatives.
+    """Directions with their derivatives."""
 
-    Attributes
-    ----------
-    direction : (n, 3)
-        Unit vectors in cam.
-    by_pixel : (n, 3, 2)
-        Derivative by the pixel; perpendicular to the direction.
-    by_parameter : (n, 3, p)
-        Derivative by the model's parameters, the pixel held; perpendicular to the direction.
-    """
-
-    direction: FloatArray
-    by_pixel: FloatArray
+    direction: FloatArray  # (n, 3) Unit vectors in cam
+    by_pixel: FloatArray  # (n, 3, 2) Derivative by the pixel; perpendicular to the direction
+    # (n, 3, p) Derivative by the model's parameters, the pixel held; perpendicular to the direction
     by_parameter: FloatArray
 
 
@@ -258,13 +240,7 @@ class CameraModel(ABC):
 
 
 def checked_vectors(values: ArrayLike, columns: int, name: str) -> FloatArray:
-    """Finite float64 array (n, columns), or one clear line.
-
-    Raises
-    ------
-    DomainError
-        On another shape, or on values that are not finite.
-    """
+    """Finite float64 array (n, columns), or one clear line."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -280,24 +256,7 @@ def checked_vectors(values: ArrayLike, columns: int, name: str) -> FloatArray:
 def unproject_jacobian(model: CameraModel, pixel_px: ArrayLike, band: ArrayLike | None = None) -> Unprojection:
     """Directions of pixels with their derivatives, by the implicit function theorem; for every camera model.
 
-    Parameters
-    ----------
-    model : CameraModel
-        The camera.
-    pixel_px : (n, 2)
-        (column, row).
-    band : int or (n,) int, optional
-        Bands.
-
-    Returns
-    -------
-    Unprojection
-        Directions (n, 3) and derivatives; NaN where the pixel has no direction.
-
-    Raises
-    ------
-    DomainError
-        As `CameraModel.unproject`.
+    Shapes: ``pixel_px`` (n, 2), ``band`` (n,), returns (n, 3).
     """
     direction = model.unproject(pixel_px, band)
     known = np.asarray(np.isfinite(direction).all(axis=1))

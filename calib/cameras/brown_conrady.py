@@ -226,18 +226,7 @@ def fill_jacobian(
 ) -> None:
     """Fill pixels (n, 2) and derivatives (n, 2, 3), (n, 2, 6) by f, q1, q2, q3, p1, p2 of directions (n, 3).
 
-    Parameters
-    ----------
-    vector : (n, 3)
-        Directions.
-    parameters : (6,)
-        f, q1, q2, q3, p1, p2.
-    offset_px : (2,)
-        Pixel of the principal point.
-    pitch_mm : float
-        Pixel pitch.
-    out : tuple of array
-        Where the results go.
+    Shapes: ``vector`` (n, 3), ``parameters`` (6,), ``offset_px`` (2,).
     """
     pixel, by_direction, by_parameter = out
     f = float(parameters[0])

@@ -41,26 +41,13 @@ GOOD_PX = 2e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapFit:
-    """A camera model fitted to a map.
+    """A camera model fitted to a map."""
 
-    Attributes
-    ----------
-    model : CameraModel
-        The model with fitted parameters.
-    rotation : Rotation
-        The model's cam from the cam of the map; the identity if the model was not allowed to turn.
-    residual_px : (n, 2)
-        Model minus map.
-    line_of_sight : LineOfSightMap
-        The same as angles on the sky, at the map's pixels.
-    solution : Solution
-        Status and statistics of the fit, for residuals in px; sigmas mean nothing, since there is no noise.
-    """
-
-    model: CameraModel
-    rotation: Rotation
-    residual_px: FloatArray
-    line_of_sight: LineOfSightMap
+    model: CameraModel  # The model with fitted parameters
+    rotation: Rotation  # The model's cam from the cam of the map; the identity if the model was not allowed to turn
+    residual_px: FloatArray  # (n, 2) Model minus map
+    line_of_sight: LineOfSightMap  # The same as angles on the sky, at the map's pixels
+    # Status and statistics of the fit, for residuals in px; sigmas mean nothing, since there is no noise
     solution: Solution
 
     @property

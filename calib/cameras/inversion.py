@@ -56,14 +56,7 @@ def invert_plane(
 ) -> tuple[FloatArray, FloatArray]:
     """Points (x, y), each (n,), whose images are the targets; NaN where there is none on the sheet of the axis.
 
-    Parameters
-    ----------
-    mapping : callable
-        `PlaneMap` of points (x, y), each (n,); close to the identity near the axis (0, 0).
-    target_x, target_y : (n,)
-        Images.
-    safe : callable
-        Which points (n,) lie in one convex set, around the axis, on which the map is known to be one-to-one.
+    Shapes: ``target_x`` (n,), ``target_y`` (n,).
     """
     with np.errstate(all="ignore"):  # iterates of targets without a solution overflow; they end as NaN
         x, y, solved = _newton(mapping, target_x, target_y, target_x, target_y)

@@ -34,25 +34,16 @@ __all__ = ["LineOfSightMap", "best_rotation", "line_of_sight_map"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineOfSightMap:
-    """Errors of the directions of pixels, the best rotation removed.
+    """Errors of the directions of pixels, the best rotation removed."""
 
-    Attributes
-    ----------
-    pixel_px : (n, 2)
-        Pixels, (column, row).
-    error_arcsec : (n, 2)
-        Model minus truth, towards increasing column and increasing row, as angles on the sky; NaN where the model has
-        no direction.
-    predicted_sigma_arcsec : (n, 2)
-        Standard deviations of the same from the covariance of the parameters; NaN without a covariance, infinite if it
-        is not finite.
-    rotation : Rotation
-        The rotation that was removed: applied to the model's directions, it brings them closest to the truth.
-    """
-
-    pixel_px: FloatArray
+    pixel_px: FloatArray  # (n, 2) Pixels, (column, row)
+    # (n, 2) Model minus truth, towards increasing column and increasing row, as angles on the sky; NaN where the
+    # model has no direction
     error_arcsec: FloatArray
+    # (n, 2) Standard deviations of the same from the covariance of the parameters; NaN without a covariance, infinite
+    # if it is not finite
     predicted_sigma_arcsec: FloatArray
+    # The rotation that was removed: applied to the model's directions, it brings them closest to the truth
     rotation: Rotation
 
     def __post_init__(self) -> None:
@@ -78,13 +69,7 @@ class LineOfSightMap:
 
 
 def best_rotation(direction: ArrayLike, reference: ArrayLike) -> Rotation:
-    """Rotation that brings unit vectors (n, 3) closest to others in the sense of least squares.
-
-    Raises
-    ------
-    DomainError
-        On fewer than two directions, wrong shapes, or values that are not finite.
-    """
+    """Rotation that brings unit vectors (n, 3) closest to others in the sense of least squares."""
     a, b = checked_vectors(direction, 3, "direction"), checked_vectors(reference, 3, "reference direction")
     if len(a) != len(b) or len(a) < 2:
         raise DomainError(

@@ -69,21 +69,7 @@ class PerBand(CameraModel):
     ) -> Self:
         """A camera from named parameters.
 
-        Parameters
-        ----------
-        geometry : SensorGeometry
-            The detector.
-        focal_length_mm : (b,)
-            Focal length of each band [mm].
-        x0_px, y0_px : float or (b,)
-            Principal point of each band minus the centre of the detector [px].
-        q1_per_mm2, q2_per_mm4, q3_per_mm6, p1_per_mm, p2_per_mm : float
-            Shared distortion.
-
-        Raises
-        ------
-        DomainError
-            On a focal length that is not positive, or arrays that do not fit the number of bands.
+        Shapes: ``focal_length_mm`` (b,), ``x0_px`` (b,), ``y0_px`` (b,).
         """
         f = np.atleast_1d(np.asarray(focal_length_mm, dtype=np.float64))
         if f.ndim != 1 or f.size == 0 or not np.all(np.isfinite(f) & (f > 0)):
@@ -116,13 +102,7 @@ class PerBand(CameraModel):
         return np.concatenate([np.ravel(own), edge_scales(self.geometry, 1.0)[1:]])
 
     def of_band(self, band: int) -> BrownConrady:
-        """The camera in one band.
-
-        Raises
-        ------
-        DomainError
-            On a band the model does not have.
-        """
+        """The camera in one band."""
         if not 0 <= band < self.bands:
             raise DomainError(f"band {band} of a camera with {self.bands} bands; bands are counted from 0")
         own = self.parameters[3 * band : 3 * band + 3]

@@ -233,22 +233,7 @@ def fit_fisher(vectors: ArrayLike, *, degrees_of_freedom: float | None = None) -
 def mean_and_chords(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean directions and squared chords from them, of many samples at once.
 
-    Parameters
-    ----------
-    vectors : (r, n, 3)
-        r samples of n unit vectors; not checked.
-
-    Returns
-    -------
-    mean : (r, 3)
-        Unit vectors.
-    chord_rad2 : (r, n)
-        Squared lengths of w - m; their mean is 2 d.
-
-    Raises
-    ------
-    DomainError
-        If the vectors of a sample cancel.
+    Shapes: ``vectors`` (r, n, 3), returns (r, 3), returns (r, n).
     """
     # Two passes: a sum of n vectors is rounded by n eps, differences from a first mean are not.
     first = vectors[:, 0]
@@ -292,13 +277,7 @@ def deficit_of_concentration(concentration: float) -> float:
 
 
 def concentration_from_deficit(deficit: float) -> float:
-    """The k of coth k - 1/k = 1 - d (eq. 10); 1/d to the last digit from k = 20 on.
-
-    Raises
-    ------
-    DomainError
-        On a deficit not between 0 and 1.
-    """
+    """The k of coth k - 1/k = 1 - d (eq. 10); 1/d to the last digit from k = 20 on."""
     d = float(deficit)
     if not 0.0 < d < 1.0:
         raise DomainError(f"1 - R = {d:g}; it must lie between 0 and 1")
@@ -313,17 +292,7 @@ def concentration_from_deficit(deficit: float) -> float:
 def tangent_plane(vectors: ArrayLike, mean: ArrayLike) -> FloatArray:
     """Coordinates of directions on the sphere about a mean, flattened without changing chords (Lambert).
 
-    Parameters
-    ----------
-    vectors : (n, 3)
-        Unit vectors.
-    mean : (3,)
-        Unit vector.
-
-    Returns
-    -------
-    (n, 2)
-        Along the two vectors of `tangent_basis` [rad]; their squares add up to the squared chord.
+    Shapes: ``vectors`` (n, 3), ``mean`` (3,).
     """
     w, m = np.asarray(vectors, np.float64), np.asarray(mean, np.float64)
     basis = tangent_basis(m)

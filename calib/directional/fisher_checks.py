@@ -43,22 +43,13 @@ LARGEST_SHARE = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Isotropy:
-    """Scatter along the axes of its ellipse.
+    """Scatter along the axes of its ellipse."""
 
-    Attributes
-    ----------
-    major_rad, minor_rad : float
-        Standard deviations along the axes of the ellipse [rad].
-    direction : (3,)
-        Unit vector of the major axis on the tangent plane, in the frame of the directions; its sign means nothing.
-    p_value : float
-        Chance of an ellipse at least as long in an isotropic distribution.
-    """
-
-    major_rad: float
+    major_rad: float  # Standard deviations along the axes of the ellipse [rad]
     minor_rad: float
+    # (3,) Unit vector of the major axis on the tangent plane, in the frame of the directions; its sign means nothing
     direction: FloatArray
-    p_value: float
+    p_value: float  # Chance of an ellipse at least as long in an isotropic distribution
 
     def __post_init__(self) -> None:
         freeze(self, "direction", shape=(3,))
@@ -106,21 +97,11 @@ def isotropy_check(vectors: ArrayLike) -> Isotropy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exponential:
-    """Angles from the mean against what the distribution expects.
+    """Angles from the mean against what the distribution expects."""
 
-    Attributes
-    ----------
-    expected : (n,)
-        Quantiles of the exponential distribution of mean 1, rising: -ln(1 - (i - 1/2)/n).
-    found : (n,)
-        k (1 - cos) of the directions, in rising order.
-    statistic : float
-        Modified Kolmogorov statistic (D - 0.2/n)(sqrt n + 0.26 + 0.5/sqrt n).
-    """
-
-    expected: FloatArray
-    found: FloatArray
-    statistic: float
+    expected: FloatArray  # (n,) Quantiles of the exponential distribution of mean 1, rising: -ln(1 - (i - 1/2)/n)
+    found: FloatArray  # (n,) k (1 - cos) of the directions, in rising order
+    statistic: float  # Modified Kolmogorov statistic (D - 0.2/n)(sqrt n + 0.26 + 0.5/sqrt n)
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -171,15 +152,7 @@ def effective_degrees(vectors: ArrayLike) -> float:
     degrees of freedom. In a Fisher distribution var(c) = <c>^2 and it is 2 (n - 1); an ellipse or heavy tails make it
     smaller and the interval of sigma wider, as they must. It needs some 50 vectors, rather more for rare outliers.
 
-    Parameters
-    ----------
-    vectors : (n, 3)
-        Unit vectors, at least four.
-
-    Raises
-    ------
-    DomainError
-        As `isotropy_check`.
+    Shapes: ``vectors`` (n, 3).
     """
     w, mean = _fitted(vectors)
     chord2 = np.einsum("ni,ni->n", w - mean, w - mean)
@@ -200,22 +173,7 @@ def fisher_outliers(vectors: ArrayLike, *, level: float = LEVEL) -> BoolArray:
 
     Cutting the tail of a good sample makes sigma smaller: at the default level that happens once in a hundred samples.
 
-    Parameters
-    ----------
-    vectors : (n, 3)
-        Unit vectors, at least four.
-    level : float
-        Chance of a false alarm in a good sample.
-
-    Returns
-    -------
-    (n,) bool
-        True for outliers.
-
-    Raises
-    ------
-    DomainError
-        As `isotropy_check`; a level not between 0 and 1.
+    Shapes: ``vectors`` (n, 3).
     """
     if not 0.0 < level < 1.0:
         raise DomainError(f"level = {level}; a chance between 0 and 1 is needed, like {LEVEL}")

@@ -31,74 +31,34 @@ NULL_PART = 1e-13
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """A damped Gauss-Newton step.
+    """A damped Gauss-Newton step."""
 
-    Attributes
-    ----------
-    common : (p,)
-        Change of the common unknowns.
-    block : (f, b) or None
-        Change of the frames' unknowns.
-    decrease : float
-        What the quadratic model says the sum of squares falls by.
-    length : float
-        Length of the step in the metric of the information: how many sigma it goes.
-    """
-
-    common: FloatArray
-    block: FloatArray | None
-    decrease: float
-    length: float
+    common: FloatArray  # (p,) Change of the common unknowns
+    block: FloatArray | None  # (f, b) Change of the frames' unknowns
+    decrease: float  # What the quadratic model says the sum of squares falls by
+    length: float  # Length of the step in the metric of the information: how many sigma it goes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reduced:
-    """Frames eliminated.
+    """Frames eliminated."""
 
-    Attributes
-    ----------
-    information : (p, p)
-        Schur complement S.
-    scale : (p,)
-        Square roots of the diagonal of C: the effect of each common unknown with all others fixed.
-    border : (f, b, p) or None
-        A^-1 B^T.
-    block_covariance : (f, b, b) or None
-        Diagonal blocks of A^-1; None as well where they are not asked for.
-    """
-
-    information: FloatArray
-    scale: FloatArray
-    border: FloatArray | None
-    block_covariance: FloatArray | None
+    information: FloatArray  # (p, p) Schur complement S
+    scale: FloatArray  # (p,) Square roots of the diagonal of C: the effect of each common unknown with all others fixed
+    border: FloatArray | None  # (f, b, p) A^-1 B^T
+    block_covariance: FloatArray | None  # (f, b, b) Diagonal blocks of A^-1; None as well where they are not asked for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArrowSystem:
-    """Normal equations ``H step = -gradient`` in arrow form; see the module.
+    """Normal equations ``H step = -gradient`` in arrow form; see the module."""
 
-    Attributes
-    ----------
-    common : (p, p)
-        C.
-    gradient : (p,)
-        Gradient of half the sum of squares by the common unknowns.
-    border : (f, p, b) or None
-        B; None where no frame has unknowns of its own.
-    block : (f, b, b) or None
-        A.
-    block_gradient : (f, b) or None
-        Gradient by the frames' unknowns.
-    coupling : (f - 1, b, b) or None
-        U; None for independent frames.
-    """
-
-    common: FloatArray
-    gradient: FloatArray
-    border: FloatArray | None = None
-    block: FloatArray | None = None
-    block_gradient: FloatArray | None = None
-    coupling: FloatArray | None = None
+    common: FloatArray  # (p, p) C
+    gradient: FloatArray  # (p,) Gradient of half the sum of squares by the common unknowns
+    border: FloatArray | None = None  # (f, p, b) B; None where no frame has unknowns of its own
+    block: FloatArray | None = None  # (f, b, b) A
+    block_gradient: FloatArray | None = None  # (f, b) Gradient by the frames' unknowns
+    coupling: FloatArray | None = None  # U; None for independent frames
 
     def diagonal(self) -> tuple[FloatArray, FloatArray | None]:
         """Diagonals (p,) of C and (f, b) of A."""
@@ -108,12 +68,7 @@ class ArrowSystem:
     def step(self, damping: float, common_scale: FloatArray, block_scale: FloatArray | None) -> Step:
         """Solve (H + damping diag(scale)) step = -gradient.
 
-        Parameters
-        ----------
-        damping : float
-            Levenberg-Marquardt parameter, 0 or more.
-        common_scale, block_scale : (p,), (f, b) or None
-            Squared scales of the unknowns.
+        Shapes: ``common_scale`` (p,), ``block_scale`` (p,).
         """
         damped = self.common + np.diag(damping * common_scale)
         right = self.gradient

@@ -40,18 +40,7 @@ def covariance_of_spectrum(
 ) -> Determined:
     """Covariance from the eigenvalues of the scaled information.
 
-    Parameters
-    ----------
-    value, vector : (p,), (p, p)
-        Eigenvalues in rising order, and eigenvectors in columns, of the information divided by the scales.
-    known : (p,) bool
-        Which eigenvalues are information.
-    scale : (p,)
-        Root of the information on each unknown with all others held; 0 where it has no effect.
-    names : tuple of str
-        Names of the unknowns.
-    factor : float
-        Multiplies the covariance (a robust loss).
+    Shapes: ``value`` (p,), ``vector`` (p,), ``known`` (p,), ``scale`` (p,).
     """
     inverse = 1.0 / np.where(scale > 0, scale, 1.0)
     part = vector[:, known] * inverse[:, None]

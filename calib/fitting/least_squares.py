@@ -92,27 +92,13 @@ class Problem(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
-    """Where the core came to rest.
+    """Where the core came to rest."""
 
-    Attributes
-    ----------
-    state : object
-        State of the problem.
-    evaluation : Evaluation
-        Residuals there.
-    system : ArrowSystem
-        Normal equations there, with the weights of the loss.
-    reduced : Reduced
-        Frames eliminated.
-    solution : Solution
-        Values of the common unknowns, covariance, status, statistics.
-    """
-
-    state: Any
-    evaluation: Any
-    system: ArrowSystem
-    reduced: Reduced
-    solution: Solution
+    state: Any  # State of the problem
+    evaluation: Any  # Residuals there
+    system: ArrowSystem  # Normal equations there, with the weights of the loss
+    reduced: Reduced  # Frames eliminated
+    solution: Solution  # Values of the common unknowns, covariance, status, statistics
 
 
 @dataclass(slots=True)
@@ -144,29 +130,7 @@ def solve(
 ) -> Fit:
     """Minimise the loss of a problem from a start.
 
-    Parameters
-    ----------
-    problem : Problem
-        Residuals, normal equations and moves.
-    start : object
-        A state of the problem.
-    loss : str or Loss
-        Robust loss (`calib.fitting.robust_loss`).
-    scale : float
-        The loss sees residuals divided by this; more than 1 makes it more tolerant on the way to a solution.
-    tolerance : float
-        Length of the next step below which the fit has converged [sigma].
-    slack : float
-        Content as well when the next step would lower the cost by less than this part of it; for intermediate fits.
-    max_iterations : int
-        Steps tried at most.
-
-    Returns
-    -------
-    Fit
-        Its ``solution.status`` is "converged"; "stalled" where no step lowers the cost although the gradient is not
-        zero; "iteration_limit"; "singular" where unknowns are not determined by the data (their variance is infinite,
-        the message names them); "refused" where the start lies outside the domain or is not finite.
+    Shapes: returns (their variance is infinite, the message names them).
     """
     chosen = get_loss(loss)
     walk = _walk(problem, start, chosen, scale, (tolerance, max(slack, 1e-15)), max_iterations)
@@ -258,22 +222,7 @@ def _positive_diagonal(system: ArrowSystem) -> tuple[FloatArray, FloatArray | No
 
 
 def covariance_of(reduced: Reduced, names: tuple[str, ...], *, factor: float = 1.0) -> Determined:
-    """Covariance of the common unknowns from the reduced normal equations.
-
-    Parameters
-    ----------
-    reduced : Reduced
-        Frames eliminated.
-    names : tuple of str
-        Names of the unknowns.
-    factor : float
-        Multiplies the covariance (a robust loss).
-
-    Returns
-    -------
-    Determined
-        The condition is that of the Jacobian after elimination of the frames.
-    """
+    """Covariance of the common unknowns from the reduced normal equations."""
     return covariance_of_spectrum(*spectrum(reduced), reduced.scale, names, factor=factor)
 
 
@@ -289,28 +238,7 @@ class _DenseEvaluation:
 
 
 class DenseProblem:
-    """A problem of one vector of unknowns, without frames.
-
-    Parameters
-    ----------
-    residuals : callable
-        Whitened residuals (m,) of the parameters (p,).
-    jacobian : callable
-        Their derivatives (m, p).
-    names : tuple of str
-        Names of the parameters.
-    free : sequence of str, optional
-        Those that may move; all by default.
-    start : (p,)
-        Values of all parameters; fixed ones keep theirs.
-
-    Raises
-    ------
-    ConfigError
-        On an unknown name in ``free``.
-    DomainError
-        On a start that does not fit the names.
-    """
+    """A problem of one vector of unknowns, without frames."""
 
     def __init__(
         self,

@@ -25,13 +25,6 @@ LARGEST_WRONG_PART = 0.4  # part of the data that do not fit above which a robus
 class ChiSquare:
     """A sum of squares of residuals in units of their stated sigma.
 
-    Attributes
-    ----------
-    value : float
-        The sum.
-    degrees_of_freedom : int
-        Its expectation: measurements minus unknowns; 0 where no noise was stated, or nothing is left to test it.
-
     Examples
     --------
     Ten times the stated noise, 40 degrees of freedom:
@@ -44,7 +37,8 @@ class ChiSquare:
     ''
     """
 
-    value: float
+    value: float  # The sum
+    # Its expectation: measurements minus unknowns; 0 where no noise was stated, or nothing is left to test it
     degrees_of_freedom: int
 
     @property

@@ -35,18 +35,10 @@ Function = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loss:
-    """A robust loss in units of one sigma.
+    """A robust loss in units of one sigma."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the loss.
-    tuning : float
-        The c of the table [sigma]: where the loss begins to bend.
-    """
-
-    name: str
-    tuning: float
+    name: str  # Name of the loss
+    tuning: float  # The c of the table [sigma]: where the loss begins to bend
 
     @property
     def redescending(self) -> bool:
@@ -113,22 +105,7 @@ def list_losses() -> tuple[str, ...]:
 
 
 def get_loss(loss: str | Loss, *, tuning: float | None = None) -> Loss:
-    """Loss by name.
-
-    Parameters
-    ----------
-    loss : str or Loss
-        A name, or a loss, which is handed through.
-    tuning : float, optional
-        c [sigma]; by default 95 % efficiency for star positions.
-
-    Raises
-    ------
-    ConfigError
-        On an unknown name.
-    DomainError
-        On a tuning that is not positive.
-    """
+    """Loss by name."""
     if isinstance(loss, Loss):
         return loss
     if loss not in _SHAPES:

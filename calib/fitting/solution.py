@@ -20,49 +20,25 @@ STATUSES = ("converged", "stalled", "iteration_limit", "singular", "refused")
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Solution:
-    """Outcome of a least-squares fit; a fit that failed says so here and raises nothing.
+    """Outcome of a least-squares fit; a fit that failed says so here and raises nothing."""
 
-    Attributes
-    ----------
-    value : (p,)
-        Unknowns, in their own units.
-    names : tuple of str
-        Their names, each ending in its unit.
-    covariance : (p, p)
-        Covariance from the noise the data state; infinite on the diagonal for what the data do not determine.
-    status : str
-        "converged"; "stalled" (no step lowers the cost, the gradient is not zero); "iteration_limit"; "singular"
-        (unknowns that the data do not determine); "refused" (nothing was fitted, the message says why).
-    message : str
-        One line on the status.
-    iterations : int
-        Steps tried.
-    chi2 : float
-        Sum of squared whitened residuals.
-    degrees_of_freedom : int
-        Measurements minus unknowns.
-    condition : float
-        Condition number of the scaled Jacobian.
-    residual_pulls : (m,)
-        Residuals over their standard deviations.
-    robust_weight : (k,)
-        Weight, 0 .. 1, that the loss left to each group of residuals (to each star); ones for the linear loss.
-    independent : int or None
-        Degrees of freedom that test the stated noise where the terms of ``chi2`` are correlated, so that there are
-        fewer than ``degrees_of_freedom``; 0 where no noise was stated; None: all of them.
-    """
-
-    value: FloatArray
-    names: tuple[str, ...]
+    value: FloatArray  # (p,) Unknowns, in their own units
+    names: tuple[str, ...]  # Their names, each ending in its unit
+    # (p, p) Covariance from the noise the data state; infinite on the diagonal for what the data do not determine
     covariance: FloatArray
+    # "converged"; "stalled" (no step lowers the cost, the gradient is not zero); "iteration_limit"; "singular"
+    # (unknowns that the data do not determine); "refused" (nothing was fitted, the message says why)
     status: str
-    message: str
-    iterations: int
-    chi2: float
-    degrees_of_freedom: int
-    condition: float
-    residual_pulls: FloatArray
+    message: str  # One line on the status
+    iterations: int  # Steps tried
+    chi2: float  # Sum of squared whitened residuals
+    degrees_of_freedom: int  # Measurements minus unknowns
+    condition: float  # Condition number of the scaled Jacobian
+    residual_pulls: FloatArray  # (m,) Residuals over their standard deviations
+    # (k,) Weight, 0 .. 1, that the loss left to each group of residuals (to each star); ones for the linear loss
     robust_weight: FloatArray
+    # Degrees of freedom that test the stated noise where the terms of ``chi2`` are correlated, so that there are
+    # fewer than ``degrees_of_freedom``; 0 where no noise was stated; None: all of them
     independent: int | None = None
 
     def __post_init__(self) -> None:
@@ -103,25 +79,13 @@ class Solution:
         return self.chi2 / self.degrees_of_freedom if self.degrees_of_freedom > 0 else float("nan")
 
     def index(self, name: str) -> int:
-        """Position of an unknown.
-
-        Raises
-        ------
-        ConfigError
-            On an unknown name.
-        """
+        """Position of an unknown."""
         if name not in self.names:
             raise unknown_name("unknown", name, self.names)
         return self.names.index(name)
 
     def pulls(self, truth: ArrayLike) -> FloatArray:
-        """Errors over their predicted standard deviations (p,), NaN for what was held or is not determined.
-
-        Raises
-        ------
-        DomainError
-            On a truth of another length.
-        """
+        """Errors over their predicted standard deviations (p,), NaN for what was held or is not determined."""
         true = np.asarray(truth, dtype=np.float64)
         if true.shape != self.value.shape:
             raise DomainError(f"truth of shape {true.shape} for {len(self.names)} unknowns")

@@ -21,25 +21,13 @@ __all__ = ["Background", "estimate_background"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Background:
-    """Background and its noise on a mesh of cells, smooth in between.
+    """Background and its noise on a mesh of cells, smooth in between."""
 
-    Attributes
-    ----------
-    level_e, sigma_e : (a, b)
-        Mean electrons per pixel and standard deviation of one pixel in each cell.
-    centre_x_px : (b,)
-        Columns of the cell centres.
-    centre_y_px : (a,)
-        Rows of the cell centres.
-    shape : tuple of int
-        Rows and columns of the image.
-    """
-
-    level_e: FloatArray
-    sigma_e: FloatArray
-    centre_x_px: FloatArray
-    centre_y_px: FloatArray
-    shape: tuple[int, int]
+    level_e: FloatArray  # (a, b) Mean electrons per pixel and standard deviation of one pixel in each cell
+    sigma_e: FloatArray  # (a, b)
+    centre_x_px: FloatArray  # (b,) Columns of the cell centres
+    centre_y_px: FloatArray  # (a,) Rows of the cell centres
+    shape: tuple[int, int]  # Rows and columns of the image
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}

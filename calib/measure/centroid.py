@@ -19,21 +19,11 @@ __all__ = ["Centroider", "centroider_class", "get_centroider", "list_centroiders
 
 
 class Centroider(Protocol):
-    """Anything that turns stamps into positions and fluxes with covariance; a frozen dataclass of its options.
+    """Anything that turns stamps into positions and fluxes with covariance; a frozen dataclass of its options."""
 
-    Attributes
-    ----------
-    name : str
-        The name it goes by in `get_centroider` and in configurations.
-    label : str
-        What tables and figures call it.
-    needs_epsf : bool
-        Whether it has an option ``epsf`` (an `EffectivePsf` or several) that must be given.
-    """
-
-    name: ClassVar[str]
-    label: ClassVar[str]
-    needs_epsf: ClassVar[bool]
+    name: ClassVar[str]  # The name it goes by in `get_centroider` and in configurations
+    label: ClassVar[str]  # What tables and figures call it
+    needs_epsf: ClassVar[bool]  # Whether it has an option ``epsf`` (an `EffectivePsf` or several) that must be given
 
     def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
         """One row per stamp, in order; the stamps are not changed."""
@@ -62,13 +52,7 @@ def list_centroiders() -> tuple[str, ...]:
 
 
 def centroider_class(name: str) -> type[Centroider]:
-    """Class of a centroider, with its name, label and needs.
-
-    Raises
-    ------
-    ConfigError
-        On an unknown name, with the nearest known ones.
-    """
+    """Class of a centroider, with its name, label and needs."""
     if name not in _REGISTRY:
         raise unknown_name("centroider", name, _REGISTRY)
     found = _REGISTRY[name]

@@ -36,30 +36,15 @@ KNOTS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CentroidErrors:
-    """One standard deviation per axis [px], root mean square over the sub-pixel phases and both axes.
+    """One standard deviation per axis [px], root mean square over the sub-pixel phases and both axes."""
 
-    Attributes
-    ----------
-    electrons : (k,)
-        Of the star, increasing.
-    noise_px : (f, k)
-        By temporal noise, for each of f PSFs.
-    bound_px : (f, k)
-        Cramer-Rao bound of it: position and flux unknown, background known.
-    pattern_px : (f, k)
-        By the response pattern (PRNU) and the offsets of the pixels.
-    phase_px : (f, k)
-        By where in its pixel the star stands: bias of the noiseless centroid about its mean over the phases.
-    peak : (f,)
-        Largest share of the light that one pixel gets.
-    """
-
-    electrons: FloatArray
-    noise_px: FloatArray
-    bound_px: FloatArray
-    pattern_px: FloatArray
+    electrons: FloatArray  # (k,) Of the star, increasing
+    noise_px: FloatArray  # (f, k) By temporal noise, for each of f PSFs
+    bound_px: FloatArray  # (f, k) Cramer-Rao bound of it: position and flux unknown, background known
+    pattern_px: FloatArray  # (f, k) By the response pattern (PRNU) and the offsets of the pixels
+    # (f, k) By where in its pixel the star stands: bias of the noiseless centroid about its mean over the phases
     phase_px: FloatArray
-    peak: FloatArray
+    peak: FloatArray  # (f,) Largest share of the light that one pixel gets
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -76,24 +61,12 @@ class CentroidErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhaseWindows:
-    """Unit stars at even sub-pixel phases: n = phases^2 windows of each of f PSFs, PSF after PSF.
+    """Unit stars at even sub-pixel phases: n = phases^2 windows of each of f PSFs, PSF after PSF."""
 
-    Attributes
-    ----------
-    light : (f n, h, w)
-        Share of the light in each pixel.
-    jacobian : (f n, 3, pixels)
-        Its derivatives by column, row and flux.
-    place_px : (f n, 2)
-        Column and row of the star in the window.
-    psf_index : (f n,) int64
-        Which PSF.
-    """
-
-    light: FloatArray
-    jacobian: FloatArray
-    place_px: FloatArray
-    psf_index: NDArray[np.int64]
+    light: FloatArray  # (f n, h, w) Share of the light in each pixel
+    jacobian: FloatArray  # (f n, 3, pixels) Its derivatives by column, row and flux
+    place_px: FloatArray  # (f n, 2) Column and row of the star in the window
+    psf_index: NDArray[np.int64]  # (f n,) Which PSF
 
 
 def phase_windows(psfs: tuple[EffectivePsf, ...], window_px: int, phases: int = 4) -> PhaseWindows:
@@ -203,12 +176,7 @@ def psf_mismatch(
     Both PSFs are centred on the mean of the light. To first order the bias is the response of the fit to the difference
     of the two images; parameters as of `predict_centroids`.
 
-    Parameters
-    ----------
-    psfs, true : tuple of EffectivePsf
-        f PSFs, as told and as they are.
-    electrons : (k,)
-        Electrons of the star.
+    Shapes: ``electrons`` (k,).
     """
     told, are = phase_windows(psfs, window_px, phases), phase_windows(true, window_px, phases)
     found = []

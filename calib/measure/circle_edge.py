@@ -37,27 +37,13 @@ Mapping = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spokes:
-    """Brightness along rays from a centre.
+    """Brightness along rays from a centre."""
 
-    Attributes
-    ----------
-    centre : (2,)
-        Where they start, in the plane.
-    angle_rad : (k,)
-        Direction of each spoke, the mean of its rays.
-    radius : (m,)
-        Sampled distances.
-    value : (k, m)
-        Mean brightness of a spoke's rays; NaN outside the image.
-    step_px : float
-        Spacing of the samples along a ray in pixels.
-    """
-
-    centre: FloatArray
-    angle_rad: FloatArray
-    radius: FloatArray
-    value: FloatArray
-    step_px: float
+    centre: FloatArray  # (2,) Where they start, in the plane
+    angle_rad: FloatArray  # (k,) Direction of each spoke, the mean of its rays
+    radius: FloatArray  # (m,) Sampled distances
+    value: FloatArray  # (k, m) Mean brightness of a spoke's rays; NaN outside the image
+    step_px: float  # Spacing of the samples along a ray in pixels
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -69,21 +55,11 @@ class Spokes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EdgePoints:
-    """Crossings.
+    """Crossings."""
 
-    Attributes
-    ----------
-    point : (n, 2)
-        In the plane.
-    sigma : (n,)
-        Standard error across the edge.
-    level : float
-        Brightness of the contour.
-    """
-
-    point: FloatArray
-    sigma: FloatArray
-    level: float
+    point: FloatArray  # (n, 2) In the plane
+    sigma: FloatArray  # (n,) Standard error across the edge
+    level: float  # Brightness of the contour
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -110,27 +86,7 @@ def sample_spokes(
 ) -> Spokes:
     """Brightness along spokes.
 
-    Parameters
-    ----------
-    image : (h, w)
-        Any brightness.
-    centre : (2,)
-        Where the spokes start, in the plane.
-    radius : (m,)
-        Distances to sample, increasing, in the plane.
-    to_pixel : callable, optional
-        (n, 2) points of the plane -> (n, 2) pixels (column, row); the plane is the image without it.
-    spokes, rays : int
-        Number of spokes, and of rays averaged in each.
-
-    Returns
-    -------
-    Spokes
-
-    Raises
-    ------
-    DomainError
-        On fewer than 8 spokes or radii that do not increase.
+    Shapes: ``image`` (h, w), ``centre`` (2,), ``radius`` (m,).
     """
     brightness = np.asarray(image, np.float64)
     distance = np.asarray(radius, np.float64)
@@ -162,21 +118,7 @@ def _step_px(pixel: FloatArray) -> float:
 def edge_crossings(spokes: Spokes, level: ArrayLike, *, rising: bool, half_width: float) -> EdgePoints:
     """Where the brightness crosses a level, one point per spoke at most.
 
-    Parameters
-    ----------
-    spokes : Spokes
-        Profiles.
-    level : float or (k,)
-        Brightness sought; one value for a contour, or a value for each spoke.
-    rising : bool
-        False: the outermost crossing where the brightness falls outwards. True: the innermost where it rises.
-    half_width : float
-        A line is fitted to the samples within this distance of the crossing.
-
-    Returns
-    -------
-    EdgePoints
-        Spokes without a crossing, or whose fit window leaves the profile, are left out.
+    Shapes: ``level`` (k,).
     """
     value, radius = spokes.value, spokes.radius
     wanted = np.broadcast_to(np.asarray(level, float), (len(value),))

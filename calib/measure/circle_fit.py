@@ -48,37 +48,19 @@ CURVED_SIGMA = 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CircleFit:
-    """A circle, and how well it fits.
+    """A circle, and how well it fits."""
 
-    Attributes
-    ----------
-    centre : (2,)
-        Its centre, in the unit of the points.
-    radius : float
-        Its radius.
-    covariance : (3, 3)
-        Of x, y and radius; infinite on the diagonal for what the points do not determine.
-    rms : float
-        Of the orthogonal distances of the points used.
-    misfit : ChiSquare
-        Weighted squared distances of the points used, beside their expectation; not tested without stated errors.
-    used : (n,) bool
-        Points that were not rejected.
-    status : str
-        "converged"; "singular": the points do not determine the circle, or cannot tell it from a line; "refused": more
-        than 40 % of the points do not fit, or they scatter by more than 10 times their sigma; "iteration_limit".
-    message : str
-        One line on the status, on points left out, and on a stated noise that the points contradict.
-    """
-
-    centre: FloatArray
-    radius: float
-    covariance: FloatArray
-    rms: float
+    centre: FloatArray  # (2,) Its centre, in the unit of the points
+    radius: float  # Its radius
+    covariance: FloatArray  # (3, 3) Of x, y and radius; infinite on the diagonal for what the points do not determine
+    rms: float  # Of the orthogonal distances of the points used
+    # Weighted squared distances of the points used, beside their expectation; not tested without stated errors
     misfit: ChiSquare
-    used: NDArray[np.bool_]
+    used: NDArray[np.bool_]  # (n,) Points that were not rejected
+    # "converged"; "singular": the points do not determine the circle, or cannot tell it from a line; "refused": more
+    # than 40 % of the points do not fit, or they scatter by more than 10 times their sigma; "iteration_limit"
     status: str
-    message: str
+    message: str  # One line on the status, on points left out, and on a stated noise that the points contradict
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -101,25 +83,6 @@ class CircleFit:
 def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma: float = CLIP_SIGMA) -> CircleFit:
     """Circle of least squared orthogonal distance.
 
-    Parameters
-    ----------
-    points : (n, 2)
-        Edge points, at least 4.
-    sigma : (n,) or float, optional
-        Standard deviation of each point across the edge; without it the scatter tells.
-    clip_sigma : float
-        Points farther off than this many standard deviations (of the median scatter, if that is larger than stated) are
-        rejected; infinity keeps all.
-
-    Returns
-    -------
-    CircleFit
-
-    Raises
-    ------
-    DomainError
-        Too few points, values that are not finite, a sigma that is not positive, points on a line to rounding.
-
     Examples
     --------
     A line with some noise: a circle comes out, and it says that it is none.
@@ -128,6 +91,8 @@ def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma:
     >>> line = fit_circle(np.column_stack([x, 2 * x + 0.1 * np.cos(37 * x**2)]), sigma=0.1)
     >>> line.status, line.sigma
     ('singular', array([inf, inf, inf]))
+
+    Shapes: ``points`` (n, 2), ``sigma`` (n,).
     """
     (x, y, radius), fit = _robust_fit(points, sigma, clip_sigma)
     return CircleFit(centre=np.array([x, y]), radius=float(radius), **fit)

@@ -66,26 +66,7 @@ def _chance_of_maximum(fwhm_px: float) -> tuple[FloatArray, FloatArray]:
 def false_alarms(
     threshold_sigma: ArrayLike, pixels: int, *, fwhm_px: float = 2.0, noise_spread: float = 0.0
 ) -> FloatArray:
-    """Expected number of detections that noise alone makes in one image.
-
-    Parameters
-    ----------
-    threshold_sigma : array
-        Detection limits, any shape.
-    pixels : int
-        Pixels of the image.
-    fwhm_px : float
-        Width of the filter.
-    noise_spread : float
-        Standard deviation over the pixels of the noise variance of a *pixel*, relative to its mean: pixels that are
-        noisier than the mean make more false alarms than quiet ones make less. The filter averages over its pixels;
-        what is left is taken as log-normal.
-
-    Returns
-    -------
-    array
-        Of the shape of the thresholds.
-    """
+    """Expected number of detections that noise alone makes in one image."""
     threshold = np.asarray(threshold_sigma, np.float64)
     kernel = _kernel(fwhm_px)
     share = noise_spread**2 * float((kernel**4).sum()) / float((kernel**2).sum()) ** 2
@@ -104,13 +85,6 @@ def clipped_noise(noise_spread: float, clip_sigma: float = 3.0) -> float:
 
     Pixels of unlike noise make tails; clipping takes them for outliers, corrects for those of a normal distribution,
     and finds less. The detection limit, stated in that noise, is lower by as much.
-
-    Parameters
-    ----------
-    noise_spread : float
-        As of `false_alarms`.
-    clip_sigma : float
-        Clipping limit.
     """
     width = np.sqrt(np.log1p(noise_spread**2))
     node, weight = np.polynomial.hermite_e.hermegauss(SPREADS)
@@ -131,13 +105,7 @@ def clipped_noise(noise_spread: float, clip_sigma: float = 3.0) -> float:
 
 
 def threshold_for_false_alarms(count: float, pixels: int, *, fwhm_px: float = 2.0, noise_spread: float = 0.0) -> float:
-    """Detection limit [sigma] with an expected number of false alarms per image; parameters as `false_alarms`.
-
-    Raises
-    ------
-    DomainError
-        A number that no threshold of 2 to 40 sigma has.
-    """
+    """Detection limit [sigma] with an expected number of false alarms per image; parameters as `false_alarms`."""
 
     def excess(threshold: float) -> float:
         expected = float(false_alarms(threshold, pixels, fwhm_px=fwhm_px, noise_spread=noise_spread))
@@ -159,20 +127,7 @@ def detection_probability(
 ) -> FloatArray:
     """Chance that stars are found.
 
-    Parameters
-    ----------
-    unit_light : (p, h, w)
-        Share of the light in each pixel of p windows, the star within half a pixel of the middle one.
-    flux_e : (k,)
-        Electrons of the star.
-    empty_e2 : float
-        Variance of a pixel without star.
-    threshold_sigma, fwhm_px : float
-        Of `calib.measure.detection.detect`.
-
-    Returns
-    -------
-    (k, p)
+    Shapes: ``unit_light`` (p, h, w), ``flux_e`` (k,).
     """
     kernel = _kernel(fwhm_px)
     power = float((kernel**2).sum())

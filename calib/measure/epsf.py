@@ -23,20 +23,7 @@ __all__ = ["EpsfBank", "EpsfModel", "cubic_weights", "draw_epsf"]
 
 
 class EpsfBank:
-    """Spline coefficients of one or several effective PSFs of equal oversampling, laid out for fast lookup.
-
-    Parameters
-    ----------
-    psfs : sequence of EffectivePsf
-        The PSFs; smaller ones are padded with zeros, larger ones cut to what the window can see.
-    window : tuple of int
-        Rows and columns of the stamps.
-
-    Raises
-    ------
-    DomainError
-        If there is none, or the oversamplings differ.
-    """
+    """Spline coefficients of one or several effective PSFs of equal oversampling, laid out for fast lookup."""
 
     def __init__(self, psfs: Sequence[EffectivePsf], window: tuple[int, int]) -> None:
         if not psfs:

@@ -38,33 +38,15 @@ _UNFIT = StarFlag.SATURATED | StarFlag.BLEND | StarFlag.SPIKE | StarFlag.NO_DATA
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpsfSolution:
-    """What `build_epsf` found.
+    """What `build_epsf` found."""
 
-    Attributes
-    ----------
-    epsf : EffectivePsf
-        The PSF. Its origin is its centre of light, its sum over one phase is 1 within the window.
-    stars : StarTable
-        All stars measured with it.
-    converged : bool
-        Whether the positions came to rest.
-    iterations : int
-        Rounds taken.
-    last_shift_px : float
-        RMS change of the positions in the last round.
-    chi2 : float
-        Mean of the stars' reduced chi-square.
-    used : (n,) bool
-        Stars that took part.
-    """
-
-    epsf: EffectivePsf
-    stars: StarTable
-    converged: bool
-    iterations: int
-    last_shift_px: float
-    chi2: float
-    used: NDArray[np.bool_]
+    epsf: EffectivePsf  # The PSF. Its origin is its centre of light, its sum over one phase is 1 within the window
+    stars: StarTable  # All stars measured with it
+    converged: bool  # Whether the positions came to rest
+    iterations: int  # Rounds taken
+    last_shift_px: float  # RMS change of the positions in the last round
+    chi2: float  # Mean of the stars' reduced chi-square
+    used: NDArray[np.bool_]  # (n,) Stars that took part
 
 
 def build_epsf(

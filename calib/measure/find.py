@@ -92,26 +92,7 @@ def find_stamps(
 ) -> Stamps:
     """Windows around the detected stars of an image, brightest first, ready for a centroider.
 
-    Parameters
-    ----------
-    image : SensorImage, Frame or (h, w) array
-        The image.
-    background : Background, optional
-        Estimated from the image if not given.
-    threshold_sigma, fwhm_px, max_stars
-        As in `calib.measure.detection.detect`.
-    size_px : int
-        Side of the windows, odd.
-
-    Returns
-    -------
-    Stamps
-        ``start_px`` are the detected positions.
-
-    Raises
-    ------
-    DomainError
-        On a value out of range, or an image without a usable pixel.
+    Shapes: ``image`` (h, w).
     """
     sensor = as_image(image)
     sky = estimate_background(sensor) if background is None else background

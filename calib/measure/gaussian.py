@@ -33,16 +33,7 @@ def _profile(size: int, centre: FloatArray, sigma: FloatArray) -> tuple[FloatArr
 
 
 class GaussianModel:
-    """`scoring.PixelModel` with parameters x, y, flux, ln(sigma_x), ln(sigma_y).
-
-    Parameters
-    ----------
-    window : tuple of int
-        Rows and columns of the stamps.
-    sigma_px : float, optional
-        Fixed width along both axes; the parameters are then x, y, flux only. Free widths have a prior on the narrow
-        side, see `WIDTH_PRIOR_PX`.
-    """
+    """`scoring.PixelModel` with parameters x, y, flux, ln(sigma_x), ln(sigma_y)."""
 
     def __init__(self, window: tuple[int, int], sigma_px: float | None = None) -> None:
         self.window = window

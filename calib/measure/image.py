@@ -28,16 +28,7 @@ _EXPOSURE_KEYS = ("EXPTIME", "EXPOSURE")  # s
 def as_image(image: SensorImage | Frame | NDArray[Any]) -> SensorImage:
     """An image in any of the forms that a user may have as a `SensorImage`.
 
-    Parameters
-    ----------
-    image : SensorImage, Frame or (h, w) array
-        A `SensorImage` is returned as it is, a `Frame` goes through `image_from_frame`, anything else is taken as an
-        array of digital numbers of unknown gain, offset and read noise (`sensor_image`).
-
-    Raises
-    ------
-    DomainError
-        If it is not two-dimensional, is empty or holds no finite number.
+    Shapes: ``image`` (h, w).
     """
     if isinstance(image, SensorImage):
         return image

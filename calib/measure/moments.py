@@ -61,15 +61,7 @@ def powers(offset: FloatArray) -> FloatArray:
 
 
 def light_above_background(stamps: Stamps, half_width_px: int | None) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Light above the background and the pixels that count, (n, h, w); both zero outside the sub-window.
-
-    Parameters
-    ----------
-    stamps : Stamps
-        n windows.
-    half_width_px : int or None
-        Only pixels within this of the one nearest to the start position count; None: the whole stamp.
-    """
+    """Light above the background and the pixels that count, (n, h, w); both zero outside the sub-window."""
     used = stamps.valid
     if half_width_px is not None:
         centre = np.rint(stamps.start_px - stamps.corner_px)
@@ -184,26 +176,8 @@ def measured_table(
 ) -> StarTable:
     """What a centroider without a PSF model found, as a `StarTable`.
 
-    Parameters
-    ----------
-    stamps : Stamps
-        The n windows that were measured.
-    x, y : (n,)
-        Positions from each window's first pixel [px].
-    light : (n, h, w) or (n,)
-        Light above the background, or its sum: the flux.
-    covariance : (n, 3, 3)
-        Of (x, y, flux).
-    iterations : (n,)
-        Steps taken.
-    flags : (n,)
-        `StarFlag` bits.
-    lost : (n,) bool
-        Stars that could not be measured: flagged ``NO_DATA``, their numbers NaN.
-    moment_px2 : (n,), optional
-        Second moment that tells the width; without it the width stays unknown.
-    known : PhaseTable, optional
-        Width and error by pixel phase (`calib.measure.pixel_phase.MomentCentroider.measure_by`).
+    Shapes: ``x`` (n,), ``y`` (n,), ``light`` (n, h, w), ``covariance`` (n, 3, 3), ``iterations`` (n,), ``flags``
+    (n,), ``lost`` (n,), ``moment_px2`` (n,).
     """
     flags = np.where(lost, flags | np.uint32(int(StarFlag.NO_DATA)), flags)
     lost = has_flag(flags, StarFlag.NO_DATA)

@@ -18,28 +18,12 @@ def option(
     at_most: float | None = None,
     unit: str = "",
 ) -> Any:
-    """A dataclass field whose value must lie in a range; None is always allowed where it is the field's type.
-
-    Parameters
-    ----------
-    default : any
-        Value where none is given.
-    above, at_least, at_most : float, optional
-        Bounds.
-    unit : str
-        For the message.
-    """
+    """A dataclass field whose value must lie in a range; None is always allowed where it is the field's type."""
     return field(default=default, metadata={"above": above, "at_least": at_least, "at_most": at_most, "unit": unit})
 
 
 def check_options(centroider: Any) -> None:
-    """Refuse options out of range; to be called from ``__post_init__``.
-
-    Raises
-    ------
-    DomainError
-        With the name, the value and the range of the first option that lies outside, NaN included.
-    """
+    """Refuse options out of range; to be called from ``__post_init__``."""
     for one in fields(centroider):
         value, bounds = getattr(centroider, one.name), one.metadata
         above, low, high = bounds.get("above"), bounds.get("at_least"), bounds.get("at_most")

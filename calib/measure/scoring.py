@@ -83,30 +83,7 @@ def fit_pixels(
     A prior of the model adds its slope to the score and its curvature to the information. Where the information of a
     parameter after the flux changes steeply, steps would jump to and fro; one that turns back goes half way at most.
 
-    Parameters
-    ----------
-    model : PixelModel
-        The star.
-    start : (n, k)
-        First parameters.
-    data, valid : (n, p)
-        Electrons, background included; pixels to use.
-    background : (n,)
-        Expected electrons per pixel without the star; the start value if it is fitted.
-    noise : NoiseModel
-        Variance of a pixel.
-    fit_background : bool
-        Add the background as the last parameter.
-    tolerance : float
-        A star is done when its step in x, y and flux is below this part of their standard deviations. The next step
-        would be smaller by about 1 / SNR (Fisher scoring is Newton's method but for the noise).
-    max_iterations : int
-        Stars that need more are not converged.
-
-    Returns
-    -------
-    PixelFit
-        With the background as the last parameter if it was fitted.
+    Shapes: ``start`` (n, k), ``data`` (n, p), ``valid`` (n, p), ``background`` (n,).
     """
     n, k = start.shape
     total = k + int(fit_background)
@@ -210,24 +187,13 @@ def _inverse(information: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LikelihoodFit:
-    """Options that all maximum-likelihood centroiders share, and the fit itself.
+    """Options that all maximum-likelihood centroiders share, and the fit itself."""
 
-    Attributes
-    ----------
-    fit_background : bool
-        Fit a constant per star too, instead of trusting ``Stamps.background_e``.
-    max_shift_px : float
-        Farthest plausible distance from the start position; beyond it the star is flagged ``NOT_CONVERGED``.
-    tolerance : float
-        Last step in units of the standard deviation.
-    max_iterations : int
-        Most steps taken.
-    """
-
-    fit_background: bool = False
+    fit_background: bool = False  # Fit a constant per star too, instead of trusting ``Stamps.background_e``
+    # Farthest plausible distance from the start position; beyond it the star is flagged ``NOT_CONVERGED``
     max_shift_px: float = option(2.0, above=0, unit="px")
-    tolerance: float = option(0.01, above=0)
-    max_iterations: int = option(30, at_least=1)
+    tolerance: float = option(0.01, above=0)  # Last step in units of the standard deviation
+    max_iterations: int = option(30, at_least=1)  # Most steps taken
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -240,22 +206,7 @@ class LikelihoodFit:
         *,
         shape_start: FloatArray | None = None,
     ) -> StarTable:
-        """`fit_pixels` on stamps, in chunks over the processor's cores.
-
-        Parameters
-        ----------
-        stamps, noise : Stamps, NoiseModel
-            The data.
-        make_model : callable
-            ``make_model(stamps, rows)`` gives the pixel model of a slice of the stamps.
-        shape_start : (k - 3,), optional
-            Start values of the parameters after the flux.
-
-        Returns
-        -------
-        StarTable
-            One row per stamp.
-        """
+        """`fit_pixels` on stamps, in chunks over the processor's cores."""
         n = len(stamps)
         if not n:
             return StarTable.empty()

@@ -29,17 +29,7 @@ def parabola_peak(before: FloatArray, peak: FloatArray, after: FloatArray) -> Fl
 def coarse_position(light: FloatArray, valid: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
     """Position of the highest point of each smoothed window, good to about 0.1 px for a star well above the noise.
 
-    Parameters
-    ----------
-    light : (n, h, w)
-        Electrons without background.
-    valid : (n, h, w) bool
-        Pixels that may be used.
-
-    Returns
-    -------
-    x_px, y_px : (n,)
-        Column and row within the window.
+    Shapes: ``light`` (n, h, w), ``valid`` (n, h, w), returns (n,).
     """
     kernel = np.array([0.25, 0.5, 0.25])
     smooth = np.where(valid, light, 0.0)
@@ -88,30 +78,7 @@ def extract_stamps(
     A window always has its full size; what lies beyond the image is invalid and sets ``EDGE``. A second position
     within the window sets ``BLEND`` on both.
 
-    Parameters
-    ----------
-    image : SensorImage
-        The image.
-    x_px, y_px : (n,)
-        Columns and rows, e.g. of `detect`, or predicted ones.
-    background : Background, float or (n,)
-        Expected electrons per pixel without the stars.
-    size_px : int
-        Side of the window, odd, 3 px or more and not larger than the image.
-    flags : (n,) uint32, optional
-        Flags to hand on.
-    psf_index : (n,) int, optional
-        Which PSF belongs to which star.
-
-    Returns
-    -------
-    Stamps
-        n windows, in the given order.
-
-    Raises
-    ------
-    DomainError
-        On a window that is even, too small or larger than the image, and on positions that are not finite.
+    Shapes: ``x_px`` (n,), ``y_px`` (n,), ``background`` (n,), ``flags`` (n,), ``psf_index`` (n,).
     """
     height, width = image.dn.shape
     _check_size(size_px, height, width)
@@ -159,21 +126,7 @@ def stamps_from_windows(
 ) -> tuple[Stamps, NoiseModel]:
     """Stamps of a windowed readout of m frames and n windows, frame by frame (row ``frame * n + window``).
 
-    Parameters
-    ----------
-    stack : WindowStack
-        The readout.
-    background_e : float or (n,), optional
-        Expected electrons per pixel without the star; without it, the clipped mean of each window's outermost ring.
-    start_px : (n, 2), optional
-        (column, row) in the full image where to start; without it, the highest point of the smoothed window.
-    psf_index : (n,) int, optional
-        Which PSF belongs to which window.
-
-    Returns
-    -------
-    Stamps, NoiseModel
-        m * n stamps, and the noise model the readout states.
+    Shapes: ``background_e`` (n,), ``start_px`` (n, 2), ``psf_index`` (n,).
     """
     noise = NoiseModel(
         read_noise_e=stack.read_noise_e,

@@ -64,24 +64,7 @@ def _aperture(table: SurfaceTable) -> list[str]:
 
 
 def seq_text(file: LensFile, made: Sequence, catalogue: str, entrance_pupil_mm: float) -> str:
-    """A lens as a .seq file.
-
-    Parameters
-    ----------
-    file : LensFile
-        The lens.
-    made : Sequence
-        Its surfaces and breaks.
-    catalogue : str
-        Name of the AGF catalogue with its own glasses.
-    entrance_pupil_mm : float
-        Diameter of the paraxial entrance pupil [mm].
-
-    Raises
-    ------
-    ConfigError
-        What the format cannot hold.
-    """
+    """A lens as a .seq file."""
     lens, defaults = file.lens, file.defaults
     waves, weights, reference = [lens.design_wavelength_nm], [1.0], 1
     fields = [(0.0, part * lens.max_field_deg) for part in (0.0, 0.7, 1.0)]

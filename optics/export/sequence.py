@@ -144,13 +144,7 @@ def _with_stop(file: Prescription, items: list[Break | Element]) -> list[Break |
 
 
 def sequence(file: LensFile) -> Sequence:
-    """The surfaces of a lens in the order of the light.
-
-    Raises
-    ------
-    ConfigError
-        What design programs cannot hold: measured surface errors.
-    """
+    """The surfaces of a lens in the order of the light."""
     prescription = Prescription.model_validate(file.tables)
     wide = {"semi_diameter_mm": file.lens.surfaces[file.lens.stop_index].semi_diameter_mm}  # [pupil] may have said it
     items = [
@@ -194,13 +188,7 @@ def _agf_dispersion(dispersion: Dispersion) -> tuple[int, list[float]] | None:
 
 
 def agf_text(glasses: Mapping[str, Glass], title: str) -> str:
-    """Glasses as an AGF catalogue.
-
-    Raises
-    ------
-    DomainError
-        A formula that AGF files do not have.
-    """
+    """Glasses as an AGF catalogue."""
     lines = [f"CC {title}"]
     for name, glass in glasses.items():
         found = _agf_dispersion(glass.dispersion)

@@ -20,26 +20,7 @@ __all__ = ["toml_lens", "write_lens"]
 
 
 def write_lens(file: LensFile, path: str | Path) -> tuple[Path, ...]:
-    """Write a lens file; read again it gives the same rays.
-
-    Parameters
-    ----------
-    file : LensFile
-        The lens (`optics.lens_file.read_lens_file`).
-    path : path
-        A name that ends in .toml, .zmx or .seq. Glasses that are in no maker's catalogue go into an AGF file of the
-        same name beside a .zmx or .seq.
-
-    Returns
-    -------
-    tuple of pathlib.Path
-        The files that were written.
-
-    Raises
-    ------
-    ConfigError
-        Another ending, what the format cannot hold, or a file that cannot be written.
-    """
+    """Write a lens file; read again it gives the same rays."""
     place = Path(path)
     suffix = place.suffix.lower()
     texts: dict[Path, str] = {}

@@ -143,22 +143,7 @@ def _break(item: Break) -> list[list[str]]:
 
 
 def zmx_text(file: LensFile, made: Sequence, catalogues: tuple[str, ...]) -> str:
-    """A lens as a .zmx file.
-
-    Parameters
-    ----------
-    file : LensFile
-        The lens.
-    made : Sequence
-        Its surfaces and breaks.
-    catalogues : tuple of str
-        Glass catalogues to list.
-
-    Raises
-    ------
-    ConfigError
-        What the format cannot hold.
-    """
+    """A lens as a .zmx file."""
     lens, defaults = file.lens, file.defaults
     waves = [(lens.design_wavelength_nm, 1.0)]
     fields = [(0.0, part * lens.max_field_deg, 1.0) for part in (0.0, 0.7, 1.0)]

@@ -31,44 +31,21 @@ AIR = "air"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileDefaults:
-    """What a lens file says beside the lens; defaults of whoever uses it.
+    """What a lens file says beside the lens; defaults of whoever uses it."""
 
-    Attributes
-    ----------
-    wavelength_nm, wavelength_weight : (w,)
-        Design wavelengths [nm] and weights.
-    field_kind : str
-        How the file states fields: ``angle`` [deg], ``object``, ``paraxial_image`` or ``real_image`` [mm].
-    field_stated, field_deg : (f, 2)
-        Fields as stated, and as angles along x and y [deg].
-    field_weight : (f,)
-        Weights.
-    vignetting : (f, 5)
-        Decentre x, y, compression x, y and angle of the pupil for every field.
-    aperture : str
-        How the file states the aperture, in words.
-    entrance_pupil_mm : float
-        Diameter of the paraxial entrance pupil [mm].
-    object_mm : float
-        Distance of the object; infinite for stars.
-    environment : Environment
-        Temperature and pressure of the file.
-    configuration, configurations : int
-        Which configuration was read, and how many there are.
-    """
-
-    wavelength_nm: FloatArray
-    wavelength_weight: FloatArray
+    wavelength_nm: FloatArray  # (w,) Design wavelengths [nm] and weights
+    wavelength_weight: FloatArray  # (w,)
+    # How the file states fields: ``angle`` [deg], ``object``, ``paraxial_image`` or ``real_image`` [mm]
     field_kind: str
-    field_stated: FloatArray
-    field_deg: FloatArray
-    field_weight: FloatArray
-    vignetting: FloatArray
-    aperture: str
-    entrance_pupil_mm: float
-    object_mm: float
-    environment: Environment
-    configuration: int
+    field_stated: FloatArray  # (f, 2) Fields as stated, and as angles along x and y [deg]
+    field_deg: FloatArray  # (f, 2)
+    field_weight: FloatArray  # (f,) Weights
+    vignetting: FloatArray  # (f, 5) Decentre x, y, compression x, y and angle of the pupil for every field
+    aperture: str  # How the file states the aperture, in words
+    entrance_pupil_mm: float  # Diameter of the paraxial entrance pupil [mm]
+    object_mm: float  # Distance of the object; infinite for stars
+    environment: Environment  # Temperature and pressure of the file
+    configuration: int  # Which configuration was read, and how many there are
     configurations: int
 
 
@@ -86,22 +63,7 @@ class Imported:
 
 
 def assemble(draft: Draft, catalogues: Sequence[Path], glasses: Mapping[str, str]) -> Imported:
-    """Settle what a file leaves to its program.
-
-    Parameters
-    ----------
-    draft : Draft
-        What was read.
-    catalogues : sequence of path
-        AGF files; those beside the lens file are used too.
-    glasses : mapping
-        Name in the file -> name of the glass to take instead.
-
-    Raises
-    ------
-    ConfigError
-        A glass that is not known, an aperture or wavelengths that are missing, numbers that make no lens.
-    """
+    """Settle what a file leaves to its program."""
     _checked_rows(draft)
     _checked_wavelengths(draft)
     finder = GlassFinder(draft, catalogues, glasses)

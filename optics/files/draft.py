@@ -119,13 +119,7 @@ class Draft:
 
 
 def number(words: list[str], at: int, default: float | None = None, *, what: str = "a number") -> float:
-    """A number among the words of a command; Fortran exponents and INFINITY as design programs write them.
-
-    Raises
-    ------
-    ValueError
-        If it is missing and has no default, is no number, or is larger than any lens needs.
-    """
+    """A number among the words of a command; Fortran exponents and INFINITY as design programs write them."""
     if at >= len(words):
         if default is None:
             raise ValueError(f"{what} is missing")

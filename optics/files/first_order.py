@@ -67,24 +67,7 @@ def first_order(
     wavelength_nm: float,
     environment: Environment = CATALOGUE_AIR,
 ) -> FirstOrder:
-    """First-order data of the rows of a file.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-        Surfaces, the last thickness is that to the image.
-    glasses : sequence of Glass or None
-        What follows each of them; None for air.
-    wavelength_nm : float
-        Design wavelength.
-    environment : Environment
-        Temperature and pressure that the indices belong to.
-
-    Returns
-    -------
-    FirstOrder
-        Not finite where numbers of the file are out of all proportion.
-    """
+    """First-order data of the rows of a file."""
     matrix: FloatArray = np.eye(2)
     n, side, stop_at = 1.0, 1.0, np.eye(2)
     distance = 0.0

@@ -51,13 +51,7 @@ class Found:
 
 
 def read_glass(path: Path, name: str) -> Glass:
-    """Glass ``name`` of an AGF catalogue, or the one of a material file of refractiveindex.info; by the ending.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        Another ending, what `read_agf` and `read_material` raise, or no such glass in the catalogue.
-    """
+    """Glass ``name`` of an AGF catalogue, or the one of a material file of refractiveindex.info; by the ending."""
     ending = path.suffix.lower()
     if ending == ".agf":
         return read_agf(path).glass(name)
@@ -73,20 +67,11 @@ def _bare(name: str) -> str:
 
 @dataclass
 class GlassFinder:
-    """Finds the glasses of one file.
+    """Finds the glasses of one file."""
 
-    Attributes
-    ----------
-    draft : Draft
-        The file.
-    files : sequence of path
-        AGF catalogues of the user; those beside the lens file are added.
-    replace : mapping
-        Name in the file -> name of the glass to take in its place, by the user's order.
-    """
-
-    draft: Draft
-    files: Sequence[Path] = ()
+    draft: Draft  # The file
+    files: Sequence[Path] = ()  # AGF catalogues of the user; those beside the lens file are added
+    # Name in the file -> name of the glass to take in its place, by the user's order
     replace: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
@@ -109,13 +94,7 @@ class GlassFinder:
         return self.draft.catalogues
 
     def find(self, asked: GlassName) -> Found:
-        """The glass that a file means.
-
-        Raises
-        ------
-        ConfigError
-            None is known by that name; the message says what to do.
-        """
+        """The glass that a file means."""
         name = asked.name.strip("'\"")
         wanted = {_bare(key): value for key, value in self.replace.items()}.get(_bare(name))
         meant = self._meant(asked, name)

@@ -48,13 +48,7 @@ class Reading:
 
 
 def import_lens(path: Path, reading: Reading = Reading()) -> Imported:
-    """Read a Zemax or CODE V file as a prescription of our own.
-
-    Raises
-    ------
-    ConfigError
-        No such file, not a lens file, something in it that is not read, or ``strict`` and an approximation.
-    """
+    """Read a Zemax or CODE V file as a prescription of our own."""
     if path.suffix.lower() in _CLOSED:
         raise ConfigError(f"{path}: {_CLOSED[path.suffix.lower()]}; .zmx, .seq and .toml are read")
     text = read_text(path, "a lens file")

@@ -22,30 +22,14 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ReportLine:
-    """One command of a file.
+    """One command of a file."""
 
-    Attributes
-    ----------
-    line : int
-        Its line in the file, from 1; 0 for what the file does not say and had to be chosen.
-    command : str
-        The command as the file writes it.
-    surface : int or None
-        Surface it belongs to, numbered as in the file.
-    status : Status
-        What became of it.
-    message : str
-        What it means here, or why it is left out.
-    harmless : bool
-        Whether leaving it out cannot change the lens: display, comments, optimisation.
-    """
-
-    line: int
-    command: str
-    surface: int | None
-    status: Status
-    message: str
-    harmless: bool = True
+    line: int  # Its line in the file, from 1; 0 for what the file does not say and had to be chosen
+    command: str  # The command as the file writes it
+    surface: int | None  # Surface it belongs to, numbered as in the file
+    status: Status  # What became of it
+    message: str  # What it means here, or why it is left out
+    harmless: bool = True  # Whether leaving it out cannot change the lens: display, comments, optimisation
 
     @property
     def exact(self) -> bool:
@@ -60,34 +44,16 @@ class ReportLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GlassChoice:
-    """A glass that the file names and the one that was taken.
+    """A glass that the file names and the one that was taken."""
 
-    Attributes
-    ----------
-    asked, taken : str
-        Name in the file, name in the lens.
-    where : str
-        Catalogue or formula that it comes from.
-    status : Status
-        ``TAKEN`` for the same glass, ``APPROXIMATED`` for another one or a model of it.
-    wavelength_nm : tuple of float
-        Design wavelengths.
-    index : tuple of float
-        Index of the glass that was taken, at these.
-    change : tuple of float or None
-        What was taken less what was asked for, as far as that is known.
-    efl_mm, bfl_mm : float or None
-        Change of focal length and back focus by this choice.
-    """
-
-    asked: str
+    asked: str  # Name in the file, name in the lens
     taken: str
-    where: str
-    status: Status
-    wavelength_nm: tuple[float, ...] = ()
-    index: tuple[float, ...] = ()
-    change: tuple[float, ...] | None = None
-    efl_mm: float | None = None
+    where: str  # Catalogue or formula that it comes from
+    status: Status  # ``TAKEN`` for the same glass, ``APPROXIMATED`` for another one or a model of it
+    wavelength_nm: tuple[float, ...] = ()  # Design wavelengths
+    index: tuple[float, ...] = ()  # Index of the glass that was taken, at these
+    change: tuple[float, ...] | None = None  # What was taken less what was asked for, as far as that is known
+    efl_mm: float | None = None  # Change of focal length and back focus by this choice
     bfl_mm: float | None = None
 
     @property
@@ -114,26 +80,14 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportReport:
-    """What became of a lens file.
+    """What became of a lens file."""
 
-    Attributes
-    ----------
-    file, kind, encoding : str
-        The file, its format, the encoding of its text.
-    lines : tuple of ReportLine
-        Every command of the file in its order; first what it does not say.
-    glasses : tuple of GlassChoice
-        Its glasses.
-    comparisons : tuple of Comparison
-        First-order data, computed and stated.
-    """
-
-    file: str
+    file: str  # The file, its format, the encoding of its text
     kind: str
     encoding: str
-    lines: tuple[ReportLine, ...]
-    glasses: tuple[GlassChoice, ...] = ()
-    comparisons: tuple[Comparison, ...] = ()
+    lines: tuple[ReportLine, ...]  # Every command of the file in its order; first what it does not say
+    glasses: tuple[GlassChoice, ...] = ()  # Its glasses
+    comparisons: tuple[Comparison, ...] = ()  # First-order data, computed and stated
 
     @property
     def count(self) -> dict[Status, int]:

@@ -67,13 +67,7 @@ class SurfaceData:
         return {"THI": self.thickness, "CUY": self.curvature, "K": self.conic}[what]
 
     def take(self, words: list[str], line: int, text: str, unit: float, radii: bool) -> str | None:
-        """Take one command; what it means, "!" before it if it counts for nothing, None if it is not known.
-
-        Raises
-        ------
-        ValueError
-            It is known, but cannot be read as it is meant.
-        """
+        """Take one command; what it means, "!" before it if it counts for nothing, None if it is not known."""
         key = words[0].upper()
         if len(words) > 2 and (key in ("K", "RDY", "CUY", "RDX", "CUX") or (key in _POLYNOMIAL and len(key) == 1)):
             raise ValueError(f"{' '.join(words[2:])!r} stands behind its value; a semicolon goes between two commands")

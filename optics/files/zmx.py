@@ -388,22 +388,7 @@ _HEADER: dict[str, Callable[[_Reader, int, str, list[str], str], None]] = {
 
 
 def read_zmx(path: Path, text: TextFile, configuration: int | None = None) -> Draft:
-    """Read a sequential Zemax file.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Where it stands.
-    text : TextFile
-        Its lines.
-    configuration : int, optional
-        Which of its configurations, from 1; the active one if left out.
-
-    Raises
-    ------
-    ConfigError
-        What makes no lens, or cannot be read as it is meant; one line that names the line of the file.
-    """
+    """Read a sequential Zemax file."""
     if text.lines and any(line.lstrip().startswith("SURF") for line in text.lines):
         return _Reader(path, text, configuration).read()
     raise ConfigError(f"{path.name}: no surface (a line that begins with SURF): not a sequential .zmx file")

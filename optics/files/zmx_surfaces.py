@@ -60,13 +60,7 @@ class SurfaceData:
         return 1.0 / self.curvature if self.curvature else math.inf
 
     def take(self, key: str, words: list[str], line: int, unit: float) -> str | None:
-        """Take a command; what it means, or None if it is not known.
-
-        Raises
-        ------
-        ValueError
-            It is known, but cannot be read as it is meant.
-        """
+        """Take a command; what it means, or None if it is not known."""
         meaning = _MEANINGS.get(key)
         if key == "TYPE":
             self.kind, self.kind_line = words[1].upper(), line
@@ -115,13 +109,7 @@ class SurfaceData:
         return True
 
     def row(self, unit: float) -> Row:
-        """The surface in the words of our own prescription.
-
-        Raises
-        ------
-        ValueError
-            A kind that is not read, or numbers that the kind cannot have.
-        """
+        """The surface in the words of our own prescription."""
         if self.kind not in SURFACE_KINDS:
             raise ValueError(f"this kind of surface is not read; {', '.join(sorted(SURFACE_KINDS))} are")
         outlines = [dict(outline) for outline in self.outlines]

@@ -37,18 +37,10 @@ class _Record:
 
 @dataclass(frozen=True, slots=True)
 class AgfCatalogue:
-    """Glasses of one AGF file.
+    """Glasses of one AGF file."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the catalogue: that of the file without its ending, in capitals.
-    path : pathlib.Path
-        Where it was read.
-    """
-
-    name: str
-    path: Path
+    name: str  # Name of the catalogue: that of the file without its ending, in capitals
+    path: Path  # Where it was read
     _records: dict[str, _Record]
 
     @property
@@ -70,15 +62,7 @@ class AgfCatalogue:
         return found
 
     def glass(self, name: str) -> Glass:
-        """One glass.
-
-        Raises
-        ------
-        ConfigError
-            No such glass, a formula that AGF files do not have, a line that is missing.
-        DomainError
-            Numbers that make no glass.
-        """
+        """One glass."""
         record = self._records.get(name.upper())
         if record is None:
             raise unknown_name(f"glass of catalogue {self.name}", name, self.names)
@@ -92,13 +76,7 @@ class AgfCatalogue:
 
 
 def read_agf(path: str | Path) -> AgfCatalogue:
-    """Read an AGF catalogue.
-
-    Raises
-    ------
-    ConfigError
-        What `optics.textfile.read_text` raises; a file without a glass.
-    """
+    """Read an AGF catalogue."""
     records: dict[str, _Record] = {}
     current: _Record | None = None
     open_line: list[str] = []

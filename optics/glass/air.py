@@ -42,35 +42,7 @@ def air_index(
     co2_ppm: float = 450.0,
     formula: AirFormula = "kohlrausch",
 ) -> FloatArray:
-    """Refractive index of air against vacuum.
-
-    Parameters
-    ----------
-    wavelength_nm : array_like
-        Wavelengths [nm], any shape.
-    temperature_c : float
-        Temperature [C], -100 ... 140.
-    pressure_hpa : float
-        Pressure [hPa]; 0 is vacuum.
-    humidity : float
-        Relative humidity 0 ... 1; ``"ciddor"`` only.
-    co2_ppm : float
-        Carbon dioxide [1e-6 by amount]; ``"ciddor"`` only.
-    formula : {"kohlrausch", "ciddor"}
-        See the module.
-
-    Returns
-    -------
-    numpy.ndarray
-        Index, shape of ``wavelength_nm``.
-
-    Raises
-    ------
-    DomainError
-        Wavelength, temperature, pressure, humidity or carbon dioxide outside its range.
-    ConfigError
-        Unknown formula, or humidity asked of ``"kohlrausch"``.
-    """
+    """Refractive index of air against vacuum."""
     if formula not in get_args(AirFormula):
         raise unknown_name("air formula", formula, get_args(AirFormula))
     low, high = TEMPERATURE_RANGE_C

@@ -302,32 +302,7 @@ _KEYS = (
 
 
 def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -> Glass:
-    """Glass from a table of keys, as in ``[glass.NAME]`` of a lens file.
-
-    Parameters
-    ----------
-    name : str
-        Name of the glass.
-    table : mapping
-        ``range_nm`` is needed, and ``B``, ``C`` [um^2] of Sellmeier's formula or ``formula`` and ``coefficients``
-        (`optics.glass.dispersion.FORMULAS`); ``dndt`` (six numbers), ``dndt_range_c``, ``cte_per_k``,
-        ``density_g_cm3``, ``nd``, ``vd``, ``reference_temperature_c``, ``reference_pressure_hpa``, ``maker``,
-        ``source`` and ``transmittance_mm`` / ``_nm`` / ``transmittance`` may follow.
-    source : str
-        Used when the table has none.
-
-    Returns
-    -------
-    Glass
-        The checked record.
-
-    Raises
-    ------
-    ConfigError
-        Unknown key (nearest named), a needed one missing, no source.
-    DomainError
-        Values that make no glass.
-    """
+    """Glass from a table of keys, as in ``[glass.NAME]`` of a lens file."""
     if not isinstance(table, Mapping):
         raise ConfigError(f"glass {name}: a table with B and C is needed, got {table!r}")
     for key in table:

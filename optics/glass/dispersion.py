@@ -33,23 +33,12 @@ _Numbers = Sequence[float]
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """Structure of a dispersion formula; its numbers are ordered as factors of the powers, strengths, resonances.
+    """Structure of a dispersion formula; its numbers are ordered as factors of the powers, strengths, resonances."""
 
-    Attributes
-    ----------
-    squared : bool
-        Whether the sum is n^2 (else n).
-    constant : float
-        What the sum begins with.
-    powers : tuple of float
-        Exponents of the wavelength; whole or half.
-    poles : tuple of (int, int)
-        For each resonance the exponent of the wavelength in its numerator and the order of the pole.
-    """
-
-    squared: bool
-    constant: float = 0.0
-    powers: tuple[float, ...] = ()
+    squared: bool  # Whether the sum is n^2 (else n)
+    constant: float = 0.0  # What the sum begins with
+    powers: tuple[float, ...] = ()  # Exponents of the wavelength; whole or half
+    # (int, int) For each resonance the exponent of the wavelength in its numerator and the order of the pole
     poles: tuple[tuple[int, int], ...] = ()
 
     @property
@@ -92,25 +81,10 @@ def _power(wave: Any, l2: Any, exponent: float, xp: ArrayNamespace) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Dispersion:
-    """A formula with its coefficients.
+    """A formula with its coefficients."""
 
-    Attributes
-    ----------
-    formula : str
-        One of `FORMULAS`.
-    coefficients : tuple of float
-        In the published order; wavelengths in um.
-
-    Raises
-    ------
-    ConfigError
-        Unknown formula, or coefficients that it cannot have.
-    DomainError
-        A coefficient that is not finite.
-    """
-
-    formula: str
-    coefficients: tuple[float, ...]
+    formula: str  # One of `FORMULAS`
+    coefficients: tuple[float, ...]  # In the published order; wavelengths in um
 
     def __post_init__(self) -> None:
         if self.formula not in FORMULAS:
@@ -308,27 +282,15 @@ LARGE_CHANGE = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThermalDispersion:
-    """Constants of SCHOTT's dn/dT formula.
+    """Constants of SCHOTT's dn/dT formula."""
 
-    Attributes
-    ----------
-    D0, D1, D2 : float
-        [1/K], [1/K^2], [1/K^3].
-    E0, E1 : float
-        [um^2/K], [um^2/K^2].
-    lambda_tk_um : float
-        Mean resonance wavelength [um].
-    range_c : (float, float)
-        Temperatures for which the maker states them [C].
-    """
-
-    D0: float
+    D0: float  # [1/K], [1/K^2], [1/K^3]
     D1: float
     D2: float
-    E0: float
+    E0: float  # [um^2/K], [um^2/K^2]
     E1: float
-    lambda_tk_um: float
-    range_c: tuple[float, float] = (-100.0, 140.0)
+    lambda_tk_um: float  # Mean resonance wavelength [um]
+    range_c: tuple[float, float] = (-100.0, 140.0)  # (float, float) Temperatures for which the maker states them [C]
 
     def __post_init__(self) -> None:
         values = (self.D0, self.D1, self.D2, self.E0, self.E1, self.lambda_tk_um, *self.range_c)

@@ -34,22 +34,7 @@ _KELVIN = 273.15
 
 
 def read_material(path: str | Path, name: str | None = None) -> Glass:
-    """Read a material of refractiveindex.info.
-
-    Parameters
-    ----------
-    path : path
-        YAML file of the database, as the site offers it ("Full database record").
-    name : str, optional
-        Name of the glass; that of the file if left out.
-
-    Raises
-    ------
-    ConfigError
-        Not such a file, no index in it, a formula that is not read (8 and 9: silver halides, urea).
-    DomainError
-        Numbers that make no glass.
-    """
+    """Read a material of refractiveindex.info."""
     text = "\n".join(read_text(path, "a material file (YAML)").lines)
     try:
         file = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
@@ -137,17 +122,7 @@ def _tabulated(table: FloatArray, properties: Mapping[str, Any]) -> tuple[Disper
 def fitted_index(wave_um: FloatArray, index: FloatArray) -> tuple[Dispersion, float]:
     """Smooth curve through measured indices.
 
-    Parameters
-    ----------
-    wave_um, index : (n,)
-        Increasing wavelengths [um], two or more, and the index at each.
-
-    Returns
-    -------
-    Dispersion
-        n^2 as a polynomial in l^2 and 1 / l^2, with as many terms as the points bear.
-    float
-        The largest residual of the index.
+    Shapes: ``wave_um`` (n,), ``index`` (n,).
     """
     exponents = (0, 2, -2, -4, -6, -8)[: max(2, min(6, (len(wave_um) + 1) // 2 + (len(wave_um) > 3)))]
     columns = np.stack([wave_um**p for p in exponents], axis=1)

@@ -93,11 +93,6 @@ def index_parameters(
     """Parameter slice, dispersion formula and thermal switch of one medium; ``None`` is the surroundings.
 
     A glass without dn/dT data keeps its catalogue index within `UNKNOWN_DNDT_K` of the catalogue's temperature.
-
-    Raises
-    ------
-    DomainError
-        If the glass has no dn/dT data and the temperature is further away, or if its data do not reach that far.
     """
     if glass is None:
         return [environment.air_density], None, False

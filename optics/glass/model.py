@@ -25,23 +25,7 @@ CONSTANT_RANGE_NM = (100.0, 30000.0)
 
 
 def model_glass(name: str, nd: float, vd: float, *, partial: float = 0.0) -> Glass:
-    """Glass through an index and an Abbe number.
-
-    Parameters
-    ----------
-    name : str
-        What to call it.
-    nd, vd : float
-        Index at 587.5618 nm and Abbe number; ``vd = 0`` means the same index at every wavelength, which may be
-        that of a gas thinner than air (0.99971 relative to it).
-    partial : float
-        Deviation of the partial dispersion P_g,F from the normal line.
-
-    Raises
-    ------
-    DomainError
-        Numbers that no glass has.
-    """
+    """Glass through an index and an Abbe number."""
     if not ((1.0 if vd else 0.99) <= nd <= 4.5 and (vd == 0.0 or 9.0 <= vd <= 120.0) and abs(partial) < 0.2):
         raise DomainError(f"n_d = {nd:g}, v_d = {vd:g} (dP_gF = {partial:g}) are those of no glass")
     wide = RANGE_NM

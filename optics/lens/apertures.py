@@ -29,21 +29,11 @@ ROUND_POINTS = 72
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Aperture(ABC):
-    """An outline in the frame of a surface.
+    """An outline in the frame of a surface."""
 
-    Attributes
-    ----------
-    obscures : bool
-        False: light passes inside; True: light is blocked inside.
-    centre_mm : (x, y)
-        Centre.
-    angle_deg : float
-        Turn about its own centre, from x towards y.
-    """
-
-    obscures: bool = False
-    centre_mm: Point = (0.0, 0.0)
-    angle_deg: FiniteFloat = 0.0
+    obscures: bool = False  # False: light passes inside; True: light is blocked inside
+    centre_mm: Point = (0.0, 0.0)  # (x, y) Centre
+    angle_deg: FiniteFloat = 0.0  # Turn about its own centre, from x towards y
     kind: ClassVar[str]
 
     def parameters(self) -> tuple[float, ...]:

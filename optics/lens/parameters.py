@@ -66,23 +66,7 @@ def steps_of(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 def with_parameters(
     lens: LensSystem, values: Mapping[str, FloatArray], *, housing_cte_per_k: float = 23.6e-6
 ) -> LensSystem:
-    """A lens with other numbers.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens that `lens_parameters` were read from.
-    values : mapping
-        Arrays of `LENS_PARAMETERS`; what is left out stays.
-    housing_cte_per_k : float
-        Expansion of the housing [1/K], for another temperature.
-
-    Raises
-    ------
-    DomainError
-        A number that a surface does not have, or that makes no surface; a stop that stands alone is not tilted, as it
-        limits light by its rim only.
-    """
+    """A lens with other numbers."""
     before = lens_parameters(lens)
     for name, value in values.items():
         if np.shape(value) != before[name].shape:

@@ -220,26 +220,7 @@ def lens_from_table(
     environment: Environment = CATALOGUE_AIR,
     labels: Sequence[str] | None = None,
 ) -> LensSystem:
-    """Make a lens from the tables of a prescription, whatever file they come from.
-
-    Parameters
-    ----------
-    mapping : mapping
-        What a lens file in TOML holds.
-    where : str
-        Where it came from, to open messages.
-    folder : path
-        Where the files that it names are.
-    environment : Environment
-        Temperature and pressure.
-    labels : sequence of str, optional
-        What messages call the tables of surfaces, coordinate breaks included; ``surface 0`` and so on if left out.
-
-    Raises
-    ------
-    ConfigError
-        Unknown key (with the nearest), unknown glass, a file that is missing, or a geometry that cannot be.
-    """
+    """Make a lens from the tables of a prescription, whatever file they come from."""
     file = _parsed(mapping, where, labels)
     names = [f"surface {number}" for number in range(len(file.surface))] if labels is None else labels
     try:

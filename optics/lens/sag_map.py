@@ -23,25 +23,12 @@ LEAST_POINTS = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SagMap:
-    """Height deviations of a surface; compared by identity.
+    """Height deviations of a surface; compared by identity."""
 
-    Attributes
-    ----------
-    values_mm : (rows, columns)
-        Added to the sag z(x, y) [mm]; rows along +y, columns along +x.
-    width_mm : (x, y)
-        Distance between first and last column, and between first and last row [mm]; the middle is the vertex.
-    spline : (rows + 2, columns + 2)
-        Coefficients of the uniform cubic B-splines [mm]; made here.
-
-    Raises
-    ------
-    DomainError
-        Fewer than 5 rows or columns, values that are not finite, a width that is not positive.
-    """
-
-    values_mm: FloatArray
+    values_mm: FloatArray  # (rows, columns) Added to the sag z(x, y) [mm]; rows along +y, columns along +x
+    # (x, y) Distance between first and last column, and between first and last row [mm]; the middle is the vertex
     width_mm: tuple[float, float]
+    # (rows + 2, columns + 2) Coefficients of the uniform cubic B-splines [mm]; made here
     spline: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -69,15 +56,7 @@ class SagMap:
         return replace(self, values_mm=factor * self.values_mm, width_mm=width)
 
     def at(self, x: Any, y: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any, Any]:
-        """Height [mm], its slopes along x and y, and whether the map reaches the point; on every array library.
-
-        Parameters
-        ----------
-        x, y : array
-            Points [mm].
-        xp : ArrayNamespace
-            Their array library.
-        """
+        """Height [mm], its slopes along x and y, and whether the map reaches the point; on every array library."""
         rows, columns = self.values_mm.shape
         (step_x, step_y), table = self.step_mm, xp.table(self.spline)
         column, wx, dx, in_x = _weights((x + 0.5 * self.width_mm[0]) * (1.0 / step_x), columns, xp)
@@ -93,23 +72,7 @@ class SagMap:
 
 
 def read_map(path: Path) -> FloatArray:
-    """Values (rows, columns) of a map: NumPy's .npy, or numbers in lines of text.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    (rows, columns) array
-        As they stand there.
-
-    Raises
-    ------
-    ConfigError
-        No such file, or not a table of numbers.
-    """
+    """Values (rows, columns) of a map: NumPy's .npy, or numbers in lines of text."""
     if path.exists() and not path.is_file():  # reading a pipe would wait for ever
         raise ConfigError(f"{path}: map cannot be read (not a file)")
     try:

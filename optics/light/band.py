@@ -162,24 +162,12 @@ class TabulatedBand(Curve):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BandNodes:
-    """Quadrature over several bands: ``f`` times a filter integrates to ``sum(f(wavelength) * weight * transmission)``.
+    """Quadrature over bands: ``f`` times a filter integrates to ``sum(f(wavelength) * weight * transmission)``."""
 
-    Attributes
-    ----------
-    name : tuple of str, (b,)
-        Bands.
-    wavelength_nm : (b, k)
-        Nodes [nm].
-    weight_nm : (b, k)
-        Weights [nm], without the transmission of the filter.
-    transmission : (b, k)
-        Transmission of the filter at the nodes.
-    """
-
-    name: tuple[str, ...]
-    wavelength_nm: FloatArray
-    weight_nm: FloatArray
-    transmission: FloatArray
+    name: tuple[str, ...]  # (b,) Bands
+    wavelength_nm: FloatArray  # (b, k) Nodes [nm]
+    weight_nm: FloatArray  # (b, k) Weights [nm], without the transmission of the filter
+    transmission: FloatArray  # (b, k) Transmission of the filter at the nodes
 
     def __post_init__(self) -> None:
         sizes = {"b": len(self.name)}
@@ -189,15 +177,7 @@ class BandNodes:
     def integrate(self, values: ArrayLike) -> FloatArray:
         """Integral over each band of what was evaluated at the nodes.
 
-        Parameters
-        ----------
-        values : array_like, (..., b, k)
-            Integrand at ``wavelength_nm``.
-
-        Returns
-        -------
-        numpy.ndarray, (..., b)
-            Integral times nm.
+        Shapes: ``values`` (..., b, k).
         """
         return np.asarray((np.asarray(values) * self.weight_nm * self.transmission).sum(axis=-1))
 

@@ -29,25 +29,6 @@ def load_band(path: str | Path, name: str = "") -> TabulatedBand:
     The first two columns are wavelength [nm], up or down, and transmission as a fraction, separated by commas,
     semicolons, tabs or blanks; lines that begin with ``#`` are left out. The header may be missing. A second column
     named ``transmission_percent`` is converted.
-
-    Parameters
-    ----------
-    path : path
-        CSV file.
-    name : str
-        What tables call the band; the name of the file if left out.
-
-    Returns
-    -------
-    TabulatedBand
-        The curve between the points where it falls below 1e-3 of its peak.
-
-    Raises
-    ------
-    ConfigError
-        File missing or no table of numbers (with the line).
-    DomainError
-        Percent or micrometres that are not said to be, wavelengths out of order, values outside 0 ... 1.
     """
     shown = Path(path).name
     table, scale = _table(read_text(path, "a table of wavelengths and values").lines, shown)

@@ -16,26 +16,13 @@ __all__ = ["Collimation", "bent_light"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Collimation:
-    """Error of collimated light against wavelength, the same for all points of a target; b bands, k wavelengths.
+    """Error of collimated light against wavelength, the same for all points of a target; b bands, k wavelengths."""
 
-    Attributes
-    ----------
-    wavelength_nm : (b, k)
-        Increasing in each band; linear in between, constant beyond.
-    slope_rad : (b, k, 2)
-        By how much the direction towards a source is turned, along X and Y of cam: a wedge, air, decollimation beside
-        the axis of the beam.
-    vergence_per_mm : (b, k)
-        Reciprocal distance from the launch disk of the camera to the source; positive where light diverges.
-
-    Raises
-    ------
-    DomainError
-        On wrong shapes, values that are not finite, wavelengths that do not increase.
-    """
-
-    wavelength_nm: FloatArray
+    wavelength_nm: FloatArray  # (b, k) Increasing in each band; linear in between, constant beyond
+    # (b, k, 2) By how much the direction towards a source is turned, along X and Y of cam: a wedge, air,
+    # decollimation beside the axis of the beam
     slope_rad: FloatArray
+    # (b, k) Reciprocal distance from the launch disk of the camera to the source; positive where light diverges
     vergence_per_mm: FloatArray
 
     def __post_init__(self) -> None:
@@ -61,16 +48,7 @@ def bent_light(light: tuple[Any, Any, Any], x_mm: Any, y_mm: Any, error: tuple[A
 
     Exact for a point source at a finite distance; written once for NumPy and Dr.Jit.
 
-    Parameters
-    ----------
-    light : (dx, dy, dz)
-        Direction of travel of the plane wave in the lens frame (`optics.frames.light_direction`).
-    x_mm, y_mm
-        Points from the centre of the launch disk, lens frame [mm].
-    error : (slope along X_cam, slope along Y_cam, vergence)
-        As `Collimation.at` has them.
-    sqrt : callable
-        Of the array type.
+    Shapes: ``light`` (dx, dy, dz), ``error`` (slope along X_cam, slope along Y_cam, vergence).
     """
     slope_x, slope_y, vergence = error
     dx = light[0] + slope_x + vergence * x_mm

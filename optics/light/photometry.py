@@ -46,28 +46,14 @@ _GAIA_PUPIL_MM2 = 0.7278e6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MagnitudeSystem:
-    """A magnitude scale.
+    """A magnitude scale."""
 
-    Attributes
-    ----------
-    name, source : str
-        Its name and where passband and zero point come from.
-    band : TabulatedBand
-        Passband.
-    detects : {"energy", "photon"}
-        What the passband responds to.
-    scale : float
-        What turns the integral (of W or photons s^-1 mm^-2) into the number whose logarithm is taken.
-    zero_point : float
-        Magnitude of a source for which that number is 1.
-    """
-
-    name: str
+    name: str  # Its name and where passband and zero point come from
     source: str
-    band: TabulatedBand
-    detects: Literal["energy", "photon"]
-    scale: float
-    zero_point: float
+    band: TabulatedBand  # Passband
+    detects: Literal["energy", "photon"]  # What the passband responds to
+    scale: float  # What turns the integral (of W or photons s^-1 mm^-2) into the number whose logarithm is taken
+    zero_point: float  # Magnitude of a source for which that number is 1
 
 
 def _band(file: str, name: str, source: str) -> TabulatedBand:
@@ -78,23 +64,7 @@ def _band(file: str, name: str, source: str) -> TabulatedBand:
 
 @cache
 def magnitude_system(name: str) -> MagnitudeSystem:
-    """Magnitude scale by name.
-
-    Parameters
-    ----------
-    name : {"V", "G"}
-        Johnson V or Gaia G.
-
-    Returns
-    -------
-    MagnitudeSystem
-        Passband and zero point with their sources.
-
-    Raises
-    ------
-    ConfigError
-        Unknown name.
-    """
+    """Magnitude scale by name."""
     if name == "V":
         source = "passband: Bessell, PASP 102, 1181 (1990); zero point: Bessell, Castelli, Plez, A&A 333, 231 (1998)"
         band = _band("johnson_v_bessell1990.csv", "V", source)
@@ -114,24 +84,7 @@ def magnitude_system(name: str) -> MagnitudeSystem:
 def band_integral(
     band: Band, function: Callable[[FloatArray], FloatArray], *, breakpoints_nm: ArrayLike = (), order: int = 4
 ) -> float:
-    """Integral of a function times a band over wavelength.
-
-    Parameters
-    ----------
-    band : Band
-        Filter.
-    function : callable
-        Of wavelength [nm], shape (n,), returning (n,).
-    breakpoints_nm : array_like
-        Where the function itself has kinks [nm].
-    order : int
-        Gauss-Legendre nodes between neighbouring breakpoints.
-
-    Returns
-    -------
-    float
-        The integral, in the unit of the function times nm.
-    """
+    """Integral of a function times a band over wavelength."""
     wave, weight = _fine_nodes(band, np.asarray(breakpoints_nm, dtype=np.float64), order)
     return float(np.asarray(function(wave)) @ weight)
 
@@ -226,26 +179,7 @@ def photon_rate(sed: Sed, magnitude: ArrayLike, *, wavelength_nm: ArrayLike, sys
 def band_photon_rate(sed: Sed, magnitude: ArrayLike, bands: Sequence[Band], *, system: str = "V") -> FloatArray:
     """Photons that pass each filter, integrated over all of its pieces.
 
-    Parameters
-    ----------
-    sed : Sed
-        Spectrum; only its shape matters.
-    magnitude : array_like, (...)
-        Magnitudes.
-    bands : sequence of Band, (b,)
-        Filters.
-    system : {"V", "G"}
-        Magnitude scale.
-
-    Returns
-    -------
-    numpy.ndarray, (..., b)
-        Photons s^-1 mm^-2.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        As `photon_rate`.
+    Shapes: ``bands`` (b,).
     """
     rates = [band_integral(band, sed.photon_density, breakpoints_nm=sed.breakpoints_nm, order=8) for band in bands]
     return np.multiply.outer(_brightening(sed, magnitude, system), np.array(rates))

@@ -111,23 +111,10 @@ class TabulatedCoating:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layout:
-    """What light meets along the axis.
+    """What light meets along the axis."""
 
-    Attributes
-    ----------
-    media : tuple of Glass or None
-        Medium behind each surface, None for air; in front of the first surface is air.
-    thickness_mm : (n,)
-        Axial length of each of these media; that behind the last surface is not used.
-
-    Raises
-    ------
-    DomainError
-        Lengths that differ, are negative or NaN.
-    """
-
-    media: tuple[Glass | None, ...]
-    thickness_mm: FloatArray
+    media: tuple[Glass | None, ...]  # Medium behind each surface, None for air; in front of the first surface is air
+    thickness_mm: FloatArray  # (n,) Axial length of each of these media; that behind the last surface is not used
 
     def __post_init__(self) -> None:
         thickness = freeze(self, "thickness_mm", shape=("n",), sizes={"n": len(self.media)})
@@ -142,23 +129,7 @@ class Layout:
 
 
 def layout_of(lens: Any) -> Layout:
-    """Axial layout of a `optics.lens.system.LensSystem`: distances between vertices, media by name.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        Prescription.
-
-    Returns
-    -------
-    Layout
-        Its media and thicknesses.
-
-    Raises
-    ------
-    ConfigError
-        Not a lens.
-    """
+    """Axial layout of a `optics.lens.system.LensSystem`: distances between vertices, media by name."""
     try:
         vertices = np.array([surface.position_mm for surface in lens.surfaces] + [lens.image_position_mm])
         media = tuple(lens.glasses.get(surface.medium) for surface in lens.surfaces)

@@ -35,51 +35,25 @@ CONTRACTION = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AimFrame:
-    """Where rays are launched, and the sizes that distances are compared with.
+    """Where rays are launched, and the sizes that distances are compared with."""
 
-    Attributes
-    ----------
-    z_mm : float
-        Plane of launch: the paraxial entrance pupil, or the first vertex where that is at infinity.
-    scale_mm : float
-        Radius of the paraxial entrance pupil, or of the widest aperture.
-    stop_mm : float
-        Radius of the stop, or ``scale_mm`` where it has none.
-    """
-
-    z_mm: float
-    scale_mm: float
-    stop_mm: float
+    z_mm: float  # Plane of launch: the paraxial entrance pupil, or the first vertex where that is at infinity
+    scale_mm: float  # Radius of the paraxial entrance pupil, or of the widest aperture
+    stop_mm: float  # Radius of the stop, or ``scale_mm`` where it has none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AimedRays:
-    """Rays through the centre of the stop.
+    """Rays through the centre of the stop."""
 
-    Attributes
-    ----------
-    x_mm, y_mm : array
-        Where they cross the plane of launch; where the aim failed, where it got lost.
-    z_mm : float
-        That plane.
-    found : array of bool
-        Whether they pass the centre of the stop.
-    """
-
-    x_mm: FloatArray
+    x_mm: FloatArray  # Where they cross the plane of launch; where the aim failed, where it got lost
     y_mm: FloatArray
-    z_mm: float
-    found: BoolArray
+    z_mm: float  # That plane
+    found: BoolArray  # Whether they pass the centre of the stop
 
 
 def aim_frame(lens: LensSystem) -> AimFrame:
-    """Plane of launch and sizes of a lens.
-
-    Raises
-    ------
-    ConvergenceError
-        If neither the stop nor any aperture limits the beam.
-    """
+    """Plane of launch and sizes of a lens."""
     try:
         first = axial_paraxial(lens, lens.design_wavelength_nm)
         pupil = np.array([first.entrance_pupil_z_mm, first.entrance_pupil_radius_mm])
@@ -219,19 +193,7 @@ class _Aim:
 def aim_at_stop(lens: LensSystem, direction: ArrayLike, wavelength_nm: ArrayLike) -> AimedRays:
     """Rays of stars that pass the centre of the stop.
 
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens; may be perturbed. Apertures do not count.
-    direction : (..., 3)
-        Unit vectors along which the light travels, in the lens frame.
-    wavelength_nm : array
-        Wavelengths; broadcast against the directions.
-
-    Raises
-    ------
-    ConvergenceError
-        If neither the stop nor any aperture gives the lens a scale.
+    Shapes: ``direction`` (..., 3).
     """
     direction = np.asarray(direction, float)
     wave = np.asarray(wavelength_nm, float)

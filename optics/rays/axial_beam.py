@@ -23,13 +23,7 @@ FAN = 0.95
 
 
 def check_axial_beam(lens: LensSystem) -> None:
-    """Refuse a centred lens that loses rays on the axis other than at apertures: a surface beyond where it makes sense.
-
-    Raises
-    ------
-    DomainError
-        With the height from which rays miss a surface or are totally reflected, and the surface.
-    """
+    """Refuse a centred lens that loses axial rays other than at apertures: a surface beyond where it makes sense."""
     try:
         first = paraxial(lens)
     except DomainError:  # tilted or afocal

@@ -43,21 +43,13 @@ LEAST_ARMS, FINER = 16, 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beams:
-    """Points inside the beams of f stars at w wavelengths.
+    """Points inside the beams of f stars at w wavelengths."""
 
-    Attributes
-    ----------
-    z_mm : float
-        Launch plane, in the lens frame.
-    x_mm, y_mm : (f, w, n)
-        Where rays are launched.
-    area_mm2 : (f, w, n)
-        Part of the plane that each ray stands for; their sum is the beam's cross-section there, 0 where none passes.
-    """
-
-    z_mm: float
-    x_mm: FloatArray
-    y_mm: FloatArray
+    z_mm: float  # Launch plane, in the lens frame
+    x_mm: FloatArray  # (f, w, n) Where rays are launched
+    y_mm: FloatArray  # (f, w, n)
+    # (f, w, n) Part of the plane that each ray stands for; their sum is the beam's cross-section there, 0 where none
+    # passes
     area_mm2: FloatArray
 
     def __post_init__(self) -> None:
@@ -68,27 +60,13 @@ class Beams:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BeamOutlines:
-    """Outlines of the beams of f stars at p wavelengths in the plane of launch.
+    """Outlines of the beams of f stars at p wavelengths in the plane of launch."""
 
-    Attributes
-    ----------
-    z_mm : float
-        The plane, in the lens frame.
-    centre_mm : (f, p, 2)
-        A point inside each.
-    radius_mm : (f, p, m)
-        Distance of the outline from it at m equidistant azimuths (`_azimuth`).
-    rim : (f, p, m)
-        Number of the surface whose aperture ends it there.
-    lit : (f, p)
-        Whether any light gets through.
-    """
-
-    z_mm: float
-    centre_mm: FloatArray
-    radius_mm: FloatArray
-    rim: IntArray
-    lit: BoolArray
+    z_mm: float  # The plane, in the lens frame
+    centre_mm: FloatArray  # (f, p, 2) A point inside each
+    radius_mm: FloatArray  # (f, p, m) Distance of the outline from it at m equidistant azimuths (`_azimuth`)
+    rim: IntArray  # (f, p, m) Number of the surface whose aperture ends it there
+    lit: BoolArray  # (f, p) Whether any light gets through
 
     @property
     def x_mm(self) -> FloatArray:
@@ -134,23 +112,7 @@ class _Apertures:
 def find_beams(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike, *, rings: int, arms: int) -> Beams:
     """Points inside the beams of stars.
 
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens; may be perturbed. Apertures with holes are the caller's affair: outlines know outer rims only.
-    v_cam : (f, 3)
-        Unit vectors towards the stars in cam.
-    wavelength_nm : (w,)
-        Wavelengths [nm].
-    rings, arms : int
-        Radii and azimuths; more azimuths where an outline is not smooth.
-
-    Raises
-    ------
-    DomainError
-        If a wavelength is outside the range of one of the glasses.
-    ConvergenceError
-        If nothing limits a beam.
+    Shapes: ``v_cam`` (f, 3), ``wavelength_nm`` (w,).
     """
     wavelength_nm = np.asarray(wavelength_nm, float)
     picks, factors = _picks(wavelength_nm)

@@ -24,21 +24,12 @@ ARMS = 50
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BeamWidths:
-    """Widths of beams.
+    """Widths of beams."""
 
-    Attributes
-    ----------
-    semi_diameter_mm : (surfaces,)
-        Greatest distance of a marginal ray from the vertex, in the vertex plane; NaN where none arrives.
-    dark : tuple of int
-        Fields from which no light passes the stop.
-    lost, rays : int
-        Marginal rays that miss a surface or are totally reflected, and all of them.
-    """
-
+    # (surfaces,) Greatest distance of a marginal ray from the vertex, in the vertex plane; NaN where none arrives
     semi_diameter_mm: FloatArray
-    dark: tuple[int, ...]
-    lost: int
+    dark: tuple[int, ...]  # Fields from which no light passes the stop
+    lost: int  # Marginal rays that miss a surface or are totally reflected, and all of them
     rays: int
 
 
@@ -47,24 +38,7 @@ def beam_widths(
 ) -> BeamWidths:
     """Distances from the vertices to which the light of some fields reaches.
 
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens; apertures that it has cut the beams.
-    field_deg : (f, 2)
-        Directions of the light: tan(x) = dx/dz, tan(y) = dy/dz in the lens frame.
-    wavelength_nm : (w,)
-        Wavelengths.
-    vignetting : (f, 5), optional
-        Decentre x, y, compression x, y [of the half widths of the beam] and angle [deg] of the beam of every field, as
-        design programs have them (vignetting factors); none if left out.
-
-    Raises
-    ------
-    DomainError
-        If a wavelength is outside the range of one of the glasses.
-    ConvergenceError
-        If nothing limits a beam.
+    Shapes: ``field_deg`` (f, 2), ``wavelength_nm`` (w,), ``vignetting`` (f, 5).
     """
     slope = np.tan(np.asarray(field_deg, float) * DEG_RAD)
     direction = np.concatenate([slope, np.ones((len(slope), 1))], axis=1)

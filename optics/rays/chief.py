@@ -27,27 +27,15 @@ __all__ = ["DistortionMap", "chief_ray_points", "distortion_map", "plate_scale_m
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistortionMap:
-    """Chief-ray positions against the ideal f tan(field) on a grid of fields.
+    """Chief-ray positions against the ideal f tan(field) on a grid of fields."""
 
-    Attributes
-    ----------
-    field_x_deg, field_y_deg : (n, n)
-        Fields.
-    ideal_x_mm, ideal_y_mm : (n, n)
-        Ideal positions, from the chief ray of field 0.
-    x_mm, y_mm : (n, n)
-        Real positions.
-    focal_length_mm : float
-        f of the ideal positions.
-    """
-
-    field_x_deg: FloatArray
-    field_y_deg: FloatArray
-    ideal_x_mm: FloatArray
-    ideal_y_mm: FloatArray
-    x_mm: FloatArray
-    y_mm: FloatArray
-    focal_length_mm: float
+    field_x_deg: FloatArray  # (n, n) Fields
+    field_y_deg: FloatArray  # (n, n)
+    ideal_x_mm: FloatArray  # (n, n) Ideal positions, from the chief ray of field 0
+    ideal_y_mm: FloatArray  # (n, n)
+    x_mm: FloatArray  # (n, n) Real positions
+    y_mm: FloatArray  # (n, n)
+    focal_length_mm: float  # f of the ideal positions
 
     def __post_init__(self) -> None:
         for name in ("field_x_deg", "field_y_deg", "ideal_x_mm", "ideal_y_mm", "x_mm", "y_mm"):

@@ -37,39 +37,21 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParaxialLens:
-    """First-order quantities at one wavelength; ``*_z_mm`` are positions in the lens frame.
+    """First-order quantities at one wavelength; ``*_z_mm`` are positions in the lens frame."""
 
-    Attributes
-    ----------
-    wavelength_nm : float
-        Wavelength [nm].
-    efl_mm : float
-        Effective focal length (rear principal plane to rear focus).
-    bfl_mm : float
-        From the last refracting vertex to the rear focus.
-    ffl_mm : float
-        From the first refracting vertex to the front focus (usually negative).
-    front_focus_z_mm, rear_focus_z_mm, front_principal_z_mm, rear_principal_z_mm : float
-        Cardinal planes.
-    entrance_pupil_z_mm, entrance_pupil_radius_mm, exit_pupil_z_mm, exit_pupil_radius_mm : float
-        Images of the stop; infinite for a telecentric lens.
-    f_number : float
-        efl / (2 entrance pupil radius).
-    """
-
-    wavelength_nm: float
-    efl_mm: float
-    bfl_mm: float
-    ffl_mm: float
-    front_focus_z_mm: float
+    wavelength_nm: float  # Wavelength [nm]
+    efl_mm: float  # Effective focal length (rear principal plane to rear focus)
+    bfl_mm: float  # From the last refracting vertex to the rear focus
+    ffl_mm: float  # From the first refracting vertex to the front focus (usually negative)
+    front_focus_z_mm: float  # Cardinal planes
     rear_focus_z_mm: float
     front_principal_z_mm: float
     rear_principal_z_mm: float
-    entrance_pupil_z_mm: float
+    entrance_pupil_z_mm: float  # Images of the stop; infinite for a telecentric lens
     entrance_pupil_radius_mm: float
     exit_pupil_z_mm: float
     exit_pupil_radius_mm: float
-    f_number: float
+    f_number: float  # efl / (2 entrance pupil radius)
 
 
 def _require_centred(lens: LensSystem) -> None:
@@ -189,13 +171,7 @@ def paraxial(lens: LensSystem, wavelength_nm: float | None = None) -> ParaxialLe
 
 
 def image_of(lens: LensSystem, object_z_mm: float, wavelength_nm: float | None = None) -> tuple[float, float]:
-    """Position [mm, lens frame] and transverse magnification of the image of an axial object plane.
-
-    Raises
-    ------
-    DomainError
-        As `paraxial`; also for an object in the front focal plane.
-    """
+    """Position [mm, lens frame] and transverse magnification of the image of an axial object plane."""
     p = paraxial(lens, wavelength_nm)
     # Newton: x x' = -f f', with f' / f = n' / n, equal here because both sides are the surroundings
     x = object_z_mm - p.front_focus_z_mm
@@ -207,21 +183,7 @@ def image_of(lens: LensSystem, object_z_mm: float, wavelength_nm: float | None =
 def chief_ray(lens: LensSystem, field_deg: float, wavelength_nm: float | None = None) -> tuple[FloatArray, FloatArray]:
     """Paraxial chief ray of a star at ``field_deg``, in the meridional plane.
 
-    Parameters
-    ----------
-    lens : LensSystem
-        A centred lens.
-    field_deg : float
-        Field angle [deg]; the ray's slope in object space is tan(field).
-    wavelength_nm : float, optional
-        Wavelength; the design wavelength if left out.
-
-    Returns
-    -------
-    height_mm : (surfaces + 1,)
-        Height at each vertex plane and at the image plane.
-    slope : (surfaces + 1,)
-        Slope after each surface; the last repeats the one before.
+    Shapes: returns (surfaces + 1,).
     """
     p = paraxial(lens, wavelength_nm)
     n = lens.indices(p.wavelength_nm)
@@ -280,18 +242,6 @@ def stopped_down(lens: LensSystem, f_number: float) -> LensSystem:
     """Copy of a lens whose stop is closed to an F-number at the design wavelength.
 
     The paraxial entrance pupil is the image of the stop, so its diameter goes with the stop's.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens; tilts and decentres do not count.
-    f_number : float
-        Focal length over diameter of the entrance pupil.
-
-    Raises
-    ------
-    DomainError
-        If the lens cannot be opened that far, or the stop would be closed to its inner, obscured part.
     """
     own = axial_paraxial(lens, lens.design_wavelength_nm).f_number
     stop = lens.surfaces[lens.stop_index]

@@ -24,14 +24,10 @@ __all__ = ["FocusCurve", "LensPerformance", "lens_performance", "white_focus"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FocusCurve:
-    """RMS spot radius against a shift z of the image plane: ``r^2 = square + 2 cross z + slope z^2``, exactly for rays.
+    """RMS spot radius against a shift z of the image plane: ``r^2 = square + 2 cross z + slope z^2``, exact for rays."""
 
-    Attributes
-    ----------
-    square_mm2, cross_mm, slope : (...)
-        Mean square of the ray heights about their mean, their mean product with the slopes, mean square of the slopes.
-    """
-
+    # (...) Mean square of the ray heights about their mean, their mean product with the slopes, mean square of the
+    # slopes
     square_mm2: FloatArray
     cross_mm: FloatArray
     slope: FloatArray
@@ -59,41 +55,21 @@ class FocusCurve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensPerformance:
-    """Over f fields and w wavelengths.
+    """Over f fields and w wavelengths."""
 
-    Attributes
-    ----------
-    field_deg : (f,)
-        Field angles, the first 0.
-    wavelength_nm, share : (w,)
-        Wavelengths and the share of the light each stands for.
-    focal_length_mm, f_number : float
-        Paraxial, at the design wavelength.
-    plate_scale_mm : float
-        Focal length as the image shows it about the axis (`optics.rays.chief.plate_scale_mm`), design wavelength.
-    chief_mm : (f,)
-        Chief-ray height from that of field 0, design wavelength.
-    bundle_mm : (f, w)
-        Mean of the ray bundle.
-    area_mm2 : (f, w)
-        Cross-section of the beam that arrives: the flux of a star is that times its irradiance.
-    white : FocusCurve
-        (f,): all wavelengths about their common mean.
-    single : FocusCurve
-        (f, w): each wavelength about its own mean.
-    """
-
-    field_deg: FloatArray
-    wavelength_nm: FloatArray
-    share: FloatArray
-    focal_length_mm: float
+    field_deg: FloatArray  # (f,) Field angles, the first 0
+    wavelength_nm: FloatArray  # (w,) Wavelengths and the share of the light each stands for
+    share: FloatArray  # (w,)
+    focal_length_mm: float  # Paraxial, at the design wavelength
     f_number: float
+    # Focal length as the image shows it about the axis (`optics.rays.chief.plate_scale_mm`), design wavelength
     plate_scale_mm: float
-    chief_mm: FloatArray
-    bundle_mm: FloatArray
+    chief_mm: FloatArray  # (f,) Chief-ray height from that of field 0, design wavelength
+    bundle_mm: FloatArray  # (f, w) Mean of the ray bundle
+    # (f, w) Cross-section of the beam that arrives: the flux of a star is that times its irradiance
     area_mm2: FloatArray
-    white: FocusCurve
-    single: FocusCurve
+    white: FocusCurve  # (f,): all wavelengths about their common mean
+    single: FocusCurve  # (f, w): each wavelength about its own mean
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -156,25 +132,7 @@ def lens_performance(
 ) -> LensPerformance:
     """Trace a lens at fields and wavelengths.
 
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens, perturbed or not.
-    field_deg : (f,)
-        Field angles, the first 0.
-    wavelength_nm : (w,)
-        Wavelengths.
-    share : (w,), optional
-        Share of the light at each; alike if left out.
-    spots : Spots, optional
-        Traced already, at these fields (along X) and wavelengths.
-
-    Raises
-    ------
-    DomainError
-        The first field is not 0.
-    StarbenchError
-        As `trace_spots` and `chief_ray_points`.
+    Shapes: ``field_deg`` (f,), ``wavelength_nm`` (w,), ``share`` (w,).
     """
     field, wave = np.atleast_1d(np.asarray(field_deg, float)), np.atleast_1d(np.asarray(wavelength_nm, float))
     if field[0] != 0.0:

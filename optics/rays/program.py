@@ -26,47 +26,23 @@ __all__ = ["LensProgram", "Step", "compile_lens"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One surface as the trace sees it; ``*_at`` are offsets into the parameter vector.
+    """One surface as the trace sees it; ``*_at`` are offsets into the parameter vector."""
 
-    Attributes
-    ----------
-    shape : type
-        Shape class whose ``intersect`` is called.
-    shape_at, shape_size : int
-        Its parameters.
-    shift_at : int
-        Three numbers: the previous vertex seen from this one, added after the rotation.
-    lateral : bool
-        Whether the shift has x and y components.
-    rotation_at : int
-        Nine numbers (row-major) that turn the previous frame into this one; -1 when the axes are parallel.
-    aperture_at : int
-        Squared outer and inner radius; -1 without a clear aperture.
-    annular : bool
-        Whether the inner radius counts.
-    before, after : int
-        Media; equal for a surface that does not refract.
-    mirror : bool
-        Whether it reflects.
-    outlines : tuple of (type, int, int, bool)
-        Class of every further aperture, its parameters (offset, number), and whether it obscures.
-    error : SagMap or None
-        Deviation that is added to the sag.
-    """
-
-    shape: type[Shape]
-    shape_at: int
+    shape: type[Shape]  # Shape class whose ``intersect`` is called
+    shape_at: int  # Its parameters
     shape_size: int
-    shift_at: int
-    lateral: bool
+    shift_at: int  # Three numbers: the previous vertex seen from this one, added after the rotation
+    lateral: bool  # Whether the shift has x and y components
+    # Nine numbers (row-major) that turn the previous frame into this one; -1 when the axes are parallel
     rotation_at: int
-    aperture_at: int
-    annular: bool
-    before: int
+    aperture_at: int  # Squared outer and inner radius; -1 without a clear aperture
+    annular: bool  # Whether the inner radius counts
+    before: int  # Media; equal for a surface that does not refract
     after: int
-    mirror: bool = False
+    mirror: bool = False  # Whether it reflects
+    # (type, int, int, bool) Class of every further aperture, its parameters (offset, number), and whether it obscures
     outlines: tuple[tuple[type[Aperture], int, int, bool], ...] = ()
-    error: SagMap | None = None
+    error: SagMap | None = None  # Deviation that is added to the sag
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

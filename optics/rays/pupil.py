@@ -44,19 +44,11 @@ INSIDE = 1e-7
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PupilSamples:
-    """Points of the unit disk with weights that sum to 1.
+    """Points of the unit disk with weights that sum to 1."""
 
-    Attributes
-    ----------
-    x, y : (n,)
-        Points.
-    weight : (n,)
-        Weights; equal for Sobol points.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    weight: FloatArray
+    x: FloatArray  # (n,) Points
+    y: FloatArray  # (n,) Points
+    weight: FloatArray  # (n,) Weights; equal for Sobol points
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -66,23 +58,14 @@ class PupilSamples:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EntrancePupil:
-    """Disk in a plane z = const of object space from which rays are launched.
+    """Disk in a plane z = const of object space from which rays are launched."""
 
-    Attributes
-    ----------
-    z_mm, x_mm, y_mm : float
-        Centre in the lens frame.
-    radius_mm : float
-        Radius.
-    exact : bool
-        Whether the disk is the clear stop itself, so that every ray in it passes the stop and none outside does.
-        If not, the disk only contains the pupil, and the trace decides.
-    """
-
-    z_mm: float
-    radius_mm: float
+    z_mm: float  # Centre in the lens frame
+    radius_mm: float  # Radius
+    # Whether the disk is the clear stop itself, so that every ray in it passes the stop and none outside does. If
+    # not, the disk only contains the pupil, and the trace decides
     exact: bool
-    x_mm: float = 0.0
+    x_mm: float = 0.0  # Centre in the lens frame
     y_mm: float = 0.0
 
     @property
@@ -93,20 +76,12 @@ class EntrancePupil:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaunchDisks:
-    """Disks in a plane z = const of object space, one for each of f stars; each holds the star's beam and little more.
+    """Disks in a plane z = const of object space, one for each of f stars, that hold its beam and little more."""
 
-    Attributes
-    ----------
-    z_mm : float
-        The plane, in the lens frame.
-    x_mm, y_mm, radius_mm : (f, 1, 1)
-        Centres and radii.
-    """
-
-    z_mm: float
-    x_mm: FloatArray
-    y_mm: FloatArray
-    radius_mm: FloatArray
+    z_mm: float  # The plane, in the lens frame
+    x_mm: FloatArray  # (f, 1, 1) Centres and radii
+    y_mm: FloatArray  # (f, 1, 1)
+    radius_mm: FloatArray  # (f, 1, 1)
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -268,21 +243,7 @@ def entrance_pupil(
 def launch_disks(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike) -> LaunchDisks:
     """A launch disk for every star.
 
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens; may be perturbed.
-    v_cam : (f, 3)
-        Unit vectors towards the stars in cam.
-    wavelength_nm : (w,)
-        Wavelengths that have to be covered.
-
-    Raises
-    ------
-    DomainError
-        If a wavelength is outside the range of one of the glasses.
-    ConvergenceError
-        If nothing limits a beam.
+    Shapes: ``v_cam`` (f, 3), ``wavelength_nm`` (w,).
     """
     waves = np.asarray(wavelength_nm, float)
     ends = np.unique([waves.min(), np.median(waves), waves.max()])

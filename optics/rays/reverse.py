@@ -63,20 +63,7 @@ def reverse(lens: LensSystem) -> LensSystem:
 
 
 def retraced(lens: LensSystem, arrived: Rays) -> Rays:
-    """Rays that start where traced rays ended and go back, in the frame of ``reverse(lens)``.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The original lens.
-    arrived : Rays
-        What `optics.rays.trace.trace` returned for it (NumPy).
-
-    Raises
-    ------
-    DomainError
-        If some rays did not arrive.
-    """
+    """Rays that start where traced rays ended and go back, in the frame of ``reverse(lens)``."""
     if np.any(arrived.status != OK):
         raise DomainError(
             f"{int(np.sum(arrived.status != OK))} rays did not reach the image plane; retrace those that did"

@@ -50,23 +50,15 @@ SOBOL_POINTS, SOBOL_SEED = 4096, 0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpotMoments:
-    """Moments of the light in the image plane, per field (f) and wavelength (w).
+    """Moments of the light in the image plane, per field (f) and wavelength (w)."""
 
-    Attributes
-    ----------
-    x_mm, y_mm : (f, w)
-        Mean of the ray bundle.
-    xx_mm2, xy_mm2, yy_mm2 : (f, w)
-        Covariance.
-    transmitted_mm2 : (f, w)
-        Area of the launch disk whose rays arrive; the flux is that times irradiance times cosine of the field angle.
-    """
-
-    x_mm: FloatArray
-    y_mm: FloatArray
-    xx_mm2: FloatArray
-    xy_mm2: FloatArray
-    yy_mm2: FloatArray
+    x_mm: FloatArray  # (f, w) Mean of the ray bundle
+    y_mm: FloatArray  # (f, w)
+    xx_mm2: FloatArray  # (f, w) Covariance
+    xy_mm2: FloatArray  # (f, w)
+    yy_mm2: FloatArray  # (f, w)
+    # (f, w) Area of the launch disk whose rays arrive; the flux is that times irradiance times cosine of the field
+    # angle
     transmitted_mm2: FloatArray
 
     def __post_init__(self) -> None:
@@ -82,18 +74,11 @@ class SpotMoments:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spots:
-    """Traced rays of every field and wavelength.
+    """Traced rays of every field and wavelength."""
 
-    Attributes
-    ----------
-    rays : Rays
-        Shape (f, w, n), in the frame of the image plane.
-    area_mm2 : (f, w, n)
-        Part of the launch plane that a ray stands for, 0 for lost rays; times irradiance and cosine of the field angle
-        it is the ray's flux.
-    """
-
-    rays: Rays
+    rays: Rays  # Shape (f, w, n), in the frame of the image plane
+    # (f, w, n) Part of the launch plane that a ray stands for, 0 for lost rays; times irradiance and cosine of the
+    # field angle it is the ray's flux
     area_mm2: FloatArray
 
     def __post_init__(self) -> None:

@@ -292,25 +292,7 @@ def trace(lens: LensSystem, rays: Rays) -> Rays:
 
 
 def trace_path(lens: LensSystem, rays: Rays) -> NDArray[np.float64]:
-    """Points where NumPy rays meet every surface and the image plane, in the lens frame; for drawings.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens.
-    rays : Rays
-        In the lens frame (`Rays.create`).
-
-    Returns
-    -------
-    (surfaces + 2, ..., 3)
-        Start points, points on the surfaces, points in the image plane [mm]; NaN from where a ray is lost on.
-
-    Raises
-    ------
-    DomainError
-        If a wavelength is outside the range of one of the glasses.
-    """
+    """Points where NumPy rays meet every surface and the image plane, in the lens frame; for drawings."""
     points = [np.stack([rays.x, rays.y, rays.z], axis=-1)]
 
     def keep(number: int, rays: Rays) -> None:

@@ -30,22 +30,13 @@ PER_CELL = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvenPupil:
-    """Field over the pupil of one star and wavelength.
+    """Field over the pupil of one star and wavelength."""
 
-    Attributes
-    ----------
-    frequency_x, frequency_y : (n,)
-        Direction cosines times index over wavelength [cycles/mm], even steps.
-    field : (n, n) complex64
-        Rows along y, phases about the mean landing point; the integral of ``|field|^2`` over the pupil is 1.
-    mean_mm : (2,)
-        Mean landing point, which is the centroid of all light.
-    """
-
-    frequency_x: FloatArray
-    frequency_y: FloatArray
+    frequency_x: FloatArray  # (n,) Direction cosines times index over wavelength [cycles/mm], even steps
+    frequency_y: FloatArray  # (n,)
+    # (n, n) Rows along y, phases about the mean landing point; the integral of ``|field|^2`` over the pupil is 1
     field: NDArray[np.complex64]
-    mean_mm: FloatArray
+    mean_mm: FloatArray  # (2,) Mean landing point, which is the centroid of all light
 
     def __post_init__(self) -> None:
         for name in ("frequency_x", "frequency_y"):
@@ -78,13 +69,7 @@ def _turned(turns: FloatArray) -> NDArray[np.complex64]:
 
 
 def waves_at_image(field: PupilField, at: tuple[int, int]) -> tuple[FloatArray, ...]:
-    """Amplitude, direction cosines times index over wavelength [1/mm] and phase [turns] about the mean landing point.
-
-    Raises
-    ------
-    DomainError
-        No light there.
-    """
+    """Amplitude, direction cosines times index over wavelength [1/mm], phase [turns] about the mean landing point."""
     lit = field.area_mm2[at] > 0.0
     if not lit.any():
         raise DomainError(f"field {at[0]}, wavelength {at[1]}: no light reaches the image plane")
@@ -100,19 +85,7 @@ def waves_at_image(field: PupilField, at: tuple[int, int]) -> tuple[FloatArray, 
 def even_pupil(field: PupilField, at: tuple[int, int] = (0, 0), *, size: int = 256) -> EvenPupil:
     """Pupil of one field and wavelength on a grid.
 
-    Parameters
-    ----------
-    field : PupilField
-        Clear pupils, traced with an order that is enough for their wavefront by itself, such as (12, 32).
-    at : (int, int)
-        Field and wavelength.
-    size : int
-        Cells across the pupil.
-
-    Raises
-    ------
-    DomainError
-        No light, or rays that are lost inside the pupil.
+    Shapes: ``at`` (int, int).
     """
     _, fx, fy, phase = waves_at_image(field, at)
     lit = field.area_mm2[at] > 0.0

@@ -46,43 +46,22 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PupilField:
-    """Rays of f fields and w wavelengths on a polar quadrature of their pupils, in the frame of the image plane.
+    """Rays of f fields and w wavelengths on a polar quadrature of their pupils, in the frame of the image plane."""
 
-    Attributes
-    ----------
-    wavelength_nm : (w,)
-        Vacuum wavelengths.
-    index : (w,)
-        Refractive index of the image space.
-    ring : (rings,)
-        Radii of the rings, parts of the radius of the pupil's rim.
-    pupil_x, pupil_y : (f, w, rings, arms)
-        Launch points [mm].
-    area_mm2 : (f, w, rings, arms)
-        Area of the launch plane that each ray stands for; 0 where no light passes.
-    x_mm, y_mm : (f, w, rings, arms)
-        Where rays land.
-    l, m, n : (f, w, rings, arms)
-        Direction cosines there.
-    path_mm : (f, w, rings, arms)
-        Optical path from a plane wavefront.
-    jacobian : (f, w, rings, arms)
-        ``|d(l, m) / d(pupil)|`` [1/mm^2].
-    """
-
-    wavelength_nm: FloatArray
-    index: FloatArray
-    ring: FloatArray
-    pupil_x: FloatArray
-    pupil_y: FloatArray
+    wavelength_nm: FloatArray  # (w,) Vacuum wavelengths
+    index: FloatArray  # (w,) Refractive index of the image space
+    ring: FloatArray  # (rings,) Radii of the rings, parts of the radius of the pupil's rim
+    pupil_x: FloatArray  # (f, w, rings, arms) Launch points [mm]
+    pupil_y: FloatArray  # (f, w, rings, arms)
+    # (f, w, rings, arms) Area of the launch plane that each ray stands for; 0 where no light passes
     area_mm2: FloatArray
-    x_mm: FloatArray
-    y_mm: FloatArray
+    x_mm: FloatArray  # (f, w, rings, arms) Where rays land
+    y_mm: FloatArray  # (f, w, rings, arms)
     l: FloatArray  # noqa: E741
-    m: FloatArray
-    n: FloatArray
-    path_mm: FloatArray
-    jacobian: FloatArray
+    m: FloatArray  # (f, w, rings, arms) Direction cosines there
+    n: FloatArray  # (f, w, rings, arms)
+    path_mm: FloatArray  # (f, w, rings, arms) Optical path from a plane wavefront
+    jacobian: FloatArray  # (f, w, rings, arms) ``|d(l, m) / d(pupil)|`` [1/mm^2]
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -140,14 +119,7 @@ class PupilField:
 
         Scaled so that ``|U|^2`` is the share of the pupil's light per mm^2: its integral over the plane is 1.
 
-        Parameters
-        ----------
-        x_mm, y_mm : (X,), (Y,)
-            Points.
-        at : (int, int)
-            Field and wavelength.
-        dtype : complex dtype
-            Of the matrix product; phases are always reduced in float64.
+        Shapes: ``x_mm`` (X,), ``y_mm`` (X,), ``at`` (int, int).
         """
         lit = self.area_mm2[at] > 0.0
         x, y, l, m, path, area, jacobian = (  # noqa: E741
@@ -210,18 +182,6 @@ def needed_order(field: PupilField, half_width_mm: float) -> tuple[int, int]:
     Along a radius the phase changes by at most P, around the rim by at most Q per radian. A trapezoid of more than Q
     azimuths, and a Gauss rule in r^2 of more than P / 4 nodes, converge faster than any power (the Bessel functions
     J_m(Q) vanish for m > Q + some Q^(1/3)).
-
-    Parameters
-    ----------
-    field : PupilField
-        Traced with an order that is high enough for the wavefront by itself, such as (12, 32).
-    half_width_mm : float
-        Half the side of the square window.
-
-    Raises
-    ------
-    DomainError
-        If more than 256 rings or 1024 azimuths are needed.
     """
     radial, around = _phase_changes(field, half_width_mm, half_width_mm)
     rings = math.ceil(radial / 4.0) + 10

@@ -24,25 +24,13 @@ __all__ = ["PathMap", "Wavefront", "wavefront", "zernike_map"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wavefront:
-    """Wavefront error over the pupil.
+    """Wavefront error over the pupil."""
 
-    Attributes
-    ----------
-    x, y : (p,)
-        Points of the pupil, its centre 0 and its largest radius 1; axes as in the lens frame.
-    weight : (p,)
-        Share of the light, sum 1.
-    error_nm : (p,)
-        Optical path less its mean.
-    wavelength_nm : float
-        Vacuum wavelength.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    weight: FloatArray
-    error_nm: FloatArray
-    wavelength_nm: float
+    x: FloatArray  # (p,) Points of the pupil, its centre 0 and its largest radius 1; axes as in the lens frame
+    y: FloatArray  # (p,)
+    weight: FloatArray  # (p,) Share of the light, sum 1
+    error_nm: FloatArray  # (p,) Optical path less its mean
+    wavelength_nm: float  # Vacuum wavelength
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -141,24 +129,11 @@ def wavefront(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathMap:
-    """Measured wavefront error over the pupil, on a grid of its square.
+    """Measured wavefront error over the pupil, on a grid of its square."""
 
-    Attributes
-    ----------
-    x, y : (c,), (r,)
-        Columns and rows of the grid, ascending, in radii of the pupil.
-    error_nm : (r, c)
-        Optical path added there.
-
-    Raises
-    ------
-    DomainError
-        Values that are not finite, a grid that does not ascend or has fewer than four lines.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    error_nm: FloatArray
+    x: FloatArray  # (c,) Columns and rows of the grid, ascending, in radii of the pupil
+    y: FloatArray  # (c,)
+    error_nm: FloatArray  # (r, c) Optical path added there
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -178,13 +153,7 @@ class PathMap:
                 raise DomainError(f"wavefront map: {name} must ascend and have at least 4 values, it has {len(grid)}")
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """Error [nm] at points of the unit disk, by bicubic splines.
-
-        Raises
-        ------
-        DomainError
-            Points beyond the grid.
-        """
+        """Error [nm] at points of the unit disk, by bicubic splines."""
         px, py = np.asarray(x, float), np.asarray(y, float)
         for name, points, grid in (("x", px, self.x), ("y", py, self.y)):
             if points.size and (points.min() < grid[0] or points.max() > grid[-1]):

@@ -36,22 +36,7 @@ _ORDERS: dict[str, tuple[int, Callable[[int], tuple[int, int]]]] = {
 
 
 def zernike_numbers(count: int, order: ZernikeOrder = "noll") -> tuple[tuple[int, int], ...]:
-    """Radial degree n and azimuthal frequency m of the first terms; m < 0 marks sines.
-
-    Parameters
-    ----------
-    count : int
-        Number of terms.
-    order : {"noll", "ansi", "fringe"}
-        Order.
-
-    Raises
-    ------
-    ConfigError
-        Unknown order.
-    DomainError
-        No term, or more than 37 fringe terms.
-    """
+    """Radial degree n and azimuthal frequency m of the first terms; m < 0 marks sines."""
     if order not in _ORDERS:
         raise unknown_name("order of Zernike polynomials", order, _ORDERS)
     if count < 1 or (order == "fringe" and count > MOST_TERMS["fringe"]):

@@ -15,19 +15,14 @@ __all__ = ["CentreOfGravity"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CentreOfGravity:
-    """Centre of gravity ``x = sum(s x) / sum(s)`` of the light s above the background.
-
-    Attributes
-    ----------
-    half_width_px : int or None
-        The sums run over ``2 half_width_px + 1`` pixels each way around the pixel nearest the start position; None:
-        the whole stamp.
-    """
+    """Centre of gravity ``x = sum(s x) / sum(s)`` of the light s above the background."""
 
     name: ClassVar[str] = "cog"
     label: ClassVar[str] = "centre of gravity"
     needs_epsf: ClassVar[bool] = False
 
+    # The sums run over ``2 half_width_px + 1`` pixels each way around the pixel nearest the start position; None: the
+    # whole stamp
     half_width_px: int | None = option(3, at_least=1, unit="px")
 
     def __post_init__(self) -> None:

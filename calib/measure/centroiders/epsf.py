@@ -36,13 +36,7 @@ class EpsfCentroider(LikelihoodFit):
     epsf: EffectivePsf | Sequence[EffectivePsf]
 
     def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
-        """Position, flux and covariance of every stamp.
-
-        Raises
-        ------
-        DomainError
-            If ``psf_index`` points beyond the given PSFs.
-        """
+        """Position, flux and covariance of every stamp."""
         psfs = (self.epsf,) if isinstance(self.epsf, EffectivePsf) else tuple(self.epsf)
         bank = EpsfBank(psfs, (stamps.electrons.shape[1], stamps.electrons.shape[2]))
         if len(stamps) and not (stamps.psf_index.min() >= 0 and stamps.psf_index.max() < len(psfs)):

@@ -20,20 +20,14 @@ class ThresholdedCentreOfGravity:
     """Centre of gravity of what rises above a threshold: ``s = max(light - T, 0)``.
 
     The flux is that of the whole window, without threshold.
-
-    Attributes
-    ----------
-    threshold_sigma : float
-        T in units of the noise of a pixel without star.
-    half_width_px : int or None
-        As in `calib.measure.centroiders.centre_of_gravity.CentreOfGravity`.
     """
 
     name: ClassVar[str] = "tcog"
     label: ClassVar[str] = "thresholded CoG"
     needs_epsf: ClassVar[bool] = False
 
-    threshold_sigma: float = option(3.0, at_least=0)
+    threshold_sigma: float = option(3.0, at_least=0)  # T in units of the noise of a pixel without star
+    # As in `calib.measure.centroiders.centre_of_gravity.CentreOfGravity`
     half_width_px: int | None = option(3, at_least=1, unit="px")
 
     def __post_init__(self) -> None:

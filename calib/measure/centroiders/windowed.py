@@ -37,24 +37,16 @@ class WindowedCentroid:
     ``x <- x + 2 sum(w s (x_i - x)) / sum(w s)`` until the step is small (Bertin, SExtractor manual, "Windowed
     positional parameters"). SExtractor also cuts the window at 4 sigma, where it has fallen to 3e-4; here the stamp
     is the only cut. The covariance is that of the fixed point, with the true slope of the sums at the solution.
-
-    Attributes
-    ----------
-    sigma_px : float or None
-        Standard deviation of the window. None: SExtractor's choice, half-light *diameter* / 2.3548, star by star.
-    tolerance_px : float
-        Last step; SExtractor stops at 2e-4.
-    max_iterations : int
-        Most steps taken.
     """
 
     name: ClassVar[str] = "windowed"
     label: ClassVar[str] = "windowed"
     needs_epsf: ClassVar[bool] = False
 
+    # Standard deviation of the window. None: SExtractor's choice, half-light *diameter* / 2.3548, star by star
     sigma_px: float | None = option(None, above=0, unit="px")
-    tolerance_px: float = option(1e-6, above=0, unit="px")
-    max_iterations: int = option(40, at_least=1)
+    tolerance_px: float = option(1e-6, above=0, unit="px")  # Last step; SExtractor stops at 2e-4
+    max_iterations: int = option(40, at_least=1)  # Most steps taken
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -122,15 +122,7 @@ class PolynomialFreeform(Freeform, Curved):
 
 
 def polynomial(c: Sequence[Any], x: Any, y: Any) -> tuple[Any, Any, Any]:
-    """Polynomial in x and y and its two derivatives, by Horner's rule.
-
-    Parameters
-    ----------
-    c : sequence
-        (n + 1)(n + 2)/2 coefficients: those of y^0 x^0 ... x^n, then of y^1 x^0 ... x^(n-1), ...
-    x, y : array
-        Where.
-    """
+    """Polynomial in x and y and its two derivatives, by Horner's rule."""
     degree = (math.isqrt(8 * len(c) + 1) - 3) // 2
     zero = 0.0 * x
     value, along_x, along_y, end = zero, zero, zero, len(c)
