@@ -56,8 +56,8 @@ def _index(glass: Glass, wavelength_nm: float, environment: Environment) -> floa
     elsewhere = environment.temperature_c != glass.reference_temperature_c
     if environment == CATALOGUE_AIR or (elsewhere and glass.dndt is None):
         return float(glass.dispersion.index(wavelength_nm))
-    at = {"temperature_c": environment.temperature_c, "pressure_hpa": environment.pressure_hpa}
-    return float(glass.relative_index(wavelength_nm, **at))
+    celsius, pressure_hpa = environment.temperature_c, environment.pressure_hpa
+    return float(glass.relative_index(wavelength_nm, temperature_c=celsius, pressure_hpa=pressure_hpa))
 
 
 @np.errstate(all="ignore")

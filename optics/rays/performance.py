@@ -24,7 +24,7 @@ __all__ = ["FocusCurve", "LensPerformance", "lens_performance", "white_focus"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FocusCurve:
-    """RMS spot radius against a shift z of the image plane: ``r^2 = square + 2 cross z + slope z^2``, exact for rays."""
+    """RMS spot radius against a shift z of the image: ``r^2 = square + 2 cross z + slope z^2``, exact for rays."""
 
     # (...) Mean square of the ray heights about their mean, their mean product with the slopes, mean square of the
     # slopes
