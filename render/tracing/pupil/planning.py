@@ -129,6 +129,17 @@ class Bounds:
         shape = (stars, bands, 2)
         return cls(np.full(shape, np.inf), np.full(shape, -np.inf), np.zeros(stars, bool))
 
+    def find(self, kernel: StarKernel, stars: IntArray, wavelength_nm: FloatArray, points: Points) -> None:
+        """Fill in some stars (s,) of a kernel, by bounding points of them at wavelengths (b, 3)."""
+        step = max(1, BOUND_RAYS // (len(wavelength_nm) * 3 * bounding_disk().count))
+        for part in (stars[i : i + step] for i in range(0, len(stars), step)):
+            landed = kernel.land(points(part), wavelength_nm, part.astype(np.uint32))
+            x, y, ok = (v.reshape(*v.shape[:2], -1) for v in landed)
+            self.clear[part] = ok.all((1, 2))
+            for axis, value in enumerate((x, y)):
+                self.low[part, :, axis] = np.where(ok, value, np.inf).min(2)
+                self.high[part, :, axis] = np.where(ok, value, -np.inf).max(2)
+
     def moved(self, shift_px: FloatArray) -> Bounds:
         """With room for offsets (n, 2, 2), the lowest and the highest, that an ideal lens makes of a motion."""
         room = DISTORTION * np.abs(shift_px).max(1, initial=0.0)
@@ -185,19 +196,6 @@ class Sampled:
     def entrance(self) -> FloatArray:
         """Light (n, b, t k) that the stop alone would let through in that of the launch disk; NaN where unknown."""
         return np.ones(self.nodes) if self.outlines is None else self.outlines.entrance()
-
-
-def find_bounds(kernel: StarKernel, bounds: Bounds, stars: IntArray, wavelength_nm: FloatArray, points: Points) -> None:
-    """Extent of the bundles of some stars [px] and whether they are clear, at the given wavelengths (b, 3)."""
-    # stars (s,), wavelength_nm (b, 3)
-    step = max(1, BOUND_RAYS // (len(wavelength_nm) * 3 * bounding_disk().count))
-    for part in (stars[i : i + step] for i in range(0, len(stars), step)):
-        landed = kernel.land(points(part), wavelength_nm, part.astype(np.uint32))
-        x, y, ok = (v.reshape(*v.shape[:2], -1) for v in landed)
-        bounds.clear[part] = ok.all((1, 2))
-        for axis, value in enumerate((x, y)):
-            bounds.low[part, :, axis] = np.where(ok, value, np.inf).min(2)
-            bounds.high[part, :, axis] = np.where(ok, value, -np.inf).max(2)
 
 
 def unit_disk(lens: LensSystem) -> EntrancePupil:
@@ -362,7 +360,7 @@ class PupilPlanner:
             if plan is None:
                 continue
             if group.outlines is not None:
-                find_bounds(exposure.mid, bounds, group.members, exposure.picks.ends()[1], group.outlines.bounding)
+                bounds.find(exposure.mid, group.members, exposure.picks.ends()[1], group.outlines.bounding)
             groups.append(replace(group, order=plan[0], error=plan[1]))
             left = np.setdiff1d(left, group.members)
         if not self.pupil.exact:
@@ -391,7 +389,7 @@ class PupilPlanner:
         def points(part: IntArray) -> DiskPoints:
             return DiskPoints(bounding_disk(), *self.disks(exposure, exposure.wavelength_nm, part))
 
-        find_bounds(exposure.mid, bounds, stars, exposure.ends_nm, points)
+        bounds.find(exposure.mid, stars, exposure.ends_nm, points)
 
     def _inside(self, exposure: Exposure, stars: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """A point (n, b, 2) inside the beam of some of the stars, 0 for others, and for which there is one."""

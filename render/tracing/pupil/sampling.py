@@ -130,7 +130,7 @@ def probe_fields(reach_rad: float) -> FloatArray:
     return np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=4)
 def staggered(order: tuple[int, int], nodes: int, times: int = 1) -> TablePoints:
     """Gauss x trapezoid points, turned from wavelength node to wavelength node, and from time to time."""
     pupil = gauss_disk(*order)
