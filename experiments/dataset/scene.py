@@ -166,11 +166,7 @@ def stars_of(scene: Scene, frame: int) -> SkyField:
 def seen_at(scene: Scene, attitude: Rotation) -> SkyField:
     """Stars that are seen in an attitude cam from icrs."""
     return field_of(
-        scene.catalogue,
-        scene.view,
-        attitude,
-        epoch_year=scene.config.catalogue.epoch_year,
-        observer=scene.observer,
+        scene.catalogue, scene.view, attitude, epoch_year=scene.config.catalogue.epoch_year, observer=scene.observer
     )
 
 

@@ -60,12 +60,7 @@ COLUMNS = (
     Column("photon_y_px", "float64", "pix", "its row"),
     Column("electrons_in", "float64", "electron", "electrons that the stop of the lens alone would let in"),
     Column("electrons", "float64", "electron", "expected electrons on the detector"),
-    Column(
-        "electrons_vignetted",
-        "float64",
-        "electron",
-        "those of the disk that do not pass the lens",
-    ),
+    Column("electrons_vignetted", "float64", "electron", "those of the disk that do not pass the lens"),
     Column("electrons_off_edge", "float64", "electron", "expected electrons beside the detector or between chips"),
     Column("electrons_hidden", "float64", "electron", "those that a body in front of the star takes away"),
     Column("electrons_beyond", "float64", "electron", "those in the wings of the diffraction image that are left out"),
@@ -121,13 +116,7 @@ def pixel_flags(
 
 
 def star_rows(
-    seen: PointSources,
-    truth: Truth,
-    detector: Detector,
-    *,
-    frame: int,
-    band: str,
-    on_chip: StarLightOnChip,
+    seen: PointSources, truth: Truth, detector: Detector, *, frame: int, band: str, on_chip: StarLightOnChip
 ) -> dict[str, Any]:
     """Columns of the truth of a frame in one band."""
     x, y, z = seen.direction.T

@@ -63,11 +63,6 @@ def test_coco(dataset):
         for row in truth[np.asarray(truth["electrons"]) > 5000]:
             x, y, seen_flag = mine[row["star_id"]]["keypoints"]
             assert (x, y, seen_flag) == (row["photon_x_px"] + 0.5, row["photon_y_px"] + 0.5, 2)  # COCO: from the corner
-            left, top, width, height = mine[row["star_id"]]["bbox"]
-            peak = pixels[int(top) : int(top + height) + 1, int(left) : int(left + width) + 1].max()
-            assert peak > np.median(pixels) + 30
-            assert 0 <= left <= x <= left + width <= image["width"]
-            assert 0 <= top <= y <= top + height <= image["height"]
 
 
 def _coco(folder, split):

@@ -23,19 +23,11 @@ from experiments.dataset.truth_files import read_record, truth_bytes
 from experiments.harness.progress import Progress
 from optics.errors import ConfigError
 
-SMALL = [
-    *(
-        "--set",
-        "instrument.lens=star_camera_206mm",
-        "--set",
-        "instrument.width_px=192",
-        "--set",
-        "instrument.height_px=128",
-    ),
-    *("--set", "nodes=3", "--set", "catalogue.faintest_mag=10", "--set", "verify.frames=0"),
-    *("--set", "pointing.kind=cone", "--set", "pointing.ra_deg=56.75", "--set", "pointing.dec_deg=24.12"),
-    *("--set", "pointing.radius_deg=0.1", "--workers", "1"),
-]
+PLEIADES = (
+    "instrument.lens=star_camera_206mm instrument.width_px=192 instrument.height_px=128 nodes=3 verify.frames=0 "
+    "catalogue.faintest_mag=10 pointing.kind=cone pointing.ra_deg=56.75 pointing.dec_deg=24.12 pointing.radius_deg=0.1"
+)
+SMALL = [*(word for setting in PLEIADES.split() for word in ("--set", setting)), "--workers", "1"]
 
 
 def run(folder, *more, frames=3):

@@ -20,19 +20,11 @@ pytestmark = [pytest.mark.slow, pytest.mark.alone]
 
 ROOT = Path(__file__).parents[3]
 FRAMES = 60
-SMALL = [
-    *(
-        "--set",
-        "instrument.lens=star_camera_206mm",
-        "--set",
-        "instrument.width_px=192",
-        "--set",
-        "instrument.height_px=128",
-    ),
-    *("--set", "nodes=3", "--set", "catalogue.faintest_mag=10", "--set", "verify.frames=0"),
-    *("--set", "pointing.kind=cone", "--set", "pointing.ra_deg=56.75", "--set", "pointing.dec_deg=24.12"),
-    *("--set", "pointing.radius_deg=0.1", "--backend", "llvm"),
-]
+PLEIADES = (
+    "instrument.lens=star_camera_206mm instrument.width_px=192 instrument.height_px=128 nodes=3 verify.frames=0 "
+    "catalogue.faintest_mag=10 pointing.kind=cone pointing.ra_deg=56.75 pointing.dec_deg=24.12 pointing.radius_deg=0.1"
+)
+SMALL = [*(word for setting in PLEIADES.split() for word in ("--set", setting)), "--backend", "llvm"]
 
 
 def command(folder, *more, workers=1, frames=FRAMES):
@@ -58,6 +50,12 @@ def results(folder):
     return json.loads((folder / "summary.json").read_text())["results"]
 
 
+def end_well(process):
+    out, error = process.communicate(timeout=120)
+    assert process.returncode == 0, out + error
+    return error
+
+
 def wait_for(folder, frames, process):
     """Until so many frames are made."""
     until = time.monotonic() + 60
@@ -71,9 +69,7 @@ def wait_for(folder, frames, process):
 def dataset(tmp_path_factory):
     """All frames by one process in one go."""
     folder = tmp_path_factory.mktemp("killed") / "one"
-    done = start(folder)
-    out, error = done.communicate(timeout=120)
-    assert done.returncode == 0, out + error
+    end_well(start(folder))
     return folder
 
 
@@ -87,9 +83,7 @@ def test_killed_at_any_moment_and_taken_up_again(dataset, tmp_path):
         assert not (folder / "index.parquet").exists()
         made = {name: digest for name, digest in data(folder).items() if not name.startswith(".")}
         assert made.items() <= data(dataset).items()  # what bears a frame's name is that frame
-    process = start(folder)
-    out, error = process.communicate(timeout=120)
-    assert process.returncode == 0, out + error
+    end_well(start(folder))
     assert data(folder) == data(dataset)
     assert 0 < results(folder)["frames_made"] <= FRAMES - 30
     assert (folder / "index.parquet").read_bytes() == (dataset / "index.parquet").read_bytes()
@@ -103,9 +97,7 @@ def test_a_worker_killed_in_the_middle(dataset, tmp_path):
     workers = workers_of(process.pid)
     assert len(workers) == 2
     os.kill(workers[0], signal.SIGKILL)
-    out, error = process.communicate(timeout=120)
-    assert process.returncode == 0, out + error
-    assert error == ""
+    assert end_well(process) == ""
     assert data(folder) == data(dataset)
     assert results(folder)["workers"] == 2
     assert results(folder)["frames_made"] == FRAMES
@@ -131,9 +123,7 @@ def test_everything_killed_with_workers(dataset, tmp_path):
     while any(Path(f"/proc/{pid}").exists() for pid in workers):  # they do not stay behind
         assert time.monotonic() < until
         time.sleep(0.05)
-    process = start(folder)
-    out, error = process.communicate(timeout=120)
-    assert process.returncode == 0, out + error
+    end_well(start(folder))
     assert data(folder) == data(dataset)
 
 
@@ -177,91 +167,66 @@ def test_a_disk_that_is_really_full(tmp_path):
     truths = [name for name in made if name.endswith(".parquet")]
     assert 5 < len(truths) < FRAMES
     assert f"{len(truths)} of 60 frames are whole and kept" in done.stderr
-    process = start(kept)  # with room
-    out, error = process.communicate(timeout=120)
-    assert process.returncode == 0, out + error
+    end_well(start(kept))  # with room
     whole = data(kept)
     assert len(whole) == 2 * FRAMES
     assert made.items() <= whole.items()  # nothing half-written bore a frame's name
     assert results(kept)["frames_made"] == FRAMES - len(truths)
 
 
-def test_a_scheduler_that_is_killed(tmp_path):
-    """One line, exit status 2, how to go on."""
+@contextlib.contextmanager
+def scheduler_of(tmp_path):
+    """Dask's own commands: address of a scheduler, its process, and a function that gives it workers."""
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": ROOT}
-    file = tmp_path / "scheduler.json"
-    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
-    scheduler = subprocess.Popen([*dask, "--scheduler-file", str(file), "--host", "127.0.0.1"], **quiet)
-    worker = None
+    file, python = tmp_path / "scheduler.json", [sys.executable, "-m"]
+    dask = [*python, "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", "--host", "127.0.0.1"]
+    processes = [subprocess.Popen([*dask, "--scheduler-file", str(file)], **quiet)]
+
+    def add_workers(count):
+        worker = [*python, "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        worker += ["--local-directory", str(tmp_path)]
+        processes.extend(subprocess.Popen(worker, **quiet) for _ in range(count))
+        wait = f"from distributed import Client; Client({address!r}).wait_for_workers({count}, timeout=60)"
+        subprocess.run([sys.executable, "-c", wait], check=True, timeout=90, **quiet)
+
     try:
         until = time.monotonic() + 30
         while not (file.exists() and file.read_text()):
             assert time.monotonic() < until
             time.sleep(0.1)
         address = json.loads(file.read_text())["address"]
-        one = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny"]
-        worker = subprocess.Popen([*one, "--no-dashboard", "--local-directory", str(tmp_path)], **quiet)
-        wait = f"from distributed import Client; Client({address!r}).wait_for_workers(1, timeout=60)"
-        subprocess.run([sys.executable, "-c", wait], check=True, timeout=90, **quiet)
-        folder = tmp_path / "lost"
-        process = start(folder, "--scheduler", address, frames=5000)
-        wait_for(folder, 3, process)
+        yield address, processes[0], add_workers
+    finally:
+        for process in processes[::-1]:
+            process.kill()
+            process.wait()
+
+
+def test_a_scheduler_that_is_killed(tmp_path):
+    """One line, exit status 2, how to go on."""
+    with scheduler_of(tmp_path) as (address, scheduler, add_workers):
+        add_workers(1)
+        process = start(tmp_path / "lost", "--scheduler", address, frames=5000)
+        wait_for(tmp_path / "lost", 3, process)
         scheduler.kill()
         _, error = process.communicate(timeout=60)
-        assert process.returncode == 2, error
-        assert "is gone; what was made is kept: run the same command again to go on" in error
-        assert error.count("\n") == 1, error
-    finally:
-        for one in (worker, scheduler):
-            if one is not None:
-                one.kill()
-                one.wait()
+    assert process.returncode == 2, error
+    assert "is gone; what was made is kept: run the same command again to go on" in error
+    assert error.count("\n") == 1, error
 
 
 def test_a_scheduler_elsewhere(dataset, tmp_path):
-    """Dask's own commands, two workers; then none; then an address where nobody listens."""
-    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
-    file = tmp_path / "scheduler.json"
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": ROOT}
-    scheduler = subprocess.Popen([*dask, "--scheduler-file", str(file), "--host", "127.0.0.1"], **quiet)
-    workers = []
-    try:
-        until = time.monotonic() + 30
-        while not (file.exists() and file.read_text()):
-            assert time.monotonic() < until
-            time.sleep(0.1)
-        address = json.loads(file.read_text())["address"]
+    """None of its workers is there, then two; then an address where nobody listens."""
+    with scheduler_of(tmp_path) as (address, _, add_workers):
         process = start(tmp_path / "none", "--scheduler", address)
         assert "has no workers" in process.communicate(timeout=60)[1]
         assert process.returncode == 2
-        one = [
-            sys.executable,
-            "-m",
-            "distributed.cli.dask_worker",
-            address,
-            "--nthreads",
-            "1",
-            "--no-nanny",
-            "--no-dashboard",
-        ]
-        workers = [subprocess.Popen([*one, "--local-directory", str(tmp_path)], **quiet) for _ in range(2)]
-        wait = f"from distributed import Client; Client({address!r}).wait_for_workers(2, timeout=60)"
-        subprocess.run([sys.executable, "-c", wait], check=True, timeout=90, **quiet)
+        add_workers(2)
         folder = tmp_path / "remote"
-        process = start(folder, "--scheduler", address)
-        out, error = process.communicate(timeout=120)
-        assert process.returncode == 0, out + error
+        error = end_well(start(folder, "--scheduler", address))
         assert all("waiting for some" in line for line in error.splitlines())  # a busy machine lets workers be silent
         assert data(folder) == data(dataset)
         assert results(folder)["workers"] == 2
-    finally:
-        for process in (*workers, scheduler):
-            process.terminate()
-        for process in (*workers, scheduler):
-            with contextlib.suppress(subprocess.TimeoutExpired):  # a worker may look for its scheduler first
-                process.wait(5)
-            process.kill()
-            process.wait()
     begun = time.monotonic()
     process = start(tmp_path / "nobody", "--scheduler", address)
     _, error = process.communicate(timeout=60)

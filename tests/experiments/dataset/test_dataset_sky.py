@@ -1,31 +1,39 @@
-"""Light that is no star, and what space does to a detector: where it goes, what is told of it, what is refused."""
+"""What is no star: sky light, planets, the Moon, hot pixels, cosmic rays; what labels say of it, what is refused."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from astropy.coordinates import SkyCoord, get_body, get_body_barycentric, get_sun
+from astropy import units
+from astropy.coordinates import GCRS, SkyCoord, get_body, get_body_barycentric, get_sun
 from astropy.time import Time
+from scipy import ndimage
 
 from experiments.dataset.frame import FrameMaker
+from experiments.dataset.job import _record, pixel_marks
+from experiments.dataset.labels import LabelMaker, disk_truth
 from experiments.dataset.plan import build_plan, plan_frame
 from experiments.dataset.scene import PLANET_IDS, build_scene
 from experiments.dataset.settings import (
     BackgroundConfig,
+    BodyPointing,
     ConePointing,
     Config,
     RadiationConfig,
     SkyPointing,
+    VerifyConfig,
 )
-from experiments.dataset.truth import FLAGS
+from experiments.dataset.truth import FLAGS, record_from_text
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from optics.errors import StarbenchError
+from render.bodies.solar_system import solar_system
+from render.detector.cosmic_rays import cosmic_ray_hits
+from render.detector.maps import sensor_maps
+from render.engine import Engine
+from render.engine.random import Streams
 
 EPOCH = 2025.3
-CAMERA = {
-    "instrument": InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=192, height_px=128),
-    "nodes": 3,
-}
+CAMERA = {"instrument": InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=192, height_px=128), "nodes": 3}
 
 
 def direction_of(body):
@@ -106,15 +114,6 @@ def test_cosmic_rays_are_flagged(engine):
     assert np.count_nonzero(more) > 0.5 * 3046 * area_cm2 * 20.0
 
 
-def test_a_dose_makes_hot_pixels():
-    scenes = [
-        build_scene(Config(**CAMERA, radiation=RadiationConfig(displacement_dose_tev_per_g=dose)))
-        for dose in (0.0, 200.0)
-    ]
-    fresh, old = (scene.instrument.detector for scene in scenes)
-    assert old.damage_centres_per_px > fresh.damage_centres_per_px == 0
-
-
 def test_attitudes_keep_away_from_the_sun():
     pointing = SkyPointing(sun_exclusion_deg=60.0)
     plan = build_plan(Config(frames=300, catalogue=CatalogueConfig(epoch_year=EPOCH), pointing=pointing))
@@ -182,3 +181,161 @@ def test_venus_behind_the_moon_gives_no_light():
     assert truth["electrons"][venus[0]] == 0.0
     assert truth["electrons_hidden"][venus[0]] > 1e4
     assert truth["flags"][venus[0]] & (FLAGS["hidden"][0] | FLAGS["no_light"][0]) == 192
+
+
+SMALL = InstrumentConfig(
+    lens="star_tracker_26mm", detector="cmv4000", exposure_s=2.0, width_px=256, height_px=192, chip_temperature_c=30.0
+)
+
+
+@pytest.fixture(scope="module")
+def shot():
+    Engine.start("llvm")
+    scene = build_scene(
+        Config(
+            instrument=SMALL,
+            nodes=3,
+            pointing=ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
+            radiation=RadiationConfig(displacement_dose_tev_per_g=500.0),
+            verify=VerifyConfig(frames=0),
+        )
+    )
+    return scene, FrameMaker(scene)
+
+
+def test_every_struck_pixel_is_in_one_track_and_no_charge_is_lost(shot):
+    scene, _ = shot
+    hits = cosmic_ray_hits(
+        scene.instrument.detector,
+        "deep_space_solar_minimum",
+        streams=Streams(3),
+        frame=0,
+        exposure_s=600.0,
+        depth_um=10.0,
+    )
+    tracks = [one for one in LabelMaker(scene, lambda _: hits).labels(3) if one.kind == "cosmic_ray"]
+    strong = hits.charge_e >= 1.0
+    assert 10 < len(tracks) < 500
+    assert sum(one.electrons for one in tracks) == pytest.approx(hits.charge_e[strong].sum(), rel=1e-9)
+    boxes = np.array([one.box_px for one in tracks])
+    row, column = hits.row[strong] + 0.5, hits.column[strong] + 0.5
+    inside = (column[:, None] > boxes[:, 0]) & (column[:, None] < boxes[:, 0] + boxes[:, 2])
+    inside &= (row[:, None] > boxes[:, 1]) & (row[:, None] < boxes[:, 1] + boxes[:, 3])
+    assert inside.any(1).all()
+
+
+def test_pixels_that_cosmic_rays_struck_are_marked(shot):
+    """Expected behaviour: every pixel with an electron of theirs, in datasets that ask for them alone."""
+    scene, quiet = shot
+    config = scene.config.model_copy(update={"radiation": RadiationConfig(environment="solar_flare")})
+    flare = FrameMaker(build_scene(config))
+    made = flare.make(0)
+    struck = pixel_marks(flare.scene, made)["COSMIC"]
+    hits = flare.hits(0)
+    assert set(zip(*np.nonzero(struck), strict=True)) >= set(
+        zip(hits.row[hits.charge_e >= 1].tolist(), hits.column[hits.charge_e >= 1].tolist(), strict=True)
+    )
+    assert 0 < struck.sum() < struck.size / 2
+    assert "COSMIC" not in pixel_marks(scene, quiet.make(0))
+
+
+def test_hot_pixels_stand_out_of_frames_without_light(shot):
+    scene, maker = shot
+    hot = [one for one in LabelMaker(scene, maker.hits).labels(0) if one.kind == "hot_pixel"]
+    defect = sensor_maps(scene.instrument.detector).defect
+    assert 0 < len(hot) <= defect.sum()
+    frames = np.stack([maker.make(k).frame.dn for k in range(6)]).astype(float)
+    middle = np.median(frames, axis=0)
+    x, y = np.array([(one.x_px, one.y_px) for one in hot], int).T
+    assert np.median(middle[y, x]) > np.median(middle) + 3.0 * np.std(frames - middle)
+
+
+def hold_disk_to_astropy(disk, made, scene, label):
+    """Place, size and phase from astropy's own bodies; the light lies on the Sun's side of the middle."""
+    time = Time(scene.config.catalogue.epoch_year, format="jyear", scale="tdb")
+    moon, sun = (get_body(name, time, ephemeris="builtin").transform_to(GCRS(obstime=time)) for name in ("moon", "sun"))
+    seen = SkyCoord(disk.ra_deg * units.deg, disk.dec_deg * units.deg)
+    assert seen.separation(SkyCoord(moon.ra, moon.dec)).arcsec < 0.1
+    away = moon.separation(sun).rad
+    near, far = moon.distance.to_value(units.km), sun.distance.to_value(units.km)
+    phase = np.arctan2(far * np.sin(away), near - far * np.cos(away))
+    assert disk.phase_deg == pytest.approx(np.degrees(phase), abs=0.01)
+    assert disk.diameter_px == pytest.approx(label.box_px[2], abs=1e-6)
+    assert (disk.x_px, disk.y_px) == pytest.approx((label.x_px, label.y_px), abs=1e-9)
+    assert (disk.kind, disk.star_id) == ("moon", -1000301)
+    towards = np.radians(disk.sun_angle_deg)
+    shift = np.array([disk.photon_x_px - disk.x_px, disk.photon_y_px - disk.y_px])
+    assert shift @ [np.cos(towards), np.sin(towards)] > 0.02 * disk.diameter_px
+    assert disk.electrons > 1e3
+    assert disk.noise_share < 0.03
+    record = _record(made, scene, "frame.fits", "truth.parquet", b"")
+    assert record.disks == (disk,)
+    assert record_from_text(record.to_text()) == record
+
+
+@pytest.mark.slow
+def test_any_number_of_a_frame_with_the_moon():
+    """(From frame 65 536 on the number of a stream overflowed.)"""
+    Engine.start("llvm")
+    small = SMALL.model_copy(update={"exposure_s": 1e-4, "width_px": 256, "height_px": 256})
+    config = Config(instrument=small, nodes=3, pointing=BodyPointing(body="moon", offset_deg=0.3))
+    maker = FrameMaker(build_scene(config))
+    for frame in (65_536, 2**40):
+        made = maker.make(frame)
+        assert [disk.name for disk in made.disks] == ["moon"]
+        assert (made.truth["frame"] == frame).all()
+
+
+@pytest.mark.slow
+def test_the_moon_behind_the_earth():
+    """A million kilometres behind the Earth, as the Moon sees it: its disk with the air around it, and no Moon."""
+    Engine.start("llvm")
+    small = SMALL.model_copy(update={"exposure_s": 1e-6, "width_px": 256, "height_px": 256})
+    moon = solar_system(Config().catalogue.epoch_year, bodies=["moon"]).direction[0]
+    away = (float(np.degrees(np.arctan2(moon[1], moon[0]))) % 360.0, float(np.degrees(np.arcsin(moon[2]))))
+    background = BackgroundConfig(moon_planets=True, earth_direction_deg=away, earth_distance_km=1e6)
+    pointing = BodyPointing(body="moon", offset_deg=0.1)
+    scene = build_scene(Config(instrument=small, nodes=3, pointing=pointing, background=background))
+    made = FrameMaker(scene).make(0)
+    earth, hidden = made.disks
+    assert (earth.name, hidden.name) == ("earth", "moon")
+    assert earth.image.electrons[0] > 1e3
+    assert hidden.image.electrons[0] == 0.0
+    (disk,) = disk_truth(scene, made.plan, made.disks)
+    assert (disk.name, disk.kind) == ("earth", "planet")
+
+
+@pytest.mark.slow
+def test_a_field_with_the_moon_has_its_disk_where_the_label_says():
+    Engine.start("llvm")
+    config = Config(
+        instrument=SMALL.model_copy(update={"exposure_s": 1e-4, "width_px": 1024, "height_px": 1024}),
+        nodes=3,
+        pointing=BodyPointing(body="moon", offset_deg=3.0),
+        verify=VerifyConfig(frames=0),
+    )
+    assert config.catalogue.observer == "earth"
+    assert config.background.moon_planets
+    scene = build_scene(config)
+    maker = FrameMaker(scene)
+    labels = LabelMaker(scene, maker.hits)
+    for frame in range(2):
+        (moon,) = [one for one in labels.labels(frame) if one.name == "moon"]
+        made = maker.make(frame)
+        lit = made.disks[0].image.image.electrons[:, :, 0]
+        marked = pixel_marks(scene, made)["DISK"]  # pixels with their middle on the disk; its limb is blurred
+        assert lit[ndimage.binary_dilation(marked, np.ones((3, 3)))].sum() > 0.99 * lit.sum()
+        assert lit[ndimage.binary_erosion(~marked, np.ones((3, 3)))].max() < 0.05 * lit.max()
+        (disk,) = disk_truth(scene, made.plan, made.disks)
+        hold_disk_to_astropy(disk, made, scene, moon)
+        dn = made.frame.dn.astype(float)
+        bright = dn > np.median(dn) + 0.05 * (dn.max() - np.median(dn))
+        rows, columns = np.nonzero(bright)
+        left, top, width, height = moon.box_px
+        inside = (columns + 0.5 > left - 1) & (columns + 0.5 < left + width + 1)
+        inside &= (rows + 0.5 > top - 1) & (rows + 0.5 < top + height + 1)
+        assert len(rows) > 50
+        assert inside.mean() > 0.99
+        # lit or not, the limb reaches the box on the sunlit side
+        gaps = (columns.min() - left, left + width - columns.max() - 1, rows.min() - top, top + height - rows.max() - 1)
+        assert min(abs(gap) for gap in gaps) < 2.0
