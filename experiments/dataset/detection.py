@@ -69,7 +69,7 @@ class FoundStars:
     snr: FloatArray  # (n,) Of every star of which light reaches the detector
     electrons: FloatArray  # (n,) Of every star of which light reaches the detector
     flags: NDArray[np.int32]  # (n,) Of the truth (`experiments.dataset.truth.FLAGS`)
-    found: NDArray[np.bool_]  # (n,) Whether a detection belongs to it
+    matched: NDArray[np.bool_]  # (n,) Whether a detection belongs to it
     fit: NDArray[np.bool_]  # (n,) Whether that detection has no flag of the measurement
     blend_seen: NDArray[np.bool_]  # (n,) Whether that detection is flagged ``BLEND``
     error_px: FloatArray  # (n, 2) Centroid minus centroid of the noiseless light; NaN where there is no centroid
@@ -84,7 +84,7 @@ class FoundStars:
         sizes: dict[str, int] = {}
         for name in ("magnitude", "snr", "electrons", "smear_px", "radius_px"):
             freeze(self, name, shape=("n",), sizes=sizes)
-        for name, kind in (("flags", np.int32), ("found", np.bool_), ("fit", np.bool_), ("blend_seen", np.bool_)):
+        for name, kind in (("flags", np.int32), ("matched", np.bool_), ("fit", np.bool_), ("blend_seen", np.bool_)):
             freeze(self, name, shape=("n",), dtype=kind, sizes=sizes)
         for name in ("error_px", "position_px"):
             freeze(self, name, shape=("n", 2), finite=False, sizes=sizes)
@@ -119,19 +119,19 @@ def compare_frame(
         mutual = (back[nearest] == np.arange(n)) & (distance <= np.where(burnt, NEAR_PX, MATCH_PX))
         partner[mutual] = nearest[mutual]
         lonely = back_distance > NEAR_PX + smear[back] / 2.0  # a faint trail may break up
-    found = partner >= 0
+    matched = partner >= 0
     error = np.full((n, 2), np.nan)
-    error[found] = measured.stars.pixel_px[partner[found]] - star[found]
+    error[matched] = measured.stars.pixel_px[partner[matched]] - star[matched]
     flags = np.zeros(n, np.uint32)
-    flags[found] = measured.stars.flags[partner[found]]
+    flags[matched] = measured.stars.flags[partner[matched]]
     middle = np.array([(width_px - 1) / 2, (height_px - 1) / 2])
     return FoundStars(
         magnitude=np.asarray(truth["magnitude"])[lit],
         snr=np.asarray(truth["snr"])[lit],
         electrons=np.asarray(truth["electrons"])[lit],
         flags=np.asarray(truth["flags"], np.int32)[lit],
-        found=found,
-        fit=found & ~has_flag(flags, UNFIT),
+        matched=matched,
+        fit=matched & ~has_flag(flags, UNFIT),
         blend_seen=has_flag(flags, StarFlag.BLEND),
         error_px=error,
         smear_px=smear,
@@ -357,7 +357,7 @@ def detection(
     spread = np.sqrt((lonely + 1) / stars.frames**2 + (empty_detections + 1) / empty_frames**2)
     excess = float((lonely / stars.frames - empty_detections / empty_frames) / spread)
     bright = shares(stars, stars.snr, np.array([BRIGHT_SNR, np.inf]))
-    undisturbed = mean_of(stars.found, stars.clean & (stars.snr >= BRIGHT_SNR))
+    undisturbed = mean_of(stars.matched, stars.clean & (stars.snr >= BRIGHT_SNR))
     fine = shares(stars, stars.magnitude, even_edges(stars.magnitude, MAGNITUDE_STEP))
     bins = centroid_bins(stars, bound)
     miss = float(wcs_misses.max()) if len(wcs_misses) else float("nan")
@@ -391,14 +391,14 @@ def shares(stars: FoundStars, value: FloatArray, edges: FloatArray, name: str = 
     """Share of detected stars in bins of a value per star, those that hold some; Wilson intervals."""
     inside = ~stars.has("off_edge")
     total, _ = np.histogram(value[inside], edges)
-    detected, _ = np.histogram(value[inside & stars.found], edges)
-    found = []
+    detected, _ = np.histogram(value[inside & stars.matched], edges)
+    bins = []
     for k in np.flatnonzero(total):
         low, high = (float(v) for v in binom_conf_interval(detected[k], total[k], interval="wilson"))
         share = Measured(value=float(detected[k] / total[k]), uncertainty=(high - low) / 2, n=int(total[k]))
         bin_ = name.format(low=edges[k], high=edges[k + 1]) if name else float((edges[k] + edges[k + 1]) / 2)
-        found.append(Share(bin=bin_, stars=int(total[k]), share_found=share, low=low, high=high))
-    return found
+        bins.append(Share(bin=bin_, stars=int(total[k]), share_found=share, low=low, high=high))
+    return bins
 
 
 def even_edges(values: FloatArray, step: float) -> FloatArray:
@@ -417,8 +417,8 @@ def snr_edges(snr: FloatArray) -> FloatArray:
 
 def magnitude_of_half(fine: Sequence[Share]) -> float:
     """Magnitude where the share of detected stars falls below one half for good; NaN where it never does."""
-    enough = [one for one in fine if one.stars >= FEWEST_FOR_HALF]
-    middle, share = np.array([[one.bin, one.share_found.value] for one in enough], float).reshape(-1, 2).T
+    enough = [share for share in fine if share.stars >= FEWEST_FOR_HALF]
+    middle, share = np.array([[bin_.bin, bin_.share_found.value] for bin_ in enough], float).reshape(-1, 2).T
     above = np.flatnonzero(share >= 0.5)
     if not len(above) or above[-1] + 1 >= len(share):
         return float("nan")
@@ -440,9 +440,9 @@ def flag_groups(stars: FoundStars) -> list[FlagGroup]:
             flag=name,
             meaning=about,
             stars=int(mine.sum()),
-            share_found=mean_of(stars.found, mine),
+            share_found=mean_of(stars.matched, mine),
             share_fit=mean_of(stars.fit, mine),
-            share_blend=mean_of(stars.blend_seen, mine & stars.found),
+            share_blend=mean_of(stars.blend_seen, mine & stars.matched),
         )
         for name, (about, mine) in groups.items()
     ]
@@ -477,9 +477,9 @@ def centroid_bins(stars: FoundStars, bound: CentroidBound) -> list[CentroidBin]:
 
 def mean_ratio(bins: Sequence[CentroidBin]) -> tuple[float, int]:
     """Mean ratio of error and bound where noise alone decides (`BOUND_SNR`), NaN for none, and its stars."""
-    inside = [one for one in bins if BOUND_SNR[0] <= one.snr <= BOUND_SNR[1]]
-    count = sum(one.stars for one in inside)
-    return (sum(one.ratio * one.stars for one in inside) / count if count else float("nan")), count
+    inside = [bin_ for bin_ in bins if BOUND_SNR[0] <= bin_.snr <= BOUND_SNR[1]]
+    count = sum(bin_.stars for bin_ in inside)
+    return (sum(bin_.ratio * bin_.stars for bin_ in inside) / count if count else float("nan")), count
 
 
 def example_frame(outcome: Outcome) -> Figure:
@@ -498,7 +498,7 @@ def example_frame(outcome: Outcome) -> Figure:
 
 
 def _axis(dim: str, label: str) -> Any:
-    return lambda q, bins: q.axis(dim, [one.bin for one in bins], label, key=dim)
+    return lambda q, bins: q.axis(dim, [bin_.bin for bin_ in bins], label, key=dim)
 
 
 HALF: dict[str, Any] = {"width": "half", "aspect_ratio": 0.7}

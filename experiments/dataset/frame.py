@@ -59,7 +59,7 @@ class _Expected:
     """What falls on the detector in a frame."""
 
     plan: FramePlan
-    seen: PointSources
+    sources: PointSources
     traced: TracedStars
     electrons: NDArray[np.float32]
     sky_e: float
@@ -119,7 +119,7 @@ class FrameMaker:
             before=before,
         )
         truth = star_rows(
-            expected.seen,
+            expected.sources,
             traced.truth,
             scene.instrument.detector,
             frame=frame,
@@ -127,7 +127,7 @@ class FrameMaker:
             on_chip=StarLightOnChip(
                 empty_e2=float(scene.instrument.pixel_noise().temporal_e2(expected.sky_e)),
                 pixel_flags=pixel_flags(read.saturated, read.defect, struck),
-                smear_px=smear_px(scene, expected.seen, plan, traced.truth.chief_y_px[:, 0]),
+                smear_px=smear_px(scene, expected.sources, plan, traced.truth.chief_y_px[:, 0]),
                 axis_share=self._axis_share,
             ),
         )
@@ -144,14 +144,16 @@ class FrameMaker:
     def _expected(self, frame: int) -> _Expected:
         """Stars, sky, disks and cosmic rays of a frame."""
         plan = plan_frame(self.scene.plan, frame)
-        seen = point_sources(self.scene, plan)
+        sources = point_sources(self.scene, plan)
         self._renderer.label = f"frame_{frame:06d}"
-        traced = self._traced(seen, plan)
+        traced = self._traced(sources, plan)
         electrons = traced.electrons[:, :, 0].copy()
         sky_e = self._add_sky(electrons, plan)
         disks = self._add_disks(electrons, plan)
         hits = self.hits(frame)
-        return _Expected(plan=plan, seen=seen, traced=traced, electrons=electrons, sky_e=sky_e, disks=disks, hits=hits)
+        return _Expected(
+            plan=plan, sources=sources, traced=traced, electrons=electrons, sky_e=sky_e, disks=disks, hits=hits
+        )
 
     def _before(self, frame: int) -> NDArray[np.float32] | None:
         """Charge of the frame before, of which a detector with lag keeps a share; None without one."""
@@ -171,10 +173,10 @@ class FrameMaker:
         )
         return float(1.0 - truth.electrons_vignetted[0, 0] / truth.electrons_in[0, 0])
 
-    def _traced(self, seen: PointSources, plan: FramePlan) -> TracedStars:
+    def _traced(self, sources: PointSources, plan: FramePlan) -> TracedStars:
         camera = self.scene.config.instrument
         if plan.trajectory is None:
-            return self._renderer.trace(seen.light, rotation_cam_from_world=plan.attitude.as_matrix())
+            return self._renderer.trace(sources.light, rotation_cam_from_world=plan.attitude.as_matrix())
         from render.tracing.motion.exposure import exposure_motion
 
         motion = exposure_motion(
@@ -185,7 +187,7 @@ class FrameMaker:
             line_time_s=camera.line_time_us * 1e-6,
             tolerance=self.scene.config.pupil_tolerance,
         )
-        return self._renderer.trace(seen.light, motion=motion)
+        return self._renderer.trace(sources.light, motion=motion)
 
     def _add_sky(self, electrons: NDArray[np.float32], plan: FramePlan) -> float:
         """Add the light of the sky to the stars', except what is the same everywhere; mean of all sky light [e-]."""

@@ -101,15 +101,15 @@ def body_labels(scene: Scene, plan: FramePlan) -> list[Label]:
     ahead = np.flatnonzero(v_cam[:, 2] > 0.0)
     place = pixel_of(scene, v_cam[ahead])
     radius = 0.5 * disks.angular_diameter_rad[ahead] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)
-    found = []
+    labels = []
     for body, (x, y), r in zip(ahead, place, radius, strict=True):
         box = _clipped(x + 0.5 - r, y + 0.5 - r, x + 0.5 + r, y + 0.5 + r, camera.width_px, camera.height_px)
         if np.isfinite(x + y) and box is not None:
             name = str(disks.name[body])
             kind: Class = "moon" if name == "moon" else "planet"
             pixels = pixels_of_ellipse(float(x), float(y), float(r), float(r), (camera.height_px, camera.width_px))
-            found.append(Label(kind=kind, name=name, x_px=float(x), y_px=float(y), box_px=box, pixels=pixels))
-    return found
+            labels.append(Label(kind=kind, name=name, x_px=float(x), y_px=float(y), box_px=box, pixels=pixels))
+    return labels
 
 
 def pixel_of(scene: Scene, v_cam: FloatArray) -> FloatArray:
@@ -139,12 +139,12 @@ def _tracks(hits: CosmicRayHits) -> list[Label]:
     numbers = np.arange(1, count + 1)
     total = np.atleast_1d(ndimage.sum_labels(charge, group, numbers))
     middle = ndimage.center_of_mass(charge, group, numbers)
-    found = []
+    labels = []
     places = ndimage.find_objects(group)
     for number, (rows, columns), (y, x), electrons in zip(numbers, places, middle, total, strict=True):
         box = (columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
         inside = np.nonzero(group[rows, columns] == number)
-        found.append(
+        labels.append(
             Label(
                 kind="cosmic_ray",
                 x_px=float(x),
@@ -154,7 +154,7 @@ def _tracks(hits: CosmicRayHits) -> list[Label]:
                 electrons=float(electrons),
             )
         )
-    return found
+    return labels
 
 
 # --- What is true of the bodies that a frame shows as disks
@@ -170,11 +170,11 @@ def disk_truth(scene: Scene, plan: FramePlan, disks: Sequence[Disk]) -> tuple[Di
     turn = plan.attitude.as_matrix()
     v_cam, to_sun = system.direction[rows] @ turn.T, system.to_sun_au[rows] @ turn.T
     ra, dec = np.degrees(np.arctan2(*system.direction[rows].T[1::-1])) % 360.0, np.arcsin(system.direction[rows, 2])
-    found = []
+    truths = []
     for k, (disk, (x, y)) in enumerate(zip(lit, pixel_of(scene, v_cam), strict=True)):
         across = to_sun[k] - v_cam[k] * (to_sun[k] @ v_cam[k])
         magnitude = float(system.magnitude_v[disk.row])
-        found.append(
+        truths.append(
             DiskTruth(
                 name=disk.name,
                 kind="moon" if disk.name == "moon" else "planet",
@@ -193,4 +193,4 @@ def disk_truth(scene: Scene, plan: FramePlan, disks: Sequence[Disk]) -> tuple[Di
                 noise_share=disk.image.noise_share,
             )
         )
-    return tuple(found)
+    return tuple(truths)

@@ -323,13 +323,13 @@ def _table(name: str, key: str) -> Any:
 def _attitudes(table: Any, name: str) -> Rotation:
     if all(column in table.colnames for column in _QUATERNION):
         return _from_quaternions(table, name)
-    found = [next((c for c in (f"{a}_deg", a) if c in table.colnames), None) for a in ("ra", "dec", "roll")]
-    if None in found:
+    columns = [next((c for c in (f"{a}_deg", a) if c in table.colnames), None) for a in ("ra", "dec", "roll")]
+    if None in columns:
         raise ConfigError(
             f"{name}: columns {', '.join(table.colnames)}; ra_deg, dec_deg, roll_deg or {', '.join(_QUATERNION)} needed"
         )
-    ra, dec, roll = (_column(table, str(column), "deg", name) for column in found)
-    stated = any(table[column].unit is not None or str(column).endswith("_deg") for column in found)
+    ra, dec, roll = (_column(table, str(column), "deg", name) for column in columns)
+    stated = any(table[column].unit is not None or str(column).endswith("_deg") for column in columns)
     if not stated and len(ra) >= _FEWEST_TO_JUDGE and max(np.ptp(ra), 2 * np.abs(dec).max()) <= 2 * np.pi:
         raise DomainError(f"{name}: no angle is above 2 pi; are they radians? State the unit or name the columns _deg")
     beyond = np.flatnonzero(np.abs(dec) > 90.0)

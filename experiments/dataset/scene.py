@@ -308,17 +308,17 @@ def check_sun(plan: Plan, to_sun: FloatArray, view: FieldOfView, frames: int) ->
     """Refuse zodiacal light for attitudes so near the Sun that it is not known there."""
     needed = CLOSEST_DEG + float(np.degrees(view.radius_rad)) + SUN_MARGIN_DEG
     pointing = plan.config.pointing
-    said = f"background.zodiacal: the light within {CLOSEST_DEG:g} deg of the Sun is not known"
+    reason = f"background.zodiacal: the light within {CLOSEST_DEG:g} deg of the Sun is not known"
     if isinstance(pointing, SkyPointing):
         if pointing.sun_exclusion_deg < needed:
-            raise DomainError(f"{said}; set pointing.sun_exclusion_deg to at least {np.ceil(needed):g}")
+            raise DomainError(f"{reason}; set pointing.sun_exclusion_deg to at least {np.ceil(needed):g}")
         return
     for frame in range(frames):
         boresight = plan_frame(plan, frame).attitude.as_matrix()[2]
         angle = float(np.degrees(np.arccos(np.clip(boresight @ to_sun, -1.0, 1.0))))
         if angle < needed:
             raise DomainError(
-                f"{said}, frame {frame} looks {angle:.1f} deg from it and its corners {needed - CLOSEST_DEG:.1f} deg "
+                f"{reason}, frame {frame} looks {angle:.1f} deg from it and its corners {needed - CLOSEST_DEG:.1f} deg "
                 "farther; change catalogue.epoch_year, the attitudes, or leave it out"
             )
 
@@ -399,14 +399,14 @@ def point_sources(scene: Scene, plan: FramePlan) -> PointSources:
     return stars if planets is None else _together(stars, planets)
 
 
-def smear_px(scene: Scene, seen: PointSources, plan: FramePlan, row_px: FloatArray) -> FloatArray:
+def smear_px(scene: Scene, sources: PointSources, plan: FramePlan, row_px: FloatArray) -> FloatArray:
     """Motion (n, 2) of chief rays at the design wavelength from the start to the end of their row's exposure [px]."""
-    if plan.trajectory is None or not len(seen):
-        return np.zeros((len(seen), 2))
+    if plan.trajectory is None or not len(sources):
+        return np.zeros((len(sources), 2))
     camera = scene.config.instrument
     last = scene.instrument.camera.height_px - 1.0
     starts = plan.start_s + np.clip(np.nan_to_num(row_px), 0.0, last) * (camera.line_time_us * 1e-6)
-    direction = np.array(seen.direction)
+    direction = np.array(sources.direction)
     ends = [
         scene.view.pixel_of(plan.trajectory.attitude(times).apply(direction))
         for times in (starts, starts + camera.exposure_s)

@@ -112,36 +112,36 @@ def solve_frame(
     stars = measured.stars
     seen = np.isfinite(stars.pixel_px).all(axis=1) & np.isfinite(stars.flux_e) & ~stars.sharp
     if near is not None:
-        found = identify_stars(stars, model, sky, near=near)
+        match = identify_stars(stars, model, sky, near=near)
     else:
-        found = identify(stars.pixel_px[seen], model, database, flux=stars.flux_e[seen], catalogue=sky.by_id)
+        match = identify(stars.pixel_px[seen], model, database, flux=stars.flux_e[seen], catalogue=sky.by_id)
     pixel = stars.pixel_px[measured.fit]
     common: dict[str, Any] = {
         "frame": frame,
         "detected": len(measured.stars),
         "fit": len(pixel),
-        "identified": len(found.detected),
+        "identified": len(match.detected),
     }
     nothing = np.full(3, np.nan)
-    if not found.ok or found.attitude is None:
+    if not match.ok or match.attitude is None:
         return SolvedFrame(
             **common,
-            status=found.status,
-            message=found.message,
+            status=match.status,
+            message=match.message,
             used=0,
             error_arcsec=nothing,
             sigma_arcsec=nothing,
             equal_error_arcsec=nothing,
             common_px=float("nan"),
         )
-    equal = attitude_error_arcsec(model_turn.inv() * found.attitude.rotation, truth)
-    weighted, used, common_px = _weighted(measured, pixel, model, found, sky, pixel_arcsec)
+    equal = attitude_error_arcsec(model_turn.inv() * match.attitude.rotation, truth)
+    weighted, used, common_px = _weighted(measured, pixel, model, match, sky, pixel_arcsec)
     error = attitude_error_arcsec(model_turn.inv() * weighted.rotation, truth)
     wrong = not np.hypot(error[0], error[1]) < pixel_arcsec
     return SolvedFrame(
         **common,
         status="wrong" if wrong else "identified",
-        message=f"off by {np.hypot(error[0], error[1]):.3g} arcsec" if wrong else found.message,
+        message=f"off by {np.hypot(error[0], error[1]):.3g} arcsec" if wrong else match.message,
         used=used,
         error_arcsec=error,
         sigma_arcsec=np.sqrt(np.diagonal(weighted.covariance_rad2)) * RAD_ARCSEC,
@@ -154,15 +154,15 @@ def _weighted(
     measured: MeasuredFrame,
     pixel: FloatArray,
     model: CameraModel,
-    found: Identification,
+    match: Identification,
     sky: SkyMap,
     pixel_arcsec: float,
 ) -> tuple[Any, int, float]:
     """Attitude from all detections near a star, how many they are, and their common error [px]."""
-    assert found.attitude is not None
-    pairs = associate(pixel, sky.direction, found.attitude.rotation, model, radius_px=MATCH_PX)
+    assert match.attitude is not None
+    pairs = associate(pixel, sky.direction, match.attitude.rotation, model, radius_px=MATCH_PX)
     if len(pairs.detected) < FEWEST:
-        return found.attitude, len(found.detected), float("nan")
+        return match.attitude, len(match.detected), float("nan")
     covariance = measured.stars.covariance[measured.fit][pairs.detected]
     variance = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2.0
     v_cam, v_ref = model.unproject(pixel[pairs.detected]), sky.direction[pairs.catalogue]

@@ -81,9 +81,9 @@ def _by_caps(splits: SplitsConfig, streams: Streams, gap_rad: float) -> Splits:
 
     def edges(used: float) -> tuple[float, float, float, float]:
         """Radii of both caps, and of both with the gap about them, if this share of the sky counts."""
-        found = [math.acos(1.0 - 2.0 * part * used) for part in (splits.test_fraction, splits.validation_fraction)]
-        wide = [radius + gap_rad if radius > 0 else 0.0 for radius in found]
-        return found[0], found[1], wide[0], wide[1]
+        radii = [math.acos(1.0 - 2.0 * part * used) for part in (splits.test_fraction, splits.validation_fraction)]
+        wide = [radius + gap_rad if radius > 0 else 0.0 for radius in radii]
+        return radii[0], radii[1], wide[0], wide[1]
 
     def too_much(used: float) -> float:
         _, _, test, validation = edges(used)
@@ -226,17 +226,17 @@ def leakage(boresights: Mapping[str, Sequence[tuple[float, float]]], diagonal_de
         ra, dec = np.radians(np.array(boresights.get(name, ()), float).reshape(-1, 2).T)
         return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
 
-    taught, found = directions("train"), {}
+    training, leaks = directions("train"), {}
     for name in SPLITS[1:]:
         mine = directions(name)
         if not len(mine):
             continue
-        chord = cKDTree(taught).query(mine)[0] if len(taught) else np.full(len(mine), np.nan)
+        chord = cKDTree(training).query(mine)[0] if len(training) else np.full(len(mine), np.nan)
         angle = np.degrees(2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0)))
-        found[name] = Leak(
+        leaks[name] = Leak(
             frames=len(mine),
             near=int((angle < 0.5 * diagonal_deg).sum()),
             shared=int((angle < diagonal_deg).sum()),
             nearest_deg=float(angle.min()),
         )
-    return found
+    return leaks

@@ -116,24 +116,24 @@ def pixel_flags(
 
 
 def star_rows(
-    seen: PointSources, truth: Truth, detector: Detector, *, frame: int, band: str, on_chip: StarLightOnChip
+    sources: PointSources, truth: Truth, detector: Detector, *, frame: int, band: str, on_chip: StarLightOnChip
 ) -> dict[str, Any]:
     """Columns of the truth of a frame in one band."""
-    x, y, z = seen.direction.T
+    x, y, z = sources.direction.T
     values = {name: getattr(truth, name)[:, 0] for name in type(truth).__dataclass_fields__}
-    n = len(seen)
+    n = len(sources)
     electrons = values["electrons_image"]
     rays = values["variance_x_px2"], values["variance_y_px2"]
     sigma = _spot_sigma(np.stack(rays), detector.diffusion_sigma_px)
     columns = {
         "frame": np.full(n, frame, np.int64),
-        "star_id": seen.star_id,
-        "catalogue_row": seen.catalogue_row,
+        "star_id": sources.star_id,
+        "catalogue_row": sources.catalogue_row,
         "band": band,
         "ra_deg": np.arctan2(y, x) * RAD_DEG % 360.0,
         "dec_deg": np.arctan2(z, np.hypot(x, y)) * RAD_DEG,
-        "magnitude": seen.magnitude,
-        "temperature_k": seen.temperature_k,
+        "magnitude": sources.magnitude,
+        "temperature_k": sources.temperature_k,
         "electrons": electrons,
         "snr": flux_snr(electrons, *sigma, noise_e2=on_chip.empty_e2),
         "smear_x_px": on_chip.smear_px[:, 0],
@@ -200,12 +200,12 @@ def _footprint_bits(centre: FloatArray, half: FloatArray, bits: NDArray[np.uint8
     size = np.array([[width], [height]])
     low = np.clip(np.ceil(centre - half), 0, size).astype(np.int64)
     high = np.clip(np.floor(centre + half) + 1, 0, size).astype(np.int64)
-    found = np.zeros(centre.shape[1], np.int32)
+    footprint = np.zeros(centre.shape[1], np.int32)
     either = np.bitwise_or.reduce
     for i, (x0, y0, x1, y1) in enumerate(zip(*low.tolist(), *high.tolist(), strict=True)):
         if x1 > x0 and y1 > y0:
-            found[i] = either(bits[y0:y1, x0:x1], axis=None)
-    return found
+            footprint[i] = either(bits[y0:y1, x0:x1], axis=None)
+    return footprint
 
 
 def _blended(centre: FloatArray, half: FloatArray, electrons: FloatArray) -> NDArray[np.int64]:

@@ -62,8 +62,8 @@ def truth_bytes(rows: Mapping[str, Any], record: FrameRecord, form: Format, orig
 
 def _seal(content: bytes) -> tuple[int, int] | None:
     """Where the digest of a truth file stands in it."""
-    found = _SEAL.search(content)
-    return None if found is None else found.span(1)
+    match = _SEAL.search(content)
+    return None if match is None else match.span(1)
 
 
 def _unsealed(path: Path, content: bytes) -> None:

@@ -88,7 +88,7 @@ def test_stars_and_detections_are_paired_one_to_one():
         [10.4, 50.3, 80.0, 20.0], [9.8, 50.1, 80.0, 60.0], [0, int(StarFlag.BLEND), 0, int(StarFlag.SPIKE)]
     )
     one = compare_frame(7, found, stars, width_px=101, height_px=101)
-    assert one.found.tolist() == [True, False, True, False]
+    assert one.matched.tolist() == [True, False, True, False]
     assert one.fit.tolist() == [True, False, False, False]
     assert one.blend_seen.tolist() == [False, False, True, False]
     np.testing.assert_allclose(one.error_px[0], [0.4, -0.2])
