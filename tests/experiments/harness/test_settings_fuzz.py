@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from experiments.dataset.folder import check
-from experiments.dataset.plan import read_attitudes
 from pydantic import BaseModel
 
+from experiments.dataset.folder import check
+from experiments.dataset.plan import read_attitudes
 from experiments.harness.config import alternatives, load_config
 from experiments.harness.progress import Progress
 from experiments.harness.run import configuration_file
