@@ -262,7 +262,7 @@ class Attitudes:
     roll_median_arcsec: float = col("Roll, median", "arcsec")
     circles_arcsec: FloatArray = col("Half of the frames", "arcsec", dims="across", json="", shown=False)
     pull_rms: FloatArray = col("Error over predicted sigma, RMS", dims="rotation", shown=False)
-    pull: float = col("Error / predicted σ", format=".2f", json="")
+    pull: float | None = col("Error / predicted σ", format=".2f", json="")
     pull_limit: float = col("Limit", json="", shown=False)
     common_px: float = col("Common centroid error, median", "px", ".3f", json="", shown=False)
     boresight_arcsec: FloatArray = col("Boresight error", "arcsec", dims="solved_frame across", json="", shown=False)
@@ -301,7 +301,7 @@ def attitudes(frames: Sequence[SolvedFrame]) -> Attitudes:
         roll_median_arcsec=float(np.median(np.abs(error[:, 2]))) if good else math.nan,
         circles_arcsec=np.full(2, median),
         pull_rms=pull,
-        pull=float(np.sqrt(np.mean(pull**2))),
+        pull=float(np.sqrt(np.mean(pull**2))) if good else None,
         pull_limit=PULL_LIMIT * (1.0 + 3.0 / math.sqrt(6 * max(len(good), 1))),
         common_px=float(np.median(common)) if common else math.nan,
         boresight_arcsec=error[:, :2],
