@@ -33,7 +33,6 @@ SMALL = (
     "dark_frames=40",
     "steps.places=1",
     "steps.positions=5",
-    "sweep=",
 )
 
 
@@ -47,18 +46,20 @@ def pulls_of(seed: int, settings: tuple[str, ...] = ()) -> dict[str, dict[str, l
     settings : tuple of str
         Of the budget, as on its command line.
     """
+    from experiments.budget.experiment import pulls
     from experiments.budget.laboratory import build_laboratory
     from experiments.budget.measure import measure_terms
     from experiments.budget.predict import predict_terms
-    from experiments.budget.result import TermPair
     from experiments.budget.settings import Config
     from experiments.harness.config import load_config
 
     given = [*SMALL, f"seed={seed}", f"detector.sensor_seed={1000 + seed}", *settings]
     lab = build_laboratory(load_config(Config, settings=given))
     predicted, measured = predict_terms(lab, draws=DRAWS, step_draws=DRAWS), measure_terms(lab)
-    pairs = {method: TermPair(predicted[method], measured[method]) for method in lab.bench.methods}
-    return {method: {term: np.ravel(pair.pulls(term)).tolist() for term in TERMS} for method, pair in pairs.items()}
+    return {
+        method: {term: np.ravel(pulls(predicted[method], measured[method], term)).tolist() for term in TERMS}
+        for method in lab.bench.methods
+    }
 
 
 def table(found: list[dict[str, dict[str, list[float]]]]) -> str:

@@ -12,7 +12,7 @@ from matplotlib import pyplot as plt
 from experiments import run_experiment
 from experiments.laboratory.published import ACC18_ARCSEC
 
-budget = run_experiment("budget", {"predict_only": True, "sweep": ""})
+budget = run_experiment("budget", {"predict_only": True})
 print(budget.table("budget"))
 terms = list(budget.data.term.values[:5])
 predicted = budget.data.predicted_arcsec.sel(term=terms)

@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.budget.experiment import main
+from experiments.budget.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -14,27 +14,39 @@ about the boresight.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.solve import solve_wahba_many
 from experiments.budget.combine import Budget
 from experiments.budget.settings import AttitudeConfig
+from experiments.harness.drawings import curves
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, col
 from experiments.laboratory.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 
-__all__ = ["LAYOUTS", "READINGS", "AttitudeStudy", "StarErrors", "attitude_study"]
+__all__ = ["LAYOUTS", "READINGS", "SECTIONS", "StarErrors", "attitude_study"]
 
-
-READINGS = ("independent", "as it is", "common")
-LAYOUTS = ("whole field", "left half", "upper quarter band", "one corner")
+READINGS = {
+    "independent": "LSFE independent",
+    "as it is": "chromatic common, distortion smooth",
+    "common": "LSFE common",
+}
+LAYOUTS = {
+    "whole field": (-1.0, 1.0, -1.0, 1.0),
+    "left half": (-1.0, 0.0, -1.0, 1.0),
+    "upper quarter band": (-1.0, 1.0, -1.0, -0.5),
+    "one corner": (-1.0, 0.0, -1.0, 0.0),
+}
+"""Parts of the field: lowest and highest x, then y, in half widths from the middle."""
 DEGREE = 3
 """Of the smooth map: the polynomial of ACC18 eq. 19 is cubic."""
 
@@ -63,26 +75,38 @@ class StarErrors:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AttitudeStudy:
-    """Attitude errors, 3 sigma [arcsec]; columns are x, y (displacement of the boresight) and roll."""
+class Attitude:
+    """The study, 3 sigma; components are x, y (displacement of the boresight) and roll."""
 
-    stars: int  # N of the budget
-    counts: NDArray[np.int64]  # (c,) Numbers of stars of the curves
-    trials: int  # Fields per number
-    curve: Mapping[str, FloatArray]  # (c, 3) By reading of the low-frequency error
-    # (c, 3) Total / sqrt(N); for roll divided by the RMS distance of a star from the middle of the field, in radians
-    rule: FloatArray
-    bound: FloatArray  # (c, 3) Root mean variance that the estimator states for independent errors
-    at: Mapping[str, FloatArray]  # (3,) At N of the budget, by reading
-    rule_at: FloatArray  # (3,) The rule there
-    # (3,) At N of the budget, independent errors, stars only in a part of the field, by name
-    layout: Mapping[str, FloatArray]
-    failed: int  # Trials in which the estimator gave no attitude; left out
+    stars: int = col("Stars")  # N of the budget
+    trials: int = col("Trials")  # Fields of stars per number
+    failed: int = col("Trials without an attitude", json="")
+    # Total / sqrt(N); for roll divided by the RMS distance of a star from the middle of the field, in radians
+    rule_arcsec: FloatArray = col("Rule", "arcsec", ".3f", "component", json="rule_arcsec_3sigma")
+    relative_uncertainty: float = col("Uncertainty")  # Of every error: a standard deviation from so many trials
 
-    @property
-    def relative_uncertainty(self) -> float:
-        """Of every error: a standard deviation from so many trials."""
-        return float(1.0 / np.sqrt(2.0 * self.trials))
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Errors:
+    """Attitude error at N of the budget, by reading of the low-frequency error or by part of the field."""
+
+    arcsec: FloatArray = col("Attitude error", "arcsec", ".3f", "component", key="{component}_arcsec")
+    over_rule: FloatArray = col("Over the rule", "", ".2f", "component", json="", key="{component}_ratio")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Number:
+    """Attitude errors from so many stars."""
+
+    stars: int = col("Stars", json="", key="stars")
+    arcsec: FloatArray = col(
+        "Attitude error, 3σ", "arcsec", ".4g", "reading component", json="", key="{reading}_{component}_arcsec"
+    )
+    rule_arcsec: FloatArray = col("Rule 1/√N", "arcsec", ".4g", "component", json="", key="rule_{component}_arcsec")
+    # Root mean variance that the estimator states for independent errors
+    stated_arcsec: FloatArray = col(
+        "Stated by the estimator", "arcsec", ".4g", "component", json="", key="stated_{component}_arcsec"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +128,6 @@ class _Field:
         return float(np.sqrt((((high - low) * self.half_rad) ** 2 / 12.0).sum()))
 
 
-_PARTS = {
-    "whole field": (-1.0, 1.0, -1.0, 1.0),
-    "left half": (-1.0, 0.0, -1.0, 1.0),
-    "upper quarter band": (-1.0, 1.0, -1.0, -0.5),
-    "one corner": (-1.0, 0.0, -1.0, 0.0),
-}
-
-
 def attitude_study(
     instrument: Instrument,
     errors: StarErrors,
@@ -119,49 +135,48 @@ def attitude_study(
     streams: Streams,
     *,
     advance: Callable[[], None] = lambda: None,
-) -> AttitudeStudy:
-    """Monte-Carlo of the attitude."""
-    camera = instrument.camera
+) -> dict[str, Any]:
+    """Monte-Carlo of the attitude: the records of `SECTIONS`."""
+    camera, trials, failed = instrument.camera, config.trials, 0
     half_px = np.array([camera.width_px, camera.height_px]) / 2.0
     field = _Field(half_px * camera.pixel_pitch_mm / instrument.focal_length_mm)
-    failed = 0
-    curve: dict[str, list[FloatArray]] = {name: [] for name in READINGS}
-    bound = []
+
+    def scatter(part: _Field, reading: str, count: int, at: Streams, name: str) -> tuple[FloatArray, FloatArray]:
+        nonlocal failed
+        error, stated, lost = _scatter(part, errors, reading, count, trials, at.generator(name))
+        failed += lost
+        return error, stated
+
+    numbers = []
     for count in config.counts:
-        for name in READINGS:
-            found, stated, lost = _scatter(
-                field, errors, name, count, config.trials, streams.child("curve", count).generator(name)
+        pairs = [scatter(field, reading, count, streams.child("curve", count), reading) for reading in READINGS]
+        numbers.append(
+            Number(
+                stars=count,
+                arcsec=np.stack([error for error, _ in pairs]),
+                rule_arcsec=_rule(errors, field, count),
+                stated_arcsec=pairs[0][1],
             )
-            curve[name].append(found)
-            failed += lost
-            if name == READINGS[0]:
-                bound.append(stated)
+        )
         advance()
-    at, layout = {}, {}
-    for name in READINGS:
-        at[name], _, lost = _scatter(
-            field, errors, name, config.stars, config.trials, streams.child("at").generator(name)
-        )
-        failed += lost
-    for name in LAYOUTS:
-        part = _Field(field.half_rad, _PARTS[name])
-        layout[name], _, lost = _scatter(
-            part, errors, READINGS[0], config.stars, config.trials, streams.child("layout").generator(name)
-        )
-        failed += lost
-    counts = np.array(config.counts, np.int64)
-    return AttitudeStudy(
-        stars=config.stars,
-        counts=counts,
-        trials=config.trials,
-        curve={name: np.stack(values) for name, values in curve.items()},
-        rule=np.stack([_rule(errors, field, int(n)) for n in counts]),
-        bound=np.stack(bound),
-        at=at,
-        rule_at=_rule(errors, field, config.stars),
-        layout=layout,
-        failed=failed,
-    )
+    rule, first = _rule(errors, field, config.stars), next(iter(READINGS))
+    here = [scatter(field, reading, config.stars, streams.child("at"), reading)[0] for reading in READINGS]
+    parts = [
+        scatter(_Field(field.half_rad, part), first, config.stars, streams.child("layout"), name)[0]
+        for name, part in LAYOUTS.items()
+    ]
+    return {
+        "attitude": Attitude(
+            stars=config.stars,
+            trials=trials,
+            failed=failed,
+            rule_arcsec=rule,
+            relative_uncertainty=float(1.0 / np.sqrt(2.0 * trials)),
+        ),
+        "readings": [Errors(arcsec=error, over_rule=error / rule) for error in here],
+        "layouts": [Errors(arcsec=error, over_rule=error / rule) for error in parts],
+        "attitude_curve": numbers,
+    }
 
 
 def _rule(errors: StarErrors, field: _Field, count: int) -> FloatArray:
@@ -233,3 +248,54 @@ def _smooth(place: FloatArray, rng: np.random.Generator) -> FloatArray:
     basis = np.stack([size[i] * size[j] * of_x[..., i] * of_y[..., j] for i, j in terms], axis=-1)
     weight = rng.standard_normal((len(place), len(terms), 2)) / np.sqrt(len(terms))
     return np.asarray(np.einsum("tnk,tka->tna", basis, weight))
+
+
+def _axes(q: Quantities, _: Any) -> None:
+    q.axis("component", ["x", "y", "roll"], "Component")
+    q.axis("reading", list(READINGS), "Low-frequency error", names=READINGS)
+    q.axis("layout", list(LAYOUTS), "Stars in")
+
+
+_AT_N: dict[str, Any] = {"record": Errors, "place": "attitude", "across": "component"}
+SECTIONS = {
+    "attitude": Section(record=Attitude, prefix="attitude_", place="attitude", axes=_axes),
+    "readings": Section(
+        **_AT_N,
+        dim="reading",
+        prefix="attitude_",
+        json={"arcsec": "monte_carlo_arcsec_3sigma"},
+        table="attitude",
+        caption="Attitude at the number of stars of the budget, 3 sigma: fields of stars through the estimator.",
+        note="x, y: displacement of the boresight. Rule: total / √N; for roll also divided by the RMS distance of a "
+        "star from the middle of the field.",
+    ),
+    "layouts": Section(
+        **_AT_N,
+        dim="layout",
+        prefix="layout_",
+        json={"arcsec": "layout_arcsec_3sigma"},
+        table="attitude_layout",
+        caption="The same with stars in a part of the field only, all errors independent.",
+    ),
+    "attitude_curve": Section(
+        record=Number,
+        dim="stars",
+        along="stars",
+        prefix="curve_",
+        table="attitude_curve",
+        rows="stars",
+        across="reading component",
+        caption="Attitude error against the number of stars, 3 sigma.",
+        figures={
+            "attitude_curves": curves(
+                "stars",
+                points="curve_arcsec",
+                lines="curve_rule_arcsec",
+                by="reading",
+                panels="component",
+                log="xy",
+                aspect_ratio=0.42,
+            )
+        },
+    ),
+}

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from experiments.budget.combine import Value
 from experiments.budget.laboratory import Laboratory
+from experiments.harness.sections import Section, col
+from experiments.harness.summary import Measured, measured
 from experiments.laboratory.centroid_methods import has_own_epsf
 from experiments.laboratory.chromatic_error import measure_chromatic, rms, shifts, table1, table1_sigma
 from experiments.laboratory.epsf_session import variance_of_another
@@ -22,7 +24,15 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = ["ChromaticTerm", "TracedTarget", "measured_terms", "predicted_terms", "trace_target"]
+__all__ = [
+    "TABLE1",
+    "ChromaticTerm",
+    "TracedTarget",
+    "measured_terms",
+    "predicted_terms",
+    "table1_of",
+    "trace_target",
+]
 
 
 ROUNDING_PX = 1e-6
@@ -33,8 +43,8 @@ ROUNDING_PX = 1e-6
 class ChromaticTerm:
     """ACC18's Table 1, and what becomes of it in the budget."""
 
-    table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 per pair of bands, signed, and its standard deviation
-    sigma_px: Mapping[str, FloatArray]  # (2,) Eq. 16 per pair of bands, signed, and its standard deviation
+    table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 per pair of bands, signed
+    sigma_px: Mapping[str, FloatArray]  # (2,) Its standard deviation
     rms_px: Mapping[str, FloatArray]  # (2,) RMS shift of the points
     pixel_arcsec: float  # Angle of a pixel
     n: int  # Frames behind each entry; 0 for a prediction
@@ -148,14 +158,49 @@ def measured_terms(
 ) -> dict[str, ChromaticTerm]:
     """By centroider: the target in the four corners behind every filter, rendered, read out, reduced."""
     bench, found = lab.filtered, {}
-    measured = measure_chromatic(bench, lab.instrument, streams, patterns=bench.methods, advance=advance)
+    frames = measure_chromatic(bench, lab.instrument, streams, patterns=bench.methods, advance=advance)
     for method in bench.methods:
-        shift = shifts(measured.mean_px[method], bench.pairs)
+        shift = shifts(frames.mean_px[method], bench.pairs)
         found[method] = ChromaticTerm(
             table1_px={name: table1(v) for name, v in shift.items()},
-            sigma_px=table1_sigma(measured, bench.pairs, method),
+            sigma_px=table1_sigma(frames, bench.pairs, method),
             rms_px={name: rms(v) for name, v in shift.items()},
             pixel_arcsec=lab.instrument.pixel_arcsec,
-            n=bench.frames * int(np.prod(measured.nominal_px.shape[:2])),
+            n=bench.frames * int(np.prod(frames.nominal_px.shape[:2])),
         )
     return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table1:
+    """An entry of ACC18's Table 1, centroider that counts."""
+
+    pair: str = col("Bands", "nm", json="", key="bands")
+    predicted_px: FloatArray = col("Predicted", "px", ".5f", "axis", json="predicted")
+    measured_px: Sequence[Measured] = col("Measured", "px", dims="axis", json="measured", json_error="sigma")
+    rms_px: FloatArray = col("RMS shift of a point", "px", ".4f", "axis", json="")
+
+
+def table1_of(predicted: ChromaticTerm, seen: ChromaticTerm) -> list[Table1]:
+    """Table 1, one record for each pair of bands."""
+    return [
+        Table1(
+            pair=pair,
+            predicted_px=predicted.table1_px[pair],
+            measured_px=measured(entry, seen.sigma_px[pair], seen.n),
+            rms_px=seen.rms_px[pair],
+        )
+        for pair, entry in seen.table1_px.items()
+    ]
+
+
+TABLE1 = Section(
+    record=Table1,
+    dim="pair",
+    along="pair",
+    prefix="table1_",
+    place="parts.table1_px",
+    table="chromatic",
+    rows="pair axis",
+    caption="Chromatic term: mean shift between filters, halved (ACC18 eq. 16), signed.",
+)

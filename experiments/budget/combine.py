@@ -1,11 +1,10 @@
-"""How the terms add up (ACC18, eq. 31-32), with uncertainties, and what the document prints.
+"""How the terms add up (ACC18, eq. 31-32), with uncertainties.
 
     sigma_LSFE = sqrt(sigma_S^2 + (sigma_C1 + sigma_C2)^2)
     total      = sqrt(TE^2 + HSFE^2 + sigma_LSFE^2)
     attitude   = total / sqrt(N)
 
-All numbers are 3 sigma in arcsec, (2,) for x and y. The printed inputs give LSFE_x = 0.79", and only 0.79" leads to the
-printed total of 1.76"; the printed LSFE_x = 0.91" (0.41 + 0.50, the y value of C1) is a slip.
+All numbers are 3 sigma in arcsec, (2,) for x and y.
 """
 
 from __future__ import annotations
@@ -14,13 +13,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from experiments.laboratory.published import ACC18_ARCSEC
 from optics.arrays import FloatArray
 from optics.records import freeze
 
-__all__ = ["ECSS", "FRAME_TERMS", "PRINTED", "SUMS", "TERMS", "Budget", "Value", "combine", "published"]
+__all__ = ["ECSS", "FRAME_TERMS", "PRINTED", "SUMS", "TERMS", "Budget", "Value", "combine"]
 
 
 TERMS = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
@@ -40,7 +37,7 @@ ECSS = {
 """Names of ECSS-E-ST-60-20C Rev.2."""
 
 PRINTED = {"LSFE": (0.91, 1.12), "total": (1.76, 1.95), "attitude": (0.56, 0.62)}
-"""ACC18, section 2.4, as printed; for N = 10 stars."""
+"""ACC18, section 2.4, as printed, for N = 10 stars; the LSFE in x is a slip (docs/theory/error_budget.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,9 +59,9 @@ class Budget:
     """All terms and what they add up to."""
 
     term: Mapping[str, Value]  # By the names of `TERMS`
-    lsfe: Value  # Eq. 31, eq. 32, and divided by the root of the number of stars
-    total: Value  # Eq. 31, eq. 32, and divided by the root of the number of stars
-    attitude: Value  # Eq. 31, eq. 32, and divided by the root of the number of stars
+    lsfe: Value  # Eq. 31
+    total: Value  # Eq. 32
+    attitude: Value  # Total over the root of the number of stars
     stars: int  # N
 
     def __getitem__(self, name: str) -> Value:
@@ -93,12 +90,3 @@ def combine(term: Mapping[str, Value], *, stars: int) -> Budget:
         attitude=Value(arcsec=total / root, uncertainty_arcsec=total_value.uncertainty_arcsec / root),
         stars=stars,
     )
-
-
-def published(stars: int = 10) -> Budget:
-    """The document's terms, added up by its own equations."""
-    return combine({name: Value(arcsec=_pair(value)) for name, value in ACC18_ARCSEC.items()}, stars=stars)
-
-
-def _pair(value: ArrayLike) -> FloatArray:
-    return np.asarray(value, np.float64)

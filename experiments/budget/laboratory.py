@@ -1,24 +1,53 @@
-"""From the budget's configuration to the instrument and its benches, and what is refused before long work."""
+"""From the configuration to instrument, benches and tests of the budget, and what is refused before long work."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
+
+from experiments.budget.combine import Value
 from experiments.budget.settings import Config, MovedConfig
 from experiments.laboratory.bench import Bench
+from experiments.laboratory.centroid_methods import has_own_epsf
+from experiments.laboratory.checks import check_light
 from experiments.laboratory.collimator import build_collimator
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.filter_wheel import Filter, interference_filters, open_band
+from experiments.laboratory.hexapod import Hexapod
+from experiments.laboratory.high_frequency import StepPlan
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector, configured_lens
+from experiments.laboratory.point_scene import point_scene
+from experiments.laboratory.ray_prediction import expected_spots
 from experiments.laboratory.signal import Signal, signal_of
+from experiments.laboratory.target import corner_directions
+from experiments.laboratory.targets import GridTarget
+from optics.arrays import FloatArray
+from optics.errors import DomainError
 from optics.lens.perturb import decentre, despace, tilt
 from optics.lens.system import LensSystem
 from optics.light.spectrum import Blackbody
 from optics.units import UM_MM
+from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = ["Laboratory", "build_laboratory", "moved_lens"]
+__all__ = [
+    "Laboratory",
+    "build_laboratory",
+    "check_laboratory",
+    "grid_streams",
+    "grid_target",
+    "marking",
+    "moved_lens",
+    "places_px",
+    "platform",
+    "psfs",
+    "rendered_once",
+    "step_plan",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,3 +114,95 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
         signal=light,
         filtered=bench(narrow, filters.centres_nm.index(filters.reference_nm)),
     )
+
+
+def check_laboratory(lab: Laboratory) -> None:
+    """Refuse spots wider than the window, and points that would be saturated: a pixel holds half of a sharp spot."""
+    chip, signal, corners = (
+        lab.instrument.detector,
+        lab.signal.signal_e,
+        corner_directions(lab.config.target, lab.instrument),
+    )
+    check_light(lab.filtered, lab.instrument, corners)
+    top = min(chip.full_well_e, (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e)
+    _, radius, _ = expected_spots(lab.filtered, lab.instrument, corners)
+    sigma2 = float(np.nanmin(radius)) ** 2 / 2.0 + chip.diffusion_sigma_px**2 + 1.0 / 12.0
+    if signal / (2.0 * np.pi * sigma2 + 1.0) > top:
+        raise DomainError(
+            f"source: a point of {signal:g} e- saturates its brightest pixel (it holds {top:.0f} e-); "
+            "lower source.signal_e (raise source.magnitude_mag) or defocus"
+        )
+
+
+# --- Tests of a configuration
+
+
+def step_plan(lab: Laboratory) -> StepPlan:
+    """The step test."""
+    steps = lab.config.steps
+    return StepPlan(positions=steps.positions, step_px=steps.step_px, direction_deg=steps.direction_deg)
+
+
+def platform(lab: Laboratory) -> Hexapod:
+    """The hexapod."""
+    return Hexapod(**lab.config.hexapod.model_dump())
+
+
+def grid_target(lab: Laboratory) -> GridTarget:
+    """The grid target."""
+    names = ("rows", "columns", "edge_px", "jitter_px", "marking_error_arcsec", "roll_arcmin")
+    return GridTarget(**{name: getattr(lab.config.grid, name) for name in names})
+
+
+def grid_streams(lab: Laboratory) -> Streams:
+    """Random streams of the grid target: one piece of hardware, the same for prediction and measurement."""
+    return Streams(lab.config.seed).child("budget", "grid")
+
+
+def marking(lab: Laboratory) -> Value:
+    """C2, the marking error of the target: an input."""
+    return Value(arcsec=np.full(2, 3.0 * lab.config.grid.marking_error_arcsec))
+
+
+def places_px(lab: Laboratory) -> FloatArray:
+    """Middles (q, 2) [px] of the target in the step test: along the detector, the first in the middle of chip one."""
+    detector, target = lab.instrument.detector, lab.config.target
+    first = np.array([(detector.chip_width_px - 1) / 2, (detector.chip_height_px - 1) / 2])
+    half = (target.columns - 1) * target.pitch_px / 2 + 100.0
+    low, high = half, lab.instrument.camera.width_px - 1 - half
+    # fractions of a pixel apart too, so that the places do not see the same S-curve
+    steps = np.modf(np.arange(1, lab.config.steps.places) * 0.618)[0]
+    others = [[low + (high - low) * s, first[1] + 0.37 * (k + 1)] for k, s in enumerate(steps)]
+    return np.array([first.tolist(), *others])
+
+
+# --- PSFs, rendered once for all settings that share the light
+
+_KEPT: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
+_MOST_KEPT = 32
+_NO_LIGHT: dict[str, Any] = {
+    **dict.fromkeys(("frames", "dark_frames", "centroid", "compare", "hexapod", "attitude", "thermal"), True),
+    **dict.fromkeys(("tolerances", "tornado", "published_within_fraction", "predict_only"), True),
+    "source": {"signal_e", "magnitude_mag"},
+    "grid": {"marking_error_arcsec", "surveys", "order", "reference"},
+    "detector": {"read_noise_e", "prnu", "dark_current_e_per_s", "sensor_seed"},
+}
+"""Settings on which no PSF depends."""
+
+
+def psfs(lab: Laboratory, bench: Bench, what: str, direction: FloatArray) -> tuple[EffectivePsf, ...]:
+    """PSFs of points (j, 3), by the name of the target."""
+    return rendered_once(lab, bench, what, lambda: point_scene(bench, lab.instrument).psfs(direction))
+
+
+def rendered_once(lab: Laboratory, bench: Bench, what: str, make: Callable[[], Any]) -> Any:
+    """Anything that depends on the light alone: a sweep over the read noise renders it once."""
+    own = all(has_own_epsf(method) for method in bench.methods)  # PSFs of a target may not be needed
+    camera = repr((lab.instrument.camera, lab.instrument.camera.lens.surfaces))  # files may change under one name
+    key = (what, own, camera, lab.config.model_dump_json(exclude=_NO_LIGHT))
+    if key not in _KEPT:
+        _KEPT[key] = make()
+        while len(_KEPT) > _MOST_KEPT:
+            _KEPT.popitem(last=False)
+    _KEPT.move_to_end(key)
+    return _KEPT[key]

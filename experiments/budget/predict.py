@@ -1,26 +1,35 @@
-"""Every term predicted without frames, for every centroider of the bench, by `experiments.laboratory`."""
+"""Every term predicted without frames, for every centroider of the bench, by `experiments.laboratory`.
+
+Where many settings are predicted, each is made cheaper (`coarse_terms`): the centroider that counts alone, a target of
+3 x 3 points over the same area, half the positions of the step test on an ideal platform at one place, fewer draws, and
+the same ones everywhere. The star mean that eq. 8 removes takes 1/W of an independent error; the pixel term is scaled
+from W = 9 to the target's own.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.budget.chromatic import predicted_terms, trace_target
-from experiments.budget.combine import Value, combine
-from experiments.budget.laboratory import Laboratory
-from experiments.budget.terms import (
-    PredictedTerms,
-    Psfs,
+from experiments.budget.chromatic import ChromaticTerm, predicted_terms, trace_target
+from experiments.budget.combine import Budget, Value, combine
+from experiments.budget.laboratory import (
+    Laboratory,
+    build_laboratory,
+    check_laboratory,
     grid_streams,
     grid_target,
     marking,
     places_px,
     platform,
+    psfs,
+    rendered_once,
     step_plan,
 )
+from experiments.budget.settings import Config
 from experiments.laboratory.centroid_methods import needs_measured_epsf
 from experiments.laboratory.distortion_model import marking_errors, predict_distortion, predicted_numbers
 from experiments.laboratory.epsf_session import predicted_epsfs, variance_of_another
@@ -30,7 +39,7 @@ from experiments.laboratory.temporal_error import predict_temporal, small_sample
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 
-__all__ = ["predict_terms"]
+__all__ = ["PredictedTerms", "coarse_terms", "predict_terms"]
 
 STEP_NOISE_DRAWS = 60
 """Noisy copies of each window of the step test: their mean is then good to an eighth of the noise of a frame."""
@@ -38,32 +47,48 @@ STEP_NOISE_DRAWS = 60
 SESSIONS = 8
 """Drawn sets of frames from which a PSF is built: its scatter is then known to a quarter."""
 
+COARSE_POINTS, COARSE_POSITIONS, COARSE_DRAWS = 3, 6, 60
+"""Points along a side of the target, positions of the step test and noisy copies of `coarse_terms`."""
+
 _STEP_PARTS = {"document": "document_px", "single": "single_px", "roll": "roll_px"}
 _CAUSES = {"S-curve": "s_curve", "PRNU": "prnu", "offset pattern": "pattern", "defects": "defects"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PredictedTerms:
+    """A budget without frames."""
+
+    budget: Budget  # The terms
+    bound_te_arcsec: FloatArray  # (2,) Cramer-Rao bound of the temporal error
+    causes_arcsec: Mapping[str, FloatArray]  # (2,) What is in the HSFE, 3 sigma
+    single_arcsec: FloatArray  # (2,) HSFE of one position, without temporal noise
+    left_arcsec: FloatArray  # (2,) sigma_Dd, left by the polynomial, 3 sigma
+    found_arcsec: FloatArray  # (2,) sigma_d, before the fit, 3 sigma
+    # (2,) sigma_C1 of a perfect camera and frames without noise: what the polynomial takes of the marking errors
+    marking_alone_arcsec: FloatArray
+    chromatic: ChromaticTerm  # Table 1
 
 
 def predict_terms(
     lab: Laboratory,
     *,
-    psfs: Psfs | None = None,
     draws: int = 200,
     step_draws: int = 200,
     coarse: bool = False,
 ) -> dict[str, PredictedTerms]:
     """Predict every term, by centroider."""
-    psfs = psfs or Psfs()
     instrument, seed = lab.instrument, lab.config.seed
-    psf = psfs.of(lab, lab.bench, "place 0", target_place(lab.bench, instrument))
+    psf = psfs(lab, lab.bench, "place 0", target_place(lab.bench, instrument))
     if any(needs_measured_epsf(method) for method in lab.bench.methods):
         built = predicted_epsfs(lab.bench, instrument, psf, seed=seed, sessions=2 if coarse else SESSIONS)
         lab = lab.with_epsf(built[0], built)
     defect = None if coarse else sensor_maps(instrument.detector).defect
     scale = 3.0 * instrument.pixel_arcsec
     temporal = predict_temporal(lab.bench, instrument, psf=psf, draws=draws, defect=defect, seed=seed)
-    steps = _steps(lab, psfs, step_draws, defect, coarse=coarse)
-    traced = psfs.once(lab, lab.filtered, "chromatic", lambda: trace_target(lab))
+    steps = _steps(lab, step_draws, defect, coarse=coarse)
+    traced = rendered_once(lab, lab.filtered, "chromatic", lambda: trace_target(lab))
     chromatic = predicted_terms(lab, traced, draws=draws, defect=defect)
-    distortion = _distortion(lab, psfs, draws, defect)
+    distortion = _distortion(lab, draws, defect)
     alone = _marking_alone_px(lab)
     # the document's mean over standard deviations of N frames
     short = small_sample_factor(lab.config.frames)
@@ -91,13 +116,46 @@ def predict_terms(
             found_arcsec=number[0],
             marking_alone_arcsec=alone * scale,
             chromatic=chromatic[method],
-            window_px=lab.bench.window_px,
         )
     return found
 
 
+def coarse_terms(config: Config) -> PredictedTerms:
+    """A budget predicted cheaply (see the module), of the centroider that counts.
+
+    Raises
+    ------
+    StarbenchError
+        On light that misses the detector or its windows, or saturates it.
+    """
+    few, factor = _coarse(config.model_copy(update={"compare": ()}))
+    lab = build_laboratory(few)
+    check_laboratory(lab)
+    terms = predict_terms(lab, draws=COARSE_DRAWS, step_draws=COARSE_DRAWS, coarse=True)[config.centroid]
+    budget, hsfe = terms.budget, terms.budget["HSFE"]
+    scaled = Value(arcsec=hsfe.arcsec * factor, uncertainty_arcsec=hsfe.uncertainty_arcsec * factor)
+    return replace(
+        terms,
+        budget=combine({**budget.term, "HSFE": scaled}, stars=budget.stars),
+        causes_arcsec={name: value * factor for name, value in terms.causes_arcsec.items()},
+    )
+
+
+def _coarse(config: Config) -> tuple[Config, float]:
+    """With a 3 x 3 target, and the factor of the pixel term."""
+    target = config.target
+    if target.rows != target.columns or target.rows <= COARSE_POINTS:
+        return config, 1.0
+    # a third of a pixel, so that three points are at three different places of their pixels
+    pitch = np.floor(target.pitch_px * (target.rows - 1) / (COARSE_POINTS - 1)) - 2.0 / 3.0
+    few = target.model_copy(update={"rows": COARSE_POINTS, "columns": COARSE_POINTS, "pitch_px": float(pitch)})
+    factor = np.sqrt((1.0 - 1.0 / target.rows**2) / (1.0 - 1.0 / COARSE_POINTS**2))
+    steps = config.steps.model_copy(update={"positions": min(COARSE_POSITIONS, config.steps.positions)})
+    return config.model_copy(update={"target": few, "steps": steps}), float(factor)
+
+
 def _steps(
-    lab: Laboratory, psfs: Psfs, draws: int, defect: NDArray[np.bool_] | None, *, coarse: bool
+    lab: Laboratory, draws: int, defect: NDArray[np.bool_] | None, *, coarse: bool
 ) -> dict[str, tuple[Value, dict[str, FloatArray], FloatArray]]:
     """HSFE, its causes and the error of one position, by centroider: RMS over places of the test."""
     bench, instrument = lab.bench, lab.instrument
@@ -111,7 +169,7 @@ def _steps(
             bench,
             instrument,
             step_plan(lab),
-            psf=psfs.of(lab, bench, f"place {number}", direction),
+            psf=psfs(lab, bench, f"place {number}", direction),
             hexapod=replace(platform(lab), step_error_arcsec=0.0) if coarse else platform(lab),
             place_px=middle.tolist(),
             defect=defect,
@@ -149,7 +207,7 @@ def _parts(found: list[MethodPrediction]) -> Mapping[str, list[FloatArray]]:
 
 
 def _distortion(
-    lab: Laboratory, psfs: Psfs, draws: int, defect: NDArray[np.bool_] | None
+    lab: Laboratory, draws: int, defect: NDArray[np.bool_] | None
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
     """sigma_d, sigma_Dd, sigma_C1 (3, 2) [px], and the scatter of their RMS over the surveys of a chip and a run."""
     bench, grid, target = lab.bench, lab.config.grid, grid_target(lab)
@@ -159,7 +217,7 @@ def _distortion(
         lab.instrument,
         target,
         direction,
-        psf=psfs.of(lab, bench, "grid", direction),
+        psf=psfs(lab, bench, "grid", direction),
         order=grid.order,
         references=(grid.reference,),
         noise_draws=2 * draws,

@@ -1,14 +1,16 @@
-"""Configuration of the error budget: one instrument, how it is measured, and what is asked of it."""
+"""Settings and declaration of the error budget: one instrument, how it is measured, and what is asked of it."""
 
 from __future__ import annotations
 
 import typing
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
-from experiments.harness.range import SweepRange, check_range, leaf_keys, parse_sweep
+from experiments.harness.experiment import Experiment
 from experiments.laboratory import settings as laboratory_settings
 from experiments.laboratory.centroid_methods import CentroiderName, ProcessingName
 from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
@@ -34,6 +36,8 @@ __all__ = [
     "ThermalConfig",
     "ToleranceConfig",
     "TornadoConfig",
+    "experiment",
+    "main",
 ]
 
 
@@ -169,10 +173,6 @@ class Config(SensorExperimentConfig):
     published_within_fraction: float | None = Field(
         default=None, gt=0, le=1, description="if given, the measured terms have to land this near to the published"
     )
-    sweep: str = Field(
-        default="instrument.defocus_mm=-0.04:0.06:9", description="KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C; empty: none"
-    )
-    sweep_measured: bool = Field(default=False, description="measure every point of the sweep too, not only predict")
     predict_only: bool = Field(default=False, description="no rendered frames: the predicted terms and sums alone")
 
     @model_validator(mode="after")
@@ -182,19 +182,54 @@ class Config(SensorExperimentConfig):
         check_windows(self.window_px, self.target)
         return self
 
-    @model_validator(mode="after")
-    def _sweep(self) -> Config:
-        if self.sweep_measured and self.predict_only:
-            raise ValueError("sweep_measured asks for frames and predict_only for none; leave out one of them")
-        if self.sweep:
-            check_range(type(self), parse_sweep(self.sweep, leaf_keys(type(self))))
-        return self
-
     @property
     def methods(self) -> tuple[str, ...]:
         """All centroiders, the one that counts first."""
         return tuple(dict.fromkeys((self.centroid, *self.compare)))
 
-    def sweep_range(self) -> SweepRange | None:
-        """The sweep that is asked for; None if there is none."""
-        return parse_sweep(self.sweep, leaf_keys(type(self))) if self.sweep else None
+
+def _instead(config: Config) -> Experiment | None:
+    return (
+        replace(experiment, run="experiment:predict", report="prediction.md", instead=None)
+        if config.predict_only
+        else None
+    )
+
+
+experiment = Experiment(
+    name="budget",
+    config=Config,
+    run="experiment:run",
+    predict="experiment:predict",
+    sections="experiment:SECTIONS",
+    axes="experiment:axes",
+    swept=(
+        "total_rms_arcsec",
+        "te_rms_arcsec",
+        "hsfe_rms_arcsec",
+        "chromatic_rms_arcsec",
+        "distortion_rms_arcsec",
+    ),
+    takes="6 min (--quick: 45 s)",
+    examples={
+        "--quick": "a small run",
+        "--predict-only": "the predicted terms alone, in seconds",
+        "--config acc18_tuned": "an instrument with the published budget",
+    },
+    show=("budget",),
+    options={"predict-only": ("predict_only", "No rendered frames: the predicted terms and sums alone.")},
+    instead=_instead,
+    quick={
+        "frames": 10,
+        "dark_frames": 30,
+        "target.rows": 3,
+        "target.columns": 3,
+        "steps.places": 1,
+        "steps.positions": 6,
+        "tornado.parameters": ["source.signal_e"],
+        "tolerances.draws": 30,
+        "attitude.trials": 500,
+        "attitude.counts": [2, 5, 10, 30],
+    },
+)
+main = command(experiment)

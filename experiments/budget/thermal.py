@@ -14,13 +14,15 @@ fitted follows the core of a spot whose focus has changed, and that may grow at 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from experiments.budget.combine import Value
 from experiments.budget.laboratory import Laboratory, build_laboratory
 from experiments.budget.tolerances import cubic_basis
+from experiments.harness.sections import Section, agree, col
+from experiments.harness.summary import Measured, measured
 from experiments.laboratory.point_frames import read_points
 from experiments.laboratory.point_scene import one_filter, point_scene
 from experiments.laboratory.points import nominal_px
@@ -31,8 +33,7 @@ from optics.lens.system import LensSystem
 from optics.rays.paraxial import axial_paraxial
 from render.engine.random import Streams
 
-__all__ = ["ThermalTerm", "field_directions", "thermal_term", "warmed"]
-
+__all__ = ["THERMAL", "Thermal", "field_directions", "thermal_term", "warmed"]
 
 METHOD = "cog"
 BRIGHT_E = 6000.0
@@ -44,30 +45,33 @@ STEP_K = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ThermalTerm:
-    """LSFE-T of an instrument."""
+class Thermal:
+    """LSFE-T, 3 sigma, and what makes it."""
 
-    temperature_c: float  # At which the camera is calibrated
-    stability_k: float  # Temperature about it, 3 sigma
-    signal_e: float  # Of a star, per frame
-    predicted: Value  # The term
-    measured: Value  # The term
-    place_px: FloatArray  # (n, 2) Stars, as an ideal lens images them
-    predicted_px: FloatArray  # (n, 2) Change of the images by ``stability_k``, common shift taken out
-    measured_px: FloatArray  # (n, 2) Change of the images by ``stability_k``, common shift taken out
-    # (2,) Growth of the image along x and y: by ray trace, from frames, standard deviation of the latter
-    scale_ppm_per_k: FloatArray
-    # (2,) Growth of the image along x and y: by ray trace, from frames, standard deviation of the latter
-    measured_scale_ppm_per_k: FloatArray
-    # (2,) Growth of the image along x and y: by ray trace, from frames, standard deviation of the latter
-    scale_sigma_ppm_per_k: FloatArray
-    paraxial_ppm_per_k: float  # The same of the paraxial chief ray
-    focus_um_per_k: float  # Paraxial focus against the detector, positive behind it
-
-    @property
-    def corner_px_per_k(self) -> float:
-        """Motion of the outermost star by one kelvin, by ray trace."""
-        return float(np.hypot(*self.predicted_px.T).max() / self.stability_k)
+    calibrated_at_c: float = col("Calibrated at", "degC", "g")
+    stars: int = col("Stars of the thermal test", json="")
+    signal_e: float = col("Signal of the thermal test", "e-", ".0f", json="")
+    predicted_arcsec: FloatArray = col("LSFE-T, predicted", "arcsec", ".3f", "axis", json="predicted_arcsec_3sigma")
+    measured_arcsec: Sequence[Measured] = col(
+        "LSFE-T, measured", "arcsec", dims="axis", json="measured_arcsec_3sigma", json_error="measured_uncertainty"
+    )
+    total_predicted_arcsec: FloatArray | None = col(
+        "Total with it, predicted", "arcsec", ".3f", "axis", json="total_predicted_arcsec_3sigma", default=None
+    )
+    total_measured_arcsec: FloatArray | None = col(
+        "Total with it, measured", "arcsec", ".3f", "axis", json="total_measured_arcsec_3sigma", default=None
+    )
+    scale_ppm_per_k: FloatArray = col("Scale, traced", "1e-6/K", ".2f", "axis", json="scale_ppm_per_k.predicted")
+    measured_scale_ppm_per_k: Sequence[Measured] = col(
+        "Scale, measured",
+        "1e-6/K",
+        dims="axis",
+        json="scale_ppm_per_k.measured",
+        json_error="scale_ppm_per_k.sigma",
+    )
+    paraxial_ppm_per_k: float = col("Scale, paraxial", "1e-6/K", ".2f", json="scale_ppm_per_k.paraxial")
+    focus_um_per_k: float = col("Focus behind the detector", "um/K", "+.2f")
+    corner_px_per_k: float = col("Outermost star", "px/K", ".3f", json="outermost_star_px_per_k")
 
 
 def warmed(lab: Laboratory, kelvin: float) -> Laboratory:
@@ -89,11 +93,11 @@ def field_directions(lab: Laboratory) -> FloatArray:
     return camera.nominal_direction(x, y, lab.instrument.focal_length_mm)
 
 
-def thermal_term(lab: Laboratory, streams: Streams) -> ThermalTerm | str | None:
-    """Predict and measure the term."""
+def thermal_term(lab: Laboratory, streams: Streams) -> Thermal | str:
+    """Predict and measure the term, or say why there is none."""
     span = lab.config.thermal.stability_k
     if not span:
-        return None
+        return "thermal.stability_k is 0"
     try:
         ends = [warmed(lab, -span), warmed(lab, span)]
         slopes = [warmed(lab, -STEP_K), warmed(lab, STEP_K)]
@@ -104,32 +108,27 @@ def thermal_term(lab: Laboratory, streams: Streams) -> ThermalTerm | str | None:
     traced = [bundle_prediction(one_filter(end.bench), end.instrument, direction[None])[0, :, 0] for end in ends]
     seen = _images(lab, ends, direction, streams)
     basis, centred = cubic_basis(place), place - lab.instrument.camera.centre_px
-    predicted, measured = ((warm - cold) / 2.0 for cold, warm in (traced, seen))
+    predicted, shift = ((warm - cold) / 2.0 for cold, warm in (traced, seen))
     scale = lab.instrument.pixel_arcsec  # the excursion is three sigma already
-    noise = _left(basis, measured)
+    noise = _left(basis, shift)
     count, free = basis.shape
-    smooth = basis @ np.linalg.lstsq(basis, measured, rcond=None)[0]
+    smooth = basis @ np.linalg.lstsq(basis, shift, rcond=None)[0]
     square = smooth.var(axis=0) - noise**2 * (free - 1) / count
-    slope, spread = _slopes(centred, measured)
+    slope, spread = _slopes(centred, shift)
     paraxial = [_paraxial(one.instrument.camera.focused_lens) for one in slopes]
-    return ThermalTerm(
-        temperature_c=lab.instrument.camera.lens.environment.temperature_c,
-        stability_k=span,
+    return Thermal(
+        calibrated_at_c=lab.instrument.camera.lens.environment.temperature_c,
+        stars=count,
         signal_e=max(lab.bench.signal_e, BRIGHT_E),
-        predicted=Value(arcsec=predicted.std(axis=0) * scale),
-        measured=Value(
-            arcsec=np.sqrt(np.maximum(square, 0.0)) * scale,
-            uncertainty_arcsec=noise / np.sqrt(count) * scale,
-            n=2 * count * lab.bench.frames,
+        predicted_arcsec=predicted.std(axis=0) * scale,
+        measured_arcsec=measured(
+            np.sqrt(np.maximum(square, 0.0)) * scale, noise / np.sqrt(count) * scale, 2 * count * lab.bench.frames
         ),
-        place_px=place,
-        predicted_px=predicted - predicted.mean(0),
-        measured_px=measured - measured.mean(0),
         scale_ppm_per_k=_slopes(centred, predicted)[0] * 1e6 / span,
-        measured_scale_ppm_per_k=slope * 1e6 / span,
-        scale_sigma_ppm_per_k=spread * 1e6 / span,
+        measured_scale_ppm_per_k=measured(slope * 1e6 / span, spread * 1e6 / span),
         paraxial_ppm_per_k=float(np.log(paraxial[1][0] / paraxial[0][0]) / (2.0 * STEP_K) * 1e6),
         focus_um_per_k=(paraxial[1][1] - paraxial[0][1]) / (2.0 * STEP_K) * 1e3,
+        corner_px_per_k=float(np.hypot(*(predicted - predicted.mean(0)).T).max() / span),
     )
 
 
@@ -171,3 +170,22 @@ def _paraxial(lens: LensSystem) -> tuple[float, float]:
     # through the rear nodal point a star stays at efl x slope in the focal plane; from there along the chief ray
     lever = (z - p.exit_pupil_z_mm) / (p.rear_focus_z_mm - p.exit_pupil_z_mm) if np.isfinite(p.exit_pupil_z_mm) else 1.0
     return p.efl_mm * lever, float(lens.axis[-1][2]) * (p.rear_focus_z_mm - z)
+
+
+THERMAL = Section(
+    record=Thermal,
+    prefix="thermal_",
+    place="thermal",
+    table="thermal",
+    rows="axis",
+    columns="predicted_arcsec measured_arcsec total_predicted_arcsec total_measured_arcsec scale_ppm_per_k "
+    "measured_scale_ppm_per_k",
+    caption="LSFE-T, 3 sigma, the total (eq. 32) with it, and the growth of the image.",
+    verdicts=[
+        agree(
+            "thermal_measured_scale_ppm_per_k",
+            with_="thermal_scale_ppm_per_k",
+            title="LSFE-T: growth of the image with temperature, frames against ray trace",
+        )
+    ],
+)

@@ -5,7 +5,7 @@ field are found from traced bundle means. Distortion counts twice: what is left 
 cubic polynomial of its own (ACC18 eq. 19), and what a camera shows that still uses the design's map, a common shift and
 roll apart (elements that moved after the calibration).
 
-The linear prediction beside it adds the sensitivities of all movements, each traced once, in quadrature.
+The linear prediction of the chromatic entries adds the sensitivities of all movements, each traced once, in quadrature.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ import numpy as np
 
 from experiments.budget.laboratory import Laboratory
 from experiments.budget.settings import ToleranceConfig
+from experiments.harness.drawings import maps
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, col
 from experiments.laboratory.bench import point_field
 from experiments.laboratory.chromatic_error import shifts, table1
 from experiments.laboratory.target import corner_directions
@@ -28,8 +31,7 @@ from optics.units import UM_MM
 from render.engine.random import Streams
 from render.tracing.tracer import Tracer
 
-__all__ = ["MOVES", "ToleranceStudy", "cubic_basis", "tolerance_study"]
-
+__all__ = ["BUILT", "MOVES", "TOLERANCES", "Built", "cubic_basis", "tolerance_study"]
 
 MOVES = ("decentre x", "decentre y", "tilt x", "tilt y", "despace")
 GRID = (9, 5)
@@ -37,46 +39,35 @@ GRID = (9, 5)
 EDGE_PX = 60.0
 
 
+BUILT = {
+    "chromatic_arcsec_3sigma": "LSFE-S, chromatic",
+    "distortion_residual_arcsec_3sigma": "distortion, calibrated",
+    "lsfe_arcsec_3sigma": "both",
+    "uncalibrated_arcsec_3sigma": "distortion, moved after calibration",
+}
+"""Errors of a built lens: ACC18's chromatic term (largest entry of Table 1); three times the RMS residual of a cubic
+polynomial fitted to that very lens; both; three times the RMS change of the map against the design, mean shift and roll
+removed."""
+PERCENT = (50, 90, 95, 99)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ToleranceStudy:
-    """d lenses; 3 sigma [arcsec], columns x and y."""
+class Built:
+    """Lenses as built, 3 sigma."""
 
-    chromatic_arcsec: FloatArray  # (d, 2) ACC18's chromatic term: largest entry of Table 1 over the pairs
-    signed_arcsec: FloatArray  # (d, p, 2) The entries themselves, by pair of bands
-    distortion_arcsec: FloatArray  # (d, 2) Three times the RMS residual of a cubic polynomial fitted to that very lens
-    # (d, 2) Three times the RMS change of the map against the design, mean shift and roll removed
-    uncalibrated_arcsec: FloatArray
-    design_arcsec: dict[str, FloatArray]  # (2,) "chromatic" and "distortion" of the nominal lens
-    nominal_arcsec: FloatArray  # (p, 2) Signed entries of the nominal lens
-    boresight_px: FloatArray  # (d, 2) Motion of the whole image
-    elements: tuple[str, ...]  # Names of the elements
-    # (e, 5, p, 2) Change of the signed entries by one standard deviation of every movement (`MOVES`) of every element
-    sensitivity_arcsec: FloatArray
-    linear_arcsec: FloatArray  # (p, 2) Standard deviation of the signed entries by the sum of squares of the above
-    pairs: tuple[str, ...]  # Names of the pairs of bands
-    lost: int  # Lenses left out: no light, or the image moved beyond the limit
-
-    @property
-    def lsfe_arcsec(self) -> FloatArray:
-        """Chromatic and residual distortion together, (d, 2)."""
-        return np.hypot(self.chromatic_arcsec, self.distortion_arcsec)
-
-    @property
-    def spread_arcsec(self) -> FloatArray:
-        """Standard deviation (p, 2) of the signed entries over the lenses."""
-        return np.asarray(self.signed_arcsec.std(0, ddof=1))
-
-    @property
-    def largest_cause(self) -> tuple[str, str]:
-        """Element and movement whose standard deviation changes the signed entries most."""
-        size = (self.sensitivity_arcsec**2).sum(3).max(2)
-        element, movement = np.unravel_index(int(size.argmax()), size.shape)
-        return self.elements[element], MOVES[movement]
-
-    @property
-    def spread_uncertainty(self) -> float:
-        """Relative uncertainty of `spread_arcsec`."""
-        return float(1.0 / np.sqrt(2.0 * (len(self.signed_arcsec) - 1)))
+    elements: tuple[str, ...]  # Names along ``element``
+    lenses: int = col("Lenses")
+    lost: int = col("Lenses left out")  # No light, or the image moved beyond the limit
+    design_arcsec: FloatArray = col("Design", "arcsec", ".3f", "built_error axis", json="")
+    built_arcsec: FloatArray = col(
+        "Below", "arcsec", ".3f", "built_error percentile axis", json="[built_error]", key="p{percentile}_arcsec"
+    )
+    signed_arcsec: FloatArray = col("Entry of Table 1", "arcsec", dims="lens pair axis", json="")
+    nominal_arcsec: FloatArray = col("Entry of the nominal lens", "arcsec", dims="pair axis", json="")
+    # Scatter of the signed entries by the sum of squares of the sensitivities
+    linear_arcsec: FloatArray = col("Scatter, linear", "arcsec", ".3f", "pair axis", json="")
+    sensitivity_arcsec: FloatArray = col("Chromatic term by one σ", "arcsec", ".3f", "element movement", json="")
+    largest_cause: str = col("Largest cause", json="")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,47 +102,49 @@ class _Probe:
         return _Traced(signed, mean[split:, self.lab.filtered.reference] - self.grid_px)
 
 
-def tolerance_study(lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None) -> ToleranceStudy:
-    """Build lenses with the tolerances of the configuration and trace them."""
+def tolerance_study(lab: Laboratory, streams: Streams, *, advance: Callable[[], None] = lambda: None) -> Built:
+    """Build lenses with the tolerances of the configuration and trace them.
+
+    Raises
+    ------
+    DomainError
+        If fewer than two lenses can be used.
+    """
     config, lens = lab.config.tolerances, lab.instrument.camera.lens
     probe, scale = _Probe(lab), lab.instrument.pixel_arcsec
-    design = probe.trace(lens)
-    basis = cubic_basis(probe.grid_px)
-    rng = streams.generator("built lenses")
-    amounts = rng.standard_normal((config.draws, len(lens.elements), len(MOVES)))
-    signed, left, moved, boresight = [], [], [], []
+    design, basis, rigid = probe.trace(lens), cubic_basis(probe.grid_px), _rigid_basis(probe.grid_px)
+    amounts = streams.generator("built lenses").standard_normal((config.draws, len(lens.elements), len(MOVES)))
+    signed, left, moved = [], [], []
     for draw in amounts:
-        found = _try(probe, built(lens, config, draw))
+        traced = _try(probe, built(lens, config, draw))
         advance()
-        if found is None or not np.abs((found.map_px - design.map_px).mean(0)).max() <= config.limit_px:
+        if traced is None or not np.abs((traced.map_px - design.map_px).mean(0)).max() <= config.limit_px:
             continue
-        signed.append(found.signed_px)
-        left.append(_fitted(basis, found.map_px))
-        moved.append(_fitted(_rigid_basis(probe.grid_px), found.map_px - design.map_px))
-        boresight.append((found.map_px - design.map_px).mean(0))
+        signed.append(traced.signed_px)
+        left.append(_fitted(basis, traced.map_px))
+        moved.append(_fitted(rigid, traced.map_px - design.map_px))
     if len(signed) < 2:
         raise DomainError(
             f"{len(signed)} of {config.draws} lenses can be used (light lost, or the image moved by more than "
             f"tolerances.limit_px = {config.limit_px:g} px); lower tolerances.decentre_um, tilt_arcmin or despace_um"
         )
-    sensitivity = _sensitivities(probe, lens, config, design)
-    entries = np.stack(signed) * scale
-    return ToleranceStudy(
-        chromatic_arcsec=np.abs(entries).max(1),
-        signed_arcsec=entries,
-        distortion_arcsec=3.0 * scale * np.stack(left),
-        uncalibrated_arcsec=3.0 * scale * np.stack(moved),
-        design_arcsec={
-            "chromatic": np.abs(design.signed_px).max(0) * scale,
-            "distortion": 3.0 * scale * _fitted(basis, design.map_px),
-        },
-        nominal_arcsec=design.signed_px * scale,
-        boresight_px=np.stack(boresight),
+    entries, sensitivity = np.stack(signed) * scale, _sensitivities(probe, lens, config, design) * scale
+    chromatic, distortion, after = np.abs(entries).max(1), 3.0 * scale * np.stack(left), 3.0 * scale * np.stack(moved)
+    errors = (chromatic, distortion, np.hypot(chromatic, distortion), after)
+    of_design = np.abs(design.signed_px).max(0) * scale, 3.0 * scale * _fitted(basis, design.map_px)
+    square = sensitivity**2
+    element, movement = np.unravel_index(int(square.sum(3).max(2).argmax()), square.shape[:2])
+    return Built(
         elements=lens.elements,
-        sensitivity_arcsec=sensitivity * scale,
-        linear_arcsec=np.sqrt((sensitivity**2).sum((0, 1))) * scale,
-        pairs=tuple(name for name, _, _ in probe.pairs),
-        lost=config.draws - len(signed),
+        lenses=len(entries),
+        lost=config.draws - len(entries),
+        design_arcsec=np.array([*of_design, np.hypot(*of_design), np.zeros(2)]),
+        built_arcsec=np.array([np.percentile(values, PERCENT, axis=0) for values in errors]),
+        signed_arcsec=entries,
+        nominal_arcsec=design.signed_px * scale,
+        linear_arcsec=np.sqrt(square.sum((0, 1))),
+        sensitivity_arcsec=np.sqrt(square.sum(3).max(2)),
+        largest_cause=f"{MOVES[movement]} of {lens.elements[element]}",
     )
 
 
@@ -211,3 +204,24 @@ def _fitted(basis: FloatArray, shift_px: FloatArray) -> FloatArray:
     design, data = basis.reshape(-1, basis.shape[2]), shift_px.ravel()
     left = (data - design @ np.linalg.lstsq(design, data, rcond=None)[0]).reshape(shift_px.shape)
     return np.asarray(np.sqrt((left**2).mean(0)))
+
+
+def _axes(q: Quantities, study: Built) -> None:
+    q.axis("built_error", list(BUILT), "Error", key="error", names=list(BUILT.values()))
+    q.axis("percentile", [str(p) for p in PERCENT], "Share of the lenses", names=[f"{p} %" for p in PERCENT])
+    q.axis("element", list(study.elements), "Element")
+    q.axis("movement", list(MOVES), "Movement")
+
+
+TOLERANCES = Section(
+    record=Built,
+    place="tolerances",
+    axes=_axes,
+    table="tolerances",
+    rows="built_error axis",
+    across="percentile",
+    columns="design_arcsec built_arcsec",
+    caption="Lenses as built: the error that so many of them stay below, 3 sigma.",
+    note="Chromatic: of all the light, by ray trace.",
+    figures={"element_map": maps("sensitivity_arcsec", width="half", aspect_ratio=0.75)},
+)

@@ -83,7 +83,7 @@ def _spread(
     out: list[tuple[Column, Quantity, Mapping[str, int]]] = []
     for one in quantities:
         for place in positions(data.sizes, [dim for dim in across if dim in one.dims]):
-            keys = {dim: str(data.coords[dim].values[at]) for dim, at in place.items()}
+            keys = {dim: str(data.coords[dim].values[at]).replace(" ", "_") for dim, at in place.items()}
             name = " ".join([one.label, *(str(_coordinate(data, dim, at)) for dim, at in place.items())])
             code = one.key.format(**keys) if "{" in one.key and keys else "_".join([one.key, *keys.values()])
             out.append((Column(name=name, unit=shown_unit(one.unit), key=code, format=one.format), one, place))

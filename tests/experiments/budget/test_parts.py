@@ -1,19 +1,17 @@
-"""Parts of the budget that need no frames: sums, sweeps as text, overrides, attitude, basis of the tolerances."""
+"""Parts of the budget that need no frames: sums, overrides, attitude, basis of the tolerances."""
 
 import numpy as np
 import pytest
 
-from experiments.budget.attitude import StarErrors, attitude_study
-from experiments.budget.combine import PRINTED, TERMS, Value, combine, published
+from experiments.budget.attitude import READINGS, StarErrors, attitude_study
+from experiments.budget.combine import PRINTED, TERMS, Value, combine
 from experiments.budget.laboratory import build_laboratory, moved_lens
 from experiments.budget.settings import AttitudeConfig, Config, MovedConfig
 from experiments.budget.tolerances import cubic_basis
-from experiments.budget.tune import as_toml, differences
 from experiments.harness.config import load_config
-from experiments.harness.range import leaf_keys, logarithmic, parse_sweep, value_at, with_value
 from experiments.harness.run import configuration_file
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
-from experiments.laboratory.published import chromatic_of_table1_arcsec
+from experiments.laboratory.published import ACC18_ARCSEC, chromatic_of_table1_arcsec
 from optics.errors import ConfigError
 from optics.lens_file import load_lens
 from optics.rays.paraxial import axial_paraxial
@@ -22,7 +20,7 @@ from render.engine.random import Streams
 
 
 def test_printed_terms_give_the_printed_sums_but_for_the_slip():
-    made = published()
+    made = combine({name: Value(arcsec=np.array(pair)) for name, pair in ACC18_ARCSEC.items()}, stars=10)
     for name in ("total", "attitude"):
         np.testing.assert_allclose(made[name].arcsec, PRINTED[name], atol=0.0051)
     assert made.lsfe.arcsec[1] == pytest.approx(PRINTED["LSFE"][1], abs=0.0051)
@@ -43,7 +41,6 @@ def test_uncertainty_of_the_sums_is_that_of_drawn_terms():
     terms = {n: Value(arcsec=np.full(2, size[n]), uncertainty_arcsec=np.full(2, spread[n])) for n in TERMS}
     made = combine(terms, stars=4)
     count = 20_000
-    drawn = {n: Value(arcsec=size[n] + spread[n] * rng.standard_normal(2)) for n in TERMS}
     totals, lows = [], []
     for _ in range(count // 10):
         drawn = {n: Value(arcsec=size[n] + spread[n] * rng.standard_normal(2)) for n in TERMS}
@@ -54,45 +51,6 @@ def test_uncertainty_of_the_sums_is_that_of_drawn_terms():
     assert np.std(totals) == pytest.approx(made.total.uncertainty_arcsec[0], rel=tolerance)
     assert np.std(lows) == pytest.approx(made.lsfe.uncertainty_arcsec[0], rel=tolerance)
     np.testing.assert_allclose(made.attitude.arcsec, made.total.arcsec / 2.0)
-
-
-def test_sweep_text():
-    keys = leaf_keys(Config)
-    sweep = parse_sweep("defocus_mm=-0.2:0.2:9", keys)
-    assert sweep.key == "instrument.defocus_mm"
-    np.testing.assert_allclose(sweep.values, np.arange(-4, 5) * 0.05, atol=1e-15)
-    assert sweep.values[4] == 0.0
-    assert parse_sweep("frames=10:20:3", keys).values == (10, 15, 20)
-    assert parse_sweep("source.signal_e=1000:1e5:5:log", keys).values == (1e3, 3162.27766017, 1e4, 31622.7766017, 1e5)
-    assert parse_sweep("frames=40,10, 20", keys).values == (10, 20, 40)
-    assert [logarithmic(v) for v in ((1, 2, 4, 8), (1, 2, 3), (1, 2, 5, 10), (-1, 1, 2), (8.0, 4.0, 2.0))] == [
-        True, False, True, False, True,
-    ]  # fmt: skip
-    assert value_at(with_value(Config(), "detector.prnu", 0.03), "detector.prnu") == 0.03
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("defocs_mm=-0.2:0.2:9", "did you mean defocus_mm"),
-        ("instrument.defocs_mm=-0.2:0.2:9", "did you mean instrument.defocus_mm"),
-        ("edge_nm=10:20:3", "passband.edge_nm and filters.edge_nm"),
-        ("defocus_mm=0.1:0.1:3", "empty"),
-        ("defocus_mm=nan:0.1:3", "finite"),
-        ("defocus_mm=0:inf:3", "finite"),
-        ("defocus_mm=a:0.1:3", "numbers"),
-        ("defocus_mm=0:0.1:1", "2 to 200"),
-        ("defocus_mm=0:0.1:2.5", "2 to 200"),
-        ("defocus_mm=0:0.1", "KEY=LOW:HIGH:POINTS"),
-        ("defocus_mm", "KEY=LOW:HIGH:POINTS"),
-        ("defocus_mm=-30:30:3", "at least -10"),
-        ("prnu=0:0.9:3", "at most 0.5"),
-        ("frames=10.1:10.3:5", "whole numbers"),
-    ],
-)
-def test_sweep_refused(text, words):
-    with pytest.raises(ConfigError, match=words):
-        load_config(Config, settings=[f"sweep={text}"])
 
 
 def test_detector_overrides():
@@ -132,23 +90,14 @@ def test_moved_element_shifts_the_image_as_its_power_says(star_camera):
         moved_lens(lens, MovedConfig(element="L22"))
 
 
-def test_differences_and_named_configuration():
-    assert differences(Config()) == {}
-    changed = load_config(Config, settings=["source.signal_e=500", "detector.prnu=0.02"])
-    assert differences(changed) == {"source.signal_e": (None, 500.0), "detector.prnu": (None, 0.02)}
+def test_named_configuration_changes_the_instrument_alone():
+    """Nothing of the laboratory or of its tests is tuned."""
     tuned = load_config(Config, file=configuration_file("acc18_tuned"))
-    # the instrument alone is tuned: nothing of the laboratory or of its tests
-    physical = {"source.signal_e", "instrument.defocus_mm", "centroid", "published_within_fraction"}
-    assert {key for key in differences(tuned) if not key.startswith("moved.")} == physical
+    changed = tuned.model_dump(exclude_defaults=True)
+    assert changed.keys() == {"source", "instrument", "moved", "centroid", "published_within_fraction"}
+    assert (changed["source"].keys(), changed["instrument"].keys()) == ({"signal_e"}, {"defocus_mm"})
     assert configuration_file("nothing_of_that_name") == "nothing_of_that_name"
     assert configuration_file(None) is None
-
-
-def test_tuned_settings_survive_their_file(tmp_path):
-    tuned = load_config(Config, settings=["moved.element=L6", "moved.tilt_x_arcmin=0.25", "frames=12", "centroid=cog"])
-    path = tmp_path / "tuned.toml"
-    path.write_text(as_toml(tuned, ["a heading"]), encoding="utf-8")
-    assert load_config(Config, file=path) == tuned
 
 
 def _errors(random, chromatic, distortion):
@@ -159,27 +108,34 @@ def _errors(random, chromatic, distortion):
     )
 
 
+def _study(camera, errors, seed, **settings):
+    """Errors (c, reading, component), rule and stated errors (c, component), relative uncertainty."""
+    study = attitude_study(camera, errors, AttitudeConfig(**settings), Streams(seed))
+    assert study["attitude"].failed == 0
+    every = (
+        np.array([getattr(n, f"{name}arcsec") for n in study["attitude_curve"]]) for name in ("", "rule_", "stated_")
+    )
+    return *every, study["attitude"].relative_uncertainty
+
+
 def test_attitude_of_independent_errors_is_what_the_estimator_states(star_camera):
-    config = AttitudeConfig(stars=10, counts=(10, 40), trials=600)
-    study = attitude_study(star_camera, _errors(1.5, 0.0, 0.0), config, Streams(3))
-    np.testing.assert_allclose(study.curve["independent"], study.bound, rtol=5 * study.relative_uncertainty)
+    settings = {"stars": 10, "counts": (10, 40), "trials": 600}
+    error, rule, stated, part = _study(star_camera, _errors(1.5, 0.0, 0.0), 3, **settings)
+    np.testing.assert_allclose(error[:, 0], stated, rtol=5 * part)
     # many stars all over the field: the rule holds for every axis, roll included
-    np.testing.assert_allclose(study.curve["independent"][1], study.rule[1], rtol=0.05 + 4 * study.relative_uncertainty)
-    assert study.failed == 0
+    np.testing.assert_allclose(error[1, 0], rule[1], rtol=0.05 + 4 * part)
 
 
 def test_common_error_does_not_average(star_camera):
-    config = AttitudeConfig(stars=10, counts=(10, 40), trials=300)
-    study = attitude_study(star_camera, _errors(0.0, 0.9, 0.0), config, Streams(4))
-    for count in range(2):
-        np.testing.assert_allclose(study.curve["common"][count, :2], 0.9, rtol=6 * study.relative_uncertainty)
-        assert study.curve["common"][count, 2] < 0.1 * study.rule[count, 2]  # a common shift turns, but does not roll
+    error, rule, _, part = _study(star_camera, _errors(0.0, 0.9, 0.0), 4, stars=10, counts=(10, 40), trials=300)
+    common = error[:, list(READINGS).index("common")]
+    np.testing.assert_allclose(common[:, :2], 0.9, rtol=6 * part)
+    assert np.all(common[:, 2] < 0.1 * rule[:, 2])  # a common shift turns, but does not roll
 
 
 def test_attitude_depends_on_seed_alone(star_camera):
-    config = AttitudeConfig(stars=5, counts=(5,), trials=100)
-    one, two = (attitude_study(star_camera, _errors(1.0, 0.2, 0.3), config, Streams(5)) for _ in range(2))
-    assert np.array_equal(one.curve["as it is"], two.curve["as it is"])
+    one, two = (_study(star_camera, _errors(1.0, 0.2, 0.3), 5, stars=5, counts=(5,), trials=100)[0] for _ in range(2))
+    assert np.array_equal(one, two)
 
 
 def test_cubic_basis_takes_every_cubic_and_no_quartic():

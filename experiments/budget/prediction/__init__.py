@@ -1,1 +1,0 @@
-"""The budget without frames: every term predicted, in seconds."""
