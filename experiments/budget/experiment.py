@@ -314,7 +314,7 @@ def axes(config: Config) -> Quantities:
     q.axis("aimed", list(AIMED), "Term")
     q.axis("axis", ["x", "y"], "Axis")
     labels = MethodLabels(own="simulator's PSF", measured="PSF from frames")
-    q.axis("method", list(config.methods)[: 1 if config.predict_only else None], "Centroider", names=labels)
+    q.axis("method", list(config.methods), "Centroider", names=labels)
     return q
 
 
@@ -341,7 +341,7 @@ def of_prediction(
     first = predicted[config.centroid]
     return {
         "terms": replace(sides[0], published_arcsec=published),
-        "methods": sides,
+        "methods": sides if frames else None,
         "chief": chief(first),
         "causes": [Cause(name=name, arcsec=value) for name, value in first.causes_arcsec.items()],
     }

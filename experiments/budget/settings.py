@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
+from experiments.harness.sweeps import SweptConfig, with_what_if
 from experiments.laboratory import settings as laboratory_settings
 from experiments.laboratory.centroid_methods import CentroiderName, ProcessingName
 from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
@@ -143,8 +144,10 @@ class TornadoConfig(StrictModel):
     chip_k: float = Field(default=5.0, gt=0, le=50, description="temperature of the chip")
 
 
-class Config(SensorExperimentConfig):
+class Config(SweptConfig, SensorExperimentConfig):
     """One instrument and what is asked of it."""
+
+    NOT_SWEPT = frozenset({"attitude", "thermal", "tolerances", "tornado"})
 
     instrument: InstrumentConfig = InstrumentConfig()
     detector: DetectorConfig = DetectorConfig()
@@ -189,14 +192,11 @@ class Config(SensorExperimentConfig):
 
 
 def _instead(config: Config) -> Experiment | None:
-    return (
-        replace(experiment, run="experiment:predict", report="prediction.md", instead=None)
-        if config.predict_only
-        else None
-    )
+    alone = {"run": "experiment:predict", "report": "prediction.md", "instead": None}
+    return replace(rendered, **alone) if config.predict_only else None
 
 
-experiment = Experiment(
+rendered = Experiment(
     name="budget",
     config=Config,
     run="experiment:run",
@@ -214,6 +214,7 @@ experiment = Experiment(
     examples={
         "--quick": "a small run",
         "--predict-only": "the predicted terms alone, in seconds",
+        "--sweep detector.read_noise_e=2:20:10": "the predicted budget against the read noise",
         "--config acc18_tuned": "an instrument with the published budget",
     },
     show=("budget",),
@@ -232,4 +233,5 @@ experiment = Experiment(
         "attitude.counts": [2, 5, 10, 30],
     },
 )
+experiment = with_what_if(rendered, renders=True)
 main = command(experiment)

@@ -55,12 +55,15 @@ class SweptConfig(ExperimentConfig):
         return tuple(parse_sweep(text, keys) for text in self.sweep)
 
 
-def with_what_if(declared: Experiment) -> Experiment:
-    """The experiment with ``--sweep``, and with several ``--sensor`` next to each other."""
+def with_what_if(declared: Experiment, *, renders: bool = False) -> Experiment:
+    """The experiment with ``--sweep``, and with several ``--sensor`` next to each other.
+
+    ``renders`` says that the prediction renders too (PSFs), so that the backend has to be ready.
+    """
 
     def instead(config: Any) -> Experiment | None:
         if config.sweep:
-            return _sweep(declared)
+            return _sweep(declared, renders)
         return declared.instead(config) if declared.instead is not None else None
 
     option = "KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C: predict over a range of any number of the sensor; two make a map."
@@ -68,11 +71,11 @@ def with_what_if(declared: Experiment) -> Experiment:
         declared,
         options={**declared.options, "sweep": ("sweep", option)},
         instead=instead,
-        comparison=_comparison(declared),
+        comparison=_comparison(declared, renders),
     )
 
 
-def _sweep(declared: Experiment) -> Experiment:
+def _sweep(declared: Experiment, renders: bool) -> Experiment:
     def run(config: Any, *, progress: Progress) -> Any:
         from experiments.harness.what_if import run_sweep
 
@@ -83,10 +86,11 @@ def _sweep(declared: Experiment) -> Experiment:
 
         return sweep_sections(result)
 
-    return _by_prediction(declared, declared.config, run, sections, report="what_if.md", show=("sweep",))
+    own = {"report": "what_if.md", "show": ("sweep",), "renders": renders}
+    return _by_prediction(declared, declared.config, run, sections, **own)
 
 
-def _comparison(declared: Experiment) -> Experiment:
+def _comparison(declared: Experiment, renders: bool) -> Experiment:
     def run(config: Any, *, progress: Progress) -> Any:
         from experiments.harness.what_if import run_comparison
 
@@ -102,9 +106,8 @@ def _comparison(declared: Experiment) -> Experiment:
     config = create_model(
         "ComparisonConfig", __base__=_Comparison, __module__=single.__module__, sensors=(tuple[single, ...], sensors)
     )
-    return _by_prediction(
-        declared, config, run, sections, report="comparison.md", show=("sensors", "requirements"), axes=None
-    )
+    own = {"report": "comparison.md", "show": ("sensors", "requirements"), "axes": None, "renders": renders}
+    return _by_prediction(declared, config, run, sections, **own)
 
 
 class _Comparison(ExperimentConfig):
@@ -120,7 +123,14 @@ class _Comparison(ExperimentConfig):
 
 
 def _by_prediction(
-    declared: Experiment, config: type[ExperimentConfig], run: Any, sections: Any, report: str, **given: Any
+    declared: Experiment,
+    config: type[ExperimentConfig],
+    run: Any,
+    sections: Any,
+    *,
+    report: str,
+    renders: bool,
+    **given: Any,
 ) -> Experiment:
     return Experiment(
         name=declared.name,
@@ -128,6 +138,6 @@ def _by_prediction(
         run=run,
         sections=sections,
         report=Path(__file__).with_name(report),
-        renders=lambda _: False,
+        renders=lambda _: renders,
         **given,
     )
