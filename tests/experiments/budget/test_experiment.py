@@ -158,11 +158,11 @@ def test_the_run_is_complete(run):
 @pytest.mark.slow
 def test_sums_by_plain_arithmetic(run):
     """Eq. 31-32 from the table's own terms."""
-    table = Table.read(run.folder / "budget.ecsv", format="ascii.ecsv")
+    table = Table.read(run.folder / "methods.ecsv", format="ascii.ecsv")
     assert len(table) == 2 * (len(TERMS) + 3)
     cases = itertools.product(("epsf", "cog"), ("predicted_arcsec", "measured_arcsec"), "xy")
     for method, column, axis in cases:
-        te, hsfe, s, c1, c2, lsfe, total, attitude = table[f"{method}_{column}"][table["axis"] == axis].tolist()
+        te, hsfe, s, c1, c2, lsfe, total, attitude = table[f"{column}_{method}"][table["axis"] == axis].tolist()
         assert lsfe == pytest.approx((s**2 + (c1 + c2) ** 2) ** 0.5)
         assert total == pytest.approx((te**2 + hsfe**2 + s**2 + (c1 + c2) ** 2) ** 0.5)
         assert attitude == pytest.approx(total / 3**0.5)
