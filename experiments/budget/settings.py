@@ -192,8 +192,9 @@ class Config(SweptConfig, SensorExperimentConfig):
 
 
 def _instead(config: Config) -> Experiment | None:
-    alone = {"run": "experiment:predict", "report": "prediction.md", "instead": None}
-    return replace(rendered, **alone) if config.predict_only else None
+    if not config.predict_only:
+        return None
+    return replace(rendered, run="experiment:predict", report="prediction.md", instead=None)
 
 
 rendered = Experiment(

@@ -86,7 +86,7 @@ def _sweep(declared: Experiment, renders: bool) -> Experiment:
 
         return sweep_sections(result)
 
-    own = {"report": "what_if.md", "show": ("sweep",), "renders": renders}
+    own: dict[str, Any] = {"report": "what_if.md", "show": ("sweep",), "renders": renders}
     return _by_prediction(declared, declared.config, run, sections, **own)
 
 
@@ -106,7 +106,7 @@ def _comparison(declared: Experiment, renders: bool) -> Experiment:
     config = create_model(
         "ComparisonConfig", __base__=_Comparison, __module__=single.__module__, sensors=(tuple[single, ...], sensors)
     )
-    own = {"report": "comparison.md", "show": ("sensors", "requirements"), "axes": None, "renders": renders}
+    own: dict[str, Any] = {"report": "comparison.md", "show": ("sensors", "requirements"), "axes": None, "renders": renders}
     return _by_prediction(declared, config, run, sections, **own)
 
 
