@@ -280,6 +280,7 @@ class Accuracy:
     # Modified Kolmogorov statistic of k (1 - cos) against the exponential distribution, refused at 5 % above 1.094
     exponential_statistic: float = col("Kolmogorov", "", ".3f", key="statistic", shown=False)
     outliers: int = col("Outliers", shown=False)
+    lost: int = col("Places without a position", shown=False)
     effective_degrees: float = col("Own ν", "", ".0f", shown=False)  # From the scatter of the squared chords themselves
     sigma_interval_95_own_degrees_arcsec: Sequence[float] = col(
         "95 % by own ν", "arcsec", ".4f", "end", key="own_interval", shown=False
@@ -318,6 +319,7 @@ def accuracy(done: Calibrated, taken: Acquisition) -> tuple[Accuracy, dict[str, 
             isotropy_ratio=found.isotropy.ratio,
             exponential_statistic=found.tails.statistic,
             outliers=int(found.outlier.sum()),
+            lost=taken.lost,
             effective_degrees=found.effective_degrees,
             sigma_interval_95_own_degrees_arcsec=found.own_interval_arcsec(),
             baseline_arcsec=np.array([found.baseline_arcsec(one) for one in angles.values()]),

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
 
 from optics.arrays import FloatArray
 
@@ -19,19 +18,15 @@ __all__ = [
     "ARCSEC",
     "acf_camera_px",
     "acf_matrix",
-    "acf_rays",
     "matrix_of_quaternion",
     "small_turn_rad",
-    "star_vector",
     "table_matrices",
     "turn_matrix",
-    "two_sided",
 ]
 
 
 ARCSEC = np.pi / 648000.0
 """One second of arc [rad]."""
-INVERSION_STEPS = 60
 NEAR_TO_ONE = 0.1
 
 
@@ -77,18 +72,6 @@ def acf_camera_px(values: Sequence[float], rays: ArrayLike, size_px: tuple[int, 
     )
 
 
-def acf_rays(values: Sequence[float], pixel_px: ArrayLike, size_px: tuple[int, int], pitch_mm: float) -> FloatArray:
-    """Unit vectors (n, 3) of images (n, 2): eq. 3 and 4 inverted by moving the ray by what its image is off."""
-    pixel, f = np.asarray(pixel_px, float), values[2]
-    middle = np.array([(size_px[0] - 1) / 2 + values[0], (size_px[1] - 1) / 2 + values[1]])
-    slope = (pixel - middle) * pitch_mm / f
-    for _ in range(INVERSION_STEPS):
-        image = acf_camera_px(values, np.column_stack([slope, np.ones(len(slope))]), size_px, pitch_mm)
-        slope = slope + (pixel - image) * pitch_mm / f
-    rays = np.column_stack([slope, np.ones(len(slope))])
-    return np.asarray(rays / np.sqrt((rays**2).sum(1))[:, None])
-
-
 def table_matrices(axes: str, angle_rad: ArrayLike, lean_arcsec: Sequence[float]) -> FloatArray:
     """Laboratory from table top (n, 3, 3) of a table with axes like "xy" or "z-xy", outermost first.
 
@@ -115,14 +98,3 @@ def small_turn_rad(matrix: ArrayLike) -> FloatArray:
     parts = (m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1])
     small = np.abs(m - np.eye(3)).max(axis=(-2, -1)) < NEAR_TO_ONE  # half a turn has no antisymmetric part either
     return np.asarray(np.where(small[..., None], np.stack(parts, axis=-1) / 2.0, np.inf))
-
-
-def star_vector(azimuth_rad: float, elevation_rad: float) -> FloatArray:
-    """Unit vector (3,) of the laboratory: azimuth from +Z towards +X, elevation towards +Y."""
-    level = np.cos(elevation_rad)
-    return np.array([level * np.sin(azimuth_rad), np.sin(elevation_rad), level * np.cos(azimuth_rad)])
-
-
-def two_sided(square: float, freedom: int) -> float:
-    """Probability of a chi-square at least as far out on the same side, times two."""
-    return float(2.0 * min(chi2.sf(square, freedom), chi2.cdf(square, freedom)))
