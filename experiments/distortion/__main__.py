@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.distortion.experiment import main
+from experiments.distortion.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,44 +1,312 @@
-"""Distortion error (ACC18 eq. 17-30, Fig. 8): a surveyed 32-point grid, its residuals, the cubic, and the true map.
+"""Distortion error (ACC18 eq. 17-30, Fig. 8): a surveyed grid, its residuals, the polynomial, and the true map.
 
-A grid target over the whole mosaic is rendered, read out thirty times, detected and centroided; mean centroids minus
-surveyed coordinates are reduced as printed. The three numbers are labelled with what they are (found, left, removed),
-predicted by ray trace, and judged by the error that the correction really has between the points.
+Mean centroids of a grid target over the whole detector minus surveyed coordinates are reduced as printed. The three
+numbers are labelled with what they are (found, left, removed), predicted by ray trace, and judged by the error that the
+correction really has between the points. `wide_field` repeats the test where distortion decides the numbers.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
 
 from experiments.distortion.settings import Config
-from experiments.harness.cli import command
-from experiments.harness.experiment import Experiment
+from experiments.distortion.wide_field import WIDE, wide_field, wide_run
+from experiments.harness.drawings import arrows
+from experiments.harness.plotting import INK, PALETTE, new_figure
 from experiments.harness.progress import Progress
-from experiments.laboratory.own_frames import or_own_frames
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.sections import Section, agree, col, ratio_near
+from experiments.harness.summary import measured
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.distortion_error import (
+    DistortionMeasurement,
+    dense_grid,
+    dense_map,
+    measure_distortion,
+    traced_bundles,
+)
+from experiments.laboratory.distortion_model import DistortionPrediction, forecast_map, predict_distortion
+from experiments.laboratory.distortion_statistics import LABELS, REFERENCES
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.point_quantities import point_quantities
+from experiments.laboratory.point_scene import point_laboratory, point_signal, prepared_scene
+from experiments.laboratory.published import ACC18_ARCSEC, is_published_sensor
+from experiments.laboratory.targets import GridTarget, grid_directions
+from optics.arrays import FloatArray
+from render.detector.maps import sensor_maps
+from render.engine.random import Streams
 
-if TYPE_CHECKING:
-    from experiments.distortion.result import Result
-
-__all__ = ["Config", "experiment", "main", "run"]
+__all__ = ["SECTIONS", "axes", "run"]
 
 
-def run(config: Config, *, progress: Progress) -> Result:
-    """Render, read out, reduce, predict, compare with the true map."""
-    from experiments.distortion.result import Result, correction_maps, forecasts
-    from experiments.distortion.wide_field import wide_field
-    from experiments.laboratory.distortion_error import dense_grid, measure_distortion, traced_bundles
-    from experiments.laboratory.distortion_model import predict_distortion
-    from experiments.laboratory.point_scene import point_laboratory, prepared_scene
-    from experiments.laboratory.targets import GridTarget, grid_directions
-    from render.detector.maps import sensor_maps
-    from render.engine.random import Streams
+# --- Found, left, removed
 
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Numbers:
+    """The document's numbers by one centroider, 3 sigma, by the way that coordinates become pixels."""
+
+    one_survey_arcsec: FloatArray = col(
+        "One survey", "arcsec", ".3f", "reference number axis", json="[reference][number].one_survey"
+    )
+    # RMS over independent surveys of the same target, same frames; scatter from survey to survey
+    all_surveys_arcsec: FloatArray = col(
+        "All surveys", "arcsec", ".3f", "reference number axis", json="[reference][number].over_surveys"
+    )
+    survey_scatter_arcsec: FloatArray = col(
+        "Their scatter", "arcsec", ".3f", "reference number axis", json="[reference][number].scatter_of_surveys"
+    )
+    predicted_arcsec: Any = col(
+        "Predicted",
+        "arcsec",
+        dims="reference number axis",
+        json="[reference][number].predicted",
+        json_error="[reference][number].predicted_scatter_over_surveys",
+    )
+
+
+def numbers(frames: DistortionMeasurement, predicted: DistortionPrediction, method: str) -> Numbers:
+    """Eq. 19-30 with the first survey and with all of them, beside the prediction."""
+    scale, surveys = frames.arcsec_3sigma, len(frames.surveyed)
+    every = scale * np.array([frames.over_surveys(method, r) for r in REFERENCES])  # (reference, survey, number, axis)
+    expected = scale * np.array([predicted.mean_px[method][r] for r in REFERENCES])
+    spread = scale * np.array([predicted.of_surveys_px(method, r, surveys) for r in REFERENCES])
+    return Numbers(
+        one_survey_arcsec=every[:, 0],
+        all_surveys_arcsec=np.sqrt((every**2).mean(1)),
+        survey_scatter_arcsec=every.std(1, ddof=1),
+        predicted_arcsec=measured(expected, spread),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Removed:
+    """The number that is published, sigma_C1 (3 sigma), by the centroider and the coordinates that count."""
+
+    one_survey_arcsec: FloatArray = col("σC1", "arcsec", ".3f", "axis", json="one_survey")
+    all_surveys_arcsec: Any = col("σC1", "arcsec", dims="axis", json="over_surveys", json_error="scatter_of_surveys")
+    predicted_arcsec: Any = col(
+        "σC1", "arcsec", dims="axis", json="predicted", json_error="predicted_scatter_over_surveys"
+    )
+    survey_arcsec: FloatArray = col("σC1, 3 σ", "arcsec", dims="survey axis", json="")
+    above_published: FloatArray | None = col(
+        "Surveys that reach the published value", "%", ".0f", "axis", json="", default=None
+    )
+
+
+def removed(of: Numbers, frames: DistortionMeasurement, config: Config, *, published: bool) -> Removed:
+    """The part of the first centroider's numbers that the document publishes, and every survey's."""
+    here = list(REFERENCES).index(config.reference)
+    every = frames.arcsec_3sigma * frames.over_surveys(config.methods[0], config.reference)[:, 2]
+    above = 100.0 * (every >= np.array(ACC18_ARCSEC["LSFE-C1"])).mean(0)
+    return Removed(
+        one_survey_arcsec=of.one_survey_arcsec[here, 2],
+        all_surveys_arcsec=measured(of.all_surveys_arcsec[here, 2], of.survey_scatter_arcsec[here, 2]),
+        predicted_arcsec=of.predicted_arcsec[here, 2],
+        survey_arcsec=every,
+        above_published=above if published else None,
+    )
+
+
+def survey_histogram(o: Outcome) -> Figure:
+    """sigma_C1 of many surveys of one target, the published values, and what marking error alone gives."""
+    every = o.values("c1_survey_arcsec")
+    figure, panel = new_figure(aspect_ratio=0.34)
+    bins = np.linspace(0.0, max(1.15 * float(every.max()), 0.6), 40)
+    for values, axis, colour in zip(every.T, "xy", PALETTE, strict=False):
+        panel.hist(values, bins=bins.tolist(), color=colour, alpha=0.55, label=f"{axis}, {len(every)} surveys")
+        if "published_arcsec" in o.data:
+            published = float(o.values("published_arcsec", axis=axis))
+            panel.axvline(published, color=colour, linewidth=1.4, dashes=(4, 2), label=f"published, {axis}")
+    alone = float(o.values("noise_removed_arcsec"))
+    panel.axvline(alone, color=INK, linewidth=1.2, label="marking error alone, RMS")
+    panel.set(xlabel=o.heading("c1_survey_arcsec"), ylabel="surveys", xlim=(0, bins[-1]))
+    panel.legend(loc="upper right")
+    return figure
+
+
+# --- The target and its points
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """What was measured with, and what is published of it."""
+
+    signal_e: float = col("Signal", "e-", ".0f")
+    signal_magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f")
+    signal_star_k: float = col("Temperature of that star", "K", ".0f")
+    signal_star: str = col("Star")
+    points: int = col("Points")
+    terms: int = col("Terms of the polynomial, per axis", json="")
+    frames: int = col("Frames")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec")
+    size_px: FloatArray = col("Detector", "px", dims="axis", json="")
+    marking_arcsec: float = col("Marking error", "arcsec", ".2f", json="marking_error_arcsec_3sigma")
+    noise_removed_arcsec: float = col(
+        "Marking error alone", "arcsec", ".2f", json="sigma_c1_of_marking_error_alone_arcsec_3sigma"
+    )
+    published_arcsec: Any = col(
+        "Published σC1", "arcsec", dims="axis", json="published_sigma_c1_arcsec_3sigma", default=None
+    )
+    published_marking_arcsec: float | None = col(
+        "Published marking error", "arcsec", ".2f", json="published_marking_error_arcsec_3sigma", default=None
+    )
+
+
+def target_record(config: Config, instrument: Instrument, *, published: bool) -> Target:
+    """Closed form: k terms remove sqrt((k - 1) / (W - 1)) of pure noise at W points."""
+    star, points = point_signal(config, instrument), config.target.rows * config.target.columns
+    terms, marking = (config.order + 1) * (config.order + 2) // 2, 3.0 * config.target.marking_error_arcsec
+    return Target(
+        signal_e=star.signal_e,
+        signal_magnitude_mag=star.magnitude_mag,
+        signal_star_k=star.temperature_k,
+        signal_star=star.star,
+        points=points,
+        terms=terms,
+        frames=config.frames,
+        pixel_arcsec=instrument.pixel_arcsec,
+        size_px=np.array([instrument.camera.width_px, instrument.camera.height_px]),
+        marking_arcsec=marking,
+        noise_removed_arcsec=marking * float(np.sqrt((terms - 1) / (points - 1))),
+        published_arcsec=ACC18_ARCSEC["LSFE-C1"] if published else None,
+        published_marking_arcsec=ACC18_ARCSEC["LSFE-C2"][0] if published else None,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Points:
+    """Every target point, by the centroider and the coordinates that count."""
+
+    nominal_px: FloatArray = col("Nominal", "px", dims="point axis", json="", key="nominal_{axis}_px")
+    measured_px: FloatArray = col("Measured", "px", dims="point axis", json="", key="measured_{axis}_px")
+    light_px: FloatArray = col("Light", "px", dims="point axis", json="", key="light_{axis}_px")
+    ray_trace_px: FloatArray = col("Ray trace", "px", dims="point axis", json="", key="ray_trace_{axis}_px")
+    d_px: FloatArray = col("Found", "px", dims="point axis", json="", key="d_{axis}_px")
+    left_px: FloatArray = col("Left", "px", dims="point axis", json="", key="left_{axis}_px")
+
+
+def points(frames: DistortionMeasurement, predicted: DistortionPrediction, config: Config) -> Points:
+    """Residuals of the first survey."""
+    first, light = config.methods[0], frames.light
+    found = frames.statistics(first, config.reference)
+    return Points(
+        nominal_px=light.nominal_px,
+        measured_px=frames.session_px[first][1],
+        light_px=light.photon_px,
+        ray_trace_px=predicted.bundle_px,
+        d_px=found.d_px,
+        left_px=found.left_px,
+    )
+
+
+# --- The true map: what the correction is wrong by between the points
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrueMap:
+    """Errors over the whole detector (3 sigma of their RMS, shift and roll taken out), first centroider."""
+
+    uncorrected_arcsec: FloatArray = col(
+        "Distortion", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].uncorrected"
+    )
+    one_survey_arcsec: FloatArray = col(
+        "Left, one survey", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].one_survey"
+    )
+    all_surveys_arcsec: FloatArray = col(
+        "Left, all surveys", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].over_surveys"
+    )
+    forecast_arcsec: FloatArray = col("Predicted", "arcsec", ".3f", "axis", json="forecast_map_arcsec_3sigma")
+    # Its parts: distortion that the polynomial cannot follow, errors of the points carried into the map
+    bias_arcsec: FloatArray = col("Distortion left", "arcsec", ".3f", "axis", json="")
+    carried_arcsec: FloatArray = col("Errors carried in", "arcsec", ".3f", "axis", json="")
+    ratio: Any = col("Left, all surveys / predicted", dims="axis", json="")
+    place_px: FloatArray = col("Place", "px", dims="cell axis", json="")
+    distortion_px: FloatArray = col("Distortion", "px", dims="cell axis", json="")
+    left_px: FloatArray = col("Left by the correction", "px", dims="cell axis", json="")
+
+
+def true_map(
+    bench: Bench, instrument: Instrument, frames: DistortionMeasurement, config: Config, point_error_px: float
+) -> TrueMap:
+    """Traced bundles on a dense grid, against camera and polynomial of every survey."""
+    scale, grid = frames.arcsec_3sigma, (config.map_rows, 2 * config.map_rows - 1)
+    traced = traced_bundles(bench, instrument, dense_grid(instrument, *grid))
+    maps = {
+        reference: [
+            dense_map(
+                instrument,
+                *frames.correction(config.methods[0], reference, copy),
+                reference=reference,
+                order=config.order,
+                grid=grid,
+                traced_px=traced,
+            )
+            for copy in range(len(frames.surveyed))
+        ]
+        for reference in REFERENCES
+    }
+    left = scale * np.array([np.sqrt(np.mean([one.rms_px**2 for one in every], axis=0)) for every in maps.values()])
+    target = GridTarget(**config.target.model_dump())
+    bias, carried = forecast_map(
+        bench,
+        instrument,
+        target,
+        order=config.order,
+        point_error_px=point_error_px,
+        traced_px=traced,
+        grid=grid,
+    )
+    forecast = scale * np.hypot(bias, carried)
+    ratio = left[list(REFERENCES).index("aligned")] / forecast
+    shown, step = maps[config.reference][0], max(1, grid[0] // 8)
+    cells = np.arange(grid[0] * grid[1]).reshape(grid)[::step, ::step].ravel()
+    return TrueMap(
+        uncorrected_arcsec=scale * np.array([every[0].uncorrected_rms_px for every in maps.values()]),
+        one_survey_arcsec=scale * np.array([every[0].rms_px for every in maps.values()]),
+        all_surveys_arcsec=left,
+        forecast_arcsec=forecast,
+        bias_arcsec=scale * bias,
+        carried_arcsec=scale * carried,
+        ratio=measured(ratio, ratio / np.sqrt(18.0 * config.surveys)),  # each map is of about nine coefficients
+        place_px=shown.nominal_px[cells],
+        distortion_px=shown.uncorrected_px[cells],
+        left_px=shown.corrected_px[cells],
+    )
+
+
+# --- The run
+
+
+def axes(config: Config) -> Quantities:
+    """Dimensions that all sections share."""
+    q = point_quantities(config.methods)
+    q.axis("reference", list(REFERENCES), "Coordinates")
+    q.axis("number", ["sigma_d", "sigma_left", "sigma_c1"], "Number", names=LABELS)
+    q.axis("point", np.arange(config.target.rows * config.target.columns) + 1, "Point")
+    return q
+
+
+def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+    """Render, read out, reduce, predict, compare with the true map.
+
+    Raises
+    ------
+    StarbenchError
+        On anything the user can mend: a target off the detector or the field, points not detected or saturated, too
+        few points for the camera behind the coordinates.
+    """
     bench, instrument = point_laboratory(config)
     target = GridTarget(**config.target.model_dump())
     streams = Streams(config.seed).child("distortion")
     direction = grid_directions(target, instrument, streams.generator("target"))
     scene = prepared_scene(bench, instrument, direction[None], progress)
     with progress.stage("frames", total=2) as stage:
-        measured = measure_distortion(
+        frames = measure_distortion(
             bench,
             instrument,
             target,
@@ -54,48 +322,89 @@ def run(config: Config, *, progress: Progress) -> Result:
             instrument,
             target,
             direction,
-            psf=measured.light.psf,
+            psf=frames.light.psf,
             order=config.order,
             noise_draws=config.draws,
             defect=sensor_maps(instrument.detector).defect,
             seed=config.seed,
         )
     with progress.stage("map"):
-        grid = (config.map_rows, 2 * config.map_rows - 1)
-        traced = traced_bundles(bench, instrument, dense_grid(instrument, *grid))
-        maps = correction_maps(bench, measured, config, traced, grid)
         point_error = float((predicted.point_px[config.methods[0]] ** 2).mean() ** 0.5)
-        forecast = forecasts(bench, instrument, target, config, point_error, traced, grid)
-    return Result(
-        config=config,
-        instrument=instrument,
-        measured=measured,
-        predicted=predicted,
-        maps=maps,
-        forecast=forecast,
-        wide=wide_field(config, streams.child("wide field"), progress=progress),
-    )
+        checked = true_map(bench, instrument, frames, config, point_error)
+    published = is_published_sensor(config)
+    every = [numbers(frames, predicted, method) for method in config.methods]
+    return {
+        "target": target_record(config, instrument, published=published),
+        "numbers": every[0],
+        "centroiders": every,
+        "removed": removed(every[0], frames, config, published=published),
+        "points": points(frames, predicted, config),
+        "map": checked,
+        "wide": wide_field(wide_run(config, streams.child("wide field"), progress=progress)),
+    }
 
 
-rendered = Experiment(
-    name="distortion",
-    config=Config,
-    run=run,
-    takes="50 s (--quick: 23 s)",
-    examples={
-        "--quick": "a small run",
-        "--set target.rows=8 --set target.columns=16 --set order=5": "more points, a higher order",
-    },
-    show=("distortion",),
-    quick={
-        "compare": ["cog"],
-        "surveys": 50,
-        "draws": 60,
-        "map_rows": 9,
-        "dark_frames": 50,
-        "study.rows": [4, 8],
-        "study.orders": [1, 3, 5],
-    },
-)
-experiment = or_own_frames(rendered)
-main = command(experiment)
+COORDINATES = "; ".join(f"*{name}*: {text}" for name, text in REFERENCES.items())
+SECTIONS = {
+    "target": Section(record=Target),
+    "numbers": Section(
+        record=Numbers,
+        json=dict.fromkeys(Numbers.__dataclass_fields__, ""),
+        table="distortion",
+        caption="The document's three numbers (3 σ), first centroider.",
+        note=f"How surveyed places become pixels: {COORDINATES}. *All surveys*: RMS over independent surveys of the "
+        "same target, same frames.",
+    ),
+    "centroiders": Section(
+        record=Numbers,
+        dim="method",
+        prefix="method_",
+        place="methods_arcsec_3sigma[method]",
+        table="centroiders",
+        caption="The document's three numbers (3 σ) by every centroider.",
+        verdicts=[
+            agree(
+                "method_all_surveys_arcsec",
+                "method_predicted_arcsec",
+                each="method",
+                false_alarm=1e-3,
+                title="Found, left and removed over all surveys against prediction",
+                advice="centroids, noise or the response pattern are not what the prediction takes them for",
+            )
+        ],
+    ),
+    "removed": Section(
+        record=Removed,
+        prefix="c1_",
+        place="sigma_c1_arcsec_3sigma",
+        figures={"survey_histogram": survey_histogram},
+    ),
+    "points": Section(
+        record=Points,
+        table="points",
+        rows="point",
+        across="axis",
+        caption="All points.",
+        figures={"point_residuals": arrows("nominal_px", "d_px", "left_px", frame="size_px", aspect_ratio=0.36)},
+    ),
+    "map": Section(
+        record=TrueMap,
+        prefix="map_",
+        table="map",
+        rows="reference axis",
+        columns="uncorrected_arcsec one_survey_arcsec all_surveys_arcsec forecast_arcsec",
+        caption="The true map (3 σ of its RMS over the whole detector): before and after the correction.",
+        figures={
+            "true_map": arrows("map_place_px", "map_distortion_px", "map_left_px", frame="size_px", aspect_ratio=0.36)
+        },
+        verdicts=[
+            ratio_near(
+                "map_ratio",
+                within=0.1,
+                title="True map error of all surveys over its prediction",
+                advice="the distortion between the points is not what a polynomial of this order follows",
+            )
+        ],
+    ),
+    "wide": WIDE,
+}

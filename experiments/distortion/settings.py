@@ -1,28 +1,20 @@
-"""Configuration of the distortion test."""
+"""Settings and declaration of the distortion test."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field, model_validator
 
+from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
+from experiments.harness.experiment import Experiment
 from experiments.laboratory.centroid_methods import MethodName
+from experiments.laboratory.own_frames import or_own_frames
 from experiments.laboratory.point_settings import PointConfig
 from experiments.laboratory.settings import GridTargetConfig, InstrumentConfig
 
-__all__ = ["Config", "StudyConfig", "WideConfig"]
-
-
-class StudyConfig(StrictModel):
-    """Which targets and polynomials the map error is forecast for."""
-
-    rows: tuple[Annotated[int, Field(ge=2, le=200)], ...] = Field(
-        default=(4, 6, 8, 12, 16), min_length=1, description="rows; twice as many columns"
-    )
-    orders: tuple[Annotated[int, Field(ge=1, le=9)], ...] = Field(
-        default=(1, 2, 3, 5, 7), min_length=1, description="orders of the polynomial"
-    )
+__all__ = ["Config", "WideConfig", "experiment", "main"]
 
 
 class WideConfig(StrictModel):
@@ -50,7 +42,6 @@ class Config(PointConfig):
     surveys: int = Field(default=200, ge=2, le=5000, description="independent surveys of the target, same frames")
     draws: int = Field(default=200, ge=10, le=5000, description="noisy copies of a window behind the prediction")
     map_rows: int = Field(default=17, ge=5, le=101, description="rows of the dense map; twice as many columns")
-    study: StudyConfig = StudyConfig()
     wide: WideConfig = WideConfig()
 
     @model_validator(mode="after")
@@ -64,3 +55,21 @@ class Config(PointConfig):
                 "such a polynomial; it needs more rows and columns than the order"
             )
         return self
+
+
+rendered = Experiment(
+    name="distortion",
+    config=Config,
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    axes="experiment:axes",
+    takes="50 s (--quick: 23 s)",
+    examples={
+        "--quick": "a small run",
+        "--set target.rows=8 --set target.columns=16 --set order=5": "more points, a higher order",
+    },
+    show=("distortion",),
+    quick={"compare": ["cog"], "surveys": 50, "draws": 60, "map_rows": 9, "dark_frames": 50},
+)
+experiment = or_own_frames(rendered)
+main = command(experiment)

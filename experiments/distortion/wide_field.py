@@ -8,11 +8,14 @@ what is found, left and removed is that of the traced lens, and the comparison i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from experiments.distortion.settings import Config
 from experiments.harness.progress import Progress
+from experiments.harness.sections import Section, agree, col, ratio_near
+from experiments.harness.summary import measured
 from experiments.laboratory.distortion_error import DistortionMeasurement, measure_distortion, residual_px
 from experiments.laboratory.distortion_model import (
     DistortionPrediction,
@@ -28,48 +31,70 @@ from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams
 
-__all__ = ["WIDE_REFERENCE", "WideField", "wide_field"]
+__all__ = ["WIDE", "WideField", "WideRun", "wide_field", "wide_run"]
 
-WIDE_REFERENCE: Reference = "aligned"
+REFERENCE: Reference = "aligned"
 """Shift, roll and scale fitted: the residual is the distortion."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WideField:
+    """What is found, left and removed of one survey, 3 sigma."""
+
+    measured_arcsec: FloatArray = col(
+        "Measured", "arcsec", ".3f", "number axis", json="measured", key="wide_measured_arcsec"
+    )
+    predicted_arcsec: Any = col(
+        "Prescription",
+        "arcsec",
+        dims="number axis",
+        json="predicted",
+        json_error="predicted_scatter",
+        key="wide_predicted_arcsec",
+    )
+    marking_arcsec: FloatArray = col(
+        "Marking errors alone", "arcsec", ".3f", "number axis", json="marking_alone", key="wide_marking_arcsec"
+    )
+    residual_ratio: Any = col("Residuals less the prescription's, over what noise and marking give", json="")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".1f", json="")
+
+
+WIDE = Section(
+    record=WideField,
+    prefix="wide_",
+    place="wide_field_arcsec_3sigma[number][axis]",
+    table="wide_field",
+    rows="number axis",
+    columns="measured_arcsec predicted_arcsec marking_arcsec",
+    caption="A lens whose distortion decides the numbers (3 σ): one survey, shift, roll and scale fitted.",
+    verdicts=[
+        agree(
+            "wide_measured_arcsec",
+            "wide_predicted_arcsec",
+            false_alarm=4e-4,  # 4 sigma: squares of few residuals have long tails
+            title="Wide field: found, left and removed against the prescription",
+        ),
+        ratio_near(
+            "wide_residual_ratio",
+            within=0.0,
+            false_alarm=1e-4,
+            title="Wide field: residuals less the prescription's, RMS over its expectation",
+        ),
+    ],
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WideRun:
     """The test on a wide field, one centroider, one survey."""
 
-    method: str  # The centroider
-    measured: DistortionMeasurement  # The test, and what it should give
-    predicted: DistortionPrediction  # The test, and what it should give
-    marking_px: FloatArray  # (3, 2) What marking errors alone give: found, left, removed
-
-    @property
-    def numbers_px(self) -> FloatArray:
-        """sigma_d, sigma_Dd, sigma_C1 (3, 2) of the first survey."""
-        s = self.measured.statistics(self.method, WIDE_REFERENCE)
-        return np.stack([s.sigma_d_px, s.sigma_left_px, s.sigma_c1_px])
-
-    @property
-    def expected_px(self) -> FloatArray:
-        """What they should be (3, 2)."""
-        return self.predicted.mean_px[self.method][WIDE_REFERENCE]
-
-    @property
-    def scatter_px(self) -> FloatArray:
-        """Their standard deviation (3, 2), from chip to chip and survey to survey."""
-        return self.predicted.scatter_px[self.method][WIDE_REFERENCE]
-
-    @property
-    def points_px(self) -> tuple[FloatArray, FloatArray]:
-        """Residuals (n, 2) minus those of the prescription, and standard deviation (n, 2) of that."""
-        measured, predicted = self.measured, self.predicted
-        instrument, place_px = measured.instrument, predicted.position_px[self.method]
-        _, expected, _ = residual_px(instrument, measured.direction, place_px, place_px, WIDE_REFERENCE)
-        apart = measured.statistics(self.method, WIDE_REFERENCE).d_px - expected
-        return apart, np.hypot(predicted.point_px[self.method], predicted.marking_px)
+    method: str
+    frames: DistortionMeasurement
+    predicted: DistortionPrediction
+    marking_px: FloatArray  # (3, 2) What marking errors alone give
 
 
-def wide_field(config: Config, streams: Streams, *, progress: Progress) -> WideField:
+def wide_run(config: Config, streams: Streams, *, progress: Progress) -> WideRun:
     """Render, read out, reduce and predict the test on the wide field."""
     wide = config.wide
     own = {"instrument": wide.instrument, "passband": PassbandConfig(), "compare": ()}
@@ -78,7 +103,7 @@ def wide_field(config: Config, streams: Streams, *, progress: Progress) -> WideF
     direction = grid_directions(target, instrument, streams.generator("target"))
     scene = prepared_scene(bench, instrument, direction[None], progress)
     with progress.stage("wide field", total=2) as stage:
-        measured = measure_distortion(
+        frames = measure_distortion(
             bench, instrument, target, order=wide.order, streams=streams, scene=scene, advance=stage.advance
         )
     predicted = predict_distortion(
@@ -86,12 +111,31 @@ def wide_field(config: Config, streams: Streams, *, progress: Progress) -> WideF
         instrument,
         target,
         direction,
-        psf=measured.light.psf,
+        psf=frames.light.psf,
         order=wide.order,
-        references=(WIDE_REFERENCE,),
+        references=(REFERENCE,),
         noise_draws=config.draws,
         defect=sensor_maps(instrument.detector).defect,
         seed=config.seed,
     )
-    alone = predicted_numbers(marking_errors(target, instrument, direction), wide.order, WIDE_REFERENCE)
-    return WideField(method=config.methods[0], measured=measured, predicted=predicted, marking_px=alone.rms_px)
+    alone = predicted_numbers(marking_errors(target, instrument, direction), wide.order, REFERENCE)
+    return WideRun(method=config.methods[0], frames=frames, predicted=predicted, marking_px=alone.rms_px)
+
+
+def wide_field(run: WideRun) -> WideField:
+    """Numbers of the first survey beside the prescription's, and its residuals point by point."""
+    frames, predicted, scale = run.frames, run.predicted, run.frames.arcsec_3sigma
+    found, place_px = frames.statistics(run.method, REFERENCE), predicted.position_px[run.method]
+    _, expected, _ = residual_px(frames.instrument, frames.direction, place_px, place_px, REFERENCE)
+    apart = found.d_px - expected
+    square = (predicted.point_px[run.method] ** 2 + predicted.marking_px**2).mean()
+    freedom = apart.size - 4  # shift, roll and scale are fitted
+    return WideField(
+        measured_arcsec=scale * np.stack([found.sigma_d_px, found.sigma_left_px, found.sigma_c1_px]),
+        predicted_arcsec=measured(
+            scale * predicted.mean_px[run.method][REFERENCE], scale * predicted.scatter_px[run.method][REFERENCE]
+        ),
+        marking_arcsec=scale * run.marking_px,
+        residual_ratio=measured(np.sqrt((apart**2).sum() / square / freedom), 1.0 / np.sqrt(2.0 * freedom)),
+        pixel_arcsec=frames.instrument.pixel_arcsec,
+    )

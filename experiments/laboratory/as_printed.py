@@ -7,11 +7,10 @@ of frames, as an engineer would check a report with a sheet of paper. A criterio
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from optics.arrays import FloatArray
 
-__all__ = ["distortion_arcsec", "high_frequency_arcsec", "temporal_arcsec"]
+__all__ = ["high_frequency_arcsec", "temporal_arcsec"]
 
 
 def temporal_arcsec(position_px: FloatArray, pixel_arcsec: float) -> tuple[float, float]:
@@ -40,43 +39,3 @@ def high_frequency_arcsec(mean_px: FloatArray, pixel_arcsec: float) -> tuple[flo
             square += math.fsum((v - platform) ** 2 for v in moved)
         found.append(3.0 * math.sqrt(square / (stars * (positions - 1))) * pixel_arcsec)
     return found[0], found[1]
-
-
-def distortion_arcsec(
-    centroid_px: FloatArray, coordinate_px: FloatArray, order: int, pixel_arcsec: float
-) -> list[tuple[float, float]]:
-    """sigma_d, sigma_Dd and sigma_C1 (3 sigma) of eq. 19-30, each x and y.
-
-    The polynomial is taken away monomial by monomial (Gram and Schmidt, twice for the digits).
-    """
-    points = len(centroid_px)
-    reach = max(abs(float(v)) for v in coordinate_px.ravel())
-    place = [(float(x) / reach, float(y) / reach) for x, y in coordinate_px]
-    basis: list[list[float]] = []
-    for degree in range(order + 1):
-        for power in range(degree + 1):
-            column = _without([x ** (degree - power) * y**power for x, y in place], basis)
-            length = math.sqrt(math.fsum(v * v for v in column))
-            basis.append([v / length for v in column])
-    numbers: list[list[float]] = [[], [], []]
-    for axis in (0, 1):
-        d = [float(seen[axis] - stated[axis]) for seen, stated in zip(centroid_px, coordinate_px, strict=True)]
-        found, left = (_variance(values, points) for values in (d, _without(d, basis)))
-        for number, square in zip(numbers, (found, left, found - left), strict=True):
-            number.append(3.0 * math.sqrt(max(square, 0.0)) * pixel_arcsec)
-    return [(x, y) for x, y in numbers]
-
-
-def _without(values: list[float], basis: Sequence[list[float]]) -> list[float]:
-    """Values less their part along each of a set of orthonormal columns."""
-    for _ in range(2):
-        for column in basis:
-            part = math.fsum(v * c for v, c in zip(values, column, strict=True))
-            values = [v - part * c for v, c in zip(values, column, strict=True)]
-    return values
-
-
-def _variance(values: list[float], count: int) -> float:
-    """Mean square about the mean, divisor W - 1."""
-    mean = math.fsum(values) / count
-    return math.fsum((v - mean) ** 2 for v in values) / (count - 1)

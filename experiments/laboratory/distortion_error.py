@@ -148,27 +148,23 @@ def dense_grid(instrument: Instrument, rows: int, columns: int) -> FloatArray:
 
 
 def dense_map(
-    bench: Bench,
     instrument: Instrument,
     camera: FloatArray,
     polynomial: FloatArray,
     *,
     reference: Reference,
     order: int,
-    rows: int = 17,
-    columns: int = 33,
-    traced_px: FloatArray | None = None,
+    grid: tuple[int, int],
+    traced_px: FloatArray,
 ) -> DenseMap:
-    """What a correction leaves, by traced bundles on a dense grid (ACC18 Fig. 8 shows it at the target points)."""
-    direction = dense_grid(instrument, rows, columns)
-    nominal, place = camera_place(instrument, direction)
-    traced = traced_bundles(bench, instrument, direction) if traced_px is None else traced_px
-    found = traced - nominal
+    """What a correction leaves of traced bundles (m, 2) on a dense grid (ACC18 Fig. 8: at the target points)."""
+    nominal, place = camera_place(instrument, dense_grid(instrument, *grid))
+    found = traced_px - nominal
     aligned = camera_terms(place, "aligned") @ fit_camera(place, found, "aligned")
     left = found - camera_terms(place, reference) @ camera - polynomial_terms(place, order) @ polynomial
     return DenseMap(
         nominal_px=nominal,
-        shape=(rows, columns),
+        shape=grid,
         uncorrected_px=found - aligned,
         corrected_px=without_pointing(place, left),
     )

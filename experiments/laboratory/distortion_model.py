@@ -276,19 +276,11 @@ def _covariance(drawn_px: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("dna,dnb->nab", filled, filled) / (count - 1))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MapForecast:
+class MapForecast(NamedTuple):
     """Error of a polynomial map over the whole detector, shift and roll taken out; [px], RMS per axis."""
 
-    points: int  # Target points
-    order: int  # Of the polynomial
     bias_px: FloatArray  # (2,) Distortion that the polynomial cannot follow
     noise_px: FloatArray  # (2,) Marking and centroid errors carried into the map
-
-    @property
-    def rms_px(self) -> FloatArray:
-        """Both (2,)."""
-        return np.asarray(np.hypot(self.bias_px, self.noise_px))
 
 
 def forecast_map(
@@ -301,15 +293,12 @@ def forecast_map(
     traced_px: FloatArray,
     grid: tuple[int, int],
     seed: int = 0,
-) -> MapForecast | None:
-    """Expected map error of a target; None where it has too few points for the polynomial."""
+) -> MapForecast:
+    """Expected map error of a target of this kind."""
     direction = grid_directions(target, instrument, Streams(seed).generator("forecast"))
     nominal, place = camera_place(instrument, direction)
     dense_nominal, dense_place = camera_place(instrument, dense_grid(instrument, *grid))
-    terms, dense = polynomial_basis(place, order), polynomial_basis(dense_place, order)
-    if len(place) <= terms.shape[1] or order >= min(target.rows, target.columns):  # a row per power, and one more
-        return None
-    carry = dense @ np.linalg.pinv(terms)
+    carry = polynomial_basis(dense_place, order) @ np.linalg.pinv(polynomial_basis(place, order))
     found = traced_bundles(bench, instrument, direction) - nominal
     bias = without_pointing(dense_place, traced_px - dense_nominal - carry @ found)
     error = np.hypot(point_error_px, target.marking_error_arcsec / instrument.pixel_arcsec)
@@ -319,9 +308,4 @@ def forecast_map(
         unit[:, :, axis] = carry
         parts.append(np.stack([without_pointing(dense_place, unit[:, j]) for j in range(unit.shape[1])]))
     noise2 = sum((part**2).mean(1).sum(0) for part in parts)
-    return MapForecast(
-        points=len(place),
-        order=order,
-        bias_px=np.sqrt((bias**2).mean(0)),
-        noise_px=np.asarray(error * np.sqrt(noise2)),
-    )
+    return MapForecast(np.sqrt((bias**2).mean(0)), np.asarray(error * np.sqrt(noise2)))

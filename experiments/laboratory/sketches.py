@@ -10,11 +10,8 @@ from matplotlib.patches import Circle, Ellipse, FancyArrowPatch, Polygon, Rectan
 from numpy.typing import ArrayLike
 
 from experiments.harness.plotting import INK, PALETTE, new_figure
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_figures import detector_outline
-from optics.arrays import FloatArray
 
-__all__ = ["camera_model", "collimator_bench", "grid_on_detector"]
+__all__ = ["camera_model", "collimator_bench"]
 
 FILL, FAINT, LIGHT = "#eef0f2", "#8a9099", "#e6a817"
 
@@ -93,25 +90,6 @@ def collimator_bench(*, filters: bool = False) -> Figure:
             sheet.plot([a, b], [foot, top], color=INK, linewidth=1.6, solid_capstyle="round")
     _word(sheet, (18.0, 2.4), "hexapod", ha="left")
     return figure
-
-
-def grid_on_detector(place_px: FloatArray, instrument: Instrument) -> Figure:
-    """The detector with the images of a surveyed grid target (n, 2) (ACC18 section 1.4.2), to scale."""
-    figure, sheet = _detector(instrument)
-    sheet.plot(*place_px.T, "o", color=PALETTE[0], markersize=4, markeredgewidth=0)
-    size = instrument.camera.height_px
-    for number, (x, y) in enumerate(place_px, start=1):
-        aside = 0.045 * size if y < size / 2 else -0.045 * size
-        _word(sheet, (x, y + aside), f"{number}", fontsize=6, color=FAINT)
-    return figure
-
-
-def _detector(instrument: Instrument) -> tuple[Figure, Any]:
-    width_px, height_px = instrument.camera.width_px, instrument.camera.height_px
-    figure, sheet = new_figure(aspect_ratio=min(0.9, 0.9 * height_px / width_px + 0.06))
-    sheet.set(xlabel="column [px]", ylabel="row [px]")
-    detector_outline(sheet, width_px, height_px, instrument)
-    return figure, sheet
 
 
 def camera_model() -> Figure:

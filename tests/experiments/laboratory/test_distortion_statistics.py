@@ -27,6 +27,19 @@ def test_a_cubic_leaves_nothing_of_a_cubic():
     np.testing.assert_allclose(found.sigma_c1_px, found.sigma_d_px)
 
 
+def test_a_cubic_leaves_all_of_an_orthogonal_quartic():
+    """x^4 without its part in polynomials of degree 3 is left whole, in x; y keeps nothing. Divisor of the variance:
+    W - 1."""
+    lower = polynomial_terms(PLACE, 3)
+    quartic = PLACE[:, 0] ** 4
+    quartic = quartic - lower @ np.linalg.lstsq(lower, quartic, rcond=None)[0]
+    d = np.column_stack([quartic, np.zeros(32)])
+    found = distortion_statistics(PLACE, d, 3)
+    np.testing.assert_allclose(found.left_px, d, atol=1e-14)
+    np.testing.assert_allclose(found.sigma_left_px, [np.sqrt((quartic**2).sum() / 31.0), 0.0], rtol=1e-9, atol=1e-15)
+    assert found.sigma_c1_px.max() < 1e-8
+
+
 def test_of_pure_noise_a_cubic_removes_nine_of_31_parts():
     rng, runs = np.random.default_rng(1), 2000
     removed = np.mean([distortion_statistics(PLACE, rng.normal(size=(32, 2)), 3).sigma_c1_px ** 2 for _ in range(runs)])
