@@ -43,7 +43,6 @@ from experiments.laboratory.collimator import build_collimator
 from experiments.laboratory.collimator_effects import COLLIMATOR, collimator_shift
 from experiments.laboratory.filter_wheel import interference_filters, open_band
 from experiments.laboratory.instrument import Instrument, build_instrument
-from experiments.laboratory.point_figures import detector_outline
 from experiments.laboratory.published import ACC18_ARCSEC, ACC18_TABLE1_PX, is_published_sensor
 from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.signal import electrons_of_star, signal_of
@@ -191,12 +190,24 @@ def field_map(o: Outcome, pairs: Sequence[str] = ()) -> Figure:
             key, middle = float(f"{longest:.0e}"), (0.58 * camera.width_px, 0.5 * camera.height_px)
             panel.quiver(*middle, key, 0, color=INK, width=0.0045, **style)
             panel.text(middle[0], middle[1] - 0.06 * camera.height_px, f"{key:g} px", fontsize=8)
-            detector_outline(panel, camera.width_px, camera.height_px, o.result["bench"].instrument)
+            detector_frame(panel, o.result["bench"].instrument)
             panel.set_title(f"{pair} nm, {label}")
         row[0].set_ylabel("row [px]")
     for panel in grid[-1]:
         panel.set_xlabel("column [px]")
     return figure
+
+
+def detector_frame(panel: Any, instrument: Instrument) -> None:
+    """Edge of the detector and seams between its chips; row 0 is at the top."""
+    chip, size = instrument.detector, np.array([instrument.camera.width_px, instrument.camera.height_px])
+    x, y = ((-0.5, end - 0.5) for end in size)
+    panel.plot([x[0], x[1], x[1], x[0], x[0]], [y[0], y[0], y[1], y[1], y[0]], color="#8a9099", linewidth=0.8)
+    for seam in range(1, chip.chips):
+        panel.axvline(seam * (chip.chip_width_px + chip.gap_px) - 0.5, color="#c3c8ce", linewidth=0.8)
+    margin = 0.03 * size.max()
+    panel.set(xlim=(-margin, size[0] + margin), ylim=(size[1] + margin, -margin), aspect="equal")
+    panel.grid(visible=False)
 
 
 # --- Point by point

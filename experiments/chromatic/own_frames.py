@@ -13,7 +13,7 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench import band_pairs
-from experiments.laboratory.chromatic_error import after_calibration, rms, shifts, table1
+from experiments.laboratory.chromatic_error import CALIBRATIONS, after_calibration, rms, shifts, table1
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
 from experiments.reduce.road import FramesTest, Reduced
@@ -22,8 +22,6 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError
 
 __all__ = ["FilterFrames", "filter_frames", "own_frames"]
-
-STEPS = ("as found", "principal point", "focal length", "both")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,7 +144,7 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
             )
         )
         left = after_calibration(shift[name], place - folder.centre_px)
-        residuals.append(Residual(residual_px=np.array([np.linalg.norm(rms(left[step])) for step in STEPS])))
+        residuals.append(Residual(residual_px=np.array([np.linalg.norm(rms(left[step])) for step in CALIBRATIONS])))
     every = [seen.shift_px(m) for m in methods]
     whole, spread = (np.stack([one[name].reshape(-1, 2) for name in names]) for one in (shift, sigma))
     return [one for row in seen.grid for one in row], {
@@ -158,7 +156,7 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
 
 
 def _axes(q: Quantities, pairs: Sequence[Pair]) -> None:
-    q.axis("step", list(STEPS), "Calibration of the band")
+    q.axis("step", list(CALIBRATIONS), "Calibration of the band")
     q.axis("point", np.arange(len(pairs[0].shift_arcsec)) + 1, "Point")
 
 

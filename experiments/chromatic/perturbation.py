@@ -96,10 +96,18 @@ def solve(
     config: Config, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
 ) -> list[Solution]:
     """Every element, decentred and tilted."""
-    wanted = {"pair": config.pair, "axis": "xy".index(config.decentre.axis), "wanted_px": config.decentre.wanted_px}
     moves = [(element, kind) for kind in LIMIT for element in instrument.camera.lens.elements]
     return [
-        solve_perturbation(bench, instrument, direction, element=element, kind=kind, **wanted)
+        solve_perturbation(
+            bench,
+            instrument,
+            direction,
+            element=element,
+            kind=kind,
+            pair=config.pair,
+            axis="xy".index(config.decentre.axis),
+            wanted_px=config.decentre.wanted_px,
+        )
         for element, kind in progress.track(moves, "which element")
     ]
 

@@ -82,7 +82,7 @@ def col(
     dims: str = "",
     *,
     json: str | Mapping[str, Any] | None = None,
-    json_error: str = "",
+    json_error: str | Mapping[str, Any] = "",
     key: str | None = None,
     shown: bool = True,
     default: Any = ...,
