@@ -15,13 +15,12 @@ half of the difference of two filters, in full.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from experiments.harness.pivot import Pivot
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import Criterion, Measured, farthest_from_one, measured
@@ -41,14 +40,9 @@ from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM
 __all__ = [
     "COLLIMATOR",
     "PARTS",
-    "ChromaticEffect",
     "CollimatorShift",
     "LineOfSight",
-    "add_chromatic_effect",
     "add_line_of_sight",
-    "chromatic_criteria",
-    "chromatic_effect",
-    "chromatic_table",
     "closed_motion_px",
     "closed_spot_um",
     "collimator_shift",
@@ -111,48 +105,6 @@ def closed_spot_um(bench: Bench, instrument: Instrument, direction: FloatArray) 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ChromaticEffect:
-    """The collimator in ACC18's chromatic test, by pair of bands."""
-
-    part_px: Mapping[str, Mapping[str, FloatArray]]  # (2,) By each of `PARTS`, in closed form: what it adds to Table 1
-    # (2,) Table 1 as measured minus that traced without the collimator's errors, and its standard deviation
-    seen_px: Mapping[str, FloatArray]
-    # (2,) Table 1 as measured minus that traced without the collimator's errors, and its standard deviation
-    sigma_px: Mapping[str, FloatArray]
-    spot_um: FloatArray | None  # (b,) RMS radius of the spots in closed form, and of the rendered light
-    seen_spot_um: FloatArray | None  # (b,) RMS radius of the spots in closed form, and of the rendered light
-
-    @property
-    def together_px(self) -> dict[str, FloatArray]:
-        """All parts."""
-        return {pair: np.sum([of[pair] for of in self.part_px.values()], axis=0) for pair in self.seen_px}
-
-
-def chromatic_effect(
-    bench: Bench,
-    instrument: Instrument,
-    direction: FloatArray,
-    table1_px: Mapping[str, FloatArray],
-    sigma_px: Mapping[str, FloatArray],
-    seen_spot_um: FloatArray | None = None,
-) -> ChromaticEffect | None:
-    """Closed forms beside what was measured; None for a perfect collimator."""
-    if bench.collimator is None:
-        return None
-    without = shifts(bundle_prediction(replace(bench, collimator=None), instrument, direction), bench.pairs)
-    motion = closed_motion_px(bench, instrument)
-    return ChromaticEffect(
-        part_px={
-            part: {pair: (of[high] - of[low]) / 2.0 for pair, high, low in bench.pairs} for part, of in motion.items()
-        },
-        seen_px={pair: table1_px[pair] - table1(shift) for pair, shift in without.items()},
-        sigma_px=sigma_px,
-        spot_um=None if seen_spot_um is None else closed_spot_um(bench, instrument, direction),
-        seen_spot_um=seen_spot_um,
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class CollimatorShift:
     """What the collimator adds to Table 1; the dimensions ``pair``, ``axis`` and ``band`` are described elsewhere."""
 
@@ -211,48 +163,6 @@ def collimator_shift(
     seen = table1_px - np.array([table1(shift) for shift in without.values()])
     ratio = None if seen_spot_um is None else seen_spot_um / closed_spot_um(bench, instrument, direction)
     return CollimatorShift(part_px=parts, together_px=parts.sum(0), seen_px=measured(seen, sigma_px), spot_ratio=ratio)
-
-
-def add_chromatic_effect(q: Quantities, effect: ChromaticEffect) -> None:
-    """The effect as quantities ``collimator_...``; the axes ``pair``, ``axis`` and ``band`` are there already."""
-    pairs = list(effect.seen_px)
-    q.axis("part", list(PARTS), "Part", names=PARTS)
-    entry: dict[str, Any] = {"unit": "px", "dims": "pair axis", "format": "+.4f"}
-    parts = [[of[pair] for pair in pairs] for of in effect.part_px.values()]
-    json = "collimator.{}_px"
-    q.add("collimator_part_px", parts, "Closed form", **(entry | {"dims": "part pair axis"}), json=json.format("parts"))
-    together = effect.together_px
-    values = [together[pair] for pair in pairs]
-    q.add("collimator_together_px", values, "Together", **entry, json=json.format("together"))
-    seen, sigma = ([of[pair] for pair in pairs] for of in (effect.seen_px, effect.sigma_px))
-    places = {"json": json.format("seen"), "json_error": "collimator.sigma_px"}
-    q.add("collimator_seen_px", seen, "Seen", **entry, error=sigma, **places)
-
-
-def chromatic_criteria(effect: ChromaticEffect) -> list[Criterion]:
-    """Table 1 and spots of a collimator with errors against the closed forms."""
-    expected, seen, sigma = (
-        np.array(list(of.values())) for of in (effect.together_px, effect.seen_px, effect.sigma_px)
-    )
-    allowed = two_sided_limit(seen.size) * sigma + FIELD_RATIO * np.abs(expected)
-    found = [
-        Criterion(
-            name="collimator: Table 1 less that traced without its errors, against (n - 1) wedge, air and "
-            "decollimation in closed form, in units of what is allowed",
-            value=float((np.abs(seen - expected) / allowed).max()),
-            limit=1.0,
-        )
-    ]
-    if effect.seen_spot_um is not None and effect.spot_um is not None:
-        found.append(
-            Criterion(
-                name="collimator: radius of the rendered spots over that of a refocused camera and a disk",
-                value=farthest_from_one(effect.seen_spot_um / effect.spot_um),
-                about=1.0,
-                limit=SPOT_RATIO,
-            )
-        )
-    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -354,15 +264,4 @@ def line_of_sight_criterion(sight: LineOfSight) -> Criterion:
         value=farthest_from_one(sight.seen_px / sight.between_px),
         about=1.0,
         limit=MOTION_RATIO + two_sided_limit(2) * float(drawn),
-    )
-
-
-def chromatic_table() -> Pivot:
-    """Table of the quantities of `add_chromatic_effect`."""
-    return Pivot(
-        rows="pair axis",
-        across="part",
-        columns="collimator_part_px collimator_together_px collimator_seen_px",
-        caption="What the collimator adds to Table 1.",
-        note="*Seen*: Table 1 as measured, less that traced through the lens alone.",
     )
