@@ -137,7 +137,7 @@ WORDS: dict[str, tuple[str, str]] = {
     ),
     "experiments/cube": (
         "yes: geometry of faces and readings, and the reduction of perfect positions",
-        "R_sp written out from the document's equations; light really reflected; differences",
+        "CUBE09 eq. 7 written out; light really reflected; differences",
     ),
     "experiments/skycal": (
         YES,

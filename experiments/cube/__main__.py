@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.cube.experiment import main
+from experiments.cube.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,4 +1,4 @@
-"""The benches: what is true on each of them, and the one rendered laboratory that they all are put into."""
+"""The benches: what is true on each, the one rendered laboratory that they all are put into, what is refused."""
 
 from __future__ import annotations
 
@@ -16,15 +16,28 @@ from calib.calibration.cube_mirror import normal_of_offset, triad
 from experiments.cube.settings import Config
 from experiments.laboratory.turntable import Turntable, build_turntable
 from optics.arrays import FloatArray
+from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.bench.camera import BenchCamera
 from render.bench.scene import FACES, BenchGeometry, CubePose, bench_scene, place_cube
 from render.bench.sensor import MaskSensor
+from render.bench.trace import trace_screen
+from render.detector.diffusion import diffuse
 from render.detector.spec import Detector, load_detector
 from render.engine.random import Streams
 
-__all__ = ["FACE_ANGLES_DEG", "Case", "Laboratory", "Truth", "build_laboratory", "draw_truths", "geometry_of"]
-
+__all__ = [
+    "FACE_ANGLES_DEG",
+    "Case",
+    "Laboratory",
+    "Truth",
+    "build_laboratory",
+    "check_landing",
+    "draw_truths",
+    "geometry_of",
+    "reflected_spot_mm",
+    "spot_profile",
+]
 
 DATA = Path(__file__).parents[1] / "data"
 FACE_ANGLES_DEG = {"+Z": (0.0, 180.0), "+X": (0.0, 90.0), "-X": (0.0, 270.0)}
@@ -35,40 +48,23 @@ NOMINAL_CUBE = np.diag([-1.0, 1.0, -1.0])
 
 COVER_LOG2 = 21
 
+RIM_PX = 8.0
+"""Rim of the spot that must show around the aperture."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """One bench: everything that the calibration has to find or suffers from. Terms are in units of their sigma.
+    """One bench: everything that the calibration has to find or suffers from. Terms are in units of their sigma."""
 
-    Attributes
-    ----------
-    number : int
-        Which bench.
-    table_from_cube : (3, 3)
-        Of the cube's body.
-    normal : (6, 3)
-        Normals in the body's frame, in the order of `render.bench.scene.FACES`.
-    sensor_from_table : (3, 3)
-        R_sr.
-    sensor : MaskSensor
-        The sun sensor as it was built.
-    start : (faces, repeats, 2)
-        Where the eye leaves the spot, -1 to 1 of ``trim.start_px``.
-    aim, mounting : (faces, repeats, 2)
-        Aiming error and give of the camera mount, x and y on the screen.
-    lean : float
-        Axes out of square.
-    """
-
-    number: int
-    table_from_cube: FloatArray
-    normal: FloatArray
-    sensor_from_table: FloatArray
-    sensor: MaskSensor
-    start: FloatArray
-    aim: FloatArray
-    mounting: FloatArray
-    lean: float
+    number: int  # Which bench
+    table_from_cube: FloatArray  # (3, 3) Of the cube's body
+    normal: FloatArray  # (6, 3) In the body's frame, in the order of `render.bench.scene.FACES`
+    sensor_from_table: FloatArray  # (3, 3) R_sr
+    sensor: MaskSensor  # The sun sensor as it was built
+    start: FloatArray  # (faces, repeats, 2) Where the eye leaves the spot, -1 to 1 of ``trim.start_px``
+    aim: FloatArray  # (faces, repeats, 2) Aiming error, x and y on the screen
+    mounting: FloatArray  # (faces, repeats, 2) Give of the camera mount
+    lean: float  # Axes out of square
 
     def normal_in_table(self, face: str) -> FloatArray:
         """True normal of a face in the table frame (3,)."""
@@ -91,12 +87,12 @@ class Truth:
 class Case:
     """Which errors are switched on, and how the reduction goes."""
 
-    name: str  # For machines and for people
-    label: str  # For machines and for people
+    name: str  # For machines
+    label: str  # For people
     aim_px: float = 0.0  # 1 sigma of what the operator takes for concentric
-    lean: bool = False  # Axes out of square, camera mount, angle reading
-    mounting: bool = False  # Axes out of square, camera mount, angle reading
-    reading: bool = False  # Axes out of square, camera mount, angle reading
+    lean: bool = False  # Axes out of square
+    mounting: bool = False  # Camera mount
+    reading: bool = False  # Angle reading
     # Trim from where the eye left the spot, in steps of the table, with the operator's gain, until the stop rule
     # holds; otherwise the table goes where it is sent, starts trimmed, and one correction is enough
     coarse: bool = False
@@ -113,10 +109,10 @@ class Laboratory:
     config: Config  # Settings
     geometry: BenchGeometry  # Sizes
     camera: BenchCamera  # The camera as it was aimed
-    detector: Detector  # CCD and sun sensor
-    sensor_detector: Detector  # CCD and sun sensor
-    scene: Any  # Mitsuba objects
-    sensor: Any  # Mitsuba objects
+    detector: Detector  # Of the CCD camera
+    sensor_detector: Detector  # Of the sun sensor
+    scene: Any  # Mitsuba's
+    sensor: Any  # The camera as a sensor of Mitsuba
     aperture_e: NDArray[np.float32]  # (h, w) Expected electrons of the picture of the covered, glowing aperture
     streams: Streams  # Root of the randomness
 
@@ -167,10 +163,6 @@ def camera_of(config: Config, detector: Detector) -> BenchCamera:
 
 def build_laboratory(config: Config) -> Laboratory:
     """Build the scene once, and take the picture of the covered aperture, which no bench changes."""
-    from experiments.cube.checks import check_bench, check_light_levels
-    from render.bench.trace import trace_screen
-    from render.detector.diffusion import diffuse
-
     geometry = geometry_of(config)
     detector = load_detector(config.camera.detector or DATA / "cube_ccd.toml")
     sensor_detector = load_detector(config.sensor.detector or DATA / "cube_sun_sensor.toml")
@@ -311,3 +303,112 @@ def start_angles(
     angle = concentric_angles(straight, truth.normal_in_table(name), name)
     # from looking at the Sun to looking beside it: turn about y and x by the offset of the normal
     return angle + np.array([-normal[1], normal[0]])
+
+
+# --- The spot in closed form, and what is refused before long work
+
+
+def check_bench(config: Config, geometry: BenchGeometry, camera: BenchCamera) -> None:
+    """Refuse a bench that cannot work."""
+    hole, face = geometry.aperture_mm, geometry.face_mm
+    blur = geometry.blur_mm(geometry.path_mm)
+    if face < hole:
+        raise DomainError(
+            f"the aperture of {hole:g} mm is larger than the spot, which a face of {face:g} mm cuts down; the spot "
+            "must show around the aperture (screen.aperture_mm, cube.side_mm)"
+        )
+    rim_px = blur / camera.pitch_mm
+    if rim_px < RIM_PX:
+        raise DomainError(
+            f"the aperture of {hole:g} mm is as large as the spot of {hole + 2 * blur:.4g} mm: a rim of {rim_px:.2g} "
+            f"px shows around it, at least {RIM_PX:g} px are needed; make simulator.source_arcmin = "
+            f"{config.simulator.source_arcmin:g} or screen.distance_mm larger"
+        )
+    beam = hole + 2 * geometry.blur_mm(geometry.distance_mm)
+    if beam > face:
+        raise DomainError(
+            f"the beam is {beam:.4g} mm wide at the cube, its face only {face:g} mm; make cube.side_mm larger or "
+            "screen.aperture_mm or simulator.source_arcmin smaller"
+        )
+    start = config.trim.start_px * camera.pitch_mm
+    _check_spot(config, geometry, camera, np.array([start, start]), "trim.start_px")
+
+
+def check_light_levels(config: Config, detector: Detector, sensor_detector: Detector) -> None:
+    """Refuse exposures that saturate."""
+    for key, plateau_e, chip in (
+        ("camera.plateau_e", config.camera.plateau_e, detector),
+        ("sensor.plateau_e", config.sensor.plateau_e, sensor_detector),
+    ):
+        limit = 0.9 * min(chip.full_well_e, (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e)
+        if plateau_e > limit:
+            raise DomainError(
+                f"{key} = {plateau_e:g} e- saturates {chip.name!r}; at most {limit:.4g} e- (0.9 of full well and "
+                "converter) are allowed"
+            )
+
+
+def _check_spot(config: Config, geometry: BenchGeometry, camera: BenchCamera, spot_mm: FloatArray, hint: str) -> None:
+    """The whole spot must be on the screen and in the picture."""
+    reach = geometry.aperture_mm / 2 + geometry.blur_mm(geometry.path_mm)
+    edge = float(np.max(np.abs(spot_mm)) + reach)
+    if edge > geometry.screen_mm / 2:
+        raise DomainError(
+            f"the spot is off the screen: it reaches {edge:.4g} mm from the aperture, the screen "
+            f"{geometry.screen_mm / 2:g} mm; align the cube better by eye ({hint}) or make screen.side_mm larger"
+        )
+    angle = 2 * np.pi * np.arange(16) / 16
+    rim = spot_mm + reach * np.column_stack([np.cos(angle), np.sin(angle)])
+    pixel = camera.to_pixel(rim)
+    limit = np.array([camera.width_px, camera.height_px]) - 0.5
+    if np.any(pixel < -0.5) or np.any(pixel > limit):
+        raise DomainError(
+            f"the spot of {2 * reach:.4g} mm, {spot_mm[0]:.4g}, {spot_mm[1]:.4g} mm from the aperture, is not wholly "
+            f"in the picture of {camera.width_px} x {camera.height_px} px of {camera.pitch_mm * 1e3:g} um; start "
+            f"nearer ({hint}) or take a detector with more pixels (camera.detector)"
+        )
+
+
+def check_landing(config: Config, geometry: BenchGeometry, camera: BenchCamera, pose: CubePose, face: str) -> None:
+    """Refuse a pose in which the beam misses the face or the spot is lost."""
+    centre, normal = pose.face(face, geometry)
+    if normal[2] < 0.5:
+        raise DomainError(f"face {face} does not look at the light; the table stands wrong")
+    depth = (centre @ normal) / -normal[2]  # along the beam, from the aperture
+    hit = np.array([0.0, 0.0, -depth]) - centre
+    across = np.abs(pose.rotation.T @ hit)
+    half, beam = geometry.face_mm / 2, geometry.aperture_mm / 2 + geometry.blur_mm(geometry.distance_mm)
+    worst = float(np.sort(across)[-1])
+    if worst + beam > half:
+        how = "misses" if worst - beam > half else "is cut by the edge of"
+        raise DomainError(
+            f"the beam {how} face {face}: it falls {worst:.4g} mm from the middle of a polished face of "
+            f"{geometry.face_mm:g} mm; bring cube.offset_mm nearer to the axes of the table or take a larger cube"
+        )
+    _check_spot(config, geometry, camera, reflected_spot_mm(geometry, pose, face), "trim.start_px, cube.mount_arcmin")
+
+
+def reflected_spot_mm(geometry: BenchGeometry, pose: CubePose, face: str) -> FloatArray:
+    """Where the middle of the beam lands on the screen (2,), by the law of reflection."""
+    centre, normal = pose.face(face, geometry)
+    light = np.array([0.0, 0.0, -1.0])
+    hit = light * ((centre @ normal) / (light @ normal))
+    back = light - 2 * (light @ normal) * normal
+    return np.asarray((hit - back * (hit[2] / back[2]))[:2])
+
+
+def spot_profile(geometry: BenchGeometry, radius_mm: ArrayLike) -> FloatArray:
+    """Irradiance of the spot over that of the beam at distances from its centre: aperture convolved with the Sun.
+
+    A point sees the Sun, in the mirror, through the aperture: the visible part of the Sun's disk is the overlap of two
+    circles, the aperture (radius a) and the Sun's image over the whole path (radius b), r apart. The path counts from
+    the aperture to the face and back; that the aperture is crossed 20 mm behind the simulator changes nothing.
+    """
+    a, b = geometry.aperture_mm / 2, geometry.blur_mm(geometry.path_mm)
+    r = np.maximum(np.asarray(radius_mm, float), 1e-12)
+    cos_a = np.clip((r**2 + a**2 - b**2) / (2 * r * a), -1, 1)
+    cos_b = np.clip((r**2 + b**2 - a**2) / (2 * r * b), -1, 1)
+    angle_a, angle_b = np.arccos(cos_a), np.arccos(cos_b)
+    lens = a**2 * (angle_a - np.sin(2 * angle_a) / 2) + b**2 * (angle_b - np.sin(2 * angle_b) / 2)
+    lens = np.where(r >= a + b, 0.0, np.where(r <= abs(a - b), np.pi * min(a, b) ** 2, lens))
+    return np.asarray(lens / (np.pi * b**2))

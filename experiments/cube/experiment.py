@@ -1,121 +1,468 @@
-"""Sun sensor to cube mirror (CUBE09): a rendered bench, trimmed face by face, reduced to R_sp, against its budget.
-
-A collimated sun shines through an aperture onto a polished face of a cube mirror on a two-axis turntable; the table is
-trimmed until the reflected spot is concentric with the aperture, first one face, then another, as the document does.
-The sun sensor on the same table is calibrated by turning the table over its field. A hundred misaligned benches show
-which term of the published budget (eq. 13 and 14) does what to which axis, and what would bring the error below 1
-arcsec.
-"""
+"""Sun sensor to cube mirror: the run, the shown bench, and what stands next to the budget (`budget`)."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
+
+from calib.measure.circle_fit import CircleFit
+from experiments.cube.bench import (
+    Case,
+    Laboratory,
+    Truth,
+    build_laboratory,
+    build_table,
+    concentric_angles,
+    draw_truths,
+    reflected_spot_mm,
+)
+from experiments.cube.budget import (
+    BUDGET,
+    DETECTOR_RELATIVE,
+    PICTURES_RELATIVE,
+    SENSOR_RELATIVE,
+    BudgetRow,
+    beam_rates,
+    build_budget,
+    eq14_arcsec,
+    lean_rates,
+    perfect_sensor,
+    sigma1_arcsec,
+)
+from experiments.cube.montecarlo import CASES, BenchResult, CaseResult, SensorCache, run_bench, run_cases
+from experiments.cube.noise import PictureNoise, picture_noise, sensor_noise
+from experiments.cube.sensor import SensorRun
 from experiments.cube.settings import Config
-from experiments.harness.cli import command
-from experiments.harness.experiment import Experiment
+from experiments.cube.trim import FaceTrim, Picture
+from experiments.harness.drawings import arrows
+from experiments.harness.plotting import new_figure
 from experiments.harness.progress import Progress
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.sections import Section, agree, col, ratio_near
+from experiments.harness.summary import Measured, measured
+from optics.arrays import FloatArray
+from optics.units import DEG_RAD, RAD_ARCSEC, RAD_DEG
+from render.bench.scene import CubePose
+from render.bench.view import overview_scene, overview_sensor, render_overview
 
-if TYPE_CHECKING:
-    from experiments.cube.result import Result
-
-__all__ = ["Config", "experiment", "main", "run"]
+__all__ = ["PUBLISHED_TRIMS", "SECTIONS", "axes", "run", "trim_tables"]
 
 VIEW_PX = (760, 440)
+BEAM = np.array([1.0, 0.58, 0.08])
+PAPER = np.array([1.0, 0.99, 0.965])
+
+PUBLISHED_TRIMS = {
+    "XY": (
+        (181.400, 0.550, 4.912, 19.429),
+        (181.390, 0.540, 5.282, 12.243),
+        (181.390, 0.532, 6.307, 5.181),
+        (181.395, 0.531, 2.385, 3.558),
+        (181.398, 0.530, 0.034, 2.404),
+        (181.398, 0.528, 0.057, 0.771),
+        (181.398, 0.528, 0.057, 0.771),
+    ),
+    "YZ": (
+        (91.400, -0.070, 12.575, 20.226),
+        (91.380, -0.050, 11.729, 2.557),
+        (91.385, -0.050, 1.326, 1.323),
+        (91.386, -0.050, 0.857, 1.897),
+        (91.386, -0.048, 0.320, 0.442),
+    ),
+}
+"""CUBE09 Table 1: large angle, small angle [deg], offsets x, y [px] without their signs."""
 
 
-def run(config: Config, *, progress: Progress) -> Result:
-    """Build the bench, trim, calibrate, and repeat on every misaligned bench."""
+# --- The bench and all benches together
 
-    from experiments.cube.bench import build_laboratory, draw_truths
-    from experiments.cube.budget import beam_rates, build_budget, lean_rates, perfect_sensor
-    from experiments.cube.montecarlo import CASES, SensorCache, run_bench, run_cases
-    from experiments.cube.noise import picture_noise
-    from experiments.cube.result import Result
-    from experiments.cube.verify import check_light, repeatability
 
-    with progress.stage("bench"):
-        laboratory = build_laboratory(config)
-        truths = draw_truths(config, laboratory.streams)
-    performed = next(case for case in CASES if case.name == "procedure")
-    known = SensorCache()
-    with progress.stage("one bench, shown"):
-        shown = run_bench(
-            laboratory,
-            truths[0],
-            performed,
-            known,
-            log2_particles=config.benches.shown_log2_particles,
-            keep=True,
-        )
-    cases = run_cases(laboratory, truths, CASES, progress)
-    with progress.stage("checks"):
-        light = check_light(laboratory)
-        again = repeatability(laboratory)
-        pictures = picture_noise(laboratory)
-        budget = build_budget(laboratory, cases, pictures)
-        sensor = perfect_sensor(laboratory)
-        rates = lean_rates(config, sensor), beam_rates(config, sensor)
-    with progress.stage("views"):
-        views = _views(config, laboratory, truths[0])
-    return Result(
-        config=config,
-        laboratory=laboratory,
-        truths=truths,
-        shown=shown,
-        shown_run=known.runs[performed.lean],
-        cases=cases,
-        budget=budget,
-        lean_rate=rates[0],
-        beam_rate=rates[1],
-        light=light,
-        repeatability=again,
-        picture_noise=pictures,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """Sizes, equations 13 and 14, and what geometry says of errors that eq. 14 leaves out."""
+
+    r_sp_error_arcsec_1sigma: Sequence[Measured] = col("R_sp, as performed", "arcsec", dims="axis")
+    improved_arcsec: Sequence[Measured] = col("R_sp, reduced better", "arcsec", dims="axis", json="")
+    eq13_arcsec: float = col("Eq. 13", "arcsec", ".2f")
+    eq14_arcsec: float = col("Eq. 14", "arcsec", ".2f")
+    benches: int = col("Benches")
+    settings_per_face: float = col("Settings per face", format=".1f")
+    pitch_um: float = col("Pixel on the screen", "um", "g", json="")
+    spot_mm: float = col("Width of the spot", "mm", ".2f", json="")
+    rim_mm: float = col("Rim of the spot", "mm", ".2f", json="")
+    lean_rate: FloatArray = col(
+        "Error of R_sp per squareness", dims="component", json="error_per_arcsec.axes_out_of_square"
+    )
+    beam_x_rate: FloatArray = col("Error of R_sp per beam in x", dims="component", json="error_per_arcsec.beam_x")
+    beam_y_rate: FloatArray = col("Error of R_sp per beam in y", dims="component", json="error_per_arcsec.beam_y")
+    views: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]  # (bodies, beam), radiances (h, w)
+
+
+def setup(laboratory: Laboratory, cases: Mapping[str, CaseResult], rows: Sequence[BudgetRow], views: Any) -> Setup:
+    """What all benches gave, and the bench itself."""
+    geometry, sensor, by_name = laboratory.geometry, perfect_sensor(laboratory), {row.term: row for row in rows}
+    rim, beam = geometry.blur_mm(geometry.path_mm), beam_rates(laboratory.config, sensor)
+    return Setup(
+        r_sp_error_arcsec_1sigma=by_name["procedure"].measured,
+        improved_arcsec=by_name["improved"].measured,
+        eq13_arcsec=sigma1_arcsec(laboratory),
+        eq14_arcsec=eq14_arcsec(laboratory),
+        benches=laboratory.config.benches.count,
+        settings_per_face=float(cases["procedure"].trims.mean()),
+        pitch_um=laboratory.pitch_mm * 1e3,
+        spot_mm=geometry.aperture_mm + 2 * rim,
+        rim_mm=rim,
+        lean_rate=lean_rates(laboratory.config, sensor),
+        beam_x_rate=beam[:, 0],
+        beam_y_rate=beam[:, 1],
         views=views,
     )
 
 
-def _views(config: Config, laboratory: Any, truth: Any) -> list[Any]:
-    """The bench from afar and the cube from near, the first face trimmed."""
-    from experiments.cube.bench import Case, build_table, concentric_angles
-    from render.bench.scene import CubePose
-    from render.bench.view import overview_scene, overview_sensor, render_overview
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Benches:
+    """Error of R_sp, bench by bench, in one case."""
 
+    name: str = col("Case", json="", key="case")
+    mean_error_arcsec: Sequence[Measured] = col("Mean error of R_sp", "arcsec", dims="axis", shown=False)
+    error_arcsec: FloatArray = col("Error", "arcsec", dims="bench axis", json="", key="error_{axis}_arcsec")
+    settings_first: Sequence[int] = col("Settings, first face", dims="bench", json="")
+    settings_second: Sequence[int] = col("Settings, second face", dims="bench", json="")
+
+
+def every_bench(case: CaseResult) -> Benches:
+    """All benches of a case."""
+    first, second = ([len(bench.trims[place].rows) for bench in case.bench] for place in (0, -1))
+    return Benches(
+        name=case.case.name,
+        mean_error_arcsec=measured(*case.mean_arcsec, len(case.bench)),
+        error_arcsec=case.error_arcsec,
+        settings_first=first,
+        settings_second=second,
+    )
+
+
+# --- Sun sensor and pictures: noise predicted from detector, light and geometry
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Noise:
+    """Errors of R_sr on all benches, on a square table, and what pictures scatter by."""
+
+    r_sr_predicted_arcsec: Sequence[Measured] = col("Error of R_sr, predicted", "arcsec", dims="axis")
+    r_sr_mean_error_arcsec: Sequence[Measured] = col("Mean error of R_sr", "arcsec", dims="axis")
+    r_sr_error_over_stated: FloatArray = col("Error of R_sr over the stated one", dims="axis")
+    r_sr_error_over_predicted: Measured = col("Error of R_sr over predicted, RMS")
+    spots_predicted_px: float = col("Scatter of the spots, predicted", "px", ".4f", json="r_sr.spots_predicted_px")
+    # Aperture and spot from two pictures, and both from one; with the particles of the rendering, and without
+    picture_noise_px: Sequence[Measured] = col("Scatter of an offset, predicted", "px", dims="reduced")
+    detector_noise_px: Sequence[Measured] = col("The same by the detector alone", "px", dims="reduced")
+    squareness_sigma_arcsec: float = col("Squareness known to", "arcsec", ".2f", json="")
+    sensor_rms_arcsec: FloatArray = col("Part of R_sr, reduced better", "arcsec", ".2f", "axis", json="")
+
+
+def noise(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictures: PictureNoise) -> Noise:
+    """Prediction against the errors of all benches."""
+    reading, improved = cases["reading"], cases["improved"]
+    predicted = sensor_noise(laboratory, reading=True, lean=False)
+    sigma = np.sqrt(np.diag(predicted.covariance_rad2)) * RAD_ARCSEC
+    off = np.array([one.sensor_error_arcsec for one in reading.bench]) / sigma
+    whole = np.array([pictures.two_px, pictures.own_px])
+    detector = np.array([pictures.two_detector_px, pictures.own_detector_px])
+    return Noise(
+        r_sr_predicted_arcsec=measured(sigma, SENSOR_RELATIVE * sigma),
+        r_sr_mean_error_arcsec=measured(*reading.sensor_mean_arcsec, len(reading.bench)),
+        r_sr_error_over_stated=reading.sensor_pull,
+        r_sr_error_over_predicted=Measured(
+            value=float(np.sqrt(np.mean(off**2))), uncertainty=1 / np.sqrt(2 * off.size), n=off.size
+        ),
+        spots_predicted_px=predicted.spot_px,
+        picture_noise_px=measured(whole, PICTURES_RELATIVE * whole),
+        detector_noise_px=measured(detector, DETECTOR_RELATIVE * detector),
+        squareness_sigma_arcsec=float(np.mean([one.sensor.lean_sigma_rad for one in improved.bench])) * RAD_ARCSEC,
+        sensor_rms_arcsec=improved.sensor_rms_arcsec,
+    )
+
+
+# --- The shown bench
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """The first bench, as performed, with more particles."""
+
+    trims: tuple[FaceTrim, ...]  # With their pictures
+    error_arcsec: FloatArray = col("Error of R_sp", "arcsec", ".2f", "component", json="")
+    face_angle_deg: float = col("Faces", "deg", ".5f", json="face_angle_shown_bench.measured_deg")
+    true_face_angle_deg: float = col("Faces, true", "deg", ".5f", json="face_angle_shown_bench.true_deg")
+    # Spot minus aperture where the faces were left, and by the law of reflection
+    offset_px: Sequence[Measured] = col("Offset left", "px", dims="face direction", json="")
+    true_offset_px: FloatArray = col("Offset left, true", "px", dims="face direction", json="")
+    rotation_arcsec: FloatArray = col("R_sr", "arcsec", dims="component", json="r_sr.rotation_vector_arcsec")
+    covariance_arcsec2: FloatArray = col("Covariance of R_sr", dims="component other", json="r_sr.covariance_arcsec2")
+    r_sr_error_arcsec: FloatArray = col("Error of R_sr", "arcsec", ".2f", "component", json="r_sr.error_arcsec")
+    spots_rms_px: float = col("Scatter of the spots", "px", ".4f", json="r_sr.spots_rms_px")
+    positions: int = col("Positions of the table", json="r_sr.positions")
+    mask_gap_mm: float = col("Mask to detector", "mm", ".5f", json="r_sr.mask_gap_mm")
+    mask_gap_true_mm: float = col("Mask to detector, true", "mm", ".5f", json="r_sr.mask_gap_true_mm")
+    free_beam_arcsec: Sequence[Measured] = col("Beam off the Z axis", "arcsec", dims="angle", json="")
+    spot_px: FloatArray = col("Spot of the sun sensor", "px", dims="position direction", json="")
+    residual_px: FloatArray = col("Spots less fit", "px", dims="position direction", json="")
+
+
+def shown_bench(laboratory: Laboratory, truth: Truth, bench: BenchResult, spots: SensorRun) -> Shown:
+    """Numbers of the shown bench."""
+    sensor, config = bench.sensor, laboratory.config
+    error = sensor.rotation * Rotation.from_matrix(truth.sensor_from_table).inv()
+    table = build_table(config, truth, next(case for case in CASES if case.name == "procedure"))
+    offsets, true, sigmas = [], [], []
+    for trim in bench.trims:
+        angle = np.array([trim.rows[-1].outer_deg, trim.rows[-1].inner_deg]) * DEG_RAD
+        top = table.rotation(angle[None])[0].as_matrix()
+        pose = CubePose.of_table(laboratory.geometry, top, truth.table_from_cube, truth.normal)
+        true.append(reflected_spot_mm(laboratory.geometry, pose, trim.face) / laboratory.pitch_mm)
+        offsets.append(trim.own.offset_px)
+        sigmas.append(np.sqrt(np.diag(trim.own.covariance_px2)))
+    return Shown(
+        trims=bench.trims,
+        error_arcsec=bench.error_arcsec,
+        face_angle_deg=bench.face_angle_rad * RAD_DEG,
+        true_face_angle_deg=bench.true_face_angle_rad * RAD_DEG,
+        offset_px=measured(offsets, sigmas),
+        true_offset_px=np.array(true),
+        rotation_arcsec=sensor.rotation.as_rotvec() * RAD_ARCSEC,
+        covariance_arcsec2=sensor.covariance_rad2 * RAD_ARCSEC**2,
+        r_sr_error_arcsec=error.as_rotvec() * RAD_ARCSEC,
+        spots_rms_px=sensor.sigma_px,
+        positions=len(spots.pixel_px),
+        mask_gap_mm=sensor.focal_length_mm,
+        mask_gap_true_mm=truth.sensor.gap_mm,
+        free_beam_arcsec=measured(sensor.free_beam_rad * RAD_ARCSEC, sensor.free_beam_sigma_rad * RAD_ARCSEC),
+        spot_px=spots.pixel_px,
+        residual_px=residuals_px(config, truth, bench, spots),
+    )
+
+
+def residuals_px(config: Config, truth: Truth, bench: BenchResult, spots: SensorRun) -> FloatArray:
+    """Spots minus the fitted sensor, for the true angles of the table (n, 2)."""
+    table, sensor = build_table(config, truth, Case(name="", label="")).nominal, bench.sensor
+    sun = (sensor.rotation * table.rotation(spots.angle_rad).inv()).apply([0.0, 0.0, 1.0])
+    fitted = replace(truth.sensor, gap_mm=sensor.focal_length_mm, offset_px=sensor.offset_px)
+    return np.asarray(spots.pixel_px - fitted.spot_px(sun))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trim:
+    """A setting of the table, as in CUBE09 Table 1."""
+
+    face: str = col("Face", json="")
+    trim: int = col("Trim", json="")
+    inner_deg: float = col("Inner", "deg", ".4f", json="")
+    outer_deg: float = col("Outer", "deg", ".4f", json="")
+    offset_px: Sequence[Any] = col("Offset", "px", ".3f", "direction", json="", key="offset_{direction}_px")
+
+
+def trims_of(bench: BenchResult) -> list[Trim]:
+    """Trims of both faces, one after the other."""
+    return [
+        Trim(
+            face=trim.face,
+            trim=number + 1,
+            inner_deg=row.inner_deg,
+            outer_deg=row.outer_deg,
+            offset_px=measured(row.offset_px, row.sigma_px),
+        )
+        for trim in bench.trims
+        for number, row in enumerate(trim.rows)
+    ]
+
+
+def printed_trims() -> list[Trim]:
+    """Table 1 as printed, offsets without signs."""
+    return [
+        Trim(face=face, trim=number + 1, inner_deg=large, outer_deg=small, offset_px=[x, y])
+        for face, rows in PUBLISHED_TRIMS.items()
+        for number, (large, small, x, y) in enumerate(rows)
+    ]
+
+
+def trim_tables(result: Mapping[str, Any]) -> dict[str, Any]:
+    """Trims by face, for ``summary.json``."""
+    names = ("outer_deg", "inner_deg", "x_px", "y_px", "sigma_x_px", "sigma_y_px")
+    return {
+        "trim_tables": {
+            trim.face: [
+                dict(zip(names, (row.outer_deg, row.inner_deg, *row.offset_px, *row.sigma_px), strict=True))
+                for row in trim.rows
+            ]
+            for trim in result["shown"].trims
+        }
+    }
+
+
+# --- Pictures
+
+
+def bench_views(config: Config, laboratory: Laboratory, truth: Truth) -> list[Any]:
+    """The bench from afar and the cube from near, the first face trimmed: (bodies, beam)."""
     geometry, face = laboratory.geometry, config.cube.faces[0]
     table = build_table(config, truth, Case(name="", label=""))
     angle = concentric_angles(table, truth.normal_in_table(face), face)
     top = table.rotation(angle[None])[0].as_matrix()
     pose = CubePose.of_table(geometry, top, truth.table_from_cube, truth.normal)
-    scene = overview_scene(geometry, pose, top, laboratory.camera)
-    width, height = VIEW_PX
-    return [
-        render_overview(
-            scene,
-            overview_sensor(geometry, width_px=width, height_px=height, close=close),
-            geometry,
-            spp=config.benches.view_samples,
-        )
-        for close in (False, True)
-    ]
+    scene, (width, height) = overview_scene(geometry, pose, top, laboratory.camera), VIEW_PX
+    sensors = (overview_sensor(geometry, width_px=width, height_px=height, close=close) for close in (False, True))
+    return [render_overview(scene, sensor, geometry, spp=config.benches.view_samples) for sensor in sensors]
 
 
-experiment = Experiment(
-    name="cube",
-    config=Config,
-    run=run,
-    takes="3 min (--quick: 25 s)",
-    examples={
-        "--quick": "six benches instead of a hundred",
-        "--set camera.mounting_arcsec=0.5 --set trim.stop_px=0.3": "a stiffer mount, a stricter stop rule",
-    },
-    extra="quantities:trim_tables",
-    show=("trims", "budget"),
-    quick={
-        "benches.count": 6,
-        "benches.log2_particles": 17,
-        "benches.shown_log2_particles": 19,
-        "benches.view_samples": 8,
-        "sensor.grid": 7,
-    },
-)
-main = command(experiment)
+def draw_view(outcome: Outcome, number: int) -> Figure:
+    """A view of the bench: bodies in grey under room light, the traced beam in orange."""
+    bodies, beam = outcome.result["setup"].views[number]
+    grey = np.clip(bodies / np.percentile(bodies, 99.5), 0, 1) ** 0.45
+    glow = gaussian_filter(beam, 0.7)
+    shown = np.clip(glow / np.percentile(glow[glow > 0.02 * glow.max()], 70), 0, 1) ** 0.7
+    picture = grey[..., None] * PAPER * (1 - shown[..., None]) + shown[..., None] * BEAM
+    height, width = bodies.shape
+    figure, axis = new_figure(aspect_ratio=height / width)
+    axis.imshow(np.clip(picture, 0, 1), interpolation="lanczos")
+    axis.set_axis_off()
+    return figure
+
+
+def draw_pictures(outcome: Outcome, face: int) -> Figure:
+    """Aperture, first and last spot of a face with the fitted circles."""
+    trim = outcome.result["shown"].trims[face]
+    figure, panels = new_figure(1, 3, aspect_ratio=0.42, sharex=True, sharey=True)
+    titles = ("aperture, glowing", f"spot, trim 1 of {len(trim.rows)}", f"spot, trim {len(trim.rows)}")
+    for axis, picture, title in zip(panels, trim.pictures, titles, strict=True):
+        light = picture.electrons / 1e3
+        axis.imshow(light, vmin=0, vmax=np.percentile(light, 99.8))
+        axis.set(title=title, xlabel="column [px]")
+        axis.grid(visible=False)
+        _outline(axis, picture, trim.offset.aperture, color="white", linewidth=0.7)
+    _outline(panels[2], trim.pictures[2], trim.offset.spot, color="#ff9d3c", linewidth=0.9)
+    reach = 1.25 * trim.offset.spot.radius + 0.35
+    camera = trim.pictures[0].camera
+    corners = camera.to_pixel(reach * np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]]))
+    low = np.maximum(corners.min(0), -0.5)
+    high = np.minimum(corners.max(0), np.array([camera.width_px, camera.height_px]) - 0.5)
+    panels[0].set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), ylabel="row [px]")
+    return figure
+
+
+def _outline(axis: Any, picture: Picture, circle: CircleFit, **style: Any) -> None:
+    angle = np.linspace(0, 2 * np.pi, 361)
+    points = circle.centre + circle.radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    axis.plot(*picture.camera.to_pixel(points).T, **style)
+    axis.plot(*picture.camera.to_pixel(circle.centre[None]).T, "+", markersize=7, **style)
+
+
+# --- The run
+
+
+def axes(config: Config) -> Quantities:
+    """Axes of the cube frame, x and y of pictures, the two ways to see the aperture."""
+    q = Quantities()
+    q.axis("axis", ["x", "y", "z"], "Axis")
+    q.axis("direction", ["x", "y"], "Direction")
+    q.axis("reduced", ["two_pictures", "one_picture"], "Aperture and spot")
+    q.axis("angle", ["azimuth", "elevation"], "Angle")
+    q.axis("bench", list(range(config.benches.count)), "Bench")
+    return q
+
+
+def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+    """Build the bench, trim, calibrate, and repeat on every misaligned bench.
+
+    Raises
+    ------
+    StarbenchError
+        On a bench that cannot work, a spot that is lost, or trims that do not end.
+    """
+    with progress.stage("bench"):
+        laboratory = build_laboratory(config)
+        truths = draw_truths(config, laboratory.streams)
+    performed, known = next(case for case in CASES if case.name == "procedure"), SensorCache()
+    with progress.stage("one bench, shown"):
+        particles = config.benches.shown_log2_particles
+        bench = run_bench(laboratory, truths[0], performed, known, log2_particles=particles, keep=True)
+    cases = run_cases(laboratory, truths, CASES, progress)
+    with progress.stage("budget"):
+        pictures = picture_noise(laboratory)
+        rows = build_budget(laboratory, cases, pictures)
+    with progress.stage("views"):
+        views = bench_views(config, laboratory, truths[0])
+    return {
+        "setup": setup(laboratory, cases, rows, views),
+        "budget": rows,
+        "benches": [every_bench(case) for case in cases.values()],
+        "noise": noise(laboratory, cases, pictures),
+        "shown": shown_bench(laboratory, truths[0], bench, known.runs[performed.lean]),
+        "trims": trims_of(bench),
+        "printed": printed_trims(),
+    }
+
+
+SECTIONS = {
+    "setup": Section(record=Setup, figures={"view": draw_view}),
+    "budget": BUDGET,
+    "benches": Section(
+        record=Benches,
+        dim="case",
+        along="name",
+        prefix="bench_",
+        json={"mean_error_arcsec": "mean_error_arcsec"},
+        table="benches",
+        rows="case bench",
+        across="axis",
+        caption="Error of R_sp, bench by bench.",
+    ),
+    "noise": Section(
+        record=Noise,
+        verdicts=[
+            ratio_near(
+                "r_sr_error_over_predicted",
+                within=SENSOR_RELATIVE,
+                title="errors of R_sr over what the noise of the spots predicts, RMS",
+            )
+        ],
+    ),
+    "shown": Section(
+        record=Shown,
+        prefix="shown_",
+        figures={"pictures": draw_pictures, "sensor_residuals": arrows("shown_spot_px", "shown_residual_px")},
+        verdicts=[
+            agree(
+                "shown_offset_px",
+                "shown_true_offset_px",
+                title="offsets left on the shown bench, circle fits against the law of reflection",
+            )
+        ],
+    ),
+    "trims": Section(
+        record=Trim,
+        dim="setting",
+        prefix="trim_",
+        table="trims",
+        hidden="setting",
+        rows="setting",
+        across="direction",
+        caption="Trims of the shown bench, as in CUBE09 Table 1: spot minus aperture, from the pictures.",
+        note="One standard deviation from the two circle fits.",
+    ),
+    "printed": Section(
+        record=Trim,
+        dim="printed",
+        prefix="printed_",
+        table="published_trims",
+        hidden="printed",
+        rows="printed",
+        across="direction",
+        caption="CUBE09 Table 1 as printed, its columns named as its text names them; offsets without signs.",
+    ),
+}

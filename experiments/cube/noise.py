@@ -12,11 +12,11 @@ hole's edge takes half of its own brightness beside the edge for level, whose no
 rendering are no noise of a laboratory, but they are in its pictures: the sum of g over the landing points of a Sobol
 net, scrambled anew each time, gives their part to first order; it is a quarter or so of what independent particles
 would do, so that what they do to the slopes, where nothing cancels, is as large. The rim and its slope follow from the
-overlap of two circles (`experiments.cube.checks.spot_profile`).
+overlap of two circles (`experiments.cube.bench.spot_profile`).
 
 Sun sensor. The centre of light of a window moves by ``(x - x_c) / F`` times the noise of a pixel, F its electrons. The
-spots' noise, and that of the readings at each position, go through the least squares of a pinhole on a table, whose
-derivatives are differences of written-out equations (`experiments.laboratory.plain_formulae`).
+spots' noise, and that of the readings at each position, go through the least squares of a pinhole on a table by
+differences of its equations.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
-from experiments.cube.bench import Laboratory
-from experiments.cube.checks import spot_profile
+from experiments.cube.bench import Laboratory, spot_profile
 from experiments.cube.sensor import EXPOSURE_S, field_angles
 from experiments.cube.trim import BESIDE_PX, EDGE_HALF_WIDTH_PX, RAYS, RIM_LEVEL, SPOKES
-from experiments.laboratory.plain_formulae import ARCSEC, small_turn_rad, table_matrices, turn_matrix
+from experiments.laboratory.turntable import build_turntable
 from optics.arrays import FloatArray
+from optics.units import ARCSEC_RAD, RAD_ARCSEC
 from render.bench.trace import OVERSCAN
 from render.detector.noise import PixelNoise
 from render.detector.spec import Detector
@@ -41,11 +42,8 @@ from render.detector.spec import Detector
 __all__ = [
     "PictureNoise",
     "SensorNoise",
-    "cube_error_per_lean",
-    "cube_matrix",
     "picture_noise",
     "sensor_noise",
-    "sun_spots_px",
 ]
 
 
@@ -61,10 +59,10 @@ NOMINAL = np.diag([-1.0, 1.0, -1.0])
 class PictureNoise:
     """Standard deviation per axis of a measured offset [px of the screen]."""
 
-    two_px: float  # Aperture and spot from two pictures; both from the picture of the spot
-    own_px: float  # Aperture and spot from two pictures; both from the picture of the spot
-    two_detector_px: float  # Parts of the detector and of the light's shot noise: all that a laboratory has
-    own_detector_px: float  # Parts of the detector and of the light's shot noise: all that a laboratory has
+    two_px: float  # Aperture and spot from two pictures
+    own_px: float  # Both from the picture of the spot
+    two_detector_px: float  # Part of detector and shot noise in the first: all that a laboratory has
+    own_detector_px: float  # The same in the second
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,16 +91,13 @@ def _slope(value: FloatArray, offset: FloatArray, half_px: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Edge:
-    """A contour: its radius [px], slope [parts of full brightness per px], brightness there, window [px].
+    """A contour."""
 
-    ``beside``: brightness of the rim whose half is the level, carried to the edge by a line; 0 for one level of all.
-    """
-
-    radius: float
-    slope: float
-    brightness: float
-    half: float
-    beside: float = 0.0
+    radius: float  # [px]
+    slope: float  # Parts of full brightness per px
+    brightness: float  # At the contour
+    half: float  # Half width of the window [px]
+    beside: float = 0.0  # Rim whose half, carried to the edge by a line, is the level; 0 for one level of all
 
 
 def _spot_edge(laboratory: Laboratory) -> _Edge:
@@ -233,34 +228,16 @@ def _hole_response(laboratory: Laboratory, offset: FloatArray, half_px: float) -
     return np.asarray(np.interp(offset, fine, table, left=0.0, right=0.0))
 
 
-def cube_matrix(outer_rad: FloatArray, inner_rad: FloatArray, lean_arcsec: float = 0.0) -> FloatArray:
-    """R_pr (3, 3) from the angles (2,) of the +Z and the +X (or -X) face, CUBE09 eq. 1 to 8 as mended, written out.
-
-    Rows are the cube's axes in the table frame: Z the first normal, X the part of the second square to it.
-    """
-    angle = np.column_stack([outer_rad, inner_rad])
-    first, second = table_matrices("xy", angle, [lean_arcsec])[:, 2, :]  # T^T (0, 0, 1)
-    across = second - (second @ first) * first
-    across = across / np.sqrt(across @ across)
-    return np.array([across, np.cross(first, across), first])
+def _beam(angle_rad: FloatArray, lean_arcsec: float = 0.0) -> FloatArray:
+    """Direction (n, 3) of the light in the frame of a table at angles (n, 2)."""
+    table = build_turntable("xy", non_orthogonality_arcsec=lean_arcsec)
+    return np.asarray(table.rotation(angle_rad).inv().apply([0.0, 0.0, 1.0]))
 
 
-def cube_error_per_lean() -> FloatArray:
-    """Rotation vector (3,) of R_pr in the cube frame per unit of the squareness that is assumed too large."""
-    outer, inner, step = np.zeros(2), np.radians([180.0, 90.0]), 10.0
-    moved = cube_matrix(outer, inner, step) @ cube_matrix(outer, inner).T
-    return np.asarray(small_turn_rad(moved) / (step * ARCSEC))
-
-
-def sun_spots_px(
-    values: FloatArray, angle_rad: FloatArray, per_rad_px: float, sensor: FloatArray | None = None
-) -> FloatArray:
-    """Spots (n, 2) of a sun sensor on a table, from the middle of the detector [px], written out."""
+def _sun_spots_px(values: FloatArray, angle_rad: FloatArray, per_rad_px: float) -> FloatArray:
+    """Spots (n, 2) of a sun sensor on a table, from the middle of the detector [px]."""
     x0, y0, scale, *turn, lean = values
-    about = np.eye(3) if sensor is None else sensor
-    for axis, part in zip(np.eye(3), turn, strict=True):
-        about = turn_matrix(axis, part) @ about
-    v = table_matrices("xy", angle_rad, [lean / ARCSEC])[:, 2, :] @ about.T  # T^T (0, 0, 1), then the sensor
+    v = Rotation.from_rotvec(turn).apply(_beam(angle_rad, lean * RAD_ARCSEC))
     return np.asarray([x0, y0] + per_rad_px * (1.0 + scale) * v[:, :2] / v[:, 2:])
 
 
@@ -270,24 +247,24 @@ def sensor_noise(laboratory: Laboratory, *, reading: bool, lean: bool) -> Sensor
     per_rad = config.sensor.gap_mm / laboratory.sensor_detector.pixel_pitch_mm
     start, step = np.zeros(7), 1e-5
     by_value = [
-        (sun_spots_px(start + step * one, angle, per_rad) - sun_spots_px(start - step * one, angle, per_rad))
+        (_sun_spots_px(start + step * one, angle, per_rad) - _sun_spots_px(start - step * one, angle, per_rad))
         / (2 * step)
         for one in np.eye(7)[: 7 if lean else 6]
     ]
     jacobian = np.stack(by_value, axis=-1).reshape(2 * len(angle), -1)
     to_value = np.linalg.pinv(jacobian)
-    spot2 = _spot_variance_px2(laboratory, table_matrices("xy", angle, [0.0])[:, 2, 2])
+    spot2 = _spot_variance_px2(laboratory, _beam(angle)[:, 2])
     noise = np.diag(np.repeat(spot2, 2))
     if reading:
-        sigma = np.array([config.table.outer_reading_arcsec, config.table.inner_reading_arcsec]) * ARCSEC
+        sigma = np.array([config.table.outer_reading_arcsec, config.table.inner_reading_arcsec]) * ARCSEC_RAD
         for axis in np.eye(2):
-            moved = (sun_spots_px(start, angle + step * axis, per_rad) - sun_spots_px(start, angle, per_rad)) / step
+            moved = (_sun_spots_px(start, angle + step * axis, per_rad) - _sun_spots_px(start, angle, per_rad)) / step
             block = moved * (sigma @ axis)
             for k, pair in enumerate(block):
                 noise[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += np.outer(pair, pair)
     found = to_value @ noise @ to_value.T
-    effect = -NOMINAL @ np.eye(3)
-    effect = np.column_stack([effect, cube_error_per_lean()]) if lean else effect
+    # a squareness that is assumed too large turns R_pr about z: the second face takes all of it
+    effect = np.column_stack([-NOMINAL, [0.0, 0.0, -1.0]]) if lean else -NOMINAL
     part = found[3:, 3:]
     return SensorNoise(spot_px=float(np.sqrt(spot2.mean())), covariance_rad2=effect @ part @ effect.T)
 

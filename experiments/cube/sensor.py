@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import correlate1d
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import increment_per_angle, rotation_of_angles
@@ -27,6 +28,8 @@ from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.units import DEG_RAD
 from render.bench.sensor import MaskSensor, mask_scene, trace_mask
+from render.detector.diffusion import diffusion_kernel
+from render.detector.readout import expose_windows
 from render.detector.spec import Detector
 from render.engine.random import Streams
 
@@ -59,13 +62,13 @@ class SensorCalibration:
     # (2,) Azimuth and elevation of the beam that the fit would find if it were not held: should be zero within its
     # errors
     free_beam_rad: FloatArray
-    free_beam_sigma_rad: FloatArray  # (2,) Their standard deviations
+    free_beam_sigma_rad: FloatArray
     lean_rad: float  # Fitted non-orthogonality of the axes, 0 where it was not fitted
     lean_sigma_rad: float  # Its standard deviation
     lean_cross_rad2: FloatArray  # (3,) Its covariance with the error of R_sr
     sigma_px: float  # Scatter of the spots about the fit, per axis
-    focal_length_mm: float  # The sensor itself: mask distance, and the foot of the hole
-    offset_px: FloatArray  # The sensor itself: mask distance, and the foot of the hole
+    focal_length_mm: float  # Mask distance
+    offset_px: FloatArray  # (2,) Foot of the hole
     reading_rad: FloatArray  # (n, 2) Readings of the table that it was fitted to
 
 
@@ -78,8 +81,6 @@ def field_angles(config: Config) -> FloatArray:
 
 def observe_spots(laboratory: Laboratory, truth: Truth, table: Turntable, streams: Streams) -> SensorRun:
     """Turn the table over the field and measure the spot at each position."""
-    from render.detector.readout import expose_windows
-
     config = laboratory.config.sensor
     detector = own_detector(laboratory, truth)
     angle = table.set(field_angles(laboratory.config), streams)
@@ -121,10 +122,6 @@ def own_detector(laboratory: Laboratory, truth: Truth) -> Detector:
 
 def diffused(windows: NDArray[np.float32], sigma_px: float) -> FloatArray:
     """Charge diffusion on all windows (n, h, w) at once; what `render.detector.diffusion.diffuse` does to one image."""
-    from scipy.ndimage import correlate1d
-
-    from render.detector.diffusion import diffusion_kernel
-
     kernel = diffusion_kernel(sigma_px)
     rows = correlate1d(windows.astype(np.float64), kernel, axis=1, mode="reflect")
     return np.asarray(correlate1d(rows, kernel, axis=2, mode="reflect"))

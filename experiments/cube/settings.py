@@ -1,4 +1,4 @@
-"""Configuration of the cube-mirror experiment; the defaults are the bench of CUBE09 as far as it is published."""
+"""Settings and declaration of the cube-mirror experiment; the defaults are the bench of CUBE09 as far as published."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from experiments.harness.cli import command
 from experiments.harness.config import ExperimentConfig, FileName, StrictModel
+from experiments.harness.experiment import Experiment
 from optics.errors import ConfigError
 
-__all__ = ["Config", "FaceName", "TrimConfig"]
+__all__ = ["Config", "FaceName", "TrimConfig", "experiment", "main"]
 
 FaceName = Literal["+Z", "+X", "-X", "+Y", "-Y", "-Z"]
 
@@ -152,3 +154,27 @@ class Config(ExperimentConfig):
         if self.trim.step_deg > 0 and self.trim.gain_ratio == 0:
             raise ValueError("trim.gain_ratio = 0: the table would never move")
         return self
+
+
+experiment = Experiment(
+    name="cube",
+    config=Config,
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    axes="experiment:axes",
+    takes="3 min (--quick: 25 s)",
+    examples={
+        "--quick": "six benches instead of a hundred",
+        "--set camera.mounting_arcsec=0.5 --set trim.stop_px=0.3": "a stiffer mount, a stricter stop rule",
+    },
+    extra="experiment:trim_tables",
+    show=("trims", "budget"),
+    quick={
+        "benches.count": 6,
+        "benches.log2_particles": 17,
+        "benches.shown_log2_particles": 19,
+        "benches.view_samples": 8,
+        "sensor.grid": 7,
+    },
+)
+main = command(experiment)

@@ -20,8 +20,16 @@ from numpy.typing import NDArray
 
 from calib.measure.circle_edge import EdgePoints, edge_crossings, sample_spokes, smoothed
 from calib.measure.circle_fit import CircleFit, fit_circle
-from experiments.cube.bench import Case, Laboratory, Truth, electrons_per_radiance, put_cube, start_angles
-from experiments.cube.checks import check_landing, reflected_spot_mm
+from experiments.cube.bench import (
+    Case,
+    Laboratory,
+    Truth,
+    check_landing,
+    electrons_per_radiance,
+    put_cube,
+    reflected_spot_mm,
+    start_angles,
+)
 from experiments.cube.settings import Config
 from experiments.laboratory.turntable import Turntable
 from optics.arrays import FloatArray
@@ -29,6 +37,9 @@ from optics.errors import ConvergenceError
 from optics.units import ARCSEC_RAD, RAD_DEG
 from render.bench.camera import BenchCamera
 from render.bench.scene import CubePose
+from render.bench.trace import trace_screen
+from render.detector.diffusion import diffuse
+from render.detector.readout import expose
 from render.engine.random import Streams
 
 __all__ = [
@@ -75,15 +86,15 @@ class Offset:
     offset_px: FloatArray  # (2,) x and y in the laboratory, in pixels of the screen
     covariance_px2: FloatArray  # (2, 2) From the two circle fits
     spot: CircleFit  # In mm on the screen
-    aperture: CircleFit  # In mm on the screen
+    aperture: CircleFit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrimRow:
     """One setting of the table, as in Table 1 of CUBE09."""
 
-    outer_deg: float  # What the table was sent to
-    inner_deg: float  # What the table was sent to
+    outer_deg: float  # Where the table was sent
+    inner_deg: float
     offset_px: FloatArray  # (2,) What the pictures say
     sigma_px: FloatArray  # (2,) Standard deviations of that
 
@@ -104,8 +115,6 @@ class FaceTrim:
 
 def exposed(laboratory: Laboratory, electrons: NDArray[np.float32], streams: Streams) -> Picture:
     """Picture of expected electrons (h, w): noise of light and detector, read out."""
-    from render.detector.readout import expose
-
     frame = expose(
         electrons,
         laboratory.detector,
@@ -138,9 +147,6 @@ def spot_light(
     laboratory: Laboratory, streams: Streams, *, sensor: Any, log2_particles: int, inner_mm: float = 0.0
 ) -> NDArray[np.float32]:
     """Expected electrons (h, w) of a picture of the spot, but for the number of particles."""
-    from render.bench.trace import trace_screen
-    from render.detector.diffusion import diffuse
-
     light = trace_screen(
         laboratory.scene,
         sensor,

@@ -168,7 +168,8 @@ def bars(
                     if name and name in o.data:
                         style = {"color": ink, "markerfacecolor": "white", "markersize": 4, "linestyle": ""}
                         own = o.quantity(name).label if k == 0 else None
-                        panel.plot(o.values(name, **at), beside, marker=shape, label=own, **style)
+                        its = {dim: value for dim, value in at.items() if dim in o.data[name].dims}
+                        panel.plot(o.values(name, **its), beside, marker=shape, label=own, **style)
             panel.set_yticks(place, o.names(dim))
             panel.grid(visible=False, axis="y")
             low = min(0.0, float(np.nanmin(o.values(long))))

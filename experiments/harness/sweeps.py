@@ -106,8 +106,8 @@ def _comparison(declared: Experiment, renders: bool) -> Experiment:
     config = create_model(
         "ComparisonConfig", __base__=_Comparison, __module__=single.__module__, sensors=(tuple[single, ...], sensors)
     )
-    own: dict[str, Any] = {"report": "comparison.md", "show": ("sensors", "requirements"), "axes": None, "renders": renders}
-    return _by_prediction(declared, config, run, sections, **own)
+    own: dict[str, Any] = {"report": "comparison.md", "show": ("sensors", "requirements"), "renders": renders}
+    return _by_prediction(declared, config, run, sections, axes=None, **own)
 
 
 class _Comparison(ExperimentConfig):
