@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from experiments.harness.quantities import Outcome
 
-__all__ = ["arrows", "bars", "cloud", "curves", "image", "maps", "scatter"]
+__all__ = ["Drawing", "arrows", "bars", "cloud", "curves", "image", "maps", "scatter"]
 
 Drawing = Callable[["Outcome"], "Figure"]
 GREY, SHADE = "#8a9099", "#eef0f2"
@@ -413,4 +413,6 @@ def _legend(o: Outcome, figure: Figure, by: str, drawn: list[Any], kinds: tuple[
         handles.append(Line2D([], [], color=colour, linewidth=1.1, label=o.quantity(one).label))
     handles += [Line2D([], [], color=INK, linewidth=1.0, label=o.quantity(name).label) for name in black]
     if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)))
+        long = max(len(str(one.get_label())) for one in handles) > 14
+        most = 2 if long and figure.get_figwidth() < 5.0 else 4  # half a page holds two long names
+        figure.legend(handles=handles, loc="outside lower center", ncols=min(most, len(handles)))
