@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.acf.experiment import main
+from experiments.acf.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,4 +1,4 @@
-"""Configuration of the attitude-correlated-frames experiment; the defaults are Table 1 of ACF17."""
+"""Settings and declaration of the attitude-correlated-frames experiment; the defaults are Table 1 of ACF17."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
+from experiments.harness.cli import command
 from experiments.harness.config import AngleDeg, StrictModel
+from experiments.harness.experiment import Experiment
 from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, read_sensor
 from experiments.laboratory.settings import InstrumentConfig
 from optics.validate import parse_model
 
-__all__ = ["CameraConfig", "Config", "GyroConfig", "SkyConfig", "StartConfig", "SweepConfig"]
+__all__ = ["CameraConfig", "Config", "GyroConfig", "SkyConfig", "StartConfig", "SweepConfig", "experiment", "main"]
 
 WIDEST_DEG = 120.0
 """Across the diagonal; a rectilinear image of more is all edge."""
@@ -150,15 +152,6 @@ class SweepConfig(StrictModel):
         return _ascending(values)
 
 
-class RenderedConfig(StrictModel):
-    """The same calibration on rendered frames (experiment ``skycal``, which has all its settings)."""
-
-    which: Literal["none", "wide", "narrow", "both"] = Field(
-        default="wide", description="cameras under the rendered sky: the wide one is the size of ACF17's"
-    )
-    frames: int = Field(default=60, ge=4, le=1000, description="frames per camera")
-
-
 class Config(SensorExperimentConfig):
     """The published runs: ACF17 gives all of it but the pixel, the number of stars and the axes of the motion."""
 
@@ -182,23 +175,18 @@ class Config(SensorExperimentConfig):
         default=(6, 10, 14, 20, 34, 60), description="stars in every frame, for Fig. 4's RMS against them"
     )
     sweep: SweepConfig = SweepConfig()
-    rendered: RenderedConfig = RenderedConfig()
     workers: int = Field(default=0, ge=0, le=256, description="processes; 0: one per processor; changes no result")
 
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
         """Settings that a sensor file decides: the camera, by a fit, and where the adjustment starts, as far off as in
-        ACF17; nothing is rendered (``skycal --sensor`` renders it).
+        ACF17.
         """
         from experiments.acf.sensor import camera_settings
 
         camera = camera_settings(InstrumentConfig.model_validate(read_sensor(file).get("instrument", {})))
         off = StartConfig().focal_length_mm / CameraConfig().focal_length_mm
-        return {
-            "camera": camera,
-            "start": {"focal_length_mm": off * camera["focal_length_mm"]},
-            "rendered": {"which": "none"},
-        }
+        return {"camera": camera, "start": {"focal_length_mm": off * camera["focal_length_mm"]}}
 
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
         """The sensor file that the camera was fitted to; None for a camera that is only a model."""
@@ -254,3 +242,31 @@ class Config(SensorExperimentConfig):
                 "stars or more frames"
             )
         return self
+
+
+experiment = Experiment(
+    name="acf",
+    config=Config,
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    axes="experiment:axes",
+    takes="3 min (--quick: 20 s)",
+    examples={
+        "--quick": "a small run",
+        "--set runs=20": "fewer runs",
+        "--set camera.pixel_um=6.36 --set sky.stars_per_frame=21": "the pixel and the stars that Table 2 implies",
+    },
+    show=("table2", "fig4"),
+    renders=lambda _: False,
+    quick={
+        "runs": 12,
+        "noise_px": [0.05, 0.1, 0.5],
+        "bias_deg_per_h": [0.001, 0.1],
+        "angle_random_walk_deg_per_sqrt_h": [0.0001, 0.01],
+        "counts": [10, 20, 40],
+        "sweep.stars": [3, 6, 20],
+        "sweep.gyro_factor": [0.0, 1.0, 10.0],
+        "sweep.skies": 12,
+    },
+)
+main = command(experiment)

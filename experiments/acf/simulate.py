@@ -18,7 +18,7 @@ from experiments.acf.settings import Config
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.records import freeze
-from optics.units import ARCSEC_RAD, DEG_RAD
+from optics.units import DEG_RAD
 from render.engine.random import Streams
 from render.motion.gyro import Gyro, simulate_gyro_runs
 
@@ -95,12 +95,6 @@ class Scene:
         sizes: dict[str, int] = {}
         freeze(self, "time_s", shape=("f",), sizes=sizes)
         freeze(self, "swept", shape=("f", 3, 3), sizes=sizes)
-
-    @property
-    def pixel_arcsec(self) -> float:
-        """Angle of a pixel on the axis."""
-        camera = self.camera
-        return camera.geometry.pixel_pitch_mm / camera.value("focal_length_mm") / ARCSEC_RAD
 
 
 def build_camera(config: Config, pixel_um: float | None = None) -> BrownConrady:

@@ -1,10 +1,21 @@
-"""A few Monte-Carlo runs of one point: every method calibrates with the same noisy stars."""
+"""Monte-Carlo runs: every method calibrates the same noisy stars; on several processes, in any division the same.
+
+Random streams are named by point and run, not shared; workers use one thread for linear algebra, and results come back
+in the order of the tasks. An interrupt ends the workers and is passed on.
+"""
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,22 +23,20 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import angles_of_rotation, link_attitudes
 from calib.calibration.attitude_correlated import AttitudeCorrelated
+from calib.calibration.attitude_family import AttitudeFamily
 from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.gyro_linked import GyroLinked, GyroNoise
 from calib.calibration.no_attitude import NoAttitude
 from calib.calibration.observations import Observations
-from calib.calibration.record import Calibration
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.acf.linear_model import Design, GyroError, correlated, free, linked, sight_arcsec, sight_operator
-from experiments.acf.points import Method, Point
 from experiments.acf.settings import Config
 from experiments.acf.simulate import (
     HOUR_S,
     Scene,
     Stars,
-    build_camera,
     build_scene,
     choose_frames,
     draw_stars,
@@ -35,16 +44,78 @@ from experiments.acf.simulate import (
     observe,
     start_camera,
 )
+from experiments.harness.system import one_thread, processors, signals_held
 from optics.arrays import FloatArray
+from optics.errors import BackendError
 from optics.units import DEG_RAD
 from render.engine.random import Streams
 
-__all__ = ["Field", "Task", "field_of", "gyro_error", "sky_of", "work"]
+__all__ = [
+    "COMPARED",
+    "Field",
+    "Method",
+    "Point",
+    "Sky",
+    "Task",
+    "Trials",
+    "field_of",
+    "gyro_error",
+    "perform",
+    "run_tasks",
+    "sky_of",
+    "table1_gyro",
+    "work",
+]
 
-
+Method = Literal["acc", "linked", "free", "iac", "iac_full"]
+COMPARED: tuple[Method, ...] = ("acc", "linked", "free", "iac", "iac_full")
+"""The document's method (ACC), a gyro of stated noise, free attitudes, interstar angles (IAC) as published, and IAC
+fully weighted."""
 LINKED = ("acc", "linked")
 GRID = 15
 """Field points along each side of the line-of-sight map and of the residual distortion."""
+CHUNK = 25
+"""Runs of a task at most; a part of a second to a few seconds of work."""
+Work = TypeVar("Work")
+Done = TypeVar("Done")
+
+
+# --- What is run
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """A setting that runs are made of."""
+
+    name: str  # Name of its random streams
+    runs: int
+    noise_px: float  # Noise of a star's position, per axis
+    # Gyros tried on the same stars: bias [deg/h] and angle random walk [deg/sqrt(h)]
+    gyro: tuple[tuple[float, float], ...]
+    methods: tuple[Method, ...]  # "acc" and "linked" run for every gyro, the others once
+    frames: Literal["odd", "all"] = "odd"  # Frames that calibrate. After "odd", noise-free even frames are reprojected
+    stars: int | None = None  # Stars in every frame; None: the density of the configuration
+    own_sky: bool = False  # Whether each run has a sky of its own; otherwise all runs see sky 0
+    pixel_um: float | None = None  # Pixel in place of the configured one
+    keep_reprojections: bool = False  # Whether each star's reprojection error is kept
+
+
+def table1_gyro(config: Config) -> tuple[float, float]:
+    """Bias [deg/h] and angle random walk [deg/sqrt(h)] of the configured gyro, by default Table 1's."""
+    return config.gyro.bias_deg_per_h, config.gyro.angle_random_walk_deg_per_sqrt_h
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trials:
+    """The runs of a point: arrays with the runs along the first axis, named as `work` does."""
+
+    point: Point
+    values: Mapping[str, FloatArray]
+
+    def of(self, method: str, what: str, gyro: int | None = 0) -> FloatArray:
+        """One figure of one method; ``gyro`` counts for ACC and the linked adjustment only."""
+        label = f"{method}@{gyro}" if method in LINKED else method
+        return self.values[f"{label}.{what}"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,22 +128,28 @@ class Task:
     last: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Link:
-    """What a gyro said of the body's rotation in a run, and its noise as stated."""
-
-    rotation: Rotation
-    noise: tuple[float, float]
+# --- One task
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Sky:
-    """Stars of a sky, and what the design alone tells."""
+class Sky:
+    """Stars of a sky, and the design at the truth."""
 
+    scene: Scene
     stars: Stars
-    used: NDArray[np.bool_]
-    kept: NDArray[np.int64]
+    used: NDArray[np.bool_]  # (n,) Stars that calibrate
+    kept: NDArray[np.int64]  # Frames that calibrate
     design: Design
+
+    @property
+    def calibrating(self) -> Design:
+        """Design of the stars that calibrate."""
+        return self.design.select(self.used)
+
+    @property
+    def judging(self) -> Design:
+        """Design of the stars that are reprojected."""
+        return self.design.select(~self.used)
 
 
 def work(task: Task) -> dict[str, FloatArray]:
@@ -91,21 +168,21 @@ def work(task: Task) -> dict[str, FloatArray]:
         row: dict[str, Any] = {}
         for method in point.methods:
             for k in range(len(point.gyro)) if method in LINKED else (None,):
-                link = None if k is None else _Link(rotation=turned[k][index], noise=point.gyro[k])
-                judged = _one(task, sky, observed, method, link)
+                rotation = None if k is None else turned[k][index]
+                judged = _judged(task, sky, observed, method, k or 0, rotation)
                 row |= {f"{method if k is None else f'{method}@{k}'}.{what}": v for what, v in judged.items()}
         if point.own_sky:
-            row |= _bounds(point, scene, sky, grid.operator)
+            row |= _bounds(point, sky, grid.operator)
         rows.append(row)
     return {key: np.stack([np.asarray(row[key], float) for row in rows]) for key in rows[0]}
 
 
 @lru_cache(maxsize=4)
-def _shared_sky(config: Config, which: str, exactly: int | None, pixel_um: float | None) -> _Sky:
+def _shared_sky(config: Config, which: str, exactly: int | None, pixel_um: float | None) -> Sky:
     return _drawn(config, which, exactly, pixel_um, 0)
 
 
-def _drawn(config: Config, which: str, exactly: int | None, pixel_um: float | None, number: int) -> _Sky:
+def _drawn(config: Config, which: str, exactly: int | None, pixel_um: float | None, number: int) -> Sky:
     scene = build_scene(config, pixel_um)
     streams = Streams(config.seed).child("acf")
     if exactly is None:
@@ -114,82 +191,69 @@ def _drawn(config: Config, which: str, exactly: int | None, pixel_um: float | No
         stars = draw_stars(scene, streams, number, exactly=exactly)
     used, kept = choose_frames(stars, scene, which)
     design = Design.at(scene.camera, scene.attitude, scene.installation, stars.direction, stars.frame)
-    return _Sky(stars=stars, used=used, kept=kept, design=design)
+    return Sky(scene=scene, stars=stars, used=used, kept=kept, design=design)
 
 
-def sky_of(config: Config, point: Point, run: int) -> _Sky:
+def sky_of(config: Config, point: Point, run: int) -> Sky:
     """Stars of a run, with the design at the truth."""
     if point.own_sky:
         return _drawn(config, point.frames, point.stars, point.pixel_um, run + 1)
     return _shared_sky(config, point.frames, point.stars, point.pixel_um)
 
 
-def _calibrate(task: Task, sky: _Sky, observed: Observations, method: Method, link: _Link | None) -> Calibration:
-    """One calibration. ACC starts as in Table 2: camera, phi and theta zero.
+def _family(task: Task, sky: Sky, method: Method, gyro: int, rotation: Rotation | None) -> AttitudeFamily:
+    """How a method treats attitudes. ACC starts as in Table 2, with phi and theta zero.
 
     The others, and ACC in the sweep, take the attitudes from the stars as the start camera sees them.
     """
-    start = start_camera(task.config, build_camera(task.config, task.point.pixel_um).geometry)
-    if link is None:
-        if method == "free":
-            return calibrate(observed, start, FreeAttitudes())
-        return calibrate(observed, start, NoAttitude(weighting="none" if method == "iac" else "full"))
-    turned = link.rotation[sky.kept]
+    if method == "free":
+        return FreeAttitudes()
+    if rotation is None:
+        return NoAttitude(weighting="none" if method == "iac" else "full")
+    start = {"gyro_rotation": rotation[sky.kept], "installation": Rotation.identity()}
     if method == "acc":
         known = task.config.start.phi_from_stars or task.point.own_sky
-        family = AttitudeCorrelated(
-            gyro_rotation=turned,
-            first_attitude=None if known else Rotation.identity(),
-            installation=Rotation.identity(),
-        )
-        return calibrate(observed, start, family)
-    bias, walk = link.noise
-    scene = build_scene(task.config, task.point.pixel_um)
-    linked = GyroLinked(
-        gyro_rotation=turned,
-        time_s=scene.time_s[sky.kept],
-        noise=GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=walk, bias_deg_per_h=bias),
-        installation=Rotation.identity(),
-    )
-    return calibrate(observed, start, linked)
+        return AttitudeCorrelated(**start, first_attitude=None if known else Rotation.identity())
+    bias, walk = task.point.gyro[gyro]
+    noise = GyroNoise.from_data_sheet(angle_random_walk_deg_per_sqrt_h=walk, bias_deg_per_h=bias)
+    return GyroLinked(**start, time_s=sky.scene.time_s[sky.kept], noise=noise)
 
 
-def _one(task: Task, sky: _Sky, observed: Observations, method: Method, link: _Link | None) -> dict[str, Any]:
-    """One calibration and what it is judged by."""
-    scene, grid = build_scene(task.config, task.point.pixel_um), field_of(task.config, task.point.pixel_um)
-    found = _calibrate(task, sky, observed, method, link)
-    camera = found.model
+def _judged(
+    task: Task, sky: Sky, observed: Observations, method: Method, gyro: int, rotation: Rotation | None
+) -> dict[str, Any]:
+    """One calibration, from a camera without distortion, and what it is judged by."""
+    scene, grid = sky.scene, field_of(task.config, task.point.pixel_um)
+    family = _family(task, sky, method, gyro, rotation)
+    fitted = calibrate(observed, start_camera(task.config, scene.camera.geometry), family)
+    camera = fitted.model
     assert isinstance(camera, BrownConrady)
     error = camera.parameters - scene.camera.parameters
-    sigma = np.sqrt(np.diag(found.covariance))
+    sigma = np.sqrt(np.diag(fitted.covariance))
     result: dict[str, Any] = {
-        "converged": found.solution.converged,
-        "iterations": found.solution.iterations,
+        "converged": fitted.solution.converged,
         "distortion_px": residual_distortion(scene.camera, camera, grid),
-        "sight_arcsec": sight_rms(camera, grid),
+        "sight_arcsec": line_of_sight_map(camera, grid.direction, grid.pixel_px).rms_arcsec,
     }
-    if link is not None:
-        assert found.attitude is not None
-        assert found.installation is not None
-        pairs = ((found.attitude[0], scene.attitude[0]), (found.installation, scene.installation))
+    if rotation is not None:
+        assert fitted.attitude is not None
+        assert fitted.installation is not None
+        pairs = ((fitted.attitude[0], scene.attitude[0]), (fitted.installation, scene.installation))
         error = np.concatenate([error, *(angles_of_rotation(one) - angles_of_rotation(true) for one, true in pairs)])
-        sigma = found.solution.sigma[: len(error)]
+        sigma = fitted.solution.sigma[: len(error)]
         if task.point.frames == "odd":
-            away = _reprojected(scene, sky, camera, found, link.rotation)
+            away = _reprojected(sky, camera, link_attitudes(fitted.attitude[0], fitted.installation, rotation))
             result["reprojection_px2"] = (away**2).mean(0)
             if task.point.keep_reprojections:
                 result["reprojected_px"] = away
     return result | {"error": error, "sigma": sigma}
 
 
-def _reprojected(scene: Scene, sky: _Sky, camera: BrownConrady, found: Calibration, rotation: Rotation) -> FloatArray:
+def _reprojected(sky: Sky, camera: BrownConrady, attitude: Rotation) -> FloatArray:
     """Noise-free stars of the frames that did not calibrate: predicted minus true position (n, 2)."""
-    assert found.attitude is not None
-    assert found.installation is not None
-    other = ~sky.used
-    attitude = link_attitudes(found.attitude[0], found.installation, rotation).as_matrix()
-    seen = np.einsum("nij,nj->ni", attitude[sky.stars.frame[other]], sky.stars.direction[other])
-    return np.asarray(camera.project(seen) - sky.stars.pixel_px[other])
+    frame, direction = (part[~sky.used] for part in (sky.stars.frame, sky.stars.direction))
+    seen = np.einsum("nij,nj->ni", attitude.as_matrix()[frame], direction)
+    return np.asarray(camera.project(seen) - sky.stars.pixel_px[~sky.used])
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +274,7 @@ def field_of(config: Config, pixel_um: float | None) -> Field:
 
 
 def residual_distortion(true: BrownConrady, camera: BrownConrady, grid: Field) -> float:
-    """Largest residual distortion over the array [px]: found minus true (dx, dy) of eq. 4 at the same ideal places.
+    """Largest residual distortion over the array [px]: fitted minus true (dx, dy) of eq. 4 at the same ideal places.
 
     Principal point and focal length are the true ones on both sides; the document says no more than "residual
     distortion over the whole 1024 x 1024 array".
@@ -218,11 +282,6 @@ def residual_distortion(true: BrownConrady, camera: BrownConrady, grid: Field) -
     frame = np.array([name in true.pinhole_names for name in true.parameter_names])
     same = true.with_parameters(np.where(frame, true.parameters, camera.parameters))
     return float(np.linalg.norm(same.project(grid.direction) - grid.pixel_px, axis=1).max())
-
-
-def sight_rms(camera: BrownConrady, grid: Field) -> float:
-    """RMS length of the line-of-sight error over the detector after the best rotation [arcsec]."""
-    return float(line_of_sight_map(camera, grid.direction, grid.pixel_px).rms_arcsec)
 
 
 def gyro_error(scene: Scene, pair: tuple[float, float]) -> GyroError:
@@ -235,17 +294,82 @@ def gyro_error(scene: Scene, pair: tuple[float, float]) -> GyroError:
     )
 
 
-def _bounds(point: Point, scene: Scene, sky: _Sky, operator: FloatArray) -> dict[str, FloatArray]:
+def _bounds(point: Point, sky: Sky, operator: FloatArray) -> dict[str, FloatArray]:
     """Predicted sigma of the camera's parameters and, last, of the line of sight [arcsec]."""
-    design = sky.design.select(sky.used)
+    design = sky.calibrating
 
     def figures(covariance: FloatArray) -> FloatArray:
-        count = len(scene.camera.parameters)
+        count = len(sky.scene.camera.parameters)
         return np.append(np.sqrt(np.diag(covariance)[:count]), sight_arcsec(operator, covariance))
 
     result = {"bound.free": figures(free(design, point.noise_px))}
     for k, pair in enumerate(point.gyro):
-        error = gyro_error(scene, pair)
+        error = gyro_error(sky.scene, pair)
         result[f"bound@{k}.acc"] = figures(correlated(design, point.noise_px, error))
         result[f"bound@{k}.linked"] = figures(linked(design, point.noise_px, error))
     return result
+
+
+# --- All tasks
+
+
+def perform(config: Config, points: Sequence[Point], *, advance: Callable[[int], None]) -> dict[str, Trials]:
+    """Make all runs; trials by the name of the point."""
+    tasks = [
+        Task(config=config, point=point, first=first, last=min(first + CHUNK, point.runs))
+        for point in points
+        for first in range(0, point.runs, CHUNK)
+    ]
+    values = run_tasks(
+        work, tasks, workers=config.workers, done=lambda index: advance(tasks[index].last - tasks[index].first)
+    )
+    trials = {}
+    for point in points:
+        parts = [part for task, part in zip(tasks, values, strict=True) if task.point.name == point.name]
+        whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+        trials[point.name] = Trials(point=point, values=whole)
+    return trials
+
+
+def run_tasks(
+    work: Callable[[Work], Done], tasks: Sequence[Work], *, workers: int, done: Callable[[int], None]
+) -> list[Done]:
+    """Results of all tasks, in their order."""
+    count = min(workers or processors(), len(tasks))
+    if not tasks:
+        return []
+    others = set(multiprocessing.active_children())
+    with one_thread():  # quicker side by side, and the same sums everywhere
+        pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=_prepare)
+        try:
+            with signals_held(signal.SIGINT):  # children inherit this: an interrupt at the terminal is ours to handle
+                futures = [pool.submit(work, task) for task in tasks]
+            results = []
+            for index, future in enumerate(futures):
+                results.append(future.result())
+                done(index)
+            return results
+        except BrokenProcessPool:
+            raise BackendError(
+                "a Monte-Carlo process vanished (killed, or out of memory); set workers=1 or lower sky.stars_per_frame"
+            ) from None
+        except BaseException:  # what the workers are at is of no use any more; processes of others are left alone
+            for child in set(multiprocessing.active_children()) - others:
+                child.terminate()
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _prepare() -> None:
+    """First thing in a worker: interrupts are the parent's business, and without a parent there is nothing to do."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
+
+
+def _leave_with(parent: multiprocessing.process.BaseProcess) -> None:
+    parent.join()
+    os._exit(1)

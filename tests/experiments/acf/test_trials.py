@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from experiments.acf.monte_carlo import run_tasks
+from experiments.acf.trials import run_tasks
 from optics.errors import BackendError
 
 

@@ -1,0 +1,137 @@
+"""From how many stars per frame on a gyro gains nothing, and when trusting it harms: gain over free attitudes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.acf.settings import Config
+from experiments.acf.trials import Point, Trials, table1_gyro
+from experiments.harness.drawings import Drawing, curves
+from experiments.harness.sections import Section, agree, col
+from experiments.harness.summary import Measured
+from optics.arrays import FloatArray, IntArray
+
+__all__ = ["GAIN", "gains", "sweep_points"]
+
+RESAMPLES = 300
+
+Row = Sequence[Measured]
+
+
+def sweep_points(config: Config) -> list[Point]:
+    """One point per number of stars; a gyro per factor; every run has a sky of its own."""
+    sweep, (bias, walk) = config.sweep, table1_gyro(config)
+    return [
+        Point(
+            name=f"sweep {n}",
+            runs=sweep.skies,
+            noise_px=sweep.noise_px,
+            gyro=tuple((factor * bias, factor * walk) for factor in sweep.gyro_factor),
+            methods=("acc", "linked", "free"),
+            frames="all",
+            stars=n,
+            own_sky=True,
+        )
+        for n in sweep.stars
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gain:
+    """Median error of free attitudes over that of another method, by size of the gyro's noise."""
+
+    stars: int = col("Stars", key="stars_per_frame", json="")
+    acc: Row = col("ACC", dims="factor", json_error="acc_error")
+    acc_bound: FloatArray = col("Expected", "", ".2f", "factor")
+    linked: Row = col("Gyro of stated noise", dims="factor", json_error="linked_error")
+    linked_bound: FloatArray = col("Bound", "", ".2f", "factor")
+    point: FloatArray = col("ACC, principal point", "", ".2f", "factor", json="principal_point_acc", shown=False)
+    point_bound: FloatArray = col("Expected", "", ".2f", "factor", json="principal_point_acc_bound", shown=False)
+
+
+def gains(config: Config, trials: Mapping[str, Trials]) -> list[Gain]:
+    """Ratios of the median line-of-sight errors over the skies, with errors by resampling; of the principal point."""
+    rng, rows = np.random.default_rng(config.seed), []
+    for point in sweep_points(config):
+        runs = trials[point.name]
+        free, free_bound = usable_sight(runs, "free"), runs.values["bound.free"]
+        free_point = runs.of("free", "error")[:, :2]
+        pick = rng.integers(0, len(free), (RESAMPLES, len(free)))
+
+        factors = range(len(point.gyro))
+        bounds = {method: [runs.values[f"bound@{k}.{method}"] for k in factors] for method in ("acc", "linked")}
+        away = [runs.of("acc", "error", k)[:, :2] for k in factors]
+        rows.append(
+            Gain(
+                stars=point.stars or 0,
+                acc=[gain(free, usable_sight(runs, "acc", k), pick) for k in factors],
+                acc_bound=np.array([np.median(free_bound[:, -1]) / np.median(one[:, -1]) for one in bounds["acc"]]),
+                linked=[gain(free, usable_sight(runs, "linked", k), pick) for k in factors],
+                linked_bound=np.array(
+                    [np.median(free_bound[:, -1]) / np.median(one[:, -1]) for one in bounds["linked"]]
+                ),
+                point=np.array([median_length(free_point) / median_length(one) for one in away]),
+                point_bound=np.array(
+                    [median_length(free_bound[:, :2]) / median_length(one[:, :2]) for one in bounds["acc"]]
+                ),
+            )
+        )
+    return rows
+
+
+def gain(free: FloatArray, other: FloatArray, pick: IntArray) -> Measured:
+    """Ratio of two medians, its standard error from resampled skies."""
+    again = np.median(free[pick], axis=1) / np.median(other[pick], axis=1)
+    return Measured(value=float(np.median(free) / np.median(other)), uncertainty=float(again.std(ddof=1)))
+
+
+def usable_sight(trials: Trials, method: str, gyro: int | None = 0) -> FloatArray:
+    """Line-of-sight error, infinite where the adjustment did not converge or has no direction for a pixel."""
+    values = trials.of(method, "sight_arcsec", gyro)
+    good = (trials.of(method, "converged", gyro) > 0.5) & np.isfinite(values)
+    return np.where(good, values, np.inf)
+
+
+def median_length(xy: FloatArray) -> float:
+    """Median length of vectors (n, 2)."""
+    return float(np.median(np.linalg.norm(xy, axis=1)))
+
+
+def gain_figure(method: str, label: str) -> Drawing:
+    """Gain of a method against stars per frame."""
+    return curves(
+        "stars",
+        points=f"gain_{method}",
+        lines=f"gain_{method}_bound",
+        by="factor",
+        level=1.0,
+        log="xy",
+        y=label,
+        width="half",
+        aspect_ratio=1.0,
+    )
+
+
+GAIN = {
+    "gain": Section(
+        record=Gain,
+        dim="stars",
+        along="stars",
+        prefix="gain_",
+        place="gain_sweep",
+        table="gain",
+        caption="Gain over free attitudes: ratio of the median line-of-sight errors over the skies.",
+        note="Expected and bound: from the design of every sky. Standard errors from resampled skies.",
+        figures={
+            "gain_acc": gain_figure("acc", "Gain of ACC, which trusts the gyro"),
+            "gain_linked": gain_figure("linked", "Gain with a gyro of stated noise"),
+        },
+        verdicts=[
+            agree("gain_acc", "gain_acc_bound", title="gain of ACC over free attitudes against its expectation"),
+            agree("gain_linked", "gain_linked_bound", title="gain of a gyro of stated noise against its bound"),
+        ],
+    )
+}

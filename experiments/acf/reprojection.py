@@ -1,0 +1,390 @@
+"""Fig. 3 and 4 of ACF17: stars of the even frames, free of noise, reprojected with a calibration from the odd ones.
+
+The expectation comes from the design alone: star noise and gyro error carried through eq. 11 to the even frames, where
+the gyro's error counts a second time. For a perfect gyro and even frames like the odd ones it is sigma sqrt(14 / n),
+with the n stars that calibrate, whatever the camera; so the published RMS tells the number of stars.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from experiments.acf.linear_model import Reprojection, reprojection, reprojections
+from experiments.acf.settings import CameraConfig, Config
+from experiments.acf.trials import Point, Trials, gyro_error, sky_of, table1_gyro
+from experiments.harness.drawings import cloud, curves
+from experiments.harness.sections import Section, agree, col
+from experiments.harness.summary import Measured, measured
+from optics.arrays import FloatArray
+
+__all__ = [
+    "REPROJECTION",
+    "counts",
+    "counts_points",
+    "fig3",
+    "fig3_points",
+    "fig4",
+    "inferred_point",
+    "matching_stars",
+    "root_mean_square",
+    "scatter",
+    "table2_point",
+]
+
+FIG4_RMS_PX = np.array([0.0132, 0.0123])
+"""ACF17 Fig. 4: RMS reprojection error, x and y, for 0.1 px of star noise and the gyro of Table 1."""
+FIG4_LARGEST_PX = 0.04
+"""ACF17 Fig. 4: all reprojection errors are below."""
+ASSUMED, INFERRED = "assumed", "inferred"
+"""Pixel and stars of the settings; those that Table 2 implies (`experiments.acf.table2.implied`)."""
+DEVIATION = "Deviation from the expected mean"
+
+Row = Sequence[Measured]
+
+
+# --- Runs
+
+
+def fig3_points(config: Config) -> list[Point]:
+    """One point per noise; gyros: perfect, then the biases, then the random walks."""
+    gyros = [(0.0, 0.0)]
+    gyros += [(bias, 0.0) for bias in config.bias_deg_per_h]
+    gyros += [(0.0, walk) for walk in config.angle_random_walk_deg_per_sqrt_h]
+    same: dict[str, Any] = {"runs": config.runs, "gyro": tuple(gyros), "methods": ("acc",)}
+    return [Point(name=f"fig3 {noise:g} px", noise_px=noise, **same) for noise in config.noise_px]
+
+
+def table2_point(config: Config) -> Point:
+    """Table 2 and Fig. 4: the gyro of Table 1, then a perfect one."""
+    return Point(
+        name="table2",
+        runs=config.runs,
+        noise_px=config.table_noise_px,
+        gyro=(table1_gyro(config), (0.0, 0.0)),
+        methods=("acc",),
+        keep_reprojections=True,
+    )
+
+
+def inferred_point(config: Config, pixel_um: float, stars: int) -> Point:
+    """Fig. 4 with another pixel and number of stars."""
+    return Point(
+        name="inferred",
+        runs=config.runs,
+        noise_px=config.table_noise_px,
+        gyro=(table1_gyro(config),),
+        methods=("acc",),
+        stars=stars,
+        pixel_um=pixel_um,
+        keep_reprojections=True,
+    )
+
+
+def counts_points(config: Config) -> list[Point]:
+    """One point per number of stars in every frame; a perfect gyro, then that of Table 1."""
+    return [
+        Point(
+            name=f"counts {n}",
+            runs=config.runs,
+            noise_px=config.table_noise_px,
+            gyro=((0.0, 0.0), table1_gyro(config)),
+            methods=("acc",),
+            stars=n,
+        )
+        for n in config.counts
+    ]
+
+
+# --- Measured and expected
+
+
+def root_mean_square(square: FloatArray, axis: int) -> tuple[FloatArray, FloatArray]:
+    """Root of a mean of squares, and its standard error."""
+    rms = np.sqrt(square.mean(axis))
+    return rms, square.std(axis, ddof=1) / np.sqrt(square.shape[axis]) / (2.0 * rms)
+
+
+def expected_at(config: Config, point: Point, gyro: int, noises_px: Sequence[float] = ()) -> list[Reprojection]:
+    """Expectation for the stars of a point, at its noise or at several."""
+    sky, pair = sky_of(config, point, 0), point.gyro[gyro]
+    error = gyro_error(sky.scene, pair) if any(pair) else None
+    return reprojections(sky.calibrating, sky.judging, noises_px or [point.noise_px], error)
+
+
+def mean_length(trials: Trials, gyro: int, expected: Reprojection) -> tuple[Measured, Measured]:
+    """Mean of the runs' RMS lengths, and its deviation in the standard deviations that the design predicts for it."""
+    length = np.sqrt(trials.of("acc", "reprojection_px2", gyro).sum(-1))
+    n, mean = len(length), float(length.mean())
+    error = float(length.std(ddof=1) / np.sqrt(n))
+    deviation = (mean - expected.mean_px) / expected.scatter_px * n**0.5
+    return (
+        Measured(value=mean, unit="px", uncertainty=error, n=n),
+        Measured(value=float(deviation), unit="sigma", uncertainty=1.0),
+    )
+
+
+# --- Fig. 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ByBias:
+    """Fig. 3a: random walk zero."""
+
+    rms_px: Sequence[Row] = col("RMS reprojection error", "px", ".4f", "noise bias", json_error="error_px")
+    expected_px: FloatArray = col("Expected", "px", ".4f", "noise bias")
+    deviation: Sequence[Row] = col(DEVIATION, "sigma", dims="noise bias", json="", shown=False)
+    n: int = col("Runs", shown=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ByWalk:
+    """Fig. 3b: bias zero."""
+
+    rms_px: Sequence[Row] = col("RMS reprojection error", "px", ".4f", "noise walk", json_error="error_px")
+    expected_px: FloatArray = col("Expected", "px", ".4f", "noise walk")
+    deviation: Sequence[Row] = col(DEVIATION, "sigma", dims="noise walk", json="", shown=False)
+    n: int = col("Runs", shown=False)
+
+
+def fig3(config: Config, trials: Mapping[str, Trials]) -> tuple[ByBias, ByWalk]:
+    """Mean RMS reprojection error by noise and gyro; all noises see the same stars."""
+    points = fig3_points(config)
+    by_gyro = [expected_at(config, points[0], k, config.noise_px) for k in range(len(points[0].gyro))]
+    perfect, biases = 0, len(config.bias_deg_per_h)
+
+    def part(record: Any, gyros: Sequence[int]) -> Any:
+        cells = [[mean_length(trials[point.name], k, by_gyro[k][s]) for k in gyros] for s, point in enumerate(points)]
+        return record(
+            rms_px=[[rms for rms, _ in row] for row in cells],
+            expected_px=np.array([[by_gyro[k][s].mean_px for k in gyros] for s in range(len(points))]),
+            deviation=[[deviation for _, deviation in row] for row in cells],
+            n=config.runs,
+        )
+
+    walks = range(1 + biases, len(points[0].gyro))
+    return part(ByBias, range(1 + biases)), part(ByWalk, [perfect, *walks])
+
+
+# --- Fig. 4
+
+
+def of_case(name: str, *also: str) -> dict[str, list[str]]:
+    """Places in ``summary.json`` of a number that both cases have."""
+    return {ASSUMED: [f"fig4.{name}", *also], INFERRED: [f"fig4_inferred.{name}"]}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fig4:
+    """Reprojection errors at the noise of Table 2, with the gyro of Table 1."""
+
+    pixel_um: float = col("Pixel", "um", ".2f", json="")
+    stars: float = col("Stars", "per frame", ".0f", json="", key="stars_per_frame")
+    rms_px: Row = col("RMS", "px", dims="axis", json=of_case("rms_px", "fig4_rms_px"), json_error=of_case("error_px"))
+    expected_axis_px: FloatArray = col("Expected", "px", ".4f", "axis", json=of_case("expected_px"))
+    published_px: FloatArray | None = col("Published", "px", ".4f", "axis", json=of_case("published_px"), default=None)
+    length_px: Measured = col("Length", "px", json=of_case("mean_rms_length_px"))
+    expected_px: Measured = col("Expected, one run", "px", json="", json_error=of_case("scatter_of_a_run_px"))
+    published_length_px: float | None = col("Published", "px", ".4f", json="", default=None)
+    published_deviation: float | None = col(
+        "Published from expected", "sigma", "+.1f", json=of_case("published_deviation_sigma"), shown=False, default=None
+    )
+    largest_px: float = col("Largest, median", "px", ".4f", json=of_case("largest_px"), shown=False)
+    inside: float = col("Part < 0.04 px", "", ".3f", json=of_case("part_below_0_04_px"))
+
+
+def fig4(config: Config, trials: Mapping[str, Trials], inferred: Point) -> list[Fig4]:
+    """Fig. 4 with assumed and with inferred pixel and stars; published numbers for the camera of ACF17 only."""
+    cases = []
+    for point in (table2_point(config), inferred):
+        (expected,), runs = expected_at(config, point, 0), trials[point.name]
+        rms, error = root_mean_square(runs.of("acc", "reprojection_px2"), 0)
+        length = np.linalg.norm(runs.of("acc", "reprojected_px"), axis=2)
+        published = float(np.linalg.norm(FIG4_RMS_PX))
+        of_document: dict[str, Any] = {
+            "published_px": FIG4_RMS_PX,
+            "published_length_px": published,
+            "published_deviation": (published - expected.mean_px) / expected.scatter_px,
+        }
+        sky = sky_of(config, point, 0)
+        cases.append(
+            Fig4(
+                pixel_um=point.pixel_um or config.camera.pixel_um,
+                stars=point.stars or len(sky.stars) / config.frames,
+                rms_px=measured(rms, error),
+                expected_axis_px=expected.axis_px,
+                length_px=mean_length(runs, 0, expected)[0],
+                expected_px=Measured(value=expected.mean_px, uncertainty=expected.scatter_px),
+                largest_px=float(np.median(length.max(1))),
+                inside=float((length < FIG4_LARGEST_PX).mean()),
+                **(of_document if config.camera == CameraConfig() else {}),
+            )
+        )
+    return cases
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scatter4:
+    """Reprojection errors of all stars and runs of Fig. 4, and the radii they are compared with."""
+
+    away_px: FloatArray = col("Reprojection errors", "px", dims="run reprojected axis", json="")
+    here_px: FloatArray = col("RMS here", "px", dims="axis", json="")
+    there_px: FloatArray = col("RMS published", "px", dims="axis", json="")
+
+
+def scatter(config: Config, trials: Mapping[str, Trials]) -> Scatter4:
+    """Cloud of Fig. 4, with the assumed pixel and stars."""
+    runs = trials[table2_point(config).name]
+    rms, _ = root_mean_square(runs.of("acc", "reprojection_px2"), 0)
+    return Scatter4(away_px=runs.of("acc", "reprojected_px"), here_px=rms, there_px=FIG4_RMS_PX)
+
+
+# --- Against the number of stars
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Count:
+    """Mean RMS length for a number of stars in every frame."""
+
+    stars: int = col("Stars per frame", json="")
+    rms_px: Row = col("RMS reprojection error", "px", dims="count_gyro", json="")
+    expected_px: FloatArray = col("Expected", "px", ".4f", "count_gyro", json="")
+    deviation: Row = col(DEVIATION, "sigma", dims="count_gyro", json="", shown=False)
+
+
+def counts(config: Config, trials: Mapping[str, Trials]) -> list[Count]:
+    """Reprojection error by stars per frame, perfect gyro and that of Table 1."""
+    rows = []
+    for point in counts_points(config):
+        expected = [expected_at(config, point, k)[0] for k in range(len(point.gyro))]
+        cells = [mean_length(trials[point.name], k, one) for k, one in enumerate(expected)]
+        rows.append(
+            Count(
+                stars=point.stars or 0,
+                rms_px=[rms for rms, _ in cells],
+                expected_px=np.array([one.mean_px for one in expected]),
+                deviation=[deviation for _, deviation in cells],
+            )
+        )
+    return rows
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Matching:
+    """Stars per frame for which the expected RMS is the published one, at one pixel."""
+
+    pixel_um: float = col("Pixel", "um", ".2f")
+    closed_form: float = col("Stars, perfect gyro", "per frame", ".0f")  # From sigma sqrt(14 / n)
+    with_gyro: float = col("Stars, Table 1's gyro", "per frame", ".0f")  # Infinite where the gyro alone gives more
+    gyro_px: float = col("Error by the gyro alone", "px", ".4f", json="")
+    # Between these the published value lies within one standard deviation of a run; NaN if nowhere
+    range: FloatArray = col("Stars within one sigma of a run", "per frame", ".0f", "end")
+
+
+def matching_stars(config: Config, pixel_um: float, stars: int = 40) -> Matching:
+    """Solve for the number of stars: their part of the mean square goes with 1 / n, the gyro's does not."""
+    sigma_px, pair = config.table_noise_px, table1_gyro(config)
+    point = Point(name="", runs=0, noise_px=sigma_px, gyro=(pair,), methods=(), stars=stars, pixel_um=pixel_um)
+    sky = sky_of(config, point, 0)
+    tried = np.geomspace(5.0, 125.0, 25)
+    expected = expected_at(config, point, 0, [sigma_px * float(np.sqrt(stars / n)) for n in tried])
+    perfect = reprojection(sky.calibrating, sky.judging, sigma_px).total_px ** 2
+    gyro = expected[0].total_px ** 2 - perfect * stars / tried[0]
+    wanted = float(FIG4_RMS_PX @ FIG4_RMS_PX)
+    within = tried[[abs(np.sqrt(wanted) - one.mean_px) < one.scatter_px for one in expected]]
+    return Matching(
+        pixel_um=pixel_um,
+        closed_form=14.0 * sigma_px**2 / wanted / ((config.frames + 1) // 2),
+        with_gyro=stars * perfect / (wanted - gyro) if wanted > gyro else float("inf"),
+        gyro_px=float(np.sqrt(max(gyro, 0.0))),
+        range=within[[0, -1]] if len(within) else np.full(2, np.nan),
+    )
+
+
+# --- Sections
+
+
+def fig3_section(record: type, part: str, gyro: str, words: str) -> Section:
+    """Section of Fig. 3a or 3b."""
+    return Section(
+        record=record,
+        prefix=f"{part}_",
+        place=part,
+        table=part,
+        caption=f"ACF17 {words}: mean RMS reprojection error of the runs.",
+        figures={
+            f"{part}_curves": curves(
+                "noise",
+                points=f"{part}_rms_px",
+                lines=f"{part}_expected_px",
+                by=gyro,
+                y="RMS reprojection error",
+                width="half",
+                aspect_ratio=0.9,
+            )
+        },
+        verdicts=[
+            agree(
+                f"{part}_deviation",
+                0.0,
+                title=f"{words}: mean reprojection error against its prediction",
+                advice="did every calibration converge? else raise runs",
+            )
+        ],
+    )
+
+
+REPROJECTION = {
+    "fig3a": fig3_section(ByBias, "fig3a", "bias", "Fig. 3a"),
+    "fig3b": fig3_section(ByWalk, "fig3b", "walk", "Fig. 3b"),
+    "fig4": Section(
+        record=Fig4,
+        dim="case",
+        prefix="fig4_",
+        table="fig4",
+        across="axis",
+        caption="ACF17 Fig. 4: reprojection of noise-free even frames at the noise of Table 2, gyro of Table 1.",
+        note="RMS over all runs, by axis; length: mean of the runs' RMS lengths; expected of one run ± its scatter. "
+        "Inferred: pixel and stars that Table 2 implies.",
+        verdicts=[
+            agree(
+                "fig4_published_length_px",
+                with_="fig4_expected_px",
+                each="case",
+                false_alarm=0.0455,
+                title="Fig. 4: published RMS against one run as expected here",
+            )
+        ],
+    ),
+    "scatter": Section(
+        record=Scatter4,
+        prefix="fig4_",
+        figures={"fig4_cloud": cloud("fig4_away_px", ellipses="fig4_here_px fig4_there_px")},
+    ),
+    "counts": Section(
+        record=Count,
+        dim="count",
+        along="stars",
+        prefix="counts_",
+        table="counts",
+        caption="Mean RMS reprojection error at the noise of Table 2 against the number of stars in every frame.",
+        figures={
+            "count_curves": curves(
+                "count",
+                points="counts_rms_px",
+                lines="counts_expected_px",
+                by="count_gyro",
+                dashes="fig4_published_length_px",
+                at={"case": ASSUMED},
+                log="x",
+                y="RMS reprojection error",
+                aspect_ratio=0.44,
+            )
+        },
+        verdicts=[agree("counts_deviation", 0.0, title="star counts: mean reprojection error against its prediction")],
+    ),
+    "matching": Section(record=Matching, dim="pixel", prefix="fig4_stars_", place="inference.stars_for_fig4[pixel]"),
+}
