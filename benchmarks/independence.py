@@ -194,13 +194,13 @@ COMPARISONS = (
     Comparison(
         experiment="acf",
         what="reprojection error and covariance",
-        predicted=("experiments.acf.expected:expected_results",),
-        measured=("experiments.acf.monte_carlo:perform",),
+        predicted=("experiments.acf.reprojection:expected_at", "experiments.acf.table2:covariances"),
+        measured=("experiments.acf.trials:perform",),
     ),
     Comparison(
         experiment="skycal",
         what="map of the line of sight against the traced lens",
-        predicted=("experiments.skycal.truth:trace_chart",),
+        predicted=("experiments.skycal.positions:trace_chart",),
         measured=(
             "experiments.skycal.measure:record",
             "experiments.skycal.match:match_frames",

@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.skycal.experiment import main
+from experiments.skycal.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,9 +1,16 @@
-"""Calibrations of one camera from one set of stars, each compared with the traced lens."""
+"""Calibrations of one camera from one set of stars, each compared with the traced lens; what the error is made of.
+
+The same stars, frames and weights are calibrated again and again, and one more error is switched on each time
+(`experiments.skycal.positions`): ``reference`` leaves what the camera model cannot describe, ``light`` adds the star
+colours, ``own`` noise and pixels, ``measured`` the PSF of one colour. Each part is the difference of one map and the
+one before, so that they add up as vectors; whether their squares add up depends on whether they are independent.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,31 +27,34 @@ from calib.cameras import BrownConrady, Polynomial
 from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.skycal.match import Matched
+from experiments.skycal.measure import Recording
+from experiments.skycal.positions import STEPS, Chart, positions, trace_chart
 from experiments.skycal.scene import Scene
 from experiments.skycal.settings import Config, parse_model_name
-from experiments.skycal.truth import Chart
 from optics.arrays import FloatArray
+from optics.errors import DomainError
 from optics.units import RAD_ARCSEC
 
-__all__ = ["LOSS", "METHODS", "CalibratedMap", "Calibrator", "map_probability", "rms", "start_camera"]
+__all__ = ["METHODS", "PARTS", "CalibratedCamera", "CalibratedMap", "Calibrator", "calibrate_camera", "rms"]
 
 
 METHODS = ("free", "acc", "linked", "acc_true")
 """Attitudes free; linked by the gyro taken as perfect; by the gyro of stated noise; by a truly perfect gyro."""
 LOSS = "tukey"
 """Of the robust fits: a real sky has blends that no flag tells."""
+ROBUST = frozenset({"light", "own", "measured", "corrected"})
+"""Kinds of positions that get the robust loss: the colour of a very red star is an outlier, with and without noise."""
+PARTS = ("mismatch", "chromatic", "noise", "psf")
+"""What each step adds: camera model, star colours, noise and pixels, PSF of one colour."""
+LEAST_SURPLUS = 40
 FLOOR_CLIP_SIGMA = 5.0
-DRAWS = 40000
-"""Of the distribution of the mean square that a covariance predicts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibratedMap:
     """A calibration beside the truth."""
 
-    method: str  # Estimator (one of `METHODS`), name of the camera model, which positions were calibrated
-    model: str  # Estimator (one of `METHODS`), name of the camera model, which positions were calibrated
-    data: str  # Estimator (one of `METHODS`), name of the camera model, which positions were calibrated
+    data: str  # Kind of positions that was calibrated
     calibration: Calibration  # Camera, covariance, status
     # (n, 2) Line-of-sight error over the chart, best rotation removed; NaN where the camera has no direction
     error_arcsec: FloatArray
@@ -80,19 +90,6 @@ def rms(error: FloatArray) -> float:
     return float(np.sqrt(np.nanmean((error**2).sum(axis=1))))
 
 
-def map_probability(error_arcsec: FloatArray, spectrum_arcsec2: FloatArray) -> float:
-    """Probability of a mean square at least as far from what is predicted, on the same side, times two.
-
-    The weighted sum of chi-squares has no closed form; `DRAWS` of it are made with a fixed seed.
-    """
-    if not (len(spectrum_arcsec2) and np.isfinite(spectrum_arcsec2).all()):
-        return float("nan")
-    rng = np.random.default_rng(20180917)
-    drawn = rng.chisquare(1.0, (DRAWS, len(spectrum_arcsec2))) @ spectrum_arcsec2
-    above = float(np.mean(drawn >= rms(error_arcsec) ** 2))
-    return min(1.0, 2.0 * min(above, 1.0 - above))
-
-
 def start_camera(scene: Scene, config: Config, name: str) -> tuple[CameraModel, tuple[str, ...] | None]:
     """Poor start of a camera model, and the names of the parameters that are free (None: all)."""
     family, degree = parse_model_name(name)
@@ -108,13 +105,12 @@ def start_camera(scene: Scene, config: Config, name: str) -> tuple[CameraModel, 
 class Calibrator:
     """What all calibrations of one camera share."""
 
-    scene: Scene  # Camera, stars, settings, truth
-    matched: Matched  # Camera, stars, settings, truth
-    config: Config  # Camera, stars, settings, truth
-    chart: Chart  # Camera, stars, settings, truth
+    scene: Scene
+    matched: Matched
+    config: Config
+    chart: Chart
     used: NDArray[np.bool_]  # (n,) Matched stars that take part
     position_px: Mapping[str, FloatArray]  # (n, 2) Positions of the matched stars, by kind
-    robust: frozenset[str]  # Kinds that get the robust loss; the others get least squares
     floor_px: float = 0.0  # Error per axis that is added to the noise of every star
 
     def observations(self, data: str) -> Observations:
@@ -132,7 +128,7 @@ class Calibrator:
     def calibrate(self, data: str, *, model: str, method: str = "free") -> CalibratedMap:
         """One calibration, from poor start values."""
         start, free = start_camera(self.scene, self.config, model)
-        stars, loss = self.observations(data), LOSS if data in self.robust else "linear"
+        stars, loss = self.observations(data), LOSS if data in ROBUST else "linear"
         scene, gyro = self.scene, self.config.gyro
         family: AttitudeFamily = FreeAttitudes()
         if method == "linked":
@@ -145,16 +141,14 @@ class Calibrator:
             turn = scene.true_gyro_rotation if method == "acc_true" else scene.gyro_rotation
             family = AttitudeCorrelated(gyro_rotation=turn)
         made = calibrate(stars, start, family, loss=loss, free=free)
-        return self.compare(made, method=method, model=model, data=data)
+        return self.compare(made, data)
 
-    def compare(self, made: Calibration, *, method: str, model: str, data: str) -> CalibratedMap:
+    def compare(self, made: Calibration, data: str) -> CalibratedMap:
         """Map error of a calibration, with its prediction."""
         chart = self.chart
         # scipy's rotations cannot take write-locked arrays
         found = line_of_sight_map(made.model, np.array(chart.direction), chart.pixel_px, covariance=made.covariance)
         return CalibratedMap(
-            method=method,
-            model=model,
             data=data,
             calibration=made,
             error_arcsec=found.error_arcsec,
@@ -172,7 +166,7 @@ class Calibrator:
             sigma_px=1.0,
         )
         made = calibrate(grid, start, FreeAttitudes(), free=free)
-        return self.compare(made, method="free", model=model, data="chart")
+        return self.compare(made, "chart")
 
     def residuals(self, fitted: CalibratedMap) -> FloatArray:
         """Position minus what the calibration predicts (k, 2) [px] of the used stars."""
@@ -218,3 +212,89 @@ def _spectrum(made: Calibration, chart: Chart) -> FloatArray:
     left = moved - turned @ np.linalg.lstsq(turned, moved, rcond=None)[0]
     values = np.linalg.eigvals(made.covariance @ (left.T @ left / len(direction))).real
     return np.sort(np.maximum(values, 0.0))[::-1] * RAD_ARCSEC**2
+
+
+# --- All calibrations of one camera
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibratedCamera:
+    """All calibrations of one camera, and what they were made from."""
+
+    scene: Scene
+    recording: Recording
+    matched: Matched
+    chart: Chart
+    position_px: dict[str, FloatArray]  # (n, 2) Positions of all matched stars by kind
+    used: NDArray[np.bool_]  # (n,) Matched stars that are calibrated with
+    # Error per axis added to the noise of every centroid: "measured" for all steps, and "corrected"
+    floor_px: dict[str, float]
+    # By (method, model, kind of positions); all `STEPS` for the configured model. All have the same weights but those
+    # of ``corrected``
+    maps: dict[tuple[str, str, str], CalibratedMap]
+    clean: CalibratedMap  # ``reference`` with the weights of ``corrected``
+    direct: dict[str, CalibratedMap]  # Each model fitted to the chart itself: no stars, no noise
+    residual_px: FloatArray  # (k, 2) Residuals of the used stars, measured centroids, free attitudes
+
+    def of(self, data: str, *, method: str = "free", model: str | None = None) -> CalibratedMap:
+        """A calibration; the configured model if none is named."""
+        return self.maps[method, model or self.scene.config.model, data]
+
+    @property
+    def part_arcsec(self) -> dict[str, FloatArray]:
+        """Each part of the error (n, 2): a map minus the one before."""
+        runs = [self.of(data).error_arcsec for data in STEPS]
+        return dict(zip(PARTS, [runs[0], *(late - early for early, late in pairwise(runs))], strict=True))
+
+
+def calibrate_camera(
+    scene: Scene, recording: Recording, matched: Matched, config: Config, *, advance: Callable[[], None]
+) -> CalibratedCamera:
+    """Calibrate, switch the errors on one by one, and compare with the traced lens."""
+    _check_count(scene, config, matched, np.asarray(np.isfinite(matched.in_cam).all(axis=1)))
+    chart = trace_chart(scene, config)
+    position = positions(scene, recording, matched, config)
+    used = np.all([np.isfinite(place).all(axis=1) for place in position.values()], axis=0)
+    _check_count(scene, config, matched, used)
+    advance()
+    plain = Calibrator(scene=scene, matched=matched, config=config, chart=chart, used=used, position_px=position)
+    name = scene.config.model
+    whole = replace(plain, floor_px=plain.find_floor_px("measured", name))
+    fine = replace(plain, floor_px=plain.find_floor_px("corrected", name))
+    maps: dict[tuple[str, str, str], CalibratedMap] = {}
+    direct = {}
+    for model in scene.config.models:
+        for data in STEPS if model == name else ("reference", "measured"):
+            maps["free", model, data] = whole.calibrate(data, model=model)
+        maps["free", model, "corrected"] = fine.calibrate("corrected", model=model)
+        direct[model] = plain.direct(model)
+        advance()
+    for method in METHODS[1:]:
+        maps[method, name, "measured"] = whole.calibrate("measured", model=name, method=method)
+        maps[method, name, "corrected"] = fine.calibrate("corrected", model=name, method=method)
+    advance()
+    return CalibratedCamera(
+        scene=scene,
+        recording=recording,
+        matched=matched,
+        chart=chart,
+        position_px=position,
+        used=used,
+        floor_px={"measured": whole.floor_px, "corrected": fine.floor_px},
+        maps=maps,
+        clean=fine.calibrate("reference", model=name),
+        direct=direct,
+        residual_px=whole.residuals(maps["free", name, "measured"]),
+    )
+
+
+def _check_count(scene: Scene, config: Config, matched: Matched, used: NDArray[np.bool_]) -> None:
+    """Refuse to calibrate with next to nothing."""
+    stars, frames = int(used.sum()), len(np.unique(matched.frame[used]))
+    needed = 2 * frames + LEAST_SURPLUS
+    if stars < needed:
+        raise DomainError(
+            f"{scene.name}: {stars} good stars matched in {frames} frames; at least {needed} are needed: raise "
+            f"{scene.name}.instrument.exposure_s ({scene.instrument.config.exposure_s:g} s) or "
+            f"{scene.name}.faintest_mag ({scene.config.faintest_mag:g}), or lower least_snr ({config.least_snr:g})"
+        )

@@ -1,82 +1,578 @@
-"""Calibration of star cameras under a rendered sky: the run and the declaration."""
+"""Calibration of star cameras under a rendered sky: from frames to the map of the line of sight, and its parts.
+
+Frames are made and measured in `experiments.skycal.measure`, named in `experiments.skycal.match`, calibrated in
+`experiments.skycal.calibrate`. What every camera has runs along the dimension ``camera``; what differs in number from
+camera to camera (models, parameters, places of the map, stars) has a section of its own, named after the camera.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from experiments.harness.cli import command
-from experiments.harness.experiment import Experiment
+import numpy as np
+
+from experiments.harness.drawings import arrows, bars, curves
 from experiments.harness.progress import Progress
-from experiments.skycal.settings import Config
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.sections import Section, agree, below, col, ratio_near
+from experiments.harness.summary import Measured
+from experiments.skycal.calibrate import METHODS, PARTS, CalibratedCamera, CalibratedMap, calibrate_camera, rms
+from experiments.skycal.match import OUTCOMES, match_frames
+from experiments.skycal.measure import record
+from experiments.skycal.pictures import sky_frame
+from experiments.skycal.scene import Scene, build_scene
+from experiments.skycal.settings import CAMERAS, Config, model_label
+from optics.arrays import FloatArray
+from render.engine.random import Streams
+from render.fits.files import write_frame
 
-if TYPE_CHECKING:
-    from experiments.skycal.result import CameraResult, Result
-    from experiments.skycal.scene import Scene
-    from render.engine.random import Streams
+__all__ = ["SECTIONS", "axes", "files", "run"]
 
-__all__ = ["Config", "experiment", "main", "run"]
+DATA = {"measured": "as measured", "corrected": "star colours known"}
+"""Centroids that cameras are calibrated with: of one PSF; of the star's own PSF, its colour shift taken off."""
+METHOD_NAMES = {
+    "free": "free attitudes",
+    "acc": "ACC, gyro taken as perfect",
+    "linked": "gyro of stated noise",
+    "acc_true": "ACC with a truly perfect gyro",
+}
+PART_NAMES = {
+    "mismatch": "camera model",
+    "chromatic": "star colours",
+    "noise": "noise and pixels",
+    "psf": "PSF of one colour",
+}
+PAIRS = [f"{one}, {other}" for one, other in combinations(PARTS, 2)]
+WRONG_LIMIT = 1e-3
+"""Part of the matches that may be wrong."""
+FAINT_SNR = 50.0
+"""Signal-to-noise ratio below which noise rules a centroid, not pixels."""
 
 
-def run(config: Config, *, progress: Progress) -> Result:
+# --- Cameras: what was calibrated, with which stars, and what the map error is made of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Camera:
+    """A camera, its stars, and the parts of its map error."""
+
+    made: CalibratedCamera
+    lens: str = col("Lens", key="prescription", shown=False)
+    detector: str = col("Detector", shown=False)
+    field_deg: Sequence[float] = col("Field", "deg", ".1f", "side")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec", shown=False)
+    sky: str = col("Sky", shown=False)
+    attribution: str = col("Source", json="", shown=False)
+    frames: int = col("Frames", shown=False)
+    camera_model: str = col("Camera model", shown=False)
+    detections: Sequence[int] = col("Detections", dims="outcome")
+    rendered: int = col("Rendered", json="", shown=False)
+    frames_matched: int = col("Frames matched", shown=False)
+    stars: int = col("Used", shown=False)
+    stars_per_frame: float = col("Used per frame", "", ".0f", shown=False)
+    wrong_matches: int = col("Wrong matches", shown=False)
+    wrong_part: float = col("Wrong matches, part", json="", shown=False)
+    centroid_floor_px: Sequence[float] = col("Error beyond noise", "px", ".3f", "data")
+    centroid_pull: Measured = col("Scatter of faint stars over the stated one", json="", shown=False)
+    not_converged: int = col("Calibrations that did not converge", json="", shown=False)
+    part_rms_arcsec: Sequence[float] = col("RMS", "arcsec", ".2g", "part", json="parts_arcsec", key="{part}_arcsec")
+    quadrature_arcsec: float = col("Root sum square", "arcsec", ".4f")
+    part_correlation: Sequence[float] = col("Correlation", "", "+.2f", "pair", json="parts_correlation")
+    mismatch_limit_arcsec: float = col("Model's own limit plus predicted", "arcsec", ".2g", json="", shown=False)
+
+
+def camera(made: CalibratedCamera) -> Camera:
+    """Record of a calibrated camera."""
+    scene, matched, used = made.scene, made.matched, made.used
+    part = made.part_arcsec
+    size = {name: rms(error) for name, error in part.items()}
+    judged = [made.of(data, method=method) for data in DATA for method in ("free", "linked")]
+    return Camera(
+        made=made,
+        lens=scene.instrument.camera.lens.name,
+        detector=scene.instrument.detector.name,
+        field_deg=scene.instrument.field_deg,
+        pixel_arcsec=scene.pixel_arcsec,
+        sky=scene.sky.name,
+        attribution=scene.sky.attribution,
+        frames=scene.frames,
+        camera_model=scene.config.model,
+        detections=list(matched.count.values()),
+        rendered=sum(len(one.star) for one in made.recording.frames),
+        frames_matched=matched.first_matched,
+        stars=int(used.sum()),
+        stars_per_frame=float(used.sum()) / scene.frames,
+        wrong_matches=int((~matched.correct).sum()),
+        wrong_part=float((~matched.correct).mean()),
+        centroid_floor_px=list(made.floor_px.values()),
+        centroid_pull=centroid_pull(made),
+        not_converged=sum(one.calibration.solution.status != "converged" for one in judged),
+        part_rms_arcsec=list(size.values()),
+        quadrature_arcsec=float(np.sqrt(sum(one**2 for one in size.values()))),
+        part_correlation=[
+            float(np.nanmean((part[one] * part[other]).sum(axis=1)) / (size[one] * size[other]))
+            for one, other in combinations(PARTS, 2)
+        ],
+        mismatch_limit_arcsec=made.direct[scene.config.model].rms_arcsec + made.of("measured").predicted_arcsec,
+    )
+
+
+def centroid_pull(made: CalibratedCamera) -> Measured:
+    """Robust scatter of faint stars' centroids (PSF of their own colour) about their light, over the stated one."""
+    faint = made.used & (made.matched.snr < FAINT_SNR)
+    if not faint.any():
+        return Measured(value=float("nan"), uncertainty=float("inf"), n=0)
+    error = (made.position_px["own"] - made.position_px["light"])[faint]
+    pull = error / np.sqrt(np.diagonal(made.matched.covariance_px2[faint], axis1=1, axis2=2))
+    # the median of a normal deviate's size is 0.6745; that of n knows the scale to 1.17 / sqrt(n)
+    scatter = float(np.median(np.abs(pull))) / 0.6745
+    return Measured(value=scatter, uncertainty=1.17 / np.sqrt(pull.size), n=pull.size)
+
+
+# --- Map errors, by how attitudes are treated
+
+
+def of_map(data: str, name: str, *also: str) -> dict[str, list[str]]:
+    """Places in ``summary.json``: of every method, and of free attitudes next to the camera."""
+    whole = {"measured": "map_error_arcsec", "corrected": "map_error_corrected_arcsec"}[data]
+    inner = [f"rendered[camera].methods_arcsec[method].{data}.{name}"]
+    return {"*": inner, "free": [f"rendered[camera].{one}" for one in (f"{whole}.{name}", *also)]}
+
+
+def free_only(place: str) -> dict[str, str]:
+    """Place in ``summary.json`` of a number that only free attitudes have there."""
+    return {"free": f"rendered[camera].{place}"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapError:
+    """Line of sight of the calibrated cameras against the traced lens, by camera, for one way to treat attitudes."""
+
+    measured_rms_arcsec: Sequence[float] = col(
+        "Measured", "arcsec", ".4f", "camera", json=of_map("measured", "rms"), key="measured_arcsec"
+    )
+    measured_max_arcsec: Sequence[float] = col(
+        "Largest", "arcsec", ".4f", "camera", json=of_map("measured", "max"), key="largest_arcsec", shown=False
+    )
+    measured_predicted_arcsec: Sequence[Measured] = col(
+        "Predicted",
+        "arcsec",
+        dims="camera",
+        json=of_map("measured", "predicted"),
+        json_error=of_map("measured", "predicted_spread"),
+    )
+    measured_status: Sequence[str] = col("Status", dims="camera", json=of_map("measured", "status"), shown=False)
+    measured_iterations: Sequence[int] = col(
+        "Iterations", dims="camera", json=of_map("measured", "iterations"), shown=False
+    )
+    measured_reduced_chi2: Sequence[float] = col(
+        "χ² per degree", "", ".2f", "camera", json=free_only("reduced_chi2"), shown=False
+    )
+    corrected_rms_arcsec: Sequence[float] = col(
+        "Colours known", "arcsec", ".4f", "camera", json=of_map("corrected", "rms"), key="corrected_arcsec"
+    )
+    corrected_max_arcsec: Sequence[float] = col(
+        "Largest", "arcsec", ".4f", "camera", json=of_map("corrected", "max"), shown=False
+    )
+    noise_map_rms_arcsec: Sequence[float] = col(
+        "Noise only", "arcsec", ".4f", "camera", json=free_only("noise_map_arcsec.rms"), key="noise_arcsec"
+    )
+    corrected_predicted_arcsec: Sequence[Measured] = col(
+        "Predicted",
+        "arcsec",
+        dims="camera",
+        json=of_map("corrected", "predicted", "noise_map_arcsec.predicted"),
+        json_error=of_map("corrected", "predicted_spread"),
+    )
+    corrected_status: Sequence[str] = col("Status", dims="camera", json=of_map("corrected", "status"), shown=False)
+    corrected_iterations: Sequence[int] = col(
+        "Iterations", dims="camera", json=of_map("corrected", "iterations"), shown=False
+    )
+    corrected_sigma_f_um: Sequence[float] = col("σ of f", "um", ".3f", "camera", json="", key="sigma_f_um")
+    corrected_reduced_chi2: Sequence[float] = col("χ² per degree", "", ".2f", "camera", json="", key="reduced_chi2")
+
+
+def map_error(made: Sequence[CalibratedCamera], method: str) -> MapError:
+    """Map errors of all cameras by one method; "noise only" is without what the camera model cannot describe."""
+
+    def each(data: str, part: Callable[[CalibratedMap], Any]) -> list[Any]:
+        return [part(one.of(data, method=method)) for one in made]
+
+    values: dict[str, Any] = {
+        f"{data}_{name}": each(data, part)
+        for data in DATA
+        for name, part in (
+            ("rms_arcsec", lambda m: m.rms_arcsec),
+            ("max_arcsec", lambda m: m.max_arcsec),
+            (
+                "predicted_arcsec",
+                lambda m: Measured(value=m.predicted_arcsec, unit="arcsec", uncertainty=m.predicted_spread_arcsec),
+            ),
+            ("status", lambda m: m.calibration.solution.status),
+            ("iterations", lambda m: m.calibration.solution.iterations),
+            ("reduced_chi2", lambda m: m.calibration.solution.reduced_chi2),
+        )
+    }
+    return MapError(
+        noise_map_rms_arcsec=[
+            rms(one.of("corrected", method=method).error_arcsec - one.clean.error_arcsec) for one in made
+        ],
+        corrected_sigma_f_um=each("corrected", sigma_f_um),
+        **values,
+    )
+
+
+def sigma_f_um(fitted: CalibratedMap) -> float:
+    """Standard deviation of the focal length; NaN for a model without one."""
+    solution = fitted.calibration.solution
+    return 1e3 * float(dict(zip(solution.names, solution.sigma, strict=True)).get("focal_length_mm", np.nan))
+
+
+# --- Camera models: what they cannot describe, what noise does to them, what comes out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Model:
+    """A camera model fitted to the same stars as the others; map errors, RMS."""
+
+    parameters: int = col("Free parameters", json="")
+    direct_arcsec: float = col("Fitted to the lens", "arcsec", ".2g", json="direct")
+    mismatch_arcsec: float = col("Noiseless stars", "arcsec", ".2g", json="reference")
+    predicted_arcsec: float = col("Noise, predicted", "arcsec", ".4f", json="")
+    measured_arcsec: float = col("Measured", "arcsec", ".4f", json="measured")
+    corrected_arcsec: float = col("Colours known", "arcsec", ".4f", json="corrected")
+    measured_predicted_arcsec: float = col("Predicted", "arcsec", ".4f", json="predicted", shown=False)
+    status: str = col("Status", shown=False)
+
+
+def models(made: CalibratedCamera) -> list[Model]:
+    """Every camera model that is compared."""
+    rows = []
+    for name in made.scene.config.models:
+        measured, corrected = (made.of(data, model=name) for data in DATA)
+        rows.append(
+            Model(
+                parameters=len(measured.calibration.solution.names),
+                direct_arcsec=made.direct[name].rms_arcsec,
+                mismatch_arcsec=made.of("reference", model=name).rms_arcsec,
+                predicted_arcsec=corrected.predicted_arcsec,
+                measured_arcsec=measured.rms_arcsec,
+                corrected_arcsec=corrected.rms_arcsec,
+                measured_predicted_arcsec=measured.predicted_arcsec,
+                status=measured.calibration.solution.status,
+            )
+        )
+    return rows
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameter:
+    """Parameter of the configured model; ideal to distorted, in mm from the principal point."""
+
+    name: str = col("Parameter", json="")
+    value: Measured = col("Value", json="parameters")
+
+
+def parameters(made: CalibratedCamera) -> list[Parameter]:
+    """Of the calibration of measured centroids with free attitudes, with the standard deviations it states."""
+    solution, used = made.of("measured").calibration.solution, int(made.used.sum())
+    units = f"{{{made.scene.name}_parameter}}"  # One by one, of `parameter_axis`
+    return [
+        Parameter(name=name, value=Measured(value=float(value), unit=units, uncertainty=float(sigma), n=used))
+        for name, value, sigma in zip(solution.names, solution.value, solution.sigma, strict=True)
+    ]
+
+
+def parameter_axis(name: str) -> Callable[[Quantities, Sequence[Parameter]], None]:
+    """Describes the dimension of a camera's parameters, whose names end in their units."""
+
+    def unit(name: str) -> str:
+        return f"1/{name.rpartition('_per_')[2]}" if "_per_" in name else name.rpartition("_")[2]
+
+    def describe(q: Quantities, rows: Sequence[Parameter]) -> None:
+        names = [one.name for one in rows]
+        q.axis(f"{name}_parameter", names, "Parameter", key="parameter", units=[unit(one) for one in names])
+
+    return describe
+
+
+# --- The map and the stars themselves
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """Line-of-sight error at a place of the detector, model minus traced lens; its prediction and its parts."""
+
+    place_px: FloatArray = col("Place", "px", dims="axis", json="", key="{axis}_px")
+    error_arcsec: FloatArray = col("As measured", "arcsec", dims="axis", json="", key="error_{axis}_arcsec")
+    sigma_arcsec: FloatArray = col("Predicted σ", "arcsec", dims="axis", json="", key="sigma_{axis}_arcsec")
+    corrected_error_arcsec: FloatArray = col(
+        "Colours known", "arcsec", dims="axis", json="", key="corrected_error_{axis}_arcsec"
+    )
+    corrected_sigma_arcsec: FloatArray = col(
+        "Predicted σ, colours known", "arcsec", dims="axis", json="", key="corrected_sigma_{axis}_arcsec"
+    )
+    mismatch_arcsec: FloatArray = col("Camera model", "arcsec", dims="axis", json="", key="mismatch_{axis}_arcsec")
+    chromatic_arcsec: FloatArray = col("Star colours", "arcsec", dims="axis", json="", key="chromatic_{axis}_arcsec")
+    noise_arcsec: FloatArray = col("Noise and pixels", "arcsec", dims="axis", json="", key="noise_{axis}_arcsec")
+    psf_arcsec: FloatArray = col("PSF of one colour", "arcsec", dims="axis", json="", key="psf_{axis}_arcsec")
+
+
+def places(made: CalibratedCamera) -> list[Place]:
+    """The map of the line of sight, row by row."""
+    whole, fine = made.of("measured"), made.of("corrected")
+    columns = {
+        "place_px": made.chart.pixel_px,
+        "error_arcsec": whole.error_arcsec,
+        "sigma_arcsec": whole.sigma_arcsec,
+        "corrected_error_arcsec": fine.error_arcsec,
+        "corrected_sigma_arcsec": fine.sigma_arcsec,
+        **{f"{part}_arcsec": error for part, error in made.part_arcsec.items()},
+    }
+    return [Place(**{name: values[k] for name, values in columns.items()}) for k in range(len(made.chart.pixel_px))]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Star:
+    """A star that was calibrated with."""
+
+    frame: int = col("Frame", json="", key="frame")
+    id: int = col("Star", json="", key="star")
+    magnitude: float = col("G", "mag", json="", key="g_mag")
+    temperature: float = col("Colour temperature", "K", json="", key="temperature_k")
+    snr: float = col("Signal-to-noise ratio", json="", key="snr")
+    measured_px: FloatArray = col("PSF of one colour", "px", dims="axis", json="", key="measured_{axis}_px")
+    own_px: FloatArray = col("PSF of the star's colour", "px", dims="axis", json="", key="own_{axis}_px")
+    light_px: FloatArray = col("Noiseless light", "px", dims="axis", json="", key="light_{axis}_px")
+    reference_px: FloatArray = col(
+        "Light of the reference colour", "px", dims="axis", json="", key="reference_{axis}_px"
+    )
+    residual_px: FloatArray = col(
+        "Measured minus calibrated camera", "px", dims="axis", json="", key="residual_{axis}_px"
+    )
+    sigma_px: FloatArray = col("Stated σ", "px", dims="axis", json="", key="sigma_{axis}_px")
+
+
+def stars(made: CalibratedCamera) -> list[Star]:
+    """Every star that was calibrated with."""
+    matched, used, sky = made.matched, made.used, made.scene.sky
+    star = matched.star[used]
+    columns: dict[str, Any] = {
+        "frame": matched.frame[used],
+        "id": sky.id[star],
+        "magnitude": sky.magnitude[star],
+        "temperature": sky.temperature_k[star],
+        "snr": matched.snr[used],
+        **{f"{kind}_px": made.position_px[kind][used] for kind in ("measured", "own", "light", "reference")},
+        "residual_px": made.residual_px,
+        "sigma_px": np.sqrt(np.diagonal(matched.covariance_px2[used], axis1=1, axis2=2)),
+    }
+    return [Star(**{name: values[k] for name, values in columns.items()}) for k in range(len(star))]
+
+
+# --- The run
+
+
+def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     """Render, read out, measure, match, calibrate and compare."""
-    from experiments.skycal.result import Result
-    from experiments.skycal.scene import build_scene
-    from render.engine.random import Streams
-
     root = Streams(config.seed).child("skycal")
     scenes = {name: build_scene(name, config, root.child(name)) for name in config.cameras}
-    cameras = {name: _camera(scene, config, root.child(name), progress) for name, scene in scenes.items()}
-    return Result(config=config, cameras=cameras)
+    made = {name: calibrated(scene, config, root.child(name), progress) for name, scene in scenes.items()}
+    result: dict[str, Any] = {
+        "cameras": [camera(one) for one in made.values()],
+        "methods": [map_error(list(made.values()), method) for method in METHODS],
+    }
+    for name, one in made.items():
+        result |= {
+            f"{name}_models": models(one),
+            f"{name}_parameters": parameters(one),
+            f"{name}_map": places(one),
+            f"{name}_stars": stars(one),
+        }
+    return result
 
 
-def _camera(scene: Scene, config: Config, streams: Streams, progress: Progress) -> CameraResult:
+def calibrated(scene: Scene, config: Config, streams: Streams, progress: Progress) -> CalibratedCamera:
     """All of one camera."""
-    from experiments.skycal.evaluate import evaluate
-    from experiments.skycal.match import match_frames
-    from experiments.skycal.measure import record
-    from experiments.skycal.result import CameraResult
-
     with progress.stage(f"{scene.name}: frames", total=scene.frames) as stage:
         recording = record(scene, config, streams, advance=stage.advance)
     with progress.stage(f"{scene.name}: matches"):
         matched = match_frames(scene, recording, config)
-    with progress.stage(f"{scene.name}: calibrations", total=len(scene.config.models) + 3) as stage:
-        found = evaluate(scene, recording, matched, config, streams, advance=stage.advance)
-    return CameraResult(scene=scene, recording=recording, matched=matched, evaluation=found)
+    with progress.stage(f"{scene.name}: calibrations", total=len(scene.config.models) + 2) as stage:
+        return calibrate_camera(scene, recording, matched, config, advance=stage.advance)
 
 
-def files(result: Result, folder: Path) -> None:
+def files(result: Mapping[str, Any], folder: Path) -> None:
     """One frame of each camera as FITS."""
-    from render.fits.files import write_frame
-
-    for name, camera in result.cameras.items():
-        write_frame(camera.recording.example, folder / f"frame_{name}.fits")
+    for one in result["cameras"]:
+        write_frame(one.made.recording.example, folder / f"frame_{one.made.scene.name}.fits")
 
 
-experiment = Experiment(
-    name="skycal",
-    config=Config,
-    run=run,
-    takes="3 min (--quick: 1 min)",
-    examples={
-        "--quick": "six frames, fewer stars",
-        "--set which=wide --set frames=20": "the wide lens alone, 20 frames",
-        "--set centroid=gaussian": "another centroider",
-    },
-    show=("cameras", "parts"),
-    files=files,
-    quick={
-        "frames": 6,
-        "dark_frames": 5,
-        "motion.rate_deg_per_s": 3.0,
-        "map_points": 13,
-        "narrow.faintest_mag": 8.7,
-        "narrow.psf_spacing_px": 400.0,
-        "narrow.models": ["pinhole", "brown_conrady", "polynomial_3"],
-        "wide.faintest_mag": 6.2,
-        "wide.psf_spacing_px": 170.0,
-        "wide.models": ["pinhole", "brown_conrady", "polynomial_5"],
-    },
-)
-main = command(experiment)
+def axes(config: Config) -> Quantities:
+    """Dimensions that several sections share."""
+    q = Quantities()
+    q.axis("axis", ["x", "y"], "Axis")
+    q.axis("method", METHODS, "Attitudes", names=METHOD_NAMES)
+    q.axis("data", list(DATA), "Centroids", names=DATA)
+    q.axis("part", PARTS, "Part", names=PART_NAMES)
+    q.axis("pair", PAIRS, "Parts")
+    q.axis("outcome", OUTCOMES, "Detections")
+    for name, one in config.cameras.items():
+        q.axis(f"{name}_model", one.models, "Model", key="model", names=[model_label(model) for model in one.models])
+    return q
+
+
+def camera_axis(q: Quantities, rows: Sequence[Camera]) -> None:
+    """Cameras are called by their focal length."""
+    focal = [one.made.scene.instrument.focal_length_mm for one in rows]
+    names = [f"{f:.0f} mm" if f >= 100 else f"{f:.1f} mm" for f in focal]
+    q.axis("camera", [one.made.scene.name for one in rows], "Lens", names=names)
+
+
+# --- Sections
+
+
+def sections_of(name: str) -> dict[str, Section]:
+    """Sections of one camera."""
+    model = f"{name}_model"
+    return {
+        f"{name}_models": Section(
+            record=Model,
+            dim=model,
+            prefix=f"{model}_",
+            place=f"rendered.{name}.models_arcsec[{model}]",
+            table=f"models_{name}",
+            caption="Which camera model is enough: map errors, RMS.",
+            note="Noiseless stars: the same stars and weights as measured, at the places that light of the reference "
+            "colour would have. Noise: predicted, with star colours known.",
+            figures={
+                f"{name}_model_curves": curves(
+                    model,
+                    points=f"{model}_measured_arcsec {model}_corrected_arcsec",
+                    lines=f"{model}_mismatch_arcsec {model}_predicted_arcsec",
+                    log="y",
+                    y="Map error, RMS",
+                    aspect_ratio=0.36,
+                )
+            },
+        ),
+        f"{name}_parameters": Section(
+            record=Parameter,
+            dim=f"{name}_parameter",
+            along="name",
+            prefix=f"{name}_",
+            place=f"rendered.{name}",
+            axes=parameter_axis(name),
+            table=f"parameters_{name}",
+            caption="Parameters of the calibration, with the standard deviations it states.",
+        ),
+        f"{name}_map": Section(
+            record=Place,
+            dim=f"{name}_place",
+            prefix=f"{name}_",
+            table=f"map_{name}",
+            across="axis",
+            hidden=f"{name}_place",
+            caption="Line-of-sight error over the detector: model minus traced lens.",
+            figures={
+                f"{name}_map": arrows(f"{name}_place_px", f"{name}_error_arcsec", f"{name}_corrected_error_arcsec")
+            },
+        ),
+        f"{name}_stars": Section(
+            record=Star,
+            dim=f"{name}_star",
+            prefix=f"{name}_star_",
+            table=f"stars_{name}",
+            across="axis",
+            hidden=f"{name}_star",
+            caption="Stars calibrated with.",
+        ),
+    }
+
+
+def frame_of(name: str) -> Callable[[Outcome], Any]:
+    """The frame of a camera, as a figure."""
+    return lambda outcome: sky_frame(next(one.made for one in outcome.result["cameras"] if one.made.scene.name == name))
+
+
+SECTIONS: dict[str, Section] = {
+    "cameras": Section(
+        record=Camera,
+        dim="camera",
+        place="rendered[camera]",
+        axes=camera_axis,
+        table="parts",
+        rows="camera",
+        across="part",
+        where={"method": "free"},
+        columns="part_rms_arcsec quadrature_arcsec measured_rms_arcsec",
+        caption="What the map error is made of: RMS of each part, switched on one after the other in the same data.",
+        note="Parts add up as vectors; independent ones would add in quadrature.",
+        figures={
+            **{f"{name}_frame": frame_of(name) for name in CAMERAS},
+            "parts": bars("part", bars="part_rms_arcsec", panels="camera"),
+        },
+        verdicts=[
+            below(
+                "wrong_part", WRONG_LIMIT, each="camera", title="wrong matches among the stars matched, part of them"
+            ),
+            below(
+                "not_converged",
+                0.0,
+                each="camera",
+                title="calibrations from poor start values that did not converge, of 4",
+                advice="start.focal_ratio nearer to 1",
+            ),
+            ratio_near(
+                "centroid_pull",
+                within=0.05,
+                most=0.25,
+                each="camera",
+                title="scatter of faint stars' centroids over the stated one",
+                advice="noise of the pixels is not that of the detector's data",
+            ),
+            below(
+                "part_rms_arcsec",
+                "mismatch_limit_arcsec",
+                each="camera",
+                at={"part": "mismatch"},
+                title="error of noiseless stars, against the model's own limit plus the predicted uncertainty",
+                advice="stars leave a part of the detector empty, or a star's trace is wrong",
+            ),
+        ],
+    ),
+    "methods": Section(
+        record=MapError,
+        dim="method",
+        table="methods",
+        rows="camera method",
+        columns="measured_rms_arcsec measured_predicted_arcsec corrected_rms_arcsec noise_map_rms_arcsec "
+        "corrected_predicted_arcsec corrected_sigma_f_um corrected_reduced_chi2",
+        caption="Line of sight of the calibrated cameras against the traced lens, RMS after the best rotation.",
+        note="Colours known: centroids with the PSF of each star's colour, colour shift taken off; noise only: without "
+        "what the camera model cannot describe. Predicted: from the covariance of the calibration; ± is how much such "
+        "a map scatters. χ² well above 1: the gyro is not as good as the method takes it to be.",
+        figures={
+            "method_bars": bars(
+                "method", bars="corrected_rms_arcsec", points="corrected_predicted_arcsec", panels="camera"
+            )
+        },
+        verdicts=[
+            agree(
+                "noise_map_rms_arcsec",
+                with_="corrected_predicted_arcsec",
+                at={"method": "free"},
+                each="camera",
+                false_alarm=2e-3,
+                title="map error by noise against its prediction",
+                advice="residuals follow the place or the frame: a wrong camera model, or an attitude that drifts",
+            )
+        ],
+    ),
+}
+for _name in CAMERAS:
+    SECTIONS |= sections_of(_name)

@@ -22,7 +22,7 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.records import concatenated, freeze
 
-__all__ = ["Matched", "match_frames", "sheet_camera"]
+__all__ = ["OUTCOMES", "Matched", "match_frames", "sheet_camera"]
 
 
 BRIGHTEST = 40
@@ -104,7 +104,7 @@ def match_frames(scene: Scene, recording: Recording, config: Config) -> Matched:
         for number, stars in enumerate(recording.frames)
         if first[number] is not None
     ]
-    total = {name: sum(part.count[name] for part in parts) for name in _OUTCOMES}
+    total = {name: sum(part.count[name] for part in parts) for name in OUTCOMES}
     return concatenated(parts, count=total, first_matched=len(good))
 
 
@@ -193,7 +193,7 @@ class _FinalMatch:
             photon_px=photon,
             in_cam=in_cam,
             correct=np.linalg.norm(pixel[rows] - photon, axis=1) < CORRECT_PX,
-            count={name: int((fault == code).sum()) for code, name in enumerate(_OUTCOMES)},
+            count={name: int((fault == code).sum()) for code, name in enumerate(OUTCOMES)},
             first_matched=0,
         )
 
@@ -227,4 +227,4 @@ class _FinalMatch:
 
 _REASONS = ("not converged", "saturated", "blended", "at the edge", "defective pixel", "too faint", "not matched")
 """For which a detection is rejected, in the order in which they are asked for."""
-_OUTCOMES = ("used", *_REASONS)
+OUTCOMES = ("used", *_REASONS)

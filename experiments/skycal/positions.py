@@ -1,8 +1,13 @@
-"""Positions of the matched stars, one more error in each kind, and without the shift by the colour of the star."""
+"""Where stars are: by ray trace, by the noiseless light, by centroids with the PSF of their own colour or of one.
+
+Positions of the matched stars come in kinds, with one more error in each: ``reference``, where light of the reference
+colour would fall; ``light``, where the star's light fell; ``own``, the centroid with the PSF of the star's own colour;
+``measured``, the centroid with the PSF of one colour. ``corrected`` is ``own`` less the colour shift of the star.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,21 +15,80 @@ from numpy.typing import NDArray
 from calib.flags import StarFlag, has_flag
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.skycal.match import Matched
-from experiments.skycal.measure import Recording
-from experiments.skycal.psf_bank import BankRenderer
+from experiments.skycal.measure import BankRenderer, Recording
 from experiments.skycal.scene import Scene
 from experiments.skycal.settings import Config
-from experiments.skycal.truth import trace_colour
 from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+from render.tracing.tracer import Tracer
 
-__all__ = ["STEPS", "colour_classes", "positions"]
+__all__ = ["STEPS", "Chart", "colour_classes", "positions", "trace_chart", "trace_colour"]
 
 
 STEPS = ("reference", "light", "own", "measured")
-"""Kinds of positions, one more error in each: where light of the reference colour would fall, where the star's light
-fell, the centroid with the PSF of the star's own colour, the centroid with the PSF of one colour."""
+"""Kinds of positions, one more error in each."""
 COLOURS = 5
 """Classes of temperature for which PSFs are rendered when every star gets one of its own colour."""
+TRACE_AT_ONCE = 2000
+EDGE_FRACTION = 0.012
+"""The chart ends this part of the longer side inside the detector, so that its traced points stay on it."""
+CHART_LOG2_RAYS = 3
+"""The truth gets eight times the rays of a star: errors of some 1e-3 px average out over stars, but not in it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chart:
+    """The truth: where light of the reference colour falls, traced."""
+
+    direction: FloatArray  # (n, 3) Unit vectors in cam
+    pixel_px: FloatArray  # (n, 2) Mean of the rays
+    rows: int  # Of the grid, row by row; rows times columns is n
+    columns: int
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "direction", shape=("n", 3), sizes=sizes)
+        freeze(self, "pixel_px", shape=("n", 2), sizes=sizes)
+
+
+def trace_colour(scene: Scene, direction: FloatArray, temperature_k: float, *, more_log2_rays: int = 0) -> FloatArray:
+    """Where the mean of the rays of a star of one colour falls: (n, 2) [px], no image, no noise."""
+    camera = scene.instrument.camera
+    # one pixel of an image is enough where only rays count
+    tiny = replace(camera, width_px=1, height_px=1, centre_px=camera.centre_px)
+    tracer = Tracer(tiny, sobol_log2_rays=scene.config.sobol_log2_rays + more_log2_rays)
+    parts = []
+    for start in range(0, len(direction), TRACE_AT_ONCE):
+        stars = scene.of_one_colour(direction[start : start + TRACE_AT_ONCE], temperature_k)
+        if tracer.pupil.exact:  # a mean needs few rays where nothing cuts the bundle
+            parts.append(tracer.bundle_means(stars, rings=8, arms=20)[:, 0])
+        else:
+            truth = tracer.render(stars, exposure_s=1.0).truth
+            parts.append(np.column_stack([truth.bundle_x_px, truth.bundle_y_px]))
+    if not parts:
+        raise DomainError(f"{scene.name}: no star to trace")
+    return np.concatenate(parts)
+
+
+def trace_chart(scene: Scene, config: Config) -> Chart:
+    """Trace the truth on a regular grid of nominal pixels."""
+    camera = scene.instrument.camera
+    longer = max(camera.width_px, camera.height_px)
+    columns, rows = (max(3, round(config.map_points * n / longer)) for n in (camera.width_px, camera.height_px))
+    edge = EDGE_FRACTION * longer
+    x, y = np.meshgrid(
+        np.linspace(edge, camera.width_px - 1 - edge, columns), np.linspace(edge, camera.height_px - 1 - edge, rows)
+    )
+    direction = camera.nominal_direction(x.ravel(), y.ravel(), scene.instrument.focal_length_mm)
+    pixel = trace_colour(scene, direction, config.sky.reference_k, more_log2_rays=CHART_LOG2_RAYS)
+    if not np.isfinite(pixel).all():
+        dark = int((~np.isfinite(pixel).all(axis=1)).sum())
+        raise DomainError(
+            f"{scene.name}: no light reaches {dark} of {len(pixel)} places of the detector through lens "
+            f"{camera.lens.name!r}; set {scene.name}.instrument.width_px and height_px smaller"
+        )
+    return Chart(direction=direction, pixel_px=pixel, rows=rows, columns=columns)
 
 
 def positions(scene: Scene, recording: Recording, matched: Matched, config: Config) -> dict[str, FloatArray]:

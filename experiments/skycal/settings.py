@@ -1,4 +1,4 @@
-"""Configuration of the calibration on rendered frames of a moving sky."""
+"""Settings and declaration of the calibration on rendered frames of a moving sky."""
 
 from __future__ import annotations
 
@@ -10,25 +10,31 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from experiments.harness.cli import command
 from experiments.harness.config import AngleDeg, StrictModel
+from experiments.harness.experiment import Experiment
 from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.lens_defaults import lens_remarks
 from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, whole_sensor
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
 
 __all__ = [
+    "CAMERAS",
     "CameraConfig",
     "Config",
     "GyroConfig",
     "MotionConfig",
     "SkyConfig",
     "StartConfig",
+    "experiment",
+    "main",
     "model_label",
     "parse_model_name",
 ]
 
 FEWEST_FRAMES = 4
-_CAMERAS = {"both": ("narrow", "wide"), "narrow": ("narrow",), "wide": ("wide",), "own": ("own",)}
+CAMERAS = ("narrow", "wide", "own")
+"""Tables of settings that describe a camera."""
 
 
 def parse_model_name(name: str) -> tuple[str, int]:
@@ -158,7 +164,6 @@ class Config(SensorExperimentConfig):
     window_px: int = Field(default=13, ge=7, le=63, description="window around a star, odd")
     threshold_sigma: float = Field(default=6.0, gt=0, le=1000, description="detection limit")
     least_snr: float = Field(default=15.0, gt=0, le=1e5, description="signal-to-noise ratio a star needs to take part")
-    wrong_fraction: float = Field(default=0.1, ge=0, le=0.5, description="wrong matches put in for the robust fit")
     map_points: int = Field(default=25, ge=5, le=101, description="points of the map along the longer side")
 
     @field_validator("window_px")
@@ -213,4 +218,34 @@ class Config(SensorExperimentConfig):
     @property
     def cameras(self) -> dict[str, CameraConfig]:
         """The cameras that are run, by name."""
-        return {name: getattr(self, name) for name in _CAMERAS[self.which]}
+        return {name: getattr(self, name) for name in (("narrow", "wide") if self.which == "both" else (self.which,))}
+
+
+experiment = Experiment(
+    name="skycal",
+    config=Config,
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    axes="experiment:axes",
+    takes="3 min (--quick: 1 min)",
+    examples={
+        "--quick": "six frames, fewer stars",
+        "--set which=wide --set frames=20": "the wide lens alone, 20 frames",
+        "--set centroid=gaussian": "another centroider",
+    },
+    show=("methods", "parts"),
+    files="experiment:files",
+    quick={
+        "frames": 6,
+        "dark_frames": 5,
+        "motion.rate_deg_per_s": 3.0,
+        "map_points": 13,
+        "narrow.faintest_mag": 8.7,
+        "narrow.psf_spacing_px": 400.0,
+        "narrow.models": ["pinhole", "brown_conrady", "polynomial_3"],
+        "wide.faintest_mag": 6.2,
+        "wide.psf_spacing_px": 170.0,
+        "wide.models": ["pinhole", "brown_conrady", "polynomial_5"],
+    },
+)
+main = command(experiment)

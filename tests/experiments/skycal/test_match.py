@@ -1,19 +1,16 @@
-"""Names for detections, on star tables made without rendering; PSFs between their nodes; probabilities of maps."""
+"""Names for detections, on star tables made without rendering; PSFs between their nodes."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from calib.cameras import BrownConrady
 from calib.flags import StarFlag
 from calib.records import NoiseModel, Stamps, StarTable
-from experiments.skycal.calibrate import map_probability, rms
 from experiments.skycal.match import match_frames, sheet_camera
-from experiments.skycal.measure import FrameStars
+from experiments.skycal.measure import FrameStars, PsfBank
 from experiments.skycal.positions import colour_classes
-from experiments.skycal.psf_bank import PsfBank
 from experiments.skycal.scene import build_scene
 from experiments.skycal.settings import Config
 from optics.errors import DomainError
@@ -200,14 +197,3 @@ def test_colour_classes_divide_the_stars_evenly():
     colour, member = colour_classes(np.full(7, 4000.0))
     assert colour == pytest.approx([4000.0])
     assert np.all(member == 0)
-
-
-def test_probability_of_a_map_is_that_of_a_chi_square():
-    """r equal eigenvalues make a chi-square of r degrees; 40000 draws give a probability p to sqrt(p / 40000)."""
-    for size in (0.7, 1.0, 1.6):
-        error = np.full((50, 2), size / np.sqrt(2))
-        assert rms(error) == pytest.approx(size)
-        upper = chi2.sf(8 * size**2, 8)
-        expected = 2 * min(upper, 1 - upper)
-        assert map_probability(error, np.full(8, 1 / 8)) == pytest.approx(expected, abs=5 * 2 * np.sqrt(0.25 / 40000))
-    assert np.isnan(map_probability(np.ones((3, 2)), np.array([np.nan])))

@@ -5,10 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import link_attitudes
-from experiments.skycal.experiment import main
-from experiments.skycal.scene import build_scene
-from experiments.skycal.settings import Config, model_label, parse_model_name
-from experiments.skycal.sky import CUMULATIVE_COUNT, in_light, random_sky
+from experiments.skycal.scene import CUMULATIVE_COUNT, build_scene, in_light, random_sky
+from experiments.skycal.settings import Config, main, model_label, parse_model_name
 from optics.errors import DomainError
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
@@ -63,6 +61,20 @@ def test_motion_has_the_asked_speed_and_the_gyro_feels_it(config, scene):
     # three axes: random walk 0.005 deg/sqrt(h), bias 0.03 deg/h, after 11 s; five times that
     walk, bias = 0.005 * np.sqrt(3 * 11 / 3600), np.sqrt(3) * 0.03 * 11 / 3600
     assert 0 < np.degrees(drift[-1]) < 5 * (walk + bias)
+
+
+def test_camera_starts_with_north_up_and_turns_as_commanded(config, scene):
+    """Columns grow to the west of a sky seen from inside, rows to the south; what the camera sees turns backwards."""
+    ra, dec = np.radians([config.sky.ra_deg, config.sky.dec_deg])
+    ahead = [np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)]
+    north = [-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)]
+    west = [np.sin(ra), -np.cos(ra), 0.0]
+    assert scene.attitude[0].as_matrix() == pytest.approx(np.array([west, np.negative(north), ahead]), abs=1e-12)
+    turn = (scene.attitude[1:] * scene.attitude[:-1].inv()).as_rotvec()
+    tilt, around = np.radians(config.motion.axis_deg), np.pi * (np.arange(11) + 0.5) / 12  # half a revolution in 12 s
+    axis = np.stack([-np.sin(tilt) * np.sin(around), np.sin(tilt) * np.cos(around), np.full(11, np.cos(tilt))], axis=1)
+    # the axis turns by 15 deg in a step: the mean of its directions is shorter by (15 deg)^2 / 24 = 0.3 %
+    assert turn == pytest.approx(-np.radians(config.motion.rate_deg_per_s) * axis, rel=0.01, abs=2e-5)
 
 
 def test_prior_attitude_is_wrong_by_what_was_asked(config):
