@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 import typing
 from collections.abc import Iterable, Iterator, Mapping
@@ -22,6 +23,8 @@ Location = tuple[int | str, ...]
 
 MOST_LEVELS = 16
 """How deep tables and lists of a file may stand within one another."""
+MOST_DOTS = 100
+_LONG_KEY = re.compile(rf"(?:[\w\"'-]++\s*+\.\s*+){{{MOST_DOTS},}}")
 MOST_MISSING = 3
 """Of more missing keys the names are said, not what each is."""
 _NEEDED = {
@@ -115,6 +118,8 @@ def _refusal(model_class: type[BaseModel], faults: list[dict[str, Any]], where: 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """Read a TOML file."""
     text = "\n".join(read_text(path, "a TOML file").lines)
+    if _LONG_KEY.search(text):  # tomllib takes memory with the square of the dots
+        raise ConfigError(f"{path}: a key of more than {MOST_DOTS} dots; {MOST_LEVELS} levels are allowed")
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # a number of thousands of digits, a thousand brackets

@@ -137,3 +137,14 @@ def test_the_kind_of_a_table_is_no_part_of_its_keys(pointing, said):
     assert said in str(caught.value)
     assert ".cone." not in str(caught.value)
     assert ".sky." not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["{} = 1", "[{}]\nx = 1", "x = {{ {} = 1 }}"])
+def test_a_key_of_many_dots_is_refused_before_it_is_parsed(text, tmp_path):
+    """tomllib took 10 GB for one of 60 000 dots."""
+    path = tmp_path / "dots.toml"
+    path.write_text(text.format(".".join(["a"] * 60_000)))
+    with pytest.raises(ConfigError, match="a key of more than 100 dots"):
+        read_toml(path)
+    path.write_text('x = "a sentence. Another. ' + "1.5 " * 300 + '"\n')
+    assert read_toml(path)["x"].startswith("a sentence")
