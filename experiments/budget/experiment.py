@@ -26,7 +26,7 @@ from experiments.budget.tornado import TORNADO, parameters, tornado
 from experiments.harness.drawings import bars
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
-from experiments.harness.sections import Section, below, col, ratio_near
+from experiments.harness.sections import Section, agree, below, col, ratio_near
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.centroid_methods import MethodLabels
 from experiments.laboratory.collimator_effects import COLLIMATOR, CollimatorShift, collimator_shift
@@ -446,7 +446,7 @@ SECTIONS = {
         ],
     ),
     "tuned": Section(
-        record=Tuned, verdicts=[ratio_near("over_published", within="within_fraction", title="measured over published")]
+        record=Tuned, verdicts=[agree("over_published", 1.0, slack="within_fraction", title="measured over published")]
     ),
     "causes": Section(
         record=Cause,

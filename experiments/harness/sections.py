@@ -277,7 +277,7 @@ def agree(
     each: str = "",
     at: Mapping[str, Any] | None = None,
     false_alarm: float = FALSE_ALARM,
-    slack: float = 0.0,
+    slack: float | str = 0.0,
     advice: Advice = "",
 ) -> Verdict:
     """A quantity against another one, or a number: the largest deviation over the uncertainties of both.
@@ -296,8 +296,9 @@ def agree(
         Dimension -> coordinate or position that is judged; the verdict is left out where there is none such.
     false_alarm : float
         Chance that the verdict fails by noise alone; the limit follows from it and the number of deviates.
-    slack : float
-        Part of the predicted value that the prediction may be off, counted as three standard deviations.
+    slack : float or str
+        Part of the predicted value that the prediction may be off, counted as three standard deviations; a number or a
+        quantity.
     advice : str or function
         What is likely wrong where it fails; a function of the outcome where that depends on what came out.
     """
@@ -308,7 +309,8 @@ def agree(
             predicted = outcome.quantity(with_).at(**where) if isinstance(with_, str) else None
             expected = predicted.values if predicted is not None else float(str(with_))
             errors = [one.error for one in (measured, predicted) if one is not None and one.error is not None]
-            variance = sum((np.square(one) for one in errors), np.square(slack * expected / PREDICTION_SIGMA))
+            off = float(outcome.value(slack)) if isinstance(slack, str) else slack
+            variance = sum((np.square(one) for one in errors), np.square(off * expected / PREDICTION_SIGMA))
             known = np.broadcast_to(~np.isnan(expected + np.sqrt(variance)), measured.values.shape)
             pulls = ((measured.values - expected) / np.sqrt(variance))[known]
             other = f"{expected:g}" if predicted is None else predicted.label.lower()
@@ -332,7 +334,7 @@ def ratio_near(
     name: str,
     about: float = 1.0,
     *,
-    within: float | str,
+    within: float,
     title: str = "",
     each: str = "",
     at: Mapping[str, Any] | None = None,
@@ -343,8 +345,8 @@ def ratio_near(
 ) -> Verdict:
     """A ratio: the farthest of several from ``about`` (or their mean) within a part of it, plus what noise may do.
 
-    Parameters as of `agree`; ``within`` is what the prediction may be off besides the noise of the measurement, a
-    number or a quantity. A run so small that the limit would exceed ``most`` gives no verdict.
+    Parameters as of `agree`; ``within`` is what the prediction may be off besides the noise of the measurement.
+    A run so small that the limit would exceed ``most`` gives no verdict.
     """
 
     def judge(outcome: Outcome) -> list[Criterion]:
@@ -353,8 +355,7 @@ def ratio_near(
             error = np.zeros(1) if measured.error is None else np.ravel(measured.error)
             value = float(measured.values.mean()) if mean else about * farthest_from_one(measured.values / about)
             spread = float(np.sqrt((error**2).sum()) / error.size if mean else error.max())
-            allowed = float(outcome.value(within)) if isinstance(within, str) else within
-            limit = allowed + two_sided_limit(1 if mean else error.size, false_alarm) * spread
+            limit = within + two_sided_limit(1 if mean else error.size, false_alarm) * spread
             if limit > most:
                 continue
             of = f", mean of {measured.values.size}" if mean and measured.dims else ""
@@ -362,7 +363,7 @@ def ratio_near(
             out.append(Criterion(name=name_, value=value, about=about, limit=limit, advice=_words(advice, outcome)))
         return out
 
-    return _named(judge, name, within)
+    return _named(judge, name)
 
 
 def below(

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 from experiments.laboratory.settings import FilterConfig, InstrumentConfig, PassbandConfig
 
-__all__ = ["ACC18_ARCSEC", "ACC18_PIXEL_ARCSEC", "ACC18_TABLE1_PX", "chromatic_of_table1_arcsec", "is_published_sensor"]
+__all__ = ["ACC18_ARCSEC", "ACC18_TABLE1_PX", "is_published_sensor"]
 
 ACC18_ARCSEC: Mapping[str, tuple[float, float]] = {
     "TE": (1.14, 1.23),
@@ -21,21 +21,6 @@ ACC18_ARCSEC: Mapping[str, tuple[float, float]] = {
 
 ACC18_TABLE1_PX: Mapping[str, tuple[float, float]] = {"600-500": (-1e-4, 5e-3), "800-600": (0.12, 7e-3)}
 """ACC18 Table 1, (X, Y): mean shift between filters, halved, by the wavelengths of the filters."""
-
-ACC18_PIXEL_ARCSEC = 5.5
-"""ACC18 section 2: angle of a pixel."""
-
-
-def chromatic_of_table1_arcsec() -> tuple[float, float]:
-    """LSFE-S (x, y) [arcsec, 3 sigma] by the document's rule from its own Table 1: the largest entry, a third, 3 sigma.
-
-    The axes of Table 1 are exchanged in the document's result. In x it prints 0.03", which is the entry 5e-3 px; the
-    largest, 7e-3 px, gives 0.0385".
-    """
-    columns = zip(*ACC18_TABLE1_PX.values(), strict=True)
-    x, y = (max(abs(v) for v in column) / 3.0 * 3.0 * ACC18_PIXEL_ARCSEC for column in columns)
-    return y, x
-
 
 _OPEN = ("defocus_mm", "exposure_s", "diffraction")
 """Of the instrument, what ACC18 does not state, and how stars are rendered; an instrument that differs in these is

@@ -38,10 +38,16 @@ def outcome_of(ratio: float, error: float, within: float = 0.05) -> Outcome:
 )
 def test_a_ratio_may_be_off_by_a_part_and_its_noise(ratio, error, holds):
     assert two_sided_limit(2) == pytest.approx(2.807, abs=1e-3)  # 1 % over two normal deviates
-    for within in (0.05, "allowed"):
-        (judged,) = ratio_near("ratio", within=within)(outcome_of(ratio, error))
-        assert judged.limit == pytest.approx(0.05 + 2.807 * error, abs=1e-4)
-        assert judged.passed is holds
+    (judged,) = ratio_near("ratio", within=0.05)(outcome_of(ratio, error))
+    assert judged.limit == pytest.approx(0.05 + 2.807 * error, abs=1e-4)
+    assert judged.passed is holds
+
+
+@pytest.mark.parametrize("slack", [0.06, "allowed"])
+def test_a_prediction_may_be_off_by_three_standard_deviations(slack):
+    (judged,) = agree("ratio", 1.0, slack=slack)(outcome_of(1.1, 0.01, within=0.06))
+    assert judged.value == pytest.approx(0.1 / np.hypot(0.01, 0.02))
+    assert judged.limit == pytest.approx(2.807, abs=1e-3)
 
 
 def test_a_run_too_small_to_tell_is_not_judged():
