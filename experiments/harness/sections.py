@@ -163,7 +163,7 @@ class Section:
             own = dict(metadata["col"])
             place, place_of_error, dims = own.pop("json"), own.pop("json_error"), own.pop("dims")
             place = self.json.get(name, place)
-            place_of_error = "" if place == "" else place_of_error
+            place_of_error = "" if self.json.get(name) == "" else place_of_error  # hidden by this section
             q.add(
                 self.prefix + name,
                 values if self.dim else values[0],
