@@ -2,7 +2,7 @@
 
 import sys
 
-from experiments.hsfe.experiment import main
+from experiments.hsfe.settings import main
 
 if __name__ == "__main__":
     sys.exit(main())

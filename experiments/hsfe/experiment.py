@@ -1,40 +1,274 @@
-"""High spatial frequency error (ACC18 eq. 3-12): small steps of a hexapod, split by cause, predicted without frames.
-
-A 5 x 5 point target is stepped over the pixels by 0.2 px at a time; thirty frames at every position are rendered, read
-out, detected and centroided, and reduced as the document does. Response and offset patterns and bad pixels are switched
-off one by one on the same random streams; the S-curve is what is left of an image without noise.
-"""
+"""High spatial frequency error (ACC18 eq. 3-12): by centroider, by cause, along the path."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
-from experiments.harness.cli import command
-from experiments.harness.experiment import Experiment
+import numpy as np
+
+from calib.measure.epsf import draw_epsf
+from experiments.harness.drawings import bars, cloud, curves
 from experiments.harness.progress import Progress
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, agree, col
+from experiments.harness.summary import Measured, measured
 from experiments.hsfe.settings import Config
-from experiments.laboratory.own_frames import or_own_frames
+from experiments.laboratory import sketches
+from experiments.laboratory.bench import Bench
+from experiments.laboratory.collimator_effects import SIGHT, sight_of
+from experiments.laboratory.hexapod import Hexapod, turned
+from experiments.laboratory.high_frequency import (
+    CAUSES,
+    HighFrequencyMeasurement,
+    StepPlan,
+    measure_high_frequency,
+)
+from experiments.laboratory.high_frequency_model import (
+    HighFrequencyPrediction,
+    MethodPrediction,
+    predict_high_frequency,
+)
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.point_quantities import point_quantities
+from experiments.laboratory.point_scene import point_laboratory, point_signal, prepared_scene
+from experiments.laboratory.published import ACC18_ARCSEC, is_published_sensor
+from experiments.laboratory.readout.centroids import centroiders, motion_method, noiseless_positions
+from experiments.laboratory.readout.noise_model import nominal_noise
+from experiments.laboratory.step_statistics import common_removed, step_residual_px
+from experiments.laboratory.temporal_error import target_place
+from optics.arrays import FloatArray
+from render.detector.maps import sensor_maps
+from render.engine.random import Streams
+from render.records import EffectivePsf
 
-if TYPE_CHECKING:
-    from experiments.hsfe.result import Result
+__all__ = ["SECTIONS", "axes", "run"]
 
-__all__ = ["Config", "experiment", "main", "run"]
+Axes = Sequence[Measured]
+MODEL_SLACK = 0.03
+"""What the linear model may be off: a threshold smooths the S-curve under noise by about this much."""
+FALSE_ALARM = 1e-3
+"""Chance that one of the three verdicts fails by noise alone; an RMS over few stars and steps is not quite normal."""
 
 
-def run(config: Config, *, progress: Progress) -> Result:
+# --- The number of ACC18, and the error of one position
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Test:
+    """What was measured with, and the number of ACC18 by the centroider that counts."""
+
+    frames: int = col("Frames")
+    stars: int = col("Stars")
+    positions: int = col("Positions")
+    subtraction: str = col("Subtraction")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec")
+    signal_e: float = col("Signal", "e-", ".0f")
+    magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f", json="signal_magnitude_mag")
+    signal_star_k: float = col("Temperature of that star", "K", ".0f")
+    signal_star: str = col("Star")
+    hsfe_arcsec: Axes = col("HSFE as printed", "arcsec", dims="axis", json="hsfe_arcsec_3sigma")
+    published_arcsec: Sequence[float] | None = col(
+        "Published", "arcsec", ".2f", "axis", json="published_arcsec_3sigma", default=None
+    )
+    # True motion of the light in the steps without the mean over the stars: roll and distortion
+    motion_px: FloatArray = col("Motion left", "px", ".5f", "axis", json="motion_left_px")
+    residual_arcsec: FloatArray = col("Residuals of the steps", "arcsec", ".3f", "step star axis", json="")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Steps:
+    """High spatial frequency error (3 sigma) of a centroider."""
+
+    document_arcsec: Axes = col("Document", "arcsec", ".3f", "axis", json="document")
+    predicted_arcsec: Axes = col(
+        "Predicted", "arcsec", ".3f", "axis", json="document_predicted", json_error="document_predicted_scatter"
+    )
+    ratio: Axes = col("Ratio", "", ".3f", "axis")
+    halved_arcsec: FloatArray = col("Over √2", "arcsec", ".3f", "axis", json="one_position_if_independent")
+    one_position_arcsec: FloatArray = col("One position", "arcsec", ".3f", "axis", json="one_position")
+    one_position_predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".3f", "axis", json="one_position_predicted")
+    one_position_ratio: Axes = col("One position, ratio", "", ".3f", "axis", json="", shown=False)
+    predicted_before_arcsec: Axes = col(
+        "Predicted before the test",
+        "arcsec",
+        ".3f",
+        "axis",
+        json="document_predicted_before",
+        json_error="document_predicted_before_scatter",
+        shown=False,
+    )
+    ratio_before: Axes = col("Ratio to the prediction before the test", "", ".3f", "axis", json="", shown=False)
+    dark_arcsec: FloatArray = col(
+        "Noise of the dark frames", "arcsec", ".3f", "axis", json="dark_frames_in_document", shown=False
+    )
+    roll_arcsec: FloatArray = col("Roll of the hexapod", "arcsec", ".3f", "axis", json="roll_in_document", shown=False)
+    quadrature_arcsec: FloatArray = col("Parts in quadrature", "arcsec", ".3f", "axis", json="quadrature", shown=False)
+
+
+def steps(seen: HighFrequencyMeasurement, before: MethodPrediction, after: MethodPrediction, method: str) -> Steps:
+    """Measured, predicted for drawn paths of the hexapod, and predicted for the path that was seen."""
+    scale, document, single = 3.0 * seen.pixel_arcsec, seen.document_px(method), seen.single_px(method)
+    # of the temporal noise that is taken away, and of its product with the error
+    noise2, count = (seen.sigma_px[method] ** 2).mean((0, 1)) / seen.frames, seen.sigma_px[method][..., 0].size
+    taken = np.sqrt((noise2**2 / 2.0 + single**2 * noise2) / count) / np.maximum(single, 1e-12)
+    return Steps(
+        document_arcsec=seen.document_arcsec(method),
+        predicted_arcsec=measured(scale * after.document_px, scale * after.scatter_px),
+        ratio=over(document, after.document_px, after.scatter_px),
+        halved_arcsec=scale * seen.halved_px(method),
+        one_position_arcsec=scale * single,
+        one_position_predicted_arcsec=scale * after.single_px,
+        one_position_ratio=over(single, after.single_px, np.hypot(after.single_scatter_px, taken)),
+        predicted_before_arcsec=measured(scale * before.document_px, scale * before.scatter_px),
+        ratio_before=over(document, before.document_px, before.scatter_px),
+        dark_arcsec=scale * after.dark_px,
+        roll_arcsec=scale * after.roll_px,
+        quadrature_arcsec=scale * seen.quadrature_px(method),
+    )
+
+
+def over(value: FloatArray, expected: FloatArray, scatter: FloatArray) -> Axes:
+    """Measured over predicted; the uncertainty is the scatter of the prediction over chips, paths and noise."""
+    ratios: Axes = measured(value / expected, scatter / expected)
+    return ratios
+
+
+# --- Where it comes from
+
+CAUSE_NAMES = {
+    "s_curve": "S-curve",
+    "prnu": "response (PRNU)",
+    "pattern": "offset pattern (DSNU)",
+    "defects": "masked defects",
+    "temporal": "temporal noise / √N",
+}
+PLACE = "methods_arcsec_3sigma[method]"
+
+
+def places(name: str, **others: str) -> dict[str, str]:
+    """Places of a part in ``summary.json``, cause by cause."""
+    return {cause: f"{PLACE}.causes.{cause}.{name}" for cause in CAUSES} | others
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cause:
+    """Part of a cause (3 sigma): in the number of ACC18, and in the error of one position."""
+
+    alone_arcsec: FloatArray = col(
+        "Alone", "arcsec", ".4f", "method axis", json=places("alone", temporal=f"{PLACE}.temporal_in_document")
+    )
+    off_arcsec: FloatArray = col("Switched off", "arcsec", ".4f", "method axis", json=places("switched_off"))
+    cause_predicted_arcsec: FloatArray = col(
+        "Predicted", "arcsec", ".4f", "method axis", json=places("predicted"), key="predicted_arcsec"
+    )
+    alone_position_arcsec: FloatArray = col(
+        "Alone, one position",
+        "arcsec",
+        ".4f",
+        "method axis",
+        json=places("one_position_alone"),
+        key="one_position_arcsec",
+    )
+    position_predicted_arcsec: FloatArray = col(
+        "Predicted",
+        "arcsec",
+        ".4f",
+        "method axis",
+        json=places("one_position_predicted"),
+        key="one_position_predicted_arcsec",
+    )
+
+
+def causes(seen: HighFrequencyMeasurement, after: HighFrequencyPrediction, methods: Sequence[str]) -> list[Cause]:
+    """Causes, and averaged temporal noise, which cannot be switched off."""
+    scale, model = 3.0 * seen.pixel_arcsec, [after.method[m] for m in methods]
+    parts = [
+        Cause(
+            alone_arcsec=scale * np.array([seen.cause_px(m, cause) for m in methods]),
+            off_arcsec=scale * np.array([seen.cause_px(m, cause, alone=False) for m in methods]),
+            cause_predicted_arcsec=scale * np.array([one.cause_px[cause] for one in model]),
+            alone_position_arcsec=scale * np.array([seen.cause_single_px(m, cause) for m in methods]),
+            position_predicted_arcsec=scale * np.array([one.cause_single_px[cause] for one in model]),
+        )
+        for cause in CAUSES
+    ]
+    none = np.full((len(methods), 2), np.nan)
+    temporal = Cause(
+        alone_arcsec=scale * np.array([seen.temporal_px(m) for m in methods]),
+        off_arcsec=none,
+        cause_predicted_arcsec=scale * np.array([one.temporal_px for one in model]),
+        alone_position_arcsec=none,
+        position_predicted_arcsec=none,
+    )
+    return [*parts, temporal]
+
+
+# --- Across a pixel, and along the path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Curves:
+    """S-curves: error of noiseless centroids of the middle star across a pixel, mean over the phase along rows."""
+
+    phase_px: FloatArray = col("Place of the star in its pixel", "px", dims="phase", json="")
+    s_curve_px: FloatArray = col("Centroid − truth", "px", "", "method phase", json="")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Track:
+    """Errors along the path: mean centroid minus noiseless light, without the mean over the stars."""
+
+    way_px: float = col("Commanded way along the path", "px", json="")
+    error_px: FloatArray = col("Error", "px", ".4f", "method star axis", json="")
+    curve_px: FloatArray = col("Predicted S-curve", "px", ".4f", "method star axis", json="")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Residuals:
+    """Residuals of eq. 7-8, first centroider, and of the light itself."""
+
+    residual_px: FloatArray = col("Residual", "px", "", "star axis", json="", key="residual_{axis}_px")
+    true_px: FloatArray = col("True", "px", "", "star axis", json="", key="true_{axis}_px")
+
+
+PHASES = 101
+ACROSS = (-0.4, -0.2, 0.0, 0.2, 0.4)
+
+
+def s_curves(bench: Bench, instrument: Instrument, psf: EffectivePsf) -> Curves:
+    """S-curves of a star from its PSF."""
+    size, along = bench.window_px, np.linspace(-0.5, 0.5, PHASES)
+    x, y = (v.ravel() for v in np.meshgrid(along, ACROSS))
+    light = bench.signal_e * np.maximum(draw_epsf(psf, x + size // 2, y + size // 2, (size, size)), 0.0)
+    given = {"light_e": light, "corner_px": np.zeros((len(x), 2), np.int64), "psf_index": np.zeros(len(x), np.int64)}
+    errors = [
+        noiseless_positions(one, nominal_noise(instrument), **given)[0][:, 0] - x - size // 2
+        for one in centroiders(bench, [psf]).values()
+    ]
+    return Curves(phase_px=along, s_curve_px=np.array(errors).reshape(len(errors), len(ACROSS), -1).mean(1))
+
+
+def tracks(
+    seen: HighFrequencyMeasurement, after: HighFrequencyPrediction, plan: StepPlan, methods: Sequence[str]
+) -> list[Track]:
+    """Every position."""
+    errors = np.array([common_removed(seen.mean_px["all"][m] - seen.photon_px) for m in methods])
+    curve = np.array([common_removed(after.method[m].s_curve_px) for m in methods])
+    return [Track(way_px=k * plan.step_px, error_px=errors[:, k], curve_px=curve[:, k]) for k in range(plan.positions)]
+
+
+# --- The run
+
+
+def axes(config: Config) -> Quantities:
+    """Dimensions that all sections share."""
+    return point_quantities(config.methods)
+
+
+def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     """Step, read out, reduce, predict."""
-    from experiments.hsfe.result import Result, geometry_study, s_curves
-    from experiments.laboratory.collimator_effects import line_of_sight
-    from experiments.laboratory.hexapod import Hexapod, turned
-    from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
-    from experiments.laboratory.high_frequency_model import predict_high_frequency
-    from experiments.laboratory.known_motion import measure_walking
-    from experiments.laboratory.point_scene import point_laboratory, prepared_scene
-    from experiments.laboratory.readout.centroids import motion_method
-    from experiments.laboratory.temporal_error import target_place
-    from render.detector.maps import sensor_maps
-    from render.engine.random import Streams
-
     bench, instrument = point_laboratory(config, config.target)
     plan, hexapod = StepPlan(**config.steps.model_dump()), Hexapod(**config.hexapod.model_dump())
     plan.check(bench)
@@ -42,88 +276,121 @@ def run(config: Config, *, progress: Progress) -> Result:
     streams = Streams(config.seed).child("hsfe")
     path = plan.path(instrument, hexapod, streams.generator("hexapod"))
     scene = prepared_scene(bench, instrument, turned(rest, path.true_rad), progress)
+    place: dict[str, Any] = {"place_px": config.place_px, "subtraction": config.subtraction}
     with progress.stage("before the test"):
-        psf, defect = scene.psfs(rest), sensor_maps(instrument.detector).defect
-        before = predict_high_frequency(
-            bench,
-            instrument,
-            plan,
-            psf=psf,
-            hexapod=hexapod,
-            place_px=config.place_px,
-            subtraction=config.subtraction,
-            defect=defect,
-            draws=config.draws,
-            seed=config.seed,
-        )
+        model: dict[str, Any] = {
+            "psf": scene.psfs(rest),
+            "hexapod": hexapod,
+            "defect": sensor_maps(instrument.detector).defect,
+            "draws": config.draws,
+            "seed": config.seed,
+            **place,
+        }
+        before = predict_high_frequency(bench, instrument, plan, **model)
     with progress.stage("steps", total=plan.positions) as stage:
-        measured = measure_high_frequency(
-            bench,
-            instrument,
-            hexapod,
-            plan,
-            place_px=config.place_px,
-            subtraction=config.subtraction,
-            streams=streams,
-            scene=scene,
-            advance=stage.advance,
-        )
-    with progress.stage("walking points"):
-        walking = measure_walking(
-            scene,
-            hexapod,
-            plan,
-            rest,
-            streams.child("walking"),
-            place_px=config.place_px,
-            subtraction=config.subtraction,
-        )
+        here: dict[str, Any] = {"streams": streams, "scene": scene, "advance": stage.advance, **place}
+        seen = measure_high_frequency(bench, instrument, hexapod, plan, **here)
     with progress.stage("after the test"):
         # where the image stood is best read with the method that has no S-curve of its own
-        after = predict_high_frequency(
-            bench,
-            instrument,
-            plan,
-            psf=psf,
-            hexapod=hexapod,
-            shift_px=measured.common_shift_px(motion_method(bench.methods), before.place_px),
-            place_px=config.place_px,
+        shift_px = seen.common_shift_px(motion_method(bench.methods), before.place_px)
+        after = predict_high_frequency(bench, instrument, plan, shift_px=shift_px, **model)
+        shapes = s_curves(bench, instrument, model["psf"][len(rest) // 2])
+    first, star = config.methods[0], point_signal(config, instrument)
+    left = step_residual_px(seen.mean_px["all"][first])
+    return {
+        "test": Test(
+            frames=seen.frames,
+            stars=len(rest),
+            positions=plan.positions,
             subtraction=config.subtraction,
-            defect=defect,
-            draws=config.draws,
-            seed=config.seed,
-        )
-        curves = s_curves(bench, instrument, psf, rest)
-        geometry = geometry_study(bench, instrument, plan, hexapod, rest, streams)
-    return Result(
-        config=config,
-        instrument=instrument,
-        measured=measured,
-        before=before,
-        after=after,
-        walking=walking,
-        curves=curves,
-        geometry=geometry,
-        sight=line_of_sight(bench, instrument, measured.motion_px2, bench.frames),
-    )
+            pixel_arcsec=seen.pixel_arcsec,
+            signal_e=star.signal_e,
+            magnitude_mag=star.magnitude_mag,
+            signal_star_k=star.temperature_k,
+            signal_star=star.star,
+            hsfe_arcsec=seen.document_arcsec(first),
+            published_arcsec=ACC18_ARCSEC["HSFE"] if is_published_sensor(config) else None,
+            motion_px=seen.motion_px,
+            residual_arcsec=seen.pixel_arcsec * left,
+        ),
+        "steps": [steps(seen, before.method[m], after.method[m], m) for m in config.methods],
+        "causes": causes(seen, after, config.methods),
+        "curves": shapes,
+        "tracks": tracks(seen, after, plan, config.methods),
+        "residuals": [
+            Residuals(residual_px=one, true_px=true)
+            for one, true in zip(left, step_residual_px(seen.photon_px), strict=True)
+        ],
+        "sight": sight_of(bench, instrument, seen.motion_px2),
+    }
 
 
-rendered = Experiment(
-    name="hsfe",
-    config=Config,
-    run=run,
-    takes="1 min (--quick: 15 s)",
-    examples={
-        "--quick": "a small run",
-        "--set steps.step_px=0.5 --set subtraction=raw": "longer steps, fixed patterns left in",
-    },
-    show=("hsfe",),
-    quick={
-        "steps.positions": 6,
-        "target.rows": 3,
-        "target.columns": 3,
-        "compare": ["gaussian", "epsf"],
-    },
-)
-experiment = or_own_frames(rendered)
-main = command(experiment)
+SECTIONS = {
+    "test": Section(
+        record=Test,
+        figures={
+            "bench_sketch": lambda _: sketches.collimator_bench(),
+            "step_residuals": cloud("residual_arcsec", ellipses="hsfe_arcsec published_arcsec"),
+        },
+    ),
+    "steps": Section(
+        record=Steps,
+        dim="method",
+        place=PLACE,
+        table="hsfe",
+        rows="method axis",
+        caption="HSFE (3 σ) of one star.",
+        note="*Document*: RMS difference of neighbouring positions, as printed (eq. 9-12), temporal noise included. "
+        "*Over √2*: the same without temporal noise, divided by √2, as if neighbours erred independently. *One "
+        "position*: mean centroid against the truth, common motion and temporal noise removed. Predicted ±: from chip "
+        "to chip.",
+        verdicts=[
+            agree(name, 1.0, slack=MODEL_SLACK, false_alarm=FALSE_ALARM, title=title)
+            for name, title in (
+                ("ratio", "document's figure over the prediction for the path seen"),
+                ("ratio_before", "document's figure over that predicted before the test"),
+                ("one_position_ratio", "error of one position over its prediction"),
+            )
+        ],
+    ),
+    "causes": Section(
+        record=Cause,
+        dim="cause",
+        axes=lambda q, _: q.axis("cause", list(CAUSE_NAMES), "Cause", names=CAUSE_NAMES),
+        table="causes",
+        rows="method cause",
+        across="axis",
+        columns="alone_arcsec off_arcsec cause_predicted_arcsec",
+        caption="Contribution of each cause to the document's figure (3 σ).",
+        note="*Alone*: a detector with only this cause against a detector with none. *Switched off*: everything "
+        "against everything but this. Same random streams in all runs; what does not cancel is taken away.",
+        figures={
+            "cause_bars": bars(
+                "cause", bars="alone_arcsec", points="cause_predicted_arcsec", by="axis", panels="method"
+            )
+        },
+    ),
+    "curves": Section(
+        record=Curves,
+        figures={"s_curves": curves("phase_px", lines="s_curve_px", by="method", level=0.0, width="half", aspect_ratio=1.0)},
+    ),
+    "tracks": Section(
+        record=Track,
+        dim="position",
+        figures={
+            "error_tracks": curves(
+                "way_px",
+                points="error_px",
+                lines="curve_px",
+                by="star",
+                panels="method",
+                members=3,
+                at={"axis": "x"},
+                y="Error in x",
+                aspect_ratio=0.36,
+            )
+        },
+    ),
+    "residuals": Section(record=Residuals, dim="step", table="residuals", across="axis", caption="Residuals."),
+    "sight": SIGHT,
+}

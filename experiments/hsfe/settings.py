@@ -1,4 +1,4 @@
-"""Configuration of the step test."""
+"""Settings and declaration of the step test."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ from typing import Literal
 
 from pydantic import Field
 
+from experiments.harness.cli import command
+from experiments.harness.experiment import Experiment
+from experiments.laboratory.own_frames import or_own_frames
 from experiments.laboratory.point_settings import StarTargetConfig
 from experiments.laboratory.settings import HexapodConfig, StepConfig
 
-__all__ = ["Config"]
+__all__ = ["Config", "experiment", "main"]
 
 
 class Config(StarTargetConfig):
@@ -21,3 +24,26 @@ class Config(StarTargetConfig):
         default="dark", description="dark: minus the mean dark frame; raw: the fixed pattern stays"
     )
     draws: int = Field(default=100, ge=10, le=5000, description="drawn chips behind the prediction")
+
+
+rendered = Experiment(
+    name="hsfe",
+    config=Config,
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    axes="experiment:axes",
+    takes="1 min (--quick: 15 s)",
+    examples={
+        "--quick": "a small run",
+        "--set steps.step_px=0.5 --set subtraction=raw": "longer steps, fixed patterns left in",
+    },
+    show=("hsfe",),
+    quick={
+        "steps.positions": 6,
+        "target.rows": 3,
+        "target.columns": 3,
+        "compare": ["gaussian", "epsf"],
+    },
+)
+experiment = or_own_frames(rendered)
+main = command(experiment)
