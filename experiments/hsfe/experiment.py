@@ -372,7 +372,9 @@ SECTIONS = {
     ),
     "curves": Section(
         record=Curves,
-        figures={"s_curves": curves("phase_px", lines="s_curve_px", by="method", level=0.0, width="half", aspect_ratio=1.0)},
+        figures={
+            "s_curves": curves("phase_px", lines="s_curve_px", by="method", level=0.0, width="half", aspect_ratio=1.0)
+        },
     ),
     "tracks": Section(
         record=Track,

@@ -13,8 +13,7 @@ from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
 from experiments.laboratory.step_statistics import (
     PositionError,
-    document_rms_px,
-    jackknife_px,
+    document_arcsec,
     position_error,
     step_residual_px,
 )
@@ -65,20 +64,13 @@ def interval_text(error: PositionError, axis: int, scale: float) -> str:
     return f"{value:.3f} ({low:.3f} to {high:.3f} at {error.level:.0%})"
 
 
-def document_arcsec(mean_px: FloatArray, scale: float) -> list[Measured]:
-    """HSFE as printed, x and y; uncertainty by the jackknife over the stars (none for two stars)."""
-    count = mean_px.shape[1] * (mean_px.shape[0] - 1)
-    rows = zip(scale * document_rms_px(mean_px), scale * jackknife_px(mean_px), strict=True)
-    return [Measured(value=float(v), uncertainty=float(e) if np.isfinite(e) else None, n=count) for v, e in rows]
-
-
 def steps(series: Sequence[SeriesFrames], methods: Sequence[str], scale: float) -> Steps:
     """As printed, and of one position (analysis of variance), in units of ``scale`` [arcsec/px]."""
     mean = {m: np.stack([one.points.mean_px(m) for one in series]) for m in methods}
     frames = np.array([one.frames for one in series])
     errors = [position_error(mean[m], np.stack([one.points.sigma_px(m) for one in series]), frames) for m in methods]
     return Steps(
-        hsfe_arcsec=[document_arcsec(mean[m], scale) for m in methods],
+        hsfe_arcsec=[document_arcsec(mean[m], scale / 3.0) for m in methods],
         single_text=[[interval_text(one, axis, scale) for axis in range(2)] for one in errors],
         single_estimate_arcsec=scale * np.array([one.value_px for one in errors]),
         single_low_arcsec=scale * np.array([one.low_px for one in errors]),

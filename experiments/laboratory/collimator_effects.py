@@ -41,13 +41,10 @@ __all__ = [
     "COLLIMATOR",
     "PARTS",
     "CollimatorShift",
-    "LineOfSight",
-    "add_line_of_sight",
     "closed_motion_px",
     "closed_spot_um",
     "collimator_shift",
-    "line_of_sight",
-    "line_of_sight_criterion",
+    "sight_of",
 ]
 
 PARTS = {"wedge": "wedge", "air": "air", "decollimation": "decollimation"}
@@ -166,18 +163,6 @@ def collimator_shift(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LineOfSight:
-    """The line of sight from frame to frame, per axis."""
-
-    between_px: float  # Standard deviation from exposure to exposure, and within one, in closed form
-    within_px: float  # Standard deviation from exposure to exposure, and within one, in closed form
-    seen_px: FloatArray  # (2,) The former from frames: what the stars have in common
-    own_px: float  # What the stars' own noise leaves in the mean over them
-    frames: int  # That ``seen_px`` is from
-    pixel_arcsec: float  # Angle of a pixel
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Sight:
     """Motion of the line of sight in the laboratory, per axis, 3 sigma: closed form, and what the stars share."""
 
@@ -208,60 +193,20 @@ SIGHT = Section(
 
 
 def sight_of(bench: Bench, instrument: Instrument, motion_px2: FloatArray) -> Sight | None:
-    """Motion common to the stars (levels, 2, 2) [px^2] against the integral of the spectrum; None at rest."""
-    sight = line_of_sight(bench, instrument, motion_px2, bench.frames)
-    if sight is None:
-        return None
-    scale = 3.0 * sight.pixel_arcsec
-    part = (1.0 + (sight.own_px / sight.between_px) ** 2) / np.sqrt(2.0 * sight.frames)
-    return Sight(
-        between_arcsec=scale * sight.between_px,
-        within_arcsec=scale * sight.within_px,
-        seen_arcsec=[
-            Measured(value=float(scale * v), uncertainty=scale * sight.between_px * part) for v in sight.seen_px
-        ],
-        ratio=[Measured(value=float(v / sight.between_px), uncertainty=part) for v in sight.seen_px],
-    )
+    """Motion common to the stars (levels, 2, 2) [px^2] against the integral of the spectrum.
 
-
-def line_of_sight(bench: Bench, instrument: Instrument, motion_px2: FloatArray, frames: int) -> LineOfSight | None:
-    """Closed form beside what frames show; None for a line of sight at rest, or of a single star."""
-    between, within = bench.power_px2(instrument)
+    None for a line of sight at rest, or of a single star.
+    """
+    between, within = np.sqrt(bench.power_px2(instrument))
     if not between or not np.isfinite(motion_px2).all():
         return None
     motion, own = motion_px2.mean(0)
-    return LineOfSight(
-        between_px=between**0.5,
-        within_px=within**0.5,
-        seen_px=np.sqrt(np.maximum(motion, 0.0)),
-        own_px=float(np.sqrt(own.mean())),
-        frames=frames * len(motion_px2),
-        pixel_arcsec=instrument.pixel_arcsec,
-    )
-
-
-def add_line_of_sight(q: Quantities, sight: LineOfSight) -> None:
-    """The line of sight as quantities ``collimator_...``, 3 sigma; the axis ``axis`` is there already."""
-    scale, angle = 3.0 * sight.pixel_arcsec, {"unit": "arcsec", "format": ".3f"}
-    for name, label, value in (
-        ("between", "Line of sight from frame to frame, predicted", sight.between_px),
-        ("within", "Line of sight within a frame, predicted", sight.within_px),
-    ):
-        place = f"collimator.line_of_sight_{name}_arcsec_3sigma"
-        q.add(f"collimator_{name}_arcsec", scale * value, label, **angle, json=place)
-    place = "collimator.line_of_sight_seen_arcsec_3sigma"
-    error = np.full(2, scale * sight.between_px / np.sqrt(2.0 * sight.frames))
-    label = "Line of sight from frame to frame, seen"
-    q.add("collimator_seen_arcsec", scale * sight.seen_px, label, **angle, dims="axis", error=error, json=place)
-
-
-def line_of_sight_criterion(sight: LineOfSight) -> Criterion:
-    """What all stars have in common from frame to frame over the integral of the spectrum."""
-    drawn = (1.0 + (sight.own_px / sight.between_px) ** 2) / np.sqrt(2.0 * sight.frames)
-    return Criterion(
-        name=f"collimator: what all stars have in common from frame to frame, {sight.frames} frames, over seeing and "
-        "spectrum times sinc² of the exposure",
-        value=farthest_from_one(sight.seen_px / sight.between_px),
-        about=1.0,
-        limit=MOTION_RATIO + two_sided_limit(2) * float(drawn),
+    scale, seen = 3.0 * instrument.pixel_arcsec, np.sqrt(np.maximum(motion, 0.0))
+    # of so many draws, each with what the mean of the stars' own errors leaves
+    part = (1.0 + own.mean() / between**2) / np.sqrt(2.0 * bench.frames * len(motion_px2))
+    return Sight(
+        between_arcsec=float(scale * between),
+        within_arcsec=float(scale * within),
+        seen_arcsec=measured(scale * seen, np.full(2, scale * between * part)),
+        ratio=measured(seen / between, np.full(2, part)),
     )

@@ -22,12 +22,11 @@ from experiments.laboratory.point_scene import PointLight, PointScene, scene_of
 from experiments.laboratory.readout.centroids import centroiders, common_motion_px2, motion_method, noiseless_positions
 from experiments.laboratory.readout.noise_model import nominal_noise
 from experiments.laboratory.step_statistics import (
+    document_arcsec,
     document_rms_px,
     halved_px,
-    jackknife_px,
     single_rms_px,
 )
-from experiments.laboratory.target import nudged
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -111,14 +110,7 @@ class HighFrequencyMeasurement:
 
     def document_arcsec(self, method: str) -> tuple[Measured, Measured]:
         """HSFE as printed (eq. 11-12), 3 sigma, x and y; uncertainty by the jackknife over the stars."""
-        scale, mean = 3.0 * self.pixel_arcsec, self.mean_px["all"][method]
-        value, error = document_rms_px(mean), jackknife_px(mean)
-        count = mean.shape[1] * (mean.shape[0] - 1)
-        x, y = (
-            Measured(value=float(value[a] * scale), unit="arcsec", uncertainty=float(error[a] * scale), n=count)
-            for a in range(2)
-        )
-        return x, y
+        return document_arcsec(self.mean_px["all"][method], self.pixel_arcsec)
 
     def halved_px(self, method: str) -> FloatArray:
         """Error of one position (2,) from the document's number, as if neighbours were independent (`halved_px`)."""
@@ -208,7 +200,6 @@ def measure_high_frequency(
     place_px: Sequence[float] | None = None,
     subtraction: Subtraction = "dark",
     split: bool = True,
-    walk_px: FloatArray | None = None,
     streams: Streams,
     scene: PointScene | None = None,
     advance: Callable[[], None] = lambda: None,
@@ -230,11 +221,8 @@ def measure_high_frequency(
         run: {m: [] for m in bench.methods} for run in chips if run not in ("all", "none")
     }
     lights, motion = [], []
-    directions = turned(rest, path.true_rad)
     moving = bench.power_px2(instrument)[0] > 0.0
-    if walk_px is not None:
-        directions = nudged(instrument, directions, walk_px)
-    for number, direction in enumerate(directions):
+    for number, direction in enumerate(turned(rest, path.true_rad)):
         here = streams.child("position", number)
         light = scene.light(direction, here, f"step {number + 1}", psf=psf)
         lights.append(light)

@@ -13,12 +13,14 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as fisher_f
 
+from experiments.harness.summary import Measured
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 __all__ = [
     "PositionError",
     "common_removed",
+    "document_arcsec",
     "document_rms_px",
     "halved_px",
     "jackknife_px",
@@ -75,6 +77,17 @@ def jackknife_px(mean_px: FloatArray) -> FloatArray:
         return np.full(2, np.nan)
     left = np.stack([document_rms_px(np.delete(mean_px, j, axis=1)) for j in range(stars)])
     return np.asarray(np.sqrt((stars - 1) / stars * ((left - left.mean(0)) ** 2).sum(0)))
+
+
+def document_arcsec(mean_px: FloatArray, pixel_arcsec: float) -> tuple[Measured, Measured]:
+    """HSFE as printed (eq. 11-12), 3 sigma, x and y; uncertainty by the jackknife over the stars, if three or more."""
+    value, error = (3.0 * pixel_arcsec * of(mean_px) for of in (document_rms_px, jackknife_px))
+    count = mean_px.shape[1] * (mean_px.shape[0] - 1)
+    x, y = (
+        Measured(value=float(v), unit="arcsec", uncertainty=float(e) if np.isfinite(e) else None, n=count)
+        for v, e in zip(value, error, strict=True)
+    )
+    return x, y
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

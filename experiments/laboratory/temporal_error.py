@@ -13,7 +13,7 @@ from calib.measure.centroid import Centroider
 from experiments.harness.summary import Measured
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import SUBTRACTIONS, Subtraction, read_points
+from experiments.laboratory.point_frames import read_points
 from experiments.laboratory.point_noise import (
     ExpectedWindows,
     bound_px,
@@ -67,16 +67,16 @@ class TemporalMeasurement:
     levels_e: FloatArray  # (l,) Electrons per star and frame
     frames: int  # N of each level
     pixel_arcsec: float  # Angle of a pixel
-    sigma_px: Mapping[str, Mapping[str, FloatArray]]  # (l, j, 2) By subtraction ("dark", "raw") and method
+    sigma_px: Mapping[str, FloatArray]  # (l, j, 2) By method
     light: PointLight  # The target as rendered, at the signal of the bench
     windows: WindowStack  # Readout at the level nearest to that of the bench
     position_px: Mapping[str, FloatArray]  # (f, j, 2) Centroids of these frames, dark-subtracted
     # (l, 2, 2) What the stars have in common (`experiments.laboratory.readout.centroids.common_motion_px2`)
     motion_px2: FloatArray
 
-    def te_arcsec(self, method: str, level: int = 0, subtraction: Subtraction = "dark") -> tuple[Measured, Measured]:
+    def te_arcsec(self, method: str, level: int = 0) -> tuple[Measured, Measured]:
         """Temporal error at a level, x and y, 3 sigma (`temporal_error_arcsec`)."""
-        return temporal_error_arcsec(self.sigma_px[subtraction][method][level], self.pixel_arcsec, self.frames)
+        return temporal_error_arcsec(self.sigma_px[method][level], self.pixel_arcsec, self.frames)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,13 +85,10 @@ class TemporalPrediction:
 
     levels_e: FloatArray  # (l,) Electrons per star and frame
     pixel_arcsec: float  # Angle of a pixel
-    # (l, j, 2) Standard deviation of a frame's centroid by influence function, and by noise drawn on noiseless
-    # windows
+    # (l, j, 2) Standard deviation of a frame's centroid by influence function
     linear_px: Mapping[str, FloatArray]
     device_px: Mapping[str, FloatArray]  # (l, j, 2) By how much the standard deviation differs from chip to chip
-    # (l, j, 2) Standard deviation of a frame's centroid by influence function, and by noise drawn on noiseless
-    # windows
-    sampled_px: Mapping[str, FloatArray]
+    sampled_px: Mapping[str, FloatArray]  # (l, j, 2) The same by noise drawn on noiseless windows
     draws: int  # Draws per window behind ``sampled_px``
     bound_px: FloatArray  # (l, j, 2) Cramer-Rao bound
     # (l, j, 2) Standard deviation that the line of sight from frame to frame makes, which is part of all the others:
@@ -137,7 +134,6 @@ def measure_temporal(
     *,
     levels_e: Sequence[float] | FloatArray | None = None,
     place_px: Sequence[float] | None = None,
-    subtractions: Sequence[Subtraction] = SUBTRACTIONS[:1],
     streams: Streams,
     scene: PointScene | None = None,
     advance: Callable[[], None] = lambda: None,
@@ -151,31 +147,23 @@ def measure_temporal(
     light = scene.light(target_place(bench, instrument, place_px), streams, "target")
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
     nearest = int(np.argmin(np.abs(np.log(levels / bench.signal_e))))
-    sigma: dict[str, dict[str, list[FloatArray]]] = {s: {m: [] for m in bench.methods} for s in subtractions}
+    sigma: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
     kept, motion = None, []
     for number, level in enumerate(levels):
-        for subtraction in subtractions:
-            frames = read_points(
-                light,
-                bench,
-                instrument,
-                streams=streams.child("level", number),
-                signal_ratio=float(level / bench.signal_e),
-                subtraction=subtraction,
-            )
-            for method in bench.methods:
-                sigma[subtraction][method].append(frames.sigma_px(method))
-            if subtraction == subtractions[0]:
-                motion.append(common_motion_px2(frames.position_px[motion_method(bench.methods)]))
-            if number == nearest and kept is None:
-                kept = frames
+        drawn = {"streams": streams.child("level", number), "signal_ratio": float(level / bench.signal_e)}
+        frames = read_points(light, bench, instrument, **drawn)
+        for method in bench.methods:
+            sigma[method].append(frames.sigma_px(method))
+        motion.append(common_motion_px2(frames.position_px[motion_method(bench.methods)]))
+        if number == nearest:
+            kept = frames
         advance()
     assert kept is not None
     return TemporalMeasurement(
         levels_e=levels,
         frames=bench.frames,
         pixel_arcsec=instrument.pixel_arcsec,
-        sigma_px={s: {m: np.stack(v) for m, v in of.items()} for s, of in sigma.items()},
+        sigma_px={m: np.stack(v) for m, v in sigma.items()},
         light=light,
         windows=kept.windows,
         position_px=kept.position_px,

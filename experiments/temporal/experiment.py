@@ -121,7 +121,7 @@ class Frames:
 
 def stars(measured: TemporalMeasurement, predicted: TemporalPrediction, method: str) -> list[Star]:
     """Every star at the first level."""
-    sigma, expected = measured.sigma_px["dark"][method][0], predicted.sampled_px[method][0]
+    sigma, expected = measured.sigma_px[method][0], predicted.sampled_px[method][0]
     error = expected * np.sqrt(1.0 - small_sample_factor(measured.frames) ** 2)
     return [
         Star(

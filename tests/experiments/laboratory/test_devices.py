@@ -1,33 +1,14 @@
-"""Brightness control, filter wheel, grid target."""
+"""Grid target."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from experiments.laboratory.brightness import BrightnessControl
 from experiments.laboratory.points import nominal_px
 from experiments.laboratory.targets import GridTarget, grid_directions, survey
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
-
-
-def test_levels_are_even_in_the_logarithm():
-    levels = BrightnessControl(lowest_e=100.0, highest_e=1600.0).levels_e(5)
-    np.testing.assert_allclose(levels, [100.0, 200.0, 400.0, 800.0, 1600.0])
-
-
-def test_a_setting_error_is_relative():
-    control = BrightnessControl(lowest_e=10.0, highest_e=1e5, setting_error_ratio=0.05)
-    wanted = np.full(4000, 300.0)
-    reached = control.reached_e(wanted, np.random.default_rng(2))
-    assert reached.std() / 300.0 == pytest.approx(0.05, rel=4.0 / np.sqrt(8000.0) + 0.005)
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 10.0), (20.0, 10.0)])
-def test_a_reach_must_increase(low, high):
-    with pytest.raises(DomainError, match="BrightnessControl"):
-        BrightnessControl(lowest_e=low, highest_e=high)
 
 
 def test_grid_points_lie_on_the_detector_where_they_should(star_camera):

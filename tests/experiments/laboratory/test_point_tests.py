@@ -76,7 +76,7 @@ def test_temporal_error_agrees_with_its_prediction(bench, scene, small_camera, p
     predicted = predict_temporal(bench, small_camera, psf=psf, levels_e=[3000.0], place_px=PLACE, draws=0)
     c4, samples = small_sample_factor(bench.frames), 2 * 6 * bench.frames
     for method in bench.methods:
-        ratio = measured.sigma_px["dark"][method][0].mean() / (c4 * predicted.linear_px[method][0].mean())
+        ratio = measured.sigma_px[method][0].mean() / (c4 * predicted.linear_px[method][0].mean())
         assert ratio == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * samples) + 0.02)  # 2 %: one chip against the next
     assert np.all(predicted.bound_px[0] < predicted.linear_px["cog"][0])
     np.testing.assert_allclose(predicted.bound_px[0], predicted.linear_px["epsf"][0], rtol=0.02)

@@ -144,7 +144,7 @@ def test_temporal_error_of_a_point_target(engine, bench_of, camera):
     measured = measure_temporal(bench, camera, streams=Streams(1), scene=scene, **levels)
     predicted = predict_temporal(bench, camera, psf=psf, draws=0, **levels)
     for method in bench.methods:
-        within(measured.sigma_px["dark"][method][0] ** 2, predicted.linear_px[method][0] ** 2)
+        within(measured.sigma_px[method][0] ** 2, predicted.linear_px[method][0] ** 2)
 
 
 @pytest.fixture(scope="module")

@@ -133,7 +133,7 @@ def test_temporal_error_from_disk_is_that_in_memory(still, scene, camera):
         for found, known in zip(pair, measured.te_arcsec(method), strict=True):
             assert found.value == pytest.approx(known.value, rel=1e-12)
             assert found.uncertainty == pytest.approx(known.uncertainty, rel=1e-12)
-    known = measured.sigma_px["dark"]["cog"][0]
+    known = measured.sigma_px["cog"][0]
     np.testing.assert_allclose(series[0].points.sigma_px("cog"), known, rtol=1e-12)
 
 
