@@ -23,11 +23,10 @@ import numpy as np
 
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
-from experiments.harness.summary import Criterion, Measured, farthest_from_one, measured
+from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.chromatic_error import shifts, table1
 from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
-from experiments.laboratory.criteria import MOTION_RATIO, two_sided_limit
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.ray_prediction import ORDER, bundle_prediction, light_shares, spots_of
 from optics.arrays import FloatArray
@@ -50,6 +49,8 @@ __all__ = [
 PARTS = {"wedge": "wedge", "air": "air", "decollimation": "decollimation"}
 """What moves the image by an angle that depends on the wavelength."""
 KELVIN = 273.15
+MOTION_RATIO = 0.01
+"""What a motion of the line of sight may be off besides noise: it is that of some sixty rays of each bundle."""
 SPOT_RATIO = 0.03
 """What a paraxial change of focus may be off in the radius of a spot."""
 FIELD_RATIO = 0.03

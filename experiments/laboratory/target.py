@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -12,7 +10,7 @@ from experiments.laboratory.settings import TargetConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["CORNERS", "corner_centres", "corner_directions", "nudged", "target_directions"]
+__all__ = ["CORNERS", "corner_centres", "corner_directions", "target_directions"]
 
 
 CORNERS = ("upper left", "upper right", "lower left", "lower right")
@@ -63,12 +61,3 @@ def corner_directions(target: TargetConfig, instrument: Instrument) -> FloatArra
             f"{camera.lens.max_field_deg:g} deg; raise target.edge_px or take a smaller instrument.detector"
         )
     return direction
-
-
-def nudged(instrument: Instrument, direction: FloatArray, motion_px: FloatArray | Sequence[float]) -> FloatArray:
-    """Unit vectors (..., 3) whose ideal images are moved by (..., 2) [px]."""
-    camera = instrument.camera
-    tangent = direction[..., :2] / direction[..., 2:]
-    tangent = tangent + np.asarray(motion_px) * camera.pixel_pitch_mm / instrument.focal_length_mm
-    vector = np.concatenate([tangent, np.ones((*tangent.shape[:-1], 1))], axis=-1)
-    return np.asarray(vector / np.linalg.norm(vector, axis=-1, keepdims=True))

@@ -19,10 +19,10 @@ from experiments.laboratory.chromatic_error import (
     table1_sigma,
 )
 from experiments.laboratory.instrument import build_instrument
-from experiments.laboratory.points import pattern_effect
+from experiments.laboratory.points import nominal_px, pattern_effect
 from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.readout.search import common_shift
-from experiments.laboratory.target import corner_directions, nudged
+from experiments.laboratory.target import corner_directions
 from optics.lens.perturb import decentre
 from render.engine.random import Streams
 
@@ -150,7 +150,9 @@ def test_inputs_unchanged(measured, bench_of, small_camera):
 def test_a_wedge_in_one_filter_shows_as_half_of_its_motion(measured, bench_of, small_camera):
     """Rationale: eq. 13-16 on frames, by a motion of whole pixels behind the last filter. Expected: half of it."""
     bench = bench_of(rows=1, columns=2, frames=2, dark_frames=2)
-    turned = nudged(small_camera, measured.direction, (2.0, -1.0))
+    x, y = nominal_px(small_camera, measured.direction.reshape(-1, 3)).T
+    turned = small_camera.camera.nominal_direction(x + 2.0, y - 1.0, small_camera.focal_length_mm)
+    turned = turned.reshape(measured.direction.shape)
     wedged = measure_chromatic(bench, small_camera, Streams(7).child("test"), directions=turned)
     place = measured.mean_px["epsf"].copy()
     place[:, :, 2] = wedged.mean_px["epsf"][:, :, 2]

@@ -8,6 +8,7 @@ from experiments.laboratory.settings import InstrumentConfig
 from optics.errors import ConfigError, DomainError
 from optics.lens.perturb import decentre
 from optics.rays.pupil import entrance_pupil
+from optics.rays.spots import spot_moments
 from optics.validate import parse_model
 
 INNER_STOP = {"lens": "double_gauss_50mm", "detector": "cmv4000", "absorption": False}
@@ -19,6 +20,16 @@ def test_default_is_the_camera_of_the_publication(star_camera):
     assert star_camera.focal_length_mm == pytest.approx(206.2, abs=0.1)  # printed with the lens
     assert star_camera.pixel_arcsec == pytest.approx(5.5, abs=0.01)  # ACC18: 5.5 arcsec per pixel
     assert star_camera.pixel_arcsec == pytest.approx(206264.806 * 5.5e-3 / star_camera.focal_length_mm, rel=1e-7)
+
+
+def test_the_angle_of_a_pixel_is_that_between_two_traced_bundles(star_camera):
+    """Bundles 0.02 degrees apart about the axis; 0.1 %: the plane of best focus is not the paraxial one."""
+    lens, ends = star_camera.camera.focused_lens, np.array([-0.01, 0.01])
+    at = lens.design_wavelength_nm
+    along_x, along_y = spot_moments(lens, ends, 0.0 * ends, at).x_mm, spot_moments(lens, 0.0 * ends, ends, at).y_mm
+    for along in (along_x, along_y):
+        distance_px = float(np.ptp(along)) / star_camera.camera.pixel_pitch_mm
+        assert star_camera.pixel_arcsec * distance_px == pytest.approx(3600.0 * 0.02, rel=1e-3)
 
 
 def test_defocus_moves_the_detector_away_from_the_lens(star_camera):
