@@ -49,7 +49,7 @@ class Experiment:
     # stages to ``progress`` (`experiments.harness.progress.Progress`) and raises `StarbenchError` on bad input
     run: Part
     # Name -> `experiments.harness.sections.Section`; or ``sections(result)`` where they depend on what was run
-    sections: Part | Mapping[str, Any] | None = None
+    sections: Part | Mapping[str, Any]
     # ``axes(config) -> Quantities``: dimensions that the sections share
     axes: Part | None = None
     # ``predict(config, *, progress)``: the same sections without frames, for sweeps and comparisons of sensors
@@ -62,10 +62,6 @@ class Experiment:
     takes: str = ""  # How long a default and a quick run take on two cores, for the help text
     # Two command lines (what follows the name) -> what they do
     examples: Mapping[str, str] = field(default_factory=dict)
-    quantities: Part = "quantities:describe"  # See the module; ``tables`` may be None
-    tables: Part | None = "tables:tables"  # See the module; ``tables`` may be None
-    criteria: Part = "criteria:criteria"  # See the module; ``tables`` may be None
-    figures: str | Mapping[str, Callable[..., Any]] = "figures"  # Where the report finds its drawings
     report: str | Path = "report.md"  # Template of the report, relative to the package
     # ``extra(result) -> mapping``: what ``results`` in ``summary.json`` holds besides quantities
     extra: Part | None = None
@@ -104,13 +100,9 @@ class Experiment:
         return Path(sys.modules[self.config.__module__].__file__ or ".").parent / self.report
 
     def parts(self, result: Any) -> Mapping[str, Section]:
-        """Its sections; none of an experiment that describes its quantities by itself."""
-        if self.sections is None or isinstance(self.sections, Mapping):
-            return self.sections or {}
-        if isinstance(self.sections, str):
-            found = self.part(self.sections)
-            return found if isinstance(found, Mapping) else found(result)
-        sections: Mapping[str, Section] = self.sections(result)
+        """Its sections."""
+        found: Any = self.part(self.sections) if isinstance(self.sections, str) else self.sections
+        sections: Mapping[str, Section] = found if isinstance(found, Mapping) else found(result)
         return sections
 
     def part(self, part: Part) -> Callable[..., Any]:
@@ -123,11 +115,7 @@ class Experiment:
 
     def outcome(self, config: ExperimentConfig, result: Any) -> Outcome:
         """Result with its quantities."""
-        from experiments.harness.quantities import Outcome
-
-        if self.sections is None:
-            return Outcome(config=config, result=result, data=self.part(self.quantities)(result).dataset)
-        from experiments.harness.quantities import Quantities
+        from experiments.harness.quantities import Outcome, Quantities
         from experiments.harness.sections import described
 
         q = self.part(self.axes)(config) if self.axes is not None else Quantities()
@@ -145,35 +133,23 @@ class Experiment:
     def make_tables(self, outcome: Outcome, *, every: bool = False) -> dict[str, Table]:
         """Tables by name; with ``every`` all columns of the sections, which is what ECSV files hold."""
         from experiments.harness.pivot import Pivot, pivot
+        from experiments.harness.sections import tabulated
 
-        if self.sections is not None:
-            from experiments.harness.sections import tabulated
-
-            made = dict(tabulated(self.parts(outcome.result), outcome, every=every))
-        else:
-            made = dict(self.part(self.tables)(outcome)) if self.tables is not None else {}
+        made = tabulated(self.parts(outcome.result), outcome, every=every)
         return {name: pivot(outcome.data, one) if isinstance(one, Pivot) else one for name, one in made.items()}
 
     def judge(self, outcome: Outcome) -> list[Criterion]:
         """Criteria of a run."""
-        if self.sections is not None:
-            from experiments.harness.sections import judged
+        from experiments.harness.sections import judged
 
-            return judged(self.parts(outcome.result), outcome)
-        return list(self.part(self.criteria)(outcome))
+        return judged(self.parts(outcome.result), outcome)
 
     def draw(self, outcome: Outcome) -> Callable[..., Any]:
-        """``draw(name, *arguments)``: figure of the experiment by name."""
+        """``draw(name)``: figure of the experiment by name."""
+        sections = self.parts(outcome.result).values()
+        known = {key: drawing for one in sections for key, drawing in one.figures.items()}
 
         def call(name: str, *arguments: Any) -> Any:
-            if self.sections is not None:
-                sections = self.parts(outcome.result).values()
-                known = {key: drawing for one in sections for key, drawing in one.figures.items()}
-            elif isinstance(self.figures, str):
-                module = import_module(f"{self.package}.{self.figures}")
-                known = {one: getattr(module, one) for one in module.__all__}
-            else:
-                known = dict(self.figures)
             if name not in known:
                 raise unknown_name("figure", name, known)
             return known[name](outcome, *arguments)
