@@ -57,7 +57,7 @@ class StarErrors:
 
     random_arcsec: FloatArray  # (2,) Temporal and pixel error
     chromatic_arcsec: FloatArray  # (2,) Low-frequency error
-    distortion_arcsec: FloatArray  # (2,) Low-frequency error
+    distortion_arcsec: FloatArray  # (2,)
 
     @classmethod
     def of(cls, budget: Budget) -> StarErrors:

@@ -63,9 +63,7 @@ class ChartFrames:
     bright_mag: float  # Magnitude of the stars whose scatter is measured
     # (n,) Of the stars; electrons that reach the detector, those beyond the stamps of diffraction images too
     magnitude: FloatArray
-    # (n,) Of the stars; electrons that reach the detector, those beyond the stamps of diffraction images too
     radius_px: FloatArray
-    # (n,) Of the stars; electrons that reach the detector, those beyond the stamps of diffraction images too
     electrons: FloatArray
     found: NDArray[np.bool_]  # (k, n) Whether a detection belongs to the star
     error_px: FloatArray  # (k, n, 2) Centroid minus mean of the noiseless light; NaN where there is none
@@ -77,7 +75,7 @@ class SkyFrames:
     """m frames of the real sky; frame k has attitude k of the prediction."""
 
     found: NDArray[np.int64]  # (m,) Stars that are found, and those of them that are fit for an attitude
-    fit: NDArray[np.int64]  # (m,) Stars that are found, and those of them that are fit for an attitude
+    fit: NDArray[np.int64]  # (m,)
     false_alarms: NDArray[np.int64]  # (m,) As for the chart
     error_arcsec: FloatArray  # (m, 3) Attitude minus truth about x, y (across) and z (roll); NaN where there is none
     status: tuple[str, ...]  # Of the identification

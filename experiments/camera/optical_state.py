@@ -63,11 +63,10 @@ class OpticalState:
     performance: LensPerformance  # Of the focused lens at these fields
     # (a,) Distance from the middle of the detector; collecting area of the lens there for the star that is quoted
     area_radius_px: FloatArray
-    # (a,) Distance from the middle of the detector; collecting area of the lens there for the star that is quoted
     area_mm2: FloatArray
     psfs: tuple[EffectivePsf, ...]  # Of these fields, for the star that is quoted
     cold_psfs: tuple[EffectivePsf, ...]  # The same of stars of 3500 and 10 000 K
-    hot_psfs: tuple[EffectivePsf, ...]  # The same of stars of 3500 and 10 000 K
+    hot_psfs: tuple[EffectivePsf, ...]
     # Width of the mean spot on the pixels, and so of the detection filter; with diffraction that of its core
     fwhm_px: float
     # (2,) From the first to the last place of a star in an exposure, in which PSFs are drawn out; columns and rows

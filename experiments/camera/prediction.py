@@ -128,14 +128,12 @@ class AttitudeForecast:
     """Over f attitudes of the sky."""
 
     found: FloatArray  # (f,) Expected number of stars that are found, and its variance by noise
-    found_variance: FloatArray  # (f,) Expected number of stars that are found, and its variance by noise
+    found_variance: FloatArray  # (f,)
     # (f,) Expected number of those that are fit: not saturated, whole and alone in their window, on good pixels
     stars: FloatArray
     # (f, 3) One standard deviation about x, y (across) and z (roll): by temporal noise; with patterns, pixel phase
     # and star colours. Infinite where too few stars are seen
     noise_arcsec: FloatArray
-    # (f, 3) One standard deviation about x, y (across) and z (roll): by temporal noise; with patterns, pixel phase
-    # and star colours. Infinite where too few stars are seen
     total_arcsec: FloatArray
     sigma_px: FloatArray  # (m,) Error of each sighting of the view, per axis, all terms
 

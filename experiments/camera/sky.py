@@ -38,7 +38,7 @@ class SkyView:
 
     sample: SkySample  # Which star where
     magnitude: FloatArray  # (m,) Of each sighting
-    temperature_k: FloatArray  # (m,) Of each sighting
+    temperature_k: FloatArray  # (m,)
     radius_px: FloatArray  # (m,) From the middle of the detector
     neighbour_mag: FloatArray  # (m,) Brightest star within the window; infinite where there is none
     # (m,) Distance of the nearest brighter star within the window; infinite where there is none

@@ -66,8 +66,8 @@ class FoundStars:
     """Stars of one or more frames, and what the detection made of them."""
 
     magnitude: FloatArray  # (n,) Of every star of which light reaches the detector
-    snr: FloatArray  # (n,) Of every star of which light reaches the detector
-    electrons: FloatArray  # (n,) Of every star of which light reaches the detector
+    snr: FloatArray  # (n,)
+    electrons: FloatArray  # (n,)
     flags: NDArray[np.int32]  # (n,) Of the truth (`experiments.dataset.truth.FLAGS`)
     matched: NDArray[np.bool_]  # (n,) Whether a detection belongs to it
     fit: NDArray[np.bool_]  # (n,) Whether that detection has no flag of the measurement

@@ -42,7 +42,7 @@ class Label:
     kind: Class  # One of `CLASSES`
     name: str = ""  # Of a body of the solar system; otherwise empty
     x_px: float  # Its middle: column and row, the centre of the first pixel being 0
-    y_px: float  # Its middle: column and row, the centre of the first pixel being 0
+    y_px: float
     # (4,) First column, first row, width and height that it covers, from the outer corner of the first pixel [px]
     box_px: tuple[float, float, float, float]
     pixels: IntArray  # (2, n) Rows and columns of the pixels that it covers

@@ -279,7 +279,7 @@ class SkyLight:
     config: BackgroundConfig  # What was asked for
     diffuse: BackgroundMap | None  # Etendue of every pixel; None without zodiacal light and uniform sky
     points: SolarSystem | None  # Bodies smaller and larger than a pixel
-    disks: SolarSystem | None  # Bodies smaller and larger than a pixel
+    disks: SolarSystem | None
     light: StarField | None  # The points, with their light
     bands: tuple[Band, ...]  # The pass band
 
@@ -365,9 +365,9 @@ class PointSources:
 
     light: StarField  # Directions along icrs and light, as the renderer takes them
     star_id: NDArray[np.int64]  # (n,) Who they are
-    catalogue_row: NDArray[np.int64]  # (n,) Who they are
+    catalogue_row: NDArray[np.int64]  # (n,)
     magnitude: FloatArray  # (n,) As the truth tells them
-    temperature_k: FloatArray  # (n,) As the truth tells them
+    temperature_k: FloatArray  # (n,)
 
     def __post_init__(self) -> None:
         sizes = {"n": len(self.light)}

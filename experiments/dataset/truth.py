@@ -228,19 +228,19 @@ class DiskTruth:
     """The Moon or a planet that is larger than a pixel."""
 
     name: str  # Which; ``moon`` or ``planet``, as in the labels
-    kind: str  # Which; ``moon`` or ``planet``, as in the labels
+    kind: str
     star_id: int  # As that of planets among the stars (-10^6 - NAIF number)
     ra_deg: float  # Direction in which its middle is seen, icrs
-    dec_deg: float  # Direction in which its middle is seen, icrs
+    dec_deg: float
     x_px: float  # Its middle (column, row) and size
-    y_px: float  # Its middle (column, row) and size
-    diameter_px: float  # Its middle (column, row) and size
+    y_px: float
+    diameter_px: float
     phase_deg: float  # Angle Sun - body - observer; direction of the Sun in the image, from +column towards +row
-    sun_angle_deg: float  # Angle Sun - body - observer; direction of the Sun in the image, from +column towards +row
+    sun_angle_deg: float
     magnitude: float | None  # V; None where no published equation holds
     electrons: float  # Expected electrons on the detector and their centroid
-    photon_x_px: float  # Expected electrons on the detector and their centroid
-    photon_y_px: float  # Expected electrons on the detector and their centroid
+    photon_x_px: float
+    photon_y_px: float
     noise_share: float  # Square of the image's error over the photon noise, in the pixel where it is largest
 
 
@@ -251,17 +251,17 @@ class FrameRecord:
     frame: int  # Number of the frame
     split: str  # train, validation or test
     file: str  # Frame and truth, relative to the dataset's folder
-    truth: str  # Frame and truth, relative to the dataset's folder
+    truth: str
     ra_deg: float  # Boresight and position angle of up, in the middle of the exposure
-    dec_deg: float  # Boresight and position angle of up, in the middle of the exposure
-    roll_deg: float  # Boresight and position angle of up, in the middle of the exposure
+    dec_deg: float
+    roll_deg: float
     # The same attitude as a quaternion cam from icrs, scalar last and not negative
     quat_xyzw: tuple[float, float, float, float]
     rate_deg_per_s: tuple[float, float, float]  # Angular velocity in camera axes at that time
     epoch_year: float  # Julian year
     exposure_s: float  # Exposure time
     stars: int  # Stars of which light reaches the detector, and those of them with a saturated pixel
-    saturated: int  # Stars of which light reaches the detector, and those of them with a saturated pixel
+    saturated: int
     saturated_px: int  # Saturated pixels
     background_e: float  # Mean expected electrons per pixel of sky light
     frame_bytes: int  # Size of the frame's file

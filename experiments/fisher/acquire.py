@@ -83,7 +83,7 @@ class Places:
     """Angles of the table at n places, at mid-exposure."""
 
     true_rad: FloatArray  # (n, k) As they are; as they are read
-    reading_rad: FloatArray  # (n, k) As they are; as they are read
+    reading_rad: FloatArray  # (n, k)
     rate_rad_per_s: FloatArray  # (n, k) Of the axes
     motion: Motion  # Of the second one
 

@@ -44,7 +44,7 @@ class Evaluation:
     outlier: NDArray[np.bool_]  # (n,) Taken out before fitting
     fit: FisherFit  # Of the others
     isotropy: Isotropy  # Whether they follow the distribution
-    tails: Exponential  # Whether they follow the distribution
+    tails: Exponential
     effective_degrees: float  # Degrees of freedom that the vectors themselves show
     residual_px: FloatArray  # (n, 2) Images minus the reprojected star; outliers included
 

@@ -32,7 +32,7 @@ class Pivot:
     # Key of a column -> the name, unit, key or format that it has in this table instead of the quantity's own
     heads: Mapping[str, Column] = field(default_factory=dict)
     caption: str = ""  # See `experiments.harness.tables.Table`
-    note: str = ""  # See `experiments.harness.tables.Table`
+    note: str = ""
 
 
 def pivot(data: xr.Dataset, spec: Pivot) -> Table:

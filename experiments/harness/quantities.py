@@ -140,15 +140,15 @@ class Quantity:
     """One quantity of a data set, or a part of it, as plain arrays."""
 
     name: str  # As described (`Quantities.add`)
-    label: str  # As described (`Quantities.add`)
-    unit: str  # As described (`Quantities.add`)
-    format: str  # As described (`Quantities.add`)
-    key: str  # As described (`Quantities.add`)
+    label: str
+    unit: str
+    format: str
+    key: str
     json: Places  # As described
     dims: tuple[str, ...]  # Names of the dimensions
     values: NDArray[Any]  # Numbers, text or bool
     error: NDArray[np.float64] | None  # Uncertainty and sample size
-    n: NDArray[np.float64] | None  # Uncertainty and sample size
+    n: NDArray[np.float64] | None
 
     @classmethod
     def of(cls, data: xr.Dataset, name: str) -> Quantity:

@@ -33,7 +33,7 @@ class Bench:
     reference: int  # The 600 nm filter of ACC18
     signal_e: float  # Electrons per point and frame, the same behind every filter (lamp current adjusted)
     frames: int  # Exposures per position and filter; exposures with the lamp off, once per position
-    dark_frames: int  # Exposures per position and filter; exposures with the lamp off, once per position
+    dark_frames: int
     window_px: int  # Window read out around each point
     methods: Sequence[str]  # Centroiders; the first is the one that counts
     epsf: EffectivePsf | None = None  # Built from frames beforehand: what methods of the name ``NAME_measured`` use

@@ -106,11 +106,7 @@ class MethodLabels(Mapping[str, str]):
     # What an experiment calls the ePSF of each place, the reference one and the one built from frames; "" where that
     # needs no word
     own: str = ""
-    # What an experiment calls the ePSF of each place, the reference one and the one built from frames; "" where that
-    # needs no word
     reference: str = "middle ePSF"
-    # What an experiment calls the ePSF of each place, the reference one and the one built from frames; "" where that
-    # needs no word
     measured: str = "measured ePSF"
 
     def __getitem__(self, method: str) -> str:

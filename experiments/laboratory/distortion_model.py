@@ -86,8 +86,6 @@ class GridErrors:
     # (n, 2, 2) Covariance of the mean centroid of each point by what is frozen into a chip, and by the noise of one
     # session
     chip_px2: FloatArray
-    # (n, 2, 2) Covariance of the mean centroid of each point by what is frozen into a chip, and by the noise of one
-    # session
     session_px2: FloatArray
     mean_px2: FloatArray  # (n, 2, 2) Covariance with which ``offset_px`` is known; it is not that of the frames
     marking_px: float  # Standard deviation per axis of a surveyed coordinate
@@ -101,11 +99,7 @@ class DistortionPrediction:
     # (3, 2) sigma_d, sigma_Dd, sigma_C1: root mean square over chips, runs and surveys; standard deviation of the
     # numbers of one survey; standard deviation, from chip to chip and run to run, of the RMS over many surveys
     mean_px: Mapping[str, Mapping[Reference, FloatArray]]
-    # (3, 2) sigma_d, sigma_Dd, sigma_C1: root mean square over chips, runs and surveys; standard deviation of the
-    # numbers of one survey; standard deviation, from chip to chip and run to run, of the RMS over many surveys
     scatter_px: Mapping[str, Mapping[Reference, FloatArray]]
-    # (3, 2) sigma_d, sigma_Dd, sigma_C1: root mean square over chips, runs and surveys; standard deviation of the
-    # numbers of one survey; standard deviation, from chip to chip and run to run, of the RMS over many surveys
     frozen_px: Mapping[str, Mapping[Reference, FloatArray]]
     bundle_px: FloatArray  # (n, 2) Traced positions of the points
     position_px: Mapping[str, FloatArray]  # (n, 2) Expected mean centroids: traced light as the centroider sees it

@@ -107,8 +107,8 @@ class DistortionStatistics:
     d_px: FloatArray  # (n, 2) Residuals, eq. 19-20
     left_px: FloatArray  # (n, 2) After the polynomial, eq. 25-26
     sigma_d_px: FloatArray  # (2,) Eq. 23-24, 27-28, 29-30: found, left, removed
-    sigma_left_px: FloatArray  # (2,) Eq. 23-24, 27-28, 29-30: found, left, removed
-    sigma_c1_px: FloatArray  # (2,) Eq. 23-24, 27-28, 29-30: found, left, removed
+    sigma_left_px: FloatArray  # (2,)
+    sigma_c1_px: FloatArray  # (2,)
     coefficient_px: FloatArray  # (k, 2) Of the polynomial
 
 

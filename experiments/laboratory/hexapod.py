@@ -44,8 +44,8 @@ class HexapodPath:
     """Poses of a run; rotation vectors (m, 3) [rad]."""
 
     commanded_rad: FloatArray  # (m, 3) What was asked for, where the platform went, what it reported
-    true_rad: FloatArray  # (m, 3) What was asked for, where the platform went, what it reported
-    read_rad: FloatArray  # (m, 3) What was asked for, where the platform went, what it reported
+    true_rad: FloatArray  # (m, 3)
+    read_rad: FloatArray  # (m, 3)
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}

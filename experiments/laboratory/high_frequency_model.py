@@ -66,11 +66,7 @@ class MethodPrediction:
     # (2,) Averaged temporal noise, noise of the averaged dark frames, and roll of the hexapod, which the mean over
     # the stars does not take out, in the document's number
     temporal_px: FloatArray
-    # (2,) Averaged temporal noise, noise of the averaged dark frames, and roll of the hexapod, which the mean over
-    # the stars does not take out, in the document's number
     dark_px: FloatArray
-    # (2,) Averaged temporal noise, noise of the averaged dark frames, and roll of the hexapod, which the mean over
-    # the stars does not take out, in the document's number
     roll_px: FloatArray
     # (2,) The document's number, RMS over drawn chips, paths, noise, and sessions that gave the PSF
     document_px: FloatArray

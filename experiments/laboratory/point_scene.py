@@ -46,7 +46,7 @@ class PointLight:
     direction: FloatArray  # (j, 3) Unit vectors in cam
     nominal_px: FloatArray  # (j, 2) Where an ideal lens would image the points
     bundle_px: FloatArray  # (j, 2) Truth: mean of the traced rays, centroid of the noiseless light
-    photon_px: FloatArray  # (j, 2) Truth: mean of the traced rays, centroid of the noiseless light
+    photon_px: FloatArray  # (j, 2)
     found_px: FloatArray  # (j, 2) Where the points were detected
     corner_px: NDArray[np.int64]  # (j, 2) First pixel of each window
     light_e: FloatArray  # (j, h, w) Expected electrons at the signal of the bench
@@ -69,7 +69,7 @@ class PointScene:
     """Renders point targets through one camera; holds what is prepared once (`point_scene`)."""
 
     bench: Bench  # The laboratory; the bench has one filter
-    instrument: Instrument  # The laboratory; the bench has one filter
+    instrument: Instrument
     target: TargetLight  # Renders images and PSFs
 
     def psfs(self, direction: FloatArray) -> tuple[EffectivePsf, ...]:

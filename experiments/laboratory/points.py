@@ -54,7 +54,7 @@ class PointReadout:
     """Readout and reduction of a point target at one place of the field."""
 
     bench: Bench  # The laboratory
-    instrument: Instrument  # The laboratory
+    instrument: Instrument
     streams: Streams  # Noise of this place
     place: str  # What error messages call the place, e.g. "upper left"
     # Methods for which the effect of fixed patterns is predicted; none given: the first of the bench

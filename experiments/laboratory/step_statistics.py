@@ -96,7 +96,7 @@ class PositionError:
 
     variance_px2: FloatArray  # (2,) Unbiased estimate; negative where temporal noise happens to explain more than all
     low_px: FloatArray  # (2,) Two-sided confidence interval of the standard deviation
-    high_px: FloatArray  # (2,) Two-sided confidence interval of the standard deviation
+    high_px: FloatArray  # (2,)
     upper_px: FloatArray  # (2,) One-sided upper limit of the same confidence
     degrees: FloatArray  # (2,) Degrees of freedom of the scatter over the positions
     level: float  # Confidence

@@ -28,9 +28,9 @@ class TargetLight:
     """Renders targets through one camera; holds what is prepared once (`target_light`)."""
 
     bench: Bench  # The laboratory
-    instrument: Instrument  # The laboratory
+    instrument: Instrument
     renderer: StarRenderer  # For images and for PSFs
-    tracer: Tracer  # For images and for PSFs
+    tracer: Tracer
 
     def image(self, direction: FloatArray) -> ExpectedImage:
         """Noiseless image of points (j, 3) behind every filter, with truth."""

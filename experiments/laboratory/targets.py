@@ -20,7 +20,7 @@ class GridTarget:
     """Points over the whole field, their places measured beforehand (ACC18: 32 points, 0.5 arcsec at 3 sigma)."""
 
     rows: int = 4  # Points along a column and along a row of the detector
-    columns: int = 8  # Points along a column and along a row of the detector
+    columns: int = 8
     # Distance of the outermost points from the edge of the detector, as an ideal lens images them
     edge_px: float = 60.0
     # Standard deviation per axis of the points' places about the regular grid as they were drilled; it puts them at

@@ -58,7 +58,7 @@ class FrameSeries:
     dark_e: FloatArray | None  # (j, h, w) Mean frame with the lamp off, offset included
     dark_frames: int  # How many are behind it
     response: FloatArray | None  # (j, h, w) The flat, and its standard deviation
-    response_error: FloatArray | None  # (j, h, w) The flat, and its standard deviation
+    response_error: FloatArray | None  # (j, h, w)
 
     @property
     def name(self) -> str:
@@ -72,7 +72,7 @@ class FrameFolder:
 
     settings: FolderSettings  # Its ``frames.toml``
     width_px: int  # Size of the frames
-    height_px: int  # Size of the frames
+    height_px: int
     nominal_px: FloatArray | None  # (j, 2) Nominal places of the target points, if stated
     series: tuple[FrameSeries, ...]  # Ordered by ``position`` where that is given
     dark_frames: int  # Frames with the lamp off

@@ -133,7 +133,7 @@ class MeanFrame:
     exposure_s: float  # Exposure time; NaN where unknown
     band: str  # Filter that the files name
     defect: NDArray[np.bool_]  # (h, w) Pixels that any of the frames calls so
-    saturated: NDArray[np.bool_]  # (h, w) Pixels that any of the frames calls so
+    saturated: NDArray[np.bool_]  # (h, w)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -44,7 +44,7 @@ class Matched:
     """Measured stars with their names, all frames one after the other."""
 
     frame: IntArray  # (n,) Frame, and row in the sky
-    star: IntArray  # (n,) Frame, and row in the sky
+    star: IntArray  # (n,)
     row: IntArray  # (n,) Row of the detection in the stamps of the recording
     direction: FloatArray  # (n, 3) Unit vectors in icrs
     pixel_px: FloatArray  # (n, 2) Measured centroids

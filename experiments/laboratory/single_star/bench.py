@@ -50,7 +50,7 @@ class Visits:
 
     wanted_px: FloatArray  # (n, 2) Where the image was to be
     true_rad: FloatArray  # (n, k) Angles of the table as they are and as they are read, mean of all readings
-    reading_rad: FloatArray  # (n, k) Angles of the table as they are and as they are read, mean of all readings
+    reading_rad: FloatArray  # (n, k)
     direction: FloatArray  # (n, 3) Unit vectors in cam towards the star, at the true angles
 
     def __post_init__(self) -> None:

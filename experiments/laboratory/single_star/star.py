@@ -46,7 +46,7 @@ class SingleStar:
     """A collimated star; the collimator of the single-star bench is free of colour and of divergence."""
 
     azimuth_deg: float  # Where it stands in the laboratory (`star_direction`)
-    elevation_deg: float  # Where it stands in the laboratory (`star_direction`)
+    elevation_deg: float
     spectrum: Sed  # Its light
     band: Band  # What the simulator's filter lets through
     signal_e: float  # Electrons per exposure on the axis of the camera
