@@ -11,4 +11,4 @@ from experiments import run_experiment
 page = run_experiment("camera", {"predict_only": True}, sensor="../examples/triplet_50mm/sensor.toml")
 for name in ("optics", "accuracy", "sky"):
     page.table(name).pprint(max_width=-1)
-accuracy = page.draw("accuracy")
+accuracy = page.draw("magnitude_accuracy")
