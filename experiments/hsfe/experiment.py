@@ -242,7 +242,11 @@ def s_curves(bench: Bench, instrument: Instrument, psf: EffectivePsf) -> Curves:
     size, along = bench.window_px, np.linspace(-0.5, 0.5, PHASES)
     x, y = (v.ravel() for v in np.meshgrid(along, ACROSS))
     light = bench.signal_e * np.maximum(draw_epsf(psf, x + size // 2, y + size // 2, (size, size)), 0.0)
-    given = {"light_e": light, "corner_px": np.zeros((len(x), 2), np.int64), "psf_index": np.zeros(len(x), np.int64)}
+    given: dict[str, Any] = {
+        "light_e": light,
+        "corner_px": np.zeros((len(x), 2), np.int64),
+        "psf_index": np.zeros(len(x), np.int64),
+    }
     errors = [
         noiseless_positions(one, nominal_noise(instrument), **given)[0][:, 0] - x - size // 2
         for one in centroiders(bench, [psf]).values()

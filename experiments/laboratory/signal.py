@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.harness.quantities import Quantities
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.settings import SignalConfig
 from optics.errors import DomainError
@@ -15,7 +14,7 @@ from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
 from optics.rays.spots import collecting_area_mm2
 
-__all__ = ["Signal", "add_signal", "electrons_of_star", "signal_of"]
+__all__ = ["Signal", "electrons_of_star", "signal_of"]
 
 
 NODES = 48
@@ -60,14 +59,3 @@ def signal_of(config: SignalConfig, band: Band, instrument: Instrument, temperat
         magnitude = config.magnitude_mag
         signal_e = zero_e * 10.0 ** (-0.4 * magnitude)
     return Signal(signal_e=float(signal_e), magnitude_mag=float(magnitude), temperature_k=temperature_k)
-
-
-def add_signal(q: Quantities, signal: Signal, prefix: str = "") -> None:
-    """Electrons, magnitude, temperature and words of a signal as quantities ``signal_e`` and so on."""
-    for name, value, label, unit, format in (
-        ("signal_e", signal.signal_e, "Signal", "e-", ".0f"),
-        ("signal_magnitude_mag", signal.magnitude_mag, "V magnitude of the signal", "mag", ".2f"),
-        ("signal_star_k", signal.temperature_k, "Temperature of that star", "K", ".0f"),
-        ("signal_star", signal.star, "Star", "", ""),
-    ):
-        q.add(f"{prefix}{name}", value, label, unit=unit, format=format)

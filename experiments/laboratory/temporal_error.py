@@ -150,8 +150,8 @@ def measure_temporal(
     sigma: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
     kept, motion = None, []
     for number, level in enumerate(levels):
-        drawn = {"streams": streams.child("level", number), "signal_ratio": float(level / bench.signal_e)}
-        frames = read_points(light, bench, instrument, **drawn)
+        ratio, here = float(level / bench.signal_e), streams.child("level", number)
+        frames = read_points(light, bench, instrument, streams=here, signal_ratio=ratio)
         for method in bench.methods:
             sigma[method].append(frames.sigma_px(method))
         motion.append(common_motion_px2(frames.position_px[motion_method(bench.methods)]))
