@@ -71,6 +71,11 @@ def test_a_quick_run_has_the_names_that_readers_rely_on(quick_run):
     found = described(quick_run)
     for part, expected in golden.items():
         assert found[part] == expected, part
+    criteria = json.loads((quick_run / "summary.json").read_text(encoding="utf-8"))["criteria"]
+    assert all(one["value"] is not None for one in criteria)
+    assert len({one["name"] for one in criteria}) == len(criteria)
+    page = (quick_run / "report.html").read_text(encoding="utf-8")
+    assert "nan" not in re.sub(r"<svg.*?</svg>|data:[^\"]*", "", page, flags=re.DOTALL).lower().split()
 
 
 def test_every_experiment_has_its_names():

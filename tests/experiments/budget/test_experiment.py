@@ -99,15 +99,12 @@ def test_built_lenses_scatter_as_their_sensitivities_add_up(engine):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--set", "detector.read_noize_e=5"], "did you mean 'read_noise_e'"),
-        (["--set", "detector.prnu=nan"], "finite"),
         (["--set", "moved.element=L9"], "unknown element 'L9'"),
         (["--set", "instrument.detector=acc19_mosaic"], "acc18_mosaic"),
         (["--set", "attitude.counts=[1, 5]"], "at least 2"),
         (["--set", "source.signal_e=1e6"], "saturates"),
         (["--set", "instrument.defocus_mm=0.5"], "window_px"),
         (["--set", "target.pitch_px=900"], "does not fit"),
-        (["--set", "window_px=12"], "odd"),
         (["--config", "acc19_tuned.toml"], "no such file"),
     ],
 )
@@ -145,13 +142,9 @@ def run(tiny_run):
 
 
 @pytest.mark.slow
-def test_the_run_is_complete(run):
+def test_nothing_published_stands_beside_another_chip(run):
     assert run.status in (0, 1)  # so few frames that a ratio may miss its limit
-    assert "Error budget" in (run.folder / "report.html").read_text(encoding="utf-8")
-    names = {"budget", "agreement", "parts", "chromatic", "tolerances", "tornado", "thermal"}
-    names |= {"attitude", "attitude_layout", "attitude_curve"}
-    assert {f"{name}.ecsv" for name in names} < {path.name for path in run.folder.iterdir()}
-    assert "published_arcsec_3sigma" not in run.results["terms"]["TE"]["x"]  # a chip that is not the document's
+    assert "published_arcsec_3sigma" not in run.results["terms"]["TE"]["x"]
     assert [one["key"] for one in run.results["tornado"]] == ["source.signal_e"]
 
 

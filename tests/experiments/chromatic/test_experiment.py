@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,6 @@ from astropy.io import fits
 from astropy.table import Table
 
 from experiments.chromatic.settings import Config
-from experiments.harness.provenance import peak_memory_mb
 
 SMALL = {
     "frames": 4,
@@ -49,28 +47,6 @@ def test_all_criteria_hold(outcome, summary):
 
 
 @pytest.mark.slow
-def test_summary_holds_what_was_agreed(summary):
-    assert summary["experiment"] == "chromatic"
-    assert summary["seed"] == summary["config"]["seed"] == 5
-    results = summary["results"]
-    for key in ("table1_px", "predicted_table1_px"):
-        assert sorted(results[key]) == ["600-500", "800-600"]
-        for entry in results[key].values():
-            assert sorted(entry) == ["x", "y"]
-            assert all(isinstance(value, float) for value in entry.values())
-    for key in (
-        "lsfe_s_arcsec_3sigma",
-        "rms_shift_px",
-        "residual_after_calibration_px",
-        "stellar",
-        "decentre_solution",
-    ):
-        assert results[key]
-    assert results["runtime_s"] > 0
-    assert 100 < results["peak_memory_mb"] <= peak_memory_mb()
-
-
-@pytest.mark.slow
 def test_eq_16_from_the_points_table(outcome, summary):
     """The table of single shifts must give Table 1 by plain arithmetic: mean of all points, halved."""
     points = Table.read(outcome.folder / "points.ecsv", format="ascii.ecsv")
@@ -93,17 +69,6 @@ def test_lsfe_is_the_largest_entry_in_arcseconds(summary):
     moved = results["decentre_solution"]["lsfe_s_arcsec_3sigma"]["x"]
     assert abs(moved["value"] - 0.66) < 4 * moved["uncertainty"]  # what ACC18 publishes for 0.12 px
     assert moved["uncertainty"] < 0.02
-
-
-@pytest.mark.slow
-def test_report_stands_alone(outcome):
-    text = (outcome.folder / "report.html").read_text(encoding="utf-8")
-    text = re.sub(r"<a href=\"https://[^\"]*\">", "<a>", text)  # links to standards load nothing
-    loads = [one for one in re.findall(r"(?:src|href)=\"([^\"]*)\"", text) if not one.startswith(("data:", "#"))]
-    assert loads == []
-    assert "http" not in re.sub(r"xmlns(:\w+)?=\"[^\"]*\"", "", text)
-    assert "<script" not in text
-    assert "nan" not in re.sub(r"<svg.*?</svg>|data:[^\"]*", "", text, flags=re.DOTALL).lower().split()
 
 
 @pytest.mark.slow

@@ -29,22 +29,9 @@ def run(tiny_run):
     return tiny_run("distortion", **target, **numbers, compare=["cog"], target__marking_error_arcsec=MARKING_ARCSEC)
 
 
-def test_the_run_is_complete(run):
-    assert run.status == 0
-    assert (run.folder / "report.html").stat().st_size > 50_000
-    names = {
-        "wide_field.ecsv",
-        "distortion.ecsv",
-        "centroiders.ecsv",
-        "map.ecsv",
-        "points.ecsv",
-        "results.nc",
-    }
-    assert names < {path.name for path in run.folder.iterdir()}
-
-
 def test_a_polynomial_divides_marking_error_by_its_degrees_of_freedom(run):
     """Of W points with error s, k terms leave s sqrt((W - k) / (W - 1)) and take s sqrt((k - 1) / (W - 1))."""
+    assert run.status == 0
     points, terms = ROWS * COLUMNS, (ORDER + 1) * (ORDER + 2) // 2
     error = 3.0 * MARKING_ARCSEC
     numbers = run.results["methods_arcsec_3sigma"]["epsf"]["nominal"]

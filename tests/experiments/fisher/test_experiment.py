@@ -38,16 +38,9 @@ def run(again):
 
 
 @pytest.mark.slow
-def test_the_run_is_complete(run) -> None:
-    assert run.status == 0
-    assert (run.folder / "report.html").stat().st_size > 50_000
-    names = {"accuracy", "causes", "coverage", "field_of_view"}
-    assert {f"{name}.ecsv" for name in names} < {path.name for path in run.folder.iterdir()}
-
-
-@pytest.mark.slow
 def test_the_scatter_is_that_of_the_table(run) -> None:
     """Both axes stand across the star: each reading errs in full along one of two directions, the clocks along one."""
+    assert run.status == 0
     clocks = RATE_DEG_PER_S * 3600 * JITTER_MS / 1000 / np.sqrt(2)
     static, dynamic = run.results["static"], run.results["dynamic"]
     for found, table in ((static, READING_ARCSEC), (dynamic, np.hypot(READING_ARCSEC, clocks))):
@@ -134,9 +127,7 @@ def test_smeared_psf_has_the_variance_of_its_path() -> None:
         ("dynamic.samples=2", "dynamic.samples = 2"),
         ("field.field_deg=[3.0,150.0]", "field_deg"),
         ("coverage.counts=[2]", "counts"),
-        ("window_px=12", "odd"),
         ("passband.range_nm=[100,200]", "nm"),
-        ("tabel.axes=xy", "table"),
     ],
 )
 def test_bad_settings_get_one_line(setting: str, words: str, tmp_path, capsys) -> None:

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -45,15 +44,6 @@ def test_run_writes_everything(output):
     assert status == 0
     assert names(folder) == ["frames", "levels.ecsv", "provenance.json", "report.html", "results.nc", "summary.json"]
     assert names(folder.parent) == ["shot_noise"]
-
-
-def test_summary_file(output):
-    content = json.loads((output[1] / "summary.json").read_text())
-    assert list(content) == ["experiment", "seed", "config", "results", "criteria"]
-    assert content["experiment"] == "shot_noise"
-    assert content["seed"] == content["config"]["seed"] == 3
-    assert content["config"]["label"] == "<b>7 & 8</b>"
-    assert [sorted(one) for one in content["criteria"]] == [["limit", "name", "passed", "unit", "value"]]
 
 
 def test_quantities_are_read_back_by_other_programs(output):
@@ -92,52 +82,18 @@ def test_provenance_file(output):
     assert str(ROOT) not in text
 
 
-class Page(HTMLParser):
-    """Collects what a reader sees, what the page would load, its ids, and unbalanced elements."""
-
-    VOID = frozenset({"meta", "img", "br", "link", "path", "use", "rect", "circle", "line", "stop", "image"})
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.loads, self.ids, self.words = [], [], [], []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attributes):
-        if tag not in self.VOID:
-            self.open.append(tag)
-        for name, value in attributes:
-            if name in ("src", "href", "xlink:href") and not value.startswith(("#", "data:")):
-                self.loads.append(value)
-            if name == "id":
-                self.ids.append(value)
-
-    def handle_startendtag(self, tag, attributes):
-        self.handle_starttag(tag, attributes)
-        if self.open and self.open[-1] == tag and tag not in self.VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag):
-        if tag not in self.VOID:
-            assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.words.append(data)
-
-
 def test_report_stands_alone_and_is_escaped(output):
     text = (output[1] / "report.html").read_text(encoding="utf-8")
-    page = Page(text)
-    assert page.open == []
-    assert page.loads == []
+    assert re.findall(r'(?:src|href)="(?!#|data:)([^"]+)"', text) == []
+    for tag in ("section", "div", "p", "figure", "table", "tr", "td", "dl", "details", "nav", "footer", "a", "svg"):
+        assert len(re.findall(rf"<{tag}[ >]", text)) == text.count(f"</{tag}>"), tag
     assert "@import" not in text
     assert not re.search(r"url\((?!#)", text)
     assert "<script" not in text
-    assert len(page.ids) == len(set(page.ids))
-    words = "".join(page.words)
-    assert "<b>7 & 8</b>" in words  # seen as text, not taken as markup
-    assert "the criterion holds." in words
-    assert "Figure 3." in words
-    assert "Table 1." in words
+    ids = re.findall(r'\bid="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    assert "&lt;b&gt;7 &amp; 8&lt;/b&gt;" in text
+    assert "<b>7" not in text
     assert text.count("<svg") == 4  # two drawings, one of them for narrow screens too, and an equation
     assert text.count("data:image/png;base64,") == 1
 
@@ -237,15 +193,6 @@ def test_fault_of_the_program_is_not_mistaken_for_a_failed_criterion(shot_noise,
     assert names(tmp_path) == []
 
 
-def test_schema_and_help(shot_noise, capsys):
-    assert shot_noise.main(["--schema"]) == 0
-    schema = json.loads(capsys.readouterr().out)
-    assert schema["properties"]["samples"]["description"] == "pixels per level"
-    assert schema["additionalProperties"] is False
-    assert shot_noise.main(["--help"]) == 0
-    assert "is the variance of a Poisson signal its mean?" in capsys.readouterr().out
-
-
 @pytest.mark.slow
 def test_missing_llvm_is_exit_2(tmp_path):
     program = (
@@ -308,13 +255,15 @@ def test_packages_with_an_experiment_are_found_and_nothing_of_their_work_is_impo
             sys.modules.pop(f"experiments.{name}", None)
 
 
-def test_one_command_runs_any_experiment_by_name(capsys):
-    assert starbench(["temporal", "--help"]) == 0
-    assert "python -m experiments.temporal" in capsys.readouterr().out
+def test_unknown_experiment_schema_and_version(shot_noise, capsys):
     assert starbench(["tempral"]) == 2
     assert "temporal" in capsys.readouterr().err
     assert starbench(["--version"]) == 0
     assert capsys.readouterr().out.startswith("starbench")
+    assert shot_noise.main(["--schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    assert schema["properties"]["samples"]["description"] == "pixels per level"
+    assert schema["additionalProperties"] is False
 
 
 def test_listing_imports_nothing_heavy():

@@ -43,10 +43,6 @@ class Config(ExperimentConfig):
     cooled: bool = False
 
 
-def test_defaults():
-    assert load_config(Config) == Config()
-
-
 def test_later_layers_win_and_only_where_they_speak(tmp_path):
     file = tmp_path / "run.toml"
     file.write_text("frames = 7\n[lens]\nname = 'triplet'\n")
@@ -166,11 +162,6 @@ def test_bad_file_is_one_line(tmp_path, content, expected, settings):
         load_config(Config, file=file, settings=settings)
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(ConfigError, match="no such file"):
-        load_config(Config, file=tmp_path / "absent.toml")
 
 
 def test_real_number_without_a_unit_in_its_name_is_refused():

@@ -78,10 +78,8 @@ def criterion(passed):
     [
         ([], "No criteria were set."),
         ([True], "The simulation is consistent: the criterion holds."),
-        ([False], "The simulation is not consistent: the criterion does not hold."),
         ([True, True], "The simulation is consistent: all 2 criteria hold."),
         ([True, False, True], "The simulation is not consistent: 1 of 3 criteria does not hold."),
-        ([False, False, True], "The simulation is not consistent: 2 of 3 criteria do not hold."),
     ],
 )
 def test_verdict_line(passed, line):
@@ -119,11 +117,6 @@ def test_numbers_are_set_as_in_tables(page):
         "{{ 1845.3 | digits }}; {{ 0.0302 | digits(2) }}; {{ value('te', axis='y') | digits(1) }}"
     )
     assert "−2.000 ± 0.034; 12\u2009345; 1.000×10⁻⁷; 0.500; 6000; 1845; 0.030; −2" in html
-
-
-def test_key_numbers_take_unit_and_format_from_the_quantity(page):
-    html = page("{{ numbers(number('Error', value('te', axis='x'), note='3 σ')) }}", title="# T\n\nLead.\n\n")
-    assert '<dt>Error</dt><dd>1.000 ± 0.012 <span class="unit">″</span></dd><dd class="aside">3 σ</dd>' in html
 
 
 def test_criteria_stand_where_the_template_says(page):
@@ -169,12 +162,6 @@ def test_some_rows_of_a_table(page):
         page("{{ table('long', Kin=['a']) }}")
 
 
-@pytest.mark.parametrize("wrong", ["div", "gif"])
-def test_figure_of_another_kind_is_refused(page, wrong):
-    with pytest.raises(DomainError, match="figure 1"):
-        page(f"{{{{ figure('{wrong}') }}}}")
-
-
 def test_equation_is_drawn_and_told(page):
     html = page(r"""{{ equation("\\sigma^2 < \\lambda", "eq. 1") }}""")
     assert "<svg" in html
@@ -184,6 +171,8 @@ def test_equation_is_drawn_and_told(page):
 @pytest.mark.parametrize(
     ("body", "said"),
     [
+        ("{{ figure('div') }}", "figure 1"),
+        ("{{ figure('gif') }}", "figure 1"),
         ("{{ table('u') }}", "known: long, t"),
         ("{{ value('tee', axis='x') }}", "te"),
         ("{{ config.lable }}", "lable"),
@@ -191,10 +180,7 @@ def test_equation_is_drawn_and_told(page):
     ],
 )
 def test_what_there_is_not_is_told(page, body, said):
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises((ConfigError, DomainError), match=said):
         page(body)
-
-
-def test_a_report_has_a_title(page):
     with pytest.raises(ConfigError, match="Title"):
         page("words", title="")

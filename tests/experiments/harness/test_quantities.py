@@ -125,7 +125,6 @@ def test_uncertainty_and_samples_travel_with_the_value(q):
     assert outcome.heading("te_arcsec") == "Error [″]"
     assert outcome.names("method") == ["centre of gravity", "ePSF fit"]
     assert outcome.labels("method") == {"cog": "centre of gravity", "epsf": "ePSF fit"}
-    assert outcome.labels("method") == {"cog": "centre of gravity", "epsf": "ePSF fit"}
     assert outcome.label("axis", "y") == "y"
 
 

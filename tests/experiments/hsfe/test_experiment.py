@@ -30,15 +30,9 @@ def run(tiny_run):
     return tiny_run("hsfe", **small, **path, **hexapod, **light, compare=["epsf"], draws=20)
 
 
-def test_the_run_is_complete(run):
-    assert run.status == 0
-    assert (run.folder / "report.html").stat().st_size > 50_000
-    names = {"causes.ecsv", "hsfe.ecsv", "residuals.ecsv", "results.nc", "summary.json"}
-    assert names < {path.name for path in run.folder.iterdir()}
-
-
 def test_roll_leaves_lever_times_angle(run):
     """Of steps that roll by r, the mean over the stars leaves r (y - mean y) in x and r (x - mean x) in y."""
+    assert run.status == 0
     _, instrument = point_laboratory(run.config, run.config.target)
     plan, hexapod = StepPlan(**run.config.steps.model_dump()), Hexapod(**run.config.hexapod.model_dump())
     path = plan.path(instrument, hexapod, Streams(run.config.seed).child("hsfe").generator("hexapod"))

@@ -8,15 +8,12 @@ import pytest
 @pytest.mark.parametrize(
     ("name", "setting", "said"),
     [
-        ("temporal", "frames=1", "frames"),
         ("temporal", "brightness.lowest_e=30000", "the first must be the lower one"),
-        ("temporal", "instrument.lense=x", "lense"),
         ("temporal", "place_px=[20, 20]", "off the detector"),
         ("temporal", "passband.range_nm=[300, 900]", "passband.range_nm"),
         ("temporal", "instrument.defocus_mm=0.5", "window_px"),
         ("hsfe", "steps.step_px=7", "not smaller than half the window"),
         ("hsfe", "steps.positions=1", "positions"),
-        ("hsfe", "window_px=12", "an odd number"),
         ("hsfe", "place_px=[90000, 20]", "off the detector"),
         ("distortion", "order=5", "more rows and columns than the order"),
         ("distortion", "target.edge_px=2000", "does not fit"),

@@ -108,12 +108,6 @@ def test_a_known_polynomial_is_found_and_removed(capsys, tmp_path, engine):
     ("name", "text", "said"),
     [
         ("temporal", "points = 16\n[[series]]\nfiles = ['a1.fits']", "1 frame; at least 2 are needed"),
-        ("temporal", "points = 16\n[[series]]\nfiles = ['a1.fits', 'other.fits']", "must have one size"),
-        ("temporal", "points = 16\n[[series]]\nfiles = ['x*.fits']", "no file 'x*.fits'"),
-        ("hsfe", "points = 16\n" + series("a"), "at least 2 [[series]]"),
-        ("hsfe", "points = 16\n" + series("a", "shift = [0, 0]") + series("b"), "shift_px"),
-        ("distortion", "points_px = [[30, 30], [300, 30]]\n" + series("a"), "off the detector"),
-        ("distortion", "points = 16\n" + series("a"), "coordinates of the target"),
         ("distortion", f"points_px = {[list(p) for p in PLACES[:5]]}\n" + series("a"), "5 points do not determine"),
     ],
 )

@@ -13,7 +13,7 @@ from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.reduce import Data, check_fit, check_parity, reduce_data
 from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import build_turntable
-from experiments.turntable.experiment import RENDERED_QUANTILE, point_over_line, rendered_limit, unit_of
+from experiments.turntable.experiment import RENDERED_QUANTILE, point_over_line, rendered_limit
 from experiments.turntable.monte_carlo import Coordinates, ReadingPoint, equal_reading_noise_arcsec, monte_carlo
 from experiments.turntable.settings import Config, main
 from experiments.turntable.truth import TracedMap, judge
@@ -92,14 +92,11 @@ def test_what_a_square_table_is_taken_for_does_not_fit() -> None:
     ("setting", "words"),
     [
         ("two_axis.reading_noise_arcsec=[-0.3]", "cannot be negative"),
-        ("window_px=12", "odd"),
         ("grid.edge_px=5", "windows leave the detector"),
-        ("passband.range_nm=[900,450]", "two increasing"),
         ("installation_deg=[40,0,0]", "at most 30 deg"),
         ("reduction.star_deg=[90,0]", "at most 60 deg"),
         ("study.field_deg=[0,3]", "0.5"),
         ("study.reading_noise_arcsec=[-1,3]", "none may be negative"),
-        ("two_axis.axis=xy", "did you mean 'axes'"),
     ],
 )
 def test_settings_that_do_not_do(setting: str, words: str) -> None:
@@ -133,11 +130,6 @@ def test_reading_noise_that_counts_like_the_centroids(slope: float, equal: float
     assert equal_reading_noise_arcsec(points, 0.03) == pytest.approx(equal, nan_ok=True)
 
 
-def test_units_of_the_unknowns() -> None:
-    names = ("x0_px", "focal_length_mm", "q2_per_mm4", "star_elevation_rad")
-    assert [unit_of(name) for name in names] == ["px", "mm", "1/mm4", "rad"]
-
-
 TINY = [
     "grid.columns=7",
     "grid.rows=5",
@@ -150,20 +142,18 @@ TINY = [
 
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory):
-    """A whole run of few places and runs: its folder and its results."""
+    """Results of a whole run of few places and runs."""
     out = tmp_path_factory.mktemp("turntable") / "run"
     argv = ["--quick", "--out", str(out), *(part for setting in TINY for part in ("--set", setting))]
     assert main(argv) in (0, 1)
-    summary = json.loads((out / "summary.json").read_text())
-    assert summary["experiment"] == "turntable"
-    return out, summary["results"]
+    return json.loads((out / "summary.json").read_text())["results"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("table", ["two_axis", "three_axis"])
 def test_a_rendered_run_finds_what_was_set(table: str, tiny) -> None:
     """Star, lean and principal point that were set, within five sigma of the estimator."""
-    found = tiny[1][table]
+    found = tiny[table]
     assert found["lost_runs"] == 0
     injected = {
         "star_azimuth_rad": np.radians(0.35),
@@ -185,18 +175,11 @@ def test_a_rendered_run_finds_what_was_set(table: str, tiny) -> None:
 @pytest.mark.parametrize("table", ["two_axis", "three_axis"])
 def test_a_rendered_run_is_as_good_as_predicted(table: str, tiny) -> None:
     """N = 35 places: a standard deviation is known to 12 %, three of those."""
-    found = tiny[1][table]
+    found = tiny[table]
     assert found["map_split_arcsec"]["model"] < 1e-4 < found["map_error_arcsec"]["estimated"]
     for axis in "xy":
         rms, predicted = found["centroid_error_px"]["rms"][axis], found["centroid_predicted_px"][axis]
         assert rms == pytest.approx(predicted, rel=3.0 / np.sqrt(2 * 35))
-
-
-@pytest.mark.slow
-def test_a_rendered_run_writes_everything(tiny) -> None:
-    out = tiny[0]
-    assert (out / "report.html").stat().st_size > 100_000
-    assert {p.name for p in out.glob("*.ecsv")} >= {"places.ecsv", "unknowns.ecsv", "field_sweep.ecsv"}
 
 
 @pytest.mark.slow
