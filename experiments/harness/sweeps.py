@@ -102,7 +102,9 @@ def _comparison(declared: Experiment, renders: bool) -> Experiment:
         return comparison_sections(result)
 
     single: Any = declared.config
-    sensors = Field(default=(single(),), min_length=1, max_length=MOST_SENSORS, description="side by side")
+    sensors = Field(
+        default_factory=lambda: (single(),), min_length=1, max_length=MOST_SENSORS, description="side by side"
+    )
     config = create_model(
         "ComparisonConfig", __base__=_Comparison, __module__=single.__module__, sensors=(tuple[single, ...], sensors)
     )
