@@ -146,13 +146,13 @@ def processor_s():
 
 @pytest.fixture
 def refused_by(tmp_path, monkeypatch, capsys):
-    """``refused_by(name, argument, ...)``: a command in a folder where it must change nothing; the one line it says."""
+    """``refused_by(name, argument, ..., settings=(...))``: a command that must change nothing; the one line it says."""
     monkeypatch.chdir(tmp_path)
 
-    def run(name, *arguments, within_s=60.0):
+    def run(name, *arguments, settings=(), within_s=60.0):
         main = load(name)
         present, start = sorted(path.name for path in tmp_path.iterdir()), processor_s()
-        assert main([*arguments]) == 2
+        assert main([*arguments, *(word for one in settings for word in ("--set", one))]) == 2
         assert processor_s() - start < within_s
         said = capsys.readouterr()
         assert said.out == ""

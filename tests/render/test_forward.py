@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optics.errors import ConvergenceError, DomainError
-from optics.lens_file import load_lens
+from optics.errors import DomainError
 from render.forward import StarRenderer, render_stars
 from render.tracing.tracer import Tracer
 
@@ -60,13 +59,6 @@ def test_camera_with_a_band_name_that_holds_a_comma(engine, bench, small):
     assert render_stars(camera, stars).band == ("V, narrow",)
 
 
-def test_no_stars(engine, bench, small):
-    image = render_stars(small[0], bench.stars_at(small[0], np.empty(0), np.empty(0)))
-    assert image.electrons.shape == (120, 120, 1)
-    assert not image.electrons.any()
-    assert image.truth.electrons_in.shape == (0, 1)
-
-
 @pytest.mark.parametrize("exposure_s", [0.0, -1.0, np.nan, np.inf])
 def test_exposure_must_be_positive(bench, small, exposure_s):
     with pytest.raises(DomainError, match=r"exposure_s = .* s; it must be positive"):
@@ -83,11 +75,3 @@ def test_errors_come_out_as_they_are_raised(engine, bench, small):
     with pytest.raises(DomainError, match=r"wavelength 5000 nm is outside .*, the range of glass N-FK51A"):
         renderer.render(replace(stars, wavelength_nm=np.full_like(stars.wavelength_nm, 5000.0)))
     assert renderer.render(stars).electrons.sum() > 0  # still of use
-
-
-def test_lens_whose_rays_all_fail(engine, bench):
-    lens = load_lens("star_tracker_26mm")
-    front = replace(lens.surfaces[0], semi_diameter_mm=4.0, inner_semi_diameter_mm=4.0 - 4e-9)
-    camera = bench.camera_of(lens.with_surfaces({0: front}), width_px=64, height_px=64)
-    with pytest.raises(ConvergenceError, match="no ray of any field reaches the image plane"):
-        render_stars(camera, bench.stars_at(camera, 30.0, 30.0))

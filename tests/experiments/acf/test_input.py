@@ -4,17 +4,6 @@ import re
 
 import pytest
 
-
-@pytest.fixture
-def refused(refused_by):
-    """Runs the command with settings; gives the one line it says."""
-
-    def run(*settings, within_s=5.0):
-        return refused_by("acf", *(word for setting in settings for word in ("--set", setting)), within_s=within_s)
-
-    return run
-
-
 SETTINGS = [
     # settings, what the line has to say
     (["frames=0"], "frames = 0: .*at least 4"),
@@ -41,8 +30,8 @@ SETTINGS = [
 
 
 @pytest.mark.parametrize(("settings", "expected"), SETTINGS, ids=[" ".join(s) for s, _ in SETTINGS])
-def test_wrong_setting(refused, settings, expected):
-    said = refused(*settings)
+def test_wrong_setting(refused_by, settings, expected):
+    said = refused_by("acf", settings=settings, within_s=5.0)
     assert re.search(expected, said), said
 
 
@@ -56,6 +45,6 @@ DESIGNS = [
 
 
 @pytest.mark.parametrize(("settings", "expected"), DESIGNS, ids=[" ".join(s) for s, _ in DESIGNS])
-def test_night_that_cannot_determine_everything(refused, settings, expected):
-    said = refused(*settings, within_s=15.0)
+def test_night_that_cannot_determine_everything(refused_by, settings, expected):
+    said = refused_by("acf", settings=settings, within_s=15.0)
     assert re.search(expected, said), said

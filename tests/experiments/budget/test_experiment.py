@@ -108,13 +108,8 @@ def test_built_lenses_scatter_as_their_sensitivities_add_up(engine):
         (["--config", "acc19_tuned.toml"], "no such file"),
     ],
 )
-def test_bad_input_is_one_line(arguments, words, tmp_path, capsys):
-    assert main([*arguments, "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err.strip()
-    assert words in said
-    assert said.startswith("error: ")
-    assert "\n" not in said
-    assert not (tmp_path / "out").exists()
+def test_bad_input_is_one_line(arguments, words, refused_by):
+    assert words in refused_by("budget", *arguments)
 
 
 MARKING_ARCSEC, POINTS, COEFFICIENTS, SURVEYS = 2.0, 20, 6, 40

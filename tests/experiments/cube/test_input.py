@@ -37,23 +37,13 @@ RENDERED = [
 ]
 
 
-@pytest.fixture
-def refused(refused_by):
-    """Runs the command with settings; gives the one line it says."""
-
-    def run(settings):
-        light = ["benches.shown_log2_particles=16", "benches.log2_particles=16"]
-        return refused_by("cube", "--quick", *(word for one in [*light, *settings] for word in ("--set", one)))
-
-    return run
+LIGHT = ["benches.shown_log2_particles=16", "benches.log2_particles=16"]
 
 
-@pytest.mark.parametrize(("settings", "said"), SETTINGS, ids=[" ".join(one) for one, _ in SETTINGS])
-def test_one_clear_line(refused, settings, said):
-    assert re.search(said, refused(settings))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("settings", "said"), RENDERED, ids=[" ".join(one) for one, _ in RENDERED])
-def test_one_clear_line_about_what_only_pictures_show(refused, settings, said):
-    assert re.search(said, refused(settings))
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [*SETTINGS, *(pytest.param(*one, marks=pytest.mark.slow) for one in RENDERED)],
+    ids=[" ".join(one) for one, _ in [*SETTINGS, *RENDERED]],
+)
+def test_one_clear_line(refused_by, settings, said):
+    assert re.search(said, refused_by("cube", "--quick", settings=[*LIGHT, *settings]))

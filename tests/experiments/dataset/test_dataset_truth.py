@@ -236,11 +236,7 @@ def maker_of(detector, pointing=SCAN, **more):
 
 
 def test_a_scan_keeps_what_the_frame_before_left(engine, detectors):
-    """Rationale: image persistence is of the frame before, whoever makes the frames and in whatever order.
-
-    Expected behaviour: where a star stood one frame ago stands the share of its electrons that the data file names; a
-    frame made alone is the same as one made after the frame before.
-    """
+    """A star's place of one frame ago holds the stated share of its electrons, whatever the order of the frames."""
     lags, rests = maker_of(detectors["lags"]), maker_of(detectors["rests"])
     before, after, without = lags.make(0), lags.make(1), rests.make(1)
     np.testing.assert_array_equal(before.frame.dn, rests.make(0).frame.dn)

@@ -1,8 +1,4 @@
-"""Rationale: the document's reason for its method is a bias of the usual one; here it is a number.
-
-Expected behaviour: the closed form is the integral it claims to be, the Monte-Carlo finds it, and the camera's own
-derivatives say the same.
-"""
+"""Bias of the pixel method over the field: closed form against integral, Monte-Carlo and the camera's derivatives."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Rationale: the measured scatter is judged against covariances; these must be right without the bench.
-
-Expected behaviour: what they predict is what many noisy realisations scatter, for data of their own and for the data
-that the calibration was fitted to.
-"""
+"""Predicted covariances against the scatter of many noisy realisations, of new data and of the calibration's own."""
 
 from __future__ import annotations
 

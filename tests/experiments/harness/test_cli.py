@@ -193,31 +193,6 @@ def test_fault_of_the_program_is_not_mistaken_for_a_failed_criterion(shot_noise,
     assert names(tmp_path) == []
 
 
-@pytest.mark.slow
-def test_missing_llvm_is_exit_2(tmp_path):
-    program = (
-        "import importlib.util, sys; from dataclasses import replace\n"
-        "from experiments.harness.cli import command\n"
-        f"spec = importlib.util.spec_from_file_location('shot_noise', {str(SCRIPT)!r})\n"
-        "m = importlib.util.module_from_spec(spec); sys.modules['shot_noise'] = m; spec.loader.exec_module(m)\n"
-        "main = command(replace(m.experiment, renders=lambda config: True))\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program, "--backend", "llvm", "--out", str(tmp_path / "out")],
-        cwd=ROOT,
-        env={**os.environ, "DRJIT_LIBLLVM_PATH": str(tmp_path / "absent.so")},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: backend 'llvm' needs the LLVM library")
-    assert done.stderr.count("\n") == 1
-    assert re.search(r"apt-get install -y libllvm1\d", done.stderr)
-    assert names(tmp_path) == []
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_interruption_leaves_nothing_behind(tmp_path, number):
     process = subprocess.Popen(

@@ -96,10 +96,7 @@ def wrong(annotation: Any, value: Any) -> Iterator[Any]:
 
 
 def test_wrong_values_are_refused() -> None:
-    """Rationale: a truth value counted as one, an exposure of 1e308 s, a list for a number must not pass silently.
-
-    Expected behaviour: `ConfigError` that names the setting.
-    """
+    """A truth value for a number, an exposure of 1e308 s, a list for a number: `ConfigError` that names the setting."""
     faults = []
     for table in {type(table): table for one in WHOLE for table in tables(one)}.values():
         whole = table.model_dump()

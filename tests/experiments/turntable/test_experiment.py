@@ -194,10 +194,5 @@ def test_a_rendered_run_is_as_good_as_predicted(table: str, tiny) -> None:
         (["star.signal_e=200000"], "saturated"),
     ],
 )
-def test_mistakes_end_in_one_line(settings: list[str], words: str, tmp_path, capsys) -> None:
-    options = [part for setting in settings for part in ("--set", setting)]
-    assert main(["--quick", "--out", str(tmp_path / "run"), *options]) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1
-    assert words in lines[0]
-    assert not (tmp_path / "run").exists()
+def test_mistakes_end_in_one_line(settings: list[str], words: str, refused_by) -> None:
+    assert words in refused_by("turntable", "--quick", settings=settings)

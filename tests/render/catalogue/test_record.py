@@ -95,8 +95,3 @@ def test_refused(changes, told):
 def test_no_such_star():
     with pytest.raises(ConfigError, match="no star with id 7"):
         catalog_of().row_of(7)
-
-
-def test_repr_of_none_and_some():
-    assert "5 stars" in repr(catalog_of())
-    assert "0 stars" in repr(catalog_of().select([]))

@@ -20,7 +20,7 @@ from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points
 from render.camera import Camera
 from render.fits.files import write_frame
-from render.fits.wcs import LensWcs, lens_wcs
+from render.fits.wcs import lens_wcs
 from render.records import Frame
 
 # lens, columns, rows, pitch [mm], field of the grid [deg]
@@ -161,10 +161,3 @@ def test_bad_input(call: Any, kind: type[Exception], words: str) -> None:
     with pytest.raises(kind, match=words) as caught:
         call()
     assert "\n" not in str(caught.value)
-
-
-def test_inputs_stay() -> None:
-    wcs = lens_wcs(camera("26 mm, 1024"))
-    assert isinstance(wcs, LensWcs)
-    with pytest.raises(ValueError, match="read-only"):
-        wcs.a[2, 0] = 1.0

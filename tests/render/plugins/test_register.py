@@ -258,13 +258,6 @@ def test_stock_integrators_do_not_see_the_stars(mi):
     assert np.count_nonzero(image) == 0
 
 
-def test_plugins_say_what_they_are(mi):
-    scene = mi.load_dict(foreign_scene(mi, unit([0.0], [0.0])))
-    assert str(scene.sensors()[0]) == "LensCamera[lens=star_camera_206mm, 300 x 200 px]"
-    assert "StarTracer[sobol_log2_rays=16]" in str(scene.integrator())
-    assert any(str(e) == "StarField[stars=1, bands=green, red]" for e in scene.emitters())
-
-
 @pytest.mark.slow
 def test_registration_needs_a_vectorised_variant():
     """Scalar variants have no arrays to trace with."""
