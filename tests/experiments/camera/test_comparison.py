@@ -11,20 +11,6 @@ from experiments.harness.range import with_value
 from experiments.harness.what_if import run_comparison
 from optics.errors import DomainError
 
-SENSOR = """
-name = "{name}"
-[instrument]
-lens = "star_tracker_26mm"
-detector = "cmv4000"
-width_px = 800
-height_px = 800
-exposure_s = {exposure}
-defocus_mm = 0.0
-[passband]
-range_nm = [500, 800]
-[requirements]
-update_rate_hz = 4.0
-"""
 ONE = Config(
     instrument={"lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 800, "height_px": 800},
     passband={"range_nm": [500.0, 800.0]},
@@ -46,10 +32,9 @@ def test_each_sensor_is_what_it_is_alone_and_differs_in_what_was_changed():
 
 
 @pytest.mark.slow
-def test_two_sensor_files_make_a_page(tmp_path, capsys):
-    for name, exposure in (("fast", 0.1), ("slow", 0.5)):
-        (tmp_path / f"{name}.toml").write_text(SENSOR.format(name=f"The {name} one", exposure=exposure))
-    files = ["--sensor", str(tmp_path / "fast.toml"), "--sensor", str(tmp_path / "slow.toml")]
+def test_two_sensor_files_make_a_page(sensor_file, tmp_path, capsys):
+    sensors = [sensor_file("update_rate_hz = 4.0", f"The {n} one", s) for n, s in (("fast", 0.1), ("slow", 0.5))]
+    files = ["--sensor", str(sensors[0]), "--sensor", str(sensors[1])]
     assert main([*files, "--sweep", "exposure_s=0.1:0.2:2"], own_process=False) == 2
     assert "a sweep is of one sensor" in capsys.readouterr().err
     assert main([*files, "--set", "sky.attitudes=20", "--out", str(tmp_path / "out")], own_process=False) == 0

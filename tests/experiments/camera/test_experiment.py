@@ -7,28 +7,10 @@ import pytest
 
 from experiments.camera.settings import main
 
-SENSOR = """
-name = "Small tracker"
-[instrument]
-lens = "star_tracker_26mm"
-detector = "cmv4000"
-width_px = 800
-height_px = 800
-exposure_s = 0.2
-defocus_mm = 0.0
-[passband]
-range_nm = [500, 800]
-[requirements]
-limiting_magnitude_mag = 4.0
-attitude_roll_arcsec = 0.001
-"""
-
 
 @pytest.fixture(scope="module")
-def sensor(tmp_path_factory):
-    path = tmp_path_factory.mktemp("sensor") / "my.toml"
-    path.write_text(SENSOR)
-    return path
+def sensor(sensor_file):
+    return sensor_file("limiting_magnitude_mag = 4.0\nattitude_roll_arcsec = 0.001")
 
 
 def run(sensor, folder, *options):

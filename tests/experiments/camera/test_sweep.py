@@ -14,21 +14,6 @@ from experiments.harness.what_if import run_sweep
 from optics.errors import ConfigError, DomainError
 from optics.validate import parse_model
 
-SENSOR = """
-name = "Small tracker"
-[instrument]
-lens = "star_tracker_26mm"
-detector = "cmv4000"
-width_px = 800
-height_px = 800
-exposure_s = 0.2
-defocus_mm = 0.0
-[passband]
-range_nm = [500, 800]
-[requirements]
-update_rate_hz = 4.0
-focus_shift_um = 50.0
-"""
 TRACKER = {
     "instrument": {
         "lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 800, "height_px": 800, "exposure_s": 0.2,
@@ -150,9 +135,8 @@ def test_the_name_of_a_key_ends_in_its_unit(key, name, unit):
 
 
 @pytest.mark.slow
-def test_the_command_writes_all_of_it(tmp_path, capsys):
-    sensor, out = tmp_path / "my.toml", tmp_path / "out"
-    sensor.write_text(SENSOR)
+def test_the_command_writes_all_of_it(sensor_file, tmp_path, capsys):
+    sensor, out = sensor_file("update_rate_hz = 4.0\nfocus_shift_um = 50.0"), tmp_path / "out"
     line = ["--sensor", str(sensor), "--set", "sky.attitudes=20", "--sweep", "exposure_s=0.2:0.3:2", "--out", str(out)]
     assert main(line, own_process=False) == 0
     results = json.loads((out / "summary.json").read_text())["results"]

@@ -25,11 +25,6 @@ def pixels(star_camera, directions):
     return np.array([2047.5, 1023.5]) + scale * directions[..., :2] / directions[..., 2:]
 
 
-def test_unit_vectors(corners):
-    assert corners.shape == (4, 25, 3)
-    assert np.abs(np.linalg.norm(corners, axis=-1) - 1).max() < 1e-15
-
-
 def test_grid_keeps_its_shape_when_the_platform_turns(corners, star_camera):
     middle = target_directions(TargetConfig(), star_camera, np.array([2047.5, 1023.5]))
     for turned in corners:

@@ -82,17 +82,6 @@ def test_rate_random_walk_grows_with_the_power_of_three_halves():
         assert np.sqrt(np.mean(angle_deg**2)) == pytest.approx(expected_deg, rel=4 / np.sqrt(6 * runs))
 
 
-def test_allan_deviation_of_white_noise():
-    """N / sqrt(tau) from 0.1 s to 10 s; M differences of clusters give it to about 1 / sqrt(M)."""
-    gyro = Gyro(bias_deg_per_h=0.03, angle_random_walk_deg_per_sqrt_h=0.005)
-    long = ConstantRate(initial=Rotation.identity(), rate_rad_per_s=np.zeros(3), end_s=1000.0)
-    rate_deg_per_h = np.degrees(simulate_gyro(long, gyro, Streams(5)).rate_rad_per_s) * 3600
-    for tau_s in (0.1, 1.0, 10.0):
-        clusters = rate_deg_per_h.reshape(-1, round(tau_s * gyro.rate_hz), 3).mean(axis=1)
-        allan = np.sqrt(0.5 * np.mean(np.diff(clusters, axis=0) ** 2))
-        assert allan == pytest.approx(0.005 / np.sqrt(tau_s / 3600), rel=4 / np.sqrt(3 * len(clusters)))
-
-
 def test_noise_of_the_axes_is_independent():
     rates = simulate_gyro(REST, Gyro(), Streams(6)).rate_rad_per_s
     assert np.abs(np.corrcoef(rates.T) - np.eye(3)).max() < 4 / np.sqrt(len(rates))

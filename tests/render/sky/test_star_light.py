@@ -37,18 +37,6 @@ def test_nodes_add_up_to_the_light_of_the_band(kelvin):
     np.testing.assert_allclose(light.photon_rate([4.0], [kelvin])[0].sum(1), exact, rtol=2e-4)
 
 
-def test_five_magnitudes_are_a_hundred():
-    light = star_light(BANDS)
-    rate = light.photon_rate([3.0, 8.0], [6000.0, 6000.0])
-    np.testing.assert_allclose(rate[0], 100 * rate[1], rtol=1e-12)
-
-
-def test_red_star_in_red_light():
-    light = star_light([TopHat(centre_nm=450, width_nm=50), TopHat(centre_nm=800, width_nm=50)])
-    cold, hot = light.photon_rate([5.0, 5.0], [3000.0, 15000.0]).sum(2)
-    assert cold[1] / cold[0] > 5 * hot[1] / hot[0]
-
-
 def test_no_stars():
     assert star_light(BANDS, nodes=3).photon_rate([], []).shape == (0, 2, 3)
 
