@@ -83,8 +83,13 @@ class ExperimentRun:
         return f"<{self.experiment.name}: tables {', '.join(self.tables)}; {verdict}>"
 
     @property
+    def config(self) -> Any:
+        """The settings of the run."""
+        return self.outcome.config
+
+    @property
     def result(self) -> Any:
-        """What the experiment computed, as its own records."""
+        """What the experiment computed: section -> record or records."""
         return self.outcome.result
 
     @property
