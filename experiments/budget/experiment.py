@@ -129,7 +129,7 @@ class Agreement:
     """Whether prediction and frames agree, by centroider."""
 
     # Largest of the entries of Table 1 for the chromatic term
-    pull: FloatArray = col("Predicted minus measured", "sigma", "+.2f", "tested axis", json="pulls[method][tested]")
+    pull: FloatArray = col("Deviation", "sigma", "+.2f", "tested axis", json="pulls[method][tested]")
     together: FloatArray = col(
         "TE, HSFE and S together, predicted over measured",
         dims="axis",
@@ -437,7 +437,7 @@ SECTIONS = {
         rows="tested axis",
         across="method",
         columns="pull",
-        caption="Predicted minus measured, in standard deviations.",
+        caption="Deviations: predicted minus measured, in standard deviations, by centroider.",
         note="LSFE-S: of the signed entry of Table 1 that is farthest from its prediction.",
         verdicts=[
             # of ten normal deviates (two axes of TE, HSFE and C1, two pairs of filters) one in 100 runs exceeds 3.3

@@ -340,12 +340,12 @@ class Swing:
     """One key moved down and up, the others as they are: relative changes, for magnitudes the difference."""
 
     key: str = col("Key", json="")
-    low: float = col("From", format=".3g", json="")
-    high: float = col("To", format=".3g", json="")
-    unit: str = col("Unit", json="")
-    swing_attitude_cross_arcsec: Sequence[float] = col("Attitude", format="+.3f", dims="end")
+    low: float = col("From", format=".3g", json="", shown=False)
+    high: float = col("To", format=".3g", json="", shown=False)
+    unit: str = col("Unit", json="", shown=False)
+    swing_attitude_cross_arcsec: Sequence[float] = col("Change of attitude error", format="+.3f", dims="end")
     swing_single_star_arcsec: Sequence[float] = col("Single star", format="+.3f", dims="end", shown=False)
-    swing_limiting_magnitude_mag: Sequence[float] = col("Limit", "mag", "+.2f", "end")
+    swing_limiting_magnitude_mag: Sequence[float] = col("Limiting magnitude", "mag", "+.2f", "end")
     swing_stars_worst_per_frame: Sequence[float] = col("Stars", format="+.3f", dims="end", shown=False)
     label: str  # Of the key
 
@@ -525,8 +525,8 @@ SECTIONS: Mapping[str, Section] = {
         axes=swing_axes,
         table="what_to_change",
         across="end",
-        columns="low high unit swing_attitude_cross_arcsec swing_limiting_magnitude_mag",
-        caption="Change of attitude error (relative) and limiting magnitude at both values of each key.",
+        columns="swing_attitude_cross_arcsec swing_limiting_magnitude_mag",
+        caption="Change of the attitude error across (relative) and of the limiting magnitude at both values of each key.",
         figures={"what_to_change": bars("key", bars="swing_attitude_cross_arcsec", by="end", aspect_ratio=0.5)},
     ),
     "frames": FRAMES,

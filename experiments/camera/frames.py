@@ -323,11 +323,11 @@ class Compared:
     """One quantity, measured in frames and predicted for the same stars and attitudes."""
 
     comparison: str = col("Quantity")
-    label: str = col("What", json="")
-    measured: float = col("Measured in frames", format=".4g")
+    label: str = col("Quantity", json="")
+    measured: float = col("Measured", format=".4g")
     predicted: float = col("Predicted", format=".4g")
     unit: str = col("Unit", json="")
-    error: float = col("Standard deviation of the difference", format=".2g")
+    error: float = col("Standard deviation", format=".2g")
     n: int = col("Samples", json="")
     pull: Measured = col("Difference", "sigma", ".1f", json="")
 
@@ -541,8 +541,9 @@ FRAMES = Section(
     table="frames",
     hidden="comparison",
     rows="comparison",
+    columns="label measured predicted unit error n pull",
     caption="Rendered frames against the prediction for the same stars and attitudes.",
-    note="The difference is in standard deviations of measured minus predicted, if the prediction is right.",
+    note="Standard deviation: of measured minus predicted, if the prediction is right; the difference is in units of it.",
     verdicts=[
         agree(
             "compared_pull",

@@ -327,8 +327,8 @@ class FlagGroup:
     meaning: str = col("Meaning", json="")
     stars: int = col("Stars", json="")
     share_found: float = col("Detected", format=".3f", json="")
-    share_fit: float = col("And fit", format=".3f", json="")
-    share_blend: float = col("Seen as blend", format=".3f", json="")
+    share_fit: float = col("Usable", format=".3f", json="")
+    share_blend: float = col("Flagged as blend", format=".3f", json="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -563,7 +563,7 @@ SECTIONS = {
         prefix="flag_",
         table="flags",
         caption="Flags of the truth, and what the detection made of these stars.",
-        note="Fit: the measurement flags nothing, so that it counts in an attitude. Seen as blend: of those detected.",
+        note="Usable: detected and without a flag, as an attitude needs it. Flagged as blend: share of the detected stars.",
     ),
     "centroids": Section(
         record=CentroidBin,

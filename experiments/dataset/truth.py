@@ -61,7 +61,7 @@ COLUMNS = (
     Column("electrons_in", "float64", "electron", "electrons that the stop of the lens alone would let in"),
     Column("electrons", "float64", "electron", "expected electrons on the detector"),
     Column("electrons_vignetted", "float64", "electron", "those of the disk that do not pass the lens"),
-    Column("electrons_off_edge", "float64", "electron", "expected electrons beside the detector or between chips"),
+    Column("electrons_off_edge", "float64", "electron", "expected electrons off the detector or between chips"),
     Column("electrons_hidden", "float64", "electron", "those that a body in front of the star takes away"),
     Column("electrons_beyond", "float64", "electron", "those in the wings of the diffraction image that are left out"),
     Column("variance_x_px2", "float64", "pix2", "second central moment of the ray bundle along the columns"),
@@ -74,7 +74,7 @@ COLUMNS = (
 
 FLAGS = {
     "saturated": (1, "a pixel of its footprint is saturated"),
-    "off_edge": (2, "more than 0.1 % of its light falls beside the detector or between chips"),
+    "off_edge": (2, "more than 0.1 % of its light falls off the detector or between chips"),
     "blended": (4, "its footprint meets that of a star with at least 1 % of its electrons"),
     "defect": (8, "a pixel of its footprint is defective"),
     "cosmic_ray": (16, "a cosmic ray left charge in its footprint"),

@@ -274,7 +274,9 @@ def cloud(name: str, *, ellipses: str = "", panels: str = "", at: dict[str, Any]
         reach = float(np.nanmax(np.abs(o.values(name))))
         for panel, key in zip(grid[0], keys, strict=True):
             here = {panels: key} if panels else {}
-            panel.plot(*o.values(name, **here).reshape(-1, 2).T, ".", color=PALETTE[0], markersize=1.6, alpha=0.5)
+            dots = o.values(name, **here).reshape(-1, 2)
+            size, alpha = (1.6, 0.5) if len(dots) > 300 else (5.0, 0.9)
+            panel.plot(*dots.T, ".", color=PALETTE[0], markersize=size, alpha=alpha)
             for one, colour in zip((e for e in ellipses.split() if e in o.data), (PALETTE[1], INK), strict=False):
                 half = o.quantity(one)
                 where = {dim: _position(o, dim, k) for dim, k in {**here, **(at or {})}.items() if dim in half.dims}
