@@ -526,7 +526,7 @@ SECTIONS: Mapping[str, Section] = {
         table="what_to_change",
         across="end",
         columns="swing_attitude_cross_arcsec swing_limiting_magnitude_mag",
-        caption="Change of the attitude error across (relative) and of the limiting magnitude at both values of each key.",
+        caption="Relative change of the attitude error across, and change of the limiting magnitude, for every key.",
         figures={"what_to_change": bars("key", bars="swing_attitude_cross_arcsec", by="end", aspect_ratio=0.5)},
     ),
     "frames": FRAMES,

@@ -543,7 +543,7 @@ FRAMES = Section(
     rows="comparison",
     columns="label measured predicted unit error n pull",
     caption="Rendered frames against the prediction for the same stars and attitudes.",
-    note="Standard deviation: of measured minus predicted, if the prediction is right; the difference is in units of it.",
+    note="Standard deviation: of measured minus predicted, as predicted; the difference is in units of it.",
     verdicts=[
         agree(
             "compared_pull",

@@ -321,7 +321,7 @@ BUDGET = Section(
     rows="row",
     across="axis",
     caption="Error of R_sp, 1 sigma per axis of the cube frame: predicted by geometry, measured on benches.",
-    note="RMS about the truth, uncertainties for stratified misalignments. Predictions contain the noise of pictures and sun "
+    note="RMS about the truth; misalignments are stratified. Predictions contain the noise of pictures and sun "
     "sensor. Ratio: predicted over measured, over the axes on which the term acts.",
     figures={
         "budget_bars": bars(

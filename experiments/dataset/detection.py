@@ -563,7 +563,7 @@ SECTIONS = {
         prefix="flag_",
         table="flags",
         caption="Flags of the truth, and what the detection made of these stars.",
-        note="Usable: detected and without a flag, as an attitude needs it. Flagged as blend: share of the detected stars.",
+        note="Usable: detected and without a flag. Flagged as blend: share of the detected stars.",
     ),
     "centroids": Section(
         record=CentroidBin,

@@ -43,7 +43,7 @@ from render.engine.random import Streams
 __all__ = ["SECTIONS", "axes", "run"]
 
 
-# --- Found, left, removed
+# --- Before the polynomial, after it, removed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class Numbers:
         "All surveys", "arcsec", ".3f", "reference number axis", json="[reference][number].over_surveys"
     )
     survey_scatter_arcsec: FloatArray = col(
-        "Their scatter", "arcsec", ".3f", "reference number axis", json="[reference][number].scatter_of_surveys"
+        "Scatter of surveys", "arcsec", ".3f", "reference number axis", json="[reference][number].scatter_of_surveys"
     )
     predicted_arcsec: Any = col(
         "Predicted",
@@ -186,8 +186,8 @@ class Points:
     measured_px: FloatArray = col("Measured", "px", dims="point axis", json="", key="measured_{axis}_px")
     light_px: FloatArray = col("Light", "px", dims="point axis", json="", key="light_{axis}_px")
     ray_trace_px: FloatArray = col("Ray trace", "px", dims="point axis", json="", key="ray_trace_{axis}_px")
-    d_px: FloatArray = col("Found", "px", dims="point axis", json="", key="d_{axis}_px")
-    left_px: FloatArray = col("Left", "px", dims="point axis", json="", key="left_{axis}_px")
+    d_px: FloatArray = col("Before", "px", dims="point axis", json="", key="d_{axis}_px")
+    left_px: FloatArray = col("After", "px", dims="point axis", json="", key="left_{axis}_px")
 
 
 def points(frames: DistortionMeasurement, predicted: DistortionPrediction, config: Config) -> Points:
@@ -215,10 +215,10 @@ class TrueMap:
         "Distortion", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].uncorrected"
     )
     one_survey_arcsec: FloatArray = col(
-        "Left, one survey", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].one_survey"
+        "One survey", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].one_survey"
     )
     all_surveys_arcsec: FloatArray = col(
-        "Left, all surveys", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].over_surveys"
+        "All surveys", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].over_surveys"
     )
     forecast_arcsec: FloatArray = col("Predicted", "arcsec", ".3f", "axis", json="forecast_map_arcsec_3sigma")
     # Its parts: distortion that the polynomial cannot follow, errors of the points carried into the map
@@ -368,7 +368,7 @@ SECTIONS = {
                 "method_predicted_arcsec",
                 each="method",
                 false_alarm=1e-3,
-                title="Found, left and removed over all surveys against prediction",
+                title="Before, after and removed, over all surveys, against prediction",
                 advice="centroids, noise or the response pattern are not what the prediction takes them for",
             )
         ],

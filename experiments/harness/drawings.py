@@ -284,10 +284,10 @@ def cloud(name: str, *, ellipses: str = "", panels: str = "", at: dict[str, Any]
                 reach = max(reach, float(x), float(y))
                 panel.plot(x * np.cos(turn), y * np.sin(turn), color=colour, label=half.label)
             panel.set(xlabel=f"x [{unit}", aspect="equal", title=o.label(panels, key) if panels else "")
-            if ellipses:
-                panel.legend(loc="upper right")
         ends = (-1.1 * reach, 1.1 * reach)
         grid[0][0].set(ylabel=f"y [{unit}", xlim=ends, ylim=ends)
+        if ellipses:
+            figure.legend(*grid[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
         return figure
 
     return _named(draw, name)

@@ -52,7 +52,7 @@ REFERENCES: Mapping[Reference, str] = {
     "aligned": "shift, roll and scale fitted",
     "calibrated": "camera model from an earlier session",
 }
-LABELS = ("σδ, found", "σΔδ, left", "σC1, removed")
+LABELS = ("σδ, before", "σΔδ, after", "σC1, removed")
 """What readers call the three numbers: sigma_d, sigma_D, sigma_C1."""
 
 

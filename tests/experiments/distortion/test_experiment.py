@@ -83,4 +83,4 @@ def test_a_quarter_of_what_is_removed_is_noticed(run, failing):
     first, other = run.result["centroiders"]
     wrong = replace(first, all_surveys_arcsec=1.25 * first.all_surveys_arcsec)
     (name,) = failing("distortion", {**run.result, "centroiders": [wrong, other]}, run.config)
-    assert name.startswith("ePSF fit: Found, left and removed")
+    assert name.startswith("ePSF fit: Before, after and removed")
