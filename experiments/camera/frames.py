@@ -474,7 +474,7 @@ def _stars(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compared, 
         )
         for name, words, seen, expected, share in (
             ("stars", f"Stars found in {frames} frames of the sky", rendered.sky.found, forecast.found, 0.0),
-            ("fit_stars", "of them fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_SHARE),
+            ("fit_stars", "Stars fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_SHARE),
         )
     )
 

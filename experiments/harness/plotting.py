@@ -154,7 +154,8 @@ def log_ticks(axes: Any, which: Literal["x", "y"], ticks: Iterable[float] | None
         (axes.set_xlim if which == "x" else axes.set_ylim)(low, high)
     if ticks is None:
         decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-        ticks = (float(f"{digit}e{decade}") for decade in decades for digit in (1, 2, 5))
+        digits = (1, 2, 5) if high / low < 1e4 else (1,)
+        ticks = (float(f"{digit}e{decade}") for decade in decades for digit in digits)
     shown = [tick for tick in ticks if low <= tick <= high]
     axis.set_ticks(shown, [f"{tick:g}" for tick in shown])
     axis.set_ticks([], minor=True)

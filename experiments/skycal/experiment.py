@@ -79,7 +79,7 @@ class Camera:
     centroid_floor_px: Sequence[float] = col("Error beyond noise", "px", ".3f", "data")
     centroid_pull: Measured = col("Scatter of faint stars over the stated one", json="", shown=False)
     not_converged: int = col("Calibrations that did not converge", json="", shown=False)
-    part_rms_arcsec: Sequence[float] = col("RMS", "arcsec", ".2g", "part", json="parts_arcsec", key="{part}_arcsec")
+    part_rms_arcsec: Sequence[float] = col("RMS", "arcsec", "#.2g", "part", json="parts_arcsec", key="{part}_arcsec")
     quadrature_arcsec: float = col("Root sum square", "arcsec", ".4f")
     part_correlation: Sequence[float] = col("Correlation", "", "+.2f", "pair", json="parts_correlation")
     mismatch_limit_arcsec: float = col("Model's own limit plus predicted", "arcsec", ".2g", json="", shown=False)

@@ -347,7 +347,7 @@ class Known:
 
     given: str = col("Known", json="")
     known_arcsec: Sequence[float] = col(
-        "Bound of the map error,", "arcsec", ".3g", "table", key="{table}", json="[table].map_bound_if_known_arcsec"
+        "Map error,", "arcsec", ".3g", "table", key="{table}", json="[table].map_bound_if_known_arcsec"
     )
 
 
@@ -434,7 +434,8 @@ def axes(config: Config) -> Quantities:
     q.axis("turn", ["outer", "middle", "inner"], "Axis of the table")
     q.axis("reduction", list(REDUCTIONS), "Calibration with", names=REDUCTIONS)
     units = {name: unit_of(name) for name in UNKNOWNS}
-    named = [f"{label} [{shown_unit(units[name])}]" for name, label in UNKNOWNS.items()]
+    shown = {name: shown_unit(unit).translate(str.maketrans("246", "²⁴⁶")) for name, unit in units.items()}  # 1/mm²
+    named = [f"{label} [{shown[name]}]" for name, label in UNKNOWNS.items()]
     q.axis("unknown", list(UNKNOWNS), "Unknown", names=named, units=list(units.values()))
     q.axis("other", list(UNKNOWNS), "Unknown", names=UNKNOWNS)
     return q
@@ -560,7 +561,7 @@ SECTIONS = {
         along="given",
         table="knowledge",
         across="table",
-        caption="What it would be worth to know more (Cramér–Rao).",
+        caption="Cramér–Rao bound of the map error if more were known.",
     ),
     "places": Section(
         record=Place,
