@@ -127,14 +127,13 @@ class StarErrors:
 class AttitudeForecast:
     """Over f attitudes of the sky."""
 
-    found: FloatArray  # (f,) Expected number of stars that are found, and its variance by noise
-    found_variance: FloatArray  # (f,)
+    found: FloatArray  # (f,) Expected number of stars that are found
+    found_variance: FloatArray  # (f,) Variance of that number by noise
     # (f,) Expected number of those that are fit: not saturated, whole and alone in their window, on good pixels
     stars: FloatArray
-    # (f, 3) One standard deviation about x, y (across) and z (roll): by temporal noise; with patterns, pixel phase
-    # and star colours. Infinite where too few stars are seen
+    # (f, 3) Standard deviation about x, y (across) and z (roll) by temporal noise; infinite where too few stars are fit
     noise_arcsec: FloatArray
-    total_arcsec: FloatArray
+    total_arcsec: FloatArray  # (f, 3) The same with patterns, pixel phase and star colours
     sigma_px: FloatArray  # (m,) Error of each sighting of the view, per axis, all terms
 
 

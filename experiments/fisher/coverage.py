@@ -45,7 +45,7 @@ class CoveragePoint:
     count: int = col("Vectors")
     covered: Any = col("Held,", "", ".3f", "level", json_error="error")
     # By the degrees of freedom that the vectors themselves show (`calib.directional.fisher_checks.effective_degrees`)
-    covered_effective: FloatArray = col("own ν,", "", ".3f", "level")
+    covered_effective: FloatArray = col("ν from scatter,", "", ".3f", "level")
     # The level, of the Fisher distribution, which the interval is made for; NaN of the others
     nominal: FloatArray = col("Level", dims="level", json="", shown=False)
     bias: Measured = col("bias of σ²", json_error="bias_error")  # Mean of the estimates over the truth, less 1
@@ -124,7 +124,7 @@ COVERAGE = Section(
     hidden="sample",
     caption="Part of the intervals that hold the true σ.",
     note="Ellipse: of the noise. Last: vectors of that part with that noise. "
-    "Own ν: degrees of freedom from the scatter of the squared chords themselves. Bias: relative.",
+    "ν from scatter: degrees of freedom from the scatter of the squared chords themselves. Bias: relative.",
     figures={
         "coverage_plot": curves(
             "coverage_count",

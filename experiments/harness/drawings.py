@@ -40,6 +40,7 @@ def curves(
     above: str = "",
     y: str = "",
     members: int = 0,
+    joined: bool = True,
     at: dict[str, Any] | None = None,
     **size: Any,
 ) -> Drawing:
@@ -68,11 +69,14 @@ def curves(
         What the upright axis shows, where that is more than the label of the first quantity; the unit is added.
     members : int
         So many of the coordinates of ``by`` are drawn, evenly spaced; 0 draws all.
+    joined : bool
+        Whether lines join their points; a dash at each where the numbers of ``x`` have no order.
     at : dict
         Dimension -> coordinate that is drawn.
     **size
         As of `experiments.harness.plotting.new_figure`.
     """
+    stroke: dict[str, Any] = {} if joined else {"linestyle": "", "marker": "_", "markersize": 7}
 
     def draw(o: Outcome) -> Figure:
         from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
@@ -102,7 +106,7 @@ def curves(
                     shared = _shared(o, name, by)
                     if not shared or k == 0:
                         colour = INK if shared else PALETTE[n if apart else k]
-                        panel.plot(at_x, part(name, **where)[0], color=colour, linewidth=1.1)
+                        panel.plot(at_x, part(name, **where)[0], color=colour, linewidth=1.1, **stroke)
                 for n, name in enumerate(one for one in points.split() if one in o.data):
                     value, error = part(name, **where)
                     style = n if apart else k

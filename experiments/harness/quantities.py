@@ -29,7 +29,7 @@ WHOLE = "*"
 _EXACT_INTEGERS = 2**53  # identifiers of stars are beyond what a float64 can tell apart
 
 _SHOWN = {"arcsec": "″", "arcmin": "′", "deg": "°", "um": "µm", "e-": "e⁻", "e-/s": "e⁻/s", "sigma": "σ"}
-_SHOWN |= {"percent": "%"}
+_SHOWN |= {"percent": "%", "degC": "°C"}
 
 
 def shown_unit(unit: str) -> str:

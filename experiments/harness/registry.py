@@ -24,9 +24,9 @@ GROUP = "starbench.experiments"
 
 @cache
 def _packages() -> dict[str, str]:
-    """Packages of experiments by name: those that declare one and that ``python -m PACKAGE`` runs."""
+    """Packages of experiments by name: those with ``settings`` and ``experiment``, and those of entry points."""
     ours = {name: f"{home.__name__}.{name}" for _, name, package in pkgutil.iter_modules(home.__path__) if package}
-    parts = ("experiment", "__main__")
+    parts = ("settings", "experiment")
     ours = {name: at for name, at in ours.items() if all(importlib.util.find_spec(f"{at}.{part}") for part in parts)}
     others = {point.name: point.value for point in metadata.entry_points(group=GROUP)}
     return dict(sorted((others | ours).items()))

@@ -88,7 +88,9 @@ class TemporalPrediction:
     # (l, j, 2) Standard deviation of a frame's centroid by influence function
     linear_px: Mapping[str, FloatArray]
     device_px: Mapping[str, FloatArray]  # (l, j, 2) By how much the standard deviation differs from chip to chip
-    sampled_px: Mapping[str, FloatArray]  # (l, j, 2) The same by noise drawn on noiseless windows
+    sampled_px: Mapping[
+        str, FloatArray
+    ]  # (l, j, 2) Standard deviation of a frame's centroid by noise drawn on noiseless windows
     draws: int  # Draws per window behind ``sampled_px``
     bound_px: FloatArray  # (l, j, 2) Cramer-Rao bound
     # (l, j, 2) Standard deviation that the line of sight from frame to frame makes, which is part of all the others:
@@ -101,7 +103,7 @@ class TemporalPrediction:
         return np.asarray(3.0 * self.pixel_arcsec * self.linear_px[method][level].mean(0))
 
     def sampled_te_arcsec(self, method: str, level: int = 0) -> FloatArray:
-        """The same by drawn noise."""
+        """Temporal error at a level, (x, y), 3 sigma, by drawn noise."""
         return np.asarray(3.0 * self.pixel_arcsec * self.sampled_px[method][level].mean(0))
 
     def te_uncertainty_arcsec(self, method: str, level: int = 0) -> FloatArray:
@@ -117,7 +119,7 @@ class TemporalPrediction:
         return np.asarray(3.0 * self.pixel_arcsec * np.hypot(spread, drawn))
 
     def bound_te_arcsec(self, level: int = 0) -> FloatArray:
-        """The same for the best unbiased estimator."""
+        """Temporal error at a level, (x, y), 3 sigma, of the best unbiased estimator."""
         return np.asarray(3.0 * self.pixel_arcsec * self.bound_px[level].mean(0))
 
 

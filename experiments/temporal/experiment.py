@@ -46,9 +46,9 @@ class Scatter:
 
     signal_e: float = col("Signal", "e-", ".0f", shown=False)
     magnitude_mag: float = col("V", "mag", ".2f", json="signal_magnitude_mag", shown=False)
-    dark_arcsec: Errors = col("Measured", "arcsec", dims="method axis", json="temporal_error_arcsec_3sigma")
-    drawn_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "method axis", json="predicted_arcsec_3sigma")
-    influence_arcsec: FloatArray = col(
+    measured_arcsec: Errors = col("Measured", "arcsec", dims="method axis", json="temporal_error_arcsec_3sigma")
+    predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "method axis", json="predicted_arcsec_3sigma")
+    predicted_linear_arcsec: FloatArray = col(
         "Predicted, linear", "arcsec", ".4f", "method axis", json="predicted_linear_arcsec_3sigma", shown=False
     )
     bound_arcsec: FloatArray = col(
@@ -73,9 +73,9 @@ def scatter(
     return Scatter(
         signal_e=signal_e,
         magnitude_mag=star.magnitude_of(signal_e),
-        dark_arcsec=seen,
-        drawn_arcsec=drawn,
-        influence_arcsec=np.array([predicted.te_arcsec(m, level) for m in methods]),
+        measured_arcsec=seen,
+        predicted_arcsec=drawn,
+        predicted_linear_arcsec=np.array([predicted.te_arcsec(m, level) for m in methods]),
         bound_arcsec=bound,
         ratio=over(seen, c4 * drawn, spread / drawn),
         over_bound=over(seen, np.broadcast_to(c4 * bound, drawn.shape), np.zeros_like(drawn)),
@@ -198,14 +198,17 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     }
 
 
-NOTE = "Measured values carry the small-sample factor of a standard deviation, as the document's do; ratios do not."
+NOTE = (
+    "Standard deviations of N frames come out low by the factor c4(N); ratios are corrected for it, measured values, "
+    "as in the document, are not."
+)
 SECTIONS = {
     "frames": Section(
         record=Frames,
         figures={
             "bench_sketch": lambda _: sketches.collimator_bench(),
             "target_frame": image("first_e"),
-            "frame_cloud": cloud("apart_arcsec", ellipses="drawn_arcsec bound_arcsec", at={"method": 0}),
+            "frame_cloud": cloud("apart_arcsec", ellipses="predicted_arcsec bound_arcsec", at={"method": 0}),
         },
     ),
     "nominal": Section(
@@ -231,9 +234,9 @@ SECTIONS = {
         place="levels[level]",
         json={
             "magnitude_mag": "magnitude_mag",
-            "dark_arcsec": "methods[method].measured",
-            "drawn_arcsec": "methods[method].predicted",
-            "influence_arcsec": "methods[method].linear",
+            "measured_arcsec": "methods[method].measured",
+            "predicted_arcsec": "methods[method].predicted",
+            "predicted_linear_arcsec": "methods[method].linear",
             "bound_arcsec": "cramer_rao",
             "ratio": "",
         },
@@ -243,8 +246,8 @@ SECTIONS = {
         figures={
             "level_curves": curves(
                 "level",
-                points="level_dark_arcsec",
-                lines="level_drawn_arcsec",
+                points="level_measured_arcsec",
+                lines="level_predicted_arcsec",
                 by="method",
                 panels="axis",
                 floor="level_bound_arcsec",
@@ -284,7 +287,13 @@ SECTIONS = {
         caption="Standard deviation of each star at the signal of the source, first centroider.",
         figures={
             "star_scatter": curves(
-                "star", points="star_sigma_px", lines="star_predicted_px", panels="axis", y="σ", aspect_ratio=0.36
+                "star",
+                points="star_sigma_px",
+                lines="star_predicted_px",
+                panels="axis",
+                joined=False,
+                y="σ",
+                aspect_ratio=0.36,
             )
         },
     ),

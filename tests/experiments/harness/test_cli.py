@@ -212,7 +212,7 @@ def test_interruption_leaves_nothing_behind(tmp_path, number):
 
 
 def test_packages_with_an_experiment_are_found_and_nothing_of_their_work_is_imported(tmp_path, monkeypatch):
-    parts = {"outside": ("experiment", "__main__"), "frame_like": ("experiment",), "laboratory_like": ()}
+    parts = {"outside": ("experiment", "settings"), "frame_like": ("experiment",), "laboratory_like": ()}
     for name, modules in parts.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(f'"""What does {name} answer?\n\nMore words."""\n')
