@@ -542,8 +542,8 @@ SECTIONS = {
         across="end source",
         caption="Accuracy of single-frame star vectors (S300–S500).",
         note="Uncertainty 1 σ, interval by χ² with 2 (n − 1) degrees of freedom. Predicted: from the covariances of "
-        "centroids, readings, clocks, calibration; deviation from it in σ. Without table: what readings and clocks are known to add taken off "
-        "in quadrature. Pixel method: with the calibrated angle per pixel, on the same frames.",
+        "centroids, readings, clocks, calibration; deviation from it in σ. Without table: what readings and clocks are "
+        "known to add taken off in quadrature. Pixel method: with the calibrated angle per pixel, on the same frames.",
         figures={
             "vector_scatter": cloud(
                 "offset_arcsec", ellipses="sigma_arcsec sigma_predicted_arcsec", panels="acquisition"
