@@ -19,10 +19,10 @@ FIRST_LINE = 120
 
 
 def test_experiments_alone_are_listed(capsys):
-    """Those that a user can run as ``python -m experiments.NAME``; neither the frame nor the laboratory."""
+    """Packages with settings and an experiment; neither commands nor the laboratory."""
     assert starbench(["--names"]) == 0
     assert capsys.readouterr().out.split() == sorted(
-        path.parent.name for path in ROOT.glob("experiments/*/__main__.py") if path.parent.name != "reduce"
+        path.parent.name for path in ROOT.glob("experiments/*/settings.py") if path.parent.name != "laboratory"
     )
 
 
