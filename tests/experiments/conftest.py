@@ -7,9 +7,9 @@ import importlib.util
 import json
 import os
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
 
 import pytest
 
@@ -164,24 +164,9 @@ def refused_by(tmp_path, monkeypatch, capsys):
     return run
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TinyRun:
-    """What a run from the command line to the report gave."""
-
-    status: int
-    folder: Path
-    result: Any
-    config: Any
-
-    @property
-    def results(self):
-        """The ``results`` of ``summary.json``."""
-        return json.loads((self.folder / "summary.json").read_text(encoding="utf-8"))["results"]
-
-
 @pytest.fixture(scope="session")
 def tiny_run(engine, tmp_path_factory):
-    """``tiny_run(name, key=value, ...)``: a whole experiment on a chip of 288 x 256 px; dots of keys are ``__``."""
+    """``tiny_run(name, key=value, ...)``: exit status, folder, records of a run on 288 x 256 px; ``__`` is a dot."""
     chip = tmp_path_factory.mktemp("chip") / "tiny.toml"
     chip.write_text('base = "cmv4000"\nname = "tiny"\nchip_width_px = 288\nchip_height_px = 256\n')
 
@@ -202,6 +187,7 @@ def tiny_run(engine, tmp_path_factory):
         status = command(replace(experiment, run=keep))(
             [*(part for text in texts for part in ("--set", text)), "--out", str(out)], own_process=False
         )
-        return TinyRun(status=status, folder=out, result=kept[0], config=kept[1])
+        results = json.loads((out / "summary.json").read_text(encoding="utf-8"))["results"]
+        return SimpleNamespace(status=status, folder=out, result=kept[0], config=kept[1], results=results)
 
     return run

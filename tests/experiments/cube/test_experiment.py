@@ -192,18 +192,13 @@ def test_wahba_on_three_faces_twice(laboratory):
             )
         }
     )
-    more = replace_config(laboratory, config)
+    more = replace(laboratory, config=config)
     truth = draw_truths(config, more.streams)[0]
     found = cube_montecarlo.run_bench(
         more, truth, Case(name="x", label="x"), cube_montecarlo.SensorCache(), log2_particles=16
     )
     assert len(found.trims) == 6
     assert np.abs(found.cube_error_arcsec).max() < 1.0
-
-
-def replace_config(laboratory, config):
-    fields = {name: getattr(laboratory, name) for name in laboratory.__dataclass_fields__}
-    return cube_bench.Laboratory(**(fields | {"config": config}))
 
 
 def test_published_trims_are_the_document_s():

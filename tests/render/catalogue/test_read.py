@@ -49,17 +49,18 @@ def check_hipparcos(catalog, tolerance=1e-8):
 
 @pytest.mark.parametrize(
     ("suffix", "form"),
-    [(".fits", "fits"), (".vot", "votable"), (".xml", "votable"), (".ecsv", "ascii.ecsv"), (".csv", "ascii.csv")],
+    [
+        (".fits", "fits"),
+        (".vot", "votable"),
+        (".xml", "votable"),
+        (".ecsv", "ascii.ecsv"),
+        (".csv", "ascii.csv"),
+        (".mrt", "ascii.mrt"),
+    ],
 )
 def test_formats(tmp_path, suffix, form):
     file = tmp_path / f"hip{suffix}"
     hipparcos_table().write(file, format=form)
-    check_hipparcos(read_catalog(file, "hipparcos"))
-
-
-def test_machine_readable_table(tmp_path):
-    file = tmp_path / "hip.mrt"
-    hipparcos_table().write(file, format="ascii.mrt")
     check_hipparcos(read_catalog(file, "hipparcos"))
 
 
