@@ -123,7 +123,7 @@ def _check_point(config: Config, point: Point, key: str) -> None:
     )
 
 
-# --- The night
+# --- The simulated frames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -175,6 +175,8 @@ def bars(
                         its = {dim: value for dim, value in at.items() if dim in o.data[name].dims}
                         panel.plot(o.values(name, **its), beside, marker=shape, label=own, **style)
             panel.set_yticks(place, o.names(dim))
+            if len(place) < 3:
+                panel.set_ylim(place.mean() - 1.5, place.mean() + 1.5)
             panel.grid(visible=False, axis="y")
             low = min(0.0, float(np.nanmin(o.values(long))))
             panel.set(title=o.label(panels, key) if panels else "", xlabel=o.heading(long), xlim=(low or 0, None))
