@@ -348,7 +348,8 @@ def axes(config: Config) -> Quantities:
     q.axis("axis", ["x", "y"], "Axis", names=["X", "Y"])
     labels = MethodLabels(own="PSF of each filter", reference="PSF of the reference filter")
     q.axis("method", list(config.methods), "Centroider", names=labels)
-    q.axis("step", [step.replace(" ", "_") for step in CALIBRATIONS], "Calibration", names=["as measured", *list(CALIBRATIONS)[1:]])
+    steps = [step.replace(" ", "_") for step in CALIBRATIONS]
+    q.axis("step", steps, "Calibration", names=["as measured", *list(CALIBRATIONS)[1:]])
     q.axis("band", [f"{centre:g}" for centre in wheel.centres_nm], "Band", unit="nm")
     q.axis("point", np.arange(len(CORNERS) * config.target.rows * config.target.columns) + 1, "Target point")
     kelvin = {"unit": "K", "format": ".0f", "key": "temperature_k"}

@@ -183,7 +183,7 @@ own_frames = FramesTest(
             dim="pair",
             table="calibration",
             across="step",
-            caption="RMS length of the shift of a point, as measured and with camera parameters of its own for each band.",
+            caption="RMS length of the shift of a point, as measured and with camera parameters for each band.",
             note="Noise of the centroids included.",
         ),
         "centroiders": Section(
