@@ -227,8 +227,10 @@ def try_mutant(copy: Path, mutant: dict[str, Any], measured: dict[str, Any]) -> 
     reached = {name for line in header for name in by_line.get(line, ()) if name}
     if imported:
         reached |= {name for names in by_line.values() for name in names if name}
-    order = sorted((name for name in cost if reached & {name, name.split("::")[0]}), key=cost.get)
-    mutant["reached_by"], budget = len(order), 0.0
+    first = {name for name in cost if reached & {name, name.split("::")[0]}}
+    files = {name.split("::")[0] for name in first}
+    order = sorted((name for name in cost if name.split("::")[0] in files), key=lambda name: (name not in first, cost[name]))
+    mutant["reached_by"], budget = len(first), 0.0
     for last, name in enumerate(order):
         budget += cost[name]
         if budget > LONGEST_S:

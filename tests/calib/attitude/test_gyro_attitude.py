@@ -117,6 +117,20 @@ def test_uneven_steps_keep_the_order():
     assert errors[0] / errors[1] > 6
 
 
+def test_a_rate_that_turns_evenly_is_exact_to_third_order_from_the_first_interval_on():
+    """Rationale: first term of Magnus' series, rate b + c t: turn = b h + c h^2 / 2 + (c x b) h^3 / 12, over any interval
+    with the mirror sign of the body frame. Expected: errors of each interval's turn fall with the fifth power."""
+    b, c = np.array([0.3, -0.2, 0.5]), np.array([-0.4, 0.9, 0.1])
+    errors = []
+    for h in (0.2, 0.1):
+        time = np.array([0.0, h, 2.0 * h])
+        got = integrate_rates(time, b + c * (time[:-1] + h / 2)[:, None])
+        fine = np.linspace(0.0, 2.0 * h, 2001)
+        truth = integrate_rates(fine, b + c * (fine[:-1] + h / 2000)[:, None], at_s=time)
+        errors.append((got * truth.inv()).magnitude()[1:])
+    assert np.all(np.array(errors[0]) / errors[1] > 20.0)
+
+
 def test_requested_times():
     """On the ends of intervals the whole products, between them a constant rate; any order, both ends."""
     rng = np.random.default_rng(4)

@@ -151,18 +151,18 @@ def test_a_pinhole_is_the_tangent_and_integers_are_pixel_centres():
 @pytest.mark.parametrize(
     ("name", "value", "moved_mm"),
     [
-        # displacement of the point (2, 0) mm, by hand from ACF17 eq. 4
-        ("q1_per_mm2", 1e-3, (8e-3, 0.0)),
-        ("q2_per_mm4", 1e-4, (32e-4, 0.0)),
-        ("q3_per_mm6", 1e-5, (128e-5, 0.0)),
-        ("p1_per_mm", 1e-3, (12e-3, 0.0)),
-        ("p2_per_mm", 1e-3, (0.0, 4e-3)),
+        # displacement of the point (2, -1) mm, by hand from ACF17 eq. 4: s = 5 mm^2
+        ("q1_per_mm2", 1e-3, (10e-3, -5e-3)),
+        ("q2_per_mm4", 1e-4, (50e-4, -25e-4)),
+        ("q3_per_mm6", 1e-5, (250e-5, -125e-5)),
+        ("p1_per_mm", 1e-3, (13e-3, -4e-3)),
+        ("p2_per_mm", 1e-3, (-4e-3, 7e-3)),
     ],
 )
 def test_roles_and_units_of_the_coefficients(name, value, moved_mm):
     plain = BrownConrady.create(GEOMETRY, focal_length_mm=20.0)
     changed = BrownConrady.create(GEOMETRY, focal_length_mm=20.0, **{name: value})
-    moved = changed.project([[0.1, 0.0, 1.0]]) - plain.project([[0.1, 0.0, 1.0]])
+    moved = changed.project([[0.1, -0.05, 1.0]]) - plain.project([[0.1, -0.05, 1.0]])
     np.testing.assert_allclose(moved[0] * 0.01, moved_mm, atol=1e-14)
 
 

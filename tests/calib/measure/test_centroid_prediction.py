@@ -29,7 +29,7 @@ def test_noise_and_patterns_of_drawn_windows(name):
     what is not linear at a signal-to-noise ratio of 30."""
     psf, rng, draws, window = gaussian_psf(0.7), np.random.default_rng(8), 600, 9
     flux = np.array([3000.0, 30000.0])
-    predicted = predict_centroids(name, (psf,), flux, noise=NOISE, prnu=0.02, window_px=window)
+    predicted = predict_centroids(name, (psf,), flux, noise=NOISE, prnu=0.02, offset_e=8.0, window_px=window)
     unit = phase_windows((psf,), window)
     options = {"epsf": (psf,)} if name == "epsf" else {}
     centroider = get_centroider(name, **options)
@@ -48,7 +48,8 @@ def test_noise_and_patterns_of_drawn_windows(name):
         many = stamps.select(np.tile(np.arange(count), draws))
         noisy = {
             "noise_px": rng.poisson(many.electrons) + 12.0 * rng.standard_normal(many.electrons.shape),
-            "pattern_px": many.electrons * (1.0 + 0.02 * rng.standard_normal(many.electrons.shape)),
+            "pattern_px": many.electrons
+            + np.hypot(0.02 * many.electrons, 8.0) * rng.standard_normal(many.electrons.shape),
         }
         for what, electrons in noisy.items():
             table = centroider.measure(replace(many, electrons=electrons), NOISE)

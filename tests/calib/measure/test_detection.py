@@ -92,6 +92,11 @@ def test_saturated_star_is_one_flagged_star(sky):
     assert burnt.y_px[0] == pytest.approx(100.4, abs=1.5)
 
 
+@pytest.mark.parametrize(("x", "y"), [(0.0, 100.0), (299.0, 100.0), (150.0, 0.0), (150.0, 199.0)])
+def test_stars_on_each_border_are_flagged(sky, x, y):
+    assert has_flag(detect(image_of(field(sky, [x], [y], 8000.0))).flags, StarFlag.EDGE).tolist() == [True]
+
+
 def test_blend_spike_edge_and_defect_are_flagged(sky):
     electrons = field(sky, [50.0, 53.5, 150.0, 0.0, 250.0], [50.0, 50.0, 150.0, 100.0, 50.0], 8000.0)
     electrons[20, 200] += 5000.0

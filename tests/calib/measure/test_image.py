@@ -5,7 +5,7 @@ from astropy.io import fits
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.detection import detect
-from calib.measure.image import image_from_frame, read_image, sensor_image
+from calib.measure.image import image_from_frame, read_image, sensor_image, subtract_dark
 from calib.measure.stamps import extract_stamps
 from optics.errors import ConfigError, DomainError
 from render.records import Frame
@@ -175,6 +175,9 @@ def test_our_own_frame(sky_dn):
         band="V",
         index=3,
     )
+    pattern = np.random.default_rng(2).normal(500.0, 9.0, dn.shape)
+    dark = subtract_dark(frame, pattern)  # as bright above the nominal offset as above its own
+    np.testing.assert_allclose(dark.dn - 500.0, frame.dn - pattern, rtol=0, atol=1e-9)
     image = image_from_frame(frame)
     assert image.assumed == ()
     assert (~image.valid).sum() == 1

@@ -87,6 +87,12 @@ def test_ring_background_ignores_a_neighbour():
     assert level.mean() == pytest.approx(25.0, abs=5 * 0.47 / 20)
 
 
+def test_ring_background_of_equal_pixels_is_exact_beside_a_faint_neighbour():
+    electrons = np.full((1, 11, 11), 25.0)
+    electrons[0, 0, 3] += 0.5
+    assert ring_background(electrons, np.ones(electrons.shape, bool)) == pytest.approx(25.0, abs=1e-12)
+
+
 def test_windowed_readout(sky):
     frames, windows = 3, 2
     corner = np.array([[100, 200], [300, 400]])

@@ -7,8 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from render.detector.maps import DISPLACEMENTS, neighbour_bits, sensor_maps
+from render.detector.maps import DISPLACEMENTS, full_maps, neighbour_bits, sensor_maps, window_maps
 from render.detector.spec import Detector, load_detector
+from render.engine import Engine
 
 CHIP = dataclasses.replace(load_detector("cmv4000"), chip_width_px=1024, chip_height_px=512, hot_fraction=0.0)
 N = 1024 * 512
@@ -88,6 +89,15 @@ def test_neighbours_end_at_window_chip_and_array() -> None:
     assert bits[3, 4] == everything - sum(offsets[-1, dy] for dy in (-1, 0, 1))
     assert bits[1, 2] == everything - sum(offsets[dx, -1] for dx in (-1, 0, 1))  # row 0
     assert bits[3, 0] == everything - sum(offsets[-1, dy] for dy in (-1, 0, 1))  # edge of the window
+
+
+def test_window_beyond_the_edge_continues_its_pixels() -> None:
+    chip, types = clean(chip_width_px=64, chip_height_px=48), Engine.active().types
+    column, row = np.arange(-3, 67)[None], np.arange(-2, 51)[None]
+    window = window_maps(chip, types, column, row)
+    for part, whole in zip(window[:4], full_maps(chip, types)[:4], strict=True):
+        padded = np.pad(np.array(whole).reshape(48, 64), ((2, 3), (3, 3)), mode="edge")
+        assert np.array_equal(np.array(part).reshape(53, 70), padded)
 
 
 def test_maps_are_locked() -> None:

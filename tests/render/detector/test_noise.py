@@ -124,8 +124,10 @@ def test_moments_of_damage(centres: float, below: float) -> None:
     same_mean((some - mean) ** 2, variance)
 
 
-def test_no_damage() -> None:
-    assert damage_moments(SHEET) == (0.0, 0.0)
+@pytest.mark.parametrize(("centres", "dark"), [(0.0, 0.0), (20.0, 0.0), (0.0, 1.5)])
+def test_no_damage(centres: float, dark: float) -> None:
+    chip = dataclasses.replace(SHEET, damage_centres_per_px=centres, damage_dark_e_per_s=dark)
+    assert damage_moments(chip) == (0.0, 0.0)
 
 
 def test_dark_current_follows_the_temperature() -> None:
