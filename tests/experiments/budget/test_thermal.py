@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from experiments.budget import thermal
 from experiments.budget.laboratory import build_laboratory
 from experiments.budget.settings import Config
 from experiments.budget.thermal import field_directions, thermal_term, warmed
@@ -25,6 +26,22 @@ def test_the_image_grows_as_focal_length_and_housing_say(engine):
         radius = cold - cold.mean(0)
         growth = ((warm - cold) * radius).sum() / (2.0 * (radius**2).sum()) * 1e6
         assert growth == pytest.approx(expected, abs=1.5)  # of the chief ray; coma adds one to the mean of all light
+
+
+def test_term_has_the_sign_and_size_of_the_paraxial_growth(engine, monkeypatch):
+    """Rationale: images without noise, so that warm less cold is the trace. Expected: growth with temperature."""
+    lab = build_laboratory(load_config(Config, settings=[*QUICK, "thermal.stability_k=3"]))
+    assert warmed(lab, 2.5).instrument.camera.lens.environment.temperature_c == pytest.approx(
+        lab.instrument.camera.lens.environment.temperature_c + 2.5
+    )
+
+    def exact(lab, ends, direction, streams):
+        return [bundle_prediction(end.bench, end.instrument, direction[None])[0, :, 0] for end in ends]
+
+    monkeypatch.setattr(thermal, "_images", exact)
+    term = thermal_term(lab, Streams(5))
+    np.testing.assert_allclose(term.scale_ppm_per_k, term.paraxial_ppm_per_k, atol=2.0)
+    np.testing.assert_allclose([m.value for m in term.measured_scale_ppm_per_k], term.paraxial_ppm_per_k, atol=2.0)
 
 
 @pytest.mark.slow

@@ -247,25 +247,46 @@ def test_pattern_that_filters_share_cancels_in_part(engine, bench_of, small_came
 
 
 def test_sigma_of_a_shift_is_that_of_its_own_point(measured):
-    """Points whose noise differs by three: every one has pulls of variance 1, whatever the scatter of the others."""
+    """Points whose noise differs by three, and patterns: pulls of variance 1 each, whatever the scatter of the others."""
     rng = np.random.default_rng(5)
     noise = rng.uniform(0.5, 1.5, (4, 9, 3, 2))
+    pattern = 1e-4 * rng.standard_normal((200, *noise.shape))  # the noise of a mean is twice as large
     frames = 1.1e-3 * noise * rng.standard_normal((400, 30, *noise.shape))  # 10 % more than was foreseen
     pulls = []
-    for run in frames:
+    for number, run in enumerate(frames):
         found = replace(
             measured,
             mean_px={"epsf": run.mean(0)},
             sigma_px={"epsf": run.std(0, ddof=1)},
             noise_px=1e-3 * noise,
-            pattern_px={"epsf": np.zeros((1, *noise.shape))},
+            pattern_px={"epsf": pattern},
             frames_used=np.full(noise.shape[:3], 30),
         )
         pairs = [("800-600", 2, 1)]
         sigma = shift_sigma(found, pairs, "epsf")["800-600"]
-        pulls.append(shifts(run.mean(0), pairs)["800-600"] / sigma)
-    # 400 pulls of 72 points: the largest and least of their variances
-    assert np.abs(np.var(pulls, axis=0) - 1.0).max() < 4.5 * np.sqrt(2.0 / 400)
+        pulls.append(shifts(run.mean(0) + pattern[number % 200], pairs)["800-600"] / sigma)
+    # 400 pulls of 72 points: the largest and least of their variances, and the mean
+    square = np.square(pulls).mean(0)
+    assert np.abs(square - 1.0).max() < 4.5 * np.sqrt(2.0 / 400)
+    assert abs(square.mean() - 1.0) < 4.5 * np.sqrt(2.0 / (400 * 72))
+
+
+def test_sigma_of_eq_16_is_the_scatter_of_its_mean(measured):
+    """Noise of points, motion that the points of a position share, patterns: 4000 drawn means of each."""
+    rng, common = np.random.default_rng(6), 5e-4
+    noise = 1e-3 * rng.uniform(0.5, 1.5, (4, 9, 3, 2))
+    pattern = 1e-4 * rng.standard_normal((200, *noise.shape))
+    found = replace(
+        measured,
+        sigma_px={"epsf": np.hypot(noise, common)},
+        pattern_px={"epsf": pattern},
+        frames_used=np.full(noise.shape[:3], 30),
+        common_px=common,
+    )
+    pairs = [("800-600", 2, 1)]
+    moved = noise * rng.standard_normal((4000, *noise.shape)) + common * rng.standard_normal((4000, 4, 1, 3, 2))
+    drawn = table1(shifts(moved / np.sqrt(30) + np.tile(pattern, (20, 1, 1, 1, 1)), pairs)["800-600"])
+    assert table1_sigma(found, pairs, "epsf")["800-600"] == pytest.approx(drawn.std(0), rel=4.5 / np.sqrt(2 * 4000))
 
 
 def test_pattern_effect_on_a_centre_of_gravity(measured):

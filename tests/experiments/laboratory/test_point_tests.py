@@ -98,6 +98,17 @@ def test_the_image_steps_as_told(steps):
     assert steps.motion_px.max() < 1e-3
 
 
+def test_high_frequency_causes_add_in_squares_to_the_documents_number(bench, small_camera, psf):
+    """Rationale: the number is drawn and reduced, its parts are closed forms, six stars less their mean counting 5/6.
+    Expected: the sum of squares within 400 draws of some 20 differences each."""
+    plan, rolling = StepPlan(positions=3, step_px=0.25), replace(IDEAL, roll_error_arcsec=20.0)
+    of = predict_high_frequency(
+        bench, small_camera, plan, psf=psf, place_px=PLACE, hexapod=rolling, draws=400
+    ).method["epsf"]
+    parts = [*of.cause_px.values(), of.temporal_px, of.dark_px, of.roll_px]
+    np.testing.assert_allclose(np.square(parts).sum(0), of.document_px**2, rtol=4.5 * np.sqrt(2 / 10 / 400))
+
+
 def test_the_s_curve_is_that_of_the_sampled_psf(steps, bench, small_camera, psf):
     predicted = predict_high_frequency(
         replace(bench, frames=8), small_camera, StepPlan(positions=3, step_px=0.25), psf=psf, place_px=PLACE, draws=20
@@ -140,6 +151,18 @@ def test_switching_a_cause_off_keeps_the_other_patterns(small_camera):
 def test_a_step_larger_than_the_window_is_refused(bench, small_camera):
     with pytest.raises(DomainError, match=r"a step of 9 px is not smaller than half the window"):
         measure_high_frequency(bench, small_camera, IDEAL, StepPlan(step_px=9.0), streams=Streams(1))
+
+
+def test_temporal_noise_of_a_distortion_session_falls_with_the_root_of_the_frames(bench, small_camera, psf):
+    direction, target = target_place(bench, small_camera, PLACE), GridTarget(rows=2, columns=3)
+    square = [
+        predict_distortion(replace(bench, frames=n), small_camera, target, direction, psf=psf, order=1).point_px["epsf"]
+        ** 2
+        for n in (1, 2, 4)
+    ]
+    one = predict_temporal(bench, small_camera, psf=psf, place_px=PLACE, draws=0).linear_px["epsf"][0]
+    np.testing.assert_allclose(square[0] - square[1], one**2 / 2, rtol=1e-9)
+    np.testing.assert_allclose(square[1] - square[2], one**2 / 4, rtol=1e-9)
 
 
 def test_raw_frames_keep_the_pattern_and_dark_subtraction_takes_it(scene, bench, small_camera):
