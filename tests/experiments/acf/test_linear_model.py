@@ -1,5 +1,7 @@
 """Predictions of the attitude-correlated-frames experiment: derivatives, closed forms, limits, sampled statistics."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -183,6 +185,15 @@ def test_covariance_of_the_gyro_against_the_simulated_one():
     away = (measured - expected) / np.outer(size, size)
     assert np.abs(np.diag(away)).max() < 4.0 * np.sqrt(2 / 500)
     assert np.abs(away).max() < 4.5 * np.sqrt(2 / 500)
+
+
+def test_drift_of_a_constant_bias_is_that_of_the_integrated_rates(scene):
+    """Every record's bias has one of eight signs; to first order its drift is the integral in axes of the first body."""
+    steady = gyro_error(scene, 3.0, 0.0).steady
+    expected = steady @ np.array(list(product((-1.0, 1.0), repeat=3))).T
+    for one in gyro_rotations(scene, CONFIG, Streams(4).child("gyro"), range(4), (3.0, 0.0)):
+        drift = -(scene.body.inv() * one).as_rotvec().reshape(-1, 1)
+        assert np.abs(drift - expected).max(0).min() < 1e-4 * np.abs(steady).max()
 
 
 def test_line_of_sight_operator_against_the_map(scene):
