@@ -142,6 +142,7 @@ def test_too_few_stars(catalogue):
     attitude, pixel, _ = frame(catalogue, 61)
     for some in (pixel[:2], np.full((5, 2), np.nan), np.empty((0, 2))):
         assert match_stars(some, catalogue, attitude, CAMERA, radius_px=5.0).status == "too_few"
+    assert match_stars(pixel[:3], catalogue, attitude, CAMERA, radius_px=5.0).status != "too_few"
     assert match_stars(pixel, catalogue[:0], attitude, CAMERA, radius_px=5.0).status == "too_few"
     empty = associate(np.empty((0, 2)), catalogue, attitude, CAMERA, radius_px=5.0)
     assert len(empty) == 0

@@ -12,7 +12,7 @@ from calib.calibration.attitude_correlated import AttitudeCorrelated
 from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.no_attitude import NoAttitude
-from calib.fitting.misfit import ChiSquare
+from calib.fitting.misfit import UNTESTED, ChiSquare
 
 
 @pytest.mark.parametrize("freedom", [1, 5, 400])
@@ -31,6 +31,7 @@ def test_right_noise_gets_a_note_once_in_a_thousand_fits():
 
 
 def test_nothing_is_said_where_nothing_is_tested():
+    assert not UNTESTED.tested
     for freedom, value in ((0, 7.0), (-2, 7.0), (4, np.inf)):
         found = ChiSquare(value=value, degrees_of_freedom=freedom)
         assert not found.note

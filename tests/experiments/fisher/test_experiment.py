@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from experiments.fisher.accuracy import check_config
+from calib.cameras import BrownConrady, SensorGeometry
+from experiments.fisher.accuracy import _angles_per_pixel, _realised, check_config
 from experiments.fisher.acquire import merged_nodes, smeared_psfs
 from experiments.fisher.settings import Config, main
 from optics.errors import StarbenchError
@@ -73,6 +76,32 @@ def test_realised_errors_make_the_scatter(run) -> None:
     static = run.results["static"]
     whole = np.sqrt(sum(value**2 for value in static["realised_arcsec"].values()))
     assert static["sigma_arcsec"]["value"] == pytest.approx(whole, rel=0.25)  # 80 vectors: causes correlate by chance
+
+
+def test_angle_of_a_pixel_by_focal_length_and_by_the_field(star_camera) -> None:
+    """The last one is the angle between the directions of the outer edges over the number of pixels."""
+    camera = star_camera.camera
+    geometry = SensorGeometry(
+        width_px=camera.width_px, height_px=camera.height_px, pixel_pitch_mm=camera.pixel_pitch_mm
+    )
+    model = BrownConrady.create(geometry, focal_length_mm=200.0)
+    found = _angles_per_pixel(SimpleNamespace(instrument=star_camera, model=model))
+    middle = (camera.height_px - 1) / 2
+    left, right = model.unproject([[-0.5, middle], [camera.width_px - 0.5, middle]])
+    expected = [camera.pixel_pitch_mm / 200.0, np.arccos(left @ right) / camera.width_px]
+    assert [list(found.values())[i] for i in (0, 2)] == pytest.approx(np.array(expected) * 648000 / np.pi, rel=1e-6)
+
+
+def test_scatter_of_each_cause_is_per_axis() -> None:
+    """Vectors that add angle and place: each cause is the RMS of its own two components, with one mean taken off."""
+    rng, n = np.random.default_rng(1), 4000
+    centroid, table = (np.column_stack([size * rng.standard_normal((n, 2)), np.zeros(n)]) for size in (2e-6, 5e-6))
+    zero = np.zeros((n, 3))
+    places = SimpleNamespace(reading_rad=table + 1.0, true_rad=zero)
+    taken = SimpleNamespace(position_px=centroid, bundle_px=zero, places=places)
+    found = _realised(SimpleNamespace(vectors=lambda place, angle: place + angle), taken)
+    expected = {"centroids": 2e-6, "table": 5e-6, "calibration": 0.0}
+    assert found == pytest.approx({name: v * 648000 / np.pi for name, v in expected.items()}, rel=0.03, abs=1e-12)
 
 
 def test_merged_nodes_keep_light_and_mean_wavelength() -> None:

@@ -17,6 +17,7 @@ from experiments.laboratory.centroid_methods import (
     list_methods,
     method_centroiders,
     needs_epsf,
+    needs_measured_epsf,
 )
 from optics.errors import ConfigError
 from optics.validate import parse_model
@@ -111,4 +112,5 @@ def test_a_psf_built_from_frames_serves_every_place_and_must_be_there(template):
     with pytest.raises(ConfigError, match="needs an ePSF built from frames"):
         method_centroiders(("epsf_measured",), own=own, reference=own)
     assert "epsf_measured" not in list_methods()
+    assert [m for m in list_methods(measured=True) if needs_measured_epsf(m)] == ["epsf_measured", "template_measured"]
     assert MethodLabels()["epsf_measured"] == "ePSF fit (measured ePSF)"

@@ -13,6 +13,8 @@ from calib.measure.epsf import draw_epsf
 from calib.measure.gaussian import draw_gaussian
 from calib.records import NoiseModel
 from experiments.laboratory.point_noise import ExpectedWindows, bound_px, influence, sampled_px
+from experiments.laboratory.readout.windows import window_corners
+from experiments.laboratory.temporal_error import _followed_px
 from render.records import EffectivePsf
 
 SIZE, FLUX = 11, 5000.0
@@ -53,6 +55,18 @@ def test_the_data_sheet_in_numbers(noise):
     assert noise.dark_e == pytest.approx(125.0 * 2 ** (-25.0 / 6.5) * 0.1)
     assert noise.rounding_e2 == pytest.approx((1.0 / 0.3) ** 2 / 12.0)
     assert noise.offset_e == pytest.approx(12.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("size", [11, 12, 13])
+def test_windows_lie_around_their_places(size):
+    place = np.array([[100.3, 60.6], [41.5, 80.49]])
+    corner = window_corners(place, size, (200, 100), where="here", advice="none")
+    assert np.abs(corner + (size - 1) / 2 - place).max() <= (0.5 if size % 2 else 1.0)
+
+
+def test_a_fit_follows_a_step_of_the_image_whole(star_camera, windows, psf):
+    followed = _followed_px(get_centroider("epsf", epsf=[psf]), star_camera, windows, 0.1)
+    np.testing.assert_allclose(followed, 0.1, rtol=2e-3)
 
 
 def test_the_influence_of_a_centre_of_gravity_is_its_lever(star_camera, windows):

@@ -102,9 +102,9 @@ def test_high_frequency_causes_add_in_squares_to_the_documents_number(bench, sma
     """Rationale: the number is drawn and reduced, its parts are closed forms, six stars less their mean counting 5/6.
     Expected: the sum of squares within 400 draws of some 20 differences each."""
     plan, rolling = StepPlan(positions=3, step_px=0.25), replace(IDEAL, roll_error_arcsec=20.0)
-    of = predict_high_frequency(
-        bench, small_camera, plan, psf=psf, place_px=PLACE, hexapod=rolling, draws=400
-    ).method["epsf"]
+    of = predict_high_frequency(bench, small_camera, plan, psf=psf, place_px=PLACE, hexapod=rolling, draws=400).method[
+        "epsf"
+    ]
     parts = [*of.cause_px.values(), of.temporal_px, of.dark_px, of.roll_px]
     np.testing.assert_allclose(np.square(parts).sum(0), of.document_px**2, rtol=4.5 * np.sqrt(2 / 10 / 400))
 
