@@ -188,7 +188,7 @@ def test_covariance_of_the_gyro_against_the_simulated_one():
 
 
 def test_drift_of_a_constant_bias_is_that_of_the_integrated_rates(scene):
-    """Every record's bias has one of eight signs; to first order its drift is the integral in axes of the first body."""
+    """A record's bias has one of eight signs; to first order its drift is the integral in axes of the first body."""
     steady = gyro_error(scene, 3.0, 0.0).steady
     expected = steady @ np.array(list(product((-1.0, 1.0), repeat=3))).T
     for one in gyro_rotations(scene, CONFIG, Streams(4).child("gyro"), range(4), (3.0, 0.0)):

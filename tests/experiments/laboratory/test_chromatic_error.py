@@ -247,7 +247,7 @@ def test_pattern_that_filters_share_cancels_in_part(engine, bench_of, small_came
 
 
 def test_sigma_of_a_shift_is_that_of_its_own_point(measured):
-    """Points whose noise differs by three, and patterns: pulls of variance 1 each, whatever the scatter of the others."""
+    """Noise of points differs by three, and patterns add: pulls of variance 1, whatever the scatter of the others."""
     rng = np.random.default_rng(5)
     noise = rng.uniform(0.5, 1.5, (4, 9, 3, 2))
     pattern = 1e-4 * rng.standard_normal((200, *noise.shape))  # the noise of a mean is twice as large
