@@ -14,7 +14,13 @@ from experiments.laboratory.single_star.reduce import Data, check_fit, check_par
 from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import build_turntable
 from experiments.turntable.experiment import RENDERED_QUANTILE, point_over_line, rendered_limit
-from experiments.turntable.monte_carlo import Coordinates, ReadingPoint, equal_reading_noise_arcsec, monte_carlo
+from experiments.turntable.monte_carlo import (
+    Coordinates,
+    ReadingPoint,
+    equal_reading_noise_arcsec,
+    monte_carlo,
+    reading_sweep,
+)
 from experiments.turntable.settings import Config, main
 from experiments.turntable.truth import TracedMap, judge
 from optics.errors import ConfigError
@@ -61,6 +67,16 @@ def test_exact_data_give_the_truth_back(axes: str) -> None:
     assert off.max() < 0.05
     assert found.line_of_sight.rms_arcsec < 1e-3
     assert np.abs(found.residual_px).max() < 1e-3
+
+
+def test_sweep_of_the_reading_noise_lies_on_its_bound() -> None:
+    """N = 12 runs, 13 unknowns that pull together in part: RMS of a pull, map over its bound, to 4 / sqrt(120)."""
+    points = reading_sweep(_setup("xy", side=5), MAP, Streams(3), [0.3, 3.0], 12, advance=lambda: None)
+    for point in points:
+        assert point.runs == 12
+        assert point.pull_rms == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * 60))
+        assert point.measured_arcsec.value == pytest.approx(point.bound_arcsec, rel=4.0 / np.sqrt(2 * 60))
+    assert points[1].bound_arcsec > 5.0 * points[0].bound_arcsec
 
 
 @pytest.mark.slow
