@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
-from experiments.laboratory.distortion_error import grid_residual_px
-from experiments.laboratory.distortion_model import GridErrors, predicted_numbers
+from experiments.laboratory import distortion_model
+from experiments.laboratory.distortion_error import camera_place, dense_grid, grid_residual_px
+from experiments.laboratory.distortion_model import GridErrors, forecast_map, predicted_numbers
 from experiments.laboratory.distortion_statistics import REFERENCES, distortion_statistics
+from experiments.laboratory.targets import GridTarget, grid_directions
+from render.engine.random import Streams
 
 ORDER, CHIPS, SURVEYS = 3, 40, 25
 
@@ -71,3 +74,31 @@ def test_noise_of_the_expected_places_is_not_taken_for_distortion(errors):
         squares.append(predicted_numbers(noisy, ORDER, "calibrated").rms_px ** 2)
     exact = predicted_numbers(errors, ORDER, "calibrated").rms_px ** 2
     np.testing.assert_array_less(np.abs(np.mean(squares, 0) - exact), 4.0 * np.std(squares, 0) / np.sqrt(400))
+
+
+def test_forecast_of_a_map_is_what_drawn_point_errors_make(small_camera, bench_of, monkeypatch):
+    """A cubic distortion that a cubic map follows; errors of the points through plain least squares, 500 draws."""
+    target, grid = GridTarget(rows=5, columns=6, marking_error_arcsec=0.4), (8, 12)
+
+    def distorted(direction):
+        nominal, place = camera_place(small_camera, direction)
+        return nominal + 3.0 * place * (place**2).sum(1, keepdims=True) - 0.7 * place[:, ::-1] ** 2
+
+    monkeypatch.setattr(distortion_model, "traced_bundles", lambda bench, instrument, direction: distorted(direction))
+    dense = dense_grid(small_camera, *grid)
+    given = {"order": 3, "point_error_px": 0.05, "traced_px": distorted(dense), "grid": grid}
+    found = forecast_map(bench_of(), small_camera, target, **given)
+    assert found.bias_px.max() < 1e-9
+    points = grid_directions(target, small_camera, Streams(0).generator("forecast"))
+    at, over = (camera_place(small_camera, direction)[1].T for direction in (points, dense))
+    powers = [(i, j) for i in range(4) for j in range(4 - i)]
+    fit, shown = (np.stack([x**i * y**j for i, j in powers], axis=1) for x, y in (at, over))
+    sigma = np.hypot(0.05, 0.4 / small_camera.pixel_arcsec)
+    error = sigma * np.random.default_rng(2).standard_normal((500, 2, len(points)))
+    maps = np.einsum("gp,nap->nga", shown @ np.linalg.pinv(fit), error)
+    maps -= maps.mean(1, keepdims=True)
+    roll = np.column_stack([-over[1], over[0]])
+    roll -= roll.mean(0)
+    maps -= ((maps * roll).sum((1, 2)) / (roll**2).sum())[:, None, None] * roll
+    drawn = np.sqrt((maps**2).mean((0, 1)))
+    np.testing.assert_allclose(found.noise_px, drawn, rtol=4.0 / np.sqrt(2 * 500 * 7))
