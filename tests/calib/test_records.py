@@ -42,6 +42,20 @@ def test_empty_table_has_all_columns_and_survives_ecsv():
     assert str(back["x_px"].unit) == "pix"
 
 
+def test_misfit_sums_stars_with_pixels_to_spare():
+    """Chi-square per degree of freedom times degrees; stars with none, fewer, or a flag say nothing."""
+    ones, flags = np.ones(5), np.array([0, 0, 0, 0, int(StarFlag.BLEND)], np.uint32)
+    stars = StarTable(
+        **dict.fromkeys(("x_px", "y_px", "flux_e", "background_e"), ones),
+        covariance=np.tile(np.eye(3), (5, 1, 1)),
+        chi2=np.array([1.5, 0.5, 7.0, 9.0, 9.0]),
+        iterations=np.ones(5, np.int64),
+        freedom=np.array([4, 8, 0, -2, 6]),
+        flags=flags,
+    )
+    assert (stars.misfit.value, stars.misfit.degrees_of_freedom) == (10.0, 12)
+
+
 def test_records_are_locked_copies():
     dn = np.ones((4, 5))
     image = SensorImage(

@@ -185,6 +185,19 @@ def test_zero_stamps_give_an_empty_table(name, make, stars, noise):
     assert table.covariance.shape == (0, 3, 3)
 
 
+@pytest.mark.parametrize("toward", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+@pytest.mark.parametrize(("lever", "outside"), [(0.9, False), (1.2, True)])
+def test_centre_of_gravity_beyond_each_edge_is_flagged(sky, noise, toward, lever, outside):
+    """Light 1 + k in the middle and -k at an edge: the centre of gravity lies 5 k px towards the other edge."""
+    electrons = np.zeros((1, 11, 11))
+    electrons[0, 5, 5] = 1000.0 * (1.0 + lever)
+    electrons[0, 5 - 5 * toward[1], 5 - 5 * toward[0]] = -1000.0 * lever
+    centroider = get_centroider("cog", half_width_px=None)
+    table = centroider.measure(sky.stamps(electrons, np.array([5.0]), np.array([5.0])), noise)
+    assert [table.x_px[0] - 5.0, table.y_px[0] - 5.0] == pytest.approx(5.0 * lever * np.array(toward))
+    assert has_flag(table.flags, StarFlag.NOT_CONVERGED).tolist() == [outside]
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_window_without_a_usable_pixel_is_flagged(name, make, stars, noise):
     valid = np.array(stars.valid)

@@ -157,14 +157,16 @@ def test_gaps_and_dead_pixels_collect_nothing() -> None:
     assert changed[dead].mean() < 0.1 * changed[~dead].mean() + 1e-3  # the few hot ones among the defects
 
 
-def test_windows_equal_the_crop() -> None:
-    """Two frames, overlapping windows, crosstalk, one window at the corner with its margin outside."""
+@pytest.mark.parametrize("together", [2, 1])
+def test_windows_equal_the_crop(together: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two frames, together or one by one, overlapping windows, crosstalk, one window with its margin outside."""
     detector = dataclasses.replace(SHIPPED, crosstalk_horizontal=0.02, crosstalk_diagonal=0.004, full_well_e=2000.0)
     hits = [drawn("solar_flare", detector=detector, frame=f, exposure_s=0.2) for f in (7, 8)]
     image = np.random.default_rng(1).uniform(0, 100, (258, 514)).astype(np.float32)
     corner = np.array([[-1, -1], [100, 60], [110, 70], [471, 215]])
     stamps = np.stack([image[y + 1 : y + 43, x + 1 : x + 43] for x, y in corner])
     options: dict[str, Any] = {"streams": Streams(2), "exposure_s": 0.2}
+    monkeypatch.setattr("render.detector.chain._FRAME_AXIS_LIMIT", together * stamps.size)
     windows = expose_windows(stamps, corner, detector, frames=2, first_frame=7, margin_px=1, hits=hits, **options)
     for number, held in enumerate(hits):
         frame = expose(image[1:-1, 1:-1], detector, frame=7 + number, hits=held, **options)
