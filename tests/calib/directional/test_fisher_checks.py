@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import chi2, kstest
+from scipy.stats import chi2, expon, kstest
 
 from calib.directional.fisher import fit_fisher, sample_fisher
 from calib.directional.fisher_checks import (
@@ -70,6 +70,7 @@ def test_a_mixture_has_heavier_tails() -> None:
     check = exponential_check(w)
     assert check.level == 0.01
     assert check.found[-1] > check.expected[-1]
+    assert check.expected == pytest.approx(expon.ppf((np.arange(300) + 0.5) / 300))
     assert np.all(np.diff(check.found) >= 0)
 
 

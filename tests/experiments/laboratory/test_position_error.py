@@ -53,6 +53,18 @@ def test_estimate_and_interval_hold_the_truth(error_px, neighbours):
     assert floor <= np.mean(below) <= 1.0
 
 
+def test_axes_do_not_know_of_one_another():
+    """Axes exchanged, one of them with an error that neighbours share: every number goes along, degrees too."""
+    centroid = scene(np.random.default_rng(4), [0.02, 0.08], 0.05, neighbours=0.5)
+    one, other = (
+        position_error(at.mean(1), at.std(1, ddof=1), np.full(POSITIONS, FRAMES))
+        for at in (centroid, centroid[..., ::-1])
+    )
+    assert one.degrees[0] != pytest.approx(one.degrees[1], rel=0.01)
+    for name in ("variance_px2", "low_px", "high_px", "upper_px", "degrees"):
+        np.testing.assert_allclose(getattr(other, name), getattr(one, name)[::-1], rtol=1e-6, err_msg=name)
+
+
 def test_no_error_is_consistent_with_zero():
     """Frames of a camera without this error: that is said in 97 % of the cases; the limit is below a mean's noise."""
     found = estimates(0.0, 0.05)

@@ -176,6 +176,7 @@ def test_status_vignetted_tells_where_and_first_loss_wins():
     out = trace(lens, axial(4.999999, 5.000001, 7.999999, 8.000001, 25.0))
     assert out.status.tolist() == [OK, VIGNETTED, VIGNETTED, VIGNETTED, VIGNETTED]
     assert out.failed_at.tolist() == [-1, 1, 1, 0, 0]
+    assert not np.isin(out.status[1:], [MISSED, TOTAL_REFLECTION]).any()
 
 
 def test_annular_aperture_blocks_the_middle():
