@@ -7,11 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, PerBand, Polynomial, SensorGeometry
-from calib.cameras.fit import fit_to_map, left_jacobian
+from calib.cameras.fit import fit_camera, fit_to_map, left_jacobian
 from optics.errors import ConfigError, DomainError
 from optics.frames import field_direction, pixel_from_lens
 from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points, plate_scale_mm
+from render.records import PixelMap
 
 GEOMETRY = SensorGeometry(width_px=1024, height_px=1024, pixel_pitch_mm=0.01)
 
@@ -52,6 +53,18 @@ def test_the_true_family_is_found_from_a_poor_start():
     assert fit.max_px < 1e-10
     np.testing.assert_allclose(fit.model.parameters, acf17().parameters, rtol=1e-9)
     assert fit.rotation.magnitude() == 0.0
+
+
+def test_the_simplest_model_that_is_good_enough_is_taken():
+    """A pinhole, its pixels off by 1e-3 px: polynomials come closer, Brown-Conrady is enough; to 1e-9 px it is not."""
+    pixel = GEOMETRY.grid_px(15)
+    direction = BrownConrady.create(GEOMETRY, focal_length_mm=25.6).unproject(pixel)
+    noisy = pixel + 1e-3 * np.random.default_rng(1).standard_normal(pixel.shape)
+    known = PixelMap(
+        direction=direction, pixel_px=noisy, width_px=1024, height_px=1024, pixel_pitch_mm=0.01, focal_length_mm=25.0
+    )
+    assert isinstance(fit_camera(known, good_px=0.01).model, BrownConrady)
+    assert isinstance(fit_camera(known, good_px=1e-9).model, Polynomial)
 
 
 def test_a_polynomial_follows_a_turned_brown_conrady_camera():
