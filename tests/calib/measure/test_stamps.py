@@ -90,6 +90,7 @@ def test_ring_background_ignores_a_neighbour():
 def test_ring_background_of_equal_pixels_is_exact_beside_a_faint_neighbour():
     electrons = np.full((1, 11, 11), 25.0)
     electrons[0, 0, 3] += 0.5
+    electrons[0, 1:-1, 1:-1] = 900.0  # the star is no background
     assert ring_background(electrons, np.ones(electrons.shape, bool)) == pytest.approx(25.0, abs=1e-12)
 
 

@@ -72,8 +72,7 @@ def test_monte_carlo_finds_the_bias() -> None:
         assert bias.value == pytest.approx(100 * (closed_form(point.field_deg) - 1), abs=5 * bias.uncertainty)
         assert bias.uncertainty < 0.02
         assert point.fisher_bias_percent.value == pytest.approx(0.0, abs=500 / np.sqrt(4 * 3000 * 10))
-        quadrature = 100 * (pixel_noise_form(point.field_deg) - 1)
-        assert opposite.value == pytest.approx(quadrature, abs=5 * opposite.uncertainty)
+        assert opposite.value == pytest.approx(point.pixel_noise_quadrature_percent, abs=5 * opposite.uncertainty)
 
 
 def test_coverage_by_kind() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.laboratory import distortion_model
-from experiments.laboratory.distortion_error import camera_place, dense_grid, grid_residual_px
+from experiments.laboratory.distortion_error import DenseMap, camera_place, dense_grid, grid_residual_px
 from experiments.laboratory.distortion_model import GridErrors, forecast_map, predicted_numbers
 from experiments.laboratory.distortion_statistics import REFERENCES, distortion_statistics
 from experiments.laboratory.targets import GridTarget, grid_directions
@@ -74,6 +74,16 @@ def test_noise_of_the_expected_places_is_not_taken_for_distortion(errors):
         squares.append(predicted_numbers(noisy, ORDER, "calibrated").rms_px ** 2)
     exact = predicted_numbers(errors, ORDER, "calibrated").rms_px ** 2
     np.testing.assert_array_less(np.abs(np.mean(squares, 0) - exact), 4.0 * np.std(squares, 0) / np.sqrt(400))
+
+
+def test_dense_map_spans_the_detector_and_states_rms_per_axis(small_camera):
+    width, height = small_camera.camera.width_px, small_camera.camera.height_px
+    nominal = camera_place(small_camera, dense_grid(small_camera, 3, 5))[0].reshape(3, 5, 2)
+    np.testing.assert_allclose(nominal[[0, 0, -1], [0, -1, 0]], [[0, 0], [width - 1, 0], [0, height - 1]], atol=1e-8)
+    left = np.array([[3.0, 0.0], [4.0, 0.2]])
+    one = DenseMap(nominal_px=left, shape=(1, 2), uncorrected_px=left, corrected_px=0.1 * left)
+    np.testing.assert_allclose(one.uncorrected_rms_px, [np.sqrt(12.5), np.sqrt(0.02)])
+    np.testing.assert_allclose(one.rms_px, 0.1 * one.uncorrected_rms_px)
 
 
 def test_forecast_of_a_map_is_what_drawn_point_errors_make(small_camera, bench_of, monkeypatch):
