@@ -507,7 +507,8 @@ def _attitude(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compare
 
 
 def _comparisons(q: Quantities, compared: list[Compared]) -> None:
-    q.axis("comparison", np.array([one.comparison for one in compared], dtype=object), "Quantity")
+    keys = np.array([one.comparison for one in compared], dtype=object)
+    q.axis("comparison", keys, "Quantity", names=[one.label for one in compared])
 
 
 def frames_drawn(outcome: Outcome) -> Figure:
@@ -524,12 +525,12 @@ def frames_drawn(outcome: Outcome) -> Figure:
 
 
 JUDGED = {
-    "nea": "NEA: scatter of readouts against prediction",
-    "limiting_magnitude": "limiting magnitude: share of chart stars found against prediction",
-    "false_alarms": "false alarms counted against predicted",
-    "stars": "stars found in the sky against predicted",
-    "attitude_cross": "attitude across: error of solved frames against prediction",
-    "attitude_roll": "attitude roll: error of solved frames against prediction",
+    "nea": "scatter of readouts against prediction",
+    "limiting_magnitude": "share of chart stars found against prediction",
+    "false_alarms": "counted against predicted",
+    "stars": "counted against predicted",
+    "attitude_cross": "error of solved frames against prediction",
+    "attitude_roll": "error of solved frames against prediction",
 }
 ADVICE = {"nea": "the centroider does not follow its linear response: too faint a star, too small a window"}
 FRAMES = Section(

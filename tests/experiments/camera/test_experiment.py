@@ -87,4 +87,4 @@ def test_criteria_fail_on_a_wrong_prediction(sensor, tmp_path, engine, monkeypat
     assert status == 1
     failed = " ".join(one["name"] for one in summary["criteria"] if not one["passed"])
     assert "NEA" in failed
-    assert "limiting magnitude" in failed
+    assert "Limiting magnitude" in failed
