@@ -1,6 +1,6 @@
 """The error budget: every term predicted without frames, measured in the virtual laboratory, and added up.
 
-Sections of the terms stand here, those of parts of the study in its own module: `chromatic` (Table 1), `thermal`,
+The terms and their sum stand here; each further part of the study has its own module: `chromatic` (Table 1), `thermal`,
 `tolerances`, `tornado`, `attitude`.
 """
 
@@ -128,7 +128,7 @@ class Comparison:
 class Agreement:
     """Whether prediction and frames agree, by centroider."""
 
-    # Largest of the entries of Table 1 for the chromatic term
+    # LSFE-S: of the entry of Table 1 that is farthest from its prediction
     pull: FloatArray = col("Deviation", "sigma", "+.2f", "tested axis", json="pulls[method][tested]")
     together: FloatArray = col(
         "TE, HSFE and S together, predicted over measured",
@@ -139,7 +139,7 @@ class Agreement:
 
 
 def compared(predicted: PredictedTerms, frames: Measurement | None = None) -> Comparison:
-    """Both sides of a centroider; no ratio where a term does not stand out of its uncertainty (5 sigma)."""
+    """Predicted and measured budget of one centroider; no ratio of terms below 5 sigma of the measurement."""
     a = [predicted.budget[name] for name in EVERY]
     first = measured([one.arcsec for one in a], [one.uncertainty_arcsec for one in a])
     if frames is None:
@@ -147,11 +147,11 @@ def compared(predicted: PredictedTerms, frames: Measurement | None = None) -> Co
     b = [frames.budget[name] for name in EVERY]
     ratio = np.full((2, len(EVERY), 2), np.nan)
     for k, (name, one, other) in enumerate(zip(EVERY, a, b, strict=True)):
-        there = (one.arcsec > 5.0 * other.uncertainty_arcsec) & (one.arcsec > 0)
+        significant = (one.arcsec > 5.0 * other.uncertainty_arcsec) & (one.arcsec > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             value = one.arcsec / other.arcsec
             parts = one.uncertainty_arcsec / one.arcsec, other.uncertainty_arcsec / other.arcsec
-            ratio[:, k, there] = np.stack([value, value * _of_difference(name, *parts)])[:, there]
+            ratio[:, k, significant] = np.stack([value, value * sigma_of_difference(name, *parts)])[:, significant]
     return Comparison(
         predicted_arcsec=first,
         measured_arcsec=measured([one.arcsec for one in b], [one.uncertainty_arcsec for one in b]),
@@ -171,7 +171,7 @@ def pulls(predicted: PredictedTerms, frames: Measurement, name: str) -> FloatArr
             ]
         )
     one, other = predicted.budget[name], frames.budget[name]
-    spread = _of_difference(name, one.uncertainty_arcsec, other.uncertainty_arcsec)
+    spread = sigma_of_difference(name, one.uncertainty_arcsec, other.uncertainty_arcsec)
     return np.asarray((one.arcsec - other.arcsec) / spread)
 
 
@@ -184,16 +184,16 @@ def agreement(predicted: PredictedTerms, frames: Measurement) -> Agreement:
     a, b = (np.sqrt(np.sum([side[name].arcsec ** 2 for name in FRAME_TERMS], axis=0)) for side in sides)
     spread = np.zeros(2)
     for name in FRAME_TERMS:
-        of = _of_difference(name, *(side[name].uncertainty_arcsec for side in sides))
+        of = sigma_of_difference(name, *(side[name].uncertainty_arcsec for side in sides))
         spread = spread + (frames.budget[name].arcsec * of) ** 2
     return Agreement(pull=np.array(largest), together=measured(a / b, np.sqrt(spread) / b**2))
 
 
-def _of_difference(name: str, predicted: FloatArray, frames: FloatArray) -> FloatArray:
+def sigma_of_difference(name: str, predicted: FloatArray, frames: FloatArray) -> FloatArray:
     """Standard deviation of a difference.
 
-    Of the HSFE and of C1 the prediction's is the scatter of the measured number itself, from chip to chip; what
-    jackknife and surveys see is part of it and not added once more.
+    The predicted uncertainty of HSFE and C1 is the scatter of the measured number from chip to chip. It already contains
+    what jackknife and surveys give as the measured uncertainty, which is therefore not added.
     """
     return np.asarray(predicted if name in ("HSFE", "LSFE-C1") else np.hypot(predicted, frames))
 

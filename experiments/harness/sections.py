@@ -2,7 +2,7 @@
 
 A section answers one question. Its record is a frozen dataclass whose fields are `col`: label, unit, format and
 dimensions stand where the number is defined. ``run`` of the experiment returns a mapping: name of the section -> its
-record, or a sequence of records along the dimension of the section, or None where the question was not put::
+record, or a sequence of records along the dimension of the section, or None for a section that a run skips::
 
     @dataclass(frozen=True, slots=True, kw_only=True)
     class FieldPoint:
@@ -60,7 +60,7 @@ __all__ = [
 FALSE_ALARM = 0.01
 """Chance that a verdict fails by noise alone, unless it says another one."""
 PREDICTION_SIGMA = 3.0
-"""Standard deviations that the stated error of a prediction (``slack``) counts as."""
+"""The stated error of a prediction (``slack``) is taken as so many standard deviations."""
 
 
 Advice = str | Callable[[Outcome], str]
@@ -97,8 +97,8 @@ def col(
     dims : str
         Dimensions of the value, without that of the section; those with names were described by ``axes``.
     json, json_error : str
-        Its place in ``summary.json`` below the section's, and that of its uncertainty where it stands apart; the name
-        of the field by default, "" for none. As of `Quantities.add`.
+        Place in ``summary.json``, appended to that of the section (`Section.place`), and that of the uncertainty where
+        it stands apart; the name of the field by default, "" for none. As of `Quantities.add`.
     key : str
         Column name in ECSV files, if not the name of the field.
     shown : bool
@@ -118,7 +118,8 @@ class Section:
     record: type  # Dataclass of `col` fields
     dim: str = ""  # Dimension of a sequence of records; "" for one record
     along: str = ""  # Field that gives the coordinates of ``dim``; 1, 2, 3 ... without it
-    # Prefix of the names of the quantities: "level_" where two sections share a record
+    # Prefix of the names of the quantities, where two sections share a record: with "level_" the field ``ratio`` is
+    # the quantity ``level_ratio`` of figures, verdicts and reports
     prefix: str = ""
     place: str = ""  # Place in ``summary.json``, e.g. "levels[level]"; "" for the top
     # Field -> its place below ``place`` in this section, where that differs from what `col` says
@@ -128,8 +129,8 @@ class Section:
     table: str = ""  # Name of its table and ECSV file; "" for none
     rows: str = ""  # Dimensions that run down; ``dim`` and those of the columns by default
     across: str = ""  # Dimensions spread over columns
-    # Columns that are shown, in this order; by default every field with ``shown``. What is no field of the record is a
-    # quantity of another section
+    # Columns that are shown, in this order; by default every field with ``shown``. A name that is no field of the
+    # record is a quantity of another section
     columns: str = ""
     hidden: str = ""  # Dimensions of the rows without a column of their own
     where: Mapping[str, Any] = field(default_factory=dict)  # As of `Pivot`
