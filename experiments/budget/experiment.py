@@ -192,8 +192,8 @@ def agreement(predicted: PredictedTerms, frames: Measurement) -> Agreement:
 def sigma_of_difference(name: str, predicted: FloatArray, frames: FloatArray) -> FloatArray:
     """Standard deviation of a difference.
 
-    The predicted uncertainty of HSFE and C1 is the scatter of the measured number from chip to chip. It already contains
-    what jackknife and surveys give as the measured uncertainty, which is therefore not added.
+    The predicted uncertainty of HSFE and C1 is the scatter of the measured number from chip to chip. It already
+    contains what jackknife and surveys give as the measured uncertainty, which is therefore not added.
     """
     return np.asarray(predicted if name in ("HSFE", "LSFE-C1") else np.hypot(predicted, frames))
 

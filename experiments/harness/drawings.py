@@ -51,8 +51,8 @@ def curves(
     x : str
         Quantity or dimension of the axis across; without numbers its names stand as ticks.
     points, lines : str
-        Quantities, measured (markers with their uncertainty, not joined) and predicted (joined). Several of one kind without ``by`` get a colour each; a line that does not
-        depend on ``by`` is drawn once, in black.
+        Quantities, measured (markers with their uncertainty, not joined) and predicted (joined). Several of one kind
+        without ``by`` get a colour each; a line that does not depend on ``by`` is drawn once, in black.
     by : str
         Dimension, or quantity of text along ``x``: its values group the points.
     floor : str
