@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from experiments.harness.pivot import Pivot
-from experiments.harness.quantities import Outcome, Quantities, Quantity, shown_unit
+from experiments.harness.quantities import Outcome, Quantities, Quantity, names_of, shown_unit
 from experiments.harness.summary import Criterion, farthest_from_one
 from experiments.harness.tables import Column, Table, cell_text
 from optics.errors import DomainError
@@ -53,6 +53,7 @@ __all__ = [
     "judged",
     "numbers_of",
     "ratio_near",
+    "single_numbers",
     "tabulated",
     "two_sided_limit",
 ]
@@ -247,8 +248,13 @@ def numbers_of(*records: Any) -> dict[str, Quantity]:
     q = Quantities()
     for one in records:
         Section(record=type(one)).describe(q, one)
-    known = {name: Quantity.of(q.dataset, str(name)) for name in q.dataset.data_vars}
-    return {str(name): one for name, one in known.items() if not one.dims and one.values.dtype.kind in "if"}
+    return single_numbers(q.dataset)
+
+
+def single_numbers(data: Any) -> dict[str, Quantity]:
+    """Quantities of a Dataset without dimensions that are numbers, by name."""
+    known = {name: Quantity.of(data, name) for name in names_of(data) if not data[name].dims}
+    return {name: one for name, one in known.items() if one.values.dtype.kind in "if"}
 
 
 def tabulated(sections: Mapping[str, Section], outcome: Outcome, *, every: bool = False) -> dict[str, Pivot | Table]:

@@ -19,9 +19,9 @@ from matplotlib.figure import Figure
 from experiments.harness.experiment import Experiment
 from experiments.harness.plotting import INK, PALETTE, log_ticks, new_figure, spaced_axis
 from experiments.harness.progress import Progress
-from experiments.harness.quantities import Outcome, Quantities, Quantity, names_of, shown_unit
+from experiments.harness.quantities import Outcome, Quantities, Quantity, shown_unit
 from experiments.harness.range import logarithmic, quantity_of, value_at, with_value
-from experiments.harness.sections import Section, col
+from experiments.harness.sections import Section, col, single_numbers
 from optics.arrays import FloatArray
 from optics.errors import DomainError, StarbenchError
 
@@ -33,7 +33,6 @@ __all__ = [
     "missed_words",
     "run_comparison",
     "run_sweep",
-    "single_numbers",
     "sweep_sections",
 ]
 
@@ -59,12 +58,6 @@ class Requirement:
     met: bool = col("Met")
     at_least: bool
     excess: float  # How much better than required: relative, for magnitudes the difference; negative where missed
-
-
-def single_numbers(data: Any) -> dict[str, Quantity]:
-    """Quantities of a Dataset without dimensions that are numbers, by name."""
-    one = {name: Quantity.of(data, name) for name in names_of(data) if not data[name].dims}
-    return {name: quantity for name, quantity in one.items() if quantity.values.dtype.kind in "if"}
 
 
 def judge(limits: Mapping[str, tuple[float, bool]], numbers: Mapping[str, Quantity]) -> list[Requirement]:
