@@ -36,6 +36,11 @@ class StarFlag(IntFlag):
         along an axis, and with it the place (`calib.measure.gaussian.WIDTH_PRIOR_PX`). The covariance holds that for
         stars down to a sigma of a quarter of a pixel, and is too small for narrower ones. The star may be used; it is
         measured better with the width of the other stars, ``sigma_px=``.
+    TRAIL
+        Part of a line of light (satellite, aeroplane): light lies between this detection and others in a row.
+    UNDETERMINED
+        The pixels do not tell the star: the fit left them (a flux that they do not hold, a place outside the window).
+        Place and flux are those of the moments of the light in the window, their covariance that of a matched filter.
     """
 
     SATURATED = 1
@@ -47,6 +52,8 @@ class StarFlag(IntFlag):
     NO_DATA = 64
     PIXEL_PHASE = 128
     WIDTH_UNKNOWN = 256
+    TRAIL = 512
+    UNDETERMINED = 1024
 
 
 UNFIT = (
@@ -57,6 +64,8 @@ UNFIT = (
     | StarFlag.SPIKE
     | StarFlag.NOT_CONVERGED
     | StarFlag.NO_DATA
+    | StarFlag.TRAIL
+    | StarFlag.UNDETERMINED
 )
 """Flags that keep a star out of an attitude."""
 

@@ -17,7 +17,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["FLUX", "NoiseModel", "SensorImage", "Stamps", "StarTable", "X", "Y"]
+__all__ = ["FLUX", "Conversion", "NoiseModel", "SensorImage", "Stamps", "StarTable", "X", "Y"]
 
 X, Y, FLUX = 0, 1, 2
 """Rows and columns of ``StarTable.covariance``, and of every vector that starts with (x, y, flux)."""
@@ -64,6 +64,31 @@ class NoiseModel:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Conversion:
+    """What became of the numbers of a file on their way to DN, and what they tell of the converter."""
+
+    kind: str  # Format of the file
+    stored: str  # Type of the stored numbers, as NumPy calls it
+    step: float = 1.0  # Stored numbers per step of the converter; a DN of the image is a step
+    repeated: bool = False  # Whether the upper bits stand again in the lower ones
+    full: float | None = None  # Stored number from which a pixel counts as saturated
+    channel: str = ""  # Which colours the image was made of
+    taken: str = ""  # When the frame was taken, as the file puts it
+
+    def __str__(self) -> str:
+        parts = [f"{self.kind}, {self.stored}{', ' + self.channel if self.channel else ''}"]
+        if self.full is not None:
+            bits = np.log2((self.full + 1.0) / self.step if self.step == 1 else self.full / self.step + 1.0)
+            parts.append(f"{bits:.3g} bit" + (f" in steps of {self.step:g}" if self.step != 1 else ""))
+            parts.append(f"saturated from {self.full:g}")
+        if self.repeated:
+            parts.append("upper bits repeated in the lower ones")
+        if self.kind == "JPEG":
+            parts.append("compression and gamma cannot be undone: noise is correlated, fluxes are not linear")
+        return "; ".join(parts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SensorImage:
     """An image of whatever origin, ready for detection.
 
@@ -81,6 +106,8 @@ class SensorImage:
         Exposure time, if known.
     source : str
         Where the image comes from.
+    conversion : Conversion or None
+        Of an image that was read from a file: format, steps of the converter, saturation.
     """
 
     dn: FloatArray
@@ -90,6 +117,7 @@ class SensorImage:
     assumed: tuple[str, ...] = ()
     exposure_s: float | None = None
     source: str = ""
+    conversion: Conversion | None = None
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}

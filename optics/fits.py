@@ -44,18 +44,18 @@ _GZIP_OR_ZLIB = 47
 
 
 @contextmanager
-def open_fits(path: str | Path, **options: Any) -> Iterator[fits.HDUList]:
-    """A FITS file, plain or packed by gzip, bzip2 or xz."""
+def open_fits(path: str | Path, *, sums: bool = True) -> Iterator[fits.HDUList]:
+    """A FITS file, plain or packed by gzip, bzip2 or xz; with ``sums`` held against CHECKSUM and DATASUM, if any."""
     path = located(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AstropyWarning)
             warnings.filterwarnings("ignore", category=RuntimeWarning)
-            warnings.filterwarnings("error", category=AstropyUserWarning, message=".*truncated.*")
+            warnings.filterwarnings("error", category=AstropyUserWarning, message=".*(truncated|verification failed).*")
             with _stream(path) as stream:
                 _walk(stream)
                 stream.seek(0)
-                with fits.open(stream, memmap=False, **options) as content:
+                with fits.open(stream, memmap=False, checksum=sums) as content:
                     yield content
     except StarbenchError as error:
         if str(path) in str(error):
@@ -67,7 +67,7 @@ def open_fits(path: str | Path, **options: Any) -> Iterator[fits.HDUList]:
 
 def image_header(path: str | Path, hdu: int | str | None = None) -> fits.Header:
     """Header of an image: of an extension, or of the first image in the file, compressed or not."""
-    with open_fits(path) as content:
+    with open_fits(path, sums=False) as content:
         images = [one for one in content if one.is_image and one.header.get("NAXIS", 0) >= 2]
         try:
             header: fits.Header = (images[0] if hdu is None else content[hdu]).header.copy()
@@ -280,4 +280,6 @@ def _unpacks_within(content: bytes, most: int) -> bool:
 
 
 def _said(error: BaseException) -> str:
+    if "verification failed" in str(error):
+        return f"{str(error).strip()} It was damaged or edited since it was written: copy it again or take the sums out"
     return " ".join(str(error).split())[:160] or type(error).__name__

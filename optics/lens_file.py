@@ -24,9 +24,11 @@ from optics.files.report import ImportReport, ReportLine, Status
 from optics.glass.catalogue import list_glasses
 from optics.glass.media import CATALOGUE_AIR, Environment
 from optics.lens.geometry import acts, crossings, geometry_faults, idle_stop
+from optics.lens.measured import measured_from_table
 from optics.lens.prescription import lens_from_table, rims_mm
 from optics.lens.system import LensSystem
 from optics.lens.tables import BREAK
+from optics.lens.without_glass import measured_lens
 from optics.rays.beam_widths import BeamWidths, beam_widths
 from optics.validate import read_toml
 
@@ -175,6 +177,8 @@ def read_lens_file(
 def _of_toml(path: Path, where: str, environment: Environment | None) -> LensFile:
     """A file of our own format."""
     tables = read_toml(path)
+    if tables.get("kind") == "measured":
+        return LensFile(lens=measured_lens(measured_from_table(tables, where)), tables=tables)
     _check_glasses(tables, where)
     tables = _with_glass_files(tables, path.parent, where)
     lens = lens_from_table(tables, where=where, folder=path.parent, environment=environment or CATALOGUE_AIR)

@@ -112,7 +112,7 @@ def _refusal(model_class: type[BaseModel], faults: list[dict[str, Any]], where: 
         keys = [".".join(map(str, _without_tags(model_class, fault["loc"]))) for fault in missing]
         others = [_sentence(model_class, fault) for fault in faults if fault not in missing]
         sentences = [*others, f"{len(keys)} keys are missing: {', '.join(keys)}"]
-    return ConfigError("\n".join(dict.fromkeys(f"{where}: {sentence}" for sentence in sentences)))
+    return ConfigError("\n".join((f"{where}: {sentences[0]}", *dict.fromkeys(sentences[1:]))))
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -290,9 +290,9 @@ def _owners(model_class: type[BaseModel], location: Location) -> list[type[BaseM
 
 
 def _is_tag(owners: list[type[BaseModel]], step: int | str) -> bool:
-    """Whether a step of a location is the ``kind`` of one of several models, which is no key."""
+    """Whether a step of a location is the ``kind`` of a model that stands beside other types, which is no key."""
     kinds = [owner.model_fields["kind"].default for owner in owners if "kind" in owner.model_fields]
-    return len(owners) > 1 and step in kinds
+    return step in kinds
 
 
 def _without_tags(model_class: type[BaseModel], location: Location) -> list[int | str]:

@@ -17,6 +17,7 @@ from optics.rays.paraxial import axial_paraxial
 from optics.rays.pupil import EntrancePupil, entrance_pupil
 from optics.records import freeze
 from optics.response import Response
+from optics.units import UM_MM
 from render.detector.spec import Detector
 
 __all__ = ["Camera", "Diffraction", "build_camera", "launch_disk"]
@@ -45,7 +46,7 @@ class Camera:
     centre_px : (2,)
         Where the axis of the lens meets the detector (column, row); default the centre of the image.
     charge_diffusion_px : float
-        Standard deviation of the Gaussian charge-diffusion kernel [px].
+        Standard deviation of the Gaussian charge-diffusion kernel [px], as far as the lens's PSF does not hold it.
     rotation_cam_from_world : (3, 3)
         ``v_cam = rotation_cam_from_world @ v_world``, float64.
     response : Response or None
@@ -82,6 +83,10 @@ class Camera:
             raise DomainError(f"Camera.charge_diffusion_px = {self.charge_diffusion_px} px; it must not be negative")
         if not math.isfinite(self.defocus_mm):
             raise DomainError(f"Camera.defocus_mm = {self.defocus_mm} mm; a finite number is needed")
+        if self.defocus_mm and self.lens.measured is not None:
+            raise DomainError(
+                f"defocus_mm = {self.defocus_mm:g} mm: lens {self.lens.name!r} was measured in its focus; 0 is needed"
+            )
         if np.isnan(np.asarray(self.centre_px, float)).all():
             object.__setattr__(self, "centre_px", np.array([(self.width_px - 1) / 2, (self.height_px - 1) / 2]))
         freeze(self, "centre_px", shape=(2,))
@@ -107,6 +112,24 @@ class Camera:
         for first, last in self.blind_columns_px:
             columns[first : last + 1] = False
         return columns
+
+    @property
+    def blur_px(self) -> float:
+        """Standard deviation [px] of the Gaussian that blurs images: charge diffusion and blur of the lens together."""
+        return math.hypot(self.charge_diffusion_px, self.lens_blur_px)
+
+    @property
+    def lens_blur_px(self) -> float:
+        """The lens's part of it."""
+        return math.hypot(self.lens.blur_um * UM_MM / self.pixel_pitch_mm, self.lens.blur_px)
+
+    @property
+    def least_blur_px(self) -> float:
+        """The same of the narrowest part of the images of a measured lens; `blur_px` of others."""
+        if self.lens.measured is None:
+            return self.blur_px
+        narrowest_mm2 = self.lens.measured.psf.narrowest_mm2
+        return math.hypot(self.blur_px, math.sqrt(narrowest_mm2) / self.pixel_pitch_mm)
 
     @property
     def focused_lens(self) -> LensSystem:
@@ -200,13 +223,14 @@ def build_camera(
         name=f"{lens.name} on {detector.name}",
         source=f"{lens.source}; {efficiency.source}",
     )
+    held = lens.measured is not None and lens.measured.includes_charge_diffusion
     return Camera(
         lens=lens,
         width_px=detector.width_px,
         height_px=detector.height_px,
         pixel_pitch_mm=detector.pixel_pitch_mm,
         defocus_mm=defocus_mm,
-        charge_diffusion_px=detector.diffusion_sigma_px,
+        charge_diffusion_px=0.0 if held else detector.diffusion_sigma_px,
         rotation_cam_from_world=np.eye(3) if rotation_cam_from_world is None else rotation_cam_from_world,
         response=response,
         blind_columns_px=detector.gap_columns_px,

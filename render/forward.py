@@ -40,6 +40,7 @@ def star_scene(
     motion: ExposureMotion | None = None,
     sobol_log2_rays: int = 16,
     tolerance: float = TOLERANCE,
+    by_grid: bool = False,
     contents: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Scene for ``mi.load_dict``: integrator, camera, stars, and whatever else it shall hold.
@@ -54,7 +55,7 @@ def star_scene(
         Exposure time.
     motion : ExposureMotion, optional
         Attitudes during the exposure, in place of one.
-    sobol_log2_rays, tolerance
+    sobol_log2_rays, tolerance, by_grid
         Of ``star_tracer``.
     contents : mapping, optional
         Further entries of the scene, e.g. shapes that hide stars, in the camera's world frame and mm.
@@ -66,7 +67,12 @@ def star_scene(
     tensors = {name: mi.TensorXf64(np.ascontiguousarray(getattr(stars, name))[None]) for name in STARS}
     return {
         "type": "scene",
-        "integrator": {"type": "star_tracer", "sobol_log2_rays": sobol_log2_rays, "tolerance": tolerance},
+        "integrator": {
+            "type": "star_tracer",
+            "sobol_log2_rays": sobol_log2_rays,
+            "tolerance": tolerance,
+            "by_grid": by_grid,
+        },
         "camera": lens_camera_properties(camera, shutter_close=exposure_s, **moving),
         "stars": {
             "type": "star_field",
@@ -95,6 +101,8 @@ class StarRenderer:
         Scrambles the Sobol points; without effect on clear pupils.
     tolerance : float
         Of the quadrature of the pupil.
+    by_grid : bool
+        By waves: few stars too are taken from a grid of images over the field, which pays where many fields follow.
     contents : mapping, optional
         Further entries of the scene (`star_scene`): bodies that hide stars.
 
@@ -119,6 +127,7 @@ class StarRenderer:
         sobol_log2_rays: int = 16,
         seed: int = 0,
         tolerance: float = TOLERANCE,
+        by_grid: bool = False,
         contents: Mapping[str, Any] | None = None,
     ) -> None:
         self.exposure_s = checked_exposure(exposure_s)
@@ -131,6 +140,7 @@ class StarRenderer:
             "exposure_s": self.exposure_s,
             "sobol_log2_rays": sobol_log2_rays,
             "tolerance": tolerance,
+            "by_grid": by_grid,
             "contents": contents,
         }
         self._scene: Any = None

@@ -108,7 +108,7 @@ class Truth:
     bundle_x_px, bundle_y_px : (n, b)
         Photon-weighted mean of all traced rays that reach the image plane.
     photon_x_px, photon_y_px : (n, b)
-        Centroid of the noiseless light on the detector, after charge diffusion, integrated over strips of a fraction of
+        Mean of all light on the detector, after charge diffusion, integrated over strips of a fraction of
         a pixel, before the edge of the detector cuts it. A moment over whole pixels carries the sampling bias of its
         pixel grid (up to some 1e-2 px for sharp spots), which is a property of an estimator and not of the light.
     electrons_in : (n, b)
@@ -121,6 +121,9 @@ class Truth:
     electrons_beyond : (n, b), optional
         Light of diffraction images beyond their stamps: it lands somewhere, is not rendered, and belongs to the sum
         that ``electrons_in`` is. 0 for rays, and if left out.
+    noise_area_px2 : (n, b), optional
+        Noise-equivalent area of the star's rendered image, cut by no edge of the detector: square of the sum of its
+        pixels over the sum of their squares. NaN without light, and if left out.
 
     With diffraction ``photon_*_px`` is the centroid over an infinite window, which the light beyond the stamp belongs
     to: by Parseval's theorem the mean of the rays, whatever the wavelength. A window of a few pixels sees another one.
@@ -140,11 +143,13 @@ class Truth:
     variance_x_px2: FloatArray
     variance_y_px2: FloatArray
     electrons_beyond: FloatArray | None = None
+    noise_area_px2: FloatArray | None = None
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        if self.electrons_beyond is None:
-            object.__setattr__(self, "electrons_beyond", np.zeros(np.shape(self.electrons_in)))
+        for name, missing in (("electrons_beyond", 0.0), ("noise_area_px2", np.nan)):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(np.shape(self.electrons_in), missing))
         for name in self.__dataclass_fields__:  # NaN is told by `missing`
             freeze(self, name, shape=("n", "b"), sizes=sizes, finite=name.startswith("electrons"))
 

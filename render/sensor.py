@@ -16,7 +16,7 @@ from optics.lens_file import load_lens
 from optics.light.band import Band, TopHat, band_nodes
 from optics.light.spectrum import Blackbody
 from optics.light.transmission import QuarterWave
-from optics.rays.paraxial import axial_paraxial
+from optics.rays.chief import plate_scale_mm
 from optics.rays.spots import spot_moments
 from render.camera import Camera, Diffraction, build_camera
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
@@ -46,7 +46,9 @@ class StarSensor:
     detector : Detector
         Noise and conversion.
     focal_length_mm : float
-        Paraxial, at the design wavelength of the lens as designed.
+        Scale of the image: displacement of chief rays at the detector per tangent of the field angle, about the axis,
+        at the design wavelength (`optics.rays.chief.plate_scale_mm`). Where the detector is not in the paraxial focus,
+        the paraxial focal length is another one.
     """
 
     camera: Camera
@@ -285,8 +287,7 @@ def load_star_sensor(
         absorption=absorption,
         diffraction=diffraction,
     )
-    focal_length = float(axial_paraxial(chosen, chosen.design_wavelength_nm).efl_mm)
-    sensor = StarSensor(camera=camera, detector=chip, focal_length_mm=focal_length)
+    sensor = StarSensor(camera=camera, detector=chip, focal_length_mm=plate_scale_mm(camera.focused_lens))
     if window_px is None:
         return sensor
     width, height = (window_px, window_px) if isinstance(window_px, int) else window_px

@@ -28,8 +28,8 @@ ALLOWED = {"calib": {"render.records"}}
 # Rooms of a package, lowest first: a module imports from its own room and from rooms to the left of a "<" before it.
 # Rooms between two "<" know nothing of each other. A new room (or module at the top) has to be put in its place here.
 ORDER = {
-    "optics": "arrays errors forbes units < attitude fits frames record_files records textfile < validate < response"
-    " < glass < files < lens light < rays < lens_file < export waves < figures page",
+    "optics": "arrays errors forbes units < attitude brown_conrady fits frames record_files records textfile < validate"
+    " < response < glass < files < lens light < rays < lens_file < export waves < figures page",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing < plugins"
     " < bench bodies forward < observation",
     "calib": "directional fitting flags < records < cameras measure < attitude < calibration figures",

@@ -35,7 +35,7 @@ from optics.frames import pixel_to_tetra3rs
 from optics.records import freeze
 from optics.units import DEG_RAD, RAD_ARCSEC
 
-__all__ = ["Identification", "build_database", "identify", "load_database", "with_residuals"]
+__all__ = ["Identification", "build_database", "failed", "identify", "load_database", "with_residuals"]
 
 TRIM_SIGMA = 5.0  # matches further off are taken for wrong
 TRIM_ROUNDS = 10
@@ -207,7 +207,7 @@ def identify(
             raise DomainError(f"identify: {name} = {value}; it must be finite and positive")
     rows, v_cam = _usable(pixel, model, brightness)
     if len(rows) < 4:
-        return _failed("too_few", f"{len(rows)} usable detections; a pattern takes 4")
+        return failed("too_few", f"{len(rows)} usable detections; a pattern takes 4")
     focal_px = _focal_length_px(model)
     size_px = (model.geometry.width_px, model.geometry.height_px)
     ideal = model.geometry.centre_px + focal_px * v_cam[:, :2] / v_cam[:, 2:]
@@ -221,11 +221,9 @@ def identify(
     )
     if not found:
         status = found.status if found.status in ("timeout", "too_few") else "no_match"
-        return _failed(
-            status, f"tetra3rs: {found.status} with {len(rows)} detections after {found.solve_time_ms:.0f} ms"
-        )
+        return failed(status, f"tetra3rs: {found.status} with {len(rows)} detections")
     if found.parity_flip:
-        return _failed("mirrored", _MIRRORED)
+        return failed("mirrored", _MIRRORED)
     result = _accepted(found, database, rows, v_cam, focal_px, tolerance_px, catalogue)
     return with_residuals(result, pixel, model, sigma_px, model_error_px)
 
@@ -275,16 +273,16 @@ def _accepted(
         ra, dec = (np.array([getattr(s, name) for s in stars], float) * DEG_RAD for name in ("ra_deg", "dec_deg"))
         direction = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
     if len(matched) < 2:
-        return _failed(
+        return failed(
             "no_match", f"tetra3rs matched {len(found.matched_centroids)} stars, {len(matched)} of the catalogue"
         )
     kept, solution = _trimmed(v_cam[matched], direction)
     matched, identifier, direction = matched[kept], identifier[kept], direction[kept]
     if solution.parity < 0:
-        return _failed("mirrored", _MIRRORED)
+        return failed("mirrored", _MIRRORED)
     residual = np.sqrt(2.0) * solution.sigma_rad * focal_px
     if not solution.ok or residual > tolerance_px:
-        return _failed(
+        return failed(
             "inconsistent",
             f"{len(matched)} stars matched, but they lie {residual:.3g} px from their places; {tolerance_px:g} px is "
             "allowed, a better camera model is needed",
@@ -318,7 +316,8 @@ def _trimmed(v_cam: FloatArray, v_ref: FloatArray) -> tuple[NDArray[np.int64], A
     return kept, solution
 
 
-def _failed(status: str, message: str) -> Identification:
+def failed(status: str, message: str) -> Identification:
+    """An identification that names no star."""
     return Identification(
         status=status,
         message=message,

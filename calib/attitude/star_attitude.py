@@ -23,6 +23,7 @@ from calib.attitude.patterns import kept_database
 from calib.attitude.solve import AttitudeSolution, solve_wahba
 from calib.cameras.base import CameraModel
 from calib.fitting.misfit import joined
+from calib.flags import StarFlag, has_flag
 from calib.records import StarTable
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
@@ -131,7 +132,7 @@ def identify_stars(
     Parameters
     ----------
     stars : StarTable
-        Measured stars (`calib.find_stars`); hot pixels are told by their flags and left out.
+        Measured stars (`calib.find_stars`); hot pixels and trails are told by their flags and left out.
     model : CameraModel
         The camera.
     known : KnownStars
@@ -159,7 +160,8 @@ def identify_stars(
     ConfigError
         tetra3rs is needed and missing.
     """
-    usable = np.flatnonzero(np.isfinite(stars.pixel_px).all(axis=1) & np.isfinite(stars.flux_e) & ~stars.sharp)
+    no_star = stars.sharp | has_flag(stars.flags, StarFlag.TRAIL | StarFlag.UNDETERMINED)
+    usable = np.flatnonzero(np.isfinite(stars.pixel_px).all(axis=1) & np.isfinite(stars.flux_e) & ~no_star)
     pixel, flux = stars.pixel_px[usable], stars.flux_e[usable]
     if near is not None:
         bright = usable[np.argsort(-flux, kind="stable")[:BRIGHTEST]]

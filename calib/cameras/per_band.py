@@ -6,7 +6,7 @@ length per band, and for a lens with a tilted or decentred element another princ
 `calib.cameras.brown_conrady`:
 
     x = f_k X/Z,  y = f_k Y/Z
-    (x', y') = distortion of (x, y)            `calib.cameras.distortion`, ideal -> distorted
+    (x', y') = distortion of (x, y)            `optics.brown_conrady`, ideal -> distorted
     column = (W - 1)/2 + x0_k + x'/pitch
     row    = (H - 1)/2 + y0_k + y'/pitch
 
@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.cameras.base import CameraModel, Projection, SensorGeometry, checked_vectors
 from calib.cameras.brown_conrady import BrownConrady, edge_scales
-from calib.cameras.distortion import COEFFICIENTS
 from optics.arrays import FloatArray
+from optics.brown_conrady import COEFFICIENTS
 from optics.errors import DomainError
 
 __all__ = ["PerBand"]

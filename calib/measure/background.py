@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
-from scipy.ndimage import binary_dilation, median_filter
-from scipy.special import erf
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import median_filter
+from scipy.special import erf, ndtri
 
 from calib.records import SensorImage
 from optics.arrays import FloatArray
@@ -17,6 +17,10 @@ from optics.errors import DomainError
 from optics.records import freeze
 
 __all__ = ["Background", "estimate_background"]
+
+
+_FIRST_STEP, _FIRST_BOX = 2, 32
+"""The first pass, which only tells stars, takes every second pixel of every second row of cells of so many px."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,34 +40,37 @@ class Background:
         freeze(self, "centre_x_px", shape=("b",), sizes=sizes)
         freeze(self, "centre_y_px", shape=("a",), sizes=sizes)
 
-    def _evaluate(self, mesh: FloatArray, x_px: NDArray[Any], y_px: NDArray[Any], grid: bool) -> FloatArray:
-        centre_y, centre_x = self.centre_y_px, self.centre_x_px
-        if len(centre_y) == 1:  # a spline needs two nodes; repeat a single cell
-            centre_y, mesh = np.array([centre_y[0], centre_y[0] + 1.0]), np.repeat(mesh, 2, axis=0)
-        if len(centre_x) == 1:
-            centre_x, mesh = np.array([centre_x[0], centre_x[0] + 1.0]), np.repeat(mesh, 2, axis=1)
-        spline = RectBivariateSpline(
-            centre_y, centre_x, mesh, kx=min(3, len(centre_y) - 1), ky=min(3, len(centre_x) - 1)
-        )
-        y_inside = np.clip(y_px, centre_y[0], centre_y[-1])  # constant beyond the outermost centres
-        x_inside = np.clip(x_px, centre_x[0], centre_x[-1])
-        return np.asarray(spline(y_inside, x_inside, grid=grid))
+    def _at(self, mesh: FloatArray, x_px: NDArray[Any], y_px: NDArray[Any]) -> FloatArray:
+        """Values of a mesh at places (n,): a cubic spline between the cells, constant beyond the outermost centres."""
+        return np.asarray(np.sum((_weights(self.centre_y_px, y_px) @ mesh) * _weights(self.centre_x_px, x_px), axis=1))
+
+    def _image(self, mesh: FloatArray) -> FloatArray:
+        across = _weights(self.centre_x_px, np.arange(self.shape[1]))
+        return np.asarray(_weights(self.centre_y_px, np.arange(self.shape[0])) @ mesh @ across.T)
 
     def level_at(self, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
         """Background [e-] at columns ``x_px`` and rows ``y_px``, each (n,)."""
-        return self._evaluate(self.level_e, np.asarray(x_px, float), np.asarray(y_px, float), grid=False)
+        return self._at(self.level_e, x_px, y_px)
 
     def sigma_at(self, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
         """Noise of one pixel [e-] at columns ``x_px`` and rows ``y_px``, each (n,)."""
-        return self._evaluate(self.sigma_e, np.asarray(x_px, float), np.asarray(y_px, float), grid=False)
+        return self._at(self.sigma_e, x_px, y_px)
 
     def level_image(self) -> FloatArray:
         """Background [e-] of every pixel, (h, w)."""
-        return self._evaluate(self.level_e, np.arange(self.shape[1]), np.arange(self.shape[0]), grid=True)
+        return self._image(self.level_e)
 
     def sigma_image(self) -> FloatArray:
         """Noise [e-] of every pixel, (h, w)."""
-        return self._evaluate(self.sigma_e, np.arange(self.shape[1]), np.arange(self.shape[0]), grid=True)
+        return self._image(self.sigma_e)
+
+
+def _weights(centre: FloatArray, place: ArrayLike) -> FloatArray:
+    """Weights (n, a) of a cells in an interpolating spline at ``place`` (n,)."""
+    if len(centre) == 1:
+        return np.ones((np.size(place), 1))
+    spline = make_interp_spline(centre, np.eye(len(centre)), k=min(3, len(centre) - 1))
+    return np.asarray(spline(np.clip(np.asarray(place, float), centre[0], centre[-1])))
 
 
 def estimate_background(
@@ -127,9 +134,12 @@ def estimate_background(
         raise DomainError(f"image {image.source!r} has no usable pixel (all NaN, saturated, defective or excluded)")
     electrons = image.noise.to_electrons(image.dn)
     quantum = 1.0 / image.noise.gain_dn_per_e if image.noise.quantised else 0.0
-    first = _mesh(electrons, usable, box_px, clip_sigma, quantum)
+    every = (slice(None, None, _FIRST_STEP), slice(None, None, _FIRST_STEP)) if box_px >= _FIRST_BOX else ()
+    coarse = _mesh(electrons[every], usable[every], box_px // _FIRST_STEP if every else box_px, clip_sigma, quantum)
+    first = _on_whole(coarse, _FIRST_STEP, electrons.shape) if every else coarse
     stars = electrons > first.level_image() + 3.0 * first.sigma_image()
-    rest = usable & ~binary_dilation(stars & _has_bright_neighbour(stars), np.ones((5, 5), bool))
+    # bright pixels next to another one; lone noise peaks stay in, or the noise would be underestimated
+    rest = usable & ~grown(stars & grown(stars, 1, itself=False), 2)
     return _mesh(electrons, rest, box_px, clip_sigma, quantum) if rest.any() else first
 
 
@@ -141,18 +151,38 @@ def _thinned(
     some = replace(image, dn=image.dn[every], valid=image.valid[every], saturated=image.saturated[every])
     left_out = None if exclude is None else np.asarray(exclude, dtype=bool)[every]
     found = estimate_background(some, box_px=box_px // step_px, clip_sigma=clip_sigma, exclude=left_out)
+    return _on_whole(found, step_px, image.dn.shape)
+
+
+def _on_whole(thinned: Background, step_px: int, shape: tuple[int, ...]) -> Background:
+    """A background of every ``step_px``-th pixel on the coordinates of the whole image."""
     return replace(
-        found,
-        centre_x_px=found.centre_x_px * step_px,
-        centre_y_px=found.centre_y_px * step_px,
-        shape=(image.dn.shape[0], image.dn.shape[1]),
+        thinned,
+        centre_x_px=thinned.centre_x_px * step_px,
+        centre_y_px=thinned.centre_y_px * step_px,
+        shape=(shape[0], shape[1]),
     )
 
 
-def _has_bright_neighbour(bright: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Bright pixels next to another one; lone noise peaks stay in, or the noise would be underestimated."""
-    ring = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=bool)
-    return np.asarray(binary_dilation(bright, ring))
+def grown(mask: NDArray[np.bool_], by_px: int, *, itself: bool = True) -> NDArray[np.bool_]:
+    """A mask (h, w) grown by squares of ``by_px`` on all sides; without ``itself`` only by what lies around a pixel."""
+    out = np.array(mask) if itself else np.zeros_like(mask)
+    if itself:  # along columns, then along rows
+        for axis in (0, 1):
+            before = np.moveaxis(np.array(out), axis, 0)
+            target = np.moveaxis(out, axis, 0)
+            for step in range(1, by_px + 1):
+                target[step:] |= before[:-step]
+                target[:-step] |= before[step:]
+        return out
+    height, width = mask.shape
+    for down in range(-by_px, by_px + 1):
+        for right in range(-by_px, by_px + 1):
+            if down or right:
+                to = slice(max(down, 0), height + min(down, 0)), slice(max(right, 0), width + min(right, 0))
+                at = slice(max(-down, 0), height + min(-down, 0)), slice(max(-right, 0), width + min(-right, 0))
+                out[to] |= mask[at]
+    return out
 
 
 def _mesh(
@@ -197,19 +227,26 @@ def _clipped_statistics(cells: FloatArray, clip_sigma: float, quantum: float) ->
     zero = ordered[:, :1].copy()
     k = np.arange(len(ordered))
     zero[:, 0] = ordered[k, np.maximum(count - 1, 0) // 2]  # moments about the median keep their digits
-    shifted = np.nan_to_num(ordered - zero)
-    sums = np.pad(np.cumsum(shifted, axis=1), ((0, 0), (1, 0)))
-    squares = np.pad(np.cumsum(shifted**2, axis=1), ((0, 0), (1, 0)))
+    ordered = ordered - zero
+    shifted = np.where(np.isnan(ordered), 0.0, ordered)
+    sums, squares = np.zeros((2, shifted.shape[0], shifted.shape[1] + 1))
+    np.cumsum(shifted, axis=1, out=sums[:, 1:])
+    np.cumsum(shifted**2, axis=1, out=squares[:, 1:])
     # variance of a normal distribution cut at +- clip_sigma
     density = np.exp(-0.5 * clip_sigma**2) / np.sqrt(2.0 * np.pi)
     shrink = 1.0 - 2.0 * clip_sigma * density / erf(clip_sigma / np.sqrt(2.0))
     low, high = np.zeros(len(ordered), np.int64), count.copy()
-    filled = np.where(np.isfinite(ordered), ordered - zero, np.inf)
+
+    def below(limit: FloatArray, side: Literal["left", "right"] = "left") -> NDArray[np.int64]:
+        """How many numbers of each row are smaller, or with "right" not larger, than its limit."""
+        rows = zip(ordered, count, limit, strict=True)
+        return np.array([row[:many].searchsorted(value, side) for row, many, value in rows], np.int64)
+
     for step in range(20):
         median, mean, sigma = _range_moments(shifted, sums, squares, low, high)
         spread = sigma / np.sqrt(shrink) if step else np.maximum(1.4826 * _range_mad(shifted, low, high), 1e-9)
-        new_low = (filled < (median - clip_sigma * spread)[:, None]).sum(axis=1)
-        new_high = np.maximum((filled <= (median + clip_sigma * spread)[:, None]).sum(axis=1), new_low + 1)
+        new_low = below(median - clip_sigma * spread)
+        new_high = np.maximum(below(median + clip_sigma * spread, "right"), new_low + 1)
         new_high = np.minimum(new_high, count)
         if np.array_equal(new_low, low) and np.array_equal(new_high, high):
             break
@@ -217,13 +254,49 @@ def _clipped_statistics(cells: FloatArray, clip_sigma: float, quantum: float) ->
     median, mean, sigma = _range_moments(shifted, sums, squares, low, high)
     sigma = sigma / np.sqrt(shrink)
     if quantum > 0:  # median of grouped data: interpolated within the group of equal numbers
-        below = (filled < (median - 0.25 * quantum)[:, None]).sum(axis=1) - low
-        same = (filled <= (median + 0.25 * quantum)[:, None]).sum(axis=1) - low - below
-        median = median + quantum * ((0.5 * (high - low) - below) / np.maximum(same, 1) - 0.5)
+        fewer = below(median - 0.25 * quantum) - low
+        same = below(median + 0.25 * quantum, "right") - low - fewer
+        median = median + quantum * ((0.5 * (high - low) - fewer) / np.maximum(same, 1) - 0.5)
     crowded = mean - median > 0.1 * sigma
     level = np.where(crowded, 2.5 * median - 1.5 * mean, mean) + zero[:, 0]
     some = count > 0
+    for row in np.flatnonzero(some & _coarse(ordered, count, quantum)):
+        level[row], sigma[row] = _coarse_statistics(ordered[row, : count[row]], quantum)
+        level[row] += zero[row, 0]
     return np.where(some, level, np.nan), np.where(some, sigma, np.nan)
+
+
+def _coarse(ordered: FloatArray, count: NDArray[np.int64], quantum: float) -> NDArray[np.bool_]:
+    """Rows whose numbers are too few for moments of a clipped normal distribution: narrow, or cut off below."""
+    k = np.arange(len(ordered))
+    low, middle, high = (ordered[k, np.minimum(count * part // 100, ordered.shape[1] - 1)] for part in (3, 50, 84))
+    # 3 % of all have the lowest number there is, or hardly any differ
+    cut_off = (low <= ordered[:, 0] + 0.5 * quantum) & (quantum * 8.0 > middle - ordered[:, 0] if quantum else True)
+    return np.asarray(cut_off | (high - middle <= 1.5 * quantum))
+
+
+def _coarse_statistics(values: FloatArray, quantum: float) -> tuple[float, float]:
+    """Mean and standard deviation of sorted numbers that are few, or cut off at the lowest.
+
+    Where the normal distribution behind them must lie to be cut into these shares follows from a straight line: edges
+    between numbers against the normal quantiles of the shares below them, from 2 to 97 %. What is 4 standard deviations
+    above it is no background. Mean and deviation are those of the numbers as they are, cut off and rounded, since the
+    filter of the detection and the likelihood of the fits see these.
+    """
+    if not quantum:  # means of colours, say
+        apart = np.diff(values)
+        quantum = float(np.min(apart[apart > 1e-6 * (values[-1] - values[0])], initial=np.inf))
+        if not np.isfinite(quantum):
+            return float(values.mean()), 0.0
+    code, number = np.unique(np.rint(values / quantum), return_counts=True)
+    below = np.cumsum(number) / len(values)
+    inside = (below > 0.02) & (below < 0.97)
+    top = values[len(values) // 2] + 2.0 * quantum
+    if inside.sum() >= 2:
+        slope, middle = np.polyfit(ndtri(below[inside]), code[inside] + 0.5, 1)
+        top = max((middle + 4.0 * slope + 0.5) * quantum, top)
+    kept = values[: np.searchsorted(values, top, "right")]
+    return float(kept.mean()), float(kept.std())
 
 
 def _range_moments(

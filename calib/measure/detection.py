@@ -11,15 +11,17 @@ from skimage.measure import label
 
 from calib.flags import StarFlag
 from calib.measure.background import Background, estimate_background
+from calib.measure.filtered_noise import CUT_OFF, FilteredNoise, measure_noise
 from calib.measure.image import as_image
 from calib.measure.moments import FWHM_PER_SIGMA
 from calib.measure.stamps import parabola_peak
+from calib.measure.trails import trail_members
 from calib.records import FLUX, SensorImage, StarTable, X, Y
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import Frame
 
-__all__ = ["detect"]
+__all__ = ["detect", "detection_noise"]
 
 
 def detect(
@@ -30,14 +32,16 @@ def detect(
     fwhm_px: float = 2.0,
     spike_fraction: float = 0.9,
     max_stars: int | None = None,
+    noise: FilteredNoise | None = None,
 ) -> StarTable:
     """Stars of an image, brightest first.
 
     The image without background is filtered with a Gaussian of the expected width; a star is a local maximum of the
-    filtered signal-to-noise ratio above ``threshold_sigma``. Several maxima in one connected region are several stars
-    and flagged ``BLEND``, except where the region is saturated: there the highest stands for all. Positions (vertex of
-    a parabola through the filtered maximum) and fluxes (amplitude of the matched Gaussian) are starting values for a
-    centroider, good to about 0.1 px and 10 %.
+    filtered signal-to-noise ratio above ``threshold_sigma``, which is as rare in the noise that the filtered image
+    shows (`detection_noise`: correlated, cut off at zero) as in normal noise. Several maxima in one connected region
+    are several stars and flagged ``BLEND``, except where the region is saturated: there the highest stands for all.
+    Positions (vertex of a parabola through the filtered maximum) and fluxes (amplitude of the matched Gaussian) are
+    starting values for a centroider, good to about 0.1 px and 10 %.
 
     Parameters
     ----------
@@ -54,6 +58,8 @@ def detect(
         (a star of sigma 0.5 px reaches 0.52).
     max_stars : int, optional
         Keep only the brightest.
+    noise : FilteredNoise, optional
+        Noise of the filtered image; measured in it if not given.
 
     Returns
     -------
@@ -76,25 +82,78 @@ def detect(
         background = estimate_background(image)
     elif background.shape != image.dn.shape:
         raise DomainError(f"background is for an image of {background.shape} px, this one has {image.dn.shape}")
-    level, sigma = background.level_image(), np.maximum(background.sigma_image(), 1e-6)
-    light = np.where(image.valid, image.noise.to_electrons(image.dn) - level, 0.0)
-    width = fwhm_px / FWHM_PER_SIGMA
-    filtered = gaussian_filter(light, width, mode="constant")
-    kernel = gaussian_filter(_delta(fwhm_px), width, mode="constant")
-    power = float(np.sum(kernel**2))
-    signal_to_noise = filtered / (sigma * np.sqrt(power))
-    bright = signal_to_noise > threshold_sigma
+    search = _Search(image, background, fwhm_px)
+    filtered, signal_to_noise = search.filtered, search.signal_to_noise
+    if noise is None:
+        noise = search.noise()
+    bright = signal_to_noise > noise.limit(threshold_sigma)
     y, x = _local_maxima(signal_to_noise, bright)
     if not len(x):
         return StarTable.empty()
     regions = label(bright, connectivity=2)
     keep, flags = _flag_maxima(
-        image, light=light, regions=regions, filtered=filtered, x=x, y=y, spike_fraction=spike_fraction
+        image, light=search.light, regions=regions, filtered=filtered, x=x, y=y, spike_fraction=spike_fraction
     )
     x, y, flags = x[keep], y[keep], flags[keep]
     order = np.argsort(-filtered[y, x], kind="stable")[:max_stars]
     x, y, flags = x[order], y[order], flags[order]
-    return _table(filtered, level=level, sigma=sigma, power=power, width=width, x=x, y=y, flags=flags)
+    flags[trail_members(signal_to_noise / noise.scale, x, y)] |= int(StarFlag.TRAIL)
+    return _table(
+        filtered,
+        level=search.level,
+        sigma=search.sigma,
+        power=search.power,
+        width=fwhm_px / FWHM_PER_SIGMA,
+        x=x,
+        y=y,
+        flags=flags,
+    )
+
+
+def detection_noise(
+    image: SensorImage | Frame | NDArray[Any], background: Background | None = None, *, fwhm_px: float = 2.0
+) -> FilteredNoise:
+    """Noise in which `detect` looks for stars, and the false detections that it makes.
+
+    Parameters
+    ----------
+    image : SensorImage, Frame or (h, w) array
+        The image.
+    background : Background, optional
+        Estimated from the image if not given.
+    fwhm_px : float
+        Full width at half maximum of the filter.
+
+    Returns
+    -------
+    FilteredNoise
+        ``.false_alarms(5.0)`` is the number of false detections per image that are to be expected, ``.threshold(0.1)``
+        the limit that makes so many; ``str()`` says both in a line.
+    """
+    image = as_image(image)
+    return _Search(image, estimate_background(image) if background is None else background, fwhm_px).noise()
+
+
+class _Search:
+    """An image without background, filtered, in units of what the noise of pixels would be were it white."""
+
+    def __init__(self, image: SensorImage, background: Background, fwhm_px: float) -> None:
+        self.fwhm_px, self.valid = fwhm_px, image.valid & ~image.saturated
+        self.level, self.sigma = background.level_image(), np.maximum(background.sigma_image(), 1e-6)
+        numbers = image.dn[self.valid]
+        self.cut_off = bool(numbers.size and np.mean(numbers == numbers.min()) > CUT_OFF)
+        self.light = np.where(image.valid, image.noise.to_electrons(image.dn) - self.level, 0.0)
+        width = fwhm_px / FWHM_PER_SIGMA
+        self.filtered = gaussian_filter(self.light, width, mode="constant")
+        kernel = gaussian_filter(_delta(fwhm_px), width, mode="constant")
+        self.power = float(np.sum(kernel**2))
+        self.signal_to_noise = self.filtered / (self.sigma * np.sqrt(self.power))
+
+    def noise(self) -> FilteredNoise:
+        """As the filtered image shows it."""
+        return measure_noise(
+            self.signal_to_noise, self.valid, fwhm_px=self.fwhm_px, pixel=self.light, cut_off=self.cut_off
+        )
 
 
 def _delta(fwhm_px: float) -> FloatArray:

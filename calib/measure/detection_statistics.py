@@ -26,7 +26,14 @@ from calib.measure.moments import FWHM_PER_SIGMA
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["clipped_noise", "detection_probability", "false_alarms", "threshold_for_false_alarms"]
+__all__ = [
+    "clipped_noise",
+    "detection_probability",
+    "false_alarms",
+    "kernel_correlation",
+    "maxima_per_pixel",
+    "threshold_for_false_alarms",
+]
 
 
 HEIGHTS, SPREADS, DRAWS = 60, 15, 1024
@@ -52,15 +59,37 @@ def _correlation(fwhm_px: float, dy: int, dx: int) -> float:
     return float((a * b).sum() / (kernel**2).sum())
 
 
-@lru_cache(maxsize=16)
-def _chance_of_maximum(fwhm_px: float) -> tuple[FloatArray, FloatArray]:
-    """Heights z [sigma], and how likely a pixel of that height exceeds its two neighbours along one axis."""
-    one, two = _correlation(fwhm_px, 0, 1), _correlation(fwhm_px, 0, 2)
+def kernel_correlation(fwhm_px: float) -> tuple[float, float]:
+    """Correlation of pixels one and two apart after the filter, in white noise."""
+    return _correlation(fwhm_px, 0, 1), _correlation(fwhm_px, 0, 2)
+
+
+@lru_cache(maxsize=64)
+def _chance_of_maximum(one: float, two: float) -> tuple[FloatArray, FloatArray]:
+    """Heights z [sigma], and how likely a pixel of that height exceeds its two neighbours along one axis.
+
+    ``one`` and ``two`` are the correlations of pixels one and two apart.
+    """
     variance, shared = 1.0 - one**2, two - one**2
+    shared = float(np.clip(shared, -0.999 * variance, 0.999 * variance))
     law = multivariate_normal([0.0, 0.0], [[variance, shared], [shared, variance]])
     height = np.linspace(0.0, HIGHEST, HEIGHTS)
     below = (1.0 - one) * height
     return height, np.asarray(law.cdf(np.stack([below, below], axis=-1)))
+
+
+def maxima_per_pixel(
+    threshold: ArrayLike, correlation_x: tuple[float, float], correlation_y: tuple[float, float]
+) -> FloatArray:
+    """Local maxima above ``threshold`` [sigma] per pixel of a normal field.
+
+    ``correlation_x`` and ``correlation_y`` are those of pixels one and two apart along the axes.
+    """
+    z = np.asarray(threshold, np.float64)[..., None] + np.linspace(0.0, 6.0, 121)
+    density = norm.pdf(z)
+    for correlation in (correlation_x, correlation_y):
+        density = density * np.interp(z, *_chance_of_maximum(*correlation))
+    return np.asarray(np.trapezoid(density, z, axis=-1))
 
 
 def false_alarms(
@@ -73,11 +102,8 @@ def false_alarms(
     width = np.sqrt(np.log1p(share))
     node, weight = np.polynomial.hermite_e.hermegauss(SPREADS)
     scale = np.exp(0.5 * width * node - 0.25 * width**2)  # noise of a place over its mean
-    height, chance = _chance_of_maximum(fwhm_px)
-    z = threshold[..., None, None] / scale[:, None] + np.linspace(0.0, 6.0, 121)
-    density = norm.pdf(z) * np.interp(z, height, chance) ** 2
-    per_place = np.trapezoid(density, z, axis=-1)
-    return np.asarray(pixels * per_place @ (weight / weight.sum()))
+    own = kernel_correlation(fwhm_px)
+    return np.asarray(pixels * maxima_per_pixel(threshold[..., None] / scale, own, own) @ (weight / weight.sum()))
 
 
 def clipped_noise(noise_spread: float, clip_sigma: float = 3.0) -> float:

@@ -8,7 +8,8 @@ cell to blur over.
 What one set of stars cannot tell is a common error that depends on the position within the pixel: move every star by
 g(phase) and warp the PSF alike, and every pixel is predicted as before. Only stars seen at several phases fix it, so
 that their place in one frame must be their place in another plus a shift of the whole frame. Hand in ``star_index`` and
-``frame_index`` to use this (Anderson & King's dithers); without them the S-curve of the first Gaussian fit survives.
+``frame_index`` to use this (Anderson & King's dithers), or ``position_px``, places known from elsewhere: of catalogue
+stars through a calibrated camera. Without either the S-curve of the first Gaussian fit survives.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ class EpsfSolution:
     last_shift_px: float  # RMS change of the positions in the last round
     chi2: float  # Mean of the stars' reduced chi-square
     used: NDArray[np.bool_]  # (n,) Stars that took part
+    message: str = ""  # Why positions did not come to rest
 
 
 def build_epsf(
@@ -55,6 +57,7 @@ def build_epsf(
     *,
     star_index: ArrayLike | None = None,
     frame_index: ArrayLike | None = None,
+    position_px: ArrayLike | None = None,
     oversampling: int = 4,
     roughness: float = 0.03,
     fit_background: bool = False,
@@ -73,6 +76,10 @@ def build_epsf(
     star_index, frame_index : (n,) int, optional
         Which star and which frame a stamp belongs to, where the same stars were seen in frames that differ by a shift.
         Positions are then star + frame shift while the PSF is built.
+    position_px : (n, 2), optional
+        Known places (column, row) of the stars, e.g. of the catalogue through a calibrated camera; NaN where there is
+        none: such stars take no part. They are held while the PSF is built, and its origin is theirs and not its centre
+        of light. Errors of the places that are alike in a frame shift the PSF, others widen it.
     oversampling : int
         Samples per pixel of the result, 1 to 16.
     roughness : float
@@ -100,32 +107,40 @@ def build_epsf(
         raise DomainError(f"roughness = {roughness}; it must be positive")
     if (star_index is None) != (frame_index is None):
         raise DomainError("star_index and frame_index belong together; give both or none")
+    if position_px is not None and star_index is not None:
+        raise DomainError("position_px and star_index exclude each other; known places need no dithers")
+    known = None if position_px is None else _known(position_px, len(stamps))
     dither = None
     if star_index is not None and frame_index is not None:
         dither = _Dither(star_index, frame_index, len(stamps))
     stars = GaussianCentroider(fit_background=fit_background).measure(stamps, noise)
-    used = ~has_flag(stars.flags, _UNFIT)
+    can = np.ones(len(stamps), bool) if known is None else np.isfinite(known).all(axis=1)
+    used = ~has_flag(stars.flags, _UNFIT) & can
     if used.sum() < oversampling**2:
         raise DomainError(
             f"{int(used.sum())} usable stars; an ePSF of oversampling {oversampling} needs at least {oversampling**2}"
         )
     grid = _Grid(max(stamps.electrons.shape[1:]), oversampling)
     epsf: EffectivePsf | None = None
-    converged, shift, iterations = False, np.inf, 0
+    converged, shift, iterations, part = False, np.inf, 0, np.inf
     while not converged and iterations < max_iterations:
         placed = stars if dither is None else dither.place(stars, used)
+        if known is not None:
+            placed = replace(stars, x_px=np.where(can, known[:, 0], 0.0), y_px=np.where(can, known[:, 1], 0.0))
         epsf, centre = grid.solve(stamps, placed, noise, used=used, roughness=roughness, last=epsf)
         new = EpsfCentroider(epsf=epsf, fit_background=fit_background).measure(_restart(stamps, stars), noise)
-        used = ~has_flag(new.flags, _UNFIT)
+        used = ~has_flag(new.flags, _UNFIT) & can
         both = used & np.isfinite(stars.x_px)
         if both.sum() < oversampling**2:
             raise DomainError(f"only {int(both.sum())} stars could be measured with the PSF built from them")
         step = np.concatenate([(new.x_px - stars.x_px)[both], (new.y_px - stars.y_px)[both]])
         sigma = np.concatenate([new.sigma_x_px[both], new.sigma_y_px[both]])
         shift = float(np.sqrt(np.mean(step**2)))
-        converged = bool(np.sqrt(np.mean((step / sigma) ** 2)) < tolerance)
+        part = float(np.sqrt(np.mean((step / sigma) ** 2)))
+        converged = part < tolerance
         # the next PSF is built around its centre of light: that fixes the origin, which the data leave free
-        stars = new if converged else replace(new, x_px=new.x_px + centre[0], y_px=new.y_px + centre[1])
+        moved = known is None and not converged
+        stars = replace(new, x_px=new.x_px + centre[0], y_px=new.y_px + centre[1]) if moved else new
         iterations += 1
     if epsf is None:
         raise DomainError(f"max_iterations = {max_iterations}; at least one round is needed")
@@ -137,7 +152,23 @@ def build_epsf(
         last_shift_px=shift,
         chi2=float(np.mean(stars.chi2[used])),
         used=used,
+        message="" if converged else _restless(shift, part, tolerance, iterations, int(used.sum()), oversampling),
     )
+
+
+def _restless(shift: float, part: float, tolerance: float, rounds: int, stars: int, oversampling: int) -> str:
+    return (
+        f"positions still move by {shift:.2g} px, {part:.2g} of their standard deviation (tolerance {tolerance:g}), "
+        f"after {rounds} rounds: {stars} stars for {oversampling**2} phases; more stars, a larger roughness or known "
+        "places (position_px) determine them"
+    )
+
+
+def _known(position_px: ArrayLike, count: int) -> FloatArray:
+    known = np.asarray(position_px, np.float64)
+    if known.shape != (count, 2):
+        raise DomainError(f"position_px has shape {known.shape}; ({count}, 2) is needed, column and row of every stamp")
+    return known
 
 
 def _restart(stamps: Stamps, stars: StarTable) -> Stamps:

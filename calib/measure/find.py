@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from calib.measure.background import Background, estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.detection import detect
+from calib.measure.filtered_noise import FilteredNoise
 from calib.measure.image import as_image
 from calib.measure.stamps import extract_stamps
 from calib.records import SensorImage, Stamps, StarTable
@@ -26,6 +27,7 @@ def find_stars(
     fwhm_px: float = 2.0,
     size_px: int = 11,
     max_stars: int | None = None,
+    noise: FilteredNoise | None = None,
     **options: Any,
 ) -> StarTable:
     """Detected and centroided stars of an image, brightest first.
@@ -41,7 +43,7 @@ def find_stars(
         (`calib.measure.image.sensor_image`, which also takes gain and read noise where they are known).
     centroider : str
         Name of a centroider (`calib.measure.centroid.list_centroiders`).
-    background, threshold_sigma, fwhm_px, size_px, max_stars : optional
+    background, threshold_sigma, fwhm_px, size_px, max_stars, noise : optional
         As in `find_stamps`.
     **options
         Attributes of the centroider, e.g. ``epsf=`` for "epsf" or ``fit_background=True`` for "gaussian".
@@ -77,6 +79,7 @@ def find_stars(
         fwhm_px=fwhm_px,
         size_px=size_px,
         max_stars=max_stars,
+        noise=noise,
     )
     return chosen.measure(stamps, sensor.noise)
 
@@ -89,6 +92,7 @@ def find_stamps(
     fwhm_px: float = 2.0,
     size_px: int = 11,
     max_stars: int | None = None,
+    noise: FilteredNoise | None = None,
 ) -> Stamps:
     """Windows around the detected stars of an image, brightest first, ready for a centroider.
 
@@ -96,5 +100,5 @@ def find_stamps(
     """
     sensor = as_image(image)
     sky = estimate_background(sensor) if background is None else background
-    found = detect(sensor, sky, threshold_sigma=threshold_sigma, fwhm_px=fwhm_px, max_stars=max_stars)
+    found = detect(sensor, sky, threshold_sigma=threshold_sigma, fwhm_px=fwhm_px, max_stars=max_stars, noise=noise)
     return extract_stamps(sensor, found.x_px, found.y_px, background=sky, size_px=size_px, flags=found.flags)

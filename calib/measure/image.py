@@ -1,7 +1,8 @@
-"""Images from elsewhere: our own frames, and FITS files that nobody here made."""
+"""Images from elsewhere: our own frames, arrays, and files that nobody here made."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,18 +12,19 @@ from astropy.io import fits
 from numpy.typing import ArrayLike, NDArray
 
 from calib.measure.background import estimate_background
+from calib.measure.image_files import converter_steps, load_pixels
 from calib.records import NoiseModel, SensorImage
-from optics.errors import ConfigError, DomainError
-from optics.fits import open_fits
+from optics.errors import ConfigError, DomainError, unknown_name
 from render.records import Frame
 
-__all__ = ["as_image", "image_from_frame", "read_image", "sensor_image", "subtract_dark"]
+__all__ = ["as_image", "image_from_frame", "read_image", "read_images", "sensor_image", "subtract_dark"]
 
 _GAIN_KEYS = ("EGAIN", "CCDGAIN", "GAIN")  # electrons per DN
 _READ_NOISE_KEYS = ("RDNOISE", "READNOIS", "ENOISE", "RON")  # electrons
 _SATURATION_KEYS = ("SATURATE", "SATLEVEL", "DATAMAX")  # DN
 _OFFSET_KEY = "OFFSET"  # DN, if the comment says so; elsewhere it is a camera setting
 _EXPOSURE_KEYS = ("EXPTIME", "EXPOSURE")  # s
+_CHANNELS = ("mean", "red", "green", "blue")
 
 
 def as_image(image: SensorImage | Frame | NDArray[Any]) -> SensorImage:
@@ -85,6 +87,7 @@ def sensor_image(
     offset_dn: float | None = None,
     read_noise_e: float | None = None,
     saturation_dn: float | None = None,
+    saturated: NDArray[np.bool_] | None = None,
     defect: NDArray[np.bool_] | None = None,
     quantised: bool | None = None,
     exposure_s: float | None = None,
@@ -104,6 +107,8 @@ def sensor_image(
         Noise model, where known.
     saturation_dn : float, optional
         DN from which a pixel counts as saturated; for unsigned integers the largest number there is, if not given.
+    saturated : (h, w) bool, optional
+        Saturated pixels, where they are known better than by a level.
     defect : (h, w) bool, optional
         Known defective pixels.
     quantised : bool, optional
@@ -133,7 +138,9 @@ def sensor_image(
     if not finite.any():
         raise DomainError(f"image {source!r} holds no finite number; nothing can be measured on it")
     values = np.where(finite, values, 0.0)
-    saturated = np.zeros(values.shape, bool) if saturation_dn is None else finite & (values >= saturation_dn)
+    if saturated is None:
+        saturated = np.zeros(values.shape, bool) if saturation_dn is None else values >= saturation_dn
+    saturated = finite & saturated
     valid = finite.copy()
     valid &= ~np.ma.getmaskarray(dn)
     if not valid.any():
@@ -150,7 +157,9 @@ def sensor_image(
     offset, read_noise = offset_dn, read_noise_e
     if offset is None or read_noise is None:
         plain = NoiseModel(read_noise_e=0.0, gain_dn_per_e=gain, offset_dn=offset or 0.0)
-        sky = estimate_background(SensorImage(dn=values, valid=valid, saturated=saturated, noise=plain, source=source))
+        frame = SensorImage(dn=values, valid=valid, saturated=saturated, noise=plain, source=source)
+        step = 4 if min(values.shape) >= 512 else 1  # of a large frame a part tells level and noise to 0.3 %
+        sky = estimate_background(frame, step_px=step)
         level, sigma = float(np.median(sky.level_e)), float(np.median(sky.sigma_e))
         if read_noise is None:
             shot = max(level, 0.0) if offset is not None else 0.0
@@ -174,27 +183,38 @@ def read_image(
     *,
     hdu: int | str | None = None,
     plane: int | None = None,
+    channel: str = "mean",
+    step: float | None = None,
     gain_dn_per_e: float | None = None,
     offset_dn: float | None = None,
     read_noise_e: float | None = None,
     saturation_dn: float | None = None,
     defect: NDArray[np.bool_] | None = None,
 ) -> SensorImage:
-    """A FITS image of any origin; header keywords are used where they exist and needed nowhere.
+    """An image file of any origin: FITS, TIFF, PNG, JPEG, NumPy; 8 to 16 bits or floats; grey or colour.
 
-    Used keywords: EGAIN or CCDGAIN, or GAIN if its comment speaks of electrons (elsewhere it is a camera setting)
-    [e-/DN]; OFFSET if its comment gives the unit [DN]; RDNOISE, READNOIS, ENOISE or RON [e-]; SATURATE, SATLEVEL or
-    DATAMAX [DN]; EXPTIME or EXPOSURE [s]. BSCALE, BZERO, BLANK and tile compression are undone by astropy. Arguments go
-    before keywords; what neither states is estimated as `sensor_image` says.
+    A DN of the result is a step of the converter: 12 bits in the upper ones of 16 are divided by 16, and the level of
+    saturation with them. ``str(image.conversion)`` says what was read. Of colours the mean is taken; a pixel is
+    saturated where any of them is. Pixels that an alpha channel makes invisible are not valid.
+
+    Used keywords of FITS, in units of the stored numbers: EGAIN or CCDGAIN, or GAIN if its comment speaks of electrons
+    (elsewhere it is a camera setting) [e-/DN]; OFFSET if its comment gives the unit [DN]; RDNOISE, READNOIS, ENOISE or
+    RON [e-]; SATURATE, SATLEVEL or DATAMAX [DN]; EXPTIME or EXPOSURE [s]. BSCALE, BZERO, BLANK and tile compression are
+    undone by astropy; CHECKSUM and DATASUM are verified. Exposure times of EXIF are read. Arguments go before keywords;
+    what neither states is estimated as `sensor_image` says.
 
     Parameters
     ----------
     path : str or Path
         The file.
     hdu : int or str, optional
-        Extension; the first one that holds an image if not given.
+        Extension of a FITS file; the first one that holds an image if not given.
     plane : int, optional
-        Which image of a cube.
+        Which image of a cube, or page of a TIFF file.
+    channel : str
+        "mean", "red", "green" or "blue" of a colour image.
+    step : float, optional
+        Stored numbers per DN, where the frame alone may not tell it; by `converter_steps` if not given.
     gain_dn_per_e, offset_dn, read_noise_e, saturation_dn, defect : optional
         As in `sensor_image`.
 
@@ -206,60 +226,97 @@ def read_image(
     Raises
     ------
     ConfigError
-        If the file is missing, broken, or holds no image.
+        If the file is missing, empty, cut off, broken, or holds no image.
     DomainError
         If the image holds no finite number.
     """
-    path = Path(path)
-    data, header = _load(path, hdu)
-    if data.ndim > 2:
-        data = data.reshape(-1, *data.shape[-2:])
-        if plane is None and len(data) > 1:
-            last = len(data) - 1
-            raise ConfigError(f"{path}: holds a cube of {len(data)} images; choose a plane, 0 to {last} (--plane 0)")
-        if plane is not None and not 0 <= plane < len(data):
-            raise ConfigError(f"{path}: plane {plane} of {len(data)}; choose 0 to {len(data) - 1}")
-        data = data[plane or 0]
-    if data.ndim != 2 or data.size == 0:
-        raise ConfigError(f"{path}: image has shape {data.shape}; two dimensions and at least one pixel are needed")
+    if channel not in _CHANNELS:
+        raise unknown_name("channel", channel, _CHANNELS)
+    if step is not None and not 0 < step < np.inf:
+        raise DomainError(f"step = {step}; it must be positive")
+    stored = load_pixels(path, hdu=hdu, plane=plane)
+    values, header = stored.values, stored.header
+    conversion = converter_steps(values, stored.kind)
+    if step is not None:
+        conversion = replace(conversion, step=float(step))
+    full = _number(header, _SATURATION_KEYS, positive=True)
+    if saturation_dn is not None:
+        full = saturation_dn * conversion.step
+    conversion = replace(conversion, full=conversion.full if full is None else full, taken=stored.taken)
+    saturated: Any = None if conversion.full is None else values >= conversion.full
+    if values.ndim == 3:
+        conversion = replace(conversion, channel=channel if channel != "mean" else "mean of red, green and blue")
+        saturated = None if saturated is None else saturated.any(axis=2)
+        values = values.mean(axis=2) if channel == "mean" else values[:, :, _CHANNELS.index(channel) - 1]
+    if conversion.step != 1:
+        values = values // int(conversion.step) if conversion.repeated else values / conversion.step
     if gain_dn_per_e is None:
         electrons_per_dn = _gain_keyword(header)
-        gain_dn_per_e = None if electrons_per_dn is None else 1.0 / electrons_per_dn
+        gain_dn_per_e = None if electrons_per_dn is None else 1.0 / (electrons_per_dn * conversion.step)
     if offset_dn is None and _OFFSET_KEY in header and "[dn]" in str(header.comments[_OFFSET_KEY]).lower():
         offset_dn = _number(header, (_OFFSET_KEY,))
+        offset_dn = None if offset_dn is None else offset_dn / conversion.step
     if read_noise_e is None:
         read_noise_e = _number(header, _READ_NOISE_KEYS)
-    if saturation_dn is None:
-        saturation_dn = _number(header, _SATURATION_KEYS, positive=True)
-    return sensor_image(
-        data,
+    hidden = None if stored.opaque is None else ~stored.opaque
+    if hidden is not None and defect is not None and np.shape(defect) == hidden.shape:
+        defect = hidden | np.asarray(defect, dtype=bool)
+    image = sensor_image(
+        values,
         gain_dn_per_e=gain_dn_per_e,
         offset_dn=offset_dn,
         read_noise_e=read_noise_e,
-        saturation_dn=saturation_dn,
-        defect=defect,
-        exposure_s=_number(header, _EXPOSURE_KEYS, positive=True),
-        source=path.name,
+        saturated=saturated,
+        defect=hidden if defect is None else defect,
+        quantised=conversion.full is not None or None,
+        exposure_s=stored.exposure_s or _number(header, _EXPOSURE_KEYS, positive=True),
+        source=Path(path).name,
     )
+    return replace(image, conversion=conversion)
 
 
-def _load(path: Path, hdu: int | str | None) -> tuple[NDArray[Any], Any]:
-    """Data and header of an image extension; every failure is one ConfigError line."""
-    with open_fits(path) as file:
-        if hdu is None:
-            images = [item for item in file if item.is_image and item.header.get("NAXIS", 0) >= 2]
-            if not images:
-                raise ConfigError(f"{path}: holds no image; {len(file)} extension(s) without image data")
-        try:
-            chosen = images[0] if hdu is None else file[hdu]
-        except (IndexError, KeyError):
-            raise ConfigError(f"{path}: has no extension {hdu!r}; it has {len(file)}, counted from 0") from None
-        data = chosen.data
-        header = chosen.header.copy()
-        dict(header)  # every value is looked at while what is wrong with it can be told
-    if data is None or not isinstance(data, np.ndarray) or data.dtype.kind not in "iuf":
-        raise ConfigError(f"{path}: extension {hdu if hdu is not None else 0} holds no image")
-    return data, header
+def read_images(paths: Iterable[str | Path], **options: Any) -> Iterator[SensorImage]:
+    """Frames of one camera, file by file: all have the size and the steps of the first.
+
+    Parameters
+    ----------
+    paths : iterable of str or Path
+        The files.
+    **options
+        As in `read_image`.
+
+    Yields
+    ------
+    SensorImage
+        The frames, in the order of the paths; each is read when it is asked for.
+
+    Raises
+    ------
+    ConfigError
+        As `read_image`, or if a frame is of another size, type or step than the first one.
+    """
+    first: SensorImage | None = None
+    for path in paths:
+        image = read_image(path, **options)
+        if first is None:
+            first = image
+        rows, columns = first.dn.shape
+        if image.dn.shape != (rows, columns):
+            height, width = image.dn.shape
+            raise ConfigError(f"{path}: {width} x {height} px, {first.source} has {columns} x {rows}")
+        assert first.conversion is not None
+        assert image.conversion is not None
+        known, here = first.conversion, image.conversion
+        if here.stored != known.stored:
+            raise ConfigError(f"{path}: stored as {here.stored}, {first.source} as {known.stored}")
+        if here.step != known.step:
+            if here.step % known.step:
+                raise ConfigError(
+                    f"{path}: counted in steps of {here.step:g}, {first.source} in steps of {known.step:g}; "
+                    "state the step (step=1 takes numbers as they are)"
+                )
+            image = read_image(path, **{**options, "step": known.step})  # few codes have a common step by chance
+        yield image
 
 
 def _number(header: Any, keys: tuple[str, ...], positive: bool = False) -> float | None:

@@ -32,6 +32,8 @@ from optics.records import concatenated
 
 __all__ = ["LikelihoodFit", "PixelFit", "PixelModel", "fit_pixels"]
 
+MOST_LIGHT = 10.0
+"""Times the light of its window that a star may have: no pixel of its core may be usable, and its wings alone tell."""
 CHUNK = 256  # stars per task: the working set of a chunk stays within a few MB of cache
 
 
@@ -233,14 +235,14 @@ class LikelihoodFit:
                 parts = list(pool.map(one, slices))
         else:
             parts = [one(rows) for rows in slices]
-        return self._table(stamps, concatenated(parts))
+        return self._table(stamps, concatenated(parts), noise)
 
     def shape_columns(self, fit: PixelFit) -> dict[str, Any]:
         """Columns of the table that follow from parameters after the flux; ``flags`` are added to those of the fit."""
         del fit
         return {}
 
-    def _table(self, stamps: Stamps, fit: PixelFit) -> StarTable:
+    def _table(self, stamps: Stamps, fit: PixelFit, noise: NoiseModel) -> StarTable:
         theta = fit.parameters
         flags = np.array(stamps.flags)
         lost = fit.iterations == 0
@@ -250,18 +252,53 @@ class LikelihoodFit:
         far = np.hypot(offset[:, X], offset[:, Y]) > self.max_shift_px
         flags[lost] |= int(StarFlag.NO_DATA)
         flags[~lost & (far | ~fit.converged)] |= int(StarFlag.NOT_CONVERGED)
+        place, flux = theta[:, :FLUX] + stamps.corner_px, theta[:, FLUX]
+        background = theta[:, -1] if self.fit_background else stamps.background_e
+        covariance = fit.covariance[:, : FLUX + 1, : FLUX + 1]
+        light, bound = _light(stamps, noise)
+        astray = ~lost & ~((np.abs(flux) <= bound) & _inside(theta, stamps) & np.isfinite(place).all(axis=1))
+        if astray.any():
+            flags[astray] |= int(StarFlag.UNDETERMINED | StarFlag.NOT_CONVERGED)
+            place = np.where(astray[:, None], stamps.start_px, place)
+            flux = np.where(astray, light, flux)
+            background = np.where(astray, stamps.background_e, background)
+            covariance = np.where(astray[:, None, None], _moment_covariance(stamps, noise, light), covariance)
         return StarTable(
-            x_px=np.where(lost, np.nan, theta[:, X] + stamps.corner_px[:, X]),
-            y_px=np.where(lost, np.nan, theta[:, Y] + stamps.corner_px[:, Y]),
-            flux_e=np.where(lost, np.nan, theta[:, FLUX]),
-            background_e=theta[:, -1] if self.fit_background else stamps.background_e,
-            covariance=fit.covariance[:, : FLUX + 1, : FLUX + 1],
+            x_px=np.where(lost, np.nan, place[:, X]),
+            y_px=np.where(lost, np.nan, place[:, Y]),
+            flux_e=np.where(lost, np.nan, flux),
+            background_e=background,
+            covariance=covariance,
             chi2=fit.chi2,
             freedom=fit.freedom,
             iterations=fit.iterations,
             flags=flags,
             **told,
         )
+
+
+def _light(stamps: Stamps, noise: NoiseModel) -> tuple[FloatArray, FloatArray]:
+    """Light of each window (n,) [e-] without background, and the most that its pixels can stand for."""
+    above = np.where(stamps.valid, stamps.electrons - stamps.background_e[:, None, None], 0.0)
+    variance = noise.variance_e2(stamps.background_e) * stamps.valid.sum(axis=(1, 2))
+    light = np.maximum(above.sum(axis=(1, 2)), np.sqrt(variance))
+    return light, MOST_LIGHT * (np.maximum(above, 0.0).sum(axis=(1, 2)) + 5.0 * np.sqrt(variance))
+
+
+def _inside(theta: FloatArray, stamps: Stamps) -> NDArray[np.bool_]:
+    """Whether places (n, k) lie in their windows."""
+    rows, columns = stamps.electrons.shape[1:]
+    inside_x = (theta[:, X] > -0.5) & (theta[:, X] < columns - 0.5)
+    return np.asarray(inside_x & (theta[:, Y] > -0.5) & (theta[:, Y] < rows - 0.5))
+
+
+def _moment_covariance(stamps: Stamps, noise: NoiseModel, light: FloatArray) -> FloatArray:
+    """Covariance (n, 3, 3) of place and flux where only the light of the window is known: a matched filter of 1 px."""
+    variance = noise.variance_e2(stamps.background_e) * stamps.valid.sum(axis=(1, 2)) + light
+    out = np.zeros((len(light), FLUX + 1, FLUX + 1))
+    out[:, X, X] = out[:, Y, Y] = np.minimum(2.0 * variance / light**2, 0.25 * stamps.electrons.shape[1] ** 2)
+    out[:, FLUX, FLUX] = variance
+    return out
 
 
 def _cores() -> int:

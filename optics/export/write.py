@@ -12,11 +12,12 @@ from optics.export.seq import seq_text
 from optics.export.sequence import agf_text, sequence
 from optics.export.zmx import zmx_text
 from optics.lens.geometry import geometry_faults
+from optics.lens.measured import MeasuredLens, measured_table
 from optics.lens_file import LensFile
 from optics.rays.paraxial import axial_paraxial
 from optics.textfile import write_text
 
-__all__ = ["toml_lens", "write_lens"]
+__all__ = ["toml_lens", "write_lens", "write_measured_lens"]
 
 
 def write_lens(file: LensFile, path: str | Path) -> tuple[Path, ...]:
@@ -40,6 +41,13 @@ def write_lens(file: LensFile, path: str | Path) -> tuple[Path, ...]:
     else:
         raise ConfigError(f"{path}: lenses are written as .toml, .zmx or .seq")
     return tuple(write_text(target, text) for target, text in texts.items())
+
+
+def write_measured_lens(lens: MeasuredLens, path: str | Path) -> Path:
+    """Write the file of a measured lens (`optics.lens.measured`), a ``.toml``; `load_lens` reads it."""
+    if Path(path).suffix.lower() != ".toml":
+        raise ConfigError(f"{path}: measured lenses are written as .toml")
+    return write_text(path, toml_lens(measured_table(lens)))
 
 
 def _entrance_pupil(file: LensFile) -> float:

@@ -107,6 +107,12 @@ def crossings(lens: LensSystem) -> list[Crossing]:
                 f"{lens.label(i)} and {lens.label(j)} cross: at {at:.4g} mm from the axis {what} {amount} mm; at least "
                 "0 mm is needed: check radii, thickness_mm and semi_diameter_mm"
             )
+        elif distance < TOUCHING_MM and one.medium not in ("air", "vacuum") and not one.mirror and not other.mirror:
+            words = (
+                f"{one.medium} between {lens.label(i)} and {lens.label(j)} has no thickness on the axis; it must be "
+            )
+            words += "more than 0 mm: check thickness_mm"
+            gap[0] = -math.inf  # from the axis on
         else:
             continue
         first = float(height[int(np.argmax(~(gap >= -TOUCHING_MM)))])

@@ -88,7 +88,8 @@ def _shape(lens: LensSystem, surface: int, name: str, value: object) -> LensSyst
     """With another number in the shape of a surface."""
     one = lens.surfaces[surface]
     if not hasattr(one.shape, name):
-        raise DomainError(f"{lens.label(surface)} of lens {lens.name!r} is a {one.shape.kind}; it has no {name}")
+        number = "curvature" if name == "radius_mm" else name
+        raise DomainError(f"{lens.label(surface)} of lens {lens.name!r} is a {one.shape.kind}; it has no {number}")
     return lens.with_surfaces({surface: replace(one, shape=replace(one.shape, **{name: value}))})
 
 

@@ -42,6 +42,7 @@ EVERYTHING = "@everything"
 
 def _selected(lens: LensSystem, what: What) -> tuple[tuple[int, ...], bool]:
     """Indices of the surfaces that move, and whether the image plane does."""
+    lens.check_surfaces()
     if isinstance(what, str):
         if what in (ALL_SURFACES, EVERYTHING):
             return tuple(range(len(lens.surfaces))), what == EVERYTHING
@@ -338,6 +339,7 @@ def change_temperature(
     DomainError
         If a glass has no expansion or dn/dT data, or the temperature is out of range.
     """
+    lens.check_surfaces()
     _finite("expansion of the housing [1/K]", housing_cte_per_k)
     environment = Environment(
         temperature_c=temperature_c,

@@ -17,10 +17,12 @@ from optics.errors import ConfigError, DomainError, unknown_name
 from optics.glass.catalogue import Glass
 from optics.glass.media import CATALOGUE_AIR, Environment, IndexFormula, index_parameters
 from optics.lens.apertures import Aperture
+from optics.lens.measured import MeasuredLens
 from optics.lens.sag_map import SagMap
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.plane import Plane
 from optics.records import freeze
+from optics.response import Response, checked_wavelength
 
 __all__ = ["AMBIENT", "HALF_TURN", "LensSystem", "Surface"]
 
@@ -138,6 +140,13 @@ class LensSystem:
         Half field angle the lens is meant for.
     environment : Environment
         Temperature and pressure.
+    throughput : Response or None
+        Transmission on the axis as specified or measured, in place of what glasses and coatings let through.
+    blur_um, blur_px : float
+        Standard deviation of a Gaussian that blurs images on top of what rays and diffraction make, in either unit.
+    measured : MeasuredLens or None
+        What was measured of a lens whose surfaces are not known. Surfaces are then those of an ideal lens of its focal
+        length and aperture, for quantities of first order; `check_surfaces` refuses to trace them.
     """
 
     name: str
@@ -149,6 +158,10 @@ class LensSystem:
     design_wavelength_nm: float
     max_field_deg: float
     environment: Environment = CATALOGUE_AIR
+    throughput: Response | None = None
+    blur_um: float = 0.0
+    blur_px: float = 0.0
+    measured: MeasuredLens | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "image_position_mm", shape=(3,))
@@ -189,8 +202,9 @@ class LensSystem:
 
     @property
     def wavelength_range_nm(self) -> tuple[float, float]:
-        """Range in which every glass formula holds."""
+        """Range in which every glass formula and the throughput hold."""
         ranges = [self.glasses[s.medium].range_nm for s in self.surfaces if s.medium != AMBIENT]
+        ranges += [] if self.throughput is None else [self.throughput.range_nm]
         return max((r[0] for r in ranges), default=200.0), min((r[1] for r in ranges), default=2500.0)
 
     @property
@@ -251,8 +265,10 @@ class LensSystem:
         return np.stack([known[medium] for medium in self.media])
 
     def check_wavelength(self, wavelength_nm: FloatArray | float) -> None:
-        """Raise DomainError if a wavelength is outside the range of one of the glasses."""
+        """Raise DomainError if a wavelength is outside the range of one of the glasses or of the throughput."""
         values = np.atleast_1d(np.asarray(wavelength_nm, float))
+        if self.throughput is not None:
+            checked_wavelength(values, self.throughput.range_nm, self.throughput.name, "the table ends there")
         for name in dict.fromkeys(s.medium for s in self.surfaces if s.medium != AMBIENT):
             low, high = self.glasses[name].range_nm
             bad = ~((values >= low) & (values <= high))
@@ -280,6 +296,21 @@ class LensSystem:
         if not found:
             raise unknown_name("element", element, self.elements)
         return found
+
+    def check_surfaces(self) -> None:
+        """Raise DomainError if what surfaces do is asked of a lens that was measured from outside."""
+        if self.measured is not None:
+            raise DomainError(
+                f"this needs a prescription: instrument.lens is a measured lens without surfaces ({self.name!r})"
+            )
+
+    def check_glass(self) -> None:
+        """Raise DomainError if what elements and their glasses do is asked of a lens without any."""
+        self.check_surfaces()
+        if not self.glasses and not any(surface.mirror for surface in self.surfaces):
+            raise DomainError(
+                f"this needs a prescription: instrument.lens is an ideal lens without glass ({self.name!r})"
+            )
 
     def with_surfaces(self, changed: dict[int, Surface]) -> LensSystem:
         """Copy with some surfaces replaced."""

@@ -51,7 +51,7 @@ BREAK: Final = "coordinate_break"
 """What stands for a medium behind a mirror; kind of a table that only moves the frame."""
 
 
-class _Table(BaseModel):
+class StrictTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     @model_validator(mode="before")
@@ -60,7 +60,7 @@ class _Table(BaseModel):
         return without_lax(table, cls)
 
 
-class MovedTable(_Table):
+class MovedTable(StrictTable):
     """A shift and a turn of a frame.
 
     ``tilt_deg`` are right-handed rotations about x, y (and z): with ``axes = "fixed"`` in this order about the axes of
@@ -85,7 +85,7 @@ class ImageTable(MovedTable):
     """The image plane against the frame in which the last thickness ends."""
 
 
-class StopTable(_Table):
+class StopTable(StrictTable):
     """A stop that stands alone: a plane at ``z_mm`` in the lens frame."""
 
     z_mm: Length
@@ -93,7 +93,7 @@ class StopTable(_Table):
     inner_semi_diameter_mm: NotNegative = 0.0
 
 
-class PupilTable(_Table):
+class PupilTable(StrictTable):
     """How wide the stop is open, by what it makes of the light on the axis at the design wavelength."""
 
     f_number: Positive | None = None
@@ -106,7 +106,7 @@ class PupilTable(_Table):
         return self
 
 
-class ErrorTable(_Table):
+class ErrorTable(StrictTable):
     """A measured deviation of a surface, in a file; see `optics.lens.sag_map.SagMap`."""
 
     file: Annotated[str, Field(min_length=1)]
@@ -124,7 +124,7 @@ def _keys(record: Any) -> dict[str, Any]:
     return keys
 
 
-class ApertureTable(_Table):
+class ApertureTable(StrictTable):
     """An outline; its keys are the fields of its kind."""
 
     kind: str
@@ -215,7 +215,7 @@ else:
     ]
 
 
-class GlassTable(_Table):
+class GlassTable(StrictTable):
     """A glass that the built-in catalogue does not hold; keys as in `optics.glass.catalogue.glass_from_table`."""
 
     source: Annotated[str, Field(min_length=1)]
@@ -238,7 +238,7 @@ class GlassTable(_Table):
     transmittance: tuple[NotNegative, ...] | None = None
 
 
-class Prescription(_Table):
+class Prescription(StrictTable):
     """Whole prescription file."""
 
     name: Annotated[str, Field(min_length=1)]

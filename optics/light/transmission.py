@@ -141,7 +141,7 @@ def layout_of(lens: Any) -> Layout:
 def lens_transmission(
     lens: Any, wavelength_nm: ArrayLike, *, coating: Coating | None = None, absorption: bool = True
 ) -> FloatArray:
-    """Transmission of a lens along its axis.
+    """Transmission of a lens along its axis: its own throughput where it has one, else of surfaces and glasses.
 
     Parameters
     ----------
@@ -166,6 +166,9 @@ def lens_transmission(
     DomainError
         Wavelength outside the range of a glass, its transmittance table or the coating; a glass without such a table.
     """
+    throughput: Response | None = getattr(lens, "throughput", None)
+    if throughput is not None:
+        return throughput.interpolate(wavelength_nm)
     layout = lens if isinstance(lens, Layout) else layout_of(lens)
     film: Coating = Uncoated() if coating is None else coating
     wave = np.asarray(wavelength_nm, dtype=np.float64)

@@ -85,6 +85,8 @@ def chief_ray_points(
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
     fx, fy, wave = np.broadcast_arrays(*(np.asarray(v, float) for v in (field_x_deg, field_y_deg, wave)))
     lens.check_wavelength(wave)
+    if lens.measured is not None:
+        return _measured_points(lens, fx, fy, wave)
     direction = light_direction(field_direction(fx, fy))
     aimed = aim_at_stop(lens, direction, wave)
 
@@ -106,6 +108,20 @@ def chief_ray_points(
             first = int(stopped.failed_at[stopped.status != OK].min(initial=len(lens.surfaces)))
             complain(stopped.status != OK, f"is stopped by the rim of {lens.label(first)}")
     return out.x, out.y
+
+
+def _measured_points(
+    lens: LensSystem, fx: FloatArray, fy: FloatArray, wave: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Places that the camera model of a measured lens tells."""
+    assert lens.measured is not None
+    place = lens.measured.place_mm(field_direction(fx, fy), wave)
+    if np.isnan(place).any():
+        raise ConvergenceError(
+            f"lens {lens.name!r} was measured up to {lens.max_field_deg:g} deg from the axis; a direction is asked for "
+            "beyond the field in which its distortion is one-to-one"
+        )
+    return place[..., 0], -place[..., 1]
 
 
 def plate_scale_mm(lens: LensSystem, wavelength_nm: float | None = None) -> float:

@@ -243,6 +243,7 @@ def stopped_down(lens: LensSystem, f_number: float) -> LensSystem:
 
     The paraxial entrance pupil is the image of the stop, so its diameter goes with the stop's.
     """
+    lens.check_surfaces()
     own = axial_paraxial(lens, lens.design_wavelength_nm).f_number
     stop = lens.surfaces[lens.stop_index]
     darkest = own * stop.semi_diameter_mm / stop.inner_semi_diameter_mm if stop.inner_semi_diameter_mm else np.inf

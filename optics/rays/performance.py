@@ -5,7 +5,7 @@ Fields lie along +X of cam, so that positions are x in the image plane; a lens o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,10 @@ from optics.records import freeze
 from optics.units import DEG_RAD
 
 __all__ = ["FocusCurve", "LensPerformance", "lens_performance", "white_focus"]
+
+
+NO_SLOPE = 1e-20
+"""Mean square of slopes that is rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +41,10 @@ class FocusCurve:
             object.__setattr__(self, name, np.array(getattr(self, name), np.float64))
             getattr(self, name).setflags(write=False)
 
+    def blurred(self, sigma_mm: float) -> FocusCurve:
+        """The curve of spots that a round Gaussian of this standard deviation blurs."""
+        return replace(self, square_mm2=self.square_mm2 + 2.0 * sigma_mm**2)
+
     def rms_mm(self, shift_mm: ArrayLike = 0.0) -> FloatArray:
         """RMS radius [mm] at image-plane shifts that broadcast against the curve."""
         z = np.asarray(shift_mm, np.float64)
@@ -44,8 +52,9 @@ class FocusCurve:
 
     @property
     def best_mm(self) -> FloatArray:
-        """Shift of the image plane with the smallest spot [mm]."""
-        return np.asarray(-self.cross_mm / self.slope)
+        """Shift of the image plane with the smallest spot [mm]; 0 where slopes are not known (a measured lens)."""
+        known = ~(self.slope <= NO_SLOPE)
+        return np.asarray(np.where(known, -self.cross_mm / np.where(known, self.slope, 1.0), 0.0))
 
     @property
     def mean(self) -> FocusCurve:

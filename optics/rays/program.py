@@ -100,6 +100,7 @@ def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgra
     theta : (size,)
         The numbers [mm, 1/mm, 1].
     """
+    lens.check_surfaces()
     vector = _Vector()
     media, medium_of = _media(lens, vector)
     steps = []

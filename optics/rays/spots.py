@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_direction, light_direction
+from optics.lens.measured import MeasuredLens
 from optics.lens.system import LensSystem
 from optics.light.collimation import bent_light
 from optics.rays.beam import find_beams
@@ -133,6 +134,10 @@ def trace_spots(
         raise DomainError(
             f"fields of shape {stars.shape[:-1]}, wavelengths {waves.shape}; one-dimensional lists are needed"
         )
+    if lens.measured is not None:
+        if collimation is not None:  # changes the focus, of which nothing was measured
+            lens.check_surfaces()
+        return _measured_spots(lens, lens.measured, stars, waves, order)
     holes = any(surface.holed for surface in lens.surfaces)
     spots = None
     if samples is not None or stop_in_front(lens):
@@ -144,6 +149,42 @@ def trace_spots(
     if not np.any(spots.rays.ok):
         raise ConvergenceError(f"lens {lens.name!r}: no ray of any field reaches the image plane")
     return spots
+
+
+def _measured_spots(
+    lens: LensSystem, measured: MeasuredLens, stars: FloatArray, waves: FloatArray, order: tuple[int, int]
+) -> Spots:
+    """Points that stand for the Gaussians of a measured lens, as rays do for a spot; their moments are exact.
+
+    Along the radius Gauss-Laguerre nodes in half the square of the distance, evenly around.
+    """
+    lens.check_wavelength(waves)
+    place = measured.place_mm(stars[:, None, :], waves)
+    place_x, place_y = np.moveaxis(place, -1, 0)
+    share, offset, covariance = measured.psf.at(place_x, place_y, waves)
+    half_square, weight = np.polynomial.laguerre.laggauss(order[0])
+    turn = 2.0 * np.pi * (np.arange(order[1]) + 0.5) / order[1]
+    unit_x, unit_y = (np.outer(np.sqrt(2.0 * half_square), wave(turn)).ravel() for wave in (np.cos, np.sin))
+    xx, yy, xy = np.moveaxis(covariance[..., None, :], -1, 0)
+    x = place[..., None, None, 0] + offset[..., None, 0] + np.sqrt(xx) * unit_x
+    y = place[..., None, None, 1] + offset[..., None, 1] + xy / np.sqrt(xx) * unit_x
+    y = y + np.sqrt(yy - xy * xy / xx) * unit_y
+    light = measured.relative(place) / stars[:, None, 2] * (0.25 * np.pi * measured.aperture_mm**2)
+    area = (light[..., None] * share)[..., None] * np.repeat(weight / order[1], order[1])
+    known = np.isfinite(place_x)
+    shape = (*known.shape, -1)
+    rays = Rays.create(
+        x_mm=np.where(known[..., None], x.reshape(shape), 0.0),
+        y_mm=np.where(known[..., None], -y.reshape(shape), 0.0),
+        z_mm=0.0,
+        direction=light_direction(stars)[:, None, None, :],
+        wavelength_nm=waves[:, None],
+    )
+    lit = np.broadcast_to(known[..., None], rays.x.shape)
+    return Spots(
+        rays=replace(rays, status=np.where(lit, rays.status, VIGNETTED)),
+        area_mm2=np.where(lit, area.reshape(shape), 0.0),
+    )
 
 
 def _opposite_points() -> PupilSamples:
@@ -162,16 +203,19 @@ def _of_disk(
     """Rays of launch disks that cover these fields and wavelengths."""
     exact = entrance_pupil(lens) if stop_in_front(lens) else None
     pupil = launch_disks(lens, stars, waves) if exact is None else exact
-    centre = (0.0, 0.0) if exact is None else (exact.x_mm, exact.y_mm)
     grid = np.broadcast_to(waves, (len(stars), waves.size))
-    rays = trace(lens, _bent(star_rays(pupil, samples, stars[:, None, :], grid), collimation, *centre))
+    rays = trace(lens, _bent(lens, star_rays(pupil, samples, stars[:, None, :], grid), collimation))
     return Spots(rays=rays, area_mm2=np.where(rays.ok, samples.weight * pupil.area_mm2, 0.0))
 
 
-def _bent(rays: Rays, collimation: FloatArray | None, x_mm: float, y_mm: float) -> Rays:
-    """Rays (f, w, n) of the light of a collimator, about the centre of the pupil."""
+def _bent(lens: LensSystem, rays: Rays, collimation: FloatArray | None) -> Rays:
+    """Rays (f, w, n) of the light of a collimator, about the centre of the pupil, as the renderer's launch disk."""
     if collimation is None:
         return rays
+    x_mm, y_mm = 0.0, 0.0
+    if stop_in_front(lens):
+        pupil = entrance_pupil(lens)
+        x_mm, y_mm = pupil.x_mm, pupil.y_mm
     slopes = collimation[:, 0, None], collimation[:, 1, None], collimation[:, 2, None]
     dx, dy, dz = bent_light((rays.dx, rays.dy, rays.dz), rays.x - x_mm, rays.y - y_mm, slopes, np.sqrt)
     return replace(rays, dx=dx, dy=dy, dz=dz)
@@ -190,7 +234,7 @@ def _of_beams(
         wavelength_nm=waves[:, None],
     )
     start.opl_mm[...] = start.x * start.dx + start.y * start.dy + start.z * start.dz
-    rays = trace(lens, _bent(start, collimation, 0.0, 0.0))
+    rays = trace(lens, _bent(lens, start, collimation))
     lit = rays.ok & (beams.area_mm2 > 0.0)
     return Spots(rays=replace(rays, status=np.where(lit, rays.status, VIGNETTED)), area_mm2=beams.area_mm2 * lit)
 
@@ -361,6 +405,7 @@ def best_focus_shift_mm(
     float
         Shift [mm], positive away from the lens.
     """
+    lens.check_surfaces()
     spots = trace_spots(lens, field_x_deg, field_y_deg, wavelength_nm)
     rays = spots.rays
     per_field = spots.area_mm2.sum(axis=(1, 2), keepdims=True)

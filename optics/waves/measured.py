@@ -56,6 +56,7 @@ def with_wavefront(lens: LensSystem, error: PathMap) -> LensSystem:
     DomainError
         No refracting or reflecting surface without a measured error of its own.
     """
+    lens.check_surfaces()
     at = _surface(lens)
     wave = lens.design_wavelength_nm
     pupil = trace_pupil(lens, [0.0], [0.0], [wave], order=ORDER)

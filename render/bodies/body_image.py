@@ -127,7 +127,7 @@ class BodyRenderer:
             lit = (mean > 0.0) & (mean < ceiling_e)
             share = float((error[lit] ** 2 / mean[lit]).max(initial=0.0))
             for band in range(len(self.bands)):
-                electrons[rows, columns, band] = diffuse(mean[..., band], camera.charge_diffusion_px)
+                electrons[rows, columns, band] = diffuse(mean[..., band], camera.blur_px)
             if camera.sensitive_columns is not None:
                 electrons[:, ~camera.sensitive_columns] = 0.0
         return _finished(electrons, self.rule.name, exposure_s, share)

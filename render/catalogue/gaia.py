@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD, DEG_RAD, RAD_ARCSEC
+from render.catalogue.hipparcos import with_motions
 from render.catalogue.motion import propagate
 from render.catalogue.record import MAS_RAD, StarCatalog, direction_from_angles
 from render.catalogue.temperature import effective_temperature
@@ -49,8 +50,8 @@ _FEWEST = 50  # stars from which the meaning of the two last columns can be told
 _SAME_STAR_RAD = 5.0 * ARCSEC_RAD
 
 
-def load_gaia(path: str | Path | None = None, *, fill_bright: bool = True) -> StarCatalog:
-    """Stars of Gaia DR3 brighter than G = 10, brighter ones from Hipparcos.
+def load_gaia(path: str | Path | None = None, *, fill_bright: bool = True, motions: bool = False) -> StarCatalog:
+    """Stars of Gaia DR3 brighter than G = 10, brighter ones and proper motions from Hipparcos.
 
     Parameters
     ----------
@@ -58,12 +59,14 @@ def load_gaia(path: str | Path | None = None, *, fill_bright: bool = True) -> St
         A file in the format of the package; the package's own if left out.
     fill_bright : bool
         Whether to complete the brightest stars from Hipparcos.
+    motions : bool
+        Whether to add proper motions and parallaxes where Hipparcos-2 has them (`with_motions`, a second).
 
     Returns
     -------
     StarCatalog
         Epoch 2016.0; ``id`` is Gaia's source_id, or -HIP. ``attribution`` is what the licence asks to be said. Proper
-        motion is NaN where the file holds BP and RP instead.
+        motion and parallax are NaN where neither the file nor Hipparcos knows them; ``notes`` counts these stars.
 
     Raises
     ------
@@ -97,7 +100,8 @@ def load_gaia(path: str | Path | None = None, *, fill_bright: bool = True) -> St
         proper_motion_rad_per_year=np.full_like(pair, np.nan) if kind == "magnitudes" else pair * MAS_RAD,
         notes=(f"columns 5 and 6 of {file.name} hold {'BP and RP' if kind == 'magnitudes' else 'proper motions'}",),
     )
-    return _with_bright_stars(catalog) if fill_bright else catalog
+    catalog = _with_bright_stars(catalog) if fill_bright else catalog
+    return with_motions(catalog) if motions else catalog
 
 
 def gaia_extent() -> tuple[Path, int, float]:

@@ -172,5 +172,6 @@ def camera_of(props: Any, width: int, height: int) -> Camera:
         pixel_pitch_mm=pitch_um * UM_MM,
         defocus_mm=float(props.get("defocus_mm", 0.0)),
         charge_diffusion_px=float(props.get("charge_diffusion_um", 0.0)) / pitch_um,
+        diffraction=props.get("diffraction", "waves"),
         rotation_cam_from_world=_rotation(props),
     )

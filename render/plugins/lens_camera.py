@@ -11,6 +11,8 @@ pixel_pitch_um : float
     Pixel pitch; the film gives the number of pixels.
 defocus_mm, charge_diffusion_um : float, default 0
     Detector shift away from the lens; standard deviation of the charge diffusion.
+diffraction : {"rays", "waves", "exact_waves"}, default "waves"
+    How ``star_tracer`` makes the images of stars.
 to_world : Transform4f
     As for Mitsuba's ``perspective``: the camera looks along its local +Z, its local +Y is up in the image. Single
     precision (0.02"); for star fields rather give

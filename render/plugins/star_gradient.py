@@ -21,6 +21,7 @@ Matrix = list[list[Any]]
 
 def attached_image(mi: Any, tracer: Tracer, camera: Any, field: Any) -> Any:
     """Image (h, w, b) of a ``star_field`` through a ``lens_camera``, as a tensor with derivatives."""
+    tracer.camera.lens.check_surfaces()
     F, stars, numbers = mi.Float64, field.stars, camera.numbers
     paths = _paths(mi, tracer, camera, field)
     optics, slopes = numbers.derivatives(lambda other: lens_numbers(other, tracer.pupil).values)

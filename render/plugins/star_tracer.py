@@ -6,6 +6,8 @@ sobol_log2_rays : int, default 16
     Logarithm of the rays per star and band where the pupil is not round and clear.
 tolerance : float, default 3e-5
     Of the quadrature of the pupil (`render.tracing.pupil.sampling`).
+by_grid : bool, default false
+    By waves: few stars too are taken from a grid of images over the field, which pays where many fields follow.
 bodies : integrator, optional
     What renders everything else in the scene, e.g. ``path``: its image through the same lens is added to the stars'.
 
@@ -90,6 +92,7 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             self.tolerance = float(props.get("tolerance", TOLERANCE))
             if not self.tolerance > 0.0:
                 raise ConfigError(f"star_tracer: tolerance = {self.tolerance:g}; it must be positive")
+            self.by_grid = bool(props.get("by_grid", False))
             self.bodies = props.get("bodies")
             if self.bodies is not None and (mi.is_spectral or mi.is_rgb):
                 raise BackendError(
@@ -188,6 +191,7 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
                     sobol_log2_rays=self.sobol_log2_rays,
                     sobol_seed=number,
                     tolerance=self.tolerance,
+                    by_grid=self.by_grid,
                 )
             return kept
 
@@ -225,7 +229,7 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             finally:
                 camera.wavelength_nm = before
             image = np.stack(layers, axis=-1).reshape(*layers[0].shape, bands, nodes).sum(-1)
-            whole = [diffuse(image[..., band], optics.charge_diffusion_px) for band in range(bands)]
+            whole = [diffuse(image[..., band], optics.blur_px) for band in range(bands)]
             return np.stack(whole, axis=-1).astype(np.float32)
 
         def sample(self, scene: Any, sensor: Any, sampler: Any, block: Any, sample_scale: Any) -> None:

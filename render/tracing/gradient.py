@@ -382,7 +382,7 @@ def _splat(
     area = np.pi * exposure_s * dr.square(bundle.disk[3])
     light = dr.gather(F, rate, star * (bands * colours) + colour) * dr.gather(F, response, colour)
     light = light * toward * area * share
-    sigma = camera.charge_diffusion_px
+    sigma = camera.blur_px
     columns, rows = (gaussian_shares(scene.F, scene.I, v + 0.5, sigma, PIXEL_REACH) for v in (x, y))
     sensitive = camera.sensitive_columns
     open_ = None if sensitive is None else scene.B(sensitive)
@@ -666,7 +666,7 @@ def _windows(
     mean = np.nan_to_num(mean)
     corner = np.rint(mean) - 0.5 * size
     first, more = (np.zeros_like(corner), 0) if trail is None else trail.room(part)
-    sigma, moving = images.camera.charge_diffusion_px, trail is not None
+    sigma, moving = images.camera.blur_px, trail is not None
     return [
         Window(corner[s, b], mean[s, b], size, fields[b], sigma, first[s, b], size + more, moving)
         for s, b in np.ndindex(*corner.shape[:2])

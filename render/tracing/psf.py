@@ -21,18 +21,28 @@ from optics.waves.even_pupil import even_pupil
 from optics.waves.pupil_field import PupilField, trace_pupil
 from render.camera import Camera
 from render.records import EffectivePsf, StarField
+from render.tracing.measured.images import measured_psfs, pixel_shares
 from render.tracing.tracer import Tracer
 
-__all__ = ["WaveImages", "epsf_tracer", "pixel_shares", "ray_epsf", "render_epsf", "trailed", "wave_images"]
+__all__ = [
+    "WaveImages",
+    "epsf_tracer",
+    "measured_psfs",
+    "pixel_shares",
+    "ray_epsf",
+    "render_epsf",
+    "trailed",
+    "wave_images",
+]
 
 
 TOLERANCE = 2e-4
 """Of the pupil quadrature: an error of this size at half a cycle per pixel and beyond moves a fit by some 1e-5 px."""
 
 
-def epsf_tracer(camera: Camera) -> Tracer:
+def epsf_tracer(camera: Camera, *, by_grid: bool = False) -> Tracer:
     """Tracer for `render_epsf`; hand it on when one camera needs PSFs at many places, so that it is prepared once."""
-    return Tracer(camera, tolerance=TOLERANCE)
+    return Tracer(camera, tolerance=TOLERANCE, by_grid=by_grid)
 
 
 def render_epsf(
@@ -70,16 +80,6 @@ def render_epsf(
     cells = tracer.centred_cells(stars, half_size_px=half_size_px, cells_per_px=oversampling)
     share = pixel_shares(cells, oversampling)
     return [[EffectivePsf(values=psf, oversampling=oversampling) for psf in row] for row in share]
-
-
-def pixel_shares(cells: FloatArray, cells_per_px: int) -> FloatArray:
-    """Light of pixels at every whole number of cells, (..., n + 1 - cells_per_px, the same), from cells (..., n, n)."""
-    running = np.pad(cells.cumsum(-2).cumsum(-1), [(0, 0)] * (cells.ndim - 2) + [(1, 0), (1, 0)])
-    low, high = running[..., :-cells_per_px], running[..., cells_per_px:]
-    return np.asarray(
-        (high[..., cells_per_px:, :] - high[..., :-cells_per_px, :])
-        - (low[..., cells_per_px:, :] - low[..., :-cells_per_px, :])
-    )
 
 
 def ray_epsf(

@@ -2,7 +2,8 @@
 
 Directions during the exposure and the light of every node (`render.tracing.motion.paths`), the points that stand for
 each beam (`render.tracing.pupil.planning`), then the images, which a maker adds up together with the truth: by rays
-(`render.tracing.rays.images`) or by waves (`render.tracing.waves.images`), as the camera says.
+(`render.tracing.rays.images`) or by waves (`render.tracing.waves.images`), as the camera says. A lens that was measured
+tells places and images itself (`render.tracing.measured.images`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from optics.rays.spots import spot_moments
 from render.camera import Camera
 from render.records import StarField, Truth
 from render.tracing.convergence import TOLERANCE
+from render.tracing.measured.images import MeasuredImages, MeasuredPlanner
 from render.tracing.motion.exposure import ExposureMotion, IdealLens
 from render.tracing.motion.paths import Light, StarPaths, at_rest, pick_times, star_paths
 from render.tracing.pupil.outlines import ARC_LADDER
@@ -80,6 +82,8 @@ class Tracer:
         Of the quadrature, see `render.tracing.pupil.sampling`.
     general : bool
         Compile the lens with general poses, so that all perturbed copies of it share their kernels.
+    by_grid : bool
+        By waves: few stars too are taken from a grid of images over the field, which pays where many fields follow.
 
     Raises
     ------
@@ -95,13 +99,20 @@ class Tracer:
         sobol_seed: int = 0,
         tolerance: float = TOLERANCE,
         general: bool = False,
+        by_grid: bool = False,
     ) -> None:
         self.camera = camera
+        self.images: ImageMaker
+        self.planner: PupilPlanner
+        if camera.lens.measured is not None:
+            self.planner = planner = MeasuredPlanner(camera, sobol_seed)
+            self.images = MeasuredImages(planner)
+            return
         self.planner = PupilPlanner(
             camera, sobol_log2_rays=sobol_log2_rays, sobol_seed=sobol_seed, tolerance=tolerance, general=general
         )
         by_rays = camera.diffraction == "rays"
-        self.images: ImageMaker = RayImages(self.planner) if by_rays else WaveImages(self.planner)
+        self.images = RayImages(self.planner) if by_rays else WaveImages(self.planner, by_grid=by_grid)
 
     @property
     def pupil(self) -> EntrancePupil:
@@ -184,6 +195,8 @@ class Tracer:
         paths = self._in_cam(stars, None)
         light = self.light(stars, paths, 1.0)
         exposure = self.planner.exposure(paths, light.wavelength_nm)
+        if isinstance(self.images, MeasuredImages):
+            return self.images.means(light, exposure)
         means = np.full((len(paths.mid), len(light.share[0]), 2), np.nan)
         if self.pupil.exact:
             every = np.arange(len(means))
@@ -290,7 +303,7 @@ class Tracer:
     def light(self, stars: StarField, paths: StarPaths, exposure_s: float) -> Light:
         """Light of stars as it is shared out over the nodes of an exposure."""
         rate = stars.photon_rate * self.camera.response_at(stars.wavelength_nm)
-        received = (paths.nodes[..., 2] * paths.weight)[:, None, :, None]
+        received = (self.planner.received(paths.nodes) * paths.weight)[:, None, :, None]
         per_node = (rate * (self.pupil.area_mm2 * exposure_s))[:, :, None] * received
         per_node = per_node.reshape(*rate.shape[:2], paths.nodes.shape[1] * rate.shape[2])
         electrons = per_node.sum(2)

@@ -91,11 +91,12 @@ class TruthSums:
     hidden: FloatArray
     beyond: FloatArray
     entrance: FloatArray
+    noise_area: FloatArray
 
     @classmethod
     def empty(cls, stars: int, bands: int) -> TruthSums:
         """Nothing known yet, and nothing beyond stamps."""
-        places, light = np.full((4, stars, bands, 2), np.nan), np.full((6, stars, bands), np.nan)
+        places, light = np.full((4, stars, bands, 2), np.nan), np.full((7, stars, bands), np.nan)
         light[4] = 0.0
         return cls(*places, *light)
 
@@ -121,6 +122,7 @@ class TruthSums:
         self.variance[stars] = variance * size**2
         self.photon[stars] = corner_px + photon * size
         self.entrance[stars] = entrance
+        self.noise_area[stars] = _noise_area(sums.pixels, landed)
         self.image[stars] = on_image * electrons_in
         self.vignetted[stars] = moments[..., LOST] * electrons_in
         self.off_edge[stars] = (landed - on_image + moments[..., OUTSIDE]) * electrons_in
@@ -134,6 +136,7 @@ class TruthSums:
             if rays.entrance is not None:
                 self.entrance[stars], self.hidden[stars] = rays.entrance, 0.0
         self.photon[stars] = stamps.mean_px
+        self.noise_area[stars] = _noise_area(stamps.pixels, landed)
         self.image[stars] = on_image * electrons_in
         self.off_edge[stars] = (landed - on_image) * electrons_in
         self.beyond[stars] = (stamps.light - landed) * electrons_in
@@ -158,4 +161,11 @@ class TruthSums:
             electrons_off_edge=self.off_edge,
             electrons_hidden=self.hidden,
             electrons_beyond=self.beyond,
+            noise_area_px2=self.noise_area,
         )
+
+
+def _noise_area(pixels: FloatArray | NDArray[np.float32], landed: FloatArray) -> FloatArray:
+    """Square of the sum (s, b) of stamps (s, b, m, m) over their sum of squares; NaN without light."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(landed**2 / np.einsum("sbij,sbij->sb", pixels, pixels))

@@ -18,6 +18,11 @@ __all__ = ["GaussianCentroider"]
 NARROWEST_PX = 0.25
 """Width below which the stated covariance of a position is too small, by 1.6 times at 0.2 px and 3 at 0.15 px."""
 
+SHARP_PX, SHARP_MISFIT = 0.75, 25.0
+"""Stars narrower than this whose pixels differ from a Gaussian by this much chi-square are flagged ``PIXEL_PHASE``: of
+a core sharper than the Gaussian, the error by pixel phase is about a tenth of the root of the misfit, in standard
+deviations, so half of one here (`tests/calib/measure/test_sharp_stars.py`). Gaussian stars have none at any width."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GaussianCentroider(LikelihoodFit):
@@ -49,8 +54,11 @@ class GaussianCentroider(LikelihoodFit):
 
     def shape_columns(self, fit: PixelFit) -> dict[str, Any]:
         """``width_px``, and the flag of widths that are half prior or next to nothing."""
+        misfit = np.maximum(fit.chi2 - 1.0, 0.0) * fit.freedom  # chi-square beyond what noise leaves
+        sharp = (misfit > SHARP_MISFIT) & (misfit > 10.0 * np.sqrt(fit.freedom))
         if self.sigma_px is not None:
-            return {}
+            told = sharp & (self.sigma_px < SHARP_PX)
+            return {"flags": np.where(told, int(StarFlag.PIXEL_PHASE), 0).astype(np.uint32)}
         both = slice(LN_SIGMA_X, LN_SIGMA_Y + 1)
         ln_sigma = fit.parameters[:, both]
         variance = np.diagonal(fit.covariance, axis1=1, axis2=2)[:, both]
@@ -59,4 +67,5 @@ class GaussianCentroider(LikelihoodFit):
             ln_sigma < np.log(NARROWEST_PX)
         )
         flags = np.where(unknown.any(axis=1) & ~lost, int(StarFlag.WIDTH_UNKNOWN), 0).astype(np.uint32)
+        flags[sharp & (np.exp(ln_sigma.min(axis=1)) < SHARP_PX) & ~lost] |= np.uint32(int(StarFlag.PIXEL_PHASE))
         return {"width_px": np.where(lost, np.nan, np.exp(ln_sigma.mean(axis=1))), "flags": flags}

@@ -182,7 +182,7 @@ def _converged_count(
     path_px: Callable[[FloatArray], FloatArray], camera: Camera, tolerance: float
 ) -> tuple[int, float]:
     """Number of time nodes for paths (n, t, 2) [px] at nodes (t,) on (0, 1), and the length of the longest path."""
-    diffusion_px = camera.charge_diffusion_px
+    diffusion_px = camera.least_blur_px
     frequency = damped_frequencies(diffusion_px, tolerance)
     if frequency is None:
         frequency, diffusion_px = frequencies_up_to(HIGHEST_FREQUENCY), 0.0

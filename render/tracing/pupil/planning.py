@@ -240,14 +240,18 @@ class PupilPlanner:
             centre_px=self.camera.centre_px,
             pupil_mm=(pupil.x_mm, pupil.y_mm, pupil.z_mm),
             pupil_radius_mm=pupil.radius_mm,
-            diffusion_px=self.camera.charge_diffusion_px,
+            diffusion_px=self.camera.blur_px,
         )
         return StarKernel(self.program, self.theta, geometry, direction, shear, collimation)
+
+    def received(self, nodes: FloatArray) -> FloatArray:
+        """Light (n, t) of stars in directions (n, t, 3) that the launch disk takes, relative to the axis."""
+        return np.asarray(nodes[..., 2])
 
     @property
     def _blurred(self) -> bool:
         """Whether charge diffusion softens the edges of pixels enough for a quadrature."""
-        return self.camera.charge_diffusion_px * HIGHEST_FREQUENCY >= LEAST_DAMPED
+        return self.camera.blur_px * HIGHEST_FREQUENCY >= LEAST_DAMPED
 
     def exposure(
         self,
@@ -350,7 +354,7 @@ class PupilPlanner:
     def sampled_by_rays(self, exposure: Exposure) -> Sampled:
         """How all stars are sampled by rays: what no quadrature is fit for goes to the last group, of Sobol points."""
         everyone = np.arange(exposure.mid.count)
-        sampled = self.sampled(exposure, everyone, shapes=self.camera.charge_diffusion_px > 0.0)
+        sampled = self.sampled(exposure, everyone, shapes=self.camera.blur_px > 0.0)
         groups, bounds, left = [], sampled.bounds, everyone
         holed = any(surface.holed for surface in self.camera.lens.surfaces)
         for group in sampled.groups:
@@ -479,7 +483,7 @@ class PupilPlanner:
         if still is not None:
             least = LEAST_ARC_ORDER if mode == "arcs" else LEAST_ORDER
             tolerance = self.tolerance * (MOTION_TOLERANCE / TOLERANCE)
-            return lowest_order(land, self.camera.charge_diffusion_px, tolerance, still[0], least)
+            return lowest_order(land, self.camera.blur_px, tolerance, still[0], least)
         fewer = tuple(one for one in ladder if math.prod(one) * wavelength_nm.shape[1] <= MOST_RAYS)
         return self._converged(exposure, group, fewer)
 
@@ -499,7 +503,7 @@ class PupilPlanner:
             for f, end in ((np.min, np.inf), (np.max, -np.inf))
         )
         empty = ~np.isfinite(low)
-        room = reach_px(self.camera.charge_diffusion_px) + 1.0 + RIM_BEYOND * np.where(empty, 0.0, high - low)
+        room = reach_px(self.camera.blur_px) + 1.0 + RIM_BEYOND * np.where(empty, 0.0, high - low)
         corner = np.where(empty, 0.0, np.floor(low - room)) - 0.5
         size = math.ceil(float(np.where(empty, 0.0, high - low + 2.0 * room).max())) + 1
         if size > WIDEST_TRIAL_PX:

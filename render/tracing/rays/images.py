@@ -109,7 +109,7 @@ class _Passes:
         Returns the stars of a quadrature that turn out to lose light in the lens; they are not in the image yet.
         """
         members, light = group.members, self.light
-        reach = reach_px(self.camera.charge_diffusion_px)
+        reach = reach_px(self.camera.blur_px)
         margin = np.full(len(members), MARGIN_PX)
         todo, cut = np.arange(len(members)), []
         while len(todo):
@@ -175,7 +175,7 @@ class _Passes:
         size = np.minimum(np.ceil(extent_px).max((1, 2)).astype(int) + 1, STAMP_LIMIT_PX)
         order = np.argsort(size, kind="stable")
         per_pixel = 16 * len(self.light.wavelength_nm)
-        strips = 2 * strips_per_pixel(self.camera.charge_diffusion_px)
+        strips = 2 * strips_per_pixel(self.camera.blur_px)
         rays = self.light.share[0].size * group.rays
         azimuths = 2 * self.light.share[0].size * group.order[1]
         passes, start = [], 0

@@ -127,7 +127,7 @@ class WaveGrid:
         light, moments, origin = self._rays(weight, shares, turn, chief_px)
         count = (2 * half_size_px + 1) * cells_per_px
         centres = (np.arange(count) + 0.5) / cells_per_px - 0.5 * count / cells_per_px
-        kernel = self.field.pixel(1.0 / cells_per_px, self.camera.charge_diffusion_px)
+        kernel = self.field.pixel(1.0 / cells_per_px, self.camera.blur_px)
         samples = window_samples(self.field, self._window, self._table.pad_px) - 0.5 * self._window
         result = np.empty((*light.shape, count, count))
         for b in range(light.shape[1]):
@@ -213,7 +213,7 @@ class WaveGrid:
 
     @property
     def _table(self) -> PixelTable:
-        return self.field.table(self.camera.charge_diffusion_px)
+        return self.field.table(self.camera.blur_px)
 
 
 TOLERANCE = 1e-4
@@ -386,7 +386,7 @@ class _FieldImages:
         light, moment, origin = found.light, found.moment, found.origin
         if self.mirrored:
             light, moment, origin = _unfolded(light, moment, origin, size)
-        smoothing, disk = found.on_pixels(self.camera.charge_diffusion_px)
+        smoothing, disk = found.on_pixels(self.camera.blur_px)
         limit = COMPONENT * (SIZES[0] / size) ** 2
         step, side = found.field.light_step, light.shape[-1]
         parts = [_components(one.reshape(-1, side, side), smoothing, disk, step, limit) for one in light]
@@ -403,7 +403,7 @@ class _FieldImages:
         if found is None:
             return None
         bands, _, most, side, _ = found.light.shape
-        blur_px = math.hypot(PIXEL_BLUR_PX, self.camera.charge_diffusion_px)
+        blur_px = math.hypot(PIXEL_BLUR_PX, self.camera.blur_px)
         parts: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
         orders: list[IntArray] = []
         for light in found.light:
@@ -440,10 +440,10 @@ class _FieldImages:
             return None  # some beams have no smooth outline, or no light
         needs = images.common_needs(probes)
         radius, fine = max(needs[0], math.ceil(self.least_radius_px)), needs[1]
-        field = fine.seen(self.camera.charge_diffusion_px)
+        field = fine.seen(self.camera.blur_px)
         if radius > LARGEST_RADIUS_PX:
             return None
-        pad, window = field.table(self.camera.charge_diffusion_px).pad_px, 2.0 * radius + 1.0
+        pad, window = field.table(self.camera.blur_px).pad_px, 2.0 * radius + 1.0
         samples = window_samples(field, window, pad) - 0.5 * window
         near = np.hypot(samples, samples[:, None]) <= radius + pad + 0.5
         down, margin = coarser(fine, field, window, pad), pad + COARSE_REACH_PX

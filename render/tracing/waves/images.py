@@ -44,11 +44,12 @@ class WaveImages:
 
     Rays tell the truth of stars that are summed one by one. Grids of images are kept between star fields, and shared by
     all tracers of equal cameras: those that render, and those that make PSFs. The light of the stars of the last field
-    is kept for their PSFs.
+    is kept for their PSFs. With ``by_grid`` few stars are taken from a grid too, as where many more fields follow.
     """
 
-    def __init__(self, planner: PupilPlanner) -> None:
+    def __init__(self, planner: PupilPlanner, *, by_grid: bool = False) -> None:
         self.planner, self.camera, self.rays = planner, planner.camera, RayImages(planner)
+        self.by_grid = by_grid
         self._known: tuple[tuple[bytes, bytes], KeptLight] = (b"", b""), {}
 
     def add(self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
@@ -78,7 +79,8 @@ class WaveImages:
             return nobody
         edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
         stars = np.flatnonzero(((chief > -0.5 - WING_PX) & (chief < edge)).all((1, 2)))
-        if not self._spread(chief[stars]) or not worth_a_grid(light.wavelength_nm, len(stars)):
+        worth = self._spread(chief[stars]) and worth_a_grid(light.wavelength_nm, len(stars))
+        if not len(stars) or not (self.by_grid or worth):
             return nobody
         grid = self._grid(light.wavelength_nm, exposure.paths.collimation, 0.0)
         if grid is None:
@@ -126,9 +128,12 @@ class WaveImages:
         By a grid, corners of the square are dark where its stamps have ended.
         """
         radius_px, chiefs = math.ceil(half_size_px + 0.5), exposure.chiefs
-        if self.camera.diffraction == "waves" and worth_a_grid(light.wavelength_nm, len(light.electrons)):
+        worth = self.by_grid or worth_a_grid(light.wavelength_nm, len(light.electrons))
+        if self.camera.diffraction == "waves" and worth:
             chief, by = chiefs.place_px, (light.wavelength_nm, exposure.paths.collimation)
-            grid = self._grid(*by, 0.0) if self._spread(chief) else None  # that of the images serves, if it is as large
+            grid = (
+                self._grid(*by, 0.0) if self.by_grid or self._spread(chief) else None
+            )  # that of the images serves, if it is as large
             if grid is not None and grid.radius_px < radius_px:
                 grid = self._grid(*by, float(radius_px))
             if grid is not None and grid.holds(exposure.paths.mid).all() and not chiefs.blocked.any():

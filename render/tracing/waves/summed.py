@@ -175,7 +175,7 @@ class SummedImages:
                     image = self.kept.get(self._key(star, at[1]))
                     if image is None or image.reach_px < math.sqrt(0.5) * window:
                         image = self._window_light(summands, at, mean[at], window, 1.0 / cells_per_px)
-                    kernel = image.field.pixel(1.0 / cells_per_px, self.camera.charge_diffusion_px)
+                    kernel = image.field.pixel(1.0 / cells_per_px, self.camera.blur_px)
                     matrix = kernel(edges[:, None] - image.place_px) * image.field.light_step
                     with np.errstate(invalid="ignore"):
                         result[at] = (matrix @ image.values @ matrix.T) / light[at]
@@ -309,7 +309,7 @@ class SummedImages:
     ) -> StarLight:
         """Light of a window about the mean of all of it, with a margin for boxes anywhere in it."""
         field = summands.fields[at[1]]
-        pad = field.pixel(box_px, self.camera.charge_diffusion_px).reach_px
+        pad = field.pixel(box_px, self.camera.blur_px).reach_px
         share = self.share[summands.stars[at[0]], at[1]]
         image = summands.light(at, share, mean_px - 0.5 * window_px, window_px, pad)
         place = window_samples(field, window_px, pad) - 0.5 * window_px
@@ -321,7 +321,7 @@ class SummedImages:
 
     def _still(self, light: StarLight, shift_px: FloatArray, size: int) -> FloatArray:
         """Pixels of a disk in a window whose middle the mean of the light lies beside."""
-        kernel = light.field.pixel(1.0, self.camera.charge_diffusion_px)
+        kernel = light.field.pixel(1.0, self.camera.blur_px)
         centres = np.arange(0.5, size) - 0.5 * size
         column, row = (
             (kernel((centres - d)[:, None] - light.place_px) * light.field.light_step).astype(light.values.dtype)
@@ -334,7 +334,7 @@ class SummedImages:
         self, light: StarLight, shift_px: FloatArray, size: int, moves_px: FloatArray, weight: FloatArray, stamp_px: int
     ) -> FloatArray:
         """Pixels of the same disk along a trail."""
-        kernel = light.field.pixel(1.0, self.camera.charge_diffusion_px)
+        kernel = light.field.pixel(1.0, self.camera.blur_px)
         column_px, row_px = (light.place_px + d for d in shift_px)
         image = light.values * (np.hypot(column_px, row_px[:, None]) <= 0.5 * size)
         centres = np.arange(0.5, stamp_px) - 0.5 * size + np.floor(moves_px.min(0))[:, None]

@@ -110,3 +110,16 @@ def test_a_part_of_the_pixels_gives_the_same_mesh_where_it_belongs():
         estimate_background(image, step_px=0)
     with pytest.raises(DomainError, match=r"box_px = 64 px; .* step_px = 16, so 128 px"):
         estimate_background(image, step_px=16)
+
+
+@pytest.mark.parametrize(
+    ("mean", "sigma"), [(50.3, 0.25), (50.3, 0.5), (0.3, 1.0), (0.0, 3.0), (-1.0, 3.0), (2.0, 3.0)]
+)
+def test_whole_numbers_cut_off_at_zero(mean, sigma):
+    """Level and noise are those of the numbers as they are: 4 statistical errors, and 2.5 % for what is left out."""
+    dn = np.clip(np.rint(np.random.default_rng(1).normal(mean, sigma, (256, 256))), 0.0, 255.0)
+    everything = np.ones(dn.shape, bool)
+    noise = NoiseModel(read_noise_e=1.0, quantised=True)
+    sky = estimate_background(SensorImage(dn=dn, valid=everything, saturated=~everything, noise=noise))
+    assert sky.sigma_e.mean() == pytest.approx(dn.std(), rel=0.025 + 4.0 / np.sqrt(2.0 * dn.size))
+    assert sky.level_e.mean() == pytest.approx(dn.mean(), abs=0.05 * max(dn.std(), 0.5) + 0.08 * (sigma < 0.4))

@@ -83,6 +83,7 @@ def loaded(tmp_path, text):
         ("= 6.0", "= -3.0", r"surface 1 and surface 2 cross: at 5 mm from the axis they would overlap by 3\.5"),
         ("= 3.26", "= 0.5", r"surface 0 and surface 1 cross: at 9\.5 mm .* N-SK16 between them would be -1\.7"),
         ("= 7.5", "= 15.0", r"surface 5 and surface 6 cross: at 15 mm .* N-SK16 between them would be -6\.2"),
+        ("= 1.0\n", "= 0.0\n", r"N-F2 between surface 2 and surface 3 has no thickness on the axis"),
         ("= 3.9", "= 100.0", r"surface 4, has semi_diameter_mm = 100 mm, .* surface 2 leaves only 4\.9"),
         ("= 22.0", "= 22.0\nasphere = [1.0]", r"surface 0 and surface 1 cross"),
         ("= -18.4", "= -18.4\nasphere = [1.0]", r"surface 6, the last, reaches the image plane, 42\.2 mm"),

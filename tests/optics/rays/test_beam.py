@@ -13,6 +13,7 @@ from optics.lens.shapes.plane import Plane
 from optics.lens.system import Surface
 from optics.lens_file import load_lens
 from optics.rays.beam import find_beams
+from optics.rays.beam_widths import beam_widths
 from optics.rays.pupil import sobol_disk
 from optics.rays.spots import collecting_area_mm2, spot_moments
 
@@ -79,3 +80,18 @@ def test_a_field_without_light_has_no_area_and_a_lens_without_edge_no_beam():
     boundless = replace(CAMERA, surfaces=tuple(replace(s, semi_diameter_mm=math.inf) for s in CAMERA.surfaces))
     with pytest.raises(ConvergenceError, match=r"no ray|no aperture"):
         find_beams(boundless, field_direction([0.0], [0.0]), [600.0], rings=3, arms=8)
+
+
+@pytest.mark.parametrize("factors", [None, (0.1, -0.2, 0.3, 0.05, 25.0), (0.0, 0.15, 0.4, 0.0, -60.0)])
+def test_vignetting_factors_move_narrow_and_turn_the_beam(factors):
+    """On a plane in front of the stop the beam is an ellipse about the chief ray: decentred, cut to 1 - VC, turned."""
+    distance, field = 400.0, np.array([2.0, 1.0])
+    widths = beam_widths(with_hood(500.0, distance), field[None], [600.0], None if factors is None else [factors])
+    angle, radius = np.linspace(0.0, 2.0 * np.pi, 2000), CAMERA.surfaces[0].semi_diameter_mm
+    dx, dy, cut_x, cut_y, turn = factors or (0.0,) * 5
+    edge = radius * np.array([dx + (1.0 - cut_x) * np.cos(angle), dy + (1.0 - cut_y) * np.sin(angle)])
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    chief = -distance * np.tan(np.radians(field))  # in front of the stop, on the side the star stands on
+    reach = np.hypot(*(chief[:, None] + np.array([[c, -s], [s, c]]) @ edge)).max()
+    assert widths.semi_diameter_mm[0] == pytest.approx(reach, rel=2e-3)
+    assert (widths.lost, widths.dark) == (0, ())

@@ -71,6 +71,8 @@ def test_lateral_colour_of_chief_and_bundle_vanish_at_the_reference_and_the_axis
         assert abs(dx[0, 1]) < 1e-13
         assert abs(dy).max() < 1e-13
         assert dx[1, 1] > 1e-4
+        _, upwards = lateral_colour(CAMERA, [0.0, 0.0], [0.0, 3.0], [600.0, 800.0], of=of)
+        np.testing.assert_allclose(np.abs(upwards), np.abs(dx), rtol=1e-6, atol=1e-12)
 
 
 def test_chief_ray_is_the_middle_of_a_pencil_through_a_perturbed_stop():
@@ -132,3 +134,19 @@ def test_wrong_requests():
         distortion_map(CAMERA, count=1)
     with pytest.raises(DomainError, match="'bundle' or 'chief'"):
         lateral_colour(CAMERA, 1.0, 0.0, 600.0, of="centroid")
+
+
+@pytest.mark.parametrize("stop_mm", [(1.0, -0.5), (5.0, -3.0)])
+def test_light_of_a_collimator_is_bent_about_the_middle_of_the_pupil(stop_mm):
+    """A slope moves the image by f times its angle, a vergence only widens it: by whole beams, and by cut ones."""
+    lens = decentre(CAMERA, CAMERA.stop_index, *stop_mm)
+    focal_mm, error = 206.0, 1e-5
+    plain, sloped, spread = (
+        spot_moments(lens, 0.0, 0.0, 600.0, collimation=None if one is None else np.array([one]))
+        for one in (None, (error, 0.0, 0.0), (0.0, 0.0, error))
+    )
+    assert abs(float(sloped.x_mm[0, 0] - plain.x_mm[0, 0])) == pytest.approx(focal_mm * error, rel=0.01)
+    lost = 1.0 - float(plain.transmitted_mm2[0, 0]) / (np.pi * 35.0**2)  # on one side, at the rim
+    moved = [float((getattr(spread, name) - getattr(plain, name))[0, 0]) for name in ("x_mm", "y_mm")]
+    assert np.hypot(*moved) < focal_mm * error * (0.02 * np.hypot(*stop_mm) + 35.0 * lost)
+    assert float(spread.rms_radius_mm[0, 0]) == pytest.approx(focal_mm * error * 35.0 / 2**0.5, rel=0.05 + lost)

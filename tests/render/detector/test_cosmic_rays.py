@@ -213,3 +213,15 @@ def test_every_environment_names_its_source() -> None:
         assert environment.energy_share.sum() == pytest.approx(1.0)
     with pytest.raises(DomainError, match="slower particles"):
         dataclasses.replace(cosmic_ray_environment(QUIET), energy_mev=[1.0], energy_share=[1.0])
+
+
+def test_protons_of_a_flare_fall_by_e_every_26_5_mev_and_the_layer_is_10_um_unless_said() -> None:
+    """King 1974, J. Spacecraft 11, 401: exp(-E / 26.5 MeV) above 30 MeV."""
+    flare = cosmic_ray_environment("solar_flare")
+    ratio = np.interp(126.5, flare.energy_mev, np.log(flare.energy_share)) - np.interp(
+        100.0, flare.energy_mev, np.log(flare.energy_share)
+    )
+    assert ratio == pytest.approx(-1.0, rel=1e-9)
+    said = drawn(exposure_s=1e3)
+    unsaid = cosmic_ray_hits(SHIPPED, QUIET, streams=Streams(5), frame=0, exposure_s=1e3)
+    assert np.array_equal(said.path_um, unsaid.path_um)

@@ -402,3 +402,20 @@ def test_bad_window_input_is_one_clear_line(changes: dict[str, Any], words: str)
     with pytest.raises(DomainError, match=words) as caught:
         expose_windows(settings.pop("stamps"), settings.pop("corner_px"), SHIPPED, **settings)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("changes", [{"transfer_line_us": 20.0}, {"blooming": 0.5}, {"lag": 0.1}])
+def test_light_of_another_exposure_counts_in_proportion_where_columns_have_effects(changes: dict[str, float]) -> None:
+    """Twice the time is twice the expectation: the same bytes. Without light of one column the others have the same."""
+    detector, image = ideal(full_well_e=2000.0, **changes), stars()
+    before = (
+        None
+        if "lag" not in changes
+        else ExpectedImage(electrons=image[..., None], band=("band",), exposure_s=1.0, diffused=True)
+    )
+    expected = ExpectedImage(electrons=image[..., None], band=("band",), exposure_s=1.0, diffused=True)
+    doubled = ExpectedImage(electrons=2.0 * image[..., None], band=("band",), exposure_s=2.0, diffused=True)
+    one, two = (shot(light, detector, exposure_s=2.0, before=before) for light in (expected, doubled))
+    assert np.array_equal(one.dn, two.dn)
+    plain = shot(doubled, ideal(full_well_e=2000.0), exposure_s=2.0)
+    assert not np.array_equal(one.dn, plain.dn)

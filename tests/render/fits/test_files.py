@@ -304,3 +304,5 @@ def test_checksums(tmp_path: Path, options: dict[str, Any], side: int) -> None:
         fits.open(path, checksum=True, disable_image_compression=True) as content,
     ):
         assert len(content)
+    with pytest.raises(ConfigError, match=r"damaged or edited since|lies outside its table"):
+        read_frame(path)

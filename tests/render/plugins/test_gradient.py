@@ -134,8 +134,6 @@ def difference(mi, scene, params, weight, key, direction):
     total = 0.0
     for times, factor in WEIGHTS.items():
         value = start + times * direction
-        if key == "stars.direction":
-            value /= np.linalg.norm(value, axis=1, keepdims=True)
         params[key] = mi.TensorXf64(value)
         params.update()
         total += factor * float((exact_image(scene) * weight).sum())

@@ -274,15 +274,6 @@ def test_same_seed_same_bytes_whatever_the_threads(engine, bench, name):
     assert not np.array_equal(*(rendered(bare, stars, sobol_log2_rays=8, sobol_seed=seed).electrons for seed in (5, 6)))
 
 
-def test_inputs_are_left_alone(engine, bench):
-    camera = bench.camera_of()
-    stars = bench.stars_at(camera, [100.0, 2000.0], [100.0, 1000.0])
-    before = [np.array(getattr(stars, f)) for f in ("direction", "wavelength_nm", "photon_rate")]
-    rendered(camera, stars)
-    for name, value in zip(("direction", "wavelength_nm", "photon_rate"), before, strict=True):
-        assert np.array_equal(getattr(stars, name), value)
-
-
 def test_no_stars_is_an_empty_image(engine, bench):
     camera = bench.camera_of()
     stars = bench.stars_at(camera, np.empty(0), np.empty(0), bands=BANDS)

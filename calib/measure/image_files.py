@@ -1,0 +1,306 @@
+"""Numbers of the pixels as files hold them: TIFF, PNG, JPEG, NumPy, FITS; and the steps in which they were counted.
+
+What a file is, its first bytes tell and not its name. Nothing is scaled, stretched or rounded on the way: 16 bits stay
+16 bits. A gamma curve, white balance or compression that the camera applied cannot be undone, and is said.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.records import Conversion
+from optics.errors import ConfigError, StarbenchError
+from optics.fits import located, open_fits, unpacked
+
+__all__ = ["StoredPixels", "converter_steps", "load_pixels"]
+
+MOST_PIXELS = 1 << 28
+"""A picture may have so many, which is 2 GB as float64; a header of a few bytes can announce any number."""
+FEWEST_CODES = 8
+"""Different numbers from which a common step is no accident."""
+PILED_UP, PILED_OVER = 8, 10.0
+"""Pixels at the highest number, and their ratio to those within 5 % below it, that show a level of saturation."""
+_EXIF_EXPOSURE, _EXIF_TAKEN, _EXIF_TABLE = 33434, 36867, 0x8769
+_WHITE_IS_ZERO, _PALETTE, _SEPARATE = 0, 3, 2  # photometric interpretation, planar configuration (TIFF 6.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredPixels:
+    """What a file holds, and nothing made of it."""
+
+    values: NDArray[Any]  # (h, w), or (h, w, colours), in the type in which they are stored
+    opaque: NDArray[np.bool_] | None = None  # (h, w) Where an alpha channel is not 0
+    kind: str  # Name of the format
+    header: Any = field(default_factory=dict)  # Of a FITS file
+    exposure_s: float | None = None
+    taken: str = ""  # When, as the file puts it
+
+
+def load_pixels(path: str | Path, *, hdu: int | str | None = None, plane: int | None = None) -> StoredPixels:
+    """Pixels of a file of any known kind; every failure is one line with the name of the file."""
+    path = located(path)
+    if isinstance(path, str):  # a URL, which `open_fits` knows to read
+        return _fits(path, hdu, plane)
+    if not path.is_file():
+        gone = "no such file" if not path.exists() else "a folder" if path.is_dir() else "no regular file"
+        raise ConfigError(f"{path}: {gone}")
+    with path.open("rb") as stream:
+        start = stream.read(16)
+    if not start:
+        raise ConfigError(f"{path}: the file is empty")
+    reader, kind = _reader(start)
+    if reader is None:
+        return _fits(path, hdu, plane)
+    if hdu is not None:
+        raise ConfigError(f"{path}: hdu = {hdu!r}, but {kind} files have no extensions")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of pixels per inch, odd tags, sizes
+            return reader(path, plane)
+    except StarbenchError:
+        raise
+    except Exception as error:  # readers raise a dozen kinds on damaged files
+        said = " ".join(str(error).split())[:160] or type(error).__name__
+        raise ConfigError(f"{path}: not a readable {kind} file ({said})") from None
+
+
+def _reader(start: bytes) -> tuple[Callable[[Path, int | None], StoredPixels] | None, str]:
+    if start.startswith((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")):
+        return _tiff, "TIFF"
+    if start.startswith((b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"GIF8", b"P5", b"P6")):
+        return _picture, {0x89: "PNG", 0xFF: "JPEG"}.get(start[0], "picture")
+    if start.startswith((b"\x93NUMPY", b"PK\x03\x04")):
+        return _numpy, "NumPy"
+    return None, "FITS"
+
+
+def _tiff(path: Path, plane: int | None) -> StoredPixels:
+    import tifffile
+
+    with tifffile.TiffFile(path) as file:
+        pages = [page for page in file.pages if not getattr(page, "is_reduced", False)] or list(file.pages)
+        page = pages[_plane(path, len(pages), plane)]
+        if "DNGVersion" in getattr(page, "tags", ()):
+            raise ConfigError(f"{path}: a raw file (DNG); develop it to a linear 16-bit TIFF first")
+        _check_size(path, page.imagewidth, page.imagelength)
+        for start, size in zip(page.dataoffsets, page.databytecounts, strict=False):
+            if start + size > path.stat().st_size:
+                raise ConfigError(f"{path}: ends within its pixels: it is cut off")
+        try:
+            values = page.asarray()
+        except ValueError:  # a compression for which tifffile wants its companion; Pillow has the usual ones
+            if page.dtype != np.uint8 and page.samplesperpixel > 1:
+                raise ConfigError(
+                    f"{path}: colours of {page.dtype} compressed ({page.compression!r}); save it uncompressed"
+                ) from None
+            return _picture(path, plane)
+        if page.photometric == _PALETTE:
+            return _picture(path, plane)
+        if page.planarconfig == _SEPARATE and values.ndim == 3:
+            values = np.moveaxis(values, 0, -1)
+        if page.photometric == _WHITE_IS_ZERO:
+            values = np.iinfo(values.dtype).max - values
+        tags = {code: page.tags[code].value for code in (306, _EXIF_EXPOSURE) if code in page.tags}
+        exif = dict(page.tags[_EXIF_TABLE].value) if _EXIF_TABLE in page.tags else {}
+    exposure = tags.get(_EXIF_EXPOSURE, exif.get("ExposureTime"))
+    if isinstance(exposure, tuple):
+        exposure = exposure[0] / exposure[1] if exposure[1] else None
+    values, opaque = _apart(path, values)
+    return StoredPixels(
+        values=values,
+        opaque=opaque,
+        kind="TIFF",
+        exposure_s=_positive(exposure),
+        taken=str(exif.get("DateTimeOriginal", tags.get(306, ""))).strip("\0 "),
+    )
+
+
+def _picture(path: Path, plane: int | None) -> StoredPixels:
+    from PIL import Image
+
+    with Image.open(path) as file:
+        kind = str(file.format)
+        _check_size(path, *file.size)
+        number = _plane(path, getattr(file, "n_frames", 1), plane)
+        if number:
+            file.seek(number)
+        exif = file.getexif()
+        shot = exif.get_ifd(_EXIF_TABLE)
+        if kind == "PNG" and _png_bits(path) == (16, True):
+            values = _deep_png(path)
+        else:
+            plain = {"1": "L", "P": "RGBA" if "transparency" in file.info else "RGB", "PA": "RGBA"}
+            known = file.mode in ("L", "LA", "RGB", "RGBA", "I", "F") or file.mode.startswith("I;16")
+            values = np.asarray(file if known else file.convert(plain.get(file.mode, "RGB")))
+    values, opaque = _apart(path, values)
+    return StoredPixels(
+        values=values,
+        opaque=opaque,
+        kind=kind,
+        exposure_s=_positive(shot.get(_EXIF_EXPOSURE)),
+        taken=str(shot.get(_EXIF_TAKEN, exif.get(306, ""))),
+    )
+
+
+def _png_bits(path: Path) -> tuple[int, bool]:
+    """Bits per sample, and whether a pixel has several samples (PNG specification, IHDR)."""
+    with path.open("rb") as stream:
+        header = stream.read(26)
+    return header[24], header[25] != 0
+
+
+def _deep_png(path: Path) -> NDArray[Any]:
+    """Colours of 16 bits, which Pillow would cut to 8."""
+    try:
+        import cv2
+    except ImportError:
+        raise ConfigError(
+            f"{path}: a PNG with colours of 16 bits, of which Pillow keeps 8; save it as TIFF, "
+            "or pip install opencv-python-headless"
+        ) from None
+    values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if values is None:
+        raise ConfigError(f"{path}: not a readable PNG file (damaged or cut off)")
+    return values if values.ndim == 2 else values[:, :, [2, 1, 0, 3][: values.shape[2]]]
+
+
+def _numpy(path: Path, plane: int | None) -> StoredPixels:
+    loaded = np.load(path, allow_pickle=False, mmap_mode="r")
+    if not isinstance(loaded, np.ndarray):
+        with loaded:
+            names = loaded.files
+            if len(names) != 1:
+                raise ConfigError(f"{path}: holds {len(names)} arrays ({', '.join(names[:5])}); one is needed")
+            loaded = loaded[names[0]]
+    if loaded.dtype.kind not in "uif":
+        raise ConfigError(f"{path}: holds an array of {loaded.dtype}; numbers are needed")
+    if loaded.ndim > 2 and loaded.shape[-1] > 4:
+        cube = loaded.reshape(-1, *loaded.shape[-2:])
+        loaded = cube[_plane(path, len(cube), plane)]
+    _check_size(path, *loaded.shape[:2])
+    values, opaque = _apart(path, np.array(loaded))
+    return StoredPixels(values=values, opaque=opaque, kind="NumPy")
+
+
+def _fits(path: Path | str, hdu: int | str | None, plane: int | None) -> StoredPixels:
+    if isinstance(path, Path) and (content := _head(path)) is not None and b"SIMPLE" not in content:
+        raise ConfigError(f"{path}: no image: neither TIFF, PNG, JPEG, NumPy nor a readable FITS file")
+    with open_fits(path) as file:
+        if hdu is None:
+            images = [item for item in file if item.is_image and item.header.get("NAXIS", 0) >= 2]
+            if not images:
+                raise ConfigError(f"{path}: holds no image; {len(file)} extension(s) without image data")
+        try:
+            chosen = images[0] if hdu is None else file[hdu]
+        except (IndexError, KeyError):
+            raise ConfigError(f"{path}: has no extension {hdu!r}; it has {len(file)}, counted from 0") from None
+        data = chosen.data
+        header = chosen.header.copy()
+        dict(header)  # every value is looked at while what is wrong with it can be told
+    if data is None or not isinstance(data, np.ndarray) or data.dtype.kind not in "iuf":
+        raise ConfigError(f"{path}: extension {hdu if hdu is not None else 0} holds no image")
+    if data.ndim > 2:
+        data = data.reshape(-1, *data.shape[-2:])
+        data = data[_plane(path, len(data), plane)]
+    if data.ndim != 2 or data.size == 0:
+        raise ConfigError(f"{path}: image has shape {data.shape}; two dimensions and at least one pixel are needed")
+    return StoredPixels(values=data, kind="FITS", header=header, taken=str(header.get("DATE-OBS", "")))
+
+
+def _head(path: Path) -> bytes | None:
+    """First bytes of what a file holds, unpacked; None if those are none of ours to judge."""
+    content = unpacked(path)
+    if content is not None:
+        return content[:80]
+    with path.open("rb") as stream:
+        return stream.read(80)
+
+
+def _plane(path: Path | str, count: int, plane: int | None) -> int:
+    if plane is None and count > 1:
+        raise ConfigError(f"{path}: holds a cube of {count} images; choose a plane, 0 to {count - 1} (--plane 0)")
+    if plane is not None and not 0 <= plane < count:
+        raise ConfigError(f"{path}: plane {plane} of {count}; choose 0 to {count - 1}")
+    return plane or 0
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if not 0 < width * height <= MOST_PIXELS:
+        raise ConfigError(f"{path}: {width} x {height} px; 1 to {MOST_PIXELS} pixels are read")
+
+
+def _apart(path: Path, values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+    """Colours, and where the alpha channel lets them be seen."""
+    if values.dtype.kind not in "uif" or values.ndim not in (2, 3) or (values.ndim == 3 and values.shape[2] > 4):
+        raise ConfigError(
+            f"{path}: {values.dtype} of shape {values.shape}; rows, columns and at most 4 colours are read"
+        )
+    if values.ndim == 2:
+        return values, None
+    opaque = values[:, :, -1] > 0 if values.shape[2] in (2, 4) else None
+    colours = values[:, :, : 3 if values.shape[2] > 2 else 1]
+    return (colours[:, :, 0] if colours.shape[2] == 1 else colours), opaque
+
+
+def _positive(value: Any) -> float | None:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if np.isfinite(number) and number > 0 else None
+
+
+def converter_steps(values: NDArray[Any], kind: str = "array") -> Conversion:
+    """In which steps whole numbers were counted, and from which on they say nothing but that the pixel is full.
+
+    Converters of 10 to 14 bits are stored in the upper bits of 16, with zeros below (steps of 4 to 64) or with the
+    upper bits repeated there (65535 is full); a digital gain multiplies all numbers. The step is the greatest common
+    divisor of all differences, the full code apart, which some cameras set to 65535 whatever their step.
+
+    Parameters
+    ----------
+    values : (h, w) or (h, w, colours)
+        Numbers as stored.
+    kind : str
+        Name of the format, for the record.
+
+    Returns
+    -------
+    Conversion
+    """
+    whole = values.dtype.kind in "ui" and values.dtype.itemsize <= 2
+    bits = 8 * values.dtype.itemsize
+    if not whole:
+        return Conversion(kind=kind, stored=str(values.dtype))
+    lowest, end = int(np.iinfo(values.dtype).min), int(np.iinfo(values.dtype).max)
+    counts = np.bincount((values.ravel().astype(np.int64) - lowest) if lowest else values.ravel(), minlength=1)
+    codes = np.flatnonzero(counts) + lowest
+    counts = counts[codes - lowest]
+    below = codes[codes < end]
+    step, repeated = 1, False
+    if len(below) >= FEWEST_CODES:
+        step = int(np.gcd.reduce(below - below[0]))
+        deep = [n for n in range(8, bits) if np.array_equal(codes, _repeated(codes >> (bits - n), n, bits))]
+        if lowest == 0 and deep and (step == 1 or np.any(below % step)):
+            step, repeated = 1 << (bits - deep[0]), True
+    full: float | None = float(end - end % step) if lowest == 0 else None
+    top = int(codes[-1])
+    beyond = int(counts[codes > 0.95 * top].sum() - counts[-1])
+    usual = top // step + 1 in {1 << n for n in (10, 12, 14)} and counts[-1] > 1
+    piled = counts[-1] >= PILED_UP and counts[-1] > PILED_OVER * beyond and counts[-1] < 0.05 * values.size
+    if len(codes) > 1 and (full is None or top < full) and (usual or (piled and top > 4.0 * np.median(values))):
+        full = float(top)
+    return Conversion(kind=kind, stored=str(values.dtype), step=float(step), repeated=repeated, full=full)
+
+
+def _repeated(codes: NDArray[np.int64], depth: int, bits: int) -> NDArray[np.int64]:
+    """Codes of ``depth`` bits in the upper ones of ``bits``, and again in those below."""
+    upper = codes << (bits - depth)
+    return np.asarray(upper | (upper >> depth))

@@ -1,0 +1,167 @@
+"""Measured and ideal lenses: file, camera model, PSF tables, vignetting, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optics.errors import ConfigError, DomainError
+from optics.export.write import write_measured_lens
+from optics.lens.measured import measured_from_table, measured_table
+from optics.lens.perturb import decentre
+from optics.lens.without_glass import ideal_lens, measured_lens
+from optics.lens_file import load_lens
+from optics.rays.chief import chief_ray_points, distortion_map
+from optics.rays.paraxial import paraxial, stopped_down
+from optics.rays.spots import spot_moments, vignetting
+from optics.waves.pupil_field import trace_pupil
+
+TABLE = {
+    "kind": "measured",
+    "name": "test lens",
+    "source": "a test",
+    "date": "2026-01-01",
+    "reference_wavelength_nm": 600.0,
+    "max_field_deg": 12.0,
+    "camera": {
+        "focal_length_mm": 35.0,
+        "principal_point_um": [12.0, -7.0],
+        "q1_per_mm2": -1.1e-4,
+        "q2_per_mm4": 2e-7,
+        "p1_per_mm": 3e-6,
+        "p2_per_mm": -2e-6,
+        "colour_nm": [500.0, 600.0, 800.0],
+        "colour_scale": [1.00002, 1.0, 0.99997],
+        "colour_shift_um": [[0.1, 0.2], [0.0, 0.0], [-0.1, -0.3]],
+    },
+    "psf": {"wavelength_nm": [500.0, 700.0], "x_mm": [-4.0, 4.0], "y_mm": [0.0]},
+    "component": [
+        {"share": 0.75, "sigma_x_um": [[[4.0, 5.0]], [[4.4, 5.4]]], "sigma_y_um": 4.5, "correlation": 0.3},
+        {"share": 0.25, "sigma_x_um": 9.0, "sigma_y_um": 8.0, "offset_x_um": 1.0},
+    ],
+    "vignetting": {"radius_mm": [0.0, 3.0, 7.0], "relative_light": [1.0, 0.9, 0.5]},
+    "throughput": {"aperture_mm": 18.4, "wavelength_nm": [400.0, 900.0], "transmission": [0.8, 0.9]},
+}
+
+
+def measured(**changes):
+    return measured_from_table({**TABLE, **changes}, "test")
+
+
+def test_file_comes_back(tmp_path):
+    lens = measured()
+    again = load_lens(write_measured_lens(lens, tmp_path / "camera.toml"))
+    assert again.measured is not None
+    for name in ("distortion", "principal_point_mm", "colour_shift_mm", "relative_light", "vignetting_mm"):
+        np.testing.assert_allclose(getattr(again.measured, name), getattr(lens, name), rtol=1e-15)
+    np.testing.assert_allclose(again.measured.psf.covariance_mm2, lens.psf.covariance_mm2, rtol=1e-14)
+    assert measured_table(again.measured)["component"][0]["share"] == 0.75
+    assert again.wavelength_range_nm == (400.0, 900.0)
+
+
+@pytest.mark.reference
+def test_places_are_those_of_opencv():
+    cv2 = pytest.importorskip("cv2")
+    lens, f, pitch = measured(), 35.0, 0.0069
+    q1, q2, q3, p1, p2 = lens.distortion
+    v = np.random.default_rng(1).uniform([-0.15, -0.12, 1.0], [0.15, 0.12, 1.0], (50, 3))
+    camera = np.array([[f / pitch, 0.0, 12e-3 / pitch], [0.0, f / pitch, -7e-3 / pitch], [0.0, 0.0, 1.0]])
+    coefficients = np.array([q1 * f**2, q2 * f**4, p2 * f, p1 * f, q3 * f**6])
+    expected = cv2.projectPoints(v, np.zeros(3), np.zeros(3), camera, coefficients)[0][:, 0]
+    np.testing.assert_allclose(lens.place_mm(v) / pitch, expected, atol=1e-9)
+    x, y = chief_ray_points(measured_lens(lens), *(np.degrees(np.arctan(v[:, i])) for i in range(2)))
+    np.testing.assert_allclose(np.stack([x, -y], -1) / pitch, expected, atol=1e-9)
+
+
+def test_colour_scales_about_the_principal_point_and_shifts():
+    lens, v = measured(), np.array([0.1, -0.05, 1.0])
+    middle = lens.place_mm(v, 600.0)
+    moved = lens.place_mm(v, 700.0) - middle  # half way from 600 to 800 nm
+    expected = -1.5e-5 * (middle - [12e-3, -7e-3]) + [-0.05e-3, -0.15e-3]
+    np.testing.assert_allclose(moved, expected, atol=1e-12)
+    np.testing.assert_array_equal(lens.place_mm(v, 2000.0), lens.place_mm(v, 800.0))
+
+
+def test_stars_behind_the_fold_of_the_distortion_have_no_place():
+    lens = measured(max_field_deg=5.0, camera={"focal_length_mm": 35.0, "q1_per_mm2": -1e-3})
+    assert np.isnan(lens.place_mm(np.array([1.0, 0.0, 1.0]))).all()
+    assert lens.relative(lens.place_mm(np.array([1.0, 0.0, 1.0]))) == 0.0
+
+
+def test_mixture_is_linear_between_nodes_and_constant_beyond():
+    psf = measured().psf
+    _, _, covariance = psf.at(np.array([0.0, 9.0]), np.array([1.0, 1.0]), np.array([600.0, 400.0]))
+    np.testing.assert_allclose(covariance[0, 0, 0], np.mean([4.0**2, 5.0**2, 4.4**2, 5.4**2]) * 1e-6)
+    np.testing.assert_allclose(covariance[1, 0], [25e-6, 20.25e-6, 0.3 * 5.0 * 4.5e-6])
+    mean, total = psf.moments(np.array(-4.0), np.array(0.0), np.array(500.0))
+    np.testing.assert_allclose(mean, [0.25e-3, 0.0], atol=1e-18)
+    np.testing.assert_allclose(total[0], (0.75 * 16 + 0.25 * 81 + 0.75 * 0.25) * 1e-6)
+
+
+def test_spot_moments_are_those_of_the_mixture():
+    lens = measured()
+    system = measured_lens(lens)
+    spot = spot_moments(system, [8.0], [-3.0], [650.0])
+    place = lens.place_mm(np.array([np.tan(np.radians(8.0)), np.tan(np.radians(-3.0)), 1.0]), 650.0)
+    mean, covariance = lens.psf.moments(place[0], place[1], np.array(650.0))
+    np.testing.assert_allclose([spot.x_mm[0, 0], -spot.y_mm[0, 0]], place + mean, atol=1e-13)
+    found = [spot.xx_mm2[0, 0], spot.yy_mm2[0, 0], -spot.xy_mm2[0, 0]]
+    np.testing.assert_allclose(found, covariance, rtol=1e-9)
+
+
+def test_vignetting_is_all_causes_together():
+    lens = measured_lens(measured())
+    cosine = 1.0 / np.sqrt(1.0 + np.tan(np.radians(8.0)) ** 2)
+    radius = np.hypot(*(lens.measured.place_mm(np.array([np.tan(np.radians(8.0)), 0, 1.0])) - [12e-3, -7e-3]))
+    light = vignetting(lens, [8.0], [0.0])[0] * cosine  # of the beam's cross-section: flux is that times the cosine
+    from scipy.interpolate import PchipInterpolator
+
+    np.testing.assert_allclose(light, PchipInterpolator([0, 3, 7], [1, 0.9, 0.5])(radius), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"component": [{"share": 0.5, "sigma_x_um": 4.0, "sigma_y_um": 4.0}]}, "add up to 1"),
+        ({"component": [{"share": 1.0, "sigma_x_um": 0.0, "sigma_y_um": 4.0}]}, "must be positive"),
+        ({"component": [{"share": 1.0, "sigma_x_um": [[[4.0]]], "sigma_y_um": 4.0}]}, r"component\.0\.sigma_x_um"),
+        ({"component": [{"share": 1.0, "sigma_x_um": 4.0, "sigma_y_um": 4.0, "correlation": 1.0}]}, "correlation"),
+        ({"vignetting": {"radius_mm": [0.0], "relative_light": [1.0]}}, "at least two points"),
+        ({"psf": {"wavelength_nm": [500.0, 700.0], "x_mm": [4.0, -4.0]}}, "increasing"),
+        ({"camera": {"focal_length": 35.0}}, "focal_length_mm"),
+    ],
+)
+def test_what_is_wrong_is_named(change, message):
+    with pytest.raises((ConfigError, DomainError), match=message):
+        measured(**change)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        lambda lens: trace_pupil(lens, [0.0], [0.0], [600.0]),
+        lambda lens: decentre(lens, "lens", x_mm=0.1),
+        lambda lens: stopped_down(lens, 4.0),
+    ],
+)
+def test_what_needs_surfaces_says_so(asked):
+    with pytest.raises(DomainError, match="needs a prescription"):
+        asked(measured_lens(measured()))
+
+
+def test_ideal_lens_images_by_the_tangent_in_air():
+    lens = ideal_lens(focal_length_mm=50.0, f_number=2.5, max_field_deg=15.0)
+    assert paraxial(lens).efl_mm == pytest.approx(50.0, rel=1e-14)
+    assert paraxial(lens).f_number == pytest.approx(2.5, rel=1e-14)
+    assert np.abs(distortion_map(lens, focal_length_mm=50.0).relative).max() < 1e-13
+    assert spot_moments(lens, [0.0, 15.0], [0.0, 0.0], [400.0, 900.0]).rms_radius_mm.max() < 1e-13
+    assert paraxial(stopped_down(lens, 5.0)).entrance_pupil_radius_mm == pytest.approx(5.0)
+
+
+def test_ideal_lens_refuses_two_blurs():
+    with pytest.raises(DomainError, match="give one of them"):
+        ideal_lens(focal_length_mm=50.0, f_number=2.0, spot_um=3.0, psf_fwhm_px=1.0)
+    lens = ideal_lens(focal_length_mm=50.0, f_number=2.0, spot_um=3.0)
+    assert replace(lens).blur_um == pytest.approx(3.0 / np.sqrt(2.0))
