@@ -7,7 +7,7 @@ is drawn at random, then the change there; rooms are drawn in proportion to thei
 decorators, messages, refusals (``if ...: raise``), ``__all__``, changes that only end with a TypeError. Each is tried
 in a copy of the last commit with the default tests of its room that execute its statement, the fastest first, then with
 the rest of the same test files, which share fixtures and caches. Written: ``lines-ROOM.json`` (which test executes
-what, and its cost), ``mutants.json``, ``mutants.txt`` (shares by room, then each survivor as a diff). A repeated run
+what, and its cost), ``mutants.jsonl``, ``mutants.txt`` (shares by room, then each survivor as a diff). A repeated run
 keeps what is killed and tries survivors again; delete ``lines-ROOM.json`` after a change of tests.
 """
 
@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import ast
 import difflib
+import gc
 import json
 import os
 import random
@@ -29,6 +30,7 @@ from collections.abc import Callable, Iterator
 from fnmatch import fnmatch
 from importlib import import_module
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any
 
 import coverage
@@ -38,19 +40,25 @@ from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ["calib", "render/detector", "optics/rays", *(f"experiments/{name}" for name in ("laboratory", "fisher"))]
-ROOMS += ["experiments/turntable", "experiments/temporal"]
+STUDIES = ["laboratory", "reduce", "fisher", "turntable", "temporal", "acf", "cube", "skycal", "hsfe", "distortion"]
+STUDIES += ["chromatic", "budget", "camera", "dataset"]
+ROOMS = ["calib", "render/detector", "optics/rays", *(f"experiments/{name}" for name in STUDIES)]
 NO_SCIENCE = ("__*", "*settings*", "*figures*", "*sketch*", "*tables*", "*quantities*", "*criteria*", "own_frames*")
+NO_SCIENCE += ("card*", "command*", "exports*", "folder*", "frames_toml*", "job*", "pictures*", "remote*", "workers*")
+NO_SCIENCE += ("truth_files*",)
+SAYS = {"curves", "bars", "scatter", "maps", "cloud", "image", "col", "Field", "print", "advance"}
 SYMBOLS = [{"Add", "Sub", "Mul", "Div", "Pow"}, {"BitOr", "BitAnd"}, {"Is", "IsNot"}, {"In", "NotIn"}]
 SYMBOLS += [{"Eq", "NotEq", "Lt", "LtE", "Gt", "GtE"}, {"UAdd", "USub"}]
 OTHERS = ["NumberReplacer", "ReplaceTrueWithFalse", "ReplaceFalseWithTrue", "ReplaceAndWithOr", "ReplaceOrWithAnd"]
 OTHERS += ["ReplaceBreakWithContinue", "ReplaceContinueWithBreak", "ZeroIterationForLoop", "AddNot"]
 PYTEST = ["-n", "0", "-q", "-p", "no:cacheprovider", "--no-header", "--tb=no"]
-LONGEST_S = 60.0
+LONGEST_S = 20.0
 PRELOADED = ["numpy", "xarray", "pydantic", "matplotlib.figure", "astropy.table", "astropy.io.fits", "scipy.stats"]
+PRELOADED += ["drjit", "click", "pydantic.main", "skimage.measure", "unittest.mock"]
 PRELOADED += ["scipy.optimize", "scipy.interpolate", "scipy.ndimage", "scipy.signal", "scipy.spatial.transform"]
 """What forked processes need not import again; nothing of the house."""
 Mutant = dict[str, Any]
+Job = tuple[Mutant, list[str], int]
 
 
 def is_made(name: str) -> bool:
@@ -66,6 +74,10 @@ def computes_nothing(node: ast.AST, parent: ast.AST, field: str) -> bool:
         return any(isinstance(target, ast.Name) and target.id.startswith("__") for target in node.targets)
     if isinstance(node, ast.keyword):
         return node.arg in ("strict", "stacklevel", "keepdims", "shown")
+    if isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", "")) in SAYS:
+        return True
+    if isinstance(node, ast.FunctionDef) and node.returns and ast.unparse(node.returns) == "Figure":
+        return True
     if isinstance(parent, ast.If) and field == "test":
         return isinstance(parent.body[-1], ast.Raise)
     return isinstance(node, ast.Raise | ast.JoinedStr) or field in ("annotation", "returns", "decorator_list")
@@ -197,58 +209,140 @@ def write(path: Path, text: str) -> None:
     os.utime(path, (at, at))
 
 
-def tried(copy: Path, mutant: Mutant, measured: dict[str, Any]) -> int:
-    """Process that runs the tests of a mutant in a copy, until one fails."""
+def chosen(mutant: Mutant, measured: dict[str, Any]) -> tuple[list[str], int]:
+    """Tests of a mutant, in their order, and the processor time they may take [s]."""
     cost, (head, imported) = measured["cost_s"], statements(mutant["old"])[mutant["line"]]
     by_line = {int(line): names for line, names in measured["lines"].get(mutant["file"], {}).items()}
     reached = {name for line, names in by_line.items() if imported or line in head for name in names if name}
     first = {name for name in cost if reached & {name, name.split("::")[0]}}
-    files = sorted({name.split("::")[0] for name in first})
+    files = {name.split("::")[0] for name in first}
     order = sorted(
         (name for name in cost if name.split("::")[0] in files), key=lambda name: (name not in first, cost[name])
     )
     while sum(cost[name] for name in order) > LONGEST_S:
         order.pop()
-    mutant["reached_by"], limit = len(first), int(10 + 2 * sum(cost[name] for name in order))
-    write(copy / ".noticed", "")
-    write(copy / mutant["file"], mutant["new"])
+    mutant["reached_by"], mutant["imported"] = len(first), imported
+    return order, int(10 + 2 * sum(cost[name] for name in order))
+
+
+def limited(limit_s: int) -> None:
+    """Bound this process's time and memory, and let it say nothing."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    os.dup2(1, 2)
+    resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
+    resource.setrlimit(resource.RLIMIT_AS, (24 << 30, 24 << 30))
+
+
+def afresh(copy: Path, mutant: Mutant, order: list[str], limit_s: int) -> int:
+    """Try a mutant of what runs at import: everything is imported anew."""
 
     def work() -> int:
-        sys.dont_write_bytecode = True
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        os.dup2(1, 2)
-        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
-        resource.setrlimit(resource.RLIMIT_AS, (24 << 30, 24 << 30))
-        return int(pytest.main([*PYTEST, "-x", *files], plugins=[Chosen(order, copy / ".noticed")])) if order else 5
+        limited(limit_s)
+        files = sorted({name.split("::")[0] for name in order})
+        return int(pytest.main([*PYTEST, "-x", *files], plugins=[Chosen(order, copy / ".noticed")]))
 
-    return in_child(copy, work)
+    return waited(in_child(copy, work))
 
 
-def study(copies: list[Path], mutants: list[Mutant], done: dict[str, Mutant], out: Path) -> None:
-    """Measure what is executed, then try the mutants, as many at a time as there are copies."""
-    os.environ["OPENBLAS_NUM_THREADS"], sys.dont_write_bytecode, measured = "1", False, {}
+def waited(pid: int) -> int:
+    """Exit status of a process."""
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+class Patched:
+    """A plugin that tries mutants in forked copies of a session that has collected its tests and run none.
+
+    Functions get the code of the mutant; what is imported later reads it from the file.
+    """
+
+    def __init__(self, copy: Path, jobs: Iterator[Job], done: Callable[[Job, int], None]) -> None:
+        self.copy, self.jobs, self.done, self.chosen = copy, jobs, done, None
+
+    def pytest_runtestloop(self, session):
+        functions = [one for one in gc.get_objects() if isinstance(one, FunctionType)]
+        for job in self.jobs:
+            mutant, order, limit_s = job
+
+            def work(mutant=mutant, order=order, limit_s=limit_s) -> int:
+                limited(limit_s)
+                codes = dict(self.codes(compile(mutant["new"], str(self.copy / mutant["file"]), "exec")))
+                for one in functions:
+                    old = one.__code__
+                    if old.co_filename == str(self.copy / mutant["file"]):
+                        one.__code__ = codes.get((old.co_qualname, old.co_firstlineno), old)
+                items = {item.nodeid: item for item in session.items}
+                self.chosen = Chosen([], self.copy / ".noticed")
+                todo = [items[name] for name in order if name in items]
+                for item, following in zip(todo, [*todo[1:], None], strict=True):
+                    item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+                return 0
+
+            code = waited(in_child(self.copy, work))
+            self.done(job, afresh(self.copy, *job) if code == 99 else code)
+        return True
+
+    def codes(self, code: CodeType) -> Iterator[tuple[tuple[str, int], CodeType]]:
+        """Code of every function by name and line."""
+        for one in code.co_consts:
+            if isinstance(one, CodeType):
+                yield (one.co_qualname, one.co_firstlineno), one
+                yield from self.codes(one)
+
+    def pytest_runtest_logreport(self, report):
+        if report.failed:
+            self.chosen.pytest_runtest_logreport(report)
+            os._exit(1)
+
+
+def study(copy: Path, mutants: list[Mutant], done: dict[str, Mutant], out: Path) -> None:
+    """Measure what is executed, room by room, then try the mutants."""
+    os.environ["OPENBLAS_NUM_THREADS"], sys.dont_write_bytecode = "1", True
     for name in PRELOADED:
         import_module(name)
+
+    def begin(mutant: Mutant) -> None:
+        write(copy / ".noticed", "")
+        write(copy / mutant["file"], mutant["new"])
+
+    def end(job: Job, code: int) -> None:
+        mutant, _, _ = job
+        noticed = (copy / ".noticed").read_text(encoding="utf-8")
+        mutant["noticed_by"] = noticed or ("time" if code < 0 else "collection" if code in (2, 3, 4, 99) else "")
+        mutant["state"] = "killed" if mutant["noticed_by"] else "survived" if mutant["reached_by"] else "not reached"
+        write(copy / mutant["file"], mutant["old"])
+        with (out / "mutants.jsonl").open("a", encoding="utf-8") as file:
+            file.write(json.dumps({k: v for k, v in mutant.items() if k not in ("old", "new")}) + "\n")
+
     for room in dict.fromkeys(mutant["room"] for mutant in mutants):
         kept = out / f"lines-{room.replace('/', '-')}.json"
         if not kept.exists():
-            os.waitpid(in_child(copies[0], lambda room=room, kept=kept: measure(copies[0], room, kept)), 0)
-        measured[room] = json.loads(kept.read_text(encoding="utf-8"))
-    waiting, free, running = [one for one in mutants if one["diff"] not in done], list(copies), {}
-    while waiting or running:
-        if waiting and free:
-            copy, mutant = free.pop(), waiting.pop(0)
-            running[tried(copy, mutant, measured[mutant["room"]])] = copy, mutant
-            continue
-        pid, status = os.wait()
-        copy, mutant = running.pop(pid)
-        code, noticed = os.waitstatus_to_exitcode(status), (copy / ".noticed").read_text(encoding="utf-8")
-        mutant["noticed_by"] = "" if code in (0, 5) else noticed or ("time" if code < 0 else "collection")
-        mutant["state"] = "killed" if mutant["noticed_by"] else "survived" if mutant["reached_by"] else "not reached"
-        write(copy / mutant["file"], mutant.pop("old"))
-        done[mutant["diff"]] = {name: value for name, value in mutant.items() if name != "new"}
-        (out / "mutants.json").write_text(json.dumps(list(done.values()), indent=1), encoding="utf-8")
-        free.append(copy)
+            waited(in_child(copy, lambda room=room, kept=kept: measure(copy, room, kept)))
+        measured, jobs = json.loads(kept.read_text(encoding="utf-8")), []
+        for mutant in mutants:
+            if mutant["room"] == room and mutant["diff"] not in done:
+                jobs.append((mutant, *chosen(mutant, measured)))
+        for job in jobs:
+            if not job[1] or job[0]["imported"]:
+                begin(job[0])
+                end(job, afresh(copy, *job) if job[1] else 5)
+        rest = [job for job in jobs if job[1] and not job[0]["imported"]]
+
+        def each(rest=rest) -> Iterator[Job]:
+            for job in rest:
+                begin(job[0])
+                yield job
+
+        files = sorted({name.split("::")[0] for job in rest for name in job[1]})
+        plugin = Patched(copy, each(), end)
+        if files:
+            waited(in_child(copy, lambda files=files, plugin=plugin: pytest.main([*PYTEST, *files], plugins=[plugin])))
+
+
+def tried(out: Path) -> dict[str, Mutant]:
+    """The last of what was written about each mutant, by its diff."""
+    written = out / "mutants.jsonl"
+    lines = written.read_text(encoding="utf-8").splitlines() if written.exists() else []
+    return {mutant["diff"]: mutant for mutant in map(json.loads, lines)}
 
 
 def report(mutants: list[Mutant], seed: int) -> str:
@@ -270,24 +364,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--count", type=int, default=200, help="mutants drawn over all rooms")
     parser.add_argument("--seed", type=int, default=24)
-    parser.add_argument("--jobs", type=int, default=1, help="mutants tried at the same time")
     parser.add_argument("--rooms", nargs="+", default=ROOMS, choices=ROOMS, help="only these")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "mutation")
     options = parser.parse_args()
-    out, known = options.out.resolve(), options.out.resolve() / "mutants.json"
+    out = options.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
-    earlier = json.loads(known.read_text(encoding="utf-8")) if known.exists() else []
-    done = {mutant["diff"]: mutant for mutant in earlier if mutant["state"] == "killed"}
     mutants = draw(options.count, options.seed, options.rooms)
+    killed = {diff: one for diff, one in tried(out).items() if one["state"] == "killed"}
     with tempfile.TemporaryDirectory() as folder:
-        copies = [Path(folder) / str(job) for job in range(options.jobs)]
-        for copy in copies:
-            subprocess.run(["git", "worktree", "add", "-q", "--detach", copy, "HEAD"], cwd=ROOT, check=True)
+        copy = Path(folder) / "tree"
+        subprocess.run(["git", "worktree", "add", "-q", "--detach", copy, "HEAD"], cwd=ROOT, check=True)
         try:
-            study(copies, mutants, done, out)
+            study(copy, mutants, killed, out)
         finally:
-            for copy in copies:
-                subprocess.run(["git", "worktree", "remove", "--force", copy], cwd=ROOT, check=True)
+            subprocess.run(["git", "worktree", "remove", "--force", copy], cwd=ROOT, check=True)
+    done = tried(out)
     text = report([done[mutant["diff"]] for mutant in mutants], options.seed)
     (out / "mutants.txt").write_text(text, encoding="utf-8")
     print(text.split("\n\n")[0])

@@ -26,6 +26,7 @@ from experiments.acf.reprojection import (
     fig4,
     inferred_point,
     matching_stars,
+    overall,
     scatter,
     table2_point,
 )
@@ -33,11 +34,9 @@ from experiments.acf.settings import Config
 from experiments.acf.simulate import build_camera
 from experiments.acf.table2 import NAMES, TABLE2, UNKNOWNS, covariances, implied, sums, table2
 from experiments.acf.trials import COMPARED, Point, Trials, perform, sky_of
-from experiments.harness.drawings import maps
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, below, col
-from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 __all__ = ["SECTIONS", "axes", "check_design", "run"]
@@ -131,8 +130,6 @@ class Night:
     """The sky of Fig. 3 to 5 and Table 2, as the turning sensor sees it."""
 
     stars_per_frame: float = col("Stars", "per frame", ".0f")
-    star_px: FloatArray = col("Place", "px", dims="star axis", json="")
-    star_time_s: FloatArray = col("Time", "s", dims="star", json="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -238,8 +235,6 @@ def _sections(config: Config, trials: Mapping[str, Trials], figures: Sequence[Po
     return {
         "night": Night(
             stars_per_frame=len(sky.stars) / config.frames,
-            star_px=sky.stars.pixel_px,
-            star_time_s=sky.scene.time_s[sky.stars.frame],
         ),
         "levels": Levels(
             noise_px=config.noise_px,
@@ -253,6 +248,7 @@ def _sections(config: Config, trials: Mapping[str, Trials], figures: Sequence[Po
         "fig3b": by_walk,
         "scatter": scatter(config, trials),
         "counts": counts(config, trials),
+        "reprojection": overall(config, trials),
         "table2": table2(config, trials, expected),
         "sums": sums(config, trials, expected),
         **methods(config, trials),
@@ -264,9 +260,7 @@ def _sections(config: Config, trials: Mapping[str, Trials], figures: Sequence[Po
 
 
 SECTIONS = {
-    "night": Section(
-        record=Night, figures={"star_tracks": maps("star_time_s", place="star_px", width="half", aspect_ratio=1.0)}
-    ),
+    "night": Section(record=Night),
     **REPROJECTION,
     **TABLE2,
     **METHODS,

@@ -17,7 +17,7 @@ from experiments.acf.linear_model import Reprojection, reprojection, reprojectio
 from experiments.acf.settings import CameraConfig, Config
 from experiments.acf.trials import Point, Trials, gyro_error, sky_of, table1_gyro
 from experiments.harness.drawings import cloud, curves
-from experiments.harness.sections import Section, agree, col
+from experiments.harness.sections import Section, col, ratio_near
 from experiments.harness.summary import Measured, measured
 from optics.arrays import FloatArray
 
@@ -30,6 +30,7 @@ __all__ = [
     "fig4",
     "inferred_point",
     "matching_stars",
+    "overall",
     "root_mean_square",
     "scatter",
     "table2_point",
@@ -41,7 +42,6 @@ FIG4_LARGEST_PX = 0.04
 """ACF17 Fig. 4: all reprojection errors are below."""
 ASSUMED, INFERRED = "assumed", "inferred"
 """Pixel and stars of the settings; those that Table 2 implies (`experiments.acf.table2.implied`)."""
-DEVIATION = "Deviation from the expected mean"
 
 Row = Sequence[Measured]
 
@@ -115,16 +115,16 @@ def expected_at(config: Config, point: Point, gyro: int, noises_px: Sequence[flo
     return reprojections(sky.calibrating, sky.judging, noises_px or [point.noise_px], error)
 
 
-def mean_length(trials: Trials, gyro: int, expected: Reprojection) -> tuple[Measured, Measured]:
-    """Mean of the runs' RMS lengths, and its deviation in the standard deviations that the design predicts for it."""
-    length = np.sqrt(trials.of("acc", "reprojection_px2", gyro).sum(-1))
-    n, mean = len(length), float(length.mean())
-    error = float(length.std(ddof=1) / np.sqrt(n))
-    deviation = (mean - expected.mean_px) / expected.scatter_px * n**0.5
-    return (
-        Measured(value=mean, unit="px", uncertainty=error, n=n),
-        Measured(value=float(deviation), unit="sigma", uncertainty=1.0),
-    )
+def lengths(trials: Trials, gyro: int) -> FloatArray:
+    """RMS length of the reprojection errors of every run."""
+    return np.asarray(np.sqrt(trials.of("acc", "reprojection_px2", gyro).sum(-1)))
+
+
+def mean_length(trials: Trials, gyro: int) -> Measured:
+    """Mean of the runs' RMS lengths."""
+    length = lengths(trials, gyro)
+    error = float(length.std(ddof=1) / np.sqrt(len(length)))
+    return Measured(value=float(length.mean()), unit="px", uncertainty=error, n=len(length))
 
 
 # --- Fig. 3
@@ -136,7 +136,6 @@ class ByBias:
 
     rms_px: Sequence[Row] = col("RMS reprojection error", "px", ".4f", "noise bias", json_error="error_px")
     expected_px: FloatArray = col("Expected", "px", ".4f", "noise bias")
-    deviation: Sequence[Row] = col(DEVIATION, "sigma", dims="noise bias", json="", shown=False)
     n: int = col("Runs", shown=False)
 
 
@@ -146,7 +145,6 @@ class ByWalk:
 
     rms_px: Sequence[Row] = col("RMS reprojection error", "px", ".4f", "noise walk", json_error="error_px")
     expected_px: FloatArray = col("Expected", "px", ".4f", "noise walk")
-    deviation: Sequence[Row] = col(DEVIATION, "sigma", dims="noise walk", json="", shown=False)
     n: int = col("Runs", shown=False)
 
 
@@ -157,11 +155,9 @@ def fig3(config: Config, trials: Mapping[str, Trials]) -> tuple[ByBias, ByWalk]:
     perfect, biases = 0, len(config.bias_deg_per_h)
 
     def part(record: Any, gyros: Sequence[int]) -> Any:
-        cells = [[mean_length(trials[point.name], k, by_gyro[k][s]) for k in gyros] for s, point in enumerate(points)]
         return record(
-            rms_px=[[rms for rms, _ in row] for row in cells],
+            rms_px=[[mean_length(trials[point.name], k) for k in gyros] for point in points],
             expected_px=np.array([[by_gyro[k][s].mean_px for k in gyros] for s in range(len(points))]),
-            deviation=[[deviation for _, deviation in row] for row in cells],
             n=config.runs,
         )
 
@@ -216,7 +212,7 @@ def fig4(config: Config, trials: Mapping[str, Trials], inferred: Point) -> list[
                 stars=point.stars or len(sky.stars) / config.frames,
                 rms_px=measured(rms, error),
                 expected_axis_px=expected.axis_px,
-                length_px=mean_length(runs, 0, expected)[0],
+                length_px=mean_length(runs, 0),
                 expected_px=Measured(value=expected.mean_px, uncertainty=expected.scatter_px),
                 largest_px=float(np.median(length.max(1))),
                 inside=float((length < FIG4_LARGEST_PX).mean()),
@@ -252,7 +248,6 @@ class Count:
     stars: int = col("Stars per frame", json="")
     rms_px: Row = col("RMS reprojection error", "px", dims="count_gyro", json="")
     expected_px: FloatArray = col("Expected", "px", ".4f", "count_gyro", json="")
-    deviation: Row = col(DEVIATION, "sigma", dims="count_gyro", json="", shown=False)
 
 
 def counts(config: Config, trials: Mapping[str, Trials]) -> list[Count]:
@@ -260,16 +255,35 @@ def counts(config: Config, trials: Mapping[str, Trials]) -> list[Count]:
     rows = []
     for point in counts_points(config):
         expected = [expected_at(config, point, k)[0] for k in range(len(point.gyro))]
-        cells = [mean_length(trials[point.name], k, one) for k, one in enumerate(expected)]
         rows.append(
             Count(
                 stars=point.stars or 0,
-                rms_px=[rms for rms, _ in cells],
+                rms_px=[mean_length(trials[point.name], k) for k in range(len(expected))],
                 expected_px=np.array([one.mean_px for one in expected]),
-                deviation=[deviation for _, deviation in cells],
             )
         )
     return rows
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overall:
+    """All cells of Fig. 3 and of the star counts together."""
+
+    reprojection_ratio: Measured = col("Reprojection error over its prediction, mean of all cells", json="ratio")
+
+
+def overall(config: Config, trials: Mapping[str, Trials]) -> Overall:
+    """Mean over points of the mean over gyros: gyros of a point see the same star noise, points have their own."""
+    means, variances, runs = [], [], 0
+    for point in (*fig3_points(config), *counts_points(config)):
+        gyros = range(len(point.gyro))
+        expected = [expected_at(config, point, k)[0].mean_px for k in gyros]
+        ratio = np.mean([lengths(trials[point.name], k) / expected[k] for k in gyros], axis=0)
+        means.append(float(ratio.mean()))
+        variances.append(float(ratio.var(ddof=1)) / len(ratio))
+        runs += len(ratio)
+    error = float(np.sqrt(np.sum(variances))) / len(means)
+    return Overall(reprojection_ratio=Measured(value=float(np.mean(means)), uncertainty=error, n=runs))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -326,14 +340,6 @@ def fig3_section(record: type, part: str, gyro: str, words: str) -> Section:
                 aspect_ratio=0.9,
             )
         },
-        verdicts=[
-            agree(
-                f"{part}_deviation",
-                0.0,
-                title=f"{words}: mean reprojection error against its prediction",
-                advice="did every calibration converge? else raise runs",
-            )
-        ],
     )
 
 
@@ -348,16 +354,8 @@ REPROJECTION = {
         across="axis",
         columns="pixel_um stars rms_px expected_axis_px published_px",
         caption="ACF17 Fig. 4: reprojection of noise-free even frames at the noise of Table 2, gyro of Table 1.",
-        note="RMS over all runs, by axis. Inferred: pixel and stars that Table 2 implies.",
-        verdicts=[
-            agree(
-                "fig4_published_length_px",
-                with_="fig4_expected_px",
-                each="case",
-                false_alarm=0.0455,
-                title="Fig. 4: published RMS against one run as expected here",
-            )
-        ],
+        note="RMS over all runs, by axis. Inferred: pixel and stars that Table 2 implies. The published RMS is "
+        "of one run, which scatters by some 15 %: too little to notice 25 %, so it is shown, not judged.",
     ),
     "scatter": Section(
         record=Scatter4,
@@ -371,21 +369,18 @@ REPROJECTION = {
         prefix="counts_",
         table="counts",
         caption="Mean RMS reprojection error at the noise of Table 2 against the number of stars in every frame.",
-        figures={
-            "count_curves": curves(
-                "count",
-                points="counts_rms_px",
-                lines="counts_expected_px",
-                by="count_gyro",
-                dashes="fig4_published_length_px",
-                at={"case": ASSUMED},
-                log="x",
-                y="RMS reprojection error",
-                width="half",
-                aspect_ratio=1.0,
+    ),
+    "reprojection": Section(
+        record=Overall,
+        place="reprojection",
+        verdicts=[
+            ratio_near(
+                "reprojection_ratio",
+                within=0.03,
+                title="Fig. 3 and star counts: mean reprojection error over its prediction",
+                advice="did every calibration converge? else raise runs",
             )
-        },
-        verdicts=[agree("counts_deviation", 0.0, title="star counts: mean reprojection error against its prediction")],
+        ],
     ),
     "matching": Section(record=Matching, dim="pixel", prefix="fig4_stars_", place="inference.stars_for_fig4[pixel]"),
 }

@@ -9,31 +9,33 @@ error three readings are tried:
 * common: all of it moves all stars alike.
 
 Pointing errors are given as the displacement of the boresight along x and y (a turn about y displaces along x), roll
-about the boresight.
+about the boresight. The attitude of the measured budget is that of stars with its errors, solved; ``total / sqrt(N)``
+has no part in it. What the stars of a field should give follows in closed form from where they lie (`_expected2`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.solve import solve_wahba_many
-from experiments.budget.combine import Budget
+from experiments.budget.combine import Budget, Value, over_stars
 from experiments.budget.settings import AttitudeConfig
 from experiments.harness.drawings import curves
 from experiments.harness.quantities import Quantities
-from experiments.harness.sections import Section, col
+from experiments.harness.sections import Section, agree, col
+from experiments.harness.summary import Measured, measured
 from experiments.laboratory.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 
-__all__ = ["LAYOUTS", "READINGS", "SECTIONS", "StarErrors", "attitude_study"]
+__all__ = ["LAYOUTS", "READINGS", "SECTIONS", "StarErrors", "attitude_study", "solved_attitude"]
 
 READINGS = {
     "independent": "LSFE independent",
@@ -47,6 +49,8 @@ LAYOUTS = {
     "one corner": (-1.0, 0.0, -1.0, 0.0),
 }
 """Parts of the field: lowest and highest x, then y, in half widths from the middle."""
+FAR_FROM_THE_AXIS = 0.1
+"""Part by which angles and their tangents may differ in a wide field."""
 DEGREE = 3
 """Of the smooth map: the polynomial of ACC18 eq. 19 is cubic."""
 
@@ -84,6 +88,9 @@ class Attitude:
     # Total / sqrt(N); for roll divided by the RMS distance of a star from the middle of the field, in radians
     rule_arcsec: FloatArray = col("Rule", "arcsec", ".3f", "component", json="rule_arcsec_3sigma")
     relative_uncertainty: float = col("Uncertainty")  # Of every error: a standard deviation from so many trials
+    # Errors in units of what the rule makes of each trial's stars, root mean square: the shift of their mean by
+    # ``total / sqrt(N)``, carried to the boresight by the roll that they leave
+    over_expected: Sequence[Measured] = col("Over the rule for the same stars", dims="component", json="over_expected")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,6 +123,13 @@ class _Field:
     half_rad: FloatArray  # (2,) half width and half height as tangents
     part: tuple[float, float, float, float] = (-1.0, 1.0, -1.0, 1.0)
 
+    @classmethod
+    def of(cls, instrument: Instrument) -> _Field:
+        """All of it."""
+        camera = instrument.camera
+        half_px = np.array([camera.width_px, camera.height_px]) / 2.0
+        return cls(half_px * camera.pixel_pitch_mm / instrument.focal_length_mm)
+
     def places(self, shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
         """Places (trials, n, 2), evenly spread over the part, in half widths from the middle."""
         low, high = np.array(self.part[::2]), np.array(self.part[1::2])
@@ -137,61 +151,100 @@ def attitude_study(
     advance: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
     """Monte-Carlo of the attitude: the records of `SECTIONS`."""
-    camera, trials, failed = instrument.camera, config.trials, 0
-    half_px = np.array([camera.width_px, camera.height_px]) / 2.0
-    field = _Field(half_px * camera.pixel_pitch_mm / instrument.focal_length_mm)
+    trials, failed, field = config.trials, 0, _Field.of(instrument)
 
-    def scatter(part: _Field, reading: str, count: int, at: Streams, name: str) -> tuple[FloatArray, FloatArray]:
+    def scatter(part: _Field, reading: str, count: int, at: Streams, name: str) -> _Scatter:
         nonlocal failed
-        error, stated, lost = _scatter(part, errors, reading, count, trials, at.generator(name))
-        failed += lost
-        return error, stated
+        found = _scatter(part, errors, reading, count, trials, at.generator(name))
+        failed += found.failed
+        return found
 
     numbers = []
     for count in config.counts:
-        pairs = [scatter(field, reading, count, streams.child("curve", count), reading) for reading in READINGS]
+        found = [scatter(field, reading, count, streams.child("curve", count), reading) for reading in READINGS]
         numbers.append(
             Number(
                 stars=count,
-                arcsec=np.stack([error for error, _ in pairs]),
+                arcsec=np.stack([one.arcsec for one in found]),
                 rule_arcsec=_rule(errors, field, count),
-                stated_arcsec=pairs[0][1],
+                stated_arcsec=found[0].stated_arcsec,
             )
         )
         advance()
     rule, first = _rule(errors, field, config.stars), next(iter(READINGS))
-    here = [scatter(field, reading, config.stars, streams.child("at"), reading)[0] for reading in READINGS]
+    here = [scatter(field, reading, config.stars, streams.child("at"), reading) for reading in READINGS]
     parts = [
-        scatter(_Field(field.half_rad, part), first, config.stars, streams.child("layout"), name)[0]
+        scatter(_Field(field.half_rad, part), first, config.stars, streams.child("layout"), name)
         for name, part in LAYOUTS.items()
     ]
+    part = float(1.0 / np.sqrt(2.0 * trials))
     return {
         "attitude": Attitude(
             stars=config.stars,
             trials=trials,
             failed=failed,
             rule_arcsec=rule,
-            relative_uncertainty=float(1.0 / np.sqrt(2.0 * trials)),
+            relative_uncertainty=part,
+            over_expected=measured(here[0].over_expected, here[0].over_expected * part, trials),
         ),
-        "readings": [Errors(arcsec=error, over_rule=error / rule) for error in here],
-        "layouts": [Errors(arcsec=error, over_rule=error / rule) for error in parts],
+        "readings": [Errors(arcsec=one.arcsec, over_rule=one.arcsec / rule) for one in here],
+        "layouts": [Errors(arcsec=one.arcsec, over_rule=one.arcsec / rule) for one in parts],
         "attitude_curve": numbers,
     }
 
 
+def solved_attitude(instrument: Instrument, budget: Budget, config: AttitudeConfig, streams: Streams) -> Value:
+    """Error of attitudes from N stars all over the field with the errors of a budget, independent from star to star."""
+    found = _scatter(
+        _Field.of(instrument),
+        StarErrors.of(budget),
+        next(iter(READINGS)),
+        config.stars,
+        config.trials,
+        streams.generator("attitude"),
+    )
+    of_total = budget.total.uncertainty_arcsec / np.maximum(budget.total.arcsec, 1e-300)
+    value = found.arcsec[:2]
+    return Value(
+        arcsec=value, uncertainty_arcsec=value * np.hypot(of_total, 1.0 / np.sqrt(2.0 * config.trials)), n=config.trials
+    )
+
+
 def _rule(errors: StarErrors, field: _Field, count: int) -> FloatArray:
     total = errors.total_arcsec
-    per_axis = total / np.sqrt(count)
+    per_axis = over_stars(total, count)
     share = field.half_rad**2 / (field.half_rad**2).sum()
     # stars at a distance along x turn the field by their error along y, and the other way round
-    across = np.sqrt(share[0] * total[1] ** 2 + share[1] * total[0] ** 2) / np.sqrt(count)
+    across = over_stars(np.sqrt(share[0] * total[1] ** 2 + share[1] * total[0] ** 2), count)
     return np.array([*per_axis, across / field.spread_rad])
+
+
+class _Scatter(NamedTuple):
+    """Errors of solved attitudes: x, y, roll."""
+
+    arcsec: FloatArray  # (3,) 3 sigma
+    stated_arcsec: FloatArray  # (3,) The same as stated by the estimator
+    over_expected: FloatArray  # (3,) In units of what the rule makes of each field, root mean square
+    failed: int  # Trials without an attitude
+
+
+def _expected2(plane: FloatArray, total_arcsec: FloatArray) -> FloatArray:
+    """Square of the error (t, 3) that least squares make of independent errors of stars at (t, n, 2).
+
+    Shift of the mean, and roll about it by errors across the way from the mean; the roll moves the boresight by the
+    distance of the mean from there.
+    """
+    middle = plane.mean(1)
+    xx, yy = np.moveaxis(((plane - middle[:, None]) ** 2).sum(1), -1, 0)
+    roll = (total_arcsec[0] ** 2 * yy + total_arcsec[1] ** 2 * xx) / (xx + yy) ** 2
+    shift = over_stars(total_arcsec, plane.shape[1]) ** 2
+    return np.stack([shift[0] + middle[:, 1] ** 2 * roll, shift[1] + middle[:, 0] ** 2 * roll, roll], axis=1)
 
 
 def _scatter(
     field: _Field, errors: StarErrors, reading: str, count: int, trials: int, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray, int]:
-    """3 sigma of x, y, roll; the same as stated by the estimator; trials without an attitude."""
+) -> _Scatter:
+    """Solve attitudes of drawn stars."""
     place = field.places((trials, count), rng)
     plane = place * field.half_rad
     true = np.concatenate([plane, np.ones((trials, count, 1))], axis=2)
@@ -217,7 +270,13 @@ def _scatter(
     stated = np.sqrt(np.mean(solved.sigma_arcsec[usable] ** 2, axis=0))
     square = np.sqrt(np.mean(turn**2, axis=0))
     order = [1, 0, 2]  # a turn about y displaces the boresight along x
-    return 3.0 * square[order], 3.0 * stated[order], int(np.count_nonzero(~usable))
+    expected2 = _expected2(plane, errors.total_arcsec)[usable] / 9.0
+    return _Scatter(
+        arcsec=3.0 * square[order],
+        stated_arcsec=3.0 * stated[order],
+        over_expected=np.sqrt(np.mean(turn[:, order] ** 2 / expected2, axis=0)),
+        failed=int(np.count_nonzero(~usable)),
+    )
 
 
 def _errors(errors: StarErrors, reading: str, place: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -258,7 +317,20 @@ def _axes(q: Quantities, _: Any) -> None:
 
 _AT_N: dict[str, Any] = {"record": Errors, "place": "attitude", "across": "component"}
 SECTIONS = {
-    "attitude": Section(record=Attitude, prefix="attitude_", place="attitude", axes=_axes),
+    "attitude": Section(
+        record=Attitude,
+        prefix="attitude_",
+        place="attitude",
+        axes=_axes,
+        verdicts=[
+            agree(
+                "attitude_over_expected",
+                1.0,
+                slack=FAR_FROM_THE_AXIS,
+                title="Attitude from stars with the errors measured, over total / √N for the same stars",
+            )
+        ],
+    ),
     "readings": Section(
         **_AT_N,
         dim="reading",

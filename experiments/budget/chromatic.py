@@ -75,14 +75,17 @@ class TracedTarget:
     psf: list[list[list[EffectivePsf]]]  # PSFs ``[corner][point][band]``; empty where every centroider knows them
 
 
-def trace_target(lab: Laboratory) -> TracedTarget:
-    """Trace the target behind every filter; PSFs only if a centroider does not know them."""
+def trace_target(lab: Laboratory, *, coarse: bool = False) -> TracedTarget:
+    """Trace the target behind every filter; PSFs only if a centroider does not know them, coarse: of middle points."""
     bench, instrument = lab.filtered, lab.instrument
     direction = corner_directions(bench.target, instrument)
     psf: list[list[list[EffectivePsf]]] = []
     if not all(has_own_epsf(method) for method in bench.methods):
-        target = target_light(bench, instrument)
-        psf = [target.psfs(one, bench.window_px // 2 + 2) for one in direction]
+        target, size = target_light(bench, instrument, by_grid=not coarse), bench.window_px // 2 + 2
+        if coarse:
+            psf = [target.psfs(one[len(one) // 2][None], size) * len(one) for one in direction]
+        else:
+            psf = [target.psfs(one, size) for one in direction]
     return TracedTarget(direction, bundle_prediction(bench, instrument, direction), psf)
 
 

@@ -17,12 +17,12 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.records import freeze
 
-__all__ = ["ECSS", "FRAME_TERMS", "PRINTED", "SUMS", "TERMS", "Budget", "Value", "combine"]
+__all__ = ["ECSS", "FRAME_TERMS", "PRINTED", "SUMS", "TERMS", "Budget", "Value", "combine", "over_stars"]
 
 
 TERMS = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
 FRAME_TERMS = ("TE", "HSFE", "LSFE-S")
-"""Terms that frames can contradict: C2 is an input, and C1 of a good lens is its marking error seen once more."""
+"""Terms that frames alone measure: C2 is the scatter of surveys, and C1 of a good lens is that seen once more."""
 SUMS = ("LSFE", "total", "attitude")
 ECSS = {
     "TE": "temporal noise",
@@ -61,13 +61,17 @@ class Budget:
     term: Mapping[str, Value]  # By the names of `TERMS`
     lsfe: Value  # Eq. 31
     total: Value  # Eq. 32
-    attitude: Value  # Total over the root of the number of stars
-    stars: int  # N
+    attitude: Value  # Predicted: `over_stars` of the total; measured: of solved attitudes
 
     def __getitem__(self, name: str) -> Value:
         """A term or a sum by its name."""
         sums = {"LSFE": self.lsfe, "total": self.total, "attitude": self.attitude}
         return sums[name] if name in sums else self.term[name]
+
+
+def over_stars(total_arcsec: FloatArray, stars: int) -> FloatArray:
+    """ACC18's attitude error from N stars."""
+    return np.asarray(total_arcsec / np.sqrt(stars))
 
 
 def combine(term: Mapping[str, Value], *, stars: int) -> Budget:
@@ -82,11 +86,11 @@ def combine(term: Mapping[str, Value], *, stars: int) -> Budget:
     )
     least = 1e-300
     total_value = Value(arcsec=total, uncertainty_arcsec=of_total / np.maximum(total, least))
-    root = np.sqrt(stars)
     return Budget(
         term=dict(term),
         lsfe=Value(arcsec=lsfe, uncertainty_arcsec=of_lsfe / np.maximum(lsfe, least)),
         total=total_value,
-        attitude=Value(arcsec=total / root, uncertainty_arcsec=total_value.uncertainty_arcsec / root),
-        stars=stars,
+        attitude=Value(
+            arcsec=over_stars(total, stars), uncertainty_arcsec=over_stars(total_value.uncertainty_arcsec, stars)
+        ),
     )

@@ -83,6 +83,7 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
     """Instrument and benches of a configuration."""
     detector = overridden(configured_detector(config.instrument), config.detector)
     prescription = moved_lens(configured_lens(config.instrument), config.moved) if lens is None else lens
+    prescription.check_surfaces()  # its terms come from elements that move and warm
     instrument = build_instrument(config.instrument, prescription, detector)
     filters = config.filters
     narrow = interference_filters(filters)
@@ -126,7 +127,7 @@ def check_laboratory(lab: Laboratory) -> None:
     check_light(lab.filtered, lab.instrument, corners)
     top = min(chip.full_well_e, (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e)
     _, radius, _ = expected_spots(lab.filtered, lab.instrument, corners)
-    sigma2 = float(np.nanmin(radius)) ** 2 / 2.0 + chip.diffusion_sigma_px**2 + 1.0 / 12.0
+    sigma2 = float(np.nanmin(radius)) ** 2 / 2.0 + lab.instrument.camera.blur_px**2 + 1.0 / 12.0
     if signal / (2.0 * np.pi * sigma2 + 1.0) > top:
         raise DomainError(
             f"source: a point of {signal:g} e- saturates its brightest pixel (it holds {top:.0f} e-); "

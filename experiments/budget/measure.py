@@ -7,11 +7,12 @@ measurement is repeated and its RMS taken, so that its uncertainty is small agai
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from experiments.budget.attitude import solved_attitude
 from experiments.budget.chromatic import ChromaticTerm, measured_terms
 from experiments.budget.combine import Budget, Value, combine
 from experiments.budget.laboratory import (
@@ -47,8 +48,6 @@ class Measurement:
     # (2,) sigma_C1 of the first survey alone: what a laboratory that surveys once would print
     one_survey_arcsec: FloatArray
     survey_scatter_arcsec: FloatArray  # (2,) Standard deviation of that from survey to survey
-    # (2,) Scatter of the surveyed coordinates about the true ones, 3 sigma, over points and surveys
-    surveyed_arcsec: FloatArray
     chromatic: ChromaticTerm  # Table 1
 
 
@@ -87,7 +86,7 @@ def measure_terms(
         scene=scene,
         advance=advance,
     )
-    found = {}
+    found, c2 = {}, _marking(distortion) or marking(lab)
     for method in lab.bench.methods:
         hsfe, single = _over_places(lab, places, method)
         every, rms, spread = _over_surveys(lab, distortion, method)
@@ -101,16 +100,17 @@ def measure_terms(
             "HSFE": hsfe,
             "LSFE-S": chromatic[method].value(),
             "LSFE-C1": c1,
-            "LSFE-C2": marking(lab),
+            "LSFE-C2": c2,
         }
+        budget = combine(term, stars=lab.config.attitude.stars)
+        solved = solved_attitude(instrument, budget, lab.config.attitude, root.child("attitude", method))
         found[method] = Measurement(
-            budget=combine(term, stars=lab.config.attitude.stars),
+            budget=replace(budget, attitude=solved),
             single_arcsec=single,
             left_arcsec=rms[1],
             found_arcsec=rms[0],
             one_survey_arcsec=every[0, 2],
             survey_scatter_arcsec=spread[2],
-            surveyed_arcsec=_surveyed(distortion),
             chromatic=chromatic[method],
         )
     return found
@@ -135,10 +135,14 @@ def _over_surveys(
     return every, np.sqrt((every**2).mean(0)), spread
 
 
-def _surveyed(distortion: DistortionMeasurement) -> FloatArray:
-    """Scatter (2,) [arcsec, 3 sigma] of the surveyed places about the true ones, in the plane of the target."""
-    plane, true = (v[..., :2] / v[..., 2:] for v in (distortion.surveyed, distortion.direction))
-    return np.asarray(3.0 * np.sqrt(((plane - true) ** 2).mean((0, 1))) / ARCSEC_RAD)
+def _marking(distortion: DistortionMeasurement) -> Value | None:
+    """C2 as a laboratory has it: scatter of repeated surveys in the plane of the target; None of a single one."""
+    plane = distortion.surveyed[..., :2] / distortion.surveyed[..., 2:]
+    free = (len(plane) - 1) * plane.shape[1]
+    if not free:
+        return None
+    value = 3.0 / ARCSEC_RAD * np.sqrt(((plane - plane.mean(0)) ** 2).sum((0, 1)) / free)
+    return Value(arcsec=value, uncertainty_arcsec=value / np.sqrt(2.0 * free), n=plane.shape[0] * plane.shape[1])
 
 
 def _of_measured(pair: Sequence[Any]) -> Value:

@@ -1,9 +1,9 @@
 """Every term predicted without frames, for every centroider of the bench, by `experiments.laboratory`.
 
 Where many settings are predicted, each is made cheaper (`coarse_terms`): the centroider that counts alone, a target of
-3 x 3 points over the same area, half the positions of the step test on an ideal platform at one place, fewer draws, and
-the same ones everywhere. The star mean that eq. 8 removes takes 1/W of an independent error; the pixel term is scaled
-from W = 9 to the target's own.
+3 x 3 points over the same area, behind the filters with the PSF of its middle point, half the positions of the step
+test on an ideal platform at one place, fewer draws, and the same ones everywhere. The star mean that eq. 8 removes
+takes 1/W of an independent error; the pixel term is scaled from W = 9 to the target's own.
 """
 
 from __future__ import annotations
@@ -86,7 +86,8 @@ def predict_terms(
     scale = 3.0 * instrument.pixel_arcsec
     temporal = predict_temporal(lab.bench, instrument, psf=psf, draws=draws, defect=defect, seed=seed)
     steps = _steps(lab, step_draws, defect, coarse=coarse)
-    traced = rendered_once(lab, lab.filtered, "chromatic", lambda: trace_target(lab))
+    name = "chromatic, coarse" if coarse else "chromatic"
+    traced = rendered_once(lab, lab.filtered, name, lambda: trace_target(lab, coarse=coarse))
     chromatic = predicted_terms(lab, traced, draws=draws, defect=defect)
     distortion = _distortion(lab, draws, defect)
     alone = _marking_alone_px(lab)
@@ -136,7 +137,7 @@ def coarse_terms(config: Config) -> PredictedTerms:
     scaled = Value(arcsec=hsfe.arcsec * factor, uncertainty_arcsec=hsfe.uncertainty_arcsec * factor)
     return replace(
         terms,
-        budget=combine({**budget.term, "HSFE": scaled}, stars=budget.stars),
+        budget=combine({**budget.term, "HSFE": scaled}, stars=config.attitude.stars),
         causes_arcsec={name: value * factor for name, value in terms.causes_arcsec.items()},
     )
 

@@ -6,10 +6,12 @@ order that change is e = s dT, so that over a field of stars and a temperature o
 
     LSFE-T (3 sigma) = RMS over the field of s x 3 sigma_T
 
-with ``thermal.stability_k`` for 3 sigma_T. Predicted by ray trace of the warmed and the cooled lens, measured by the
-centre of gravity on frames rendered through both, and set beside the paraxial chief ray, which shares no trace with
-them. The centre of gravity is taken whatever centroider counts: it is what the traced mean predicts. A PSF that is
-fitted follows the core of a spot whose focus has changed, and that may grow at another rate.
+with ``thermal.stability_k`` for 3 sigma_T. Predicted by ray trace of the warmed and the cooled lens, and set beside the
+paraxial chief ray, which shares no trace with it. Measured in a chamber at either end: the camera is calibrated anew by
+a cubic polynomial through centres of gravity of rendered frames, and the difference of both calibrations is taken
+against the temperatures that the thermometer of the lens shows. The centre of gravity is taken whatever centroider
+counts: it is what the traced mean predicts. A PSF that is fitted follows the core of a spot whose focus has changed,
+and that may grow at another rate.
 """
 
 from __future__ import annotations
@@ -74,12 +76,21 @@ class Thermal:
     corner_px_per_k: float = col("Outermost star", "px/K", ".3f", json="outermost_star_px_per_k")
 
 
-def warmed(lab: Laboratory, kelvin: float) -> Laboratory:
-    """The laboratory with lens and housing warmer by so much; everything else as it was, the focus too."""
+def chamber(lab: Laboratory, temperature_c: float) -> Laboratory:
+    """The laboratory with lens and housing at a temperature; everything else as it was, the focus too."""
     config = lab.config
-    temperature = lab.instrument.camera.lens.environment.temperature_c + kelvin
-    instrument = config.instrument.model_copy(update={"lens_temperature_c": temperature})
+    instrument = config.instrument.model_copy(update={"lens_temperature_c": temperature_c})
     return build_laboratory(config.model_copy(update={"instrument": instrument}))
+
+
+def warmed(lab: Laboratory, kelvin: float) -> Laboratory:
+    """The laboratory with lens and housing warmer by so much than they were calibrated."""
+    return chamber(lab, thermometer_c(lab) + kelvin)
+
+
+def thermometer_c(lab: Laboratory) -> float:
+    """Temperature of the lens."""
+    return lab.instrument.camera.lens.environment.temperature_c
 
 
 def field_directions(lab: Laboratory) -> FloatArray:
@@ -100,15 +111,16 @@ def thermal_term(lab: Laboratory, streams: Streams) -> Thermal | str:
         return "thermal.stability_k is 0"
     try:
         ends = [warmed(lab, -span), warmed(lab, span)]
+        chambers = [chamber(lab, thermometer_c(lab) + excursion) for excursion in (-span, span)]
         slopes = [warmed(lab, -STEP_K), warmed(lab, STEP_K)]
     except DomainError as error:
         return str(error)
     direction = field_directions(lab)
     place = nominal_px(lab.instrument, direction)
     traced = [bundle_prediction(one_filter(end.bench), end.instrument, direction[None])[0, :, 0] for end in ends]
-    seen = _images(lab, ends, direction, streams)
+    seen, read = _images(lab, chambers, direction, streams), [thermometer_c(one) for one in chambers]
     basis, centred = cubic_basis(place), place - lab.instrument.camera.centre_px
-    predicted, shift = ((warm - cold) / 2.0 for cold, warm in (traced, seen))
+    predicted, shift = (traced[1] - traced[0]) / 2.0, (seen[1] - seen[0]) / (read[1] - read[0]) * span
     scale = lab.instrument.pixel_arcsec  # the excursion is three sigma already
     noise = _left(basis, shift)
     count, free = basis.shape
@@ -117,7 +129,7 @@ def thermal_term(lab: Laboratory, streams: Streams) -> Thermal | str:
     slope, spread = _slopes(centred, shift)
     paraxial = [_paraxial(one.instrument.camera.focused_lens) for one in slopes]
     return Thermal(
-        calibrated_at_c=lab.instrument.camera.lens.environment.temperature_c,
+        calibrated_at_c=thermometer_c(lab),
         stars=count,
         signal_e=max(lab.bench.signal_e, BRIGHT_E),
         predicted_arcsec=predicted.std(axis=0) * scale,

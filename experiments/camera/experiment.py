@@ -22,11 +22,11 @@ from experiments.harness.range import value_at, with_value
 from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.what_if import REQUIREMENTS, Requirement, judge, missed_words
 from experiments.laboratory.checks import focus_remark
+from experiments.laboratory.instrument import stated_lens
 from experiments.laboratory.requirements import AT_LEAST
 from optics.arrays import FloatArray
 from optics.errors import DomainError, StarbenchError
 from optics.figures import draw_lens
-from optics.lens_file import load_lens
 from optics.rays.spots import trace_spots
 
 __all__ = ["SECTIONS", "limits", "predict", "run"]
@@ -90,7 +90,14 @@ def limits(config: Config) -> dict[str, tuple[float, bool]]:
 def draw_section(outcome: Outcome) -> Figure:
     """Section through the lens with fans of rays to the middle, to 70 % of the half diagonal and to the corner."""
     state: OpticalState = outcome.result["setup"].state
-    fields = state.performance.field_deg
+    fields, measured = state.performance.field_deg, state.instrument.camera.lens.measured
+    if measured is not None:
+        figure, (light, width) = new_figure(1, 2, aspect_ratio=0.38)
+        light.plot(fields, state.performance.vignetting, "o-")
+        light.set(xlabel="Field [°]", ylabel="Light of a star, relative to the axis", ylim=(0.0, None))
+        width.plot(fields, state.performance.white.rms_mm() * 1e3, "o-")
+        width.set(xlabel="Field [°]", ylabel="RMS radius of the PSF [µm]", ylim=(0.0, None))
+        return figure
     figure = draw_lens(state.instrument.camera.focused_lens, fields_deg=[0.0, float(fields[2]), float(fields[-1])])
     figure.axes[0].set_title("")
     width, height = figure.get_size_inches()
@@ -293,7 +300,7 @@ class ThermalRange:
 
 def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
     """The sensor predicted at all temperatures; None, and the reason, for a lens without thermal data."""
-    setting, reference_c = config.thermal, load_lens(config.instrument.lens).environment.temperature_c
+    setting, reference_c = config.thermal, stated_lens(config.instrument).environment.temperature_c
     at_c = np.linspace(setting.lowest_c, setting.highest_c, setting.points)
     try:
         reference, *found = (

@@ -27,7 +27,7 @@ from experiments.camera.prediction import CameraPrediction, exposed_s
 from experiments.camera.settings import Config
 from experiments.harness.plotting import new_figure
 from experiments.harness.quantities import Outcome, Quantities
-from experiments.harness.sections import Section, agree, below, col
+from experiments.harness.sections import Section, agree, below, col, ratio_near
 from experiments.harness.summary import Measured
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import overridden
@@ -66,7 +66,7 @@ class ChartFrames:
     radius_px: FloatArray
     electrons: FloatArray
     found: NDArray[np.bool_]  # (k, n) Whether a detection belongs to the star
-    error_px: FloatArray  # (k, n, 2) Centroid minus mean of the noiseless light; NaN where there is none
+    error_px: FloatArray  # (k, n, 2) Centroid minus mean of all light of the star; NaN where there is none
     false_alarms: NDArray[np.int64]  # (k,) Detections without a star, those that are flagged as too sharp left out
 
 
@@ -315,7 +315,8 @@ MODEL_SHARE, MODEL_MAG = 0.03, 0.05
 """What the prediction leaves out (fields between five, PSFs in cells, a linear response), three standard deviations."""
 FEWEST_STARS = 8
 """Fewer are not always told from chance."""
-FALSE_ALARM = 1e-3
+MAG = 2.5 / math.log(10.0)
+"""Magnitudes that stand for a relative error of the light."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -330,13 +331,16 @@ class Compared:
     error: float = col("Standard deviation", format=".2g")
     n: int = col("Samples", json="")
     pull: Measured = col("Difference", "sigma", ".1f", json="")
+    # In standard deviations what an error of the whole would be
+    whole: float = col("Predicted over its standard deviation", "sigma", json="", shown=False)
 
 
 def compared(**given: Any) -> Compared:
     """A comparison with its difference in standard deviations."""
     error = given["error"]
     pull = (given["measured"] - given["predicted"]) / error if error > 0 else math.nan
-    return Compared(pull=Measured(value=pull, unit="sigma", uncertainty=1.0), **given)
+    whole = abs(MAG if given["unit"] == "mag" else given["predicted"]) / error if error > 0 else math.nan
+    return Compared(pull=Measured(value=pull, unit="sigma", uncertainty=1.0), whole=whole, **given)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -345,6 +349,8 @@ class Solved:
 
     chart_stars: int = col("Chart stars", json="")
     frames_unsolved: int = col(f"Frames with {FEWEST_STARS} stars or more that are not solved")
+    # None where no frame was solved
+    attitude_ratio: Measured | None = col("Attitude errors over predicted ones, RMS of three axes", default=None)
     rendered: Rendered
 
 
@@ -352,8 +358,18 @@ def solved_frames(prediction: CameraPrediction, rendered: Rendered) -> Solved:
     """What became of the frames of the sky."""
     error = rendered.sky.error_arcsec
     enough = prediction.attitude.stars[: len(error)] >= FEWEST_STARS
-    unsolved = int(np.count_nonzero(enough & ~np.isfinite(error).all(axis=1)))
-    return Solved(chart_stars=len(rendered.chart.magnitude), frames_unsolved=unsolved, rendered=rendered)
+    known = np.isfinite(error).all(axis=1)
+    pull = error[known] / prediction.attitude.total_arcsec[: len(error)][known]
+    ratio = None
+    if pull.size:
+        rms, spread = float(np.sqrt((pull**2).mean())), float(1.0 / np.sqrt(2.0 * pull.size))
+        ratio = Measured(value=rms, uncertainty=spread, n=pull.size)
+    return Solved(
+        chart_stars=len(rendered.chart.magnitude),
+        frames_unsolved=int(np.count_nonzero(enough & ~known)),
+        attitude_ratio=ratio,
+        rendered=rendered,
+    )
 
 
 def compare(prediction: CameraPrediction, rendered: Rendered) -> list[Compared]:
@@ -529,8 +545,6 @@ JUDGED = {
     "limiting_magnitude": "share of chart stars found against prediction",
     "false_alarms": "counted against predicted",
     "stars": "counted against predicted",
-    "attitude_cross": "error of solved frames against prediction",
-    "attitude_roll": "error of solved frames against prediction",
 }
 ADVICE = {"nea": "the centroider does not follow its linear response: too faint a star, too small a window"}
 FRAMES = Section(
@@ -551,7 +565,7 @@ FRAMES = Section(
             0.0,
             at={"comparison": key},
             title=title,
-            false_alarm=FALSE_ALARM,
+            of="compared_whole",
             advice=ADVICE.get(key, ""),
         )
         for key, title in JUDGED.items()
@@ -560,5 +574,13 @@ FRAMES = Section(
 SOLVED = Section(
     record=Solved,
     figures={"frame": frames_drawn},
-    verdicts=[below("frames_unsolved", 0.0, title=f"frames of the sky with {FEWEST_STARS} stars or more, not solved")],
+    verdicts=[
+        ratio_near(
+            "attitude_ratio",
+            within=0.05,
+            title="attitudes across and roll: errors of solved frames over predicted ones, RMS",
+            advice="centroids are worse than predicted, or the camera model of the solver is not that of the lens",
+        ),
+        below("frames_unsolved", 0.0, title=f"frames of the sky with {FEWEST_STARS} stars or more, not solved"),
+    ],
 )

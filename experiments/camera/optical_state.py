@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -19,13 +19,12 @@ from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, P
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.band import Band
-from optics.rays.performance import LensPerformance, lens_performance, white_focus
+from optics.rays.performance import LensPerformance, lens_performance
 from optics.rays.spots import Spots, trace_spots
-from optics.units import ARCSEC_RAD
 from render.camera import Camera
 from render.records import EffectivePsf
 from render.sky.star_light import StarLight, star_light
-from render.tracing.psf import ray_epsf, trailed, wave_images
+from render.tracing.psf import measured_psfs, ray_epsf, trailed, wave_images
 
 __all__ = ["NODES", "OpticalState", "optical_state"]
 
@@ -82,9 +81,8 @@ class OpticalState:
 
     @property
     def pixel_arcsec(self) -> float:
-        """Angle of a pixel on the axis, by the scale of the image."""
-        camera = self.instrument.camera
-        return float(camera.pixel_pitch_mm / self.performance.plate_scale_mm / ARCSEC_RAD)
+        """Angle of a pixel on the axis."""
+        return self.instrument.pixel_arcsec
 
     def electrons_per_s(self, magnitude: FloatArray, temperature_k: FloatArray, radius_px: FloatArray) -> FloatArray:
         """Electrons per second of stars (n,), at distances from the middle of the detector."""
@@ -157,16 +155,26 @@ def _state(
     )
     spots = trace_spots(lens, field_deg, np.zeros_like(field_deg), wave, order=RAYS)
     performance = lens_performance(lens, field_deg, wave, share, spots=spots)
+    blur_mm = camera.lens_blur_px * camera.pixel_pitch_mm
+    performance = replace(
+        performance, white=performance.white.blurred(blur_mm), single=performance.single.blurred(blur_mm)
+    )
     seen = trace_spots(lens, area_field_deg, np.zeros_like(area_field_deg), wave, order=AREA_RAYS)
-    pitch, diffusion_px = camera.pixel_pitch_mm, camera.charge_diffusion_px
-    rms_px = white_focus(spots, share).rms_mm() / pitch
+    pitch, diffusion_px = camera.pixel_pitch_mm, camera.blur_px
+    rms_px = performance.white.rms_mm() / pitch
     trail_px = performance.plate_scale_mm / pitch * turn_rad[0] * np.array([np.cos(turn_rad[1]), np.sin(turn_rad[1])])
     if window is not None:
         _check_trail(float(np.hypot(*trail_px)), float(np.nanmax(rms_px)), *window)
+    optics_px2 = float(np.nanmean(rms_px**2)) / 2.0 - camera.lens_blur_px**2
     half = int(np.clip(np.ceil(4.0 * np.nanmax(rms_px) + 0.5 * np.abs(trail_px).max()) + 4, 8, 40))
-    psfs_of = _psfs_by_rays(spots, camera, half)
-    sigma2 = float(np.nanmean(rms_px**2)) / 2.0 + diffusion_px**2 + 1.0 / 12.0 + float(trail_px @ trail_px) / 24.0
-    if config.diffraction != "rays":
+    psfs_of: Callable[[FloatArray], tuple[EffectivePsf, ...]] = _psfs_by_rays(spots, camera, half)
+    sigma2 = optics_px2 + diffusion_px**2 + 1.0 / 12.0 + float(trail_px @ trail_px) / 24.0
+    if lens.measured is not None:
+        turn = math.radians(AZIMUTH_DEG)
+        along = np.tan(np.radians(field_deg))
+        direction = np.stack([math.cos(turn) * along, math.sin(turn) * along, np.ones_like(along)], axis=-1)
+        psfs_of = partial(measured_psfs, camera, direction, wave, oversampling=OVERSAMPLING, half_size_px=half)
+    elif config.diffraction != "rays":
         images = wave_images(
             lens,
             field_deg,
@@ -240,7 +248,7 @@ def _psfs_by_rays(spots: Spots, camera: Camera, half_size_px: int) -> Callable[[
                 (cos * column - sin * row).ravel(),
                 (sin * column + cos * row).ravel(),
                 (area * share[:, None]).ravel(),
-                diffusion_px=camera.charge_diffusion_px,
+                diffusion_px=camera.blur_px,
                 oversampling=OVERSAMPLING,
                 half_size_px=half_size_px,
             )

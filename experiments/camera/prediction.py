@@ -35,9 +35,11 @@ from experiments.camera.optical_state import COLD_K, HOT_K, OpticalState, optica
 from experiments.camera.settings import Config
 from experiments.camera.sky import SkyView, sky_view
 from experiments.harness.sections import col
+from experiments.laboratory.checks import focus_remark
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.instrument import configured_detector
 from optics.arrays import FloatArray
+from optics.errors import DomainError
 from optics.units import RAD_ARCSEC
 from render.detector.noise import PixelNoise
 from render.detector.spec import Detector
@@ -52,6 +54,8 @@ FAINTEST_E, BRIGHTEST_E = 20.0, 1e6
 FOUND_KNOTS, FOUND_RANGE = 32, (0.2, 8.0)
 DEEPER_MAG = 1.0
 """Stars that the sky is searched for are so much fainter than what half of the time is found."""
+BRIGHTEST_MAG = -1.5
+"""No star is brighter (Sirius: V = -1.46 mag)."""
 WORST = 0.01
 """Share of the sky that its worst part is."""
 
@@ -217,6 +221,12 @@ def predict_camera(config: Config) -> CameraPrediction:
     processing = _processing(config, state)
     stars = _star_errors(config, state, processing)
     limit = _limits(config, state, stars)
+    if limit[0.5] <= BRIGHTEST_MAG:
+        remark = (
+            focus_remark(state.instrument.camera, state.light.wavelength_nm.ravel())
+            or "the signal of every star is below the noise"
+        )
+        raise DomainError(f"half of the stars of {limit[0.5]:g} mag are not detected; {remark}")
     view = sky_view(config, limit[0.5] + DEEPER_MAG)
     attitude = _attitude(config, state, processing, stars, view)
     return CameraPrediction(
@@ -456,7 +466,7 @@ def optics(prediction: CameraPrediction) -> Optics:
     wide, high = 2.0 * np.degrees(np.arctan(half))
     first, last = (int(np.abs(np.log(state.temperatures_k / t)).argmin()) for t in (COLD_K, HOT_K))
     return Optics(
-        focal_length_mm=lens.focal_length_mm,
+        focal_length_mm=state.instrument.focal_length_mm,
         f_number=lens.f_number,
         pupil_mm=abs(lens.focal_length_mm) / lens.f_number,
         plate_scale_arcsec_per_mm=RAD_ARCSEC / lens.plate_scale_mm,

@@ -71,8 +71,8 @@ def _sky_view(
     if not len(bright):
         brightest = float(np.nanmin(whole.magnitude))
         raise DomainError(
-            f"no star of catalogue {whole.name} is brighter than {depth:g} mag, what the sensor finds; the brightest "
-            f"has {brightest:.2f} mag"
+            f"no star of catalogue {whole.name} is brighter than {depth:g} mag, the limiting magnitude of "
+            f"the sensor; the brightest has {brightest:.2f} mag"
         )
     stars = whole.select(bright)
     view = _view(instrument)

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from experiments.chromatic.filters import exchanged, parts_of_shift
 from experiments.harness.drawings import arrows
-from experiments.harness.quantities import Quantities
-from experiments.harness.sections import Section, col
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.sections import Section, below, col
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench import band_pairs
 from experiments.laboratory.chromatic_error import CALIBRATIONS, after_calibration, rms, shifts, table1
@@ -38,6 +39,24 @@ class Residual:
     """RMS length of the shifts of a pair, as found and with camera parameters of its own for the filter."""
 
     residual_px: FloatArray = col("RMS length", "px", ".4f", "step")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Constant:
+    """The part of a pair's shift that is the same everywhere, first centroider: of the lens, and of the filters."""
+
+    constant_px: Sequence[Measured] = col("The same everywhere", "px", dims="axis")
+    lens_px: Sequence[Measured] = col("of it the lens", "px", dims="axis")
+    wedge_px: Sequence[Measured] = col("the filters", "px", dims="axis")
+    told_text: str = col("Told apart", json="told_apart[pair]")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exchange:
+    """Files of filters that stand for each other."""
+
+    said: Sequence[str]  # In words
+    exchanged: int = col("Exchanged filters", json="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,8 +151,9 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
     names = [name for name, _, _ in seen.pairs]
     shift, sigma = seen.shift_px(first), seen.shift_sigma_px(first)
     place = seen.mean_px(first)[:, :, seen.reference]
-    pairs, residuals = [], []
-    for name in names:
+    pairs, residuals, constants = [], [], []
+    angles = np.array([[one.settings.angle_deg for one in row] for row in seen.grid])
+    for name, high, low in seen.pairs:
         count = sigma[name][..., 0].size
         error = np.sqrt((sigma[name] ** 2).sum((0, 1))) / (2 * count)
         pairs.append(
@@ -143,16 +163,41 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
                 shift_arcsec=scale * shift[name].reshape(-1, 2),
             )
         )
+        of = parts_of_shift(shift[name], sigma[name], place - folder.centre_px, angles[:, high], angles[:, low])
+        constants.append(
+            Constant(
+                constant_px=measured(of.constant_px, of.constant_sigma_px),
+                lens_px=measured(of.lens_px, of.lens_sigma_px),
+                wedge_px=measured(of.wedge_px, of.wedge_sigma_px),
+                told_text=_told(bool(np.isfinite(of.wedge_px).all()), bool(np.ptp(angles) > 0)),
+            )
+        )
         left = after_calibration(shift[name], place - folder.centre_px)
         residuals.append(Residual(residual_px=np.array([np.linalg.norm(rms(left[step])) for step in CALIBRATIONS])))
+    swaps = exchanged(seen.grid, seen.filters_nm)
     every = [seen.shift_px(m) for m in methods]
     whole, spread = (np.stack([one[name].reshape(-1, 2) for name in names]) for one in (shift, sigma))
     return [one for row in seen.grid for one in row], {
         "pairs": pairs,
+        "constants": constants,
+        "exchange": Exchange(said=swaps, exchanged=len(swaps)) if len(seen.grid) > 1 else None,
         "calibration": residuals,
         "centroiders": [Centroider(method_table1_px=np.array([table1(of[name]) for name in names])) for of in every],
         "points": Points(filters_nm=seen.filters_nm, place_px=place.reshape(-1, 2), shift_px=measured(whole, spread)),
     }
+
+
+def _told(apart: bool, turned: bool) -> str:
+    if apart:
+        return "yes"
+    if turned:
+        return "no: turn every filter, the reference too, or the camera"
+    return "no: neither the filters nor the camera were turned"
+
+
+def _exchange_advice(outcome: Outcome) -> str:
+    said = "; ".join(outcome.result["exchange"].said)
+    return f"{said} are exchanged: the other places have them the other way round; correct filter_nm"
 
 
 def _axes(q: Quantities, pairs: Sequence[Pair]) -> None:
@@ -174,9 +219,29 @@ own_frames = FramesTest(
             rows="pair axis",
             columns="table1_px",
             caption="Mean shift between filters, halved (ACC18 Table 1, eq. 16).",
-            note="One standard deviation, by the stated noise. A shift that is the same everywhere is that of the "
-            "lens, of a wedge of the filters, or of a target that moved between two series: frames cannot tell.",
+            note="One standard deviation, by the stated noise. A target that moved between two series adds to it.",
             figures={"shifts": arrows("place_px", "shift_arcsec", panels="pair", frame="frame_size_px")},
+        ),
+        "constants": Section(
+            record=Constant,
+            dim="pair",
+            table="wedge",
+            rows="pair axis",
+            caption="The part of the shift that is the same everywhere: a decentred lens (prism), which turns with the "
+            "camera, and wedges of the filters, which turn with them.",
+            note="Places that differ in filter_angle_deg or camera_angle_deg tell them apart; *the filters*: wedge of "
+            "the one over that of the other, as at the angle 0.",
+        ),
+        "exchange": Section(
+            record=Exchange,
+            verdicts=[
+                below(
+                    "exchanged",
+                    0,
+                    title="filters exchanged at a place, by the light and width of their spots",
+                    advice=_exchange_advice,
+                )
+            ],
         ),
         "calibration": Section(
             record=Residual,

@@ -164,13 +164,13 @@ experiment = Experiment(
     axes="experiment:axes",
     takes="3 min (--quick: 25 s)",
     examples={
-        "--quick": "six benches instead of a hundred",
+        "--quick": "eight benches instead of a hundred",
         "--set camera.mounting_arcsec=0.5 --set trim.stop_px=0.3": "a stiffer mount, a stricter stop rule",
     },
     extra="experiment:trim_tables",
     show=("trims", "budget"),
     quick={
-        "benches.count": 6,
+        "benches.count": 8,
         "benches.log2_particles": 17,
         "benches.shown_log2_particles": 19,
         "benches.view_samples": 8,

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
+from scipy.stats import binom, norm
 
 from calib.flags import UNFIT, StarFlag, has_flag
 from calib.measure.crlb import fisher_information
@@ -72,9 +73,9 @@ class FoundStars:
     matched: NDArray[np.bool_]  # (n,) Whether a detection belongs to it
     fit: NDArray[np.bool_]  # (n,) Whether that detection has no flag of the measurement
     blend_seen: NDArray[np.bool_]  # (n,) Whether that detection is flagged ``BLEND``
-    error_px: FloatArray  # (n, 2) Centroid minus centroid of the noiseless light; NaN where there is no centroid
+    error_px: FloatArray  # (n, 2) Centroid minus mean of all light of the star; NaN where there is no centroid
     smear_px: FloatArray  # (n,) Length of its trail
-    position_px: FloatArray  # (n, 2) Centroid of its noiseless light
+    position_px: FloatArray  # (n, 2) Mean of all its light
     radius_px: FloatArray  # (n,) Distance from the middle of the detector
     false: NDArray[np.int64]  # (f,) Frames of detections without a star
     false_spike: NDArray[np.bool_]  # (f,) Whether these are flagged as sharper than a star or as defective
@@ -259,8 +260,14 @@ BOUND_SNR = (8.0, 25.0)
 """Between these noise alone decides: below, only stars that the noise helped are seen; above, colours and response."""
 FEWEST_IN_BIN, FEWEST_FOR_HALF = 8, 5
 """Stars in a bin for a centroid error, and for a share of detected stars to count."""
-BOUND_STARS = 200
-"""Fewer tell the ratio to worse than 5 %."""
+BOUND_STARS = 300
+"""Fewer tell the ratio to worse than 5 %: an excess of 25 % would pass."""
+BOUND_MARGIN = 1.05
+"""Ratio that interpolation of PSFs and sharp spots explain."""
+MISSED_SHARE = 0.01
+"""Of bright stars that nothing disturbs, not detected."""
+FALSE_ALARM = 1e-3
+"""Probability that a limit is passed by chance."""
 BINS_PER_DECADE = 6
 MAGNITUDE_STEP = 0.25
 SNR_BINS, LEAST_SNR = 23, 0.5
@@ -287,6 +294,7 @@ class Detection:
     bright_share: float = col("Their share detected", json="completeness.share")
     bright_undisturbed: float = col("Share of the undisturbed ones", json="completeness.undisturbed")
     bright_missed: float | None = col("Share of undisturbed stars of SNR 10 and more not detected", json="")
+    bright_missed_limit: float = col("Largest share that 1 % of stars missed explains", json="")
     magnitude_of_half: float = col(
         "Magnitude of which half is detected", "mag", ".2f", json="completeness.magnitude_of_half"
     )
@@ -303,6 +311,7 @@ class Detection:
     bound_ratio: Measured | None = col(
         f"Centroid error over its Cramér-Rao bound, SNR {BOUND_SNR[0]:g} to {BOUND_SNR[1]:g}", json=""
     )
+    bound_limit: float = col("Largest ratio", json="")
     wcs_max_error_px: float = col("World coordinates in astropy against chief rays, largest", "px")
     wcs_judged_px: float | None = col("World coordinates in astropy against chief rays, largest", "px", json="")
     example: Example | None  # The first frame with stars
@@ -354,14 +363,17 @@ def detection(
 ) -> dict[str, Any]:
     """Sections of the stars of all frames; ``empty_*``: frames without stars, and unflagged detections in them."""
     lonely = int((~stars.false_spike).sum())
-    spread = np.sqrt((lonely + 1) / stars.frames**2 + (empty_detections + 1) / empty_frames**2)
-    excess = float((lonely / stars.frames - empty_detections / empty_frames) / spread)
+    apart = np.sqrt((lonely + 1) / stars.frames**2 + (empty_detections + 1) / empty_frames**2)
+    excess = float((lonely / stars.frames - empty_detections / empty_frames) / apart)
     bright = shares(stars, stars.snr, np.array([BRIGHT_SNR, np.inf]))
-    undisturbed = mean_of(stars.matched, stars.clean & (stars.snr >= BRIGHT_SNR))
+    even = stars.clean & (stars.snr >= BRIGHT_SNR)
+    undisturbed = mean_of(stars.matched, even)
     fine = shares(stars, stars.magnitude, even_edges(stars.magnitude, MAGNITUDE_STEP))
     bins = centroid_bins(stars, bound)
     miss = float(wcs_misses.max()) if len(wcs_misses) else float("nan")
     some, (ratio, count) = len(stars.magnitude) > 0, mean_ratio(bins)
+    # the median absolute deviation of 2 n normal values tells their standard deviation to 1.166 / sqrt(2 n)
+    spread = 1.166 / np.sqrt(2.0 * max(count, 1))
     return {
         "detection": Detection(
             frames_looked_at=stars.frames,
@@ -369,12 +381,14 @@ def detection(
             bright_share=bright[0].share_found.value if bright else float("nan"),
             bright_undisturbed=undisturbed,
             bright_missed=1.0 - undisturbed if np.isfinite(undisturbed) else None,
+            bright_missed_limit=float(binom.isf(FALSE_ALARM, max(even.sum(), 1), MISSED_SHARE)) / max(even.sum(), 1),
             magnitude_of_half=magnitude_of_half(fine),
             false_all=len(stars.false) / stars.frames,
             false_not_flagged=lonely / stars.frames,
             false_in_empty_frames=empty_detections / empty_frames,
             false_excess=excess if some and not cosmic_rays else None,  # a track looks like a star to the detection
-            bound_ratio=Measured(value=ratio, n=count) if count >= BOUND_STARS else None,
+            bound_ratio=Measured(value=ratio, uncertainty=spread, n=count) if count >= BOUND_STARS else None,
+            bound_limit=BOUND_MARGIN + float(norm.isf(FALSE_ALARM)) * spread,
             wcs_max_error_px=miss,
             wcs_judged_px=miss if len(wcs_misses) and some else None,
             example=example,
@@ -509,7 +523,7 @@ SECTIONS = {
         verdicts=[
             below(
                 "bright_missed",
-                0.01,
+                "bright_missed_limit",
                 title="share of undisturbed stars of SNR 10 and more that are not detected",
                 advice="threshold_sigma is too high, or the frames are smeared",
             ),
@@ -521,7 +535,7 @@ SECTIONS = {
             ),
             below(
                 "bound_ratio",
-                1.3,
+                "bound_limit",
                 title="centroid error over its Cramér-Rao bound, SNR 8 to 25",
                 advice="another centroid or window_px gets more out of the same light",
             ),

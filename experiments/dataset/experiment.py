@@ -195,7 +195,7 @@ def _export(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress
             written[name] = export_coco(
                 folder,
                 records,
-                diffusion_px=scene.instrument.detector.diffusion_sigma_px,
+                diffusion_px=scene.instrument.camera.blur_px,
                 bits=config.png_bits,
                 labels=LabelMaker(scene, FrameMaker(scene).hits).labels,
                 about=about(config, scene.catalogue.catalog),

@@ -70,6 +70,7 @@ FREE = (
 """Keys that change no frame."""
 FILE_KEYS = (
     ("instrument", "lens"),
+    ("instrument", "lens", "transmission_file"),
     ("instrument", "detector"),
     ("passband", "file"),
     ("catalogue", "source"),
@@ -95,18 +96,27 @@ class StorageError(ConfigError):
 def storage_error(path: Path, error: OSError) -> StorageError:
     """The error for a file that could not be written, in words."""
     if error.errno in _FULL:
-        return StorageError(f"{path.name} cannot be written: the disk is full")
-    return StorageError(f"{path.name} cannot be written ({error.strerror or error})")
+        return StorageError(f"{path} cannot be written: the disk is full")
+    return StorageError(f"{path} cannot be written ({error.strerror or error})")
 
 
 def identity(config: Config) -> dict[str, Any]:
     """The configuration without what changes no frame; a file is its name and digest, wherever it lies."""
     content = config.model_dump(mode="json", exclude=set(FREE))
-    for table, key in FILE_KEYS:
-        name = content[table].get(key)
-        if name and os.path.isfile(name):
-            content[table][key] = f"{Path(name).name} sha256:{file_digest(name)[:16]}"
+    for table, key, name in _files_of(content):
+        table[key] = f"{Path(name).name} sha256:{file_digest(name)[:16]}"
     return content
+
+
+def _files_of(content: dict[str, Any]) -> Iterator[tuple[dict[str, Any], str, str]]:
+    """Tables and keys of the configuration that name a file that exists, and that file."""
+    for *tables, key in FILE_KEYS:
+        table: Any = content
+        for word in tables:
+            table = table.get(word) if isinstance(table, dict) else None
+        name = table.get(key) if isinstance(table, dict) else None
+        if isinstance(name, str) and name and os.path.isfile(name):
+            yield table, key, name
 
 
 def software(backend: str) -> dict[str, str]:
@@ -128,10 +138,8 @@ def origin(config: Config, backend: str) -> dict[str, Any]:
 def for_workers(config: Config) -> Config:
     """The same configuration with absolute paths, for processes that run elsewhere."""
     content = config.model_dump()
-    for table, key in FILE_KEYS:
-        name = content[table].get(key)
-        if name and os.path.isfile(name):
-            content[table][key] = str(Path(name).resolve())
+    for table, key, name in _files_of(content):
+        table[key] = str(Path(name).resolve())
     return Config.model_validate(content)
 
 
@@ -430,6 +438,8 @@ class Checked:
     def lines(self) -> list[str]:
         """In words."""
         text = [f"damaged: {name}" for name in self.damaged] + [f"missing: {name}" for name in self.missing]
+        if SUMS in self.missing:
+            text.append(f"without {SUMS} only frames and truth are checked, exports and reports are not")
         if self.unlisted:
             text.append(f"{len(self.unlisted)} files of frames are whole and in no list yet: the run was interrupted")
         text += [f"not of the dataset: {name}" for name in self.foreign[:20]]
@@ -466,7 +476,8 @@ def check(folder: Path, progress: Progress) -> Checked:
         bad = (bad - sound) | {SUMS}
     if IDENTITY in there and _json(folder / IDENTITY) != of_dataset:
         bad.add(IDENTITY)
-    missing = (set(listed) | bad) - there - sound
+    alone = {IDENTITY, *(name for frame in frames for name in frame_files(frame, truth))}  # vouched for by the truth
+    missing = (set(listed) | bad | ({SUMS} if there - alone else set())) - there - sound
     again = {int(match[1]) for match in map(_OF_FRAME.fullmatch, bad | missing) if match}
     known = listed and SUMS not in bad
     return Checked(

@@ -121,7 +121,7 @@ class FrameMaker:
         truth = star_rows(
             expected.sources,
             traced.truth,
-            scene.instrument.detector,
+            scene.instrument.camera.blur_px,
             frame=frame,
             band=band,
             on_chip=StarLightOnChip(
@@ -289,7 +289,7 @@ def instrument_cards(instrument: Instrument) -> list[Card]:
         ("INSTRUME", _ascii(f"{camera.lens.name} + {chip.name}"), "lens and detector"),
         ("LENS", _ascii(camera.lens.name), "lens prescription"),
         ("DETECTOR", _ascii(chip.name), "detector description"),
-        ("FOCALLEN", instrument.focal_length_mm, "[mm] focal length"),
+        ("FOCALLEN", instrument.focal_length_mm, "[mm] scale of the image, design wavelength"),
         ("XPIXSZ", pitch_um, "[um] pixel pitch along columns"),
         ("YPIXSZ", pitch_um, "[um] pixel pitch along rows"),
         ("CCD-TEMP", config.chip_temperature_c, "[C] temperature of the chip"),

@@ -238,7 +238,11 @@ class CardConfig(StrictModel):
 
     title: str = Field(default="Star frames with exact truth", description="name of the dataset")
     version: str = Field(default="1.0.0", description="its version")
-    licence: str = Field(default="", description="SPDX identifier such as CC-BY-4.0; left out: the catalogue's")
+    licence: str = Field(
+        default="",
+        pattern=r"^[A-Za-z0-9.+-]{0,100}$",
+        description="SPDX identifier such as CC-BY-4.0, of letters, digits, '.', '+', '-'; left out: the catalogue's",
+    )
     citation: str = Field(default="", description="how to cite it; left out: starbench and the star catalogue")
 
 
@@ -341,7 +345,7 @@ experiment = Experiment(
         "workers": ("workers", "Processes; 0: one per processor."),
         "scheduler": ("scheduler", "Address of a Dask scheduler."),
     },
-    quick={"frames": 6, "instrument.width_px": 512, "instrument.height_px": 512},
+    quick={"frames": 10, "instrument.width_px": 512, "instrument.height_px": 512},
 )
 main = command(experiment)
 

@@ -28,7 +28,7 @@ from calib.attitude.star_attitude import FEWEST, MATCH_PX, balanced_attitude, id
 from calib.cameras.base import CameraModel
 from experiments.harness.drawings import cloud
 from experiments.harness.quantities import Quantities
-from experiments.harness.sections import Section, below, col
+from experiments.harness.sections import Section, below, col, ratio_near
 from experiments.harness.summary import Measured
 from experiments.laboratory.readout.reduction import MeasuredFrame
 from optics.arrays import FloatArray
@@ -240,7 +240,6 @@ class BlindSolver:
 
 UNSOLVED_SHARE = 0.005
 """One frame may fail anyway."""
-PULL_LIMIT = 1.3
 ROBUST_SIGMA = 1.4826
 """Median absolute deviation to standard deviation of a normal distribution."""
 
@@ -262,8 +261,7 @@ class Attitudes:
     roll_median_arcsec: float = col("Roll, median", "arcsec")
     circles_arcsec: FloatArray = col("Half of the frames", "arcsec", dims="across", json="", shown=False)
     pull_rms: FloatArray = col("Error over predicted sigma, RMS", dims="rotation", shown=False)
-    pull: float | None = col("Error / predicted σ", format=".2f", json="")
-    pull_limit: float = col("Limit", json="", shown=False)
+    pull: Measured | None = col("Error / predicted σ", format=".2f", json="")
     common_px: float = col("Common centroid error, median", "px", ".3f", json="", shown=False)
     boresight_arcsec: FloatArray = col("Boresight error", "arcsec", dims="solved_frame across", json="", shown=False)
 
@@ -301,11 +299,19 @@ def attitudes(frames: Sequence[SolvedFrame]) -> Attitudes:
         roll_median_arcsec=float(np.median(np.abs(error[:, 2]))) if good else math.nan,
         circles_arcsec=np.full(2, median),
         pull_rms=pull,
-        pull=float(np.sqrt(np.mean(pull**2))) if good else None,
-        pull_limit=PULL_LIMIT * (1.0 + 3.0 / math.sqrt(6 * max(len(good), 1))),
+        pull=_pull(error / sigma) if len(good) > 1 else None,
         common_px=float(np.median(common)) if common else math.nan,
         boresight_arcsec=error[:, :2],
     )
+
+
+def _pull(pulls: FloatArray) -> Measured:
+    """RMS of pulls (n, 3); axes of a frame share the common error that its few stars tell, so frames scatter more."""
+    square = (pulls**2).mean(axis=1)
+    rms = float(np.sqrt(square.mean()))
+    chance = 1.0 / math.sqrt(2.0 * pulls.size)
+    seen = float(square.std(ddof=1)) / math.sqrt(len(square)) / (2.0 * rms)
+    return Measured(value=rms, uncertainty=max(chance, seen), n=len(square))
 
 
 def _axes(q: Quantities, frames: Sequence[SolvedFrame]) -> None:
@@ -327,9 +333,9 @@ SECTIONS = {
                 title="frames that are not solved",
                 advice="too few stars: longer exposure, fainter limit of detection, or a wider field",
             ),
-            below(
+            ratio_near(
                 "pull",
-                "pull_limit",
+                within=0.1,  # the common error is known to some 10 % from the stars of a frame
                 title="attitude error over its predicted sigma, RMS of x, y and roll",
                 advice="centroids are worse than their covariance: see the bound of centroids",
             ),

@@ -15,7 +15,6 @@ from optics.units import RAD_DEG
 
 if TYPE_CHECKING:
     from experiments.dataset.scene import PointSources
-    from render.detector.spec import Detector
     from render.records import Truth
 
 __all__ = [
@@ -56,7 +55,7 @@ COLUMNS = (
     Column("chief_y_px", "float64", "pix", "its row"),
     Column("bundle_x_px", "float64", "pix", "column of the photon-weighted mean of all traced rays"),
     Column("bundle_y_px", "float64", "pix", "its row"),
-    Column("photon_x_px", "float64", "pix", "column of the centroid of the noiseless light, after charge diffusion"),
+    Column("photon_x_px", "float64", "pix", "column of the mean of all its light, after charge diffusion"),
     Column("photon_y_px", "float64", "pix", "its row"),
     Column("electrons_in", "float64", "electron", "electrons that the stop of the lens alone would let in"),
     Column("electrons", "float64", "electron", "expected electrons on the detector"),
@@ -66,7 +65,7 @@ COLUMNS = (
     Column("electrons_beyond", "float64", "electron", "those in the wings of the diffraction image that are left out"),
     Column("variance_x_px2", "float64", "pix2", "second central moment of the ray bundle along the columns"),
     Column("variance_y_px2", "float64", "pix2", "along the rows"),
-    Column("snr", "float64", "", "signal-to-noise ratio of the flux by optimal weights, a Gaussian spot"),
+    Column("snr", "float64", "", "signal-to-noise ratio of the flux by optimal weights"),
     Column("smear_x_px", "float64", "pix", "motion of the chief ray from start to end of the exposure, columns"),
     Column("smear_y_px", "float64", "pix", "rows"),
     Column("flags", "int32", "", "sum of bits, see flag names"),
@@ -116,7 +115,7 @@ def pixel_flags(
 
 
 def star_rows(
-    sources: PointSources, truth: Truth, detector: Detector, *, frame: int, band: str, on_chip: StarLightOnChip
+    sources: PointSources, truth: Truth, blur_px: float, *, frame: int, band: str, on_chip: StarLightOnChip
 ) -> dict[str, Any]:
     """Columns of the truth of a frame in one band."""
     x, y, z = sources.direction.T
@@ -124,7 +123,6 @@ def star_rows(
     n = len(sources)
     electrons = values["electrons_image"]
     rays = values["variance_x_px2"], values["variance_y_px2"]
-    sigma = _spot_sigma(np.stack(rays), detector.diffusion_sigma_px)
     columns = {
         "frame": np.full(n, frame, np.int64),
         "star_id": sources.star_id,
@@ -135,10 +133,10 @@ def star_rows(
         "magnitude": sources.magnitude,
         "temperature_k": sources.temperature_k,
         "electrons": electrons,
-        "snr": flux_snr(electrons, *sigma, noise_e2=on_chip.empty_e2),
+        "snr": flux_snr(electrons, values["noise_area_px2"], noise_e2=on_chip.empty_e2),
         "smear_x_px": on_chip.smear_px[:, 0],
         "smear_y_px": on_chip.smear_px[:, 1],
-        "flags": _flags(values, footprint_px(*rays, detector.diffusion_sigma_px), on_chip),
+        "flags": _flags(values, footprint_px(*rays, blur_px), on_chip),
         **{name: value for name, value in values.items() if name != "electrons_image"},
     }
     kept = _worth_a_row(values, on_chip.pixel_flags.shape)
@@ -156,13 +154,18 @@ def _worth_a_row(values: dict[str, FloatArray], shape: tuple[int, int]) -> NDArr
     return near | (values["electrons_image"] > DARK_SHARE * values["electrons_in"])
 
 
-def flux_snr(electrons: FloatArray, sigma_x_px: FloatArray, sigma_y_px: FloatArray, *, noise_e2: float) -> FloatArray:
-    """Signal-to-noise ratio of the flux of Gaussian spots, measured with optimal weights.
+def flux_snr(electrons: FloatArray, area_px2: FloatArray, *, noise_e2: float) -> FloatArray:
+    """Signal-to-noise ratio of the flux measured with optimal weights; 0 without light.
 
-    N / sqrt(N + A n) with the noise-equivalent area A = 4 pi sigma_x sigma_y (I. R. King, PASP 95, 163 (1983)).
+    Its square is the sum over pixels of (N p)^2 / (N p + n), with shares p of N electrons and noise n of a pixel. For a
+    Gaussian image of noise-equivalent area A that is N (1 - u ln(1 + 1 / u)), u = A n / 2 N; for faint stars N^2 / A n
+    whatever the image (I. R. King, PASP 95, 163 (1983)).
     """
-    area = 4.0 * np.pi * sigma_x_px * sigma_y_px
-    return np.asarray(electrons / np.sqrt(np.maximum(electrons + area * noise_e2, 1e-300)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        u = area_px2 * noise_e2 / (2.0 * electrons)
+        # beyond 1e6 the difference of two ones has no digits left
+        part = np.where(u < 1e6, 1.0 - u * np.log1p(1.0 / u), 0.5 / u)
+    return np.asarray(np.sqrt(np.where(electrons > 0.0, electrons * np.nan_to_num(part, nan=1.0), 0.0)))
 
 
 def footprint_px(variance_x_px2: FloatArray, variance_y_px2: FloatArray, diffusion_px: float) -> FloatArray:

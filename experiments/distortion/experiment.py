@@ -220,6 +220,13 @@ class TrueMap:
     all_surveys_arcsec: FloatArray = col(
         "All surveys", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].over_surveys"
     )
+    # What the one survey's points say of it themselves (`cross_validated`); NaN where they do not
+    point_out_arcsec: FloatArray = col(
+        "A point left out", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].point_left_out"
+    )
+    row_out_arcsec: FloatArray = col(
+        "A row or column", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].row_left_out"
+    )
     forecast_arcsec: FloatArray = col("Predicted", "arcsec", ".3f", "axis", json="forecast_map_arcsec_3sigma")
     # Its parts: distortion that the polynomial cannot follow, errors of the points carried into the map
     bias_arcsec: FloatArray = col("Distortion left", "arcsec", ".3f", "axis", json="")
@@ -262,6 +269,7 @@ def true_map(
         grid=grid,
     )
     forecast = scale * np.hypot(bias, carried)
+    missed = scale * np.array([frames.left_out_px(config.methods[0], reference) for reference in REFERENCES])
     ratio = left[list(REFERENCES).index("aligned")] / forecast
     shown, step = maps[config.reference][0], max(1, grid[0] // 8)
     cells = np.arange(grid[0] * grid[1]).reshape(grid)[::step, ::step].ravel()
@@ -269,6 +277,8 @@ def true_map(
         uncorrected_arcsec=scale * np.array([every[0].uncorrected_rms_px for every in maps.values()]),
         one_survey_arcsec=scale * np.array([every[0].rms_px for every in maps.values()]),
         all_surveys_arcsec=left,
+        point_out_arcsec=missed[:, 0],
+        row_out_arcsec=missed[:, 1],
         forecast_arcsec=forecast,
         bias_arcsec=scale * bias,
         carried_arcsec=scale * carried,
@@ -392,8 +402,12 @@ SECTIONS = {
         prefix="map_",
         table="map",
         rows="reference axis",
-        columns="uncorrected_arcsec one_survey_arcsec all_surveys_arcsec forecast_arcsec",
-        caption="The true map (3 σ of its RMS over the whole detector): before and after the correction.",
+        columns="uncorrected_arcsec one_survey_arcsec point_out_arcsec row_out_arcsec all_surveys_arcsec "
+        "forecast_arcsec",
+        caption="The true map (3 σ of its RMS over the whole detector): before and after the correction, and the error "
+        "that points left out of the fit of the one survey show (marking and centroid errors included).",
+        note="None: with a row or a column left out, the others do not determine the polynomial there; no residual "
+        "tests the map between them.",
         figures={
             "true_map": arrows("map_place_px", "map_distortion_px", "map_left_px", frame="size_px", aspect_ratio=0.36)
         },

@@ -9,10 +9,16 @@ from typing import Any
 import numpy as np
 
 from experiments.harness.drawings import arrows
-from experiments.harness.quantities import Quantities
-from experiments.harness.sections import Section, col
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.sections import Section, above, below, col
 from experiments.laboratory.distortion_error import grid_residual_px
-from experiments.laboratory.distortion_statistics import LABELS, Reference, distortion_statistics
+from experiments.laboratory.distortion_statistics import (
+    LABELS,
+    Reference,
+    distortion_statistics,
+    left_out,
+    polynomial_terms,
+)
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import Layout
 from experiments.reduce.road import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
@@ -24,6 +30,9 @@ __all__ = ["own_frames", "reduce"]
 
 PLACE = "distortion_arcsec_3sigma[method][reference]"
 DIMS = "method reference axis"
+HIGHEST = 9
+OVER_BEST = 2.0
+"""So many times the error of the best order is a wrong order, and not a target of few points."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,11 +43,65 @@ class Grid:
     sigma_d_arcsec: FloatArray = col(LABELS[0], "arcsec", ".3f", DIMS, json=f"{PLACE}.sigma_d")
     sigma_left_arcsec: FloatArray = col(LABELS[1], "arcsec", ".3f", DIMS, json=f"{PLACE}.sigma_Dd")
     sigma_c1_arcsec: FloatArray = col(LABELS[2], "arcsec", ".3f", DIMS, json=f"{PLACE}.sigma_C1")
+    left_out_arcsec: FloatArray = col("A point left out", "arcsec", ".3f", DIMS, json=f"{PLACE}.point_left_out")
+    # The larger of both; NaN where the other rows or columns do not determine the polynomial
+    row_out_arcsec: FloatArray = col("A row or column left out", "arcsec", ".3f", DIMS, json=f"{PLACE}.row_left_out")
     order: int = col("Order of the polynomial", shown=False)
     # First method, last reference
     nominal_px: FloatArray = col("Target", "px", ".2f", "point axis", json="")
     found_arcsec: FloatArray = col("Residual", "arcsec", ".3f", "point axis", json="")
     left_arcsec: FloatArray = col("Left after the polynomial", "arcsec", ".3f", "point axis", json="")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """A polynomial of another order for the same points, first method, last reference; 3 sigma, both axes together."""
+
+    tried: int = col("Order", format="d", json="")
+    tried_left_arcsec: float = col("Left after the polynomial", "arcsec", ".3f", json="orders[tried].sigma_Dd")
+    tried_point_arcsec: float = col("A point left out", "arcsec", ".3f", json="orders[tried].point_left_out")
+    tried_row_arcsec: float = col("A row or column left out", "arcsec", ".3f", json="orders[tried].row_left_out")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """Whether the order is that of the target and of the lens."""
+
+    tested_order: int = col("Highest order that the other rows and columns determine where one is left out")
+    best_order: int = col("Order that is least off at points left out")
+    over_best: float = col("Error at points left out over that of the best order", format=".3g")
+
+
+def orders(place: FloatArray, offset_px: FloatArray, order: int, reference: Reference, scale: float) -> list[Order]:
+    """Every order that the points determine, up to two above the one asked for."""
+    rows = []
+    for one in range(1, min(order + 2, HIGHEST) + 1):
+        if len(place) <= (one + 1) * (one + 2) // 2:
+            break
+        point, row = left_out(place, offset_px, one, reference)
+        terms = polynomial_terms(place, one)
+        left = offset_px - terms @ np.linalg.lstsq(terms, offset_px, rcond=None)[0]
+        rows.append(
+            Order(
+                tried=one,
+                tried_left_arcsec=scale * float(np.sqrt(left.var(0, ddof=1).mean())),
+                tried_point_arcsec=scale * float(np.sqrt((point**2).mean())),
+                tried_row_arcsec=scale * float(np.sqrt((row**2).mean())),
+            )
+        )
+    return rows
+
+
+def choice(rows: Sequence[Order], order: int) -> Choice:
+    """What the orders say of the one that was asked for; an order counts by the worse of both errors."""
+    worst = np.array([np.fmax(one.tried_point_arcsec, one.tried_row_arcsec) for one in rows])
+    tested = np.array([np.isfinite(one.tried_row_arcsec) for one in rows])
+    best = int(np.argmin(np.where(tested | ~tested.any(), worst, np.inf)))
+    return Choice(
+        tested_order=max((one.tried for one, can in zip(rows, tested, strict=True) if can), default=0),
+        best_order=rows[best].tried,
+        over_best=float(worst[order - 1] / worst[best]),
+    )
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
@@ -60,6 +123,9 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
         earlier, test = (one.points.mean_px(method) for one in (series[0], series[-1]))
         residuals = [grid_residual_px(folder.nominal_px, place, earlier, test, one)[0] for one in references]
         rows.append([distortion_statistics(place, d, config.order) for d in residuals])
+    offset = [series[-1].points.mean_px(m) - folder.nominal_px for m in methods]
+    missed = 3.0 * scale * np.array([[left_out(place, of, config.order, one) for one in references] for of in offset])
+    tried = orders(place, offset[0], config.order, references[-1], 3.0 * scale)
     sigma = {
         name: 3.0 * scale * np.array([[getattr(one, f"{name}_px") for one in row] for row in rows])
         for name in ("sigma_d", "sigma_left", "sigma_c1")
@@ -69,16 +135,33 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
         sigma_d_arcsec=sigma["sigma_d"],
         sigma_left_arcsec=sigma["sigma_left"],
         sigma_c1_arcsec=sigma["sigma_c1"],
+        left_out_arcsec=missed[:, :, 0],
+        row_out_arcsec=missed[:, :, 1],
         order=config.order,
         nominal_px=folder.nominal_px,
         found_arcsec=scale * rows[0][-1].d_px,
         left_arcsec=scale * rows[0][-1].left_px,
     )
-    return series, {"grid": grid, **points_of(folder, series[-1], methods[0])}
+    found = {"grid": grid, "orders": tried, "choice": choice(tried, config.order)}
+    return series, {**found, **points_of(folder, series[-1], methods[0])}
 
 
 def _axes(q: Quantities, grid: Grid) -> None:
     q.axis("reference", list(grid.references), "Reference")
+
+
+def _tested_advice(outcome: Outcome) -> str:
+    order = outcome.result["grid"].order
+    return (
+        f"with a row or a column left out, the others do not determine a polynomial of order {order}: between them the "
+        f"map may be anything, and no residual shows it; {order + 2} rows and columns are needed, or a lower order"
+    )
+
+
+def _order_advice(outcome: Outcome) -> str:
+    best, order = outcome.result["choice"].best_order, outcome.result["grid"].order
+    why = "the polynomial follows errors of the points" if order > best else "the lens has more than it can follow"
+    return f"order {best} is nearer to points that the fit has not seen: {why}; take --set order={best}"
 
 
 own_frames = FramesTest(
@@ -91,15 +174,45 @@ own_frames = FramesTest(
             axes=_axes,
             table="distortion",
             rows=DIMS,
-            columns="sigma_d_arcsec sigma_left_arcsec sigma_c1_arcsec",
-            caption="Distortion error (ACC18 eq. 17-30, 3 σ).",
+            columns="sigma_d_arcsec sigma_left_arcsec sigma_c1_arcsec left_out_arcsec row_out_arcsec",
+            caption="Distortion error (ACC18 eq. 17-30, 3 σ), and the error of the map at points that the fit has not "
+            "seen (3 times its RMS).",
             note="*nominal*: stated coordinates as they are; *aligned*: shift, roll and scale fitted; *calibrated*: a "
-            "camera model from the earlier session.",
+            "camera model from the earlier session. *Left out*: camera and polynomial fitted without the point, or "
+            "without its row or column (the larger; none: the others do not determine the polynomial there).",
             figures={"residuals": arrows("nominal_px", "found_arcsec", "left_arcsec", frame="frame_size_px")},
+        ),
+        "orders": Section(
+            record=Order,
+            dim="tried",
+            along="tried",
+            table="orders",
+            caption="Other orders of the polynomial: what they leave in the fit, and their error at points left out.",
+        ),
+        "choice": Section(
+            record=Choice,
+            verdicts=[
+                above(
+                    "tested_order",
+                    "order",
+                    title="highest order of the polynomial that the target tests",
+                    advice=_tested_advice,
+                ),
+                below(
+                    "over_best",
+                    OVER_BEST,
+                    title="error at points left out, over that of the best order",
+                    advice=_order_advice,
+                ),
+            ],
         ),
         **POINTS,
     },
-    head={"Left after the polynomial (3 σ)": ("sigma_left_arcsec", {"method": 0, "reference": -1})},
+    head={
+        "Left after the polynomial (3 σ)": ("sigma_left_arcsec", {"method": 0, "reference": -1}),
+        "Map, at points left out": ("left_out_arcsec", {"method": 0, "reference": -1}),
+        "Map, at rows left out": ("row_out_arcsec", {"method": 0, "reference": -1}),
+    },
     captions={
         "residuals": "Residuals with the last of the references: before and after the polynomial.",
         **POINTS_CAPTION,

@@ -18,7 +18,7 @@ from experiments.fisher.predict import (
 from experiments.fisher.reduce import evaluate
 from experiments.harness.drawings import arrows
 from experiments.harness.quantities import Outcome
-from experiments.harness.sections import Section, below, col
+from experiments.harness.sections import Section, agree, below, col
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import SETTINGS_FILE
@@ -31,7 +31,6 @@ from optics.units import ARCSEC_RAD
 
 __all__ = ["own_frames"]
 
-SIGMA_LIMIT = 4.0
 FEWEST = 10
 """Star vectors below which an accuracy means little."""
 
@@ -48,6 +47,8 @@ class Vectors:
     readings_arcsec: float = col("of it readings", "arcsec", ".4f", json="predicted_parts_arcsec.readings")
     pixel_method_arcsec: float = col("Pixel residuals", "arcsec", ".4f")
     z_score: float = col("Measured against predicted", "sigma", shown=False)
+    # The deviation that an error of 100 % of the standard deviation makes, to first order
+    z_of_whole: float = col("Deviation by an error of 100 %", "sigma", json="", shown=False)
     calibration_poses: int = col("Poses that calibrated", shown=False)
     place_px: FloatArray = col("Image", "px", ".2f", "vector axis", json="")
     left_arcsec: FloatArray = col("Residual", "arcsec", ".2f", "vector axis", json="")
@@ -105,6 +106,7 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
             readings_arcsec=on_the_sphere(maps, reading),
             pixel_method_arcsec=evaluation.baseline_arcsec(scale),
             z_score=predicted.z_score(evaluation.fit.chord_sum_rad2),
+            z_of_whole=float(np.sqrt(2.0 * predicted.satterthwaite)),
             calibration_poses=len(fitted.series),
             place_px=data.pixel_px,
             left_arcsec=evaluation.residual_px * folder.settings.pixel_arcsec,
@@ -142,10 +144,11 @@ own_frames = FramesTest(
             note="*Pixel residuals*: standard deviation of the residuals on the detector times the angle of a pixel.",
             figures={"residuals": arrows("place_px", "left_arcsec", frame="frame_size_px")},
             verdicts=[
-                below(
+                agree(
                     "z_score",
-                    SIGMA_LIMIT,
-                    size=True,
+                    0.0,
+                    error=1.0,
+                    of="z_of_whole",
                     title="scatter of the star vectors against what covariances predict",
                     advice=_scatter_advice,
                 )

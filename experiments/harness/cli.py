@@ -57,7 +57,7 @@ class Main(click.Group):
             return None
         run, folder = perform(self.experiment, options, terminal_progress())
         _show(run, folder.shown)
-        return EXIT_GOOD if all(criterion.passed for criterion in run.criteria) else EXIT_FAILED
+        return EXIT_FAILED if any(criterion.failed for criterion in run.criteria) else EXIT_GOOD
 
 
 def command(experiment: Experiment) -> Main:
@@ -154,19 +154,23 @@ def _defaults(experiment: Experiment, options: Options, *, whole: bool) -> str:
 def _show(run: ExperimentRun, shown: str) -> None:
     from rich.console import Console
 
-    from experiments.harness.summary import verdict_line
+    from experiments.harness.summary import CRITERIA_NOTE, percent, verdict_line
     from experiments.harness.tables import Table, to_rich
 
     console = Console()
     for name in run.experiment.show:
         if run.tables[name].rows:
             console.print(to_rich(run.tables[name]))
-    rows = [(one.name, one.value, one.demand, one.unit, "yes" if one.passed else "NO") for one in run.criteria]
-    heads = ("criterion", "value", "limit", "unit", "holds")
+    holds = {True: "yes", False: "NO", None: "not judged"}
+    rows = [
+        (one.name, one.value, one.demand, one.unit, holds[one.passed], percent(one.false_alarm), percent(one.notices))
+        for one in run.criteria
+    ]
+    heads = ("criterion", "value", "limit", "unit", "holds", "false alarm", "notices")
     if rows:
-        console.print(to_rich(Table(columns=heads, rows=rows, caption="Criteria")))
+        console.print(to_rich(Table(columns=heads, rows=rows, caption="Criteria", note=CRITERIA_NOTE)))
     for one in run.criteria:
-        if one.advice and not one.passed:
+        if one.advice and one.failed:
             console.print(f"{one.name}: {one.advice}", style="red", highlight=False, markup=False, soft_wrap=True)
     console.print(verdict_line(run.criteria, run.experiment.judged), style="bold", highlight=False)
     console.print(f"report: {shown.rstrip('/') or ''}/report.html", highlight=False, soft_wrap=True)

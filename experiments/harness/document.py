@@ -35,7 +35,7 @@ from markupsafe import Markup
 from experiments.harness.blocks import Artist, Equation, Figure, KeyNumber, Row
 from experiments.harness.glossary import Glossary
 from experiments.harness.quantities import Outcome, Quantity, shown_unit
-from experiments.harness.summary import Criterion, Measured, dumps, verdict_line
+from experiments.harness.summary import CRITERIA_NOTE, Criterion, Measured, dumps, percent, verdict_line
 from experiments.harness.tables import Table, cell_text, significant
 from optics.errors import ConfigError, DomainError, unknown_name
 
@@ -195,11 +195,13 @@ def render_document(
         lstrip_blocks=True,
     )
     environment.filters["cell"] = cell_text
+    environment.filters["percent"] = percent
     environment.filters["pretty"] = lambda value: dumps(value).rstrip()
     environment.filters["inline"] = lambda words: Markup(markdown.renderInline(" ".join(str(words).split())))
     environment.globals["kind"] = lambda block: type(block).__name__.lstrip("_")
     environment.globals["draw"] = Artist()
     environment.globals["criteria"] = criteria
+    environment.globals["criteria_note"] = CRITERIA_NOTE
     environment.globals["provenance"] = provenance
     blocks = environment.get_template("blocks.html").make_module(vars={"provenance": provenance})
     show = blocks.show  # type: ignore[attr-defined]  # a macro of the template
@@ -212,7 +214,7 @@ def render_document(
     filled = {name: html if name == "title" else glossary.mark(str(html)) for name, html in filled.items()}
     return environment.get_template("report.html").render(
         **filled,
-        passed=all(criterion.passed for criterion in criteria),
+        passed=not any(criterion.failed for criterion in criteria),
         verdict_line=verdict_line(criteria, judged) if criteria else "",
         remarks=remarks,
         glossary=glossary,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
+from experiments.harness.config import alternatives
 from optics.errors import ConfigError, unknown_name
 from optics.validate import allowed_range, parse_model
 
@@ -51,11 +52,16 @@ def leaf_keys(model: type[BaseModel], prefix: str = "") -> dict[str, FieldInfo]:
     found: dict[str, FieldInfo] = {}
     for name, field in model.model_fields.items():
         annotation = field.annotation
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            found |= leaf_keys(annotation, f"{prefix}{name}.")
+        if tables := [part for part in alternatives(annotation) if _is_model(part)]:
+            for table in tables:
+                found |= leaf_keys(table, f"{prefix}{name}.")
         elif _number_of(annotation) is not None and name not in _NOT_SWEPT:
             found[prefix + name] = field
     return found
+
+
+def _is_model(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
 def _number_of(annotation: Any) -> type | None:
@@ -128,7 +134,8 @@ def _full_key(name: str, keys: Mapping[str, FieldInfo]) -> str:
     if name in keys:
         return name
     tails = [key for key in keys if key.endswith(f".{name}")]
-    if len(tails) == 1:
+    tails.sort(key=lambda key: key.count("."))
+    if tails and (len(tails) == 1 or tails[0].count(".") < tails[1].count(".")):  # of the outer table
         return tails[0]
     if tails:
         raise ConfigError(f"sweep: {name!r} stands for {' and '.join(tails)}; name one of them")
@@ -178,6 +185,8 @@ def with_value(config: Any, key: str, value: Any) -> Any:
     values = node = config.model_dump()
     *tables, last = key.split(".")
     for word in tables:
+        if not isinstance(node[word], dict):
+            raise ConfigError(f"{key}: {word} is {node[word]!r}, no table that has this key")
         node = node[word]
     node[last] = value
     return parse_model(type(config), values, key)

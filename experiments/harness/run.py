@@ -77,7 +77,7 @@ class ExperimentRun:
     times_s: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        failed = [criterion.name for criterion in self.criteria if not criterion.passed]
+        failed = [criterion.name for criterion in self.criteria if criterion.failed]
         met = f"{len(self.criteria)} criteria met" if self.criteria else "no criteria"
         verdict = f"not met: {', '.join(failed)}" if failed else met
         return f"<{self.experiment.name}: tables {', '.join(self.tables)}; {verdict}>"

@@ -58,7 +58,7 @@ __all__ = [
     "two_sided_limit",
 ]
 
-FALSE_ALARM = 0.01
+FALSE_ALARM = 0.001
 """Chance that a verdict fails by noise alone, unless it says another one."""
 PREDICTION_SIGMA = 3.0
 """The stated error of a prediction (``slack``) is taken as so many standard deviations."""
@@ -276,6 +276,48 @@ def two_sided_limit(count: int, false_alarm: float = FALSE_ALARM) -> float:
     return float(norm.isf(false_alarm / (2 * count)))
 
 
+def chance_of(largest: float, count: int) -> float:
+    """Probability that the largest of ``count`` normal deviates is at least so large."""
+    from scipy.stats import norm
+
+    return float(-np.expm1(count * np.log1p(-2.0 * norm.sf(largest)))) if count and largest > 0.0 else 1.0
+
+
+def noticed(limit: float, part: Any, slack: float = 0.0) -> float:
+    """Relative error, common to all, that takes one of several numbers beyond a limit in half of all runs.
+
+    Parameters
+    ----------
+    limit : float
+        Of the largest deviation, in standard deviations.
+    part : array-like
+        Standard deviation of each number over what an error is a part of; independent of each other.
+    slack : float
+        Relative error that the limit allows besides.
+
+    Returns
+    -------
+    float
+        Infinity where nothing can be noticed.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import ndtr
+
+    part = np.ravel(np.asarray(part, float))
+    part = part[np.isfinite(part)]
+    if not part.size:
+        return float("inf")
+    most = float(limit * part.min())  # the most exact number alone notices this
+    if most == 0.0:
+        return slack
+
+    def held(error: float) -> float:
+        shift = error / np.maximum(part, 1e-12 * most)
+        return float(np.sum(np.log(ndtr(limit - shift) - ndtr(-limit - shift)))) - np.log(0.5)
+
+    return slack + float(brentq(held, 0.0, 1.001 * most))
+
+
 def agree(
     name: str,
     with_: str | float,
@@ -283,13 +325,17 @@ def agree(
     title: str = "",
     each: str = "",
     at: Mapping[str, Any] | None = None,
+    of: str | float | None = None,
+    square: bool = False,
+    error: float | None = None,
     false_alarm: float = FALSE_ALARM,
     slack: float | str = 0.0,
     advice: Advice = "",
 ) -> Verdict:
     """A quantity against another one, or a number: the largest deviation over the uncertainties of both.
 
-    Cells whose prediction or uncertainty is NaN are left out; if none is left, the verdict fails.
+    Cells whose prediction or uncertainty is NaN are left out; if none is left, the verdict fails. Where an error of
+    25 % would not be noticed, the value is shown, not judged (`experiments.harness.summary.Criterion`).
 
     Parameters
     ----------
@@ -301,8 +347,15 @@ def agree(
         Dimension along which each coordinate is judged by itself.
     at : mapping
         Dimension -> coordinate or position that is judged; the verdict is left out where there is none such.
+    of : str or float
+        What an error is a part of, a quantity or a number in the unit of the measured one; by default the prediction.
+        Needed where that is zero (a bias: the standard deviation it would spoil).
+    square : bool
+        The quantity is a mean square: an error is a part of its root.
+    error : float
+        Standard deviation of a measured quantity that states none.
     false_alarm : float
-        Chance that the verdict fails by noise alone; the limit follows from it and the number of deviates.
+        Probability that the verdict fails by noise alone; the limit follows from it and the number of deviates.
     slack : float or str
         Part of the predicted value that the prediction may be off, counted as three standard deviations; a number or a
         quantity.
@@ -316,25 +369,46 @@ def agree(
             predicted = outcome.quantity(with_).at(**where) if isinstance(with_, str) else None
             expected = predicted.values if predicted is not None else float(str(with_))
             errors = [one.error for one in (measured, predicted) if one is not None and one.error is not None]
+            errors += [np.asarray(error)] if error is not None else []
             off = float(outcome.value(slack)) if isinstance(slack, str) else slack
             variance = sum((np.square(one) for one in errors), np.square(off * expected / PREDICTION_SIGMA))
             known = np.broadcast_to(~np.isnan(expected + np.sqrt(variance)), measured.values.shape)
             pulls = ((measured.values - expected) / np.sqrt(variance))[known]
+            part_of = outcome.quantity(of).at(**where).values if isinstance(of, str) else of
+            limit = two_sided_limit(max(pulls.size, 1), false_alarm)
+            worst = float(np.abs(pulls).max()) if pulls.size else float("nan")
             other = f"{expected:g}" if predicted is None else predicted.label.lower()
             what = title or f"{measured.label} against {other}"
             number = f", largest of {pulls.size} deviations" if pulls.size > 1 else ""
             out.append(
                 Criterion(
                     name=f"{who}{what}{number}",
-                    value=float(np.abs(pulls).max()) if pulls.size else float("nan"),
-                    limit=two_sided_limit(max(pulls.size, 1), false_alarm),
+                    value=worst,
+                    limit=limit,
                     unit="sigma",
                     advice=_words(advice, outcome),
+                    false_alarm=false_alarm,
+                    chance=chance_of(worst, pulls.size),
+                    notices=_noticed(
+                        limit, np.sqrt(variance), np.abs(expected if part_of is None else part_of), known, square
+                    ),
                 )
             )
         return out
 
-    return _named(judge, name, with_)
+    return _named(judge, name, with_, of)
+
+
+def _noticed(limit: float, sigma: Any, whole: Any, known: Any, square: bool) -> float | None:
+    """Relative error that is noticed; None where there is nothing that an error is a part of."""
+    sigma, whole = (np.broadcast_to(one, known.shape)[known] for one in (sigma, whole))
+    there = whole > 0.0
+    return _of_root(noticed(limit, sigma[there] / whole[there]), square) if np.any(there) else None
+
+
+def _of_root(error: float, square: bool) -> float:
+    """Relative error of the root of a mean square, from that of the mean square."""
+    return float(np.sqrt(1.0 + error) - 1.0) if square else error
 
 
 def ratio_near(
@@ -346,14 +420,13 @@ def ratio_near(
     each: str = "",
     at: Mapping[str, Any] | None = None,
     mean: bool = False,
-    most: float = np.inf,
+    square: bool = False,
     false_alarm: float = FALSE_ALARM,
     advice: Advice = "",
 ) -> Verdict:
     """A ratio: the farthest of several from ``about`` (or their mean) within a part of it, plus what noise may do.
 
     Parameters as of `agree`; ``within`` is what the prediction may be off besides the noise of the measurement.
-    A run so small that the limit would exceed ``most`` gives no verdict.
     """
 
     def judge(outcome: Outcome) -> list[Criterion]:
@@ -361,13 +434,24 @@ def ratio_near(
         for measured, who, _ in _parts(outcome, name, each, at):
             error = np.zeros(1) if measured.error is None else np.ravel(measured.error)
             value = float(measured.values.mean()) if mean else about * farthest_from_one(measured.values / about)
-            spread = float(np.sqrt((error**2).sum()) / error.size if mean else error.max())
-            limit = within + two_sided_limit(1 if mean else error.size, false_alarm) * spread
-            if limit > most:
-                continue
+            spread = np.array([np.sqrt((error**2).sum()) / error.size]) if mean else error
+            count, widest = (spread.size, float(spread.max()))
+            sigmas = two_sided_limit(count, false_alarm)
+            beyond = abs(value - about) - within
             of = f", mean of {measured.values.size}" if mean and measured.dims else ""
-            name_ = f"{who}{title or measured.label}{of}"
-            out.append(Criterion(name=name_, value=value, about=about, limit=limit, advice=_words(advice, outcome)))
+            out.append(
+                Criterion(
+                    name=f"{who}{title or measured.label}{of}",
+                    value=value,
+                    about=about,
+                    limit=within + sigmas * widest,
+                    advice=_words(advice, outcome),
+                    false_alarm=false_alarm if widest else None,
+                    chance=chance_of(beyond / widest, count) if widest else None,
+                    # all are held against the limit of the least exact
+                    notices=_of_root(noticed(sigmas, np.full(count, widest / about), within / about), square),
+                )
+            )
         return out
 
     return _named(judge, name)
@@ -382,11 +466,14 @@ def below(
     at: Mapping[str, Any] | None = None,
     size: bool = False,
     least: bool = False,
+    whole: str | float | None = None,
+    false_alarm: float | None = None,
     advice: Advice = "",
 ) -> Verdict:
     """The largest of a quantity (with ``size`` of its absolute values) at or below a number or another quantity.
 
-    With ``least`` the smallest, at or above it (`above`).
+    With ``least`` the smallest, at or above it (`above`). ``whole`` is the limit without the allowance for noise that
+    it holds, a number or a quantity: errors beyond ``limit / whole - 1`` are noticed. ``false_alarm`` as of `agree`.
     """
 
     def judge(outcome: Outcome) -> list[Criterion]:
@@ -395,7 +482,9 @@ def below(
             bound = outcome.quantity(limit).at(**where).values if isinstance(limit, str) else limit
             values = np.abs(measured.values) if size else measured.values
             farthest = np.argmin if least else np.argmax
-            worst = int(farthest(np.ravel(values / bound))) if np.size(values) > 1 else 0
+            plain = outcome.quantity(whole).at(**where).values if isinstance(whole, str) else whole
+            with np.errstate(invalid="ignore", divide="ignore"):  # nothing allowed, nothing measured
+                worst = int(farthest(np.ravel(values / bound))) if np.size(values) > 1 else 0
             out.append(
                 Criterion(
                     name=f"{who}{title or measured.label}",
@@ -404,11 +493,13 @@ def below(
                     unit=measured.unit,
                     relation=">=" if least else "<=",
                     advice=_words(advice, outcome),
+                    false_alarm=false_alarm,
+                    notices=None if plain is None else float(np.max(np.abs(bound / plain - 1.0))),
                 )
             )
         return out
 
-    return _named(judge, name, limit)
+    return _named(judge, name, limit, whole)
 
 
 def above(name: str, limit: str | float, **others: Any) -> Verdict:
@@ -420,7 +511,7 @@ def _words(advice: Advice, outcome: Outcome) -> str:
     return advice if isinstance(advice, str) else advice(outcome)
 
 
-def _named(judge: Any, *names: str | float) -> Verdict:
+def _named(judge: Any, *names: str | float | None) -> Verdict:
     judge.names = tuple(one for one in names if isinstance(one, str))
     verdict: Verdict = judge
     return verdict

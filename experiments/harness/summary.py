@@ -16,11 +16,34 @@ from pydantic import BaseModel
 
 from optics.errors import DomainError
 
-__all__ = ["Criterion", "Measured", "dumps", "farthest_from_one", "measured", "summary", "to_json", "verdict_line"]
+__all__ = [
+    "CRITERIA_NOTE",
+    "NOTICED_PART",
+    "Criterion",
+    "Measured",
+    "dumps",
+    "farthest_from_one",
+    "measured",
+    "percent",
+    "summary",
+    "to_json",
+    "verdict_line",
+]
 
 Relation = Literal["<=", "<", ">=", ">"]
 _RELATIONS = {"<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt}
+_NOISE = ("false_alarm", "chance", "notices")
 _SIGNS = {"<=": "≤", "<": "<", ">=": "≥", ">": ">"}
+
+NOTICED_PART = 0.25
+"""Error, as a part of what is judged, that a criterion has to notice in half of all runs at least."""
+
+CRITERIA_NOTE = (
+    "False alarm: probability that noise alone makes the criterion fail. Notices: relative error of what is judged "
+    f"that makes it fail in half of all runs. Above {100 * NOTICED_PART:.0f} % the sample is too small: the value is "
+    "shown, not judged, unless it lies beyond even that limit."
+)
+"""Small print of the table of criteria."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +57,9 @@ class Criterion:
     relation: Relation = "<="  # ``value relation limit`` must be true
     about: float | None = None  # Where the value should be; given one, ``abs(value - about) <= limit`` must be true
     advice: str = ""  # What is likely wrong where it does not hold
+    false_alarm: float | None = None  # Probability that it fails by noise alone, if that is known
+    chance: float | None = None  # Probability that noise alone takes the value as far, if that is known
+    notices: float | None = None  # Relative error of what is judged that makes it fail in half of all runs, if known
 
     def __post_init__(self) -> None:
         if self.relation not in _RELATIONS:
@@ -44,10 +70,17 @@ class Criterion:
             raise DomainError(f"Criterion {self.name!r}: about {self.about} {self.relation} {self.limit} says nothing")
 
     @property
-    def passed(self) -> bool:
-        """Whether it holds; a value that is NaN does not."""
+    def passed(self) -> bool | None:
+        """Whether it holds; a value that is NaN does not. None: it lies within a limit too wide to notice 25 %."""
         distance = self.value if self.about is None else abs(self.value - self.about)
-        return bool(_RELATIONS[self.relation](distance, self.limit))
+        if not _RELATIONS[self.relation](distance, self.limit):
+            return False
+        return None if self.notices is not None and self.notices > NOTICED_PART else True
+
+    @property
+    def failed(self) -> bool:
+        """Whether it does not hold."""
+        return self.passed is False
 
     @property
     def demand(self) -> str:
@@ -55,6 +88,11 @@ class Criterion:
         if self.about is not None:
             return f"{self.about:.6g} ± {self.limit:.4g}"
         return f"{_SIGNS[self.relation]} {self.limit:.4g}"
+
+
+def percent(part: float | None) -> str:
+    """A probability or a relative error for the table of criteria, "" for None."""
+    return "" if part is None else f"{100 * part:.2g} %" if part < 1 else f"{100 * part:.0f} %"
 
 
 def farthest_from_one(ratios: Any) -> float:
@@ -90,16 +128,21 @@ def verdict_line(criteria: Sequence[Criterion], judged: str = "simulation") -> s
 
     It says nothing about whether a sensor is good enough: that is what requirements are for (`experiments.camera`).
     """
-    failed = sum(not criterion.passed for criterion in criteria)
     if not criteria:
         return "No criteria were set."
-    if len(criteria) == 1:
+    failed, too_small = (sum(one.passed is state for one in criteria) for state in (False, None))
+    count = len(criteria) - too_small
+    small = f"too small a sample to notice {100 * NOTICED_PART:.0f} %"
+    if count == 0:
+        return f"The {judged} is not judged: {small}."
+    left = f"; {too_small} not judged, {small}" if too_small else ""
+    if count == 1:
         holds = "does not hold" if failed else "holds"
-        return f"The {judged} is {'not ' if failed else ''}consistent: the criterion {holds}."
+        return f"The {judged} is {'not ' if failed else ''}consistent: the criterion {holds}{left}."
     if failed == 0:
-        return f"The {judged} is consistent: all {len(criteria)} criteria hold."
-    not_so = f"{failed} of {len(criteria)} criteria {'does' if failed == 1 else 'do'} not hold"
-    return f"The {judged} is not consistent: {not_so}."
+        return f"The {judged} is consistent: all {count} criteria hold{left}."
+    not_so = f"{failed} of {count} criteria {'does' if failed == 1 else 'do'} not hold"
+    return f"The {judged} is not consistent: {not_so}{left}."
 
 
 def summary(
@@ -124,7 +167,8 @@ def summary(
                 "passed": criterion.passed,
             }
             | ({} if criterion.about is None else {"about": to_json(criterion.about)})
-            | ({} if criterion.passed or not criterion.advice else {"advice": criterion.advice})
+            | {key: to_json(one) for key in _NOISE if (one := getattr(criterion, key)) is not None}
+            | ({"advice": criterion.advice} if criterion.failed and criterion.advice else {})
             for criterion in criteria
         ],
     }

@@ -81,9 +81,10 @@ def read_entry(folder: Path, status: int) -> dict[str, Any]:
         return {"status": status, "verdict": f"no result (exit code {status})"}
     criteria = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["criteria"]
     origin = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
-    failed = [criterion["name"] for criterion in criteria if not criterion["passed"]]
-    verdict = f"{len(criteria) - len(failed)} of {len(criteria)} criteria hold"
-    verdict += f"; not: {'; '.join(failed)}" if failed else ""
+    named = {state: [one["name"] for one in criteria if one["passed"] is state] for state in (True, False, None)}
+    verdict = f"{len(named[True])} of {len(criteria) - len(named[None])} criteria hold"
+    verdict += f"; not: {'; '.join(named[False])}" if named[False] else ""
+    verdict += f"; {len(named[None])} not judged" if named[None] else ""
     return {"status": status, "verdict": verdict, "runtime_s": origin["runtime_s"], "quick": origin["quick"]}
 
 

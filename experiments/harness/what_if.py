@@ -247,7 +247,7 @@ def _limits(declared: Experiment, config: Any) -> Mapping[str, tuple[float, bool
 def _name(config: Any) -> str:
     setting = getattr(config, "instrument", None)
     named: str = getattr(config, "name", "")
-    return named or ("the sensor" if setting is None else f"{Path(setting.lens).stem} on {Path(setting.detector).stem}")
+    return named or ("the sensor" if setting is None else f"{setting.lens_label} on {Path(setting.detector).stem}")
 
 
 def _with_unit(key: _Key, value: float) -> str:

@@ -15,7 +15,7 @@ __all__ = ["load_catalogue"]
 def load_catalogue(config: CatalogueConfig) -> StarCatalog:
     """The configured catalogue."""
     if config.source == "gaia":
-        return _gaia()
+        return _gaia(config.epoch_year != 2016.0)  # that of the package: no star moves
     from render.catalogue.read import read_catalog
 
     system = None if config.magnitude_system == "preset" else config.magnitude_system
@@ -31,7 +31,7 @@ def load_catalogue(config: CatalogueConfig) -> StarCatalog:
 
 
 @cache
-def _gaia() -> StarCatalog:
+def _gaia(motions: bool) -> StarCatalog:
     from render.catalogue.gaia import load_gaia
 
-    return load_gaia()
+    return load_gaia(motions=motions)

@@ -69,7 +69,8 @@ class ChromaticMeasurement:
 
     direction: FloatArray  # (p, j, 3) Unit vectors in cam
     nominal_px: FloatArray  # (p, j, 2) Where an ideal lens would image the points
-    photon_px: FloatArray  # (p, j, b, 2) Truth: centroid of the noiseless light
+    photon_px: FloatArray  # (p, j, b, 2) Truth: mean of all light, in the window or beyond
+    pixels_px: FloatArray  # (p, j, b, 2) First moment of the noiseless pixels of the window, as rendered
     mean_px: Mapping[str, FloatArray]  # (p, j, b, 2) Mean centroid over the frames, by method
     sigma_px: Mapping[str, FloatArray]  # (p, j, b, 2) Standard deviation of a single frame's centroid
     # (p, j, b, 2) The same as predicted, first method; without what moves all points of a position
@@ -114,6 +115,7 @@ def measure_chromatic(
         direction=np.stack([part.direction for part in parts]),
         nominal_px=np.stack([part.nominal_px for part in parts]),
         photon_px=np.stack([part.photon_px for part in parts]),
+        pixels_px=np.stack([part.pixels_px for part in parts]),
         mean_px={m: np.stack([part.mean_px[m] for part in parts]) for m in bench.methods},
         sigma_px={m: np.stack([part.sigma_px[m] for part in parts]) for m in bench.methods},
         noise_px=np.stack([part.noise_px for part in parts]),

@@ -14,6 +14,7 @@ from experiments.laboratory.distortion_statistics import (
     camera_terms,
     distortion_statistics,
     fit_camera,
+    left_out,
     polynomial_terms,
     without_pointing,
 )
@@ -107,6 +108,11 @@ class DistortionMeasurement:
         """The document's numbers with one survey of the target."""
         place, d, _ = self._residual(method, reference, copy)
         return distortion_statistics(place, d, self.order)
+
+    def left_out_px(self, method: str, reference: Reference) -> FloatArray:
+        """RMS error (2, 2) per axis at points left out, and at rows or columns left out, of the first survey."""
+        nominal, place = camera_place(self.instrument, self.surveyed[0])
+        return left_out(place, self.session_px[method][1] - nominal, self.order, reference)
 
     def over_surveys(self, method: str, reference: Reference) -> FloatArray:
         """sigma_d, sigma_Dd and sigma_C1 (q, 3, 2) [px] of every survey: the same frames, another total station."""

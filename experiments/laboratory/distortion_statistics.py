@@ -19,6 +19,11 @@ A target coordinate has to be in pixels before anything can be subtracted from i
 
 The cubic polynomial contains shift, roll and scale, so sigma_D is the same for the first two (to the order of products
 of small quantities); sigma_d and with it sigma_C1 are not.
+
+None of the three says how far the map is off where no point was. With H the projector onto camera terms and
+polynomials and e what they leave of the points, points b that a fit has not seen are off by ``(1 - H_bb)^-1 e_b`` (Cook
+and Weisberg 1982, Residuals and Influence in Regression, sec. 2.2): b is a point, or the points of an inner row or
+column, without which a polynomial may pass through all others and do as it likes where they were.
 """
 
 from __future__ import annotations
@@ -28,6 +33,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -38,8 +44,10 @@ __all__ = [
     "DistortionStatistics",
     "Reference",
     "camera_terms",
+    "cross_validated",
     "distortion_statistics",
     "fit_camera",
+    "left_out",
     "polynomial_fit",
     "polynomial_terms",
     "without_pointing",
@@ -125,6 +133,60 @@ def distortion_statistics(place: FloatArray, d_px: FloatArray, order: int) -> Di
         sigma_c1_px=np.sqrt(np.maximum(sigma_d**2 - sigma_left**2, 0.0)),
         coefficient_px=coefficient,
     )
+
+
+DETERMINED = 1e-3
+"""Variance of a residual in the fit over that of the point: below it the other points do not determine the place."""
+
+
+def cross_validated(place: FloatArray, offset_px: FloatArray, order: int, reference: Reference) -> FloatArray:
+    """How far fits are off at points that they have not seen (3, n, 2), camera and polynomial fitted together.
+
+    First every point left out by itself; then with all points of its row, then of its column, but those of the
+    outermost ones, beyond which there is nothing. NaN where the other points do not determine the place.
+
+    Parameters
+    ----------
+    place, offset_px : (n, 2) float
+        Points in units of order 1; measured minus nominal pixels [px].
+    order, reference
+        Of the polynomial; how coordinates become pixels.
+    """
+    count = len(place)
+    polynomial = np.kron(polynomial_terms(place, order), np.eye(2))
+    terms = np.hstack([polynomial, camera_terms(place, reference).reshape(2 * count, -1)])
+    across, size, _ = np.linalg.svd(terms, full_matrices=False)
+    base = across[:, size > 1e-9 * size[0]]
+    left = offset_px.reshape(-1) - base @ (base.T @ offset_px.reshape(-1))
+    found = np.full((3, 2 * count), np.nan)
+    single = np.arange(count)
+    for row, groups in enumerate((single, _strips(place[:, 1]), _strips(place[:, 0]))):
+        ends = (groups.min(), groups.max()) if row else ()
+        for group in range(groups.max() + 1):
+            for points in [np.flatnonzero(groups == group)] if group not in ends else single[groups == group][:, None]:
+                rows = (2 * points[:, None] + [0, 1]).ravel()
+                share, way = np.linalg.eigh(np.eye(len(rows)) - base[rows] @ base[rows].T)
+                if share[0] > DETERMINED:
+                    found[row, rows] = way @ ((way.T @ left[rows]) / share)
+    return found.reshape(3, count, 2)
+
+
+def left_out(place: FloatArray, offset_px: FloatArray, order: int, reference: Reference) -> FloatArray:
+    """RMS error (2, 2) per axis at points left out, and at rows or columns left out, the larger (`cross_validated`)."""
+    rms = np.sqrt((cross_validated(place, offset_px, order, reference) ** 2).mean(1))
+    return np.stack([rms[0], rms[1:].max(0)])
+
+
+def _strips(coordinate: FloatArray) -> NDArray[np.int64]:
+    """Number of the row that each point belongs to; strips of as many points where the target has no rows."""
+    order = np.argsort(coordinate, kind="stable")
+    gap = np.diff(coordinate[order])
+    number = np.zeros(len(coordinate), np.int64)
+    number[order[1:]] = np.cumsum(gap > 0.5 * gap.max())
+    sizes = np.bincount(number)
+    if len(sizes) < 3 or sizes.max() > 2 * sizes.min():
+        number[order] = np.arange(len(order)) * round(np.sqrt(len(order))) // len(order)
+    return number
 
 
 def without_pointing(place: FloatArray, error_px: FloatArray) -> FloatArray:

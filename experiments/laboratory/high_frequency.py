@@ -89,7 +89,7 @@ class HighFrequencyMeasurement:
     pixel_arcsec: float  # Angle of a pixel
     path: HexapodPath  # What the hexapod did
     direction: FloatArray  # (j, 3) Target points at rest
-    photon_px: FloatArray  # (m, j, 2) Truth: centroid of the noiseless light
+    photon_px: FloatArray  # (m, j, 2) Truth: mean of all light, in the window or beyond
     noiseless_px: Mapping[str, FloatArray]  # (m, j, 2) What each method makes of the noiseless windows
     # (m, j, 2) Mean centroids by run and method: "all", "none", "only CAUSE", "without CAUSE"
     mean_px: Mapping[str, Mapping[str, FloatArray]]

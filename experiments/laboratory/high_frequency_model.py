@@ -7,9 +7,10 @@ for an offset. In the document's number the pattern counts by h_{k+1} - h_k, in 
     document:  s^2 sum (h_{k+1} - h_k)^2 (1 - 1/W),        one position:  s^2 sum h_k^2.
 
 The S-curve and masked pixels are known functions of where the star lies; they enter as they are. Where it lies depends
-on the hexapod: its errors move all stars together and drop out of the differences as motion, but not as S-curve: longer
-and shorter steps sample that curve otherwise. So a prediction is made either for many drawn paths of the hexapod
-(before the test), or for the common motion that was seen in the images (after it).
+on the hexapod: its errors move all stars together and drop out of the differences as motion, but neither as S-curve nor
+as pattern: longer and shorter steps sample both otherwise. So a prediction is made either for many drawn paths of the
+hexapod (before the test), or for the common motion that was seen in the images (after it). On a drawn path h_k follows
+from its derivatives by the place, as the errors of a step are small against a star image.
 """
 
 from __future__ import annotations
@@ -53,7 +54,10 @@ FIT_NOISE_PX = 0.03
 """Noise of a fit from which on its bias is drawn: below, it is less than some (0.03 px)^2 = 1e-3 px."""
 
 PATHS = 24
-"""Drawn paths of a hexapod with errors, for the S-curve; roll is small enough to leave that as it is."""
+"""Drawn paths of a hexapod with errors; roll is small enough to leave S-curve and pattern as they are."""
+
+NEAR_PX = 0.1
+"""Over which derivatives of influences by the place are taken: the error of a step is of that size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,6 +126,7 @@ def predict_high_frequency(
         instrument=instrument,
         windows=windows,
         others=[expected_windows(bench, instrument, direction, psf, place + one[:, None]) for one in drawn],
+        offsets_px=drawn,
         positions=plan.positions,
         noise=instrument.pixel_noise(),
         subtraction=subtraction,
@@ -148,7 +153,8 @@ class _Model:
     bench: Bench
     instrument: Instrument
     windows: ExpectedWindows
-    others: Sequence[ExpectedWindows]
+    others: Sequence[ExpectedWindows]  # On drawn paths, which stand so far (m, 2) beside
+    offsets_px: Sequence[FloatArray]
     positions: int
     noise: PixelNoise
     subtraction: Subtraction
@@ -167,35 +173,38 @@ class _Model:
         each = sessions or [centroider]
         # the ideal path is not one of those that an erring hexapod takes
         runs = [(each[i % len(each)], one) for i, one in enumerate(self.others or [windows] * len(each))]
-        curves, masked = ([of(*one) for one in runs] for of in (self._curve, self._masked))
+        masked = [self._masked(*one) for one in runs]
+        curves, scatters = map(list, zip(*(self._curve(*one) for one in runs), strict=True))
         sigma = gain.sigma_px(self.noise.temporal_e2(windows.light_e, frames=self.bench.frames)).reshape(m, -1, 2)
-        one_frame, left = gain.sigma_px(self.noise.temporal_e2(windows.light_e)), sigma
+        one_frame = gain.sigma_px(self.noise.temporal_e2(windows.light_e))
         if fit_draws and np.sqrt(np.mean(one_frame**2)) >= FIT_NOISE_PX:
-            bias, scatter = self._bias(centroider, fit_draws)
-            curves = [one + bias for one in curves]
-            left = np.sqrt(np.maximum(sigma**2 - scatter**2, 0.0))  # beside the noise that the drawn bias brings along
-        g, stars = gain.gain_px_per_e, curves[0].shape[1]
-        prnu = self._fixed(g * windows.light_e[:, None], self.noise.prnu)
-        offsets, dark = self._offsets(g)
+            bias, scatter = self._bias(centroider, windows, fit_draws)
+            curves, scatters = [one + bias for one in curves], [scatter] * len(curves)
+        prnu, offsets, dark = self._patterns(centroider, gain.gain_px_per_e)
+        stars = curves[0].shape[1]
         share = 1.0 - 1.0 / stars
         cause = {
             "s_curve": _rms([document_rms_px(one) for one in curves]),
-            "prnu": np.sqrt(share * _steps2(prnu)),
-            "pattern": np.sqrt(share * sum((_steps2(part) for part in offsets), np.zeros(2))),
+            "prnu": np.sqrt(share * self._steps2(prnu)),
+            "pattern": np.sqrt(share * sum((self._steps2(part) for part in offsets), np.zeros(2))),
             "defects": _rms([document_rms_px(one) for one in masked]),
         }
         single = {
             "s_curve": _rms([single_rms_px(one) for one in curves]),
-            "prnu": np.sqrt(_mean2(prnu)),
-            "pattern": np.sqrt(sum((_mean2(part) for part in offsets), np.zeros(2))),
+            "prnu": np.sqrt(_mean2(prnu[0])),
+            "pattern": np.sqrt(sum((_mean2(part[0]) for part in offsets), np.zeros(2))),
             "defects": _rms([single_rms_px(one) for one in masked]),
         }
         document, error, lever = [], [], self._lever()
         for draw in range(self.draws):
-            fixed = curves[draw % len(curves)] + masked[draw % len(curves)]
+            path = draw % len(curves)
+            fixed = curves[path] + masked[path]
             for part in (prnu, *offsets, *dark):
-                fixed = fixed + np.einsum("jmayx,jyx->mja", part, rng.standard_normal((stars, *part.shape[3:])))
+                moved = self._on_path(part, path)
+                fixed = fixed + np.einsum("jmayx,jyx->mja", moved, rng.standard_normal((stars, *moved.shape[3:])))
             rolled = self.roll_rad * rng.standard_normal((m, 1, 1)) * lever
+            # the curve has some noise already: that of the draws whose mean it is
+            left = np.sqrt(np.maximum(sigma**2 - scatters[path] ** 2, 0.0))
             document.append(document_rms_px(fixed + rolled + left * rng.standard_normal(left.shape)))
             error.append(single_rms_px(fixed))
         return MethodPrediction(
@@ -203,11 +212,11 @@ class _Model:
             cause_px={name: np.asarray(cause[name]) for name in CAUSES},
             cause_single_px={name: np.asarray(single[name]) for name in CAUSES},
             temporal_px=np.sqrt(share * (sigma[1:] ** 2 + sigma[:-1] ** 2).mean((0, 1))),
-            dark_px=np.sqrt(share * sum((_steps2(part) for part in dark), np.zeros(2))),
+            dark_px=np.sqrt(share * sum((self._steps2(part) for part in dark), np.zeros(2))),
             roll_px=self.roll_rad * np.sqrt(2.0 * (lever**2).mean(0)),
             document_px=_rms(document),
             scatter_px=np.std(document, axis=0, ddof=1),
-            session_px2=np.array([document_rms_px(self._curve(one, windows)) ** 2 for one in sessions]).reshape(-1, 2),
+            session_px2=np.reshape([document_rms_px(self._curve(one, windows)[0]) ** 2 for one in sessions], (-1, 2)),
             single_px=_rms(error),
             single_scatter_px=np.std(error, axis=0, ddof=1),
         )
@@ -218,28 +227,50 @@ class _Model:
         from_mean = place - place.mean(0)
         return np.column_stack([-from_mean[:, 1], from_mean[:, 0]])
 
-    def _offsets(self, gain: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Responses to offset patterns that are left in the data, and to the noise of the dark frames."""
-        if self.subtraction == "raw":
-            column = self._fixed(gain, self.noise.column_e).sum(3, keepdims=True)
-            return [self._fixed(gain, self.noise.offset_e), column], []
-        return [], [self._fixed(gain, float(np.sqrt(self.noise.floor_e2 / self.bench.dark_frames)))]
+    def _patterns(
+        self, centroider: Centroider, gain: FloatArray
+    ) -> tuple[FloatArray, list[FloatArray], list[FloatArray]]:
+        """Responses (1 or 3, j, m, 2, y, x) to PRNU, offset patterns that are left in the data, noise of dark frames.
 
-    def _bias(self, centroider: Centroider, draws: int) -> tuple[FloatArray, FloatArray]:
-        """What noise adds to the mean of a fit, of second order in it, and its standard error: (m, j, 2)."""
+        Of a hexapod that errs with their derivatives by the place along x and y.
+        """
+        windows, noise = [self.windows], self.noise
+        if self.offsets_px:
+            windows += [self.windows.moved(NEAR_PX * along) for along in np.eye(2)]
+        gains = [gain, *(influence(centroider, self.instrument, one).gain_px_per_e for one in windows[1:])]
+
+        def responses(size: float, of: Sequence[FloatArray]) -> FloatArray:
+            first, *others = (self._fixed(one, size) for one in of)
+            return np.stack([first, *((one - first) / NEAR_PX for one in others)])
+
+        prnu = responses(noise.prnu, [g * one.light_e[:, None] for g, one in zip(gains, windows, strict=True)])
+        if self.subtraction == "raw":
+            column = responses(noise.column_e, gains).sum(4, keepdims=True)
+            return prnu, [responses(noise.offset_e, gains), column], []
+        return prnu, [], [responses(float(np.sqrt(noise.floor_e2 / self.bench.dark_frames)), gains)]
+
+    def _on_path(self, response: FloatArray, path: int) -> FloatArray:
+        """Response (j, m, 2, y, x) on a drawn path, or on the ideal one where none was drawn."""
+        if len(response) == 1:
+            return np.asarray(response[0])
+        return np.asarray(response[0] + np.einsum("mb,bjmayx->jmayx", self.offsets_px[path], response[1:]))
+
+    def _steps2(self, response: FloatArray) -> FloatArray:
+        """Mean square (2,) of the change from one position to the next, over the drawn paths."""
+        parts = [self._on_path(response, path) for path in range(len(self.offsets_px) or 1)]
+        return np.mean([(np.diff(part, axis=1) ** 2).sum((3, 4)).mean((0, 1)) for part in parts], axis=0)
+
+    def _bias(self, centroider: Centroider, windows: ExpectedWindows, draws: int) -> tuple[FloatArray, FloatArray]:
+        """What noise adds to the mean centroid, of second order in it, and its standard error: (m, j, 2)."""
         rng = Streams(self.seed).generator("high-frequency bias")
-        given = (centroider, self.instrument, self.windows)
+        given = (centroider, self.instrument, windows)
         drawn = drawn_positions(*given, self.noise, draws=2 * draws, rng=rng, mirrored=True)
         pair = drawn.reshape(draws, 2, -1, 2).mean(1) - window_positions(*given)[0]  # NaN where a fit failed
         mean, scatter = np.nanmean(pair, axis=0), np.nanstd(pair, axis=0, ddof=1) / np.sqrt(draws)
         return mean.reshape(self.positions, -1, 2), scatter.reshape(self.positions, -1, 2)
 
-    def _curve(self, centroider: Centroider, windows: ExpectedWindows) -> FloatArray:
-        """Error (m, j, 2) of the noiseless centroids, or of their mean over drawn noise."""
-        if self.noise_draws:
-            rng = Streams(self.seed).generator("high-frequency noise")
-            drawn = drawn_positions(centroider, self.instrument, windows, self.noise, draws=self.noise_draws, rng=rng)
-            return np.asarray((np.nanmean(drawn, axis=0) - windows.place_px).reshape(self.positions, -1, 2))
+    def _curve(self, centroider: Centroider, windows: ExpectedWindows) -> tuple[FloatArray, FloatArray]:
+        """Error (m, j, 2) of the noiseless centroids, or of their mean over drawn noise, and its standard error."""
         found, _ = noiseless_positions(
             centroider,
             nominal_noise(self.instrument),
@@ -247,7 +278,11 @@ class _Model:
             corner_px=windows.corner_px,
             psf_index=windows.psf_index,
         )
-        return np.asarray((found - windows.place_px).reshape(self.positions, -1, 2))
+        error = np.asarray((found - windows.place_px).reshape(self.positions, -1, 2))
+        if not self.noise_draws:
+            return error, np.zeros_like(error)
+        bias, scatter = self._bias(centroider, windows, self.noise_draws // 2)
+        return error + bias, scatter
 
     def _fixed(self, response: FloatArray, size: float) -> FloatArray:
         """Responses (n, 2, h, w) times ``size``, on pixels common to all positions of a star: (j, m, 2, y, x)."""
@@ -293,11 +328,6 @@ class _Model:
 def _rms(values: Sequence[FloatArray]) -> FloatArray:
     """Root mean square over a list."""
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
-
-
-def _steps2(part: FloatArray) -> FloatArray:
-    """Mean square (2,) of the change from one position to the next, from responses (j, m, 2, y, x)."""
-    return np.asarray((np.diff(part, axis=1) ** 2).sum((3, 4)).mean((0, 1)))
 
 
 def _mean2(part: FloatArray) -> FloatArray:

@@ -13,15 +13,19 @@ from optics.errors import DomainError
 from optics.lens.perturb import change_temperature
 from optics.lens.sag_map import read_map
 from optics.lens.system import LensSystem
+from optics.lens.without_glass import ideal_lens
 from optics.lens_file import load_lens
-from optics.rays.paraxial import axial_paraxial, stopped_down
+from optics.light.band_file import load_band
+from optics.rays.chief import plate_scale_mm
+from optics.rays.paraxial import stopped_down
+from optics.response import Response
 from optics.waves.measured import with_wavefront
 from optics.waves.wavefront import PathMap, zernike_map
 from render.detector.noise import PixelNoise
 from render.detector.spec import Detector, load_detector
 from render.sensor import StarSensor, load_star_sensor
 
-__all__ = ["Instrument", "build_instrument", "configured_detector", "configured_lens"]
+__all__ = ["Instrument", "build_instrument", "configured_detector", "configured_lens", "stated_lens"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,9 +52,30 @@ class Instrument(StarSensor):
         )
 
 
+def stated_lens(config: InstrumentConfig) -> LensSystem:
+    """The lens that a configuration names or describes, as it is without any other key."""
+    ideal = config.lens
+    if isinstance(ideal, str):
+        return load_lens(ideal)
+    through: float | Response = ideal.transmission
+    if ideal.transmission_file:
+        curve = load_band(ideal.transmission_file)
+        through = Response(name=curve.name, source=curve.source, wavelength_nm=curve.wavelength_nm, value=curve.value)
+    return ideal_lens(
+        focal_length_mm=ideal.focal_length_mm,
+        f_number=ideal.f_number,
+        spot_um=ideal.spot_um,
+        psf_fwhm_px=ideal.psf_fwhm_px,
+        transmission=through,
+        design_wavelength_nm=ideal.design_wavelength_nm,
+        max_field_deg=ideal.max_field_deg,
+        name=ideal.label,
+    )
+
+
 def configured_lens(config: InstrumentConfig) -> LensSystem:
     """The lens of a configuration: stopped down, at its temperature with its housing, with its measured error."""
-    lens = load_lens(config.lens)
+    lens = stated_lens(config)
     try:
         if config.f_number is not None:
             lens = stopped_down(lens, config.f_number)
@@ -108,5 +133,5 @@ def build_instrument(
         config=config,
         camera=sensor.camera,
         detector=sensor.detector,
-        focal_length_mm=float(axial_paraxial(nominal, nominal.design_wavelength_nm).efl_mm),
+        focal_length_mm=plate_scale_mm(replace(sensor.camera, lens=nominal).focused_lens),
     )

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from math import hypot, isfinite, radians, tan
 from typing import TYPE_CHECKING, Any
 
+from experiments.laboratory.focus import in_focus
 from optics.errors import StarbenchError
 
 if TYPE_CHECKING:
@@ -67,6 +68,8 @@ def _window_px(file: LensFile, detector: Any) -> tuple[int, int] | None:
 def lens_defaults(values: Mapping[str, Any]) -> dict[str, Any]:
     """Settings that the lens file of an instrument decides where nobody else does."""
     instrument, passband = values.get("instrument"), values.get("passband")
+    if isinstance(instrument, Mapping) and in_focus(instrument.get("lens")):
+        return {"instrument": {"defocus_mm": 0.0}}
     file = _of_program(instrument.get("lens")) if isinstance(instrument, Mapping) else None
     if file is None or not isinstance(instrument, Mapping):
         return {}

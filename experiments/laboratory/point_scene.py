@@ -45,7 +45,7 @@ class PointLight:
 
     direction: FloatArray  # (j, 3) Unit vectors in cam
     nominal_px: FloatArray  # (j, 2) Where an ideal lens would image the points
-    bundle_px: FloatArray  # (j, 2) Truth: mean of the traced rays, centroid of the noiseless light
+    bundle_px: FloatArray  # (j, 2) Truth: mean of the traced rays, mean of all light
     photon_px: FloatArray  # (j, 2)
     found_px: FloatArray  # (j, 2) Where the points were detected
     corner_px: NDArray[np.int64]  # (j, 2) First pixel of each window

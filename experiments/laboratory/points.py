@@ -37,7 +37,8 @@ class PointMeasurement:
 
     direction: FloatArray  # (j, 3) Unit vectors in cam
     nominal_px: FloatArray  # (j, 2) Where an ideal lens would image the points
-    photon_px: FloatArray  # (j, b, 2) Truth: centroid of the noiseless light
+    photon_px: FloatArray  # (j, b, 2) Truth: mean of all light, in the window or beyond
+    pixels_px: FloatArray  # (j, b, 2) First moment of the noiseless pixels of the window, as rendered
     mean_px: Mapping[str, FloatArray]  # (j, b, 2) Mean centroid over the frames, by method
     sigma_px: Mapping[str, FloatArray]  # (j, b, 2) Standard deviation of a single frame's centroid
     # (j, b, 2) The same as predicted by linear response, first method; without what moves all points alike
@@ -107,6 +108,7 @@ class PointReadout:
             direction=direction,
             nominal_px=nominal,
             photon_px=np.stack([truth.photon_x_px, truth.photon_y_px], axis=-1),
+            pixels_px=first_moment_px(light, corner),
             mean_px={m: np.stack([one[0][m] for one in results], axis=1) for m in bench.methods},
             sigma_px={m: np.stack([one[1][m] for one in results], axis=1) for m in bench.methods},
             frames_used=np.stack([one[2] for one in results], axis=1),
@@ -143,6 +145,13 @@ class PointReadout:
         gain = linear_response(tight(centroiders[first]), stamps.select(slice(0, len(light_e))), noise, light_e)
         spread = np.sqrt(centroid_variance(gain, pixel.temporal_e2(light_e)))
         return mean, sigma, statistics[first][2], pattern, spread
+
+
+def first_moment_px(light_e: FloatArray, corner_px: NDArray[np.int64]) -> FloatArray:
+    """First moment (j, b, 2) of windows (b, j, s, s) whose first pixels are known (j, 2)."""
+    light, pixel = np.asarray(light_e, float), np.arange(light_e.shape[-1])
+    sums = np.stack([light.sum(2) @ pixel, light.sum(3) @ pixel], axis=-1) / light.sum((2, 3))[..., None]
+    return np.asarray(np.swapaxes(sums, 0, 1) + corner_px[:, None])
 
 
 def nominal_px(instrument: Instrument, direction: FloatArray) -> FloatArray:

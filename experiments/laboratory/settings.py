@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import BaseModel, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
 from experiments.harness.config import FileName, StrictModel, WavelengthNm
+from experiments.laboratory.focus import in_focus
 from experiments.laboratory.housing import DEFAULT_HOUSING, EXPANSION_PPM_PER_K, expansion_per_k
 
 __all__ = [
@@ -15,6 +17,7 @@ __all__ = [
     "FilterConfig",
     "GridTargetConfig",
     "HexapodConfig",
+    "IdealLensConfig",
     "InstrumentConfig",
     "PassbandConfig",
     "SignalConfig",
@@ -25,13 +28,59 @@ __all__ = [
 ]
 
 
+class IdealLensConfig(StrictModel):
+    """A lens before there is one: a thin lens without aberrations, in place of the name or file of a lens.
+
+    It images by f tan(field), in focus for all colours; diffraction is that of its round stop, blurred by the Gaussian
+    that is stated. A lens that was measured is a file: ``kind = "measured"`` stands in it (`optics.lens.measured`).
+    """
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"f_number", "transmission"})
+
+    kind: Literal["ideal"] = Field(default="ideal", description="a lens that was measured is a file with its own kind")
+    focal_length_mm: float = Field(gt=0, le=1e5, description="focal length in the air or vacuum around it")
+    f_number: float = Field(gt=0.5, le=1000, description="focal length over the diameter of the stop")
+    spot_um: float = Field(
+        default=0.0, ge=0, le=1e4, description="RMS radius of a Gaussian spot that blurs the diffraction image"
+    )
+    psf_fwhm_px: float = Field(
+        default=0.0, ge=0, le=100, description="the same by its full width at half maximum, in place of spot_um"
+    )
+    transmission: float = Field(default=1.0, gt=0, le=1, description="of the lens, at all wavelengths")
+    transmission_file: FileName = Field(
+        default="", description="CSV file with wavelength_nm, transmission in place of it"
+    )
+    design_wavelength_nm: WavelengthNm = Field(
+        default=550.0, description="of chief rays, focal length and depth of focus"
+    )
+    max_field_deg: float = Field(default=30.0, gt=0, le=80, description="half field up to which the detector may reach")
+
+    @model_validator(mode="after")
+    def _one_blur(self) -> Self:
+        if self.spot_um and self.psf_fwhm_px:
+            raise ValueError("spot_um and psf_fwhm_px: give one of them")
+        return self
+
+    @property
+    def label(self) -> str:
+        """What reports call it."""
+        return f"ideal lens {self.focal_length_mm:g} mm F/{self.f_number:g}"
+
+
+def _lens_form(value: Any) -> str:
+    return "ideal" if isinstance(value, (Mapping, BaseModel)) else "name"
+
+
 class InstrumentConfig(StrictModel):
     """Lens, detector and how they are operated."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"f_number", "housing"})
 
-    lens: FileName = Field(
-        default="star_camera_206mm", description="built-in lens, or a file: TOML, Zemax .zmx, CODE V .seq"
+    lens: Annotated[
+        Annotated[FileName, Tag("name")] | Annotated[IdealLensConfig, Tag("ideal")], Discriminator(_lens_form)
+    ] = Field(
+        default="star_camera_206mm",
+        description="built-in lens, or a file: TOML, Zemax .zmx, CODE V .seq; or a table [instrument.lens]",
     )
     detector: FileName = Field(default="acc18_mosaic", description="built-in detector or TOML file")
     width_px: int = Field(
@@ -80,6 +129,19 @@ class InstrumentConfig(StrictModel):
     coating_nm: float = Field(
         default=550.0, ge=0, le=2000, description="design wavelength of the MgF2 quarter-wave coatings; 0: bare glass"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _in_focus(cls, values: Any) -> Any:
+        """A lens that is in focus as it is stays there unless a focus is stated."""
+        if isinstance(values, Mapping) and "defocus_mm" not in values and in_focus(values.get("lens")):
+            return {**values, "defocus_mm": 0.0}
+        return values
+
+    @property
+    def lens_label(self) -> str:
+        """What reports call the lens."""
+        return Path(self.lens).stem if isinstance(self.lens, str) else self.lens.label
 
     @model_validator(mode="after")
     def _one_wavefront(self) -> Self:

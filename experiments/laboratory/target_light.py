@@ -57,11 +57,11 @@ def seen_camera(bench: Bench, instrument: Instrument) -> Camera:
     return replace(camera, charge_diffusion_px=float(np.hypot(camera.charge_diffusion_px, within**0.5)))
 
 
-def target_light(bench: Bench, instrument: Instrument) -> TargetLight:
-    """The light of a bench."""
+def target_light(bench: Bench, instrument: Instrument, *, by_grid: bool = True) -> TargetLight:
+    """The light of a bench; its points are few, but mostly stand at many places in turn (`Tracer`, ``by_grid``)."""
     camera = seen_camera(bench, instrument)
-    renderer = StarRenderer(camera, exposure_s=instrument.config.exposure_s)
-    return TargetLight(bench, instrument, renderer, epsf_tracer(camera))
+    renderer = StarRenderer(camera, exposure_s=instrument.config.exposure_s, by_grid=by_grid)
+    return TargetLight(bench, instrument, renderer, epsf_tracer(camera, by_grid=by_grid))
 
 
 def frame_light(

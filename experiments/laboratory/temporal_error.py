@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.special import gammaln
+from scipy.stats import chi2
 
 from calib.measure.centroid import Centroider
 from experiments.harness.summary import Measured
@@ -35,13 +37,14 @@ __all__ = [
     "TemporalPrediction",
     "measure_temporal",
     "predict_temporal",
+    "scatter_interval",
     "small_sample_factor",
     "target_place",
     "temporal_error_arcsec",
 ]
 
 
-def small_sample_factor(frames: int) -> float:
+def small_sample_factor(frames: float) -> float:
     """Expectation of a standard deviation from ``frames`` normal samples (divisor N - 1) over the true one: c4(N)."""
     n = float(frames)
     return float(np.sqrt(2.0 / (n - 1.0)) * np.exp(gammaln(n / 2.0) - gammaln((n - 1.0) / 2.0)))
@@ -58,6 +61,31 @@ def temporal_error_arcsec(sigma_px: FloatArray, pixel_arcsec: float, frames: int
         for a in range(2)
     )
     return x, y
+
+
+def scatter_interval(value: FloatArray, relative: FloatArray, *, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
+    """Two-sided confidence interval of standard deviations whose estimates have known relative standard deviations.
+
+    Of chi-square: so many degrees of freedom as give a standard deviation that scatter. Of one star in N frames these
+    are N - 1 and the interval is exact; the mean over stars is taken as a standard deviation of more of them. NaN where
+    an error is not known.
+    """
+    low, high = np.full(np.shape(value), np.nan), np.full(np.shape(value), np.nan)
+    for place, (found, share) in enumerate(zip(np.ravel(value), np.ravel(relative), strict=True)):
+        if not 0.0 < share < np.inf:
+            continue
+
+        def missed(log_degrees: float, share: float = float(share)) -> float:
+            c4 = small_sample_factor(np.exp(log_degrees) + 1.0)
+            return float(np.sqrt(1.0 - c4**2) / c4 - share)
+
+        ends = np.log([1e-2, 1e7])
+        degrees = float(np.exp(brentq(missed, *ends) if missed(ends[0]) > 0.0 > missed(ends[1]) else ends[0]))
+        # the mean of estimates is low by their own c4; by the one of the mean the square root of chi-square is
+        scale = float(found) * np.sqrt(degrees) * small_sample_factor(degrees + 1.0)
+        tails = chi2.isf([0.5 * (1.0 - level), 0.5 * (1.0 + level)], degrees)
+        low.flat[place], high.flat[place] = scale / np.sqrt(tails)
+    return low, high
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,31 +1,37 @@
-"""What own frames say about themselves: gain, motion, noise, copies, the ends of the converter.
+"""What own frames say about themselves: gain, motion, noise, order, copies, the ends of the converter.
 
 Every number has its own statistic, and none needs more than the frames:
 
 ``gain``
     Photon transfer (Janesick 2007; EMVA 1288 Release 4.0, sec. 6.6): the temporal variance of a pixel grows with its
-    mean by K. What a moving image and a flickering lamp add is projected out frame by frame and window by window (the
-    mean image, and itself shifted by whole pixels, of which a shift by parts of one is made); the variance that the
-    projection takes from every pixel is accounted for.
+    mean by K. Of flats, if there are several; else of the windows, from which what a moving image and a flickering lamp
+    add is projected out frame by frame (the mean image, and itself shifted by whole pixels, of which a shift by parts
+    of one is made); the variance that the projection takes from every pixel is accounted for.
 ``motion``
     What all points of a frame have in common. Without motion J times the variance of the common part over the variance
     of what is left of the points follows Fisher's F with (N - 1) and (N - 1)(J - 1) degrees of freedom; with a motion
     of the variance m^2 it is larger by 1 + J m^2 / s^2.
+``moved``, ``light``, ``lag``, ``shared``
+    Jumps and drift of place and light, correlation from frame to frame, noise that two frames share
+    (`experiments.reduce.sequence`).
 ``noise``
     Standard deviation of the centroids over that of the noise model.
-``copies``, ``step``, ``clipped``, ``zero``
-    Frames of a series that equal another one; common divisor of all readings; how often the highest reading comes
-    against the four below it; share of readings of 0.
+``copies``, ``disorder``
+    Frames of the folder that equal another one; frames that were taken before the one that they follow.
+``step``, ``clipped``, ``zero``
+    Common divisor of all readings; how often the highest reading comes against the four below it; share of readings of
+    0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import convolve, shift
+from scipy.ndimage import convolve
 from scipy.stats import f as fisher_f
 from scipy.stats import poisson
 
@@ -33,29 +39,34 @@ from experiments.harness.quantities import Outcome
 from experiments.harness.sections import Section, below, col, ratio_near, two_sided_limit
 from experiments.harness.summary import Measured
 from experiments.reduce.folder import FrameFolder, FrameSeries
+from experiments.reduce.sequence import (
+    FALSE_ALARM,
+    Change,
+    Lag,
+    Shared,
+    largest_change,
+    shared_noise,
+    without_modes,
+)
 from experiments.reduce.series import SeriesFrames
 from optics.arrays import FloatArray
 
-__all__ = ["CHECKS", "FALSE_ALARM", "MOTION_SHARE", "FrameChecks", "Motion", "check_frames", "photon_transfer"]
+__all__ = ["CHECKS", "MOTION_SHARE", "FrameChecks", "Motion", "check_frames", "photon_transfer"]
 
-FALSE_ALARM = 1e-3
-"""Probability that a check objects to frames that are as they should be."""
-RATIO_ALARM = 6.334e-5
-"""The same for gain and noise ratio, 4 sigma: what they are held against is stated to some per cent anyway."""
-GAIN_ALLOWANCE = 0.15
-"""What photon transfer may be off: charge shared between pixels and the growth of images with brightness lower the
-variance by up to a tenth in many detectors."""
-NOISE_ALLOWANCE = 0.15
-"""What the noise model may be off: motion that is let pass makes 10 %, and read noise differs from pixel to pixel."""
-GAIN_DETERMINED = 0.1
-"""Photon transfer worse than this part of its value says nothing."""
-MOTION_SHARE = 0.21
-"""Motion that raises the scatter of a point by 10 % is let pass: its variance over that of the point."""
+GAIN_ALLOWANCE = 0.05
+"""What photon transfer may be off: charge shared between pixels lowers the variance by some per cent."""
+NOISE_ALLOWANCE = 0.05
+"""What the noise model may be off: motion that is let pass makes 3 %, and read noise differs from pixel to pixel."""
+LIGHT_ALLOWANCE = 0.05
+"""Change of light that is let pass: it changes the noise by less than 3 %."""
+MOTION_SHARE = 0.06
+"""Motion that raises the scatter of a point by 3 % is let pass: its variance over that of the point."""
 FEWEST_FOR_MOTION = 3
 TOP_READINGS = 5
 FEWEST_PIXELS = 30
 ITERATIONS = 8
-SHIFTS = (-2, -1, 1, 2)
+SHOWN = 3
+"""Frames that a message names."""
 AROUND = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])
 
 
@@ -67,8 +78,6 @@ class Motion:
     axis: str  # Where
     rms_px: float  # Standard deviation of the common part from frame to frame, noise of the points included
     limit_px: float  # What it may be (see the module)
-    drift_px: float  # Least-squares trend from the first frame to the last
-    drift_share: float  # Part of the variance that the trend explains
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,9 +91,24 @@ class FrameChecks:
     motion: Motion | None  # The largest against its limit; None for single points or fewer than three frames
     common_motion_px: float | None = col("Common motion", "px", ".4f")
     motion_limit_px: float | None = col("Common motion that is let pass", "px", ".4f", json="")
-    drift_px: float | None = col("Drift", "px", ".4f")
+    # The most significant of all series against its limit each, None where no series has frames enough
+    moved: Change | None
+    moved_px: float | None = col("Jump or drift of the target", "px", ".4f")
+    moved_limit_px: float | None = col("Jump or drift that noise makes", "px", ".4f", json="")
+    light: Change | None
+    light_change: float | None = col("Jump or drift of the light")
+    light_limit: float | None = col("Jump or drift of the light that is let pass", json="")
+    lag: Lag | None
+    lag_correlation: float | None = col("Correlation of a frame with the next one")
+    lag_limit: float | None = col("Correlation that white noise reaches", json="")
+    shared: Shared | None
+    shared_noise: float | None = col("Correlation of the noise of two frames")
+    shared_limit: float | None = col("Correlation of the noise of two frames that is let pass", json="")
+    disorder: Sequence[str]  # "FILE after FILE", of frames that were taken before the one that they follow
+    disordered: int = col("Frames taken before the one that they follow", json="")
     frames: int  # Of all series
-    copies: int = col("Frames that equal another one of their series", json="")
+    copied: Sequence[str]  # "FILE = FILE", of frames that equal an earlier one of the folder
+    copies: int = col("Frames that equal another one", json="")
     step_dn: int = col("Largest number that divides all differences of readings", "DN", json="")
     top_dn: int = col("Highest reading", "DN", json="")
     top_count: int = col("Pixels at the highest reading", json="")
@@ -96,19 +120,21 @@ class FrameChecks:
 
 def check_frames(folder: FrameFolder, reduced: Sequence[SeriesFrames], method: str) -> FrameChecks:
     """Look at all series of a folder; ``method`` is the centroider that counts."""
-    series, stated = folder.series, folder.settings.gain_dn_per_e
+    series, stated, tests = folder.series, folder.settings.gain_dn_per_e, len(reduced)
     several = [one for one in series if len(one.windows.dn) > 1]
     motions = [
-        motion
-        for one in reduced
-        for motion in common_motion(one.points.position_px[method], one.name, tests=2 * len(reduced))
+        motion for one in reduced for motion in common_motion(one.points.position_px[method], one.name, tests=2 * tests)
     ]
     motion = max(motions, key=lambda one: one.rms_px / one.limit_px, default=None)
-    gain = photon_transfer([one.windows.dn for one in several], [~one.windows.defect for one in several])
-    readings = [np.unique(_each_once(one), return_counts=True) for one in series]
-    top, count, limit = _top(readings)
-    zero = sum(int(counts[values == 0].sum()) for values, counts in readings)
-    steps = np.concatenate([np.diff(values.astype(np.int64)) for values, _ in readings])
+    gain = None if folder.flat is None else folder.flat.gain
+    gain = gain or photon_transfer([one.windows.dn for one in several], [~one.windows.defect for one in several])
+    moved = _farthest(change for one in reduced for change in _moves(one, method, tests))
+    light = _farthest(
+        largest_change(one.light, one.origin, one.name, "the light", false_alarm=FALSE_ALARM / tests) for one in reduced
+    )
+    lag = _farthest(lag for one in reduced for lag in one.lags)
+    shared = _farthest(_shared(one, tests) for one in several)
+    copied, disorder = _copied(series), _disorder(series)
     pattern = None if folder.flat is None else folder.flat.pattern
     return FrameChecks(
         stated_gain=stated,
@@ -118,22 +144,99 @@ def check_frames(folder: FrameFolder, reduced: Sequence[SeriesFrames], method: s
         motion=motion,
         common_motion_px=None if motion is None else motion.rms_px,
         motion_limit_px=None if motion is None else motion.limit_px,
-        drift_px=None if motion is None else motion.drift_px,
+        moved=moved,
+        moved_px=None if moved is None else moved.size,
+        moved_limit_px=None if moved is None else moved.limit,
+        light=light,
+        light_change=None if light is None else light.size,
+        light_limit=None if light is None else max(light.limit, LIGHT_ALLOWANCE),
+        lag=lag,
+        lag_correlation=None if lag is None else lag.value,
+        lag_limit=None if lag is None else lag.limit,
+        shared=shared,
+        shared_noise=None if shared is None else shared.value,
+        shared_limit=None if shared is None else shared.limit,
+        disorder=disorder,
+        disordered=len(disorder),
         frames=sum(len(one.windows.dn) for one in series),
-        copies=sum(len(one.windows.dn) - len(_unique(one)) for one in series),
-        step_dn=int(np.gcd.reduce(steps)) if steps.size else 1,
-        top_dn=top,
-        top_count=count,
-        top_limit=limit,
-        zero_fraction=zero / sum(int(counts.sum()) for _, counts in readings),
+        copied=copied,
+        copies=len(copied),
+        **_converter(series),
         flat_pattern=pattern,
         flat_noise=None if pattern is None else pattern[1] / max(pattern[0], 1e-12),
     )
 
 
+def _farthest(found: Iterable[Any]) -> Any:
+    """What exceeds its limit most, or comes nearest to it."""
+    there = [one for one in found if one is not None]
+    return max(there, key=lambda one: abs(one.value) / one.limit, default=None)
+
+
+def _moves(one: SeriesFrames, method: str, tests: int) -> Iterator[Change | None]:
+    """Changes of place of all points together, along x and y."""
+    place = one.points.position_px[method]
+    whole = np.flatnonzero(np.isfinite(place).all((1, 2)))
+    names = [one.origin[number] for number in whole]
+    for axis in range(2):
+        track = place[whole, :, axis].mean(1)
+        yield largest_change(track, names, one.name, f"the image ({'xy'[axis]})", false_alarm=FALSE_ALARM / (2 * tests))
+
+
+def _shared(one: FrameSeries, tests: int) -> Shared | None:
+    """Noise that two frames share, copies left out."""
+    kept = _unique(one)
+    return shared_noise(
+        one.windows.dn[kept],
+        ~one.windows.defect,
+        [one.origin[number] for number in kept],
+        one.name,
+        false_alarm=FALSE_ALARM / tests,
+    )
+
+
+def _copied(series: Sequence[FrameSeries]) -> list[str]:
+    """Frames that equal an earlier one: all pixels of any in the folder, or the windows of one of their series."""
+    first: dict[str, str] = {}
+    found = []
+    for one in series:
+        seen: dict[bytes, str] = {}
+        for frame, name, digest in zip(one.windows.dn, one.origin, one.digest, strict=True):
+            before = first.setdefault(digest, name), seen.setdefault(frame.tobytes(), name)
+            other = next((earlier for earlier in before if earlier != name), None)
+            if other is not None:
+                found.append(f"{name} = {other}")
+    return found
+
+
+def _disorder(series: Sequence[FrameSeries]) -> list[str]:
+    """Files of a series that were taken before the one that they follow."""
+    found = []
+    for one in series:
+        files = list(dict.fromkeys(name.partition("[")[0] for name in one.origin))
+        pairs = zip(files, files[1:], one.taken, one.taken[1:], strict=False)
+        found += [f"{later} after {earlier}" for earlier, later, before, after in pairs if after < before]
+    return found
+
+
+def _converter(series: Sequence[FrameSeries]) -> dict[str, Any]:
+    """The ends and the step of the converter."""
+    readings = [np.unique(_each_once(one), return_counts=True) for one in series]
+    top, count, limit = _top(readings)
+    zero = sum(int(counts[values == 0].sum()) for values, counts in readings)
+    steps = np.concatenate([np.diff(values.astype(np.int64)) for values, _ in readings])
+    return {
+        "step_dn": int(np.gcd.reduce(steps)) if steps.size else 1,
+        "top_dn": top,
+        "top_count": count,
+        "top_limit": limit,
+        "zero_fraction": zero / sum(int(counts.sum()) for _, counts in readings),
+    }
+
+
 def _gain_ratio(gain: Measured | None, stated: float) -> Measured | None:
-    """Photon transfer over the stated gain; None where it is not determined."""
-    if gain is None or gain.uncertainty is None or gain.uncertainty > GAIN_DETERMINED * max(gain.value, 0.0):
+    """Photon transfer over the stated gain."""
+    if gain is None or gain.uncertainty is None:
         return None
     return Measured(value=gain.value / stated, uncertainty=gain.uncertainty / stated, n=gain.n)
 
@@ -167,8 +270,7 @@ def _top(readings: Sequence[tuple[NDArray[np.uint16], NDArray[np.int64]]]) -> tu
 
 def common_motion(position_px: FloatArray, name: str, *, tests: int = 1) -> list[Motion]:
     """Common motion along x and y from centroids (f, j, 2); nothing for one point or fewer than three whole frames."""
-    number = np.flatnonzero(np.isfinite(position_px).all((1, 2)))
-    place = position_px[number]
+    place = position_px[np.isfinite(position_px).all((1, 2))]
     frames, points, _ = place.shape
     if points < 2 or frames < FEWEST_FOR_MOTION:
         return []
@@ -177,22 +279,8 @@ def common_motion(position_px: FloatArray, name: str, *, tests: int = 1) -> list
     left = ((apart - common[:, None]) ** 2).sum((0, 1)) / ((frames - 1) * (points - 1))
     quantile = float(fisher_f.isf(FALSE_ALARM / tests, frames - 1, (frames - 1) * (points - 1)))
     limit = np.sqrt(np.maximum(left, 1e-24) / points * quantile * (1.0 + points * MOTION_SHARE))
-    time = (number - number.mean()) / (number[-1] - number[0])
-    slope = time @ common / (time @ time)
-    total = (common**2).sum(0)
-    share = slope**2 * (time @ time) / np.where(total > 0, total, 1.0)
-    rms = np.sqrt(total / (frames - 1))
-    return [
-        Motion(
-            series=name,
-            axis="xy"[a],
-            rms_px=float(rms[a]),
-            limit_px=float(limit[a]),
-            drift_px=float(slope[a]),
-            drift_share=float(share[a]),
-        )
-        for a in range(2)
-    ]
+    rms = np.sqrt((common**2).sum(0) / (frames - 1))
+    return [Motion(series=name, axis="xy"[a], rms_px=float(rms[a]), limit_px=float(limit[a])) for a in range(2)]
 
 
 def _noise_ratio(reduced: Sequence[SeriesFrames], method: str) -> Measured | None:
@@ -205,7 +293,7 @@ def _noise_ratio(reduced: Sequence[SeriesFrames], method: str) -> Measured | Non
         model = one.predicted_px(method) ** 2
         seen += float(np.nansum(one.points.sigma_px(method) ** 2) * (one.frames - 1))
         modelled += float(model.sum() * (one.frames - 1))
-        spread += float(2.0 * (model**2).sum() * (one.frames - 1))
+        spread += float(2.0 * (model**2).sum() * (one.frames - 1)) * one.frames / one.effective_frames
         samples += one.frames * len(model)
     if not modelled:
         return None
@@ -250,14 +338,7 @@ def _window_variances(
     variances, designs, instruments = [], [], []
     for number in range(dn.shape[1]):
         mean, ok = dn[:, number].mean(0), usable[number]
-        edge = np.ones(mean.shape, bool)
-        edge[1:-1, 1:-1] = False
-        light = mean - np.median(mean[edge])
-        moved = [shift(light, at, order=0) for step in SHIFTS for at in ((step, 0), (0, step))]
-        modes = np.stack([light, *moved], axis=-1)[ok]
-        base = np.linalg.qr(modes / np.maximum(np.linalg.norm(modes, axis=0), 1e-300))[0]
-        keep = np.eye(len(base)) - base @ base.T
-        left = (dn[:, number][:, ok] - mean[ok]) @ keep
+        left, keep = without_modes(dn[:, number], ok)
         taken = keep**2
         variances.append((left**2).sum(0) / (frames - 1))
         around = convolve(np.where(ok, mean, 0.0), AROUND) / np.maximum(convolve(ok.astype(float), AROUND), 1.0)
@@ -275,11 +356,59 @@ def _checks(outcome: Outcome) -> FrameChecks:
     return checks
 
 
+def _some(names: Sequence[str]) -> str:
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + more
+
+
 def _copies_advice(outcome: Outcome) -> str:
     checks = _checks(outcome)
     return (
-        f"{checks.copies} of {checks.frames} frames are copies: one frame was stored several times, or the camera did "
-        "not refresh; noise of copies is not noise"
+        f"{checks.copies} of {checks.frames} frames are copies ({_some(checks.copied)}): a frame was stored several "
+        "times, or the camera did not refresh; noise of copies is not noise: take them out"
+    )
+
+
+def _shared_advice(outcome: Outcome) -> str:
+    shared = _checks(outcome).shared
+    assert shared is not None
+    return (
+        f"the noise of {shared.frames[0]} and {shared.frames[1]} ({shared.series}) is {shared.value:.0%} the same: one "
+        "was made from the other, or the camera averages over frames (noise reduction); frames must be independent"
+    )
+
+
+def _disorder_advice(outcome: Outcome) -> str:
+    return (
+        f"{_some(_checks(outcome).disorder)}, but taken earlier by DATE-OBS or FRAMENUM: frames are read in the order "
+        "of their names; list the files in the order of their exposure, or drift and correlation are not what they seem"
+    )
+
+
+def _moved_advice(outcome: Outcome) -> str:
+    """Words on a jump or drift beyond its limit; none for less."""
+    moved = _checks(outcome).moved
+    if moved is None or not moved.found:
+        return ""
+    return f"{moved.words('+.3f', ' px')}: the target or the camera is not at rest; take the frames apart there"
+
+
+def _light_advice(outcome: Outcome) -> str:
+    light = _checks(outcome).light
+    assert light is not None
+    return f"{light.words('+.1%', '')}: the lamp, the exposure time, or a frame behind another filter"
+
+
+def _lag_advice(outcome: Outcome) -> str:
+    """Words on frames that are no white noise."""
+    lag = _checks(outcome).lag
+    assert lag is not None
+    where = f"frames of {lag.series} are not independent: {lag.what}, correlation {lag.value:+.2f} with the next frame"
+    if lag.value < 0:
+        return f"{where}: a vibration near half of the frame rate, which N frames average out better than white noise"
+    return (
+        f"{where}: drift, air, or a vibration that the frame rate aliases; N frames are worth N (1 - r) / (1 + r), "
+        "which the stated errors have"
     )
 
 
@@ -302,16 +431,10 @@ def _motion_advice(outcome: Outcome) -> str:
     """Words on a motion beyond its limit; none for less."""
     motion = _checks(outcome).motion
     if motion is None or motion.rms_px <= motion.limit_px:
-        return ""
-    where = f"{motion.series}, {motion.axis}"
-    if motion.drift_share > 0.5:
-        return (
-            f"the image drifts by {abs(motion.drift_px):.2g} px from the first to the last frame ({where}): the target "
-            "or the camera is not at rest"
-        )
-    return (
-        f"the image moves by {motion.rms_px:.2g} px from frame to frame, all points alike ({where}): vibration, or a "
-        "target that is not at rest"
+        return _moved_advice(outcome)
+    return _moved_advice(outcome) or (
+        f"the image moves by {motion.rms_px:.2g} px from frame to frame, all points alike ({motion.series}, "
+        f"{motion.axis}): vibration, or a target that is not at rest"
     )
 
 
@@ -322,7 +445,7 @@ def _gain_advice(outcome: Outcome) -> str:
     moves = _motion_advice(outcome)
     if moves or gain is None or ratio is None:
         return moves
-    noise = two_sided_limit(1, RATIO_ALARM) * (ratio.uncertainty or 0.0)
+    noise = two_sided_limit(1, FALSE_ALARM) * (ratio.uncertainty or 0.0)
     if abs(ratio.value - 1.0) <= GAIN_ALLOWANCE + noise:
         return ""
     words = (
@@ -339,7 +462,10 @@ def _noise_advice(outcome: Outcome) -> str:
     if checks.copies:
         cause = f"{checks.copies} frames are copies"
     elif not (cause := _gain_advice(outcome)):
-        more = "points scatter more than photons and read noise make them (vibration, air, a flickering lamp)"
+        more = (
+            "points scatter more than photons and read noise make them (vibration, air, a flickering lamp, or "
+            "read_noise_e is the median of pixels that differ, where the RMS is needed)"
+        )
         less = "points scatter less than photons and read noise make them (frames averaged or smoothed, read_noise_e)"
         cause = more if ratio > 1.0 else less
     return f"the ratio is {ratio:.3g}: {cause}"
@@ -356,9 +482,9 @@ def _flat_advice(outcome: Outcome) -> str:
 CHECKS = Section(
     record=FrameChecks,
     verdicts=[
-        below(
-            "copies", 0, title="frames that repeat another frame of their series, pixel by pixel", advice=_copies_advice
-        ),
+        below("copies", 0, title="frames that repeat another one, pixel by pixel", advice=_copies_advice),
+        below("shared_noise", "shared_limit", title="noise that two frames share", advice=_shared_advice),
+        below("disordered", 0, title="frames that were taken before the one that they follow", advice=_disorder_advice),
         below("step_dn", 1, title="common step of all readings", advice=_step_advice),
         below("top_count", "top_limit", title="pixels at the highest reading of all", advice=_top_advice),
         below(
@@ -370,7 +496,7 @@ CHECKS = Section(
         ratio_near(
             "gain_ratio",
             within=GAIN_ALLOWANCE,
-            false_alarm=RATIO_ALARM,
+            false_alarm=FALSE_ALARM,
             title="gain by the frames' own photon transfer over the stated one",
             advice=_gain_advice,
         ),
@@ -380,10 +506,31 @@ CHECKS = Section(
             title="common motion of all points from frame to frame, the largest of all series",
             advice=_motion_advice,
         ),
+        below(
+            "moved_px",
+            "moved_limit_px",
+            size=True,
+            title="jump or drift of the image within a series, the most significant",
+            advice=_moved_advice,
+        ),
+        below(
+            "light_change",
+            "light_limit",
+            size=True,
+            title="jump or drift of the light within a series, the most significant",
+            advice=_light_advice,
+        ),
+        below(
+            "lag_correlation",
+            "lag_limit",
+            size=True,
+            title="correlation of frames with the next one, the most significant",
+            advice=_lag_advice,
+        ),
         ratio_near(
             "noise_ratio",
             within=NOISE_ALLOWANCE,
-            false_alarm=RATIO_ALARM,
+            false_alarm=FALSE_ALARM,
             title="scatter of the centroids over what the stated noise gives",
             advice=_noise_advice,
         ),

@@ -7,8 +7,10 @@ the mean frame of each series; windows are cut around them.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from hashlib import blake2b
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +42,7 @@ from experiments.reduce.frames_toml import (
 )
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
+from optics.fits import image_header
 from optics.units import ARCSEC_RAD
 from render.records import WindowStack
 
@@ -59,6 +62,9 @@ class FrameSeries:
     dark_frames: int  # How many are behind it
     response: FloatArray | None  # (j, h, w) The flat, and its standard deviation
     response_error: FloatArray | None  # (j, h, w)
+    origin: tuple[str, ...]  # File of every frame, and its number there where it holds several
+    digest: tuple[str, ...]  # Of all pixels of every frame
+    taken: tuple[str, ...]  # When the files say that they were taken: DATE-OBS or FRAMENUM; () where some do not
 
     @property
     def name(self) -> str:
@@ -127,10 +133,14 @@ def read_folder(folder: str | Path, *, window_px: int, layout: Layout | None = N
         if layout.same_scene == "place":  # the same pixels behind every filter: their patterns cancel in differences
             corner = corners.setdefault(scene, corner)
         gain = settings.gain_dn_per_e
+        windows, origin, digest = _cut(reader, files[number], own.name, corner, window_px, excluded)
         series.append(
             FrameSeries(
                 settings=own,
-                windows=_cut(reader, files[number], own.name, corner, window_px, excluded),
+                windows=windows,
+                origin=origin,
+                digest=digest,
+                taken=_taken(files[number]),
                 found_px=found,
                 dark_e=None if dark is None else cut_windows(dark.dn, corner, window_px) / gain,
                 dark_frames=0 if dark is None else dark.frames,
@@ -280,19 +290,25 @@ def _cut(
     corner: NDArray[np.int64],
     window_px: int,
     excluded: NDArray[np.bool_],
-) -> WindowStack:
-    """Windows of all frames of a series."""
+) -> tuple[WindowStack, tuple[str, ...], tuple[str, ...]]:
+    """Windows of all frames of a series, where each frame stands, and what tells it from all others."""
     s, dn, saturated = reader.settings, [], []
+    held: list[tuple[str, int]] = []
+    digest: list[str] = []
     defect = cut_windows(excluded, corner, window_px)
     exposure_s, band = float("nan"), ""
-    for frame in reader.frames(files, name):
+    for path, frame in reader.frames(files, name):
+        held.append((path.name, frame.index))
+        digest.append(blake2b(frame.dn.tobytes(), digest_size=16).hexdigest())
         cut = cut_windows(frame.dn, corner, window_px)
         full = cut_windows(frame.saturated, corner, window_px)
         dn.append(cut)
         saturated.append(full if s.saturation_dn is None else full | (cut.astype(float) >= s.saturation_dn))
         defect = defect | cut_windows(frame.defect, corner, window_px)
         exposure_s, band = frame.exposure_s, frame.band
-    return WindowStack(
+    several = Counter(file for file, _ in held)
+    origin = [f"{file}[{number}]" if several[file] > 1 else file for file, number in held]
+    windows = WindowStack(
         dn=np.stack(dn),
         saturated=np.stack(saturated),
         defect=defect,
@@ -304,3 +320,13 @@ def _cut(
         band=band,
         first_index=0,
     )
+    return windows, tuple(origin), tuple(digest)
+
+
+def _taken(files: Sequence[Path]) -> tuple[str, ...]:
+    """Text by which files are in the order of their exposure; () where a file does not say, or two say the same."""
+    for card in ("DATE-OBS", "FRAMENUM"):
+        said = [image_header(path).get(card) for path in files]
+        if all(isinstance(one, str | int) for one in said) and len(set(said)) == len(said):
+            return tuple(f"{one:012d}" if isinstance(one, int) else str(one) for one in said)
+    return ()

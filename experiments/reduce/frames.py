@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -17,6 +18,7 @@ import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
 
+from experiments.harness.summary import Measured
 from experiments.reduce.frames_toml import SETTINGS_FILE, FolderSettings
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
@@ -47,11 +49,31 @@ def find_files(folder: Path, patterns: Sequence[str], name: str) -> list[Path]:
         if steps.is_absolute() or PureWindowsPath(pattern).drive or ".." in steps.parts or not steps.parts:
             raise ConfigError(f"{SETTINGS_FILE}, {name}: {pattern!r} is not within the folder; name files in it")
         many = any(sign in pattern for sign in "*?[")
-        here = sorted(p for p in folder.glob(pattern) if os.path.isfile(p)) if many else [folder / pattern]
-        if not here or not all(map(os.path.isfile, here)):
+        here = sorted(folder.glob(pattern), key=_natural) if many else [folder / pattern]
+        if not here or not all(map(os.path.lexists, here)):
             raise ConfigError(f"{SETTINGS_FILE}, {name}: no file {pattern!r} in the folder {folder}")
+        for path in here:
+            if not os.path.isfile(path):
+                raise ConfigError(
+                    f"{SETTINGS_FILE}, {name}: {path.name}, which {pattern!r} names, is {_kind(path)}; only files can "
+                    "be read: take it away or narrow the pattern"
+                )
         found.update(dict.fromkeys(here))
     return list(found)
+
+
+def _natural(path: Path) -> list[tuple[int, int, str]]:
+    """Order of names as people count: a_2 before a_10."""
+    parts = re.findall(r"\d+|\D+", str(path))
+    return [(0, int(part), part) if part.isdecimal() else (1, 0, part) for part in parts]
+
+
+def _kind(path: Path) -> str:
+    if os.path.isdir(path):
+        return "a folder"
+    if os.path.islink(path) and not os.path.exists(path):
+        return f"a link to {os.readlink(path)}, which is not there"
+    return "a device, pipe or socket"
 
 
 def refuse_shared(groups: Sequence[Sequence[Path]], names: Sequence[str]) -> None:
@@ -76,11 +98,11 @@ class FrameReader:
 
     def size_of(self, path: Path) -> tuple[int, int]:
         """Columns and rows of the first frame of a file."""
-        frame = next(self.frames([path], path.name))
+        _, frame = next(self.frames([path], path.name))
         return int(frame.dn.shape[1]), int(frame.dn.shape[0])
 
-    def frames(self, files: Sequence[Path], name: str) -> Iterator[Frame]:
-        """Frames of files, planes of cubes and extensions included."""
+    def frames(self, files: Sequence[Path], name: str) -> Iterator[tuple[Path, Frame]]:
+        """Frames of files and where they stand, planes of cubes and extensions included."""
         s = self.settings
         before: tuple[Path, Frame] | None = None
         for path in files:
@@ -98,7 +120,7 @@ class FrameReader:
                 if before is not None:
                     _refuse_mixed(before, (path, frame), name)
                 before = before or (path, frame)
-                yield frame
+                yield path, frame
 
 
 def _refuse_mixed(first: tuple[Path, Frame], other: tuple[Path, Frame], name: str) -> None:
@@ -134,6 +156,8 @@ class MeanFrame:
     band: str  # Filter that the files name
     defect: NDArray[np.bool_]  # (h, w) Pixels that any of the frames calls so
     saturated: NDArray[np.bool_]  # (h, w)
+    variance_dn2: FloatArray | None  # (h, w) From frame to frame; None unless asked for, and of a single frame
+    level_dn: FloatArray  # (n,) Mean of every frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,6 +168,7 @@ class Flat:
     error: FloatArray  # (h, w) Standard deviation of it, by the noise of the frames behind it
     unusable: NDArray[np.bool_]  # (h, w) Pixels with hardly any response
     frames: int  # Flats
+    gain: Measured | None  # [DN/e-] By photon transfer; None of a single flat
 
     @property
     def pattern(self) -> tuple[float, float]:
@@ -157,17 +182,22 @@ class Flat:
         return spread, float(np.sqrt(np.mean(self.error[~self.unusable] ** 2)))
 
 
-def mean_frame(reader: FrameReader, files: Sequence[Path], name: str) -> MeanFrame:
+def mean_frame(reader: FrameReader, files: Sequence[Path], name: str, *, variance: bool = False) -> MeanFrame:
     """Mean of the frames of files, and what they say of themselves."""
     total: FloatArray | None = None
+    squares: FloatArray | float = 0.0
+    level: list[float] = []
     defect = saturated = np.zeros((0, 0), bool)
     count, exposure_s, band = 0, float("nan"), ""
-    for frame in reader.frames(files, name):
+    for _, frame in reader.frames(files, name):
         if total is None:
             total = np.zeros(frame.dn.shape)
             defect, saturated = np.zeros(frame.dn.shape, bool), np.zeros(frame.dn.shape, bool)
             exposure_s, band = frame.exposure_s, frame.band
         total += frame.dn
+        level.append(float(frame.dn.mean()))
+        if variance:
+            squares += np.square(frame.dn, dtype=np.float64)
         defect |= frame.defect
         saturated |= frame.saturated
         count += 1
@@ -180,6 +210,8 @@ def mean_frame(reader: FrameReader, files: Sequence[Path], name: str) -> MeanFra
         band=band,
         defect=defect,
         saturated=saturated,
+        variance_dn2=(squares - total**2 / count) / (count - 1) if variance and count > 1 else None,
+        level_dn=np.array(level),
     )
 
 
@@ -189,17 +221,18 @@ def mean_flat(
     """The flat of a folder; None where there is none."""
     if not settings.flat:
         return None
-    light = mean_frame(reader, find_files(folder, settings.flat, "flat"), "flat")
+    light = mean_frame(reader, find_files(folder, settings.flat, "flat"), "flat", variance=True)
     full = settings.saturation_dn or 65535.0
     part = float((light.saturated | (light.dn >= full)).mean())
     if part > 0.01:
         raise DomainError(f"{SETTINGS_FILE}, flat: {part:.0%} of the pixels are saturated; expose the flats less")
     patterns = settings.flat_dark or settings.dark
     offset: FloatArray | float = settings.offset_dn
+    dark: MeanFrame | None = None
     dark_noise = 0.0
     gain, floor = settings.gain_dn_per_e, settings.read_noise_e**2 + 1.0 / (12.0 * settings.gain_dn_per_e**2)
     if patterns:
-        dark = mean_frame(reader, find_files(folder, patterns, "flat_dark"), "flat_dark")
+        dark = mean_frame(reader, find_files(folder, patterns, "flat_dark"), "flat_dark", variance=True)
         if not same(dark.exposure_s, light.exposure_s):
             raise DomainError(
                 f"{SETTINGS_FILE}, flat: exposed {light.exposure_s:g} s, its dark frames {dark.exposure_s:g} s; give "
@@ -222,7 +255,23 @@ def mean_flat(
         error=np.where(usable, np.sqrt(variance) / mean, 0.0),
         unusable=~usable,
         frames=light.frames,
+        gain=_flat_gain(light, dark, (light.dn - offset)[usable], usable, floor * gain**2),
     )
+
+
+def _flat_gain(
+    light: MeanFrame, dark: MeanFrame | None, light_dn: FloatArray, usable: NDArray[np.bool_], floor_dn2: float
+) -> Measured | None:
+    """System gain K by photon transfer of the flats: what the variance grows by over the dark frames' (EMVA 1288)."""
+    if light.variance_dn2 is None:
+        return None
+    lamp = float(light.level_dn.var(ddof=1)) / float(light_dn.mean()) ** 2  # relative variance of the lamp
+    bright = float(light.variance_dn2[usable].mean()) - lamp * float(np.mean(light_dn**2))
+    if dark is not None and dark.variance_dn2 is not None:
+        floor_dn2 = float(dark.variance_dn2[usable].mean())
+    value, count = (bright - floor_dn2) / float(light_dn.mean()), len(light_dn)
+    error = bright * np.sqrt(2.0 / (count * (light.frames - 1.0))) / float(light_dn.mean())
+    return Measured(value=value, unit="DN/e-", uncertainty=float(error), n=count)
 
 
 def bad_pixels(reader: FrameReader, folder: Path, settings: FolderSettings) -> NDArray[np.bool_] | None:

@@ -49,6 +49,12 @@ class SeriesSettings(StrictModel):
         default=None, gt=0, le=1e5, description="chromatic: central wavelength of the filter"
     )
     place: str = Field(default="middle", min_length=1, description="chromatic: where in the field the target stands")
+    filter_angle_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="chromatic: by how much the filter was turned, from +x to +y"
+    )
+    camera_angle_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="chromatic: by how much the camera was, filters and target at rest"
+    )
     outer_deg: float | None = Field(
         default=None, ge=-1e5, le=1e5, description="turntable, fisher: reading of the outermost axis"
     )
@@ -61,6 +67,11 @@ class SeriesSettings(StrictModel):
     use: Literal["calibration", "evaluation"] = Field(
         default="calibration", description="fisher: frames that calibrate, or whose star vectors are evaluated"
     )
+
+    @property
+    def angle_deg(self) -> float:
+        """Angle of the filter to the camera, from +x to +y."""
+        return self.filter_angle_deg - self.camera_angle_deg
 
 
 class TableSettings(StrictModel):

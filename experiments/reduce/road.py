@@ -6,7 +6,7 @@ No rendering, no truth. Sections common to all methods stand here; a method adds
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,13 @@ from experiments.harness.drawings import cloud
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities, Quantity, positions
-from experiments.harness.sections import Section, above, col
+from experiments.harness.sections import Section, above, col, judged
 from experiments.harness.summary import Measured
 from experiments.laboratory.centroid_methods import MethodLabels, needs_epsf
 from experiments.reduce.checks import CHECKS, check_frames
 from experiments.reduce.folder import FrameFolder, read_folder
 from experiments.reduce.frames_toml import Layout
+from experiments.reduce.sequence import FEWEST_FOR_LAG
 from experiments.reduce.series import SeriesFrames
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
@@ -68,17 +69,30 @@ class FramesTest:
 
     def experiment(self, rendered: Experiment) -> Experiment:
         """The experiment that takes over from one on rendered frames."""
-        sections = {**COMMON, **self.sections}
         return Experiment(
             name=rendered.name,
             config=rendered.config,
             run=self.run,
-            sections=sections,
+            sections=self.parts,
             report=Path(__file__).with_name("report.md"),
             renders=lambda _: False,
             judged="reduction",
             show=self.tables[:1],
         )
+
+    def parts(self, result: Mapping[str, Any]) -> dict[str, Section]:
+        """Common sections and its own; what the sample does not carry is said below its first table."""
+        own = dict(self.sections)
+        chief = next(name for name, one in own.items() if one.table)
+        said = result["folder"].few_text if "folder" in result else ""
+        if said:
+            own[chief] = replace(own[chief], note=f"{said} {own[chief].note}".strip())
+        return {**COMMON, **own}
+
+    def wrong(self, outcome: Outcome) -> list[str]:
+        """What was found wrong, each cause once: advice of the criteria that do not hold, or their names."""
+        causes = [one.advice or one.name for one in judged(self.parts(outcome.result), outcome) if one.failed]
+        return [one for n, one in enumerate(causes) if not any(known in one for known in causes[:n])]
 
     @property
     def tables(self) -> list[str]:
@@ -115,6 +129,8 @@ class Folder:
     bad_pixels: int = col("Pixels of the bad-pixel map")
     frame_size_px: Sequence[int] = col("Size of a frame", "px", dims="side")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
+    fewest_frames: int = col("Frames of the shortest series")
+    few_text: str = col("Said of them", json="few_frames", shown=False)  # "" where they are enough
     prnu_fraction: float = col("Response that no flat removes, stated", json="")
     # Where there are no flats
     percent_px: float | None = col(
@@ -125,12 +141,29 @@ class Folder:
     )
 
 
+ENOUGH = 30
+"""Frames that ACC18 asks of a series."""
+
+
+def _few(test: FramesTest, shortest: SeriesFrames) -> str:
+    """What is said of series with fewer frames; poses are not judged by theirs."""
+    if test.layout.fewest < 2 or shortest.frames >= ENOUGH:
+        return ""
+    scatter = 100.0 / np.sqrt(2.0 * (shortest.frames - 1))
+    return (
+        f"Only {shortest.frames} frames in {shortest.name}, fewer than {ENOUGH}: the scatter of a point is known to "
+        f"{scatter:.0f} %, and {'no' if shortest.frames < FEWEST_FOR_LAG else 'little'} drift or correlation of frames "
+        "would be noticed."
+    )
+
+
 def folder_record(
     test: FramesTest, folder: FrameFolder, series: Sequence[SeriesFrames], methods: Sequence[str]
 ) -> Folder:
     """Numbers of a folder; what a missing flat means is that of the series where it means most."""
     flat, percent = folder.flat, np.array([one.percent_px for one in series])
-    noise = np.array([np.sqrt((one.predicted_px(methods[0]) ** 2).mean() / one.frames) for one in series])
+    shortest = min(series, key=lambda one: one.frames)
+    noise = np.array([np.sqrt((one.predicted_px(methods[0]) ** 2).mean() / one.effective_frames) for one in series])
     return Folder(
         test=test,
         methods=methods,
@@ -141,6 +174,8 @@ def folder_record(
         bad_pixels=folder.bad_pixels,
         frame_size_px=[folder.width_px, folder.height_px],
         pixel_arcsec=folder.settings.pixel_arcsec,
+        fewest_frames=shortest.frames,
+        few_text=_few(test, shortest),
         prnu_fraction=folder.settings.prnu_fraction,
         percent_px=float(percent.max()) if flat is None else None,
         percent_over_noise=float((percent / noise).max()) if flat is None else None,
@@ -159,13 +194,20 @@ class Series:
 
     series_name: str = col("Name", json="name", shown=False)
     frames: int = col("Frames")
+    effective_frames: float = col("Independent", format=".1f")
     signal_e: float = col("Signal", "e-", ".0f")
     usable_fraction: float = col("Usable", format=".3f")
 
 
 def series_record(one: SeriesFrames) -> Series:
     """Numbers of a series."""
-    return Series(series_name=one.name, frames=one.frames, signal_e=one.signal_e, usable_fraction=one.usable_fraction)
+    return Series(
+        series_name=one.name,
+        frames=one.frames,
+        effective_frames=one.effective_frames,
+        signal_e=one.signal_e,
+        usable_fraction=one.usable_fraction,
+    )
 
 
 COMMON = {
@@ -175,7 +217,8 @@ COMMON = {
         dim="series",
         place="series[series]",
         table="series",
-        caption="Frames, mean electrons in a window, smallest share of frames that gave a position.",
+        caption="Frames, how many independent ones they are worth, mean electrons in a window, smallest share of "
+        "frames that gave a position.",
         verdicts=[
             above(
                 "usable_fraction",

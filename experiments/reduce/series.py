@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.measure.centroid import get_centroider
 from calib.measure.linear_response import centroid_covariance, linear_response, tight
@@ -15,6 +16,7 @@ from experiments.laboratory.readout.centroids import measured_positions, refuse_
 from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.reduce.folder import FrameFolder, FrameSeries
 from experiments.reduce.frames_toml import SeriesSettings
+from experiments.reduce.sequence import Lag, effective_frames, position_lags
 from optics.arrays import FloatArray
 
 __all__ = ["SeriesFrames", "reduce_series"]
@@ -22,6 +24,10 @@ __all__ = ["SeriesFrames", "reduce_series"]
 _SATURATED = (
     "lower the lamp or the exposure (saturated is what reaches saturation_dn, and what the bit SATURATE of a MASK says)"
 )
+
+
+CHANCE = 3.0
+"""Standard deviations up to which points that move alike are so by chance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,6 +45,9 @@ class SeriesFrames:
     # (j, 2, h, w) By how much what is the same in all frames moves the first method's centroids, pixel by pixel, one
     # standard deviation: noise of the mean dark frame and of the flat, and the response that no flat removes
     pattern_px: FloatArray
+    origin: tuple[str, ...]  # File of every frame
+    lags: tuple[Lag, ...]  # Correlation of the first method's centroids from frame to frame
+    light: FloatArray  # (f,) Light of every frame over the mean, all points together
     percent_px: float  # RMS over points and axes of what a response that differs by 1 % from pixel to pixel moves them
 
     @property
@@ -47,18 +56,45 @@ class SeriesFrames:
         return self.settings.name
 
     @property
+    def exposure_s(self) -> float:
+        """Exposure time; NaN where the files do not say."""
+        return self.points.windows.exposure_s
+
+    @property
     def usable_fraction(self) -> float:
         """Smallest share over points and methods of frames that gave a position."""
         return float(min(np.isfinite(p[..., 0]).mean(0).min() for p in self.points.position_px.values()))
+
+    @property
+    def effective_frames(self) -> float:
+        """Independent frames whose mean is as good; N where the frames show no correlation."""
+        return effective_frames(
+            self.frames, max((one.value for one in self.lags if one.value > one.limit), default=0.0)
+        )
 
     def predicted_px(self, method: str) -> FloatArray:
         """Standard deviation (j, 2) of a frame's centroid by the noise model."""
         return np.sqrt(np.diagonal(self.frame_covariance_px2[method], axis1=1, axis2=2))
 
+    def widening(self, method: str) -> float:
+        """Factor of the error of a scatter: frames that are correlated, and motion that points have in common."""
+        place = self.points.position_px[method]
+        whole = place[np.isfinite(place).all((1, 2))]
+        frames, points, _ = whole.shape
+        alike = 0.0
+        if points > 1 and frames > 2:
+            unit = whole - whole.mean(0)
+            unit = unit / np.maximum(np.linalg.norm(unit, axis=0), 1e-300)
+            squares = np.einsum("fja,fka->ajk", unit, unit) ** 2
+            between = (squares.sum() - 2 * points) / (2 * points * (points - 1))
+            more, chance = float(between) * (frames - 1) - 1.0, np.sqrt(2.0 / (points * (points - 1)))
+            alike = more / (frames - 1) if more > CHANCE * chance else 0.0
+        return float(np.sqrt(self.frames / self.effective_frames * (1.0 + (points - 1) * alike)))
+
     def mean_covariance_px2(self, method: str) -> FloatArray:
         """Covariance (j, 2, 2) of the mean over the frames, dark frames and flat included; of the first method."""
         fixed = np.einsum("jahw,jbhw->jab", self.pattern_px, self.pattern_px)
-        return np.asarray(self.frame_covariance_px2[method] / self.frames + fixed)
+        return np.asarray(self.frame_covariance_px2[method] / self.effective_frames + fixed)
 
 
 def reduce_series(
@@ -86,8 +122,17 @@ def reduce_series(
         mean_e=mean,
         frame_covariance_px2={m: centroid_covariance(gain[m], temporal_e2) for m in modelled},
         pattern_px=gain[methods[0]] * np.sqrt(fixed_e2)[:, None],
+        origin=series.origin,
+        lags=position_lags(position[methods[0]], series.name, tests=len(folder.series)),
+        light=_light(stamps.electrons.reshape(frames, *light.shape) - (mean - light), light, ~series.windows.defect),
         percent_px=float(0.01 * np.sqrt(((gain[methods[0]] * light[:, None]) ** 2).sum((2, 3)).mean())),
     )
+
+
+def _light(frames_e: FloatArray, mean_e: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
+    """Light (f,) of frames (f, j, h, w) over that of their mean, by least squares."""
+    weight = np.where(usable, mean_e, 0.0)
+    return np.asarray(np.einsum("fjhw,jhw->f", frames_e, weight) / np.einsum("jhw,jhw->", mean_e, weight))
 
 
 def _stamps(series: FrameSeries) -> tuple[Stamps, NoiseModel]:

@@ -50,7 +50,7 @@ class Matched:
     pixel_px: FloatArray  # (n, 2) Measured centroids
     covariance_px2: FloatArray  # (n, 2, 2) Of the centroids: temporal noise
     snr: FloatArray  # (n,) Flux over its standard deviation
-    photon_px: FloatArray  # (n, 2) Truth: centroid of the star's noiseless light
+    photon_px: FloatArray  # (n, 2) Truth: mean of all light of the star
     in_cam: FloatArray  # (n, 3) Truth: direction in cam
     correct: NDArray[np.bool_]  # (n,) Truth: whether the match is
     count: dict[str, int]  # What became of the detections of all frames

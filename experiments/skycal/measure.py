@@ -54,7 +54,7 @@ class FrameStars:
     first_row: int  # Row of the first of them in the stamps of the recording
     star: NDArray[np.int64]  # (n,) Rows of the sky that were rendered
     direction: FloatArray  # (n, 3) Their directions in cam
-    photon_px: FloatArray  # (n, 2) Centroid of the noiseless light of each
+    photon_px: FloatArray  # (n, 2) Mean of all light of each
     electrons: FloatArray  # (n,) Electrons of each on the detector
 
     def __post_init__(self) -> None:

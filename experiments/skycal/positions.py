@@ -1,4 +1,4 @@
-"""Where stars are: by ray trace, by the noiseless light, by centroids with the PSF of their own colour or of one.
+"""Where stars are: by ray trace, by the mean of all light, by centroids with the PSF of their own colour or of one.
 
 Positions of the matched stars come in kinds, with one more error in each: ``reference``, where light of the reference
 colour would fall; ``light``, where the star's light fell; ``own``, the centroid with the PSF of the star's own colour;

@@ -220,7 +220,6 @@ SECTIONS = {
             ratio_near(
                 "ratio",
                 within=0.05,
-                each="axis",
                 at={"method": 0},
                 title="measured over predicted at the signal of the source",
             )

@@ -11,7 +11,8 @@ import numpy as np
 from experiments.harness.drawings import curves
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
-from experiments.laboratory.temporal_error import small_sample_factor, temporal_error_arcsec
+from experiments.harness.summary import measured as with_error
+from experiments.laboratory.temporal_error import scatter_interval, small_sample_factor, temporal_error_arcsec
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import Layout
 from experiments.reduce.road import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
@@ -21,6 +22,9 @@ from optics.arrays import FloatArray
 __all__ = ["own_frames", "reduce"]
 
 
+INTERVAL = "interval_arcsec_3sigma[series][method][axis]"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
     """Temporal error of a series (3 sigma), and what the stated noise of the camera gives."""
@@ -28,6 +32,8 @@ class Level:
     measured_arcsec: Sequence[Sequence[Measured]] = col(
         "Measured", "arcsec", dims="method axis", json="temporal_error_arcsec_3sigma"
     )
+    low_arcsec: FloatArray = col("95 % from", "arcsec", dims="method axis", json=f"{INTERVAL}.low")
+    high_arcsec: FloatArray = col("to", "arcsec", dims="method axis", json=f"{INTERVAL}.high")
     noise_model_arcsec: FloatArray = col(
         "Noise model", "arcsec", ".4f", "method axis", json="noise_model_arcsec_3sigma"
     )
@@ -39,8 +45,17 @@ def level(series: SeriesFrames, methods: Sequence[str], pixel_arcsec: float) -> 
     measured = [temporal_error_arcsec(series.points.sigma_px(m), pixel_arcsec, series.frames) for m in methods]
     model = np.array([3.0 * pixel_arcsec * series.predicted_px(m).mean(0) for m in methods])
     value = np.array([[one.value for one in pair] for pair in measured])
-    ratio = value / (small_sample_factor(series.frames) * model)
-    return Level(measured_arcsec=measured, noise_model_arcsec=model, ratio=ratio)
+    error = np.array([[one.uncertainty for one in pair] for pair in measured])
+    error = error * np.array([[series.widening(m)] for m in methods])
+    unbiased = value / small_sample_factor(series.frames)
+    low, high = scatter_interval(unbiased, error / value)
+    return Level(
+        measured_arcsec=with_error(value, error, n=measured[0][0].n, unit="arcsec"),
+        low_arcsec=low,
+        high_arcsec=high,
+        noise_model_arcsec=model,
+        ratio=unbiased / model,
+    )
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> Reduced:
@@ -60,10 +75,11 @@ own_frames = FramesTest(
             dim="series",
             table="temporal_error",
             rows="series method axis",
-            columns="signal_e measured_arcsec noise_model_arcsec ratio",
+            columns="frames signal_e measured_arcsec low_arcsec high_arcsec noise_model_arcsec ratio",
             caption="Temporal error (ACC18 eq. 1-2, 3 σ) of every series, and what the stated noise of the camera "
             "gives.",
-            note="Measured values carry the small-sample factor of a standard deviation; it is taken out of *Ratio*.",
+            note="Measured values carry the small-sample factor of a standard deviation; it is taken out of *Ratio* "
+            "and of the interval (chi-square; common motion of the points and correlation of the frames widen it).",
             figures={
                 "levels": curves(
                     "signal_e",

@@ -52,7 +52,7 @@ rendered = Experiment(
     show=("temporal_error",),
     quick={
         "frames": 30,
-        "draws": 30,
+        "draws": 50,
         "brightness.levels": 5,
         "target.rows": 3,
         "target.columns": 3,

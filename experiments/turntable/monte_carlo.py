@@ -189,8 +189,8 @@ def equal_reading_noise_arcsec(points: Sequence[ReadingPoint], centroid_bound_ar
     The bound is b^2 = b0^2 + (s r)^2 to first order; s is taken where readings dominate. NaN if they nowhere count.
     """
     most = max(points, key=lambda point: point.reading_arcsec)
-    slope2 = (most.bound_arcsec**2 - centroid_bound_arcsec**2) / max(most.reading_arcsec, 1e-300) ** 2
-    return float(centroid_bound_arcsec / np.sqrt(slope2)) if slope2 > 0 else float("nan")
+    added2 = most.bound_arcsec**2 - centroid_bound_arcsec**2
+    return float(centroid_bound_arcsec * most.reading_arcsec / np.sqrt(added2)) if added2 > 0 else float("nan")
 
 
 READINGS = Section(

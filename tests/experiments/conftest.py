@@ -132,9 +132,7 @@ def failing():
 
     def judged(name, result, config=None):
         experiment = declared(name)
-        return [
-            one.name for one in experiment.judge(experiment.outcome(config or result.config, result)) if not one.passed
-        ]
+        return [one.name for one in experiment.judge(experiment.outcome(config or result.config, result)) if one.failed]
 
     return judged
 

@@ -11,8 +11,6 @@ from experiments.acf.table2 import PRINTED, ROUNDING, TRUE, implied
 from experiments.acf.trials import Point, Task, sky_of, work
 from experiments.harness.progress import Progress
 
-pytestmark = pytest.mark.slow
-
 SMALL = Config(
     frames=16,
     runs=4,
@@ -46,11 +44,13 @@ def outcome(guess):
         return experiment.outcome(SMALL, study.run(SMALL, progress=Progress()))
 
 
+@pytest.mark.slow
 def test_nothing_fails_to_converge_from_the_poor_start(outcome):
     assert outcome.values("figures_n", method="acc") == 4 * (2 * 3 + 2 + 2 * 2 + 1 + 2)  # by hand
     assert outcome.values("figures_failed").sum() == 0
 
 
+@pytest.mark.slow
 def test_a_perfect_gyro_gives_the_closed_form(outcome):
     """sigma sqrt(14 / n) for n stars, whatever the camera; sec. 3.1's even frames are not quite the odd ones.
 
@@ -62,6 +62,7 @@ def test_a_perfect_gyro_gives_the_closed_form(outcome):
     assert outcome.values("fig3a_rms_px", bias=0.0) == pytest.approx(closed, rel=0.15 + 4 * 0.094)
 
 
+@pytest.mark.slow
 def test_full_weights_are_free_attitudes(outcome):
     """2 n - 3 measurements of a frame either way; they differ by the terms that a linear weight leaves out."""
     for name in ("x0_px", "y0_px", "focal_length_mm"):
@@ -69,6 +70,7 @@ def test_full_weights_are_free_attitudes(outcome):
         assert full == pytest.approx(free, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_gyro_of_stated_noise_is_acc_when_the_gyro_is_perfect(outcome):
     acc, linked = outcome.values("gain_acc"), outcome.values("gain_linked")
     acc_bound, linked_bound = outcome.values("gain_acc_bound"), outcome.values("gain_linked_bound")
@@ -78,6 +80,7 @@ def test_the_gyro_of_stated_noise_is_acc_when_the_gyro_is_perfect(outcome):
     assert np.all(linked_bound >= 1.0)
 
 
+@pytest.mark.slow
 def test_errors_of_table_2_as_the_document_prints_them(outcome):
     published = outcome.values("table2_published_error")
     assert published[:3] == pytest.approx([-0.19, -0.51, 0.0002], rel=1e-6)
@@ -95,6 +98,7 @@ def test_runs_do_not_depend_on_how_they_are_cut_into_tasks():
         assert np.array_equal(values, np.concatenate([first[key], rest[key]])), key
 
 
+@pytest.mark.slow
 def test_the_printed_table_tells_the_pixel(guess):
     """Where the printed errors of y0 [px] and phi1 [arcsec] cancel: 26.64 arcsec x 25.6 mm / 0.51 px = 6.48 um."""
     pixel = guess.pixel_um
@@ -104,6 +108,7 @@ def test_the_printed_table_tells_the_pixel(guess):
     assert guess.stars_range[0] < guess.stars < guess.stars_range[1]
 
 
+@pytest.mark.slow
 def test_pixel_and_stars_of_simulated_tables_are_found_again():
     """Eight runs with 8 um pixels and 20 stars per frame, printed with the document's digits.
 
@@ -137,6 +142,7 @@ def test_defaults_are_the_published_run():
     assert 3600 * (PRINTED - TRUE)[8] == pytest.approx(26.64, abs=0.01)  # printed error of phi1
 
 
+@pytest.mark.slow
 def test_workers_change_no_number(guess, monkeypatch):
     """The same bits from one process as from three."""
     monkeypatch.setattr(study, "implied", lambda: guess)

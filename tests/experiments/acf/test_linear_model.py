@@ -18,8 +18,11 @@ from experiments.acf.linear_model import (
     sight_arcsec,
     sight_operator,
 )
+from experiments.acf.methods import nees_ratio
 from experiments.acf.settings import Config, SweepConfig
 from experiments.acf.simulate import build_scene, choose_frames, draw_stars, gyro_rotations
+from experiments.acf.table2 import Covariances
+from experiments.acf.trials import Point, Trials
 from optics.units import DEG_RAD
 from render.engine.random import Streams
 
@@ -220,3 +223,19 @@ def test_frames_are_chosen_as_the_document_counts_them(scene, stars):
     assert kept.tolist() == [0, 2, 4, 6, 8, 10]
     assert np.array_equal(used, stars.frame % 2 == 0)
     assert choose_frames(stars, scene, "all")[0].all()
+
+
+@pytest.mark.parametrize(
+    ("grown", "bias", "expected"), [(1.0, 0.0, 1.0), (1.25, 0.0, 1.25), (1.0, 2.0, np.sqrt(9 / 7))]
+)
+def test_normalised_errors_notice_a_wrong_covariance_and_a_bias(design, scene, grown, bias, expected):
+    """4000 errors of 14 correlated unknowns: the ratio is known to 1 / sqrt(2 14 4000) = 0.3 %; 1 % is asked."""
+    covariance = linked(design, SIGMA, gyro_error(scene))
+    scale = np.sqrt(np.diag(covariance))
+    root = scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale))
+    drawn = Streams(5).generator("errors").standard_normal((4000, 14))
+    drawn[:, 3] += bias  # adds bias^2 / 14 to the mean square
+    point = Point(name="", runs=4000, noise_px=SIGMA, gyro=((0.0, 0.0),), methods=("linked",))
+    runs = Trials(point=point, values={"linked@0.error": grown * drawn @ root.T})
+    every = Covariances(perfect=covariance, acc=covariance, linked=covariance, free=covariance[:8, :8])
+    assert nees_ratio([runs], [every]).value == pytest.approx(expected, rel=0.01)

@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
-from experiments.budget.attitude import READINGS, StarErrors, attitude_study
+from experiments.budget import attitude as attitude_module
+from experiments.budget import combine as combine_module
+from experiments.budget.attitude import READINGS, StarErrors, attitude_study, solved_attitude
 from experiments.budget.combine import PRINTED, TERMS, Value, combine
 from experiments.budget.laboratory import build_laboratory, moved_lens
 from experiments.budget.settings import AttitudeConfig, Config, MovedConfig
 from experiments.budget.tolerances import cubic_basis
 from experiments.harness.config import load_config
+from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.run import configuration_file
+from experiments.harness.sections import described, judged
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
 from experiments.laboratory.published import ACC18_ARCSEC, ACC18_TABLE1_PX
 from optics.errors import ConfigError
@@ -123,6 +127,30 @@ def test_attitude_of_independent_errors_is_what_the_estimator_states(star_camera
     np.testing.assert_allclose(error[:, 0], stated, rtol=5 * part)
     # many stars all over the field: the rule holds for every axis, roll included
     np.testing.assert_allclose(error[1, 0], rule[1], rtol=0.05 + 4 * part)
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0])
+def test_verdict_notices_another_power_of_the_number_of_stars(star_camera, monkeypatch, power):
+    """Rationale: attitudes are solved, the rule has no part in them. Expected: it holds for sqrt(N), not for N."""
+    for module in (combine_module, attitude_module):
+        monkeypatch.setattr(module, "over_stars", lambda total, stars: total / stars**power)
+    settings, errors = AttitudeConfig(stars=4, counts=(2,), trials=500), _errors(1.2, 0.3, 0.5)
+    section = {"attitude": attitude_module.SECTIONS["attitude"]}
+    result = {"attitude": attitude_study(star_camera, errors, settings, Streams(6))["attitude"]}
+    quantities = described({**section}, Quantities(), result)
+    (criterion,) = judged(section, Outcome(config=None, result=result, data=quantities.dataset))
+    assert criterion.passed is (power == 0.5)
+    terms = {name: Value(arcsec=np.ones(2)) for name in TERMS}
+    made = combine(terms, stars=4)
+    np.testing.assert_allclose(made.attitude.arcsec, made.total.arcsec / 4**power)
+
+
+def test_attitude_of_a_measured_budget_is_solved(star_camera):
+    """Ten stars evenly all over the field: the rule, but for the roll that stars beside the middle bring in."""
+    made = combine({name: Value(arcsec=np.ones(2)) for name in TERMS}, stars=10)
+    solved = solved_attitude(star_camera, made, AttitudeConfig(stars=10, trials=1000), Streams(7))
+    ratio = solved.arcsec / (made.total.arcsec / np.sqrt(10.0))
+    np.testing.assert_allclose(ratio, 1.03, atol=0.04 + 4.0 / np.sqrt(2000.0))
 
 
 def test_common_error_does_not_average(star_camera):

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from experiments.budget import thermal
+from experiments.budget.experiment import axes
 from experiments.budget.laboratory import build_laboratory
 from experiments.budget.settings import Config
-from experiments.budget.thermal import field_directions, thermal_term, warmed
+from experiments.budget.thermal import THERMAL, field_directions, thermal_term, warmed
 from experiments.harness.config import load_config
+from experiments.harness.quantities import Outcome
+from experiments.harness.sections import described, judged
 from experiments.laboratory.ray_prediction import bundle_prediction
 from render.engine.random import Streams
 
@@ -28,20 +31,27 @@ def test_the_image_grows_as_focal_length_and_housing_say(engine):
         assert growth == pytest.approx(expected, abs=1.5)  # of the chief ray; coma adds one to the mean of all light
 
 
-def test_term_has_the_sign_and_size_of_the_paraxial_growth(engine, monkeypatch):
-    """Rationale: images without noise, so that warm less cold is the trace. Expected: growth with temperature."""
+@pytest.mark.parametrize("flipped", [False, True])
+def test_verdict_notices_a_lens_that_is_warmed_the_wrong_way(engine, monkeypatch, flipped):
+    """Rationale: traced images with noise for frames. Expected: growth with temperature, or the verdict fails."""
     lab = build_laboratory(load_config(Config, settings=[*QUICK, "thermal.stability_k=3"]))
-    assert warmed(lab, 2.5).instrument.camera.lens.environment.temperature_c == pytest.approx(
-        lab.instrument.camera.lens.environment.temperature_c + 2.5
-    )
+    noise = np.random.default_rng(3)
 
     def exact(lab, ends, direction, streams):
-        return [bundle_prediction(end.bench, end.instrument, direction[None])[0, :, 0] for end in ends]
+        found = [bundle_prediction(end.bench, end.instrument, direction[None])[0, :, 0] for end in ends]
+        return [one + 0.005 * noise.standard_normal(one.shape) for one in found]
 
     monkeypatch.setattr(thermal, "_images", exact)
+    if flipped:
+        right = thermal.warmed
+        monkeypatch.setattr(thermal, "warmed", lambda lab, kelvin: right(lab, -kelvin))
     term = thermal_term(lab, Streams(5))
+    np.testing.assert_allclose([m.value for m in term.measured_scale_ppm_per_k], 33.0, atol=3.0)
     np.testing.assert_allclose(term.scale_ppm_per_k, term.paraxial_ppm_per_k, atol=2.0)
-    np.testing.assert_allclose([m.value for m in term.measured_scale_ppm_per_k], term.paraxial_ppm_per_k, atol=2.0)
+    section, result = {"thermal": THERMAL}, {"thermal": term}
+    outcome = Outcome(config=lab.config, result=result, data=described(section, axes(lab.config), result).dataset)
+    (criterion,) = judged(section, outcome)
+    assert criterion.passed is not flipped
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """The fast path of the camera: by hand, against other rooms, and monotone where it has to be."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -138,13 +136,6 @@ def test_false_alarms_that_were_asked_for(config):
     assert asked.value("threshold_sigma") > 5.0
 
 
-def test_later_calls_are_fast(config):
-    predict(config)
-    began = time.process_time()
-    predict(with_value(config, "instrument.exposure_s", 0.21))
-    assert time.process_time() - began < 1.0
-
-
 def test_tornado_and_verdicts(config, tracker):
     few = config.model_copy(
         update={
@@ -175,8 +166,10 @@ def test_every_requirement_has_its_prediction(tracker):
 def test_refused(config):
     with pytest.raises(ConfigError, match="threshold lies in the noise"):
         predict(config.model_copy(update={"centroid": "tcog"}))
-    with pytest.raises(DomainError, match="brighter than"):
+    with pytest.raises(DomainError, match="the signal of every star is below the noise"):
         predict(with_value(with_value(config, "instrument.exposure_s", 1e-5), "throughput_fraction", 0.001))
+    with pytest.raises(DomainError, match=r"stars are far out of focus: .* with instrument\.defocus_mm = "):
+        predict(with_value(config, "instrument.defocus_mm", 5.0))
     with pytest.raises(DomainError, match="read at most"):
         predict(with_value(with_value(config, "instrument.width_px", 0), "instrument.height_px", 0))
 

@@ -61,7 +61,7 @@ def test_wrong_setting(refused, setting, expected):
 
 def test_lens_and_detector_files_of_another_kind(refused, tmp_path):
     (tmp_path / "other.toml").write_text("frames = 3\n")
-    assert re.search(r"other.toml: 5 keys are missing: .*surface", refused("--set", "instrument.lens=other.toml"))
+    assert re.search(r"other.toml: .*5 keys are missing: .*surface", refused("--set", "instrument.lens=other.toml"))
     said = refused("--set", "instrument.detector=other.toml")
     assert "other.toml: most of what describes a detector is missing; base = " in said
 
@@ -70,7 +70,7 @@ def test_lens_whose_rays_all_fail(refused, tmp_path):
     text = re.sub(r"semi_diameter_mm\s*=\s*[\d.]+", "semi_diameter_mm = 0.001", LENS.read_text(encoding="utf-8"))
     (tmp_path / "blind.toml").write_text(text, encoding="utf-8")
     assert load_lens(tmp_path / "blind.toml").surfaces[0].semi_diameter_mm == 0.001
-    assert re.search(r"no ray of any field|no light of 36 of 36", refused("--set", "instrument.lens=blind.toml"))
+    assert re.search(r"is stopped by the rim of surface 1", refused("--set", "instrument.lens=blind.toml"))
 
 
 def test_lens_that_is_not_centred(refused, tmp_path):
@@ -99,7 +99,7 @@ SLOW = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("setting", "expected"), SLOW, ids=[setting for setting, _ in SLOW])
 def test_setting_that_only_the_light_shows_wrong(refused, setting, expected):
-    said = refused("--set", setting, within_s=20.0)
+    said = refused("--set", setting, within_s=45.0)  # a grid of images for each filter comes first
     assert re.search(expected, said), said
 
 

@@ -290,6 +290,9 @@ def test_check_names_what_is_damaged_and_what_is_made_again(dataset, tmp_path, c
     assert data(folder) == data(dataset)
     assert (folder / "notes.txt").read_text() == "mine"
     assert main(["check", str(tmp_path / "none")]) == 2
+    (folder / "SHA256SUMS").unlink()
+    assert main(["check", str(folder)]) == 1  # nothing vouches for exports and reports
+    assert "missing: SHA256SUMS" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("part", "bit"), [(b"  README.md", 25), (b"  frames", 0), (b"\n", 0), (b"\n", 6), (b"", 1)])

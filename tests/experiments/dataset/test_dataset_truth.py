@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
-from scipy.special import erf
 
 from experiments.dataset.frame import FrameMaker
 from experiments.dataset.job import _record
@@ -17,6 +16,7 @@ from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, P
 from optics.errors import DomainError, StarbenchError
 from optics.frames import field_angles_deg
 from optics.rays.chief import chief_ray_points
+from render.forward import StarRenderer
 
 SMALL = {
     "instrument": InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=256, height_px=192),
@@ -87,16 +87,22 @@ def test_flags(made):
     assert (truth["flags"][beside] & bit["off_edge"] != 0).all()
 
 
-def test_snr_of_a_faint_gaussian_spot():
-    """Against the variance of a least-squares fit to pixels: 1 / sum of the squared profile."""
-    sigma_px, noise_e2, electrons = 1.2, 200.0, 50.0
-    edges = np.arange(-12, 13) - 0.5
-    profile = np.diff(erf(edges / np.sqrt(2) / sigma_px)) / 2
-    fitted = electrons * np.sqrt((np.outer(profile, profile) ** 2).sum() / noise_e2)
-    total = np.array([np.sqrt(sigma_px**2 + 1 / 12)])
-    found = flux_snr(np.array([electrons]), total, total, noise_e2=noise_e2)[0]
-    assert found == pytest.approx(fitted, rel=0.02)  # a pixel is not quite a Gaussian; the star's own noise is small
-    assert flux_snr(np.array([1e6]), total, total, noise_e2=0.0)[0] == pytest.approx(1e3)
+def test_snr_is_that_of_optimal_weights_on_the_stars_own_pixels(maker):
+    """Each star rendered alone without noise, at three places: root of the sum over pixels of signal^2 / variance."""
+    camera, noise_e2 = maker.scene.instrument.camera, 250.0
+    place = camera.centre_px + np.array([[0.3, -0.2], [64.1, 19.4], [-102.0, 70.5]])
+    renderer = StarRenderer(camera, exposure_s=1.0)
+    for magnitude in (4.0, 8.0, 11.0):
+        for direction in camera.nominal_direction(*place.T, maker.scene.instrument.focal_length_mm):
+            traced = renderer.trace(
+                maker.scene.light.stars(direction[None], magnitude, 6000.0), rotation_cam_from_world=np.eye(3)
+            )
+            pixels, truth = traced.electrons[:, :, 0].astype(float), traced.truth
+            weighted = np.sqrt((pixels**2 / (pixels + noise_e2)).sum())
+            found = flux_snr(truth.electrons_image[0], truth.noise_area_px2[0], noise_e2=noise_e2)[0]
+            assert found == pytest.approx(weighted, rel=0.05)  # spots that are no Gaussians: 3.5 % at most
+            faint = np.sqrt((pixels**2).sum() / 1e12)
+            assert flux_snr(pixels.sum(), truth.noise_area_px2[0], noise_e2=1e12)[0] == pytest.approx(faint, rel=1e-4)
 
 
 def test_a_record_says_the_same_in_text_and_in_angles(maker, made):

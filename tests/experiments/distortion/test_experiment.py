@@ -59,7 +59,7 @@ def failing_of(run):
     q = axes(Config())
     WIDE.describe(q, wide_field(run))
     outcome = Outcome(config=None, result={"wide": run}, data=q.dataset)
-    return [one.name for one in judged({"wide": WIDE}, outcome) if not one.passed]
+    return [one.name for one in judged({"wide": WIDE}, outcome) if one.failed]
 
 
 @pytest.mark.parametrize(("factor", "fails"), [(1.0, 0), (1.05, 2), (0.98, 2), (-1.0, 1)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -86,11 +87,21 @@ def test_verdict_line(passed, line):
     assert verdict_line([criterion(one) for one in passed]) == line
 
 
+def test_what_could_not_notice_a_quarter_counts_neither_way():
+    small, good = Criterion(name="c", value=1.1, about=1.0, limit=0.6, notices=0.6), criterion(True)
+    assert verdict_line([small]) == "The simulation is not judged: too small a sample to notice 25 %."
+    assert verdict_line([good, good, small]) == (
+        "The simulation is consistent: all 2 criteria hold; 1 not judged, too small a sample to notice 25 %."
+    )
+    assert replace(small, value=1.7).failed
+
+
 def test_prose_and_what_is_said_first(page):
     html = page(
         "> In *short*: {{ value('te', axis='x') }}″.\n", title="# T & T\n\nLead one.\n\n", criteria=[criterion(True)]
     )
     assert "<h1>T &amp; T</h1>" in html
+    assert "default-src 'none'" in html  # a page fetches nothing and runs nothing
     assert "<title>T &amp; T</title>" in html
     assert (
         "<strong>The simulation is consistent: the criterion holds.</strong> In <em>short</em>: 1.000 ± 0.012″." in html

@@ -33,28 +33,76 @@ def outcome_of(ratio: float, error: float, within: float = 0.05) -> Outcome:
     return Outcome(config=SimpleNamespace(), result={}, data=q.dataset)
 
 
+def ratios(values, error: float) -> Outcome:
+    """Independent ratios of the same standard deviation."""
+    q = Quantities()
+    q.add("ratio", values, "Ratio", dims="sample", error=np.full(len(values), error))
+    return Outcome(config=SimpleNamespace(), result={}, data=q.dataset)
+
+
 @pytest.mark.parametrize(
     ("ratio", "error", "holds"), [(1.05, 0.01, True), (1.09, 0.01, False), (0.91, 0.01, False), (1.09, 0.03, True)]
 )
 def test_a_ratio_may_be_off_by_a_part_and_its_noise(ratio, error, holds):
-    assert two_sided_limit(2) == pytest.approx(2.807, abs=1e-3)  # 1 % over two normal deviates
-    (judged,) = ratio_near("ratio", within=0.05)(outcome_of(ratio, error))
+    assert two_sided_limit(2, 0.01) == pytest.approx(2.807, abs=1e-3)  # 1 % over two normal deviates
+    (judged,) = ratio_near("ratio", within=0.05, false_alarm=0.01)(outcome_of(ratio, error))
     assert judged.limit == pytest.approx(0.05 + 2.807 * error, abs=1e-4)
     assert judged.passed is holds
 
 
 @pytest.mark.parametrize("slack", [0.06, "allowed"])
 def test_a_prediction_may_be_off_by_three_standard_deviations(slack):
-    (judged,) = agree("ratio", 1.0, slack=slack)(outcome_of(1.1, 0.01, within=0.06))
+    (judged,) = agree("ratio", 1.0, slack=slack, false_alarm=0.01)(outcome_of(1.1, 0.01, within=0.06))
     assert judged.value == pytest.approx(0.1 / np.hypot(0.01, 0.02))
     assert judged.limit == pytest.approx(2.807, abs=1e-3)
 
 
-def test_a_run_too_small_to_tell_is_not_judged():
-    assert ratio_near("ratio", within=0.05, most=0.25)(outcome_of(1.0, 0.2)) == []
+VERDICTS = (
+    agree("ratio", 1.0, false_alarm=0.05),
+    ratio_near("ratio", within=0.0, false_alarm=0.05),
+    ratio_near("ratio", within=0.0, mean=True, false_alarm=0.05),
+)
+
+
+@pytest.mark.parametrize("verdict", VERDICTS, ids=("agree", "near", "mean"))
+def test_a_sample_too_small_to_notice_a_quarter_is_shown_and_not_judged(verdict):
     assert ratio_near("missing", within=0.05)(outcome_of(1.0, 0.2)) == []
-    (judged,) = ratio_near("ratio", within=0.05)(outcome_of(np.nan, 0.01))
-    assert not judged.passed
+    (small,) = verdict(outcome_of(1.1, 0.2))
+    assert small.passed is None
+    assert not small.failed
+    (worse,) = verdict(outcome_of(9.0, 0.2))  # beyond even that limit
+    assert worse.failed
+    assert verdict(ratios([np.nan, np.nan], 0.01))[0].failed
+
+
+@pytest.mark.parametrize("verdict", VERDICTS, ids=("agree", "near", "mean"))
+def test_verdicts_fail_as_often_as_they_state(verdict):
+    """Right numbers at the stated false alarm, and all off by what the verdict says it notices in half of all runs."""
+    rng, error, runs = np.random.default_rng(1), 0.06, 100
+    failed = {"right": 0, "off": 0}
+    chances = []
+    for _ in range(runs):
+        noise = error * rng.standard_normal(8)
+        (right,) = verdict(ratios(1.0 + noise, error))
+        failed["right"] += right.failed
+        failed["off"] += verdict(ratios(1.0 + right.notices + noise, error))[0].failed
+        chances.append(right.chance)
+    assert right.notices < 0.25
+    assert failed["right"] / runs == pytest.approx(right.false_alarm, abs=4 * np.sqrt(0.05 / runs))
+    assert failed["off"] / runs == pytest.approx(0.5, abs=4 * np.sqrt(0.25 / runs))
+    assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.1, abs=4 * np.sqrt(0.09 / runs))
+
+
+def test_what_an_error_is_a_part_of():
+    ratio = ratios([1.0], 0.1)
+    (plain,) = agree("ratio", 1.0)(ratio)
+    assert plain.notices == pytest.approx(0.1 * plain.limit, rel=1e-6)
+    for verdict in (agree("ratio", 1.0, square=True), ratio_near("ratio", within=0.0, square=True)):
+        assert (1.0 + verdict(ratio)[0].notices) ** 2 == pytest.approx(1.0 + plain.notices)
+    (bias,) = agree("ratio", 0.0, of=8.0, error=0.2)(ratio)
+    assert bias.notices == pytest.approx(bias.limit * np.hypot(0.1, 0.2) / 8.0, rel=1e-6)
+    assert agree("ratio", 0.0)(ratio)[0].notices is None
+    assert [below("ratio", limit, whole=4.0)(ratio)[0].passed for limit in (7.5, 4.0, 0.5)] == [None, True, False]
 
 
 # --- Every experiment that is declared in sections
@@ -119,12 +167,3 @@ def test_deviations_count_in_the_uncertainties_of_both():
     assert (top.value, top.limit, top.passed) == (2.0, 1.5, False)
     (low,) = above("seen", "meant")(outcome)
     assert (low.value, low.limit, low.passed) == (1.0, 1.5, False)
-
-
-def test_false_alarms_are_as_frequent_as_stated():
-    rng, failed, runs = np.random.default_rng(1), 0, 4000
-    for _ in range(runs):
-        q = Quantities()
-        q.add("value", rng.standard_normal(8), dims="sample", error=np.ones(8))
-        failed += not agree("value", 0.0, false_alarm=0.05)(Outcome(config=None, result={}, data=q.dataset))[0].passed
-    assert failed / runs == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / runs))

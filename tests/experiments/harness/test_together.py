@@ -37,12 +37,12 @@ def scripted(monkeypatch, tmp_path):
 
 def test_page_links_reports_and_names_failures(tmp_path, scripted, capsys):
     runs, started = scripted
-    runs |= {"alpha": (0, (True, True)), "beta": (1, (True, False))}
+    runs |= {"alpha": (0, (True, True)), "beta": (1, (True, False, None))}
     assert main(["--quick", "--all", "--seed", "0"]) == 1
     page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     assert '<a href="alpha/report.html">' in page
     assert "2 of 2 criteria hold" in page
-    assert "1 of 2 criteria hold; not: number 1" in page
+    assert "1 of 2 criteria hold; not: number 1; 1 not judged" in page
     assert "The &lt;second&gt;." in page
     assert "12 s" in page
     assert "quick runs" in page

@@ -50,7 +50,7 @@ def test_roll_leaves_lever_times_angle(run):
 
 
 def test_the_verdicts_hold_for_other_seeds_and_notice_a_quarter(run, failing):
-    """By rays: noise is what differs. Three verdicts of a false alarm of 1 in 1000 each."""
+    """By rays: noise is what differs. Nine verdicts of a false alarm of 1 in 1000 each."""
     instrument = run.config.instrument.model_copy(update={"diffraction": "rays"})
     steps = run.config.steps.model_copy(update={"positions": 6})
     changed = {"instrument": instrument, "steps": steps, "hexapod": HexapodConfig(), "compare": ("gaussian", "epsf")}

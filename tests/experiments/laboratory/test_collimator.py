@@ -45,6 +45,15 @@ def test_wedge_of_bk7_turns_light_by_half_its_angle():
     np.testing.assert_allclose(near, [2.5840, 0.0], atol=2e-4)
 
 
+def test_only_filters_that_have_a_wedge_turn_light():
+    """A wheel whose band is not among the wedges, as the open hole: decollimated like the others, not turned."""
+    wheel = build_collimator(FilteredCollimatorConfig(wedge_arcsec=(10.0,), decollimation_um=100.0), BAND)
+    seen = wheel.light([*BAND, SimpleNamespace(name="open")], np.repeat(D_LINE, 2, axis=0), Environment())
+    assert seen.slope_rad[0, 0, 0] / ARCSEC_RAD == pytest.approx(5.168, abs=2e-4)
+    assert not seen.slope_rad[1].any()
+    assert seen.vergence_per_mm[0, 0] == seen.vergence_per_mm[1, 0] != 0.0
+
+
 def test_target_behind_the_focus_is_imaged_in_front_of_the_camera():
     """1 / s' = 1 / f - 1 / s; light that runs together there comes, for a camera beside the axis, from its own side."""
     seen = light(decollimation_um=300.0, offset_mm=(5.0, 0.0))

@@ -9,6 +9,7 @@ from calib.cameras import BrownConrady
 from calib.cameras.base import SensorGeometry
 from experiments.laboratory.distortion_statistics import (
     camera_terms,
+    cross_validated,
     distortion_statistics,
     fit_camera,
     polynomial_terms,
@@ -79,3 +80,41 @@ def test_too_few_points_are_refused():
         distortion_statistics(PLACE[:10], np.zeros((10, 2)), 3)
     with pytest.raises(DomainError, match="8 terms"):
         fit_camera(PLACE[:4], np.zeros((4, 2)), "calibrated")
+
+
+@pytest.mark.parametrize("reference", ["aligned", "calibrated"])
+def test_points_left_out_are_those_of_fits_without_them(reference):
+    """Against fits repeated without a point, a row, a column; rows at the edge lose one point at a time."""
+    place = np.stack(np.meshgrid(np.linspace(-0.7, 0.7, 7), np.linspace(-0.6, 0.6, 6)), -1).reshape(-1, 2)
+    offset = np.random.default_rng(4).standard_normal(place.shape)
+    found = cross_validated(place, offset, 3, reference)
+
+    def without(points):
+        terms = np.kron(polynomial_terms(place, 3), np.eye(2))
+        terms = np.hstack([terms, camera_terms(place, reference).reshape(len(terms), -1)])
+        kept = np.setdiff1d(np.arange(2 * len(place)), np.add.outer(2 * np.asarray(points), [0, 1]))
+        fit = np.linalg.lstsq(terms[kept], offset.ravel()[kept], rcond=None)[0]
+        return (offset.ravel() - terms @ fit).reshape(-1, 2)[points]
+
+    row, column = np.arange(14, 21), np.arange(3, 42, 7)
+    np.testing.assert_allclose(found[0, 17], without([17])[0], atol=1e-9)
+    np.testing.assert_allclose(found[1, row], without(row), atol=1e-9)
+    np.testing.assert_allclose(found[2, column], without(column), atol=1e-9)
+    np.testing.assert_allclose(found[1, 3], without([3])[0], atol=1e-9)
+
+
+def test_a_map_that_rows_do_not_test_is_not_stated():
+    """0.17 px between four rows, nothing on them: neither residuals nor single points left out show it; six rows do."""
+    for rows, tested in ((4, False), (6, True)):
+        x, y = np.meshgrid(np.linspace(-0.7, 0.7, 8), np.linspace(-0.6, 0.6, rows))
+        place = np.column_stack([x.ravel(), y.ravel()])
+        wave = np.column_stack(
+            [0.0 * place[:, 1], 0.25 * np.prod([place[:, 1] / 0.6 - a for a in (-1, -1 / 3, 1 / 3, 1)], 0)]
+        )
+        offset = wave + np.random.default_rng(1).normal(0.0, 0.001, place.shape)
+        found = np.sqrt((cross_validated(place, offset, 3, "aligned") ** 2).mean((1, 2)))
+        assert np.isfinite(found[1]) == tested
+        if tested:
+            assert found[1] > 0.02
+        else:
+            assert found[0] < 0.003

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from calib.measure.crlb import cramer_rao
 from calib.measure.epsf import draw_epsf
 from calib.measure.gaussian import draw_gaussian
 from calib.records import NoiseModel
-from experiments.laboratory.point_noise import ExpectedWindows, bound_px, influence, sampled_px
+from experiments.laboratory.point_noise import ExpectedWindows, _bent, bound_px, drawn_positions, influence, sampled_px
 from experiments.laboratory.readout.windows import window_corners
 from experiments.laboratory.temporal_error import _followed_px
 from render.records import EffectivePsf
@@ -113,3 +114,25 @@ def test_chips_differ_less_when_their_pixels_do(star_camera, windows, noise):
     # 49 pixels with levers of equal weight: a fifth of the variance each, over some 20 pixels that count
     ratio = gain.device_sigma_px(windows.light_e, noise) / gain.sigma_px(noise.temporal_e2(windows.light_e))
     assert np.all((ratio > 0.005) & (ratio < 0.05))
+
+
+def test_mirrored_draws_have_no_noise_in_their_mean(star_camera, windows, noise):
+    """A centre of gravity is nearly linear: noise of opposite signs cancels to the square of its relative size."""
+    centroider, rng = get_centroider("cog", half_width_px=None), np.random.default_rng(4)
+    given = (centroider, star_camera, windows, noise)
+    both = drawn_positions(*given, draws=200, rng=rng, mirrored=True)
+    assert both.shape == (200, 3, 2)
+    middle = influence(centroider, star_camera, windows).position_px
+    single = both.std(0, ddof=1)
+    pairs = both.reshape(100, 2, 3, 2).mean(1) - middle
+    assert np.sqrt((pairs**2).mean(0)).max() < 0.2 * single.min()
+    np.testing.assert_allclose(both[::2].std(0, ddof=1), single, rtol=4.0 / np.sqrt(200))
+    free = drawn_positions(*given, draws=200, rng=rng)
+    np.testing.assert_allclose(free.std(0, ddof=1), single, rtol=6.0 / np.sqrt(400))
+
+
+def test_a_converter_that_bends_takes_its_share_of_the_light():
+    """A quadratic of -2 % and a cubic of 1 % at full well."""
+    detector = SimpleNamespace(full_well_e=10000.0, nonlinearity=(-0.02, 0.01))
+    light = np.array([0.0, 2500.0, 10000.0])
+    np.testing.assert_allclose(_bent(light, detector), [0.0, 2500.0 * (1 - 0.005 + 0.000625), 9900.0])

@@ -13,6 +13,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.dataset import truth as dataset_truth
+from experiments.dataset.truth import flux_snr
 from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.point_scene import point_scene
 from experiments.laboratory.points import PointReadout
@@ -181,15 +183,18 @@ def empty_pixels(scene, sky_e: float, dark_frames: int) -> np.ndarray:
     return np.var(frames, axis=0, ddof=1)
 
 
-def test_signal_to_noise_ratio_of_the_truth(dataset):
-    """From SNR = N / sqrt(N + A n), A = 4 pi sx sy, the variance n that a row of the truth was computed with."""
+def test_signal_to_noise_ratio_of_the_truth(dataset, monkeypatch):
+    """The noise of an empty pixel that ratios are computed with."""
     maker, made = dataset
-    truth, detector = made.truth, maker.scene.instrument.detector
-    at = int(np.argmin(np.where(truth["electrons"] > 10.0, truth["electrons"], np.inf)))  # the faintest tells best
-    electrons, ratio = truth["electrons"][at], truth["snr"][at]
-    spot = [truth[f"variance_{axis}_px2"][at] + detector.diffusion_sigma_px**2 + 1 / 12 for axis in "xy"]
-    stated = (electrons**2 / ratio**2 - electrons) / (4 * np.pi * np.sqrt(spot[0] * spot[1]))
-    within(empty_pixels(maker.scene, made.background_e, 0), stated)
+    stated = []
+
+    def noted(electrons, area_px2, *, noise_e2):
+        stated.append(noise_e2)
+        return flux_snr(electrons, area_px2, noise_e2=noise_e2)
+
+    monkeypatch.setattr(dataset_truth, "flux_snr", noted)
+    assert np.array_equal(maker.make(0).truth["snr"], made.truth["snr"])
+    within(empty_pixels(maker.scene, made.background_e, 0), stated[0])
 
 
 def test_bound_of_the_dataset(dataset, engine):

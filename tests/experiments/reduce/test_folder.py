@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from astropy.io import fits
 
 from experiments.chromatic.own_frames import filter_frames as chromatic_from_frames
+from experiments.chromatic.own_frames import own_frames as chromatic_own_frames
 from experiments.chromatic.settings import Config as ChromaticConfig
 from experiments.distortion.own_frames import reduce as distortion_from_frames
 from experiments.distortion.settings import Config as DistortionConfig
@@ -20,10 +23,12 @@ from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.point_scene import point_scene
 from experiments.laboratory.points import nominal_px
 from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.target_light import target_light
 from experiments.laboratory.targets import GridTarget
 from experiments.laboratory.temporal_error import measure_temporal, target_place
 from experiments.reduce.checks import check_frames
 from experiments.reduce.folder import read_folder
+from experiments.reduce.frames import find_files
 from experiments.reduce.frames_toml import Layout
 from experiments.temporal.own_frames import reduce as temporal_from_frames
 from optics.errors import ConfigError, DomainError
@@ -272,6 +277,25 @@ def test_a_folder_that_is_wrong_is_refused(folder, text, error, said):
         read_folder(folder, window_px=9)
 
 
+def test_what_a_pattern_names_is_read_or_refused(folder):
+    """Links that lead nowhere, pipes and folders are named; a link to a frame is one; a_2 comes before a_10."""
+    (folder / "frames.toml").write_text(HEAD + "points = 1\n" + ONE)
+    for make, said in (
+        (lambda path: path.symlink_to("gone.fits"), "a_9.fits, which 'a_.*' names, is a link to gone.fits"),
+        (os.mkfifo, "a_9.fits, which .* is a device, pipe"),
+        (Path.mkdir, "a_9.fits, which .* is a folder"),
+    ):
+        make(folder / "a_9.fits")
+        with pytest.raises(ConfigError, match=said):
+            read_folder(folder, window_px=9)
+        (folder / "a_9.fits").rmdir() if (folder / "a_9.fits").is_dir() else (folder / "a_9.fits").unlink()
+    blank(folder, "elsewhere.fits")
+    (folder / "a_9.fits").symlink_to("elsewhere.fits")
+    names = [one.name for one in find_files(folder, ["a_*.fits"], "a")]
+    assert names == ["a_1.fits", "a_9.fits", "a_22.fits"]
+    assert len(read_folder(folder, window_px=9).series[0].windows.dn) == 3
+
+
 def test_a_star_at_the_edge_is_refused(folder):
     (folder / "frames.toml").write_text(HEAD + "points = 1\n" + ONE)
     assert len(read_folder(folder, window_px=9).series[0].found_px) == 1
@@ -396,3 +420,47 @@ def test_filters_and_places_must_be_complete(folder):
                 content[0].header["FILTER"] = "R"
     with pytest.raises(ConfigError, match="FILTER = 'R' in the files of series 1 and of series 2"):
         reduced(*both)
+
+
+@pytest.mark.slow
+def test_wedge_of_a_filter_and_exchanged_filters_are_found_in_rendered_frames(tmp_path, scene, camera, bench_of):
+    """A wedge of 0.06 px at 30 degrees behind 800 nm, turned by half a turn at the second place; then files swapped."""
+    writer, streams = Writer(tmp_path / "filters", scene), Streams(12)
+    bench = bench_of(rows=3, columns=3, edge_px=40.0, signal_e=15000.0)
+    bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 45.0 + 1 / 3}))  # S-curves average out
+    light = target_light(bench, camera)
+    wedge = 0.06 * np.array([np.cos(np.radians(30)), np.sin(np.radians(30))])
+    rows = []
+    for place, angle, at in (("before", 0, 0.0), ("after", 180, 0.4)):
+        for band, nm in enumerate((500, 600, 800)):
+            moved = np.array(PLACE) + at + (wedge if nm == 800 else 0.0) * (1 if angle == 0 else -1)
+            image = light.image(target_place(bench, camera, moved)).electrons[:, :, band]
+            image = image * (1.0, 0.6, 0.8)[band]
+            writer.frames(image, streams.child(place, band), f"F{band}", 6, f"{place}_{nm}")
+            rows.append(
+                f"[[series]]\nfiles = '{place}_{nm}_*.fits'\nname = '{place}{nm}'\nfilter_nm = {nm}\n"
+                f"place = '{place}'\nfilter_angle_deg = {angle}\n"
+            )
+    writer.lines.append("points = 9\nprnu_fraction = 0.01")
+    head = "\n".join(writer.lines) + "\n"
+    (writer.folder / "frames.toml").write_text(head + "".join(rows))
+    layout, config = Layout(needs=("filter_nm",), same_scene="place"), ChromaticConfig()
+    read = read_folder(writer.folder, window_px=WINDOW_PX, layout=layout)
+    found = chromatic_own_frames.reduce(read, ("cog",), config)[1]
+    pair = next(one for one in found["constants"] if one.wedge_px[0].value > 0.02)
+    assert pair.told_text == "yes"
+    for one, value in zip(pair.wedge_px, wedge, strict=True):
+        assert one.value == pytest.approx(value, abs=4 * one.uncertainty)
+        assert one.uncertainty < 0.02
+    assert found["exchange"].exchanged == 0
+    for number in range(6):  # FILTER in the files goes with them: it would refuse the folder by itself
+        low, high = (writer.folder / f"after_{nm}_{number:03d}.fits" for nm in (500, 800))
+        for path in (low, high):
+            with fits.open(path, mode="update") as content:
+                content[0].header["FILTER"] = ""
+        low.rename(writer.folder / "between.fits")
+        high.rename(low)
+        (writer.folder / "between.fits").rename(high)
+    read = read_folder(writer.folder, window_px=WINDOW_PX, layout=layout)
+    (said,) = chromatic_own_frames.reduce(read, ("cog",), config)[1]["exchange"].said
+    assert "the files of 500 and 800 nm at place 'after'" in said

@@ -70,7 +70,8 @@ def test_one_command_for_all_methods_gives_what_the_experiment_gives(folder, cap
 
 @pytest.mark.parametrize("name", TEXTS)
 def test_a_folder_becomes_a_report(name, folder, capsys, tmp_path, engine):
-    status, text = run(name, folder, TEXTS[name], capsys, out=tmp_path / "out")
+    more = ("--set", "order=2") if name == "distortion" else ()  # four rows do not test a cubic
+    status, text = run(name, folder, TEXTS[name], capsys, *more, out=tmp_path / "out")
     assert status == 0, text
     content = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert content["results"]["source"] == "frames"

@@ -55,9 +55,8 @@ def summary(outcome):
 
 
 def test_all_criteria_hold(outcome, summary):
-    assert [one["name"] for one in summary["criteria"] if not one["passed"]] == []
-    lenses = [sum(lens in one["name"] for one in summary["criteria"]) for lens in ("206 mm", "25.6 mm")]
-    assert min(lenses) >= 4  # each lens is judged, the scatter of its faint stars where there are enough
+    assert [one["name"] for one in summary["criteria"] if one["passed"] is False] == []
+    assert len(summary["criteria"]) == 5
     assert outcome[0] == 0
 
 

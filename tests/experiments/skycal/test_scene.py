@@ -89,8 +89,8 @@ def test_window_is_the_middle_of_the_detector(config, scene):
     assert (camera.width_px, camera.height_px) == scene.instrument.detector.shape == (1862, 1862)
     assert camera.centre_px == pytest.approx([930.5, 930.5])
     assert scene.instrument.field_deg[0] == pytest.approx(
-        2 * np.degrees(np.arctan(1862 * 5.5e-3 / 2 / 25.596)), rel=1e-4
-    )
+        2 * np.degrees(np.arctan(1862 * 5.5e-3 / 2 / 25.62158)), rel=1e-6
+    )  # by chief rays; 25.596 mm paraxial
     rows, direction = scene.in_cam(5)
     again = scene.attitude[5].apply(np.array(scene.sky.direction[rows]))
     assert direction == pytest.approx(again, abs=1e-12)

@@ -1,0 +1,24 @@
+"""Whether a lens is in focus as it is. Light to import."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from optics.errors import StarbenchError
+
+__all__ = ["in_focus"]
+
+
+def in_focus(lens: Any) -> bool:
+    """Whether a lens is in focus as it is: an ideal or a measured one."""
+    if isinstance(lens, Mapping) or hasattr(lens, "focal_length_mm"):
+        return True
+    if not (isinstance(lens, str) and lens.lower().endswith(".toml")):
+        return False
+    from optics.validate import read_toml
+
+    try:
+        return read_toml(lens).get("kind") == "measured"
+    except StarbenchError:
+        return False

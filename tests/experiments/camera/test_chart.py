@@ -1,0 +1,59 @@
+"""Stars of the camera's charts: where they are put, and which detection is whose."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+
+from experiments.camera.frames import MATCH_PX, _matched, _scattered
+from experiments.camera.prediction import _limits
+
+
+@pytest.mark.parametrize(("width", "height", "count"), [(1024, 1024, 100), (4096, 2048, 300), (200, 150, 400)])
+def test_places_are_two_windows_apart_and_from_the_edge(width, height, count):
+    window = 13
+    place = _scattered(width, height, count, window, np.random.default_rng(1))
+    assert pdist(place, "chebyshev").min() >= 2.0 * window - 1e-9
+    assert place.min() >= window - 0.5
+    assert (place.max(0) <= np.array([width, height]) - 0.5 - window).all()
+    most = (width // (3 * window)) * (height // (3 * window))
+    assert min(count, most) * 0.8 <= len(place) <= max(count, 1) * 1.05
+    # all over the detector: quarters hold a quarter each
+    for axis, size in enumerate((width, height)):
+        assert np.mean(place[:, axis] < size / 2) == pytest.approx(0.5, abs=0.1)
+
+
+def found(places, sharp=()):
+    """A frame's detections at places; those whose numbers are named are too sharp for a star."""
+    places = np.reshape(np.array(places, float), (-1, 2))
+    flagged = np.isin(np.arange(len(places)), sharp)
+    return SimpleNamespace(detected_px=places, stars=SimpleNamespace(sharp=flagged))
+
+
+def test_detections_belong_to_the_nearest_star_once():
+    stars = np.array([[10.0, 10.0], [30.0, 10.0], [50.0, 10.0], [np.nan, np.nan], [52.0, 10.0]])
+    seen = found([[30.4, 10.3], [10.0, 10.0 + 0.9 * MATCH_PX], [51.2, 10.0], [90.0, 90.0], [80.0, 80.0]], sharp=(4,))
+    partner, false = _matched(seen, stars, 13.0)
+    assert partner.tolist() == [1, 0, -1, -1, 2]  # of two stars that merge, the nearer has it
+    assert false == 1  # the other is too sharp for a star
+    far = found([[10.0, 10.0 + 1.1 * MATCH_PX]])
+    assert _matched(far, stars, 13.0)[0].max() == -1
+    assert _matched(far, stars, 13.0)[1] == (1 if 1.1 * MATCH_PX > 13.0 else 0)
+    assert _matched(found([]), stars, 13.0)[1] == 0
+    assert _matched(seen, np.full((2, 2), np.nan), 13.0)[1] == 4
+
+
+def test_magnitude_limits_are_where_the_share_of_stars_passes(monkeypatch):
+    """Found from 100 e- on in the middle, from 400 e- on at the edge: half at 100, nine tenths at 400 e-."""
+    monkeypatch.setattr("experiments.camera.prediction.detector_radii", lambda state: np.array([0.0, 1.0]))
+    monkeypatch.setattr("experiments.camera.prediction.exposed_s", lambda config: 0.5)
+    state = SimpleNamespace(electrons_per_s=lambda magnitude, temperature, radius: np.full(len(radius), 2e6))
+    stars = SimpleNamespace(
+        found_at=lambda electrons, radius: (electrons >= np.where(radius > 0.5, 400.0, 100.0)) * 1.0
+    )
+    limits = _limits(SimpleNamespace(star=SimpleNamespace(temperature_k=6000.0)), state, stars)
+    assert limits[0.5] == pytest.approx(2.5 * np.log10(1e6 / 100.0), abs=0.06)
+    assert limits[0.9] == pytest.approx(2.5 * np.log10(1e6 / 400.0), abs=0.06)

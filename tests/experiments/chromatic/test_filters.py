@@ -1,0 +1,96 @@
+"""Wedges told from the lens where filters or camera were turned; files of two filters exchanged."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from experiments.chromatic.filters import exchanged, parts_of_shift
+
+PLACE = np.stack(
+    [np.stack(np.meshgrid([-20.0, 0, 20], [-20.0, 0, 20]), -1).reshape(-1, 2) + at for at in (0, 90, -60, 10)]
+)
+LENS, WEDGE, SIGMA = np.array([0.03, -0.02]), np.array([0.05, 0.08]), 0.004
+
+
+def shifts(rng, angles, common=0.0):
+    """Lens, lateral colour, and a wedge turned by hand (complex numbers: x + iy)."""
+    turned = (WEDGE[0] + 1j * WEDGE[1]) * np.exp(1j * np.radians(angles))
+    wedge = np.stack([turned.real, turned.imag], -1)[:, None]
+    moved = common * rng.standard_normal((len(angles), 1, 2))
+    place = PLACE[: len(angles)]
+    return LENS + 2e-4 * place + wedge + moved + SIGMA * rng.standard_normal(place.shape)
+
+
+@pytest.mark.parametrize("angles", [(0.0, 180.0), (0.0, 120.0, 240.0, 90.0)])
+def test_a_wedge_is_recovered_within_its_stated_error(angles):
+    rng, angles, pulls = np.random.default_rng(3), np.array(angles), []
+    sigma = np.full((len(angles), 9, 2), SIGMA)
+    for _ in range(100):
+        found = parts_of_shift(shifts(rng, angles), sigma, PLACE[: len(angles)], angles, angles)
+        pulls.append((found.wedge_px - WEDGE) / found.wedge_sigma_px)
+        pulls.append((found.lens_px - LENS) / found.lens_sigma_px)
+    assert found.wedge_sigma_px.max() < 0.003
+    assert np.mean(np.square(pulls)) < 1.0 + 4 * np.sqrt(2.0 / np.size(pulls))
+    assert np.mean(np.square(pulls)) > 0.4  # they are never made smaller than the stated noise, often larger
+
+
+def test_a_target_that_moved_between_series_widens_the_error():
+    rng, angles = np.random.default_rng(4), np.array([0.0, 120.0, 240.0, 90.0])
+    sigma = np.full((4, 9, 2), SIGMA)
+    pulls = []
+    for _ in range(200):
+        found = parts_of_shift(shifts(rng, angles, 0.02), sigma, PLACE, angles, angles)
+        pulls.append((found.wedge_px - WEDGE) / found.wedge_sigma_px)
+    assert np.median(np.abs(pulls)) < 1.2 * 0.74  # Student's t with four degrees of freedom
+
+
+def test_what_was_not_turned_is_not_told_apart():
+    rng, still = np.random.default_rng(5), np.zeros(3)
+    sigma = np.full((3, 9, 2), SIGMA)
+    found = parts_of_shift(shifts(rng, still), sigma, PLACE[:3], still, still)
+    assert np.isnan([found.wedge_px, found.lens_px]).all()
+    np.testing.assert_allclose(found.constant_px, LENS + WEDGE, atol=4 * found.constant_sigma_px.max())
+    alone = np.array([0.0, 90.0, 180.0])  # the reference filter's own wedge stands still: it goes with the lens
+    found = parts_of_shift(shifts(rng, alone), sigma, PLACE[:3], alone, still)
+    assert np.isnan([found.wedge_px, found.lens_px]).all()
+
+
+def grid(rng, places, swap=None):
+    """Series of spots through three filters; light differs by 2 % from what filter and place make of it."""
+    axis = np.arange(13) - 6.0
+    rows = []
+    for place in range(places):
+        order = [1, 0, 2] if swap == place else [0, 1, 2]
+        row = []
+        for band in order:
+            light = (5000.0, 9000.0, 7000.0)[band] * (1 + 0.1 * place) * (1 + 0.02 * rng.standard_normal())
+            width = (1.0, 1.1, 1.3)[band]
+            spot = np.exp(-np.add.outer(axis**2, axis**2) / (2 * width**2))
+            row.append(
+                SimpleNamespace(
+                    signal_e=light,
+                    exposure_s=0.1,
+                    mean_e=light * np.stack([spot / spot.sum()] * 4) + rng.normal(0, 2, (4, 13, 13)),
+                    settings=SimpleNamespace(place=f"p{place}"),
+                )
+            )
+        rows.append(row)
+    return rows
+
+
+def test_exchanged_filters_are_named():
+    rng, filters = np.random.default_rng(6), (500.0, 600.0, 800.0)
+    for _ in range(30):
+        (said,) = exchanged(grid(rng, 4, swap=2), filters)
+        assert said.startswith("the files of 500 and 600 nm at place 'p2' (light of 600 over 500 nm is 0.5")
+    (said,) = exchanged(grid(rng, 2, swap=1), filters)
+    assert "at place 'p0'" in said
+    assert " or the files of 500 and 600 nm at place 'p1'" in said
+
+
+def test_filters_in_their_places_are_left_alone():
+    rng = np.random.default_rng(7)
+    assert not any(exchanged(grid(rng, places), (500.0, 600.0, 800.0)) for places in (1, 2, 4) for _ in range(60))

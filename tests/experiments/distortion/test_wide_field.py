@@ -1,0 +1,69 @@
+"""The wide field's residuals and the target's closed form, from drawn errors."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from experiments.distortion.experiment import target_record
+from experiments.distortion.settings import Config
+from experiments.distortion.wide_field import REFERENCE, WideRun, wide_field
+from experiments.laboratory.distortion_error import camera_place, residual_px
+from experiments.laboratory.distortion_statistics import distortion_statistics
+
+POINT_PX, MARKING_PX = 0.03, 0.04
+
+
+def test_residuals_less_the_prescription_are_noise_and_marking(small_camera):
+    """RMS ratio 1 over 300 drawn runs, and its scatter from run to run the stated uncertainty."""
+    rng, size = np.random.default_rng(3), [small_camera.camera.width_px, small_camera.camera.height_px]
+    pixel = rng.uniform(50.0, np.array(size) - 50.0, (32, 2))
+    direction = small_camera.camera.nominal_direction(*pixel.T, small_camera.focal_length_mm)
+    nominal, place = camera_place(small_camera, direction)
+    expected = nominal + 3.0 * place * (place**2).sum(1)[:, None]
+    ratios = []
+    for _ in range(300):
+        seen = expected + np.hypot(POINT_PX, MARKING_PX) * rng.standard_normal(expected.shape) + [0.7, -0.4]
+        _, d, _ = residual_px(small_camera, direction, seen, seen, REFERENCE)
+        found = distortion_statistics(place, d, 3)
+        frames = SimpleNamespace(
+            arcsec_3sigma=3.0, instrument=small_camera, direction=direction, statistics=lambda *_, found=found: found
+        )
+        three = np.arange(6.0).reshape(3, 2)
+        predicted = SimpleNamespace(
+            position_px={"cog": expected},
+            point_px={"cog": np.full(expected.shape, POINT_PX)},
+            marking_px=MARKING_PX,
+            mean_px={"cog": {REFERENCE: three}},
+            scatter_px={"cog": {REFERENCE: 0.1 * three}},
+        )
+        record = wide_field(WideRun(method="cog", frames=frames, predicted=predicted, marking_px=2.0 * three))
+        ratios.append(record.residual_ratio.value)
+    assert np.mean(np.square(ratios)) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 60 / 300))
+    assert record.residual_ratio.uncertainty == pytest.approx(np.std(ratios), rel=4.0 / np.sqrt(600))
+    np.testing.assert_allclose(
+        record.measured_arcsec, 3.0 * np.array([found.sigma_d_px, found.sigma_left_px, found.sigma_c1_px])
+    )
+    assert record.predicted_arcsec[2][1].value == pytest.approx(15.0)
+    assert record.predicted_arcsec[2][1].uncertainty == pytest.approx(1.5)
+    np.testing.assert_allclose(record.marking_arcsec, 6.0 * three)
+    # the prescription's distortion is what is found, to the noise
+    _, distortion, _ = residual_px(small_camera, direction, expected, expected, REFERENCE)
+    np.testing.assert_allclose(record.measured_arcsec[0] / 3.0, distortion.std(0, ddof=1), rtol=0.2)
+
+
+def test_the_share_of_pure_noise_that_a_polynomial_removes(star_camera):
+    """Drawn noise at random points, a least-squares cubic of ten terms."""
+    config = Config()
+    record = target_record(config, star_camera, published=True)
+    points, rng = config.target.rows * config.target.columns, np.random.default_rng(4)
+    place = rng.uniform(-1.0, 1.0, (points, 2))
+    removed = [
+        distortion_statistics(place, rng.standard_normal((points, 2)), config.order).sigma_c1_px for _ in range(400)
+    ]
+    share = np.sqrt(np.mean(np.square(removed)))
+    assert record.noise_removed_arcsec / record.marking_arcsec == pytest.approx(share, rel=4.0 / np.sqrt(800 * 9))
+    assert (record.points, record.terms, record.marking_arcsec) == (32, 10, pytest.approx(0.5))
+    np.testing.assert_array_equal(record.size_px, [star_camera.camera.width_px, star_camera.camera.height_px])

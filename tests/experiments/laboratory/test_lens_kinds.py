@@ -1,0 +1,188 @@
+"""Sensor files without a prescription: what they build, refuse and sweep; an ideal lens against closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import j0, j1
+
+from experiments.camera.settings import Config as CameraConfig
+from experiments.chromatic.settings import Config as ChromaticConfig
+from experiments.harness.config import load_config
+from experiments.harness.range import leaf_keys, parse_sweep, with_value
+from experiments.laboratory.instrument import build_instrument, configured_lens
+from experiments.laboratory.sensor_file import read_sensor
+from optics.errors import ConfigError, DomainError
+from optics.export.write import write_measured_lens
+from optics.lens.measured import measured_from_table
+from render.forward import StarRenderer
+from render.records import StarField
+
+IDEAL = """
+[instrument]
+detector = "cmv4000"
+width_px = 64
+height_px = 64
+[instrument.lens]
+kind = "ideal"
+focal_length_mm = 50.0
+f_number = 8.0
+transmission = 0.5
+"""
+MEASURED = {
+    "kind": "measured",
+    "name": "my camera",
+    "source": "a test",
+    "date": "2026-01-01",
+    "reference_wavelength_nm": 600.0,
+    "max_field_deg": 12.0,
+    "camera": {"focal_length_mm": 26.0, "principal_point_um": [20.0, -10.0], "q1_per_mm2": -1e-4},
+    "component": [{"share": 1.0, "sigma_x_um": 4.0, "sigma_y_um": 5.0}],
+    "throughput": {"aperture_mm": 18.0, "wavelength_nm": [400.0, 950.0], "transmission": [0.9, 0.9]},
+}
+
+
+@pytest.fixture
+def ideal(tmp_path):
+    (tmp_path / "ideal.toml").write_text(IDEAL)
+    return tmp_path / "ideal.toml"
+
+
+@pytest.fixture
+def measured(tmp_path):
+    write_measured_lens(measured_from_table(MEASURED, "test"), tmp_path / "my.lens.toml")
+    text = '[instrument]\nlens = "my.lens.toml"\ndetector = "cmv4000"\nwidth_px = 512\nheight_px = 512\n'
+    (tmp_path / "measured.toml").write_text(text)
+    return tmp_path / "measured.toml"
+
+
+def star(camera, direction, wavelength_nm=600.0, rate=1000.0):
+    waves = np.array([[wavelength_nm]])
+    return StarField(direction=direction, wavelength_nm=waves, photon_rate=np.full((1, 1, 1), rate), band=("b",))
+
+
+def test_ideal_lens_is_in_focus_and_scales_by_the_tangent(ideal):
+    instrument = build_instrument(load_config(CameraConfig, sensor=ideal).instrument)
+    assert instrument.camera.defocus_mm == 0.0
+    assert instrument.focal_length_mm == pytest.approx(50.0, rel=1e-12)
+    truth = StarRenderer(instrument.camera).render(star(instrument.camera, field(0.02, -0.01))).truth
+    place = np.array([31.5, 31.5]) + np.array([0.02, -0.01]) * 50.0 / 0.0055
+    found = [truth.chief_x_px[0, 0], truth.chief_y_px[0, 0]]
+    np.testing.assert_allclose(found, place, atol=1e-9)
+
+
+def field(x, y):
+    v = np.array([[x, y, 1.0]])
+    return v / np.linalg.norm(v)
+
+
+def test_electrons_by_hand(ideal):
+    instrument = build_instrument(load_config(CameraConfig, sensor=ideal).instrument)
+    truth = StarRenderer(instrument.camera, exposure_s=0.1).render(star(instrument.camera, field(0.0, 0.0))).truth
+    efficiency = float(instrument.detector.quantum_efficiency.interpolate(600.0))
+    area_mm2 = np.pi / 4.0 * (50.0 / 8.0) ** 2
+    # photons / s mm^2 x exposure x stop x transmission x quantum efficiency
+    assert truth.electrons_in[0, 0] == pytest.approx(1000.0 * 0.1 * area_mm2 * 0.5 * efficiency, rel=1e-4)
+
+
+def test_diffraction_is_the_airy_pattern_blurred_by_the_spot(ideal):
+    """Light of the central pixels against the Hankel transform of pupil, Gaussian spot and diffusion."""
+    config = load_config(CameraConfig, sensor=ideal, settings=["instrument.lens.spot_um=4"]).instrument
+    camera = replace(build_instrument(config).camera, charge_diffusion_px=0.0, diffraction="exact_waves")
+    assert camera.blur_px == pytest.approx(4.0 / np.sqrt(2.0) / 5.5)
+    image = StarRenderer(camera).render(star(camera, camera.nominal_direction([31.0], [31.0], 50.0)))
+    share = image.electrons[..., 0] / image.truth.electrons_in[0, 0]
+    cut = 1.0 / (0.6 * 8.0)  # cycles per um
+
+    def profile(r_um):
+        def part(f):
+            x = f / cut
+            pupil = 2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x * x))
+            spot = np.exp(-2.0 * (np.pi * f * 4.0 / np.sqrt(2.0)) ** 2)
+            return 2.0 * np.pi * f * pupil * spot * j0(2.0 * np.pi * f * r_um)
+
+        return quad(part, 0.0, cut, epsabs=1e-10)[0]
+
+    radii = np.linspace(0.0, 12.0, 121)
+    at = (np.arange(55) - 27) * 0.1
+    values = np.array([profile(r) for r in radii])
+    for row, column in ((31, 31), (31, 32), (32, 32)):
+        x, y = np.meshgrid(at + (column - 31) * 5.5, at + (row - 31) * 5.5)
+        expected = np.interp(np.hypot(x, y), radii, values).sum() * 0.01
+        assert share[row, column] == pytest.approx(expected, rel=4e-3), (row, column)
+
+
+def test_encircled_energy_of_the_airy_pattern(ideal):
+    """Share of the light outside a radius: J0^2 + J1^2 (Born & Wolf, sec. 8.5.2), summed over all pixels within it."""
+    camera = build_instrument(load_config(CameraConfig, sensor=ideal).instrument).camera
+    camera = replace(camera, pixel_pitch_mm=0.0004, charge_diffusion_px=0.0, diffraction="exact_waves")
+    image = StarRenderer(camera).render(star(camera, camera.nominal_direction([31.5], [31.5], 50.0)))
+    y, x = np.mgrid[:64, :64] - 31.5
+    v = np.pi * np.hypot(x, y) * 0.4 / (0.6 * 8.0)
+    for limit in (2.5, 4.5):
+        inside = v < limit
+        v_edge = limit * np.sqrt(inside.sum() * (0.4 * np.pi / 4.8) ** 2 / np.pi) / limit
+        expected = 1.0 - j0(v_edge) ** 2 - j1(v_edge) ** 2
+        share = image.electrons[..., 0][inside].sum() / image.truth.electrons_in[0, 0]
+        assert share == pytest.approx(expected, abs=3e-3)
+
+
+def test_measured_camera_puts_stars_where_its_model_says(measured):
+    instrument = build_instrument(load_config(CameraConfig, sensor=measured).instrument)
+    camera = instrument.camera
+    assert (camera.defocus_mm, camera.charge_diffusion_px) == (0.0, 0.0)
+    known = instrument.pixel_map()
+    place = camera.centre_px + camera.lens.measured.place_mm(known.direction) / camera.pixel_pitch_mm
+    np.testing.assert_allclose(known.pixel_px, place, atol=1e-9)
+    assert known.pixel_px.min() < 15.0
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("defocus_mm", 0.1), ("f_number", 4.0), ("lens_temperature_c", 40.0), ("wavefront_zernike_nm", [0, 0, 0, 50])],
+)
+def test_measured_lens_is_used_as_it_was_measured(measured, key, value):
+    with pytest.raises(DomainError, match=r"needs a prescription|was measured in its focus"):
+        build_instrument(load_config(CameraConfig, sensor=measured, settings=[f"instrument.{key}={value}"]).instrument)
+
+
+@pytest.mark.slow
+def test_chromatic_needs_glass(ideal, measured):
+    from experiments.chromatic.experiment import run
+    from experiments.harness.progress import Progress
+
+    for sensor, words in ((ideal, "ideal lens without glass"), (measured, "measured lens without surfaces")):
+        config = load_config(ChromaticConfig, sensor=sensor)
+        with pytest.raises(DomainError, match=words):
+            run(config, progress=Progress())
+
+
+def test_keys_of_the_lens_table_are_swept(ideal):
+    keys = leaf_keys(CameraConfig)
+    assert parse_sweep("instrument.lens.f_number=1.4:4:3", keys).key == "instrument.lens.f_number"
+    assert parse_sweep("f_number=1.4:4:3", keys).key == "instrument.f_number"  # the outer table's, as ever
+    config = load_config(CameraConfig, sensor=ideal)
+    lens = configured_lens(with_value(config, "instrument.lens.f_number", 4.0).instrument)
+    assert lens.surfaces[lens.stop_index].semi_diameter_mm == pytest.approx(6.25)
+    with pytest.raises(ConfigError, match="no table"):
+        with_value(CameraConfig(), "instrument.lens.f_number", 4.0)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("f_numbr = 2", r"instrument\.lens\.f_numbr.*did you mean 'f_number'"),
+        ("f_number = -1", r"instrument\.lens\.f_number = -1"),
+        ('kind = "measured"', r"instrument\.lens\.kind = 'measured'"),
+        ("spot_um = 3\npsf_fwhm_px = 2", "give one of them"),
+    ],
+)
+def test_mistakes_in_the_lens_table_are_named(tmp_path, line, words):
+    key = line.partition(" ")[0]
+    kept = [one for one in IDEAL.splitlines() if not one.startswith(key)]
+    (tmp_path / "wrong.toml").write_text("\n".join([*kept, line]))
+    with pytest.raises(ConfigError, match=words):
+        read_sensor(tmp_path / "wrong.toml")
