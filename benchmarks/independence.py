@@ -124,7 +124,7 @@ WORDS: dict[str, tuple[str, str]] = {
         "paths of their own",
     ),
     "experiments/budget": (
-        "yes: sums of the terms; the marking error is an input of both",
+        "yes: sums of the terms, where a single survey is made the marking error too",
         "the document's printed terms give its printed sums",
     ),
     "experiments/acf": (

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from importlib import import_module
+from inspect import cleandoc
 from pathlib import Path
 
 from pydantic import BaseModel
@@ -19,6 +20,7 @@ from experiments.harness.registry import found
 from experiments.harness.settings_text import about, toml_value
 from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
 from experiments.laboratory.sensor_file import SensorConfig
+from experiments.laboratory.settings import IdealLensConfig
 
 PAGE = Path(__file__).with_name("sensor_file.md")
 
@@ -67,6 +69,35 @@ are for experiments with filters, `chromatic` and `budget`. A refractive collima
     vibration_arcsec2_per_hz = [0.02, 0.01, 1e-5]
 """
 
+MEASURED = """
+Any number of it can be swept before there is a lens: `--sensor ideal.toml --sweep instrument.lens.f_number=1.4:4:6`.
+Coatings, absorption and `defocus_mm` (0 unless it is set) of `[instrument]` change nothing, or the focus alone.
+
+A lens that was **measured** is a file, `lens = "camera.lens.toml"`, with `kind = "measured"`, name, source and date, and:
+
+| table | keys |
+|---|---|
+| top | `reference_wavelength_nm`, `max_field_deg` (the half field that was measured) |
+| `[camera]` | `focal_length_mm`, `principal_point_um`, `q1_per_mm2` ... `p2_per_mm` ([distortion](conventions.md#distortion)); lateral colour: `colour_nm`, `colour_scale`, `colour_shift_um` |
+| `[psf]` | `includes_charge_diffusion` (`true`), nodes `wavelength_nm`, `x_mm`, `y_mm` |
+| `[[component]]` | Gaussians of the PSF before the pixel: `share`, `sigma_x_um`, `sigma_y_um`, `correlation`, `offset_x_um`, `offset_y_um`; a number, or a table over wavelength, row and column of the nodes |
+| `[vignetting]` | `radius_mm`, `relative_light` |
+| `[throughput]` | `aperture_mm`, `wavelength_nm`, `transmission` |
+
+A complete one stands at the head of `optics/lens/measured.py`; `optics.export.write.write_measured_lens` writes one from
+a record. It is used as it was measured: another focus, F-number, temperature or wavefront is refused, and so is what
+needs surfaces.
+
+| | ideal | measured |
+|---|---|---|
+| acf, camera, dataset, distortion, fisher, hsfe, skycal, temporal, turntable; `observe`, `SkySimulator` | yes | yes |
+| budget | yes | no: its terms come from elements that move and warm |
+| chromatic, pages of lens files | no: no glass | no |
+| scenes of Mitsuba | all | stars by `star_tracer`, without derivatives; not what traces surfaces (`path`, `ptracer`) |
+| collimator with errors | yes | no |
+"""  # noqa: E501  # rows of a table of the page are one line each
+
+
 OWN_WAYS = {
     "acf": "focal length, distortion and detector of `[instrument]`, as a Brown-Conrady model fitted to its rays",
     "skycal": "runs it as the camera `own`, to the magnitude of `[catalogue]`",
@@ -79,8 +110,20 @@ def fields(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
     yield "|---|---|---|"
     for name, field in model.model_fields.items():
         if not hasattr(field.annotation, "model_fields"):
-            default = "" if field.default is None else f"`{toml_value(field.default)}`"
+            default = "" if field.default is None or field.is_required() else f"`{toml_value(field.default)}`"
             yield f"| `{prefix}{name}` | {default} | {about(name, field)} |"
+
+
+LENS = [
+    "",
+    "## [instrument.lens]",
+    "",
+    *(line.strip() for line in cleandoc(IdealLensConfig.__doc__ or "").replace("``", "`").splitlines()),
+    "",
+    *fields(IdealLensConfig),
+    "",
+    *cleandoc(MEASURED).splitlines(),
+]
 
 
 def takers() -> Iterator[str]:
@@ -104,6 +147,7 @@ def page() -> str:
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             words = (field.annotation.__doc__ or "").strip().partition("\n\n")[0].replace("``", "`")
             lines += ["", f"## [{name}]", "", words, "", *fields(field.annotation)]
+            lines += LENS if name == "instrument" else []
     lines += ["", "## What each experiment takes", "", *takers(), "", LABORATORY, *fields(FilteredCollimatorConfig)]
     return "\n".join(lines) + "\n"
 

@@ -1,0 +1,8 @@
+"""From a folder of night frames to a twin of the camera that took them: what the camera is, and how well it is known.
+
+The frames are solved blind and measured: camera model with its order, PSF over the field and against colour, zero
+point, colour, vignetting, extinction, gain, noise, fixed pattern. The twin is a sensor file that every experiment
+without glass takes. The same attitudes are rendered with it and reduced by the same code, each frame by a twin that has
+not seen it, and every statistic stands as real | twin with its error and a verdict. Without ``--frames`` the frames are
+rendered first, by a camera that is known: then the measured parameters stand beside the truth.
+"""

@@ -1,0 +1,125 @@
+"""The frames of a folder: which files they are, when they were taken, where the mount says it pointed."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from collections import Counter
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from calib.measure.image import read_image
+from calib.records import SensorImage
+from optics.errors import ConfigError, StarbenchError
+
+__all__ = ["NightFrame", "night_frames", "pointing_of", "time_of"]
+
+SUFFIXES = frozenset((".tif", ".tiff", ".png", ".jpg", ".jpeg", ".fits", ".fit", ".fts", ".npy", ".npz"))
+PACKED = frozenset((".gz", ".bz2", ".xz"))
+MOST_FRAMES = 500
+_TIME = re.compile(r"(\d{4})-?(\d{2})-?(\d{2})[T_ -]?(\d{2})[-:_h]?(\d{2})[-:_m]?(\d{2})(\.\d+)?")
+_POINTING = re.compile(r"Alt([-+]?\d+(?:\.\d+)?).?Azi?([-+]?\d+(?:\.\d+)?)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NightFrame:
+    """A frame as its file gives it."""
+
+    name: str  # Of the file
+    image: SensorImage  # Its pixels, in steps of the converter
+    taken: datetime | None = None  # UTC
+    altitude_deg: float | None = None  # As the mount or the name of the file states it
+
+
+def night_frames(folder: str | Path) -> tuple[tuple[NightFrame, ...], tuple[str, ...]]:
+    """Frames of a folder in the order of their names, and what was left out.
+
+    All have the size of the commonest; files of another camera, links to nowhere and unreadable files are named.
+
+    Raises
+    ------
+    ConfigError
+        No folder, no frame in it, more than `MOST_FRAMES`.
+    """
+    folder = Path(folder)
+    if not os.path.isdir(folder):
+        raise ConfigError(
+            f"--frames {folder}: no such folder; a folder of TIFF, PNG, JPEG, FITS or NumPy frames is needed"
+        )
+    paths, notes = _files(folder)
+    frames = []
+    for path in paths:
+        try:
+            image = read_image(path)
+        except StarbenchError as error:
+            notes.append(f"left out: {str(error).replace(str(folder) + os.sep, '')}")
+            continue
+        pointing = pointing_of(path.name)
+        frames.append(
+            NightFrame(
+                name=path.name,
+                image=image,
+                taken=time_of(path.name) or time_of(image.conversion.taken if image.conversion else ""),
+                altitude_deg=None if pointing is None else pointing[0],
+            )
+        )
+    if not frames:
+        left = f": {'; '.join(notes)}" if notes else ""
+        raise ConfigError(f"--frames {folder}: no readable frame (TIFF, PNG, JPEG, FITS, NumPy) in it{left}")
+    kinds = Counter(_kind(one) for one in frames)
+    common, count = kinds.most_common(1)[0]
+    for kind in kinds:
+        if kind != common:
+            others = ", ".join(one.name for one in frames if _kind(one) == kind)
+            notes.append(
+                f"frames of two cameras: {others} ({kind[1]} x {kind[0]} px, steps of {kind[2]:g}) left out; "
+                f"{count} frames have {common[1]} x {common[0]} px, steps of {common[2]:g}"
+            )
+    return tuple(one for one in frames if _kind(one) == common), tuple(notes)
+
+
+def _kind(frame: NightFrame) -> tuple[int, int, float]:
+    """What frames of one camera share: rows, columns, stored numbers per DN."""
+    conversion = frame.image.conversion
+    return (*frame.image.dn.shape, conversion.step if conversion else 1.0)
+
+
+def _files(folder: Path) -> tuple[list[Path], list[str]]:
+    """Candidates by their suffix, and a note on each that is no regular file."""
+    paths, notes = [], []
+    for path in sorted(folder.iterdir()):
+        suffix = Path(path.stem).suffix if path.suffix.lower() in PACKED else path.suffix
+        if suffix.lower() not in SUFFIXES:
+            continue
+        try:
+            regular = stat.S_ISREG(path.stat().st_mode)
+        except OSError:
+            notes.append(f"left out: {path.name} is a link to nothing that can be read")
+            continue
+        if regular:
+            paths.append(path)
+        else:
+            notes.append(f"left out: {path.name} is no file")
+    if len(paths) > MOST_FRAMES:
+        raise ConfigError(f"--frames {folder}: {len(paths)} frames; at most {MOST_FRAMES} are taken at once")
+    return paths, notes
+
+
+def time_of(text: str) -> datetime | None:
+    """A time (UTC) in a name or a header: year, month, day, hour, minute, second."""
+    match = _TIME.search(text or "")
+    if match is None:
+        return None
+    whole = [int(part) for part in match.groups()[:6]]
+    try:
+        return datetime(*whole, int(float(match[7] or 0.0) * 1e6), tzinfo=UTC)  # type: ignore[misc, arg-type]
+    except ValueError:
+        return None
+
+
+def pointing_of(name: str) -> tuple[float, float] | None:
+    """Altitude and azimuth [deg] that a name states, as ``Alt40_Azi-135`` does."""
+    match = _POINTING.search(name)
+    return None if match is None else (float(match[1]), float(match[2]))

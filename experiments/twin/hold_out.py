@@ -1,0 +1,233 @@
+"""Every frame by a twin that has not seen it: cameras without one frame, rendered sets, statistics of both.
+
+Shared by all twins, and therefore seen by all: detections and identification of the frames, the order of the camera
+model, the mask of hot pixels, and what the method itself does to the zero point, to widths and residuals of bright
+stars: a rendered set is measured like the real one, and what comes out differently is taken off (forward folding;
+widths and residuals by the other frames).
+The sky of a frame (its background) and its attitude are its own: they are no property of the camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.measure.background import estimate_background
+from calib.records import SensorImage
+from experiments.harness.progress import Progress
+from experiments.twin.compare import CLIP_PX, FrameStats, frame_stats
+from experiments.twin.measure import CameraFit, Prepared, field_airmass, measure_camera, prepare
+from experiments.twin.night import field_stars, star_mask
+from experiments.twin.photometry import COLOUR_KNOTS, POGSON
+from experiments.twin.solve import Detections, detections
+from experiments.twin.twin import Assumed, Twin, TwinRenderer, as_image, build_twin
+from optics.arrays import FloatArray
+from render.engine.random import Streams
+
+__all__ = ["Bias", "HeldOut", "held_out"]
+
+BRIGHTER_MAG = 1.5
+"""Stars so much brighter than the limit tell the motion of single stars."""
+FEWEST = 8
+CLIP_MAG = 0.3
+"""Rendered stars farther off have a neighbour."""
+SKY_BOX_PX = 128
+"""The sky of a rendered frame is smooth on this scale: finer structure would carry the real frame's noise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bias:
+    """What the method makes of a rendered set, less what was put in; of every frame by the others."""
+
+    zero_point_mag: float  # Brighter than it is
+    floor_px: float  # Error per axis that it finds where there is none
+    motion_px: (
+        FloatArray  # (frames,) Motion of single stars per axis: residuals of bright stars beyond the rendered set
+    )
+    width_ln: FloatArray  # (frames,) Logarithm of the widths of bright stars, real over rendered
+
+    def off(self, fit: CameraFit, frame: int | None = None) -> CameraFit:
+        """A camera without it, for a frame or all of them."""
+        above = fit.photometry.zero_point_above_mag
+        assert above is not None
+        light = replace(
+            fit.photometry,
+            zero_point_mag=fit.photometry.zero_point_mag - self.zero_point_mag,
+            zero_point_above_mag=replace(above, value=above.value - self.zero_point_mag),
+        )
+        shape = fit.psf.value.copy()
+        shape[3:5] += self.width_ln.mean() if frame is None else self.width_ln[frame]  # of the middle part, x and y
+        return replace(fit, photometry=light, psf=replace(fit.psf, value=shape))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HeldOut:
+    """Real frames and rendered sets, reduced alike."""
+
+    fits: tuple[CameraFit, ...]  # Of each frame, without it (with it, where it is the only one)
+    twins: tuple[Twin, ...]
+    real: tuple[FrameStats, ...]
+    sets: tuple[tuple[FrameStats, ...], ...]
+    images: tuple[SensorImage, ...]  # Of the first rendered set
+    airmass: FloatArray  # (frames,)
+    bias: Bias
+
+
+def held_out(
+    known: Prepared,
+    whole: CameraFit,
+    *,
+    assumed: Assumed,
+    saturation_dn: float,
+    realisations: int,
+    streams: Streams,
+    solve: Callable[[Detections], bool],
+    progress: Progress,
+    black_level_dn: float | None = None,
+) -> HeldOut:
+    """Fit without each frame, render, reduce."""
+    frames = len(known.night)
+    mass = np.array([field_airmass(known, k, whole.camera, whole.attitudes) for k in range(frames)])
+    sky = [_sky(known, k, whole) for k in range(frames)]
+
+    def twin_of(fit: CameraFit) -> Twin:
+        return build_twin(
+            fit, assumed, name="twin", source="night frames", taken=None, saturation_dn=saturation_dn, hot=0
+        )
+
+    def rendered(
+        fit: CameraFit, twin: Twin, renderer: TwinRenderer, frame: int, motion_px: float | None, at: Streams
+    ) -> SensorImage:
+        """One frame; without scatter and motion of single stars where the latter is None."""
+        loss = fit.photometry.extinction_mag
+        electrons = renderer.electrons(
+            field_stars(known.night, frame, fit.camera, fit.attitudes[frame]),
+            sky[frame],
+            extinction_mag=0.0 if loss is None else loss.value,
+            scatter_mag=0.0 if motion_px is None else _scatter_of(fit, frame, mass),
+            motion_px=motion_px or 0.0,
+            rng=at.generator("stars", frame),
+        )
+        image = as_image(twin, electrons, at, frame, known.night.frames[frame].image.noise)
+        return replace(image, valid=~known.hot)
+
+    with progress.stage("forward folding"):
+        twin = twin_of(whole)
+        renderer = TwinRenderer(twin)
+        first = [rendered(whole, twin, renderer, k, None, streams.child("fold")) for k in range(frames)]
+        bias = _bias(known, whole, twin, first, black_level_dn)
+    fits: list[CameraFit] = []
+    for k in progress.track(range(frames), "cameras without one frame", total=frames):
+        used = [other for other in range(frames) if other != k] or [k]
+        one = measure_camera(known, order=whole.order, used=used, black_level_dn=black_level_dn, near=whole)
+        fits.append(one)
+    twins = [twin_of(bias.off(one, k)) for k, one in enumerate(fits)]
+    renderers = [TwinRenderer(one) for one in twins]
+    with progress.stage("real and rendered frames", total=frames * (realisations + 1)) as stage:
+        real = []
+        for k in range(frames):
+            real.append(frame_stats(known, k, known.night.frames[k].image, fits[k], solve))
+            stage.advance()
+        sets, images = [], []
+        for number in range(realisations):
+            at, out = streams.child(f"set {number}"), []
+            for k in range(frames):
+                image = rendered(fits[k], twins[k], renderers[k], k, float(bias.motion_px[k]), at)
+                if not number:
+                    images.append(image)
+                out.append(frame_stats(known, k, image, fits[k], solve))
+                stage.advance()
+            sets.append(tuple(out))
+    return HeldOut(
+        fits=tuple(fits),
+        twins=tuple(twins),
+        real=tuple(real),
+        sets=tuple(sets),
+        images=tuple(images),
+        airmass=mass,
+        bias=bias,
+    )
+
+
+def _sky(known: Prepared, frame: int, fit: CameraFit) -> FloatArray:
+    """Light of the sky (h, w) [e-] of a frame, its stars left out."""
+    one = known.night.frames[frame]
+    stars = field_stars(known.night, frame, fit.camera, fit.attitudes[frame])
+    masked: NDArray[np.bool_] = star_mask(one.image, stars, one.seen, known.hot, known.width_px)
+    box = min(SKY_BOX_PX, *(n // 2 for n in one.image.dn.shape))
+    found = estimate_background(one.image, box_px=box, exclude=masked & one.image.valid)
+    return np.maximum(found.level_image(), 0.0)
+
+
+def _scatter_of(fit: CameraFit, frame: int, airmass: FloatArray) -> float:
+    """Scatter of a frame's stars [mag], by the other frames: linear in airmass if that is known."""
+    used = np.array(fit.used)
+    scatter, mass = fit.photometry.scatter_mag[used], airmass[used]
+    if np.isfinite(airmass).all() and len(used) >= 4 and np.ptp(mass) > 0.1:
+        return float(np.clip(np.polyval(np.polyfit(mass, scatter, 1), airmass[frame]), 0.0, 1.0))
+    return float(np.mean(scatter))
+
+
+def _bias(
+    known: Prepared, whole: CameraFit, twin: Twin, images: Sequence[SensorImage], black_level_dn: float | None
+) -> Bias:
+    """Measure a rendered set like the real one."""
+    frames = tuple(
+        replace(one, image=image, seen=detections(image)) for one, image in zip(known.night.frames, images, strict=True)
+    )
+    night = replace(known.night, frames=frames)
+    again = prepare(night, whole.calibration, known.hot, attitudes=whole.attitudes)
+    again = replace(again, limit_mag=known.limit_mag, width_px=known.width_px)
+    made = measure_camera(again, order=whole.order, used=whole.used, black_level_dn=black_level_dn, near=whole)
+    numbers = range(len(frames))
+    squares = np.array([[_bright_square(one, known.limit_mag, k) for k in numbers] for one in (whole, made)])
+    widths = np.array([[_bright_width(one, known.limit_mag, k) for k in numbers] for one in (whole, made)])
+    return Bias(
+        zero_point_mag=_brighter(known, whole, twin, made),
+        floor_px=made.floor_px,
+        motion_px=np.sqrt(np.maximum(squares[0] - squares[1], 0.0)),
+        width_ln=np.clip(np.nan_to_num(np.log(widths[0] / widths[1])), -0.2, 0.2),
+    )
+
+
+def _brighter(known: Prepared, whole: CameraFit, twin: Twin, made: CameraFit) -> float:
+    """By how much rendered stars are measured brighter than they are [mag], mean of those that are not clipped."""
+    light, stars = whole.photometry, made.fluxes
+    above, loss = light.zero_point_above_mag, light.extinction_mag
+    assert above is not None
+    zero = np.full(len(known.night), above.value)
+    if loss is not None:
+        frames = range(len(known.night))
+        zero = zero - loss.value * np.array([field_airmass(known, k, whole.camera, whole.attitudes) for k in frames])
+    response = np.interp(stars.colour, COLOUR_KNOTS, twin.response_mag)
+    true = zero[stars.frame] + response - light.loss_at(stars.u2) - stars.magnitude
+    good = stars.flux_e > 3.0 * stars.error_e
+    off = POGSON * np.log(stars.flux_e[good]) - true[good]
+    weight = 1.0 / (
+        (POGSON * stars.error_e[good] / stars.flux_e[good]) ** 2 + light.scatter_mag[stars.frame[good]] ** 2 + 1e-6
+    )
+    near = np.abs(off - np.median(off)) < CLIP_MAG
+    return float(np.average(off[near], weights=weight[near]))
+
+
+def _bright_width(fit: CameraFit, limit_mag: float, without: int) -> float:
+    """Median width [px] of the Gaussian fits of bright stars in all frames but one."""
+    stars = fit.gaussian
+    good = (stars.magnitude < limit_mag - BRIGHTER_MAG) & np.isfinite(stars.width_px)
+    others = good & (stars.observations.frame != without)
+    good = others if others.sum() >= FEWEST else good
+    return float(np.median(stars.width_px[good])) if good.sum() >= FEWEST else 1.0
+
+
+def _bright_square(fit: CameraFit, limit_mag: float, without: int) -> float:
+    """Mean squared residual per axis [px^2] of Gaussian fits of bright stars in all frames but one."""
+    stars = fit.gaussian.observations
+    turn = fit.attitudes.as_matrix()[stars.frame]
+    left = stars.pixel_px - fit.camera.project(np.einsum("nij,nj->ni", turn, stars.direction))
+    good = (fit.gaussian.magnitude < limit_mag - BRIGHTER_MAG) & (np.linalg.norm(left, axis=1) < CLIP_PX)
+    others = good & (stars.frame != without)
+    good = others if others.sum() >= FEWEST else good  # a single frame has no others
+    return float((left[good] ** 2).mean()) if good.sum() >= FEWEST else 0.0

@@ -1,0 +1,122 @@
+"""What the twin is made from: a folder of frames, and what is known of the camera and its place beforehand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, field_validator
+
+from experiments.harness.cli import command
+from experiments.harness.config import ExperimentConfig, FileName, FolderName, StrictModel
+from experiments.harness.experiment import Experiment
+
+__all__ = ["CameraConfig", "Config", "NightConfig", "SiteConfig", "experiment", "main"]
+
+OrderName = Literal["pinhole", "radial_1", "radial_2", "brown_conrady", "polynomial_3"]
+
+
+class CameraConfig(StrictModel):
+    """What is known of the camera; frames alone tell angles in pixels, not lengths."""
+
+    name: str = Field(default="", description="what reports call it; left out: the folder")
+    field_deg: float | None = Field(
+        default=None, gt=0.5, le=120, description="width of the field, roughly; left out: searched"
+    )
+    pixel_pitch_um: float | None = Field(default=None, ge=0.1, le=1000, description="pixel pitch, binning included")
+    focal_length_mm: float | None = Field(
+        default=None, gt=0, le=1e5, description="focal length, of which the pixel pitch follows where that is left out"
+    )
+    aperture_mm: float | None = Field(
+        default=None, gt=0, le=1e4, description="entrance pupil; left out: as small as the light allows"
+    )
+    exposure_s: float | None = Field(
+        default=None, gt=0, le=1e4, description="exposure time; left out: that of the files, or 1 s"
+    )
+    black_level_dn: float | None = Field(
+        default=None, ge=0, le=65535, description="level without light; left out: an interval for the read noise"
+    )
+
+
+class SiteConfig(StrictModel):
+    """Where the frames were taken; with their times it tells the zenith."""
+
+    latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="north positive")
+    longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="east positive")
+    refraction_arcsec: float = Field(
+        default=58.3, ge=0, le=120, description="refraction over tan z; 58.3 at sea level, 0 in space"
+    )
+
+
+class NightConfig(StrictModel):
+    """The frames that are rendered where no folder is given: by a camera that is known."""
+
+    lens: FileName = Field(default="star_tracker_26mm", description="lens")
+    detector: FileName = Field(default="cmv4000", description="detector")
+    width_px: int = Field(default=896, ge=256, le=4096, description="columns read out")
+    height_px: int = Field(default=768, ge=256, le=4096, description="rows read out")
+    exposure_s: float = Field(default=0.5, gt=0, le=100, description="exposure time")
+    frames: int = Field(default=6, ge=2, le=50, description="how many, in attitudes at random")
+    darkest_e_per_s: float = Field(default=300.0, ge=0, le=1e6, description="background of the first frame")
+    brightest_e_per_s: float = Field(default=7000.0, ge=0, le=1e6, description="background of the last frame")
+
+
+class Config(ExperimentConfig):
+    """Frames, what is known beforehand, how much is rendered."""
+
+    frames: FolderName = Field(default="", description="folder of frames; empty: rendered by a camera that is known")
+    camera: CameraConfig = CameraConfig()
+    site: SiteConfig = SiteConfig()
+    orders: tuple[OrderName, ...] = Field(
+        default=("pinhole", "radial_1", "radial_2", "brown_conrady", "polynomial_3"),
+        min_length=1,
+        max_length=5,
+        description="camera models that are tried, the simplest first",
+    )
+    realisations: int = Field(default=5, ge=2, le=100, description="sets of frames that the twin renders")
+    night: NightConfig = NightConfig()
+
+    @field_validator("orders")
+    @classmethod
+    def _once(cls, values: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(values)) < len(values):
+            raise ValueError("a camera model is named twice")
+        return values
+
+    @classmethod
+    def of_sensor(cls, file: Path) -> dict[str, Any]:
+        """What a sensor file says of the camera before its frames are looked at: pitch, exposure, aperture's stop."""
+        from experiments.laboratory.sensor_file import whole_sensor
+        from render.detector.spec import load_detector
+
+        instrument = whole_sensor(file)["instrument"]
+        chip = load_detector(instrument["detector"])
+        return {
+            "camera": {"pixel_pitch_um": chip.pixel_pitch_mm * 1e3, "exposure_s": instrument["exposure_s"]},
+        }
+
+
+experiment = Experiment(
+    name="twin",
+    config=Config,
+    run="run:run",
+    sections="run:SECTIONS",
+    axes="run:axes",
+    takes="3 min for 8 frames of 1 Mpx (--quick: 40 s)",
+    examples={
+        "--frames my_night --set camera.pixel_pitch_um=6.9": "the twin of the camera that took these frames",
+        "--quick": "four rendered frames of a camera that is known",
+    },
+    options={"frames": ("frames", "Folder of night frames: TIFF, PNG, JPEG, FITS, NumPy.")},
+    show=("camera", "comparison"),
+    judged="twin",
+    files="run:files",
+    quick={
+        "night.frames": 4,
+        "night.width_px": 704,
+        "night.height_px": 640,
+        "realisations": 2,
+        "orders": ["pinhole", "radial_1", "radial_2"],
+    },
+)
+main = command(experiment)

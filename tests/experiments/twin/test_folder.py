@@ -1,0 +1,81 @@
+"""Which files of a folder are frames, and what becomes of a folder that holds none that helps."""
+
+from __future__ import annotations
+
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from experiments.harness.progress import Progress
+from experiments.twin.folder import night_frames, pointing_of, time_of
+from experiments.twin.road import reduce_night
+from experiments.twin.settings import Config
+from optics.errors import ConfigError, DomainError
+
+REAL = Path(__file__).parents[3].parent / "shared" / "real"
+NAME = "2019-07-29T204726_Alt40_Azi-135_Try1.tiff"
+
+
+def save(path, image):
+    Image.fromarray(image.astype(np.uint16)).save(path)
+
+
+def test_time_and_pointing_of_a_name():
+    assert time_of(NAME) == datetime(2019, 7, 29, 20, 47, 26, tzinfo=UTC)
+    assert pointing_of(NAME) == (40.0, -135.0)
+    assert time_of("IMG_0001.tiff") is None
+    assert time_of("20191399T996199") is None
+
+
+def test_another_camera_and_dead_links_are_named(tmp_path):
+    rng = np.random.default_rng(1)
+    for k in range(2):
+        save(tmp_path / f"a{k}.tiff", 100 + rng.integers(0, 50, (64, 96)))
+    save(tmp_path / "other.tiff", 100 + rng.integers(0, 50, (64, 64)))
+    (tmp_path / "gone.png").symlink_to(tmp_path / "nothing.png")
+    (tmp_path / "bad.fits").write_bytes(b"no image")
+    (tmp_path / "notes.txt").write_text("not a frame")
+    frames, notes = night_frames(tmp_path)
+    assert [one.name for one in frames] == ["a0.tiff", "a1.tiff"]
+    words = "\n".join(notes)
+    assert "frames of two cameras: other.tiff (64 x 64 px" in words
+    assert "gone.png is a link to nothing" in words
+    assert "bad.fits" in words
+    assert str(tmp_path) + os.sep not in words
+
+
+def test_folders_without_frames_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="no such folder"):
+        night_frames(tmp_path / "none")
+    with pytest.raises(ConfigError, match="no readable frame"):
+        night_frames(tmp_path)
+
+
+@pytest.mark.parametrize(("level", "words"), [(300, "no stars"), (50000, "daylight")])
+def test_frames_without_stars_are_told(tmp_path, level, words):
+    rng = np.random.default_rng(1)
+    for k in range(2):
+        save(tmp_path / f"a{k}.tiff", rng.poisson(level, (256, 256)))
+    frames, _ = night_frames(tmp_path)
+    with pytest.raises(DomainError, match=words):
+        reduce_night(frames, Config(camera={"field_deg": 11.0}), Progress())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not REAL.is_dir(), reason="the frames are not part of the project")
+def test_a_real_camera():
+    frames, _ = night_frames(REAL)
+    config = Config(camera={"field_deg": 11.4, "pixel_pitch_um": 6.9}, orders=("pinhole", "radial_1"))
+    reduced, _ = reduce_night(frames, config, Progress())
+    assert len(reduced.rows) == 8
+    noise = reduced.whole.noise
+    assert noise.gain_e_per_dn.value == pytest.approx(2.739, rel=0.03)
+    assert reduced.whole.order == "radial_1"
+    assert reduced.whole.camera.value("focal_length_mm") == pytest.approx(35.30, abs=0.03)
+    assert reduced.zenith is not None
+    assert reduced.zenith.latitude_deg == pytest.approx(52.0, abs=0.2)
+    assert reduced.whole.photometry.extinction_mag.value == pytest.approx(0.32, abs=0.08)

@@ -1,0 +1,160 @@
+"""What the sky tells of a camera, against numbers that were put in: noise, PSF, light, zenith, refraction."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import erfa
+import numpy as np
+import pytest
+
+from experiments.twin.camera import fit_refraction, fit_zenith, refracted, zenith_of
+from experiments.twin.noise import blocks_of, fit_noise
+from experiments.twin.photometry import COLOUR_KNOTS, fit_photometry
+from experiments.twin.psf import PsfModel, StarSample, fit_psf
+from optics.errors import DomainError
+
+GAIN_E_PER_DN, READ_E, DSNU_DN, PRNU = 2.5, 4.0, 1.2, 0.01
+
+
+def sky_frames(levels_dn, *, shape=(256, 320), black_dn=0.0, seed=3):
+    """Flat skies with a slope, read out by a detector of known noise, rounded to whole DN."""
+    rng = np.random.default_rng(seed)
+    offset, response = DSNU_DN * rng.standard_normal(shape), 1.0 + PRNU * rng.standard_normal(shape)
+    slope = np.linspace(0.9, 1.1, shape[1])
+    frames = []
+    for level in levels_dn:
+        electrons = rng.poisson(level * GAIN_E_PER_DN * slope * response) + READ_E * rng.standard_normal(shape)
+        frames.append(np.rint(electrons / GAIN_E_PER_DN + offset + black_dn))
+    return frames
+
+
+def measured(frames, **options):
+    nothing = np.zeros(frames[0].shape, bool)
+    return fit_noise([blocks_of(one, nothing) for one in frames], lowest_dn=100.0, **options)
+
+
+def test_noise_of_the_sky_gives_the_gain_and_the_pattern_within_their_errors():
+    found = measured(sky_frames(np.geomspace(120.0, 900.0, 6)))
+    for value, true in (
+        (found.gain_e_per_dn, GAIN_E_PER_DN),
+        (found.prnu_fraction, PRNU),
+        (found.dsnu_dn, DSNU_DN),
+    ):
+        assert abs(value.value - true) < 4.0 * value.uncertainty
+        assert value.uncertainty < 0.15 * true
+    low, high = found.read_noise_e
+    assert low < high  # the black level is not told by such frames
+    assert abs(low**2 - READ_E**2) < 4.0 * found.intercept_dn2.uncertainty * GAIN_E_PER_DN**2
+    np.testing.assert_allclose(found.correlation, 0.0, atol=0.01)
+    assert found.averaging[0] == pytest.approx(1.0, abs=0.03)
+
+
+def test_pattern_left_in_would_make_the_gain_wrong():
+    levels = np.geomspace(120.0, 900.0, 6)
+    with_pattern = measured(sky_frames(levels)).gain_e_per_dn.value
+    alone = [measured([one]).gain_e_per_dn.value for one in sky_frames(levels)[-2:]]  # one frame tells no pattern
+    assert min(alone) < 0.97 * with_pattern or max(alone) < 0.97 * with_pattern
+
+
+def test_a_stated_black_level_makes_the_read_noise_a_number():
+    found = measured(sky_frames(np.geomspace(120.0, 900.0, 5), black_dn=60.0), black_level_dn=60.0)
+    assert found.read_noise_e[0] == found.read_noise_e[1]
+    assert abs(found.gain_e_per_dn.value - GAIN_E_PER_DN) < 4.0 * found.gain_e_per_dn.uncertainty
+
+
+def test_frames_of_one_level_tell_no_gain():
+    flat = [np.full((256, 256), 100.0) + np.random.default_rng(k).standard_normal((256, 256)) for k in range(2)]
+    with pytest.raises(DomainError, match="no gain can be told"):
+        measured(flat)
+
+
+@pytest.mark.slow
+def test_psf_comes_back_from_stars_at_known_places():
+    rng, count, size = np.random.default_rng(5), 320, 11
+    truth = np.zeros(18)
+    truth[:6] = [0.12, 0.14, np.log(0.15), np.log(0.62), np.log(0.72), np.log(2.0)]
+    truth[6:8], truth[12:15] = 0.2, [-0.05, 0.03, 0.08]
+    model = PsfModel(size_px=(1024, 768), value=truth, covariance=np.zeros((18, 18)), chi2=1.0, stars=count)
+    place = rng.uniform(20, [1003, 747], (count, 2))
+    colour = rng.integers(0, 4, count)
+    offset = rng.uniform(-0.5, 0.5, (count, 2))
+    flux = 10.0 ** rng.uniform(3.2, 4.2, count)
+    expected = 150.0 + flux[:, None, None] * model.draw(offset, place, colour, size)
+    sample = StarSample(
+        dn=rng.poisson(expected).astype(float),
+        offset_px=offset,
+        place_px=place,
+        colour=colour,
+        frame=np.zeros(count, np.int64),
+        star=np.arange(count),
+        valid=np.ones((count, size, size), bool),
+    )
+    found = fit_psf(sample, (1024, 768), noise_dn2=(0.1, 1.0), width_px=0.65)
+    assert found.chi2 == pytest.approx(1.0, abs=0.05)
+    pull = (found.value - truth)[[3, 4, 6, 7, 12, 13, 14]] / np.sqrt(np.diag(found.covariance))[
+        [3, 4, 6, 7, 12, 13, 14]
+    ]
+    assert np.abs(pull).max() < 4.0
+    middle = np.array([[511.5, 383.5]])
+    true_light = model.draw(np.zeros((1, 2)), middle, np.array([1]), 3).sum()
+    assert found.draw(np.zeros((1, 2)), middle, np.array([1]), 3).sum() == pytest.approx(true_light, rel=0.01)
+
+
+def test_light_gives_zero_points_colour_vignetting_and_extinction():
+    rng, count, frames = np.random.default_rng(7), 900, 6
+    magnitude, colour = rng.uniform(4.0, 7.5, count), rng.uniform(0.45, 1.85, count)
+    u2, frame = rng.uniform(0.0, 1.0, count), rng.integers(0, frames, count)
+    mass = np.array([1.1, 1.15, 1.2, 1.5, 1.55, 1.6])
+    term = np.interp(colour, COLOUR_KNOTS, [0.1, 0.08, 0.05, 0.0, -0.07, -0.15, -0.4])
+    brightness = 15.2 - 0.3 * mass[frame] + term - 0.4 * u2 - 0.08 * u2**2
+    flux = 10.0 ** (-0.4 * (magnitude - brightness + 0.06 * rng.standard_normal(count)))
+    error = 0.01 * flux
+    found = fit_photometry(
+        magnitude=magnitude,
+        colour=colour,
+        u2=u2,
+        frame=frame,
+        frames=frames,
+        flux_e=flux,
+        flux_error_e=error,
+        airmass=mass,
+    )
+    assert found.extinction_mag is not None
+    assert abs(found.extinction_mag.value - 0.3) < 4.0 * found.extinction_mag.uncertainty
+    assert abs(found.zero_point_above_mag.value - 15.2) < 4.0 * found.zero_point_above_mag.uncertainty
+    np.testing.assert_allclose(found.scatter_mag, 0.06, rtol=0.25)
+    assert abs(found.loss_at(np.ones(1))[0] - 0.48) < 4.0 * found.loss_error_at(1.0)
+    np.testing.assert_allclose(found.colour_mag, [0.1, 0.08, 0.05, 0.0, -0.07, -0.15, -0.4], atol=0.05)
+
+
+def test_site_by_the_altitudes_of_the_boresights():
+    taken = [datetime(2019, 7, 29, 20, 47, 26 + k, tzinfo=UTC) for k in range(6)]
+    zenith = zenith_of(52.1, 4.4, taken)
+    rng = np.random.default_rng(2)
+    around = rng.standard_normal((6, 3))
+    side = np.cross(zenith, around)
+    side /= np.linalg.norm(side, axis=1)[:, None]
+    altitude = np.radians([40, 40, 60, 60, 50, 45.0])
+    boresight = np.sin(altitude)[:, None] * zenith + np.cos(altitude)[:, None] * side
+    found = fit_zenith(boresight, np.degrees(altitude) - 1.2, taken)
+    assert found is not None
+    np.testing.assert_allclose([found.latitude_deg, found.longitude_deg, found.offset_deg], [52.1, 4.4, 1.2], atol=1e-6)
+    assert fit_zenith(boresight[:3], np.degrees(altitude[:3]), taken[:3]) is None
+
+
+def test_refraction_is_that_of_erfa():
+    a, b = erfa.refco(1010.0, 10.0, 0.0, 0.6)
+    for altitude in (35.0, 50.0, 70.0):
+        z = np.radians(90.0 - altitude)
+        direction = np.array([[np.sin(z), 0.0, np.cos(z)]])
+        lifted = refracted(direction, np.array([0.0, 0.0, 1.0]), 58.3)
+        angle = np.degrees(np.arccos(lifted[0] @ direction[0])) * 3600.0
+        assert angle == pytest.approx(np.degrees(a * np.tan(z) + b * np.tan(z) ** 3) * 3600.0, rel=0.01)
+        assert lifted[0, 2] > direction[0, 2]
+
+
+def test_the_least_chi_square_tells_the_amplitude():
+    value, error = fit_refraction([20.0, 58.0, 90.0], [1000 + 0.1 * (x - 45.0) ** 2 for x in (20.0, 58.0, 90.0)], 1000)
+    assert value == pytest.approx(45.0)
+    assert error == pytest.approx(np.sqrt(1.0 / 0.1))
