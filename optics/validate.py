@@ -292,7 +292,8 @@ def _owners(model_class: type[BaseModel], location: Location) -> list[type[BaseM
 def _is_tag(owners: list[type[BaseModel]], step: int | str) -> bool:
     """Whether a step of a location is the ``kind`` of a model that stands beside other types, which is no key."""
     kinds = [owner.model_fields["kind"].default for owner in owners if "kind" in owner.model_fields]
-    return step in kinds
+    is_key = len(owners) == 1 and step in owners[0].model_fields  # a model's only kind may be called as one of its keys
+    return step in kinds and not is_key
 
 
 def _without_tags(model_class: type[BaseModel], location: Location) -> list[int | str]:

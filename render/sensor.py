@@ -275,7 +275,7 @@ def load_star_sensor(
     --------
     >>> sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=1024)
     >>> print(f"{sensor.pixel_arcsec:.1f} arcsec per pixel, {sensor.field_deg[0]:.1f} deg")
-    44.3 arcsec per pixel, 12.6 deg
+    44.3 arcsec per pixel, 12.5 deg
     """
     chosen = lens if isinstance(lens, LensSystem) else load_lens(lens)
     chip = detector if isinstance(detector, Detector) else load_detector(detector)

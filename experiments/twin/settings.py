@@ -99,9 +99,9 @@ class Config(ExperimentConfig):
 experiment = Experiment(
     name="twin",
     config=Config,
-    run="run:run",
-    sections="run:SECTIONS",
-    axes="run:axes",
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    axes="experiment:axes",
     takes="3 min for 8 frames of 1 Mpx (--quick: 40 s)",
     examples={
         "--frames my_night --set camera.pixel_pitch_um=6.9": "the twin of the camera that took these frames",
@@ -110,7 +110,7 @@ experiment = Experiment(
     options={"frames": ("frames", "Folder of night frames: TIFF, PNG, JPEG, FITS, NumPy.")},
     show=("camera", "comparison"),
     judged="twin",
-    files="run:files",
+    files="experiment:files",
     quick={
         "night.frames": 4,
         "night.width_px": 704,

@@ -15,6 +15,7 @@ from experiments.harness.config import load_config
 from experiments.harness.registry import found
 from experiments.laboratory.sensor_file import SensorConfig
 from optics.errors import ConfigError
+from optics.rays.paraxial import axial_paraxial
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "triplet_50mm" / "sensor.toml"
 WITHOUT_SENSOR = {"cube"}
@@ -80,7 +81,8 @@ def test_a_strangers_sensor_is_the_instrument_of_every_experiment(name):
 
     config = load_config(config_class(name), sensor=EXAMPLE)
     instrument = build_instrument(config.instrument)
-    assert instrument.focal_length_mm == pytest.approx(50.0, rel=1e-3)
+    lens = instrument.camera.lens
+    assert axial_paraxial(lens, lens.design_wavelength_nm).efl_mm == pytest.approx(50.0, rel=1e-3)
     assert (instrument.camera.width_px, instrument.camera.height_px) == (2048, 2048)
     assert config.passband.range_nm == (450.0, 850.0)
 
