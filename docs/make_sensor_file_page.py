@@ -100,6 +100,7 @@ needs surfaces.
 
 OWN_WAYS = {
     "acf": "focal length, distortion and detector of `[instrument]`, as a Brown-Conrady model fitted to its rays",
+    "twin": "pixel pitch of the detector and exposure time of `[instrument]`: what is known before the frames are read",
     "skycal": "runs it as the camera `own`, to the magnitude of `[catalogue]`",
 }
 

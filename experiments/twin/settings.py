@@ -10,6 +10,7 @@ from pydantic import Field, field_validator
 from experiments.harness.cli import command
 from experiments.harness.config import ExperimentConfig, FileName, FolderName, StrictModel
 from experiments.harness.experiment import Experiment
+from optics.validate import parse_model
 
 __all__ = ["CameraConfig", "Config", "NightConfig", "SiteConfig", "experiment", "main"]
 
@@ -85,15 +86,19 @@ class Config(ExperimentConfig):
 
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
-        """What a sensor file says of the camera before its frames are looked at: pitch, exposure, aperture's stop."""
+        """What a sensor file says of the camera before its frames are read: pixel pitch and exposure time."""
         from experiments.laboratory.sensor_file import whole_sensor
         from render.detector.spec import load_detector
 
         instrument = whole_sensor(file)["instrument"]
         chip = load_detector(instrument["detector"])
-        return {
-            "camera": {"pixel_pitch_um": chip.pixel_pitch_mm * 1e3, "exposure_s": instrument["exposure_s"]},
-        }
+        return {"camera": {"pixel_pitch_um": chip.pixel_pitch_mm * 1e3, "exposure_s": instrument["exposure_s"]}}
+
+    def as_sensor(self, file: Path | None) -> StrictModel | None:
+        """The sensor file that was given; the twin's own is written by a run."""
+        from experiments.laboratory.sensor_file import SensorConfig, read_sensor
+
+        return None if file is None else parse_model(SensorConfig, read_sensor(file), str(file))
 
 
 experiment = Experiment(
@@ -102,7 +107,7 @@ experiment = Experiment(
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",
-    takes="3 min for 8 frames of 1 Mpx (--quick: 40 s)",
+    takes="3 min (--quick: 40 s)",
     examples={
         "--frames my_night --set camera.pixel_pitch_um=6.9": "the twin of the camera that took these frames",
         "--quick": "four rendered frames of a camera that is known",

@@ -19,7 +19,7 @@ from optics.rays.paraxial import axial_paraxial
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "triplet_50mm" / "sensor.toml"
 WITHOUT_SENSOR = {"cube"}
-OF_ONE_CAMERA = [name for name in found() if name not in {*WITHOUT_SENSOR, "acf", "skycal"}]
+OF_ONE_CAMERA = [name for name in found() if name not in {*WITHOUT_SENSOR, "acf", "skycal", "twin"}]
 
 
 def config_class(name):
