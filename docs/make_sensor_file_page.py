@@ -1,10 +1,11 @@
-"""The page of the sensor file: makes docs/sensor_file.md from the model of the configuration.
+"""Pages of the sensor file and the detector file: docs/sensor_file.md, docs/detector_file.md from their models.
 
 python docs/make_sensor_file_page.py
 """
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator
 from importlib import import_module
@@ -21,8 +22,10 @@ from experiments.harness.settings_text import about, toml_value
 from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
 from experiments.laboratory.sensor_file import SensorConfig
 from experiments.laboratory.settings import IdealLensConfig
+from render.detector.spec import UNSAID, DarkTable, DetectorFile, ResponseTable, list_detectors, load_detector
 
 PAGE = Path(__file__).with_name("sensor_file.md")
+DETECTOR_PAGE = Path(__file__).with_name("detector_file.md")
 
 HEAD = """# Sensor file
 
@@ -153,5 +156,135 @@ def page() -> str:
     return "\n".join(lines) + "\n"
 
 
+DETECTOR_HEAD = """# Detector files
+
+<!-- made by docs/make_sensor_file_page.py from the model of the file; change that -->
+
+A detector is a TOML file, typed in from its data sheet. `load_detector("my_chip.toml")` reads it,
+`instrument.detector = "my_chip.toml"` of a [sensor file](sensor_file.md) gives it to every experiment.
+Definitions are those of EMVA 1288; [theory](theory/detector.md) says in which order they act.
+
+A whole file, from an EMVA 1288 data sheet of a camera:
+
+```toml
+name = "my chip"
+source = "maker, type, data sheet, issue, page"
+assumed = ["dark_current_e_per_s", "dark_reference_c"]   # the sheet does not give these
+
+chip_width_px = 1920
+chip_height_px = 1200
+pixel_pitch_um = 5.86
+
+full_well_e = 32691.0          # "saturation capacity"
+read_noise_e = 6.83            # "temporal dark noise"
+gain_dn_per_e = 0.1225         # the sheet says 0.51 e-/DN of 16 bits: 1 / (16 * 0.51) for the 12 bits of the converter
+adc_bits = 12
+
+dark_current_e_per_s = 10.0
+dark_reference_c = 25.0
+
+[quantum_efficiency]
+source = "curve of the sheet, read off"
+file = "qe.csv"                # or two lists: wavelength_nm = [400, ...], value = [0.28, ...]
+```
+
+* A misspelt key is an error with the nearest name; required keys that are missing are named.
+* `base = "cmv4000"` at the head takes from another detector what the file does not say.
+* **Nothing is inherited silently**: what came from the base, was left out, or is `assumed` stands in every report; of a
+  file of your own also on the terminal. `load_detector(...).remarks()` in Python.
+* A converter that ends below half the full well is said there too: `gain_dn_per_e` is too high for `adc_bits`.
+* Curves are CSV files beside the file, with or without a header line: `wavelength_nm, quantum_efficiency` (or
+  `quantum_efficiency_percent`), `temperature_c, e_per_s`. Quantum efficiencies include the fill factor. From a
+  responsivity in A/W: QE = R h c / (e wavelength) = 1239.84 R / wavelength in nm.
+* Dark current over temperature is `dark_current_e_per_s` at `dark_reference_c`, doubling every `dark_doubling_c`; or a
+  table `[dark_current]` in the place of the first and last: its logarithm is linear in 1/T between the points, and
+  temperatures outside it are refused. In nA/cm2: e-/s = 62.4 x nA/cm2 x (pitch in um)^2.
+
+## Keys
+
+A key without a default is required.
+
+"""
+
+SHEET = {
+    "base": "",
+    "name": "",
+    "source": "data sheet, issue, page",
+    "assumed": "what it does not give",
+    "chip_width_px": "active (not total) pixels",
+    "chip_height_px": "active (not total) pixels",
+    "chips": "",
+    "gap_px": "mosaics: spacing of the active areas over the pitch, less their size",
+    "pixel_pitch_um": "pixel size",
+    "full_well_e": "full well charge; EMVA: saturation capacity; volts over conversion gain in uV/e-",
+    "read_noise_e": "temporal (dark) noise at the gain that is used",
+    "read_noise_spread": "rarely given; CMOS about 0.1 to 0.3 (noise histogram)",
+    "gain_dn_per_e": "conversion gain in LSB/e-, of the same bits as `adc_bits`; EMVA's K; 1 over e-/DN",
+    "adc_bits": "resolution of the converter, not of the file",
+    "offset_dn": "a register; black level",
+    "nonlinearity": "EMVA: linearity error",
+    "dark_current_e_per_s": "dark current, typical, beginning of life",
+    "dark_reference_c": "temperature it holds at: of the die, not the ambient",
+    "dark_doubling_c": "doubling temperature; 5 to 8 K for silicon, 6.5 in the CMV sheets",
+    "dark_spread_e_per_s": "DSNU in e-/s or LSB/s over the gain",
+    "hot_fraction": "grade of defects: hot pixels over all",
+    "hot_dark_e_per_s": "their limit",
+    "dead_fraction": "grade of defects: dead pixels over all",
+    "prnu": "PRNU as a standard deviation, not peak to peak",
+    "dsnu_e": "fixed pattern noise in e-, rms; EMVA: DSNU_1288",
+    "column_pattern_e": "column fixed pattern noise",
+    "diffusion_sigma_um": "from the MTF at Nyquist over 2/pi: exp(-2 pi^2 sigma^2 f^2)",
+    "crosstalk_horizontal": "crosstalk",
+    "crosstalk_vertical": "crosstalk",
+    "crosstalk_diagonal": "crosstalk",
+    "blooming": "1 without, 0 with anti-blooming drain",
+    "lag": "image lag",
+    "transfer_line_us": "frame-transfer CCD: vertical clock period",
+    "damage_centres_per_px": "tests of radiation",
+    "damage_dark_e_per_s": "tests of radiation",
+    "damage_known_e_per_s": "",
+    "sensor_seed": "",
+}
+"""Where a data sheet gives a key."""
+
+
+def detector_page() -> str:
+    """The page of the detector file as text."""
+    models = {"quantum_efficiency": ResponseTable, "dark_current": DarkTable}
+    lines = [DETECTOR_HEAD + "| key | default | meaning | where a data sheet gives it |", "|---|---|---|---|"]
+    for name, field in DetectorFile.model_fields.items():
+        if name not in models:
+            default = "" if field.is_required() or field.default is None else f"`{toml_value(field.default)}`"
+            words = re.sub(r" \[[^]]*\](?= \[)", "", about(name, field))  # the unit, which the range repeats
+            lines.append(f"| `{name}` | {default} | {words} | {SHEET[name]} |")
+    for name, model in models.items():
+        rows = fields(model)
+        lines += ["", f"## [{name}]", "", (model.__doc__ or "").strip(), "", *rows, "| `file` |  | CSV file |"]
+    lines += ["", "## Built-in detectors", "", *built_in()]
+    return "\n".join(lines) + "\n"
+
+
+def built_in() -> Iterator[str]:
+    """Row by row: what is shipped, and from where."""
+    yield "| name | pixels | pitch | full well | noise | dark current | assumed or left out | source |"
+    yield "|---|---|---|---|---|---|---|---|"
+    for name in list_detectors():
+        chip = load_detector(name)
+        unsaid = len({*chip.assumed, *chip.from_default} - UNSAID)
+        yield (
+            f"| `{name}` | {chip.width_px} x {chip.height_px} | {1e3 * chip.pixel_pitch_mm:g} um "
+            f"| {chip.full_well_e:g} e- | {chip.read_noise_e:g} e- "
+            f"| {chip.dark_current_e_per_s:.3g} e-/s at {chip.dark_reference_c:g} C | {unsaid} keys | {chip.source} |"
+        )
+    yield ""
+    yield (
+        "A maker's sheet may be newer. The sheets of CCD42-40, GSENSE400BSI, IMX174 and IMX250 and the paper on the\n"
+        "IMX455 were read as others quote them, CMV2000 and CMV12000 by their main figures: compare with your issue.\n"
+        "HAS2, FaintStar2, STAR1000, CCD47-20, IMX249, IMX264 and IMX265 are not among them: no sheet of theirs could\n"
+        "be read, and numbers of their siblings are not theirs."
+    )
+
+
 if __name__ == "__main__":
+    DETECTOR_PAGE.write_text(detector_page(), encoding="utf-8")
     PAGE.write_text(page(), encoding="utf-8")

@@ -124,11 +124,12 @@ def test_the_script_with_stars_of_ones_own_runs_and_measures(tmp_path):
     assert (tmp_path / "frame.fits").exists()
 
 
-def test_the_page_of_the_sensor_file_is_that_of_its_model():
+def test_pages_of_sensor_and_detector_files_are_those_of_their_models():
     spec = spec_from_file_location("make_sensor_file_page", ROOT / "docs" / "make_sensor_file_page.py")
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
-    assert module.PAGE.read_text(encoding="utf-8") == module.page(), "run python docs/make_sensor_file_page.py"
+    for page, text in ((module.PAGE, module.page()), (module.DETECTOR_PAGE, module.detector_page())):
+        assert page.read_text(encoding="utf-8") == text, "run python docs/make_sensor_file_page.py"
 
 
 EXAMPLES = [

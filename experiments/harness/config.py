@@ -141,6 +141,10 @@ class ExperimentConfig(StrictModel):
         """What a reader of the report has to know of these settings, in Markdown; nothing here."""
         return ()
 
+    def notes(self) -> tuple[str, ...]:
+        """What the terminal says of these settings before the run; nothing here."""
+        return ()
+
     def as_sensor(self, file: Path | None) -> StrictModel | None:
         """The sensor file that describes what this configuration runs with; None where it has no such sensor."""
         return None

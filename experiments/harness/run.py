@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any, Literal
 
 from experiments.harness.config import ExperimentConfig, load_config
@@ -164,6 +165,8 @@ def perform(experiment: Experiment, options: Options, progress: Progress) -> tup
                 variant = Engine.start(options.backend).variant
         if folder is not None:
             interrupts.said = lambda: folder.interrupted
+        for note in config.notes():
+            progress.note(fill(note, 80))
         own = {"output": folder} if experiment.output is not None else {}
         result = experiment.part(experiment.run)(config, progress=progress, **own)
         with progress.stage("write"):

@@ -13,6 +13,7 @@ from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.lens_defaults import lens_defaults, lens_remarks
 from experiments.laboratory.requirements import RequirementsConfig
 from experiments.laboratory.settings import CatalogueConfig, FilterConfig, InstrumentConfig, PassbandConfig
+from optics.errors import StarbenchError
 from optics.validate import parse_model
 
 __all__ = ["SensorConfig", "SensorExperimentConfig", "read_sensor", "whole_sensor"]
@@ -57,9 +58,17 @@ class SensorExperimentConfig(ExperimentConfig):
         return lens_defaults(values)
 
     def remarks(self) -> tuple[str, ...]:
-        """What was taken from the lens file of the instrument."""
+        """What was taken from the lens file of the instrument, and what is not from the data sheet of its detector."""
         instrument, passband = getattr(self, "instrument", None), getattr(self, "passband", None)
-        return () if instrument is None else lens_remarks(instrument, passband)
+        return () if instrument is None else (*lens_remarks(instrument, passband), *detector_remarks(instrument))
+
+    def notes(self) -> tuple[str, ...]:
+        """The same of a detector that is the user's own file, for the terminal."""
+        from render.detector.spec import list_detectors
+
+        instrument = getattr(self, "instrument", None)
+        own = instrument is not None and instrument.detector not in list_detectors()
+        return detector_remarks(instrument) if own else ()
 
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
         """The sensor file of this configuration; parameters as of `ExperimentConfig.as_sensor`."""
@@ -67,6 +76,16 @@ class SensorExperimentConfig(ExperimentConfig):
         given = {} if file is None else read_sensor(file)
         own = {key: value for key, value in self.model_dump().items() if key in known}
         return parse_model(SensorConfig, {**given, **own}, "sensor file")
+
+
+def detector_remarks(instrument: InstrumentConfig) -> tuple[str, ...]:
+    """Keys of the detector that came from a base, a default or an assumption; a converter that ends early."""
+    from experiments.laboratory.instrument import configured_detector
+
+    try:
+        return configured_detector(instrument).remarks()
+    except StarbenchError:  # what cannot be read is told where it is needed
+        return ()
 
 
 def read_sensor(file: Path) -> dict[str, Any]:

@@ -20,7 +20,12 @@ BLOCKED_FRACTION = 1e-3
 """Of the peak: tails below it are left out, or a curve of a blocked filter would be light at all wavelengths."""
 NOISE_FRACTION = 0.005
 """Readings down to minus this are the noise of a spectrophotometer at zero."""
-_COLUMNS = {"transmission": 1.0, "transmission_percent": 0.01}
+_COLUMNS = {
+    "transmission": 1.0,
+    "transmission_percent": 0.01,
+    "quantum_efficiency": 1.0,
+    "quantum_efficiency_percent": 0.01,
+}
 
 
 def load_band(path: str | Path, name: str = "") -> TabulatedBand:
@@ -28,7 +33,7 @@ def load_band(path: str | Path, name: str = "") -> TabulatedBand:
 
     The first two columns are wavelength [nm], up or down, and transmission as a fraction, separated by commas,
     semicolons, tabs or blanks; lines that begin with ``#`` are left out. The header may be missing. A second column
-    named ``transmission_percent`` is converted.
+    named ``transmission_percent`` is converted (of a detector: ``quantum_efficiency_percent``).
     """
     shown = Path(path).name
     table, scale = _table(read_text(path, "a table of wavelengths and values").lines, shown)

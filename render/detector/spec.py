@@ -8,6 +8,7 @@ Data files are TOML, lengths in um; the record is in mm.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
@@ -15,10 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from optics.errors import ConfigError, DomainError, unknown_name
+from optics.light.band_file import load_band
 from optics.response import Response
+from optics.textfile import read_text
 from optics.units import UM_MM
 from optics.validate import MOST_MISSING, parse_model, read_toml
 
@@ -64,6 +67,11 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     "damage_dark_e_per_s": (0, _HIGHEST, "e-/s"),
     "damage_known_e_per_s": (0, _HIGHEST, "e-/s"),
 }
+ZERO_C_K = 273.15
+OFFSET_SIGMA = 10.0
+"""Offset where a file gives none, in the read noise: no pixel is cut off at zero."""
+UNSAID = frozenset({"base", "assumed", "chips", "gap_px", "sensor_seed", "dark_current"})
+"""Keys whose default is no statement about the chip; radiation damage is none either."""
 _LENGTHS = {"pixel_pitch_um": "pixel_pitch_mm", "diffusion_sigma_um": "diffusion_sigma_mm"}
 
 
@@ -130,6 +138,10 @@ class Detector:
         distributed dark current of each at the reference [e-/s].
     damage_known_e_per_s : float
         Dark current by centres above which a pixel is in the map of defects [e-/s].
+    dark_curve_c, dark_curve_e_per_s : tuple of float
+        Mean dark current over temperature, where it was tabulated; in the place of ``dark_doubling_c`` then.
+    assumed, from_base, from_default : tuple of str
+        Keys of the data file whose value its source does not give; that came from its base; that it leaves out.
 
     Raises
     ------
@@ -174,6 +186,11 @@ class Detector:
     damage_centres_per_px: float = 0.0
     damage_dark_e_per_s: float = 0.0
     damage_known_e_per_s: float = _HIGHEST
+    dark_curve_c: tuple[float, ...] = ()
+    dark_curve_e_per_s: tuple[float, ...] = ()
+    assumed: tuple[str, ...] = ()
+    from_base: tuple[str, ...] = ()
+    from_default: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for key, (low, high, unit) in _RANGES.items():
@@ -238,17 +255,56 @@ class Detector:
         """Largest number the converter gives."""
         return int(2**self.adc_bits - 1)
 
+    @property
+    def converter_top_e(self) -> float:
+        """Electrons above the offset at which the converter ends [e-]."""
+        return (self.largest_dn - self.offset_dn) / self.gain_dn_per_e
+
+    def remarks(self) -> tuple[str, ...]:
+        """What of the numbers is not the data sheet's, and a converter that ends below half the full well."""
+        said = []
+        for keys, words in (
+            (self.from_base, "taken from base"),
+            (self.from_default, "left out of the file, so the default"),
+            (self.assumed, "assumed, not in the source"),
+        ):
+            if keys:
+                said.append(f"Detector {self.name}: {words}: {', '.join(keys)}.")
+        if self.converter_top_e < 0.5 * self.full_well_e:
+            said.append(
+                f"Detector {self.name}: the converter ends at {self.converter_top_e:.0f} e-, "
+                f"{100.0 * self.converter_top_e / self.full_well_e:.0f} % of the full well of {self.full_well_e:.0f} "
+                "e-: gain_dn_per_e is high for adc_bits."
+            )
+        return tuple(said)
+
     def dark_factor(self, temperature_c: float) -> float:
-        """Dark current at a temperature over that at the reference: 2^((T - T_ref) / T_double).
+        """Dark current at a temperature over that at the reference.
+
+        2^((T - T_ref) / T_double); of a tabulated curve its logarithm, linear in 1/T between the points.
 
         Raises
         ------
         DomainError
-            On a temperature outside -200 to 150 C.
+            On a temperature outside -200 to 150 C, or outside the curve.
         """
+        if self.dark_curve_c:
+            low, high = self.dark_curve_c[0], self.dark_curve_c[-1]
+            if not low <= temperature_c <= high:
+                raise DomainError(
+                    f"temperature_c = {temperature_c:g} C; the dark current of detector {self.name!r} is tabulated "
+                    f"from {low:g} to {high:g} C"
+                )
+            return _tabulated(self.dark_curve_c, self.dark_curve_e_per_s, temperature_c) / self.dark_current_e_per_s
         if not -200.0 <= temperature_c <= 150.0:
             raise DomainError(f"temperature_c = {temperature_c:g} C; it must be -200 to 150 C")
         return float(2.0 ** ((temperature_c - self.dark_reference_c) / self.dark_doubling_c))
+
+
+def _tabulated(curve_c: tuple[float, ...], current: tuple[float, ...], temperature_c: float) -> float:
+    """Dark current [e-/s] of a table; ln I is linear in 1/T, as for a single activation energy."""
+    inverse = -1.0 / (np.asarray(curve_c) + ZERO_C_K)
+    return float(np.exp(np.interp(-1.0 / (temperature_c + ZERO_C_K), inverse, np.log(current))))
 
 
 def _fold(nonlinearity: tuple[float, ...]) -> float | None:
@@ -265,12 +321,31 @@ def _in_range(key: str, text: str, **options: Any) -> Any:
 
 
 class ResponseTable(BaseModel):
-    """A tabulated curve in a data file."""
+    """Quantum efficiency, fill factor included: two lists, or a CSV file in their place."""
 
     model_config = ConfigDict(extra="forbid", strict=False)
     source: str = Field(min_length=1, description="where the numbers come from")
     wavelength_nm: list[float] = Field(min_length=2, description="increasing wavelengths [nm]")
     value: list[float] = Field(min_length=2, description="quantum efficiency, 0 to 1")
+
+
+class DarkTable(BaseModel):
+    """Mean dark current over the temperature of the chip: two lists, or a CSV file in their place."""
+
+    model_config = ConfigDict(extra="forbid")
+    temperature_c: list[float] = Field(min_length=2, description="increasing temperatures [C]")
+    e_per_s: list[float] = Field(min_length=2, description="mean dark current [e-/s]")
+
+    @model_validator(mode="after")
+    def _curve(self) -> DarkTable:
+        t, current = np.array(self.temperature_c), np.array(self.e_per_s)
+        if len(t) != len(current):
+            raise ValueError(f"{len(t)} temperatures, {len(current)} dark currents")
+        if not (np.diff(t) > 0.0).all() or not (t[0] >= -200.0 and t[-1] <= 150.0):
+            raise ValueError("temperatures must increase, from -200 to 150 C at most")
+        if not ((current > 0.0) & (current <= _HIGHEST)).all():
+            raise ValueError(f"dark currents must be above 0 and at most {_HIGHEST:g} e-/s")
+        return self
 
 
 class DetectorFile(BaseModel):
@@ -280,34 +355,39 @@ class DetectorFile(BaseModel):
     base: str | None = Field(default=None, description="detector whose values hold where this file gives none")
     name: str = Field(min_length=1, description="what it is")
     source: str = Field(min_length=1, description="where its numbers come from")
+    assumed: list[str] = Field(default=[], description="keys whose value the source does not give")
     quantum_efficiency: ResponseTable
+    dark_current: DarkTable | None = None
     chip_width_px: int = _in_range("chip_width_px", "columns of a chip")
     chip_height_px: int = _in_range("chip_height_px", "rows of a chip")
     chips: int = _in_range("chips", "chips side by side", default=1)
     gap_px: int = _in_range("gap_px", "dead columns between chips", default=0)
     pixel_pitch_um: float = _in_range("pixel_pitch_um", "pixel pitch")
-    diffusion_sigma_um: float = _in_range("diffusion_sigma_um", "charge diffusion")
-    prnu: float = _in_range("prnu", "response non-uniformity")
+    full_well_e: float = _in_range("full_well_e", "saturation capacity")
+    read_noise_e: float = _in_range("read_noise_e", "median temporal dark noise")
+    read_noise_spread: float = _in_range("read_noise_spread", "standard deviation of its logarithm", default=0.0)
+    gain_dn_per_e: float = _in_range("gain_dn_per_e", "system gain K")
+    adc_bits: int = _in_range("adc_bits", "resolution of the converter")
+    offset_dn: float | None = _in_range("offset_dn", "mean offset; left out: ten times the read noise", default=None)
+    nonlinearity: tuple[float, ...] = Field(default=(), max_length=8, description="c_1, c_2 ..., each -0.5 to 0.5")
     dark_current_e_per_s: float = _in_range("dark_current_e_per_s", "mean dark current at the reference")
     dark_reference_c: float = _in_range("dark_reference_c", "reference temperature")
-    dark_doubling_c: float = _in_range("dark_doubling_c", "warming that doubles the dark current")
-    dark_spread_e_per_s: float = _in_range("dark_spread_e_per_s", "spread of the dark current")
-    hot_fraction: float = _in_range("hot_fraction", "fraction of hot pixels")
-    hot_dark_e_per_s: float = _in_range("hot_dark_e_per_s", "mean extra dark current of hot pixels")
-    dead_fraction: float = _in_range("dead_fraction", "fraction of dead pixels")
-    full_well_e: float = _in_range("full_well_e", "saturation capacity")
-    crosstalk_horizontal: float = _in_range("crosstalk_horizontal", "charge share of a left or right neighbour")
-    crosstalk_vertical: float = _in_range("crosstalk_vertical", "charge share of an upper or lower neighbour")
-    crosstalk_diagonal: float = _in_range("crosstalk_diagonal", "charge share of a diagonal neighbour")
-    read_noise_e: float = _in_range("read_noise_e", "median temporal dark noise")
-    read_noise_spread: float = _in_range("read_noise_spread", "standard deviation of its logarithm")
-    gain_dn_per_e: float = _in_range("gain_dn_per_e", "system gain K")
-    nonlinearity: tuple[float, ...] = Field(default=(), max_length=8, description="c_1, c_2 ..., each -0.5 to 0.5")
-    offset_dn: float = _in_range("offset_dn", "mean offset")
-    dsnu_e: float = _in_range("dsnu_e", "spread of the offset over the pixels")
-    column_pattern_e: float = _in_range("column_pattern_e", "spread of the offset over the columns")
-    adc_bits: int = _in_range("adc_bits", "resolution of the converter")
-    sensor_seed: int = _in_range("sensor_seed", "seed of the individual")
+    dark_doubling_c: float = _in_range("dark_doubling_c", "warming that doubles the dark current", default=6.5)
+    dark_spread_e_per_s: float = _in_range("dark_spread_e_per_s", "spread of the dark current", default=0.0)
+    hot_fraction: float = _in_range("hot_fraction", "fraction of hot pixels", default=0.0)
+    hot_dark_e_per_s: float = _in_range("hot_dark_e_per_s", "mean extra dark current of hot pixels", default=0.0)
+    dead_fraction: float = _in_range("dead_fraction", "fraction of dead pixels", default=0.0)
+    prnu: float = _in_range("prnu", "response non-uniformity", default=0.0)
+    dsnu_e: float = _in_range("dsnu_e", "spread of the offset over the pixels", default=0.0)
+    column_pattern_e: float = _in_range("column_pattern_e", "spread of the offset over the columns", default=0.0)
+    diffusion_sigma_um: float = _in_range("diffusion_sigma_um", "charge diffusion", default=0.0)
+    crosstalk_horizontal: float = _in_range(
+        "crosstalk_horizontal", "charge share of a left or right neighbour", default=0.0
+    )
+    crosstalk_vertical: float = _in_range(
+        "crosstalk_vertical", "charge share of an upper or lower neighbour", default=0.0
+    )
+    crosstalk_diagonal: float = _in_range("crosstalk_diagonal", "charge share of a diagonal neighbour", default=0.0)
     blooming: float = _in_range("blooming", "share of the excess over the full well that runs on", default=0.0)
     lag: float = _in_range("lag", "share of a frame's charge that is read with the next", default=0.0)
     transfer_line_us: float = _in_range("transfer_line_us", "time per row of a frame transfer under light", default=0.0)
@@ -316,6 +396,14 @@ class DetectorFile(BaseModel):
     damage_known_e_per_s: float = _in_range(
         "damage_known_e_per_s", "dark current by centres that makes a known defect", default=_HIGHEST
     )
+    sensor_seed: int = _in_range("sensor_seed", "seed of the individual", default=1)
+
+    @model_validator(mode="after")
+    def _assumed(self) -> DetectorFile:
+        for key in self.assumed:
+            if key not in type(self).model_fields:
+                raise ValueError(f"assumed: {unknown_name('key', key, type(self).model_fields)}")
+        return self
 
 
 def list_detectors() -> tuple[str, ...]:
@@ -348,18 +436,26 @@ def load_detector(name_or_path: str | Path) -> Detector:
         Unknown name, missing or broken file, unknown or missing key, value out of range: one line per fault.
     """
     path = _resolve(name_or_path)
-    mapping = _read(path, ())
-    needed = {key for key, field in DetectorFile.model_fields.items() if field.is_required()}
-    if len(needed - mapping.keys()) > MOST_MISSING:
+    mapping, inherited = _read(path, ())
+    needed = [key for key, field in DetectorFile.model_fields.items() if field.is_required()]
+    missing = [key for key in needed if key not in mapping]
+    if len(missing) > MOST_MISSING:
         names = " or ".join(f'"{name}"' for name in list_detectors())
         raise ConfigError(
-            f"{path}: most of what describes a detector is missing; base = {names} at its head takes from that one "
-            "what the file does not say"
+            f"{path}: {len(missing)} keys are missing: {', '.join(missing)}; the page on detector files says where a "
+            f"data sheet gives them; base = {names} at its head takes from that one what the file does not say"
         )
     checked = parse_model(DetectorFile, mapping, str(path))
-    values = checked.model_dump(exclude={"base", "quantum_efficiency"} | set(_LENGTHS))
+    given = checked.model_fields_set
+    values = checked.model_dump(exclude={"base", "quantum_efficiency", "dark_current", "assumed"} | set(_LENGTHS))
+    if checked.offset_dn is None:
+        values["offset_dn"] = OFFSET_SIGMA * checked.read_noise_e * checked.gain_dn_per_e
     lengths = {held: getattr(checked, key) * UM_MM for key, held in _LENGTHS.items()}
-    table = checked.quantum_efficiency
+    table, dark = checked.quantum_efficiency, checked.dark_current
+    silent = {key for key in DetectorFile.model_fields if key.startswith("damage")} | UNSAID
+    if dark is not None:
+        values |= {"dark_curve_c": tuple(dark.temperature_c), "dark_curve_e_per_s": tuple(dark.e_per_s)}
+        silent = silent | {"dark_doubling_c"}
     try:
         curve = Response(
             name=f"quantum efficiency of {checked.name}",
@@ -367,7 +463,14 @@ def load_detector(name_or_path: str | Path) -> Detector:
             wavelength_nm=np.array(table.wavelength_nm),
             value=np.array(table.value),
         )
-        return Detector(**values, **lengths, quantum_efficiency=curve)
+        return Detector(
+            **values,
+            **lengths,
+            quantum_efficiency=curve,
+            assumed=tuple(checked.assumed),
+            from_base=tuple(key for key in DetectorFile.model_fields if key in inherited),
+            from_default=tuple(key for key in DetectorFile.model_fields if key not in given | silent),
+        )
     except DomainError as error:
         raise ConfigError(f"{path}: {str(error).removeprefix('Detector.')}") from None
 
@@ -382,16 +485,19 @@ def _resolve(name_or_path: str | Path) -> Path:
     return shipped
 
 
-def _read(path: Path, above: tuple[Path, ...]) -> Mapping[str, Any]:
-    """Mapping of the file with those of its bases underneath."""
+DARK_KEYS = ("dark_current_e_per_s", "dark_reference_c", "dark_doubling_c")
+
+
+def _read(path: Path, above: tuple[Path, ...]) -> tuple[Mapping[str, Any], frozenset[str]]:
+    """Mapping of the file with those of its bases underneath, and the keys that came from there."""
     if path.resolve() in above:
         raise ConfigError(f"{path}: base = {above[0].name!r} leads back to itself")
     if not os.path.exists(path):
         raise ConfigError(f"{path}: no such file; known detectors: {', '.join(list_detectors())}")
-    mapping = read_toml(path)
+    mapping = _with_curves(read_toml(path), path)
     base = mapping.get("base")
     if base is None:
-        return mapping
+        return mapping, frozenset()
     if not isinstance(base, str):
         raise ConfigError(f"{path}: base = {base!r}; the name of a detector is needed")
     try:
@@ -399,4 +505,64 @@ def _read(path: Path, above: tuple[Path, ...]) -> Mapping[str, Any]:
     except ConfigError as error:
         raise ConfigError(f"{path}: base: {error}") from None
     below = below if below.is_absolute() else path.parent / below
-    return {**_read(below, (*above, path.resolve())), **mapping}
+    lower, _ = _read(below, (*above, path.resolve()))
+    kept = {key: value for key, value in lower.items() if key not in mapping and key not in ("base", "assumed")}
+    if "dark_current_e_per_s" in mapping:  # one law of the dark current takes the place of the other
+        kept.pop("dark_current", None)
+    marks = [mapping.get("assumed", []), lower.get("assumed", [])]
+    if all(isinstance(one, list) for one in marks):
+        own, theirs = marks
+        mapping = {**mapping, "assumed": [*own, *(key for key in theirs if key in kept and key not in own)]}
+    return {**kept, **mapping}, frozenset(kept) - UNSAID
+
+
+def _with_curves(mapping: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The tables that name a CSV file with what stands in it, and the reference of a dark current over temperature."""
+    efficiency, dark = mapping.get("quantum_efficiency"), mapping.get("dark_current")
+    if isinstance(efficiency, dict) and "file" in efficiency:
+        if extra := {"wavelength_nm", "value"} & efficiency.keys():
+            raise ConfigError(f"{path}: quantum_efficiency: file and {min(extra)}; one of them is enough")
+        curve = load_band(_beside(path, efficiency["file"], "quantum_efficiency"))
+        rest = {key: value for key, value in efficiency.items() if key != "file"}
+        lists = {"wavelength_nm": curve.wavelength_nm.tolist(), "value": curve.value.tolist()}
+        mapping = {**mapping, "quantum_efficiency": {"source": curve.source, **rest, **lists}}
+    if not isinstance(dark, dict):
+        return mapping
+    if "file" in dark:
+        mapping = {**mapping, "dark_current": _dark_rows(_beside(path, dark["file"], "dark_current"))}
+    if extra_key := next((key for key in DARK_KEYS if key in mapping and key != "dark_reference_c"), None):
+        raise ConfigError(f"{path}: {extra_key} and a table [dark_current]; one of them is enough")
+    table = parse_model(DarkTable, mapping["dark_current"], f"{path}: dark_current")
+    reference = mapping.get("dark_reference_c", table.temperature_c[-1])
+    low, high = table.temperature_c[0], table.temperature_c[-1]
+    if not isinstance(reference, int | float) or not low <= reference <= high:
+        raise ConfigError(f"{path}: dark_reference_c = {reference!r}; the table has {low:g} to {high:g} C")
+    at = _tabulated(tuple(table.temperature_c), tuple(table.e_per_s), reference)
+    return {**mapping, "dark_reference_c": reference, "dark_current_e_per_s": at}
+
+
+def _beside(path: Path, name: Any, table: str) -> Path:
+    if not isinstance(name, str):
+        raise ConfigError(f"{path}: {table}.file = {name!r}; the path of a CSV file is needed")
+    return path.parent / name
+
+
+def _dark_rows(path: Path) -> dict[str, list[float]]:
+    """Columns temperature_c and e_per_s of a CSV file; the temperatures may fall."""
+    rows: list[tuple[float, float]] = []
+    for number, line in enumerate(read_text(path, "a table of temperatures and dark currents").lines, start=1):
+        cells = [cell for cell in re.split(r"[;,\s]+", line.strip()) if cell]
+        if not cells or cells[0].startswith("#"):
+            continue
+        try:
+            temperature, current = map(float, cells[:2])
+        except ValueError:
+            if rows:
+                raise ConfigError(
+                    f"{path.name}, line {number}: {line.strip()!r}: temperature_c and e_per_s are needed"
+                ) from None
+            continue
+        rows.append((temperature, current))
+    if len(rows) > 1 and rows[0][0] > rows[-1][0]:
+        rows.reverse()
+    return {"temperature_c": [t for t, _ in rows], "e_per_s": [e for _, e in rows]}

@@ -12,6 +12,12 @@ from optics.errors import ConfigError, DomainError
 from render.detector.spec import Detector, list_detectors, load_detector
 
 
+def written(folder: Path, text: str) -> Path:
+    path = folder / "mine.toml"
+    path.write_text(text)
+    return path
+
+
 @pytest.mark.parametrize("name", list_detectors())
 def test_shipped_files_load_with_a_source(name: str) -> None:
     detector = load_detector(name)
@@ -30,6 +36,70 @@ def test_data_sheet_values() -> None:
     assert chip.quantum_efficiency.interpolate(550.0) == pytest.approx(0.60)
     assert chip.quantum_efficiency.interpolate(900.0) == pytest.approx(0.08)
     assert chip.gain_dn_per_e * chip.full_well_e + chip.offset_dn < chip.largest_dn == 4095
+
+
+def test_every_shipped_converter_shows_the_full_well_and_eight_are_not_of_one_base() -> None:
+    chips = [load_detector(name) for name in list_detectors()]
+    assert sum(not chip.from_base for chip in chips) >= 8
+    for chip in chips:
+        assert chip.converter_top_e > 0.99 * chip.full_well_e
+
+
+def test_dark_current_over_temperature_is_that_of_the_data_sheet() -> None:
+    """e2v: 1.14e6 T^3 exp(-9080 K / T) of that at 293 K; between the points of the table too."""
+    chip = load_detector("ccd42_40")
+    for celsius in (-45.0, -33.3, 0.0, 17.0, 35.0):
+        kelvin = celsius + 273.15
+        stated = 250.0 * 1.14e6 * kelvin**3 * np.exp(-9080.0 / kelvin)
+        assert chip.dark_current_e_per_s * chip.dark_factor(celsius) == pytest.approx(stated, rel=0.01)
+    with pytest.raises(DomainError, match="tabulated from -60 to 40 C"):
+        chip.dark_factor(41.0)
+
+
+SHEET = """name = "mine"
+source = "data sheet"
+chip_width_px = 640
+chip_height_px = 480
+pixel_pitch_um = 5.0
+full_well_e = 10000.0
+read_noise_e = 5.0
+adc_bits = 12
+"""
+CURVES = '[quantum_efficiency]\nsource = "me"\nfile = "qe.csv"\n[dark_current]\nfile = "dark.csv"\n'
+
+
+def test_a_data_sheet_with_curves_from_csv(tmp_path: Path) -> None:
+    (tmp_path / "qe.csv").write_text("wavelength_nm,quantum_efficiency_percent\n800,20\n600,50\n400,30\n")
+    (tmp_path / "dark.csv").write_text("temperature_c;e_per_s\n0;1.0\n20;8.0\n")
+    chip = load_detector(written(tmp_path, SHEET + 'gain_dn_per_e = 0.9\nassumed = ["adc_bits"]\n' + CURVES))
+    assert chip.quantum_efficiency.interpolate(500.0) == pytest.approx(0.4)
+    assert chip.dark_reference_c == 20.0
+    assert chip.dark_current_e_per_s == pytest.approx(8.0)
+    assert chip.dark_factor(0.0) == pytest.approx(1 / 8)
+    assert chip.offset_dn == pytest.approx(45.0)  # 10 x 5 e- x 0.9 DN/e-
+    default, assumed, converter = chip.remarks()
+    assert "prnu" in default
+    assert "chips" not in default
+    assert "dark_doubling_c" not in default
+    assert assumed.endswith("assumed, not in the source: adc_bits.")
+    assert "the converter ends at 4500 e-, 45 % of the full well of 10000 e-" in converter
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (CURVES, "keys are missing: name, source, chip_width_px"),
+        (SHEET + "dark_current_e_per_s = 3.0\n" + CURVES, "dark_current_e_per_s and a table [dark_current]"),
+        (SHEET + 'gain_dn_per_e = 0.3\nassumed = ["adc_bit"]\n' + CURVES, "did you mean adc_bits"),
+        (SHEET + "dark_reference_c = 25.0\n" + CURVES, "dark_reference_c = 25.0; the table has 0 to 20 C"),
+    ],
+)
+def test_faults_of_curves(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "qe.csv").write_text("400,0.3\n600,0.5\n")
+    (tmp_path / "dark.csv").write_text("0,1.0\n20,8.0\n")
+    with pytest.raises(ConfigError) as caught:
+        load_detector(written(tmp_path, text))
+    assert words in str(caught.value)
 
 
 def test_mosaic_size_and_gap() -> None:
@@ -73,16 +143,13 @@ def test_record_refuses_impossible_values(change: dict[str, object], words: str)
     assert "\n" not in str(caught.value)
 
 
-def written(folder: Path, text: str) -> Path:
-    path = folder / "mine.toml"
-    path.write_text(text)
-    return path
-
-
 def test_own_file_on_a_base(tmp_path: Path) -> None:
     detector = load_detector(written(tmp_path, 'base = "cmv4000"\nname = "quiet"\nread_noise_e = 2.0\n'))
     assert isinstance(detector, Detector)
     assert (detector.name, detector.read_noise_e, detector.prnu) == ("quiet", 2.0, 0.01)
+    assert "prnu" in detector.from_base
+    assert "read_noise_e" not in detector.from_base
+    assert "read_noise_spread" in detector.assumed  # of the base, and still its
 
 
 @pytest.mark.parametrize(
