@@ -67,8 +67,9 @@ class SensorExperimentConfig(ExperimentConfig):
         from render.detector.spec import list_detectors
 
         instrument = getattr(self, "instrument", None)
-        own = instrument is not None and instrument.detector not in list_detectors()
-        return detector_remarks(instrument) if own else ()
+        if instrument is None or instrument.detector in list_detectors():
+            return ()
+        return detector_remarks(instrument)
 
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
         """The sensor file of this configuration; parameters as of `ExperimentConfig.as_sensor`."""
