@@ -49,6 +49,8 @@ __all__ = [
 
 NETS = 48
 """Scrambled nets whose sums give the particles' part: its standard deviation is known to 1 / sqrt(4 NETS) = 7 %."""
+SPOT_NETS = 4
+"""The same for the spots of the sun sensor, which has many in each net."""
 ACROSS, ALONG = 2.0 / 3.0, 3.0 / 5.0
 """Of white pixel noise: what bilinear interpolation leaves across a ray, and the integral of h W^2 along it."""
 NOMINAL = np.diag([-1.0, 1.0, -1.0])
@@ -286,20 +288,26 @@ def _spot_variance_px2(laboratory: Laboratory, cosine: FloatArray) -> FloatArray
         + noise.column_e**2 * side**2 * (place**2).sum() / 2  # columns move x alone, half of it per axis
         + (border**2) * fixed2 / (4 * side - 4)
     ) / light**2
-    return np.asarray(variance + _spot_particles_px2(laboratory, radius))
+    return np.asarray(variance + _spot_particles_px2(laboratory, radius, cosine))
 
 
-def _spot_particles_px2(laboratory: Laboratory, radius_px: float) -> float:
-    """What the number of particles of a spot adds; each counts for the pixel that it falls into."""
-    config = laboratory.config.sensor
-    suns = config.grid**2
-    net = _net(config.log2_particles + int(np.ceil(np.log2(suns))))[: suns << config.log2_particles]
-    u = _shifted(net, 0)[:, :2].reshape(suns, -1, 2)
-    place = OVERSCAN * radius_px * np.sqrt(u[..., 0])
-    passed = place < radius_px
-    phase = np.random.default_rng(1).uniform(-0.5, 0.5, (2, suns, 1))  # of the true centre in its pixel
-    means = [
-        (np.rint(place * turn(2 * np.pi * u[..., 1]) + at) * passed).sum(1) / passed.sum(1) - at[:, 0]
-        for turn, at in zip((np.cos, np.sin), phase, strict=True)
-    ]
+def _spot_particles_px2(laboratory: Laboratory, radius_px: float, cosine: FloatArray) -> float:
+    """What the number of particles of a spot adds; each counts for the pixel that it falls into.
+
+    The Sun's width, widened by 1 / cos^2 along the slant and 1 / cos across, halves what the net's evenness saves.
+    """
+    config = laboratory.config
+    suns, log2 = len(cosine), config.sensor.log2_particles
+    net = _net(log2 + int(np.ceil(np.log2(suns))))[: suns << log2]
+    half_px = np.tan(laboratory.geometry.half_angle_rad) * config.sensor.gap_mm
+    half_px /= laboratory.sensor_detector.pixel_pitch_mm
+    rng, means = np.random.default_rng(1), []
+    for seed in range(SPOT_NETS):
+        u = _shifted(net, seed).reshape(suns, -1, 4)
+        place, lean = OVERSCAN * radius_px * np.sqrt(u[..., 0]), half_px * np.sqrt(u[..., 2])
+        passed = place < radius_px
+        for turn, wide in ((np.cos, 1.0 / cosine**2), (np.sin, 1.0 / cosine)):
+            at = rng.uniform(-0.5, 0.5, (suns, 1))  # true centre in its pixel
+            landed = place * turn(2 * np.pi * u[..., 1]) + lean * wide[:, None] * turn(2 * np.pi * u[..., 3])
+            means.append((np.rint(landed + at) * passed).sum(1) / passed.sum(1) - at[:, 0])
     return float(np.mean(np.square(means)))
