@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from calib.attitude.link import skew
 from calib.attitude.solve import solve_wahba
 from calib.fitting.misfit import UNTESTED, ChiSquare
 from optics.arrays import FloatArray
@@ -248,19 +249,14 @@ def _triad_covariance(matrix: FloatArray, table: FloatArray, spread: FloatArray)
     normal = np.cross(b1, b2)
     sine = np.linalg.norm(normal)
     normal = normal / sine
-    by_first = -_cross(b1)
-    about = -np.outer(b1, normal @ (-_cross(b2) @ by_first)) / sine
+    by_first = -skew(b1)
+    about = -np.outer(b1, normal @ (-skew(b2) @ by_first)) / sine
     by_second = -np.outer(b1, normal) / sine
     total = np.zeros((3, 3))
     for jacobian, one in zip((by_first + about, by_second), spread, strict=True):
         turned = jacobian @ matrix
         total += turned @ one @ turned.T
     return total
-
-
-def _cross(v: FloatArray) -> FloatArray:
-    """Matrix of the cross product with v from the left."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def sensor_to_cube(

@@ -85,29 +85,25 @@ def _commands(lines: tuple[str, ...]) -> Iterator[_Command]:
         yield _Command(start, _WORD.findall(held), held.strip())
 
 
-def _without_comment(raw: str) -> str:
+def _unquoted(text: str, mark: str) -> Iterator[int]:
+    """Where a mark stands outside quotes; a quote that is not closed is a letter."""
     quote = ""
-    for at, letter in enumerate(raw):
-        if quote:
-            quote = "" if letter == quote else quote
-        elif letter in "'\"":
-            quote = letter if letter in raw[at + 1 :] else ""
-        elif letter == "!":
-            return raw[:at]
-    return raw
-
-
-def _split(text: str) -> list[str]:
-    parts, quote, begin = [], "", 0
     for at, letter in enumerate(text):
         if quote:
             quote = "" if letter == quote else quote
         elif letter in "'\"":
             quote = letter if letter in text[at + 1 :] else ""
-        elif letter == ";":
-            parts.append(text[begin:at])
-            begin = at + 1
-    return [*parts, text[begin:]]
+        elif letter == mark:
+            yield at
+
+
+def _without_comment(raw: str) -> str:
+    return raw[: next(_unquoted(raw, "!"), len(raw))]
+
+
+def _split(text: str) -> list[str]:
+    ends = list(_unquoted(text, ";"))
+    return [text[begin:end] for begin, end in zip([0, *(at + 1 for at in ends)], [*ends, len(text)], strict=True)]
 
 
 class _Reader:

@@ -75,11 +75,15 @@ def render_epsf(
     DomainError
         On an odd oversampling, or what the tracer raises.
     """
-    if oversampling < 2 or oversampling % 2:
-        raise DomainError(f"render_epsf: oversampling = {oversampling}; an even number of at least 2 is needed")
+    _check_even("render_epsf", oversampling)
     cells = tracer.centred_cells(stars, half_size_px=half_size_px, cells_per_px=oversampling)
     share = pixel_shares(cells, oversampling)
     return [[EffectivePsf(values=psf, oversampling=oversampling) for psf in row] for row in share]
+
+
+def _check_even(what: str, oversampling: int) -> None:
+    if oversampling < 2 or oversampling % 2:
+        raise DomainError(f"{what}: oversampling = {oversampling}; an even number of at least 2 is needed")
 
 
 def ray_epsf(
@@ -97,8 +101,7 @@ def ray_epsf(
     pixels. Counting is exact for pixels at whole cells from the mean; rays have to lie closer than the kernel is wide.
     """
     # x_px, y_px (n,), weight (n,)
-    if oversampling < 2 or oversampling % 2:
-        raise DomainError(f"ray_epsf: oversampling = {oversampling}; an even number of at least 2 is needed")
+    _check_even("ray_epsf", oversampling)
     total = float(weight.sum())
     if not total > 0.0:
         raise DomainError("ray_epsf: no light; the star is outside the field of the lens")
@@ -195,8 +198,7 @@ def wave_images(
 ) -> WaveImages:
     """Diffraction images of stars along the x axis of the field, turned about the axis of the lens."""
     # field_x_deg (f,), wavelength_nm (w,)
-    if oversampling < 2 or oversampling % 2:
-        raise DomainError(f"wave_images: oversampling = {oversampling}; an even number of at least 2 is needed")
+    _check_even("wave_images", oversampling)
     nothing = np.zeros_like(field_x_deg)
     rays = _turned(trace_pupil(lens, field_x_deg, nothing, wavelength_nm, order=ORDER), math.radians(azimuth_deg))
     mean_px = np.stack(rays.mean_mm, axis=-1) / pitch_mm

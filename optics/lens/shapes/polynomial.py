@@ -55,12 +55,3 @@ class Polynomial(PolynomialFreeform):
         """The surface seen from behind."""
         kept = tuple(a if i % 2 else -a for (i, _), a in zip(self._powers(), self.coefficients_mm, strict=True))
         return replace(self, radius_mm=-self.radius_mm, coefficients_mm=kept)
-
-    def scaled(self, factor: float) -> Self:
-        """The surface expanded uniformly."""
-        return replace(
-            self,
-            radius_mm=self.radius_mm * factor,
-            norm_radius_mm=self.norm_radius_mm * factor,
-            coefficients_mm=tuple(a * factor for a in self.coefficients_mm),
-        )

@@ -12,7 +12,7 @@ from pydantic import Field, FiniteFloat
 from optics.arrays import NUMPY, ArrayNamespace, FloatArray
 from optics.forbes import bfs_from_q, bfs_sum
 from optics.lens.shapes.base import Hit, require_finite, require_positive
-from optics.lens.shapes.revolution import Curved, conic_path, conic_profile, newton_hit, profile_sag
+from optics.lens.shapes.revolution import Curved, conic_path, conic_profile, conic_rim_mm, newton_hit, profile_sag
 
 __all__ = ["Qbfs"]
 
@@ -39,7 +39,7 @@ class Qbfs(Curved):
     @property
     def rim_mm(self) -> float:
         """Largest radius of the conic [mm]."""
-        return abs(self.radius_mm) / math.sqrt(1.0 + self.conic) if self.conic > -1.0 else math.inf
+        return conic_rim_mm(self.radius_mm, self.conic)
 
     @property
     def curvature(self) -> float:
@@ -78,12 +78,3 @@ class Qbfs(Curved):
     def flipped(self) -> Self:
         """The surface seen from behind."""
         return replace(self, radius_mm=-self.radius_mm, q_mm=tuple(-a for a in self.q_mm))
-
-    def scaled(self, factor: float) -> Self:
-        """The surface expanded uniformly."""
-        return replace(
-            self,
-            radius_mm=self.radius_mm * factor,
-            norm_radius_mm=self.norm_radius_mm * factor,
-            q_mm=tuple(a * factor for a in self.q_mm),
-        )

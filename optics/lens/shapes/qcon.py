@@ -44,12 +44,3 @@ class Qcon(Asphere):
     def flipped(self) -> Self:
         """The surface seen from behind."""
         return replace(self, radius_mm=-self.radius_mm, q_mm=tuple(-a for a in self.q_mm))
-
-    def scaled(self, factor: float) -> Self:
-        """The surface expanded uniformly."""
-        return replace(
-            self,
-            radius_mm=self.radius_mm * factor,
-            norm_radius_mm=self.norm_radius_mm * factor,
-            q_mm=tuple(a * factor for a in self.q_mm),
-        )

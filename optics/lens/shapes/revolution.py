@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -63,8 +63,10 @@ class Curved(Shape):
         return replace(self, radius_mm=-self.radius_mm)
 
     def scaled(self, factor: float) -> Self:
-        """The surface expanded uniformly."""
-        return replace(self, radius_mm=self.radius_mm * factor)
+        """The surface expanded uniformly; a kind with numbers that are no lengths (fields ``..._mm``) has its own."""
+        lengths = {one.name: getattr(self, one.name) for one in fields(self) if one.name.endswith("_mm")}
+        grown = {k: tuple(a * factor for a in v) if isinstance(v, tuple) else v * factor for k, v in lengths.items()}
+        return replace(self, **grown)
 
     def changed(self, name: str, by: float) -> Shape:
         """The surface with ``by`` added to one number; a radius must stay finite and on its side."""

@@ -74,15 +74,6 @@ class Zernike(PolynomialFreeform):
         kept = tuple(a if (m % 2 == 1) == (m > 0) and m else -a for _, m, _, a in self._terms())
         return replace(self, radius_mm=-self.radius_mm, coefficients_mm=kept)
 
-    def scaled(self, factor: float) -> Self:
-        """The surface expanded uniformly."""
-        return replace(
-            self,
-            radius_mm=self.radius_mm * factor,
-            norm_radius_mm=self.norm_radius_mm * factor,
-            coefficients_mm=tuple(a * factor for a in self.coefficients_mm),
-        )
-
 
 @lru_cache
 def noll_index(j: int) -> tuple[int, int]:

@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.calibration.cube_mirror import (
-    _cross,
     angle_between_rad,
     cube_from_table,
     normal_in_table,
@@ -147,8 +146,3 @@ def test_repeated_normals_tell_whether_their_covariance_is_right(method, wrong):
     assert found.misfit.degrees_of_freedom == 28 + (method == "wahba")
     assert ("stated too small" in found.misfit.note) == (wrong < 1)
     assert ("stated too large" in found.misfit.note) == (wrong > 1)
-
-
-def test_matrix_of_the_cross_product():
-    first, second = np.array([0.3, -1.2, 0.7]), np.array([2.0, 0.5, -0.4])
-    np.testing.assert_allclose(_cross(first) @ second, np.cross(first, second), rtol=1e-14)
