@@ -3,8 +3,6 @@
 Attitudes come from the document's matrices written out (ACF17, eq. 1, 2 and 6), not from the code under test.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Star images from closed forms, independent of the models under test."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from collections.abc import Callable

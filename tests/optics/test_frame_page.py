@@ -1,7 +1,5 @@
 """The page of a frame: exact pixels, marks where they belong, nothing from elsewhere."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,7 +1,5 @@
 """The page of a frame in headless Chromium: what a hand on mouse, keyboard or glass sees, at two widths."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

@@ -5,8 +5,6 @@ cut out, doubled or put in, the end cut off. Allowed is a value that is physical
 a traceback, not a second, not a gigabyte.
 """
 
-from __future__ import annotations
-
 import gzip
 import re
 import resource

@@ -1,7 +1,5 @@
 """What the renderer is checked against: the same lenses by dense NumPy bundles and error functions, ray by ray."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

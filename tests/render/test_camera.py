@@ -1,7 +1,5 @@
 """Camera record: geometry, response, refusal of what cannot be."""
 
-from __future__ import annotations
-
 from dataclasses import FrozenInstanceError, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`StarRenderer`: many fields through one camera, as expected images with their truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -43,6 +41,7 @@ def test_fields_do_not_influence_each_other(engine, bench, small):
     assert not a.electrons.flags.writeable
 
 
+@pytest.mark.slow
 def test_a_star_that_moves_smoothly_gives_an_image_that_changes_smoothly(engine, bench, small):
     """A pass of a star over two pixels: no jumps from stamp corners, taps or strips."""
     camera, whole = small

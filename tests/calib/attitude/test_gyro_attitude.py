@@ -7,8 +7,6 @@ from scipy.spatial.transform import Rotation
 from calib.attitude.gyro_attitude import integrate_rates, integrate_rates_many
 from optics.errors import DomainError
 
-ARCSEC = np.pi / 648000
-
 
 def mean_rates(rate, time_s, nodes=8):
     """Means of a rate over intervals, by a quadrature of order 16."""
@@ -91,18 +89,6 @@ def test_drift_without_the_correction_is_the_textbook_one():
     wh = CONE_RAD_PER_S * seconds / steps
     expected = 0.5 * CONE_RAD_PER_S * np.sin(CONE_RAD) ** 2 * (1 - np.sin(wh) / wh) * seconds
     assert abs(drift) == pytest.approx(expected, rel=0.01)
-
-
-def test_coarse_rates_against_a_fine_reference():
-    """100 Hz against 2 kHz of a motion about changing axes: below 1e-3 arcsec after 20 s."""
-
-    def rate(t):
-        return 0.02 * np.column_stack([np.sin(3 * t), np.cos(2 * t), np.sin(t + 1)])
-
-    coarse, fine = np.linspace(0, 20, 2001), np.linspace(0, 20, 40001)
-    a = integrate_rates(coarse, mean_rates(rate, coarse), [20.0])
-    b = integrate_rates(fine, mean_rates(rate, fine), [20.0])
-    assert (a * b.inv()).magnitude()[0] < 1e-3 * ARCSEC
 
 
 def test_uneven_steps_keep_the_order():

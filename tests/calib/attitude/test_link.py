@@ -1,7 +1,5 @@
 """The document's angles, and the small rotations that the estimators work with."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

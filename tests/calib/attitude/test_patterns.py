@@ -1,7 +1,5 @@
 """Patterns of stars kept on disk: made once, shared by processes, made again where damaged."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

@@ -1,7 +1,5 @@
 """Cramer-Rao bounds: equal to what the estimators state at the truth, and to what they scatter by."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

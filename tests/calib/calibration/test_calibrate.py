@@ -1,7 +1,5 @@
 """Never a confident wrong answer: what users hand in by mistake ends in one clear line or a flagged result."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +14,7 @@ from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.polynomial import Polynomial
 from optics.errors import DomainError
-from optics.frames import pixel_to_tetra3, pixel_to_tetra3rs
+from optics.frames import pixel_to_tetra3rs
 
 METHODS = ("acc", "linked", "free", "interstar")
 LONG = (*METHODS[:3], pytest.param("interstar", marks=pytest.mark.slow))  # where interstar angles wander for long
@@ -84,14 +82,6 @@ def test_positions_from_the_centre_of_the_image(scenes, scene, method):
         DomainError, match=r"star positions lie outside the detector of 1024 x 1024 px .* optics.frames"
     ):
         calibrate(replace(scene.observations, pixel_px=pixel), scenes.START, family(method, scene))
-
-
-def test_positions_as_y_and_x(scenes, scene):
-    """A list in the convention of tetra3: mirrored."""
-    pixel = np.column_stack(pixel_to_tetra3(*scene.observations.pixel_px.T))
-    found = calibrate(replace(scene.observations, pixel_px=pixel), scenes.START, FreeAttitudes()).solution
-    assert found.status == "refused"
-    assert "exchange the axes" in found.message
 
 
 @pytest.mark.parametrize("method", LONG)

@@ -1,7 +1,5 @@
 """Angles between stars as least-squares problems: closed forms against loops over pairs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Observations: what is kept, what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

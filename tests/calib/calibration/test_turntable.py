@@ -1,7 +1,5 @@
 """Joint calibration with a single star on a turntable; the table here is two or three rotations written out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fit of camera models to noiseless maps: one family in another, and a traced lens."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Line-of-sight map: a turn is no error, the covariance predicts the spread."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -74,7 +72,9 @@ def test_an_error_towards_a_larger_column_is_positive_in_x():
     assert abs(error[middle, 1]) < 0.02 * error[middle, 0]
 
 
-@pytest.mark.parametrize("family", ["brown_conrady", "polynomial", "per_band"])
+@pytest.mark.parametrize(
+    "family", ["brown_conrady", *(pytest.param(one, marks=pytest.mark.slow) for one in ("polynomial", "per_band"))]
+)
 def test_monte_carlo_of_parameters_agrees_with_the_predicted_map(family):
     """A sigma from N = 800 draws is known to 1/sqrt(2 N) = 2.5 %; the largest of 50 may be off by 4.5 times that."""
     count, pixel = 800, GEOMETRY.grid_px(5)

@@ -1,7 +1,5 @@
 """Brown-Conrady against OpenCV's projectPoints."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -4,8 +4,6 @@ Expected behaviour: no digit is lost at any concentration, the estimators have t
 interval covers, and another library agrees where it still works.
 """
 
-from __future__ import annotations
-
 from decimal import Decimal, getcontext
 
 import numpy as np

@@ -3,8 +3,6 @@
 Expected behaviour: good samples are refused as often as stated, bad ones are seen, and outliers do not hide each other.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Block-arrow normal equations against the same matrix written out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Covariance of what data determine, against the closed form of a straight line."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from calib.fitting.determined import covariance_of_jacobian, transformed_covariance

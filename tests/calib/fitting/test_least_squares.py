@@ -1,7 +1,5 @@
 """The least-squares core on problems with known answers, and beside scipy.optimize.least_squares."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import least_squares

@@ -1,7 +1,5 @@
 """Chi-square beside its expectation: SciPy's law, and noise stated wrong by ten or a hundred in calibrations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

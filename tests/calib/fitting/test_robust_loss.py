@@ -1,7 +1,5 @@
 """Robust losses: weight is the slope of rho, and the stated efficiency is what a simulation finds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

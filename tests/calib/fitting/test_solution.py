@@ -1,7 +1,5 @@
 """Solutions and calibrations: statistics of a fit, and the shapes they insist on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

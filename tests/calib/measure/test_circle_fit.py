@@ -12,13 +12,6 @@ def on_circle(angles, centre=(3.2, -1.7), radius=12.5):
     return np.array(centre) + radius * np.column_stack([np.cos(angles), np.sin(angles)])
 
 
-def test_points_of_a_circle_give_it_back():
-    fit = fit_circle(on_circle(np.linspace(0, 5.5, 40)))
-    assert fit.centre == pytest.approx([3.2, -1.7], abs=1e-10)
-    assert fit.radius == pytest.approx(12.5, abs=1e-10)
-    assert fit.rms < 1e-10
-
-
 @pytest.mark.parametrize("noise", [0.05, 0.5])
 def test_fit_minimises_the_orthogonal_distances(noise):
     """Short noisy arc, where algebraic fits are biased: the same minimum as a simplex search on the sum itself."""
@@ -32,20 +25,6 @@ def test_fit_minimises_the_orthogonal_distances(noise):
     best = minimize(total, [3.0, -2.0, 12.0], method="Nelder-Mead", options=search)
     fit = fit_circle(points, clip_sigma=np.inf)
     assert [*fit.centre, fit.radius] == pytest.approx(best.x, abs=1e-5)
-
-
-@pytest.mark.parametrize("stated", [True, False])
-def test_covariance_is_the_scatter(stated):
-    """200 circles of 60 points: variance of a pull is 1 to 3 sqrt(2/200) = 0.3, its mean 0 to 3/sqrt(200) = 0.21."""
-    rng = np.random.default_rng(7)
-    angles = np.linspace(0, 4.0, 60)
-    pulls = []
-    for _ in range(200):
-        points = on_circle(angles) + 0.1 * rng.standard_normal((60, 2))
-        fit = fit_circle(points, sigma=0.1 if stated else None, clip_sigma=np.inf)
-        pulls.append(([*fit.centre, fit.radius] - np.array([3.2, -1.7, 12.5])) / fit.sigma)
-    assert np.mean(pulls, axis=0) == pytest.approx([0, 0, 0], abs=0.21)
-    assert np.var(pulls, axis=0) == pytest.approx([1, 1, 1], abs=0.3)
 
 
 def test_stray_points_are_left_out():

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from calib.flags import StarFlag, has_flag
-from calib.measure.background import estimate_background
 from calib.measure.detection import detect
 from calib.records import NoiseModel, SensorImage, StarTable
 from optics.errors import DomainError
@@ -46,25 +45,6 @@ def test_every_star_and_nothing_else(sky):
     assert np.all(stars.flags == 0)
     assert np.all(np.diff(stars.flux_e) <= 0), "brightest first"
     assert np.allclose(stars.flux_e / flux[nearest], 1.0, atol=0.35)
-
-
-def test_columns_are_x_and_rows_are_y(sky):
-    stars = detect(image_of(field(sky, [250.0], [40.0], 5000.0)))
-    assert len(stars) == 1
-    assert stars.x_px[0] == pytest.approx(250.0, abs=0.1)
-    assert stars.y_px[0] == pytest.approx(40.0, abs=0.1)
-
-
-def test_transposed_image_gives_transposed_stars(sky):
-    x, y = grid()
-    electrons = field(sky, x, y, 5000.0)
-    background = estimate_background(image_of(electrons))
-    turned = estimate_background(image_of(electrons.T))
-    one = detect(image_of(electrons), background)
-    two = detect(image_of(electrons.T), turned)
-    key_one, key_two = np.lexsort((one.y_px, one.x_px)), np.lexsort((two.x_px, two.y_px))
-    assert np.allclose(one.x_px[key_one], two.y_px[key_two], atol=1e-6)
-    assert np.allclose(one.y_px[key_one], two.x_px[key_two], atol=1e-6)
 
 
 def test_nothing_found_is_an_empty_table():
@@ -116,13 +96,6 @@ def test_blend_spike_edge_and_defect_are_flagged(sky):
     assert flags_at(200.0, 20.0) & StarFlag.SPIKE
     assert flags_at(250.0, 50.0) & StarFlag.DEFECT
     assert len(stars) == 6
-
-
-def test_brightest_are_kept(sky):
-    x, y = grid()
-    image = image_of(field(sky, x, y, np.geomspace(1000.0, 50000.0, len(x))))
-    everyone, few = detect(image), detect(image, max_stars=5)
-    assert np.array_equal(few.x_px, everyone.x_px[:5])
 
 
 @pytest.mark.parametrize("bad", [{"threshold_sigma": 0.0}, {"fwhm_px": 0.1}, {"max_stars": -1}])

@@ -84,12 +84,6 @@ def test_digital_numbers_a_frame_and_an_image_give_the_same_stars(electrons, pla
     assert rms_error_px(plain, place) < 0.021
 
 
-def test_detection_takes_a_plain_array_too(electrons, place):
-    found = detect(electrons)
-    assert len(found) == len(place[0])
-    assert rms_error_px(found, place) < 0.1
-
-
 def test_windows_start_at_the_detections_and_hand_their_flags_on(electrons):
     electrons = np.array(electrons)
     electrons[80, 100] += 5000.0  # a hot pixel

@@ -1,7 +1,5 @@
 """The error by pixel phase against stars that the tests draw themselves: erf integrals, shot and read noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Parts of the measuring room that larger tests use without noticing their numbers."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from math import comb
 

@@ -1,7 +1,5 @@
 """Damaged files: one clear line each, or a lens; never a traceback, never a hang."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from pathlib import Path

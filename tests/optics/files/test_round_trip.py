@@ -1,7 +1,5 @@
 """Read, write, read: the same rays, whatever the format."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

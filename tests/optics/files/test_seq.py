@@ -1,7 +1,5 @@
 """CODE V files: commands in any spelling, units, decentres and the tricks that files of others hold."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

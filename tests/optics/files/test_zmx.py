@@ -1,7 +1,5 @@
 """Zemax files: every trap that readers of others fell into, in small files that hold it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Index of air against the NIST calculator and against formulas of other authors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Glass: published indices, Abbe numbers, temperature coefficients and transmittances come out of the coefficients."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Dispersion formulas: printed n_d and v_d of one published material per formula, and identities between formulas."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

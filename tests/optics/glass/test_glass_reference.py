@@ -1,7 +1,5 @@
 """The whole catalogue against opticalglass, which reads the makers' own spreadsheets."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from typing import Any

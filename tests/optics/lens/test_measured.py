@@ -1,7 +1,5 @@
 """Measured and ideal lenses: file, camera model, PSF tables, vignetting, refusals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

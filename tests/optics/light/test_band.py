@@ -1,7 +1,5 @@
 """Bands: shape of the trapezoid, exactness and order of the nodes, the limit of a narrow line."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Magnitudes to photons, against published fluxes and passbands and another definition of the same zero point."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Spectra: photon counts of black bodies against radiation laws and astropy, tables in and out of other libraries."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from astropy import units

@@ -1,7 +1,5 @@
 """Transmission of a lens: closed forms for plates and films, energy lost in glass, and a lens taken apart."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -44,12 +44,6 @@ def test_shift_between_colours_of_a_lens_with_holes():
     np.testing.assert_allclose(x, dense_x, atol=1e-3 * 0.0055)
 
 
-def test_mirrored_fields_have_mirrored_moments():
-    spots = spot_moments(CAMERA, [2.0, -2.0, 2.0], [1.0, 1.0, -1.0], [550.0])
-    np.testing.assert_allclose(spots.x_mm[:, 0], spots.x_mm[0, 0] * np.array([1, -1, 1]), atol=1e-13)
-    np.testing.assert_allclose(spots.xy_mm2[:, 0], spots.xy_mm2[0, 0] * np.array([1, -1, -1]), atol=1e-16)
-
-
 def test_transmitted_area_is_the_stop_where_nothing_cuts():
     spots = spot_moments(CAMERA, [0.0, 3.5], [0.0, 0.0], 600.0)
     np.testing.assert_allclose(spots.transmitted_mm2, np.pi * 35.0**2, rtol=1e-13)

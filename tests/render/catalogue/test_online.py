@@ -1,7 +1,5 @@
 """Downloads: what is asked, and one line where there is no network, no astroquery or no answer."""
 
-from __future__ import annotations
-
 import sys
 import types
 

@@ -1,7 +1,5 @@
 """Catalogues in the formats of astropy and of CDS: units, missing values, presets, mistakes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from astropy import units as u

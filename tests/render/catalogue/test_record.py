@@ -1,7 +1,5 @@
 """The catalogue record: what it keeps, what it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

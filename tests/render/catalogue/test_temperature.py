@@ -1,7 +1,5 @@
 """Temperatures from colours against other relations, other passbands and stars with measured ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

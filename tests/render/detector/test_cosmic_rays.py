@@ -1,7 +1,5 @@
 """Cosmic rays: closed forms of an isotropic flux, charge on its track, frames and windows."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Charge diffusion on pixels: flux, centroid and second moments."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

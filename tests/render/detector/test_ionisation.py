@@ -1,7 +1,5 @@
 """Energy loss in silicon against printed values of others."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

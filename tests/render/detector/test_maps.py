@@ -1,7 +1,5 @@
 """The patterns of one chip: their statistics, and that they belong to pixels and not to arrays."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -3,8 +3,6 @@
 The standard error of a mean over pixels comes from the measured scatter of the pixels; four are allowed.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

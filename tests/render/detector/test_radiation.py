@@ -1,7 +1,5 @@
 """Displacement damage: moments of the compound law, the published factor, temperature, and windows."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The detector chain: closed forms, the photon-transfer method of EMVA 1288, windows against frames, and bad input."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Detector data: shipped files, and what a reader of a broken one is told."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The one ray trace on Dr.Jit arrays against the same source on NumPy arrays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

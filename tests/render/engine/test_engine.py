@@ -1,7 +1,5 @@
 """Choosing the engine: what is missing or wrong becomes one line that says what to install."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Philox bits against the published known answers; uniforms and normals against their distributions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

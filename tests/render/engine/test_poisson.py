@@ -1,7 +1,5 @@
 """Poisson variates against the exact distribution, over both algorithms and their border."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """Random streams: keys are functions of (seed, path, name, frame) and of nothing else."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

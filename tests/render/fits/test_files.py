@@ -1,7 +1,5 @@
 """Frames through FITS: nothing lost, nothing half written, clear words about broken files."""
 
-from __future__ import annotations
-
 import dataclasses
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """World coordinates: astropy must land on chief rays traced through the lens, at any attitude, both ways."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Jitter: power against the spectrum, closed-form rates against differences of attitudes, keys."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad

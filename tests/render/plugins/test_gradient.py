@@ -1,7 +1,5 @@
 """Derivatives through `mi.render` against central differences of images of the forward engine, in double precision."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

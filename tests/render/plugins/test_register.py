@@ -1,7 +1,5 @@
 """The plugins in scenes that this project did not write, through ``mi.load_dict`` and ``mi.render``."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """`star_field` as a light of stock integrators: radiance of a plane that it lights, noise, files, variants."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

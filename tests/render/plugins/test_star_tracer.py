@@ -1,7 +1,5 @@
 """`star_tracer` as a citizen of Mitsuba: film, crop, sensors, scene files, and bodies that hide stars."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

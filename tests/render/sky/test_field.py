@@ -1,7 +1,5 @@
 """Which stars fall on the detector, against chief rays one by one; and what the renderer makes of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

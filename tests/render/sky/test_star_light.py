@@ -1,7 +1,5 @@
 """Light of stars from the table: against one spectrum at a time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

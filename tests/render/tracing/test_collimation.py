@@ -1,7 +1,5 @@
 """Light of a collimator that is not quite parallel: against turned stars, and rays from a point at a distance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

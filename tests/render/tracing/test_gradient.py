@@ -1,7 +1,5 @@
 """Derivatives of sums of plane waves: forward and reverse mode against central differences of the sums themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

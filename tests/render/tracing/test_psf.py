@@ -1,7 +1,5 @@
 """Effective PSFs against brute force, and against what they are for: predicting images of stars."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

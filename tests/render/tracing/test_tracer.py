@@ -1,7 +1,5 @@
 """Truth against the traced light, the balance of electrons, directions, linearity, reproducibility, bad input."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -114,14 +112,14 @@ def test_light_that_enters_is_what_the_stop_alone_would_pass(engine, bench):
     assert free.electrons_vignetted[0, 0] < 1e-12 * free.electrons_in[0, 0]
 
 
-def test_chief_rays_go_through_the_centre_of_the_stop(engine, bench):
-    for name in LENSES:
-        camera = bench.camera_of(name, film=False)
-        stars = bench.stars_at(camera, *over_the_field(bench, name), bands=((650.0, 0.0),))
-        truth = rendered(camera, stars, sobol_log2_rays=8).truth
-        x, y = camera.to_pixel(*chief_ray_points(camera.lens, *field_angles_deg(stars.direction), 650.0))
-        assert np.abs(truth.chief_x_px[:, 0] - x).max() < 1e-8
-        assert np.abs(truth.chief_y_px[:, 0] - y).max() < 1e-8
+@pytest.mark.parametrize("name", [*LENSES[:2], pytest.param(LENSES[2], marks=pytest.mark.slow)])
+def test_chief_rays_go_through_the_centre_of_the_stop(engine, bench, name):
+    camera = bench.camera_of(name, film=False)
+    stars = bench.stars_at(camera, *over_the_field(bench, name), bands=((650.0, 0.0),))
+    truth = rendered(camera, stars, sobol_log2_rays=8).truth
+    x, y = camera.to_pixel(*chief_ray_points(camera.lens, *field_angles_deg(stars.direction), 650.0))
+    assert np.abs(truth.chief_x_px[:, 0] - x).max() < 1e-8
+    assert np.abs(truth.chief_y_px[:, 0] - y).max() < 1e-8
 
 
 @pytest.mark.slow
@@ -173,19 +171,6 @@ def test_directions_on_the_detector(engine, bench):
         assert np.hypot(brightest[:, 0] - y[star], brightest[:, 1] - x[star]).min() < 1.5
 
 
-def test_mirror_symmetry_of_a_centred_lens(engine, bench):
-    camera = bench.camera_of()  # each image is as good as the tolerance of the quadrature, 3e-5
-    camera = replace(camera, width_px=700, height_px=700, centre_px=np.array([349.5, 349.5]))
-    stars = bench.stars_at(camera, [600.3, 200.8], [100.2, 690.1])
-    for sign in ([-1, 1, 1], [1, -1, 1], [-1, -1, 1]):
-        mirrored = replace(stars, direction=stars.direction * sign)
-        a, b = rendered(camera, stars), rendered(camera, mirrored)
-        flipped = b.electrons[:: sign[1], :: sign[0]]
-        assert np.abs(a.electrons - flipped).max() < 6e-5 * a.truth.electrons_in.max()
-        assert np.abs((a.truth.bundle_x_px - 349.5) - sign[0] * (b.truth.bundle_x_px - 349.5)).max() < 1e-8
-        assert np.abs((a.truth.bundle_y_px - 349.5) - sign[1] * (b.truth.bundle_y_px - 349.5)).max() < 1e-8
-
-
 def test_turning_the_camera_and_the_stars_changes_nothing(engine, bench):
     turn = Rotation.from_euler("zyx", [123.0, -40.0, 77.0], degrees=True).as_matrix()
     camera = bench.camera_of(decentre(load_lens("star_camera_206mm"), "L2", x_mm=0.1))
@@ -231,23 +216,6 @@ def test_narrow_band_becomes_a_line(engine, bench):
     assert offset[1] / offset[0] == pytest.approx(1 / 16, rel=0.2)  # second order in the width
     assert offset[2] < 1e-8
     assert np.abs(band.electrons - line.electrons).max() < 3e-5 * line.truth.electrons_in.max()
-
-
-def test_linear_in_exposure_flux_and_stars(engine, bench):
-    camera = bench.window(bench.camera_of(), 400, 1000, 500)
-    place = np.array([[100.2, 103.4, 300.1], [200.3, 202.2, 390.8]])
-    tracer = Tracer(camera)
-    together = bench.stars_at(camera, *place, rate=[1.0, 2.0, 3.0])
-    one = tracer.render(together, exposure_s=0.1)
-    two = tracer.render(together, exposure_s=0.2)
-    assert np.allclose(two.electrons, 2 * one.electrons, rtol=3e-7)
-    assert two.truth.electrons_in == pytest.approx(2 * one.truth.electrons_in, rel=1e-14)
-    apart = sum(
-        tracer.render(bench.stars_at(camera, *place[:, [i]], rate=[1.0 + i]), exposure_s=0.1).electrons.astype(float)
-        for i in range(3)
-    )
-    # one by one the field is smaller and so may be the order of the quadrature
-    assert np.abs(apart - one.electrons).max() < 3e-5 * one.truth.electrons_in.max()
 
 
 @pytest.mark.parametrize("name", [LENSES[0], pytest.param(LENSES[1], marks=pytest.mark.slow)])

@@ -1,7 +1,5 @@
 """Motion during the exposure: against sums of images at rest, row by row for a rolling shutter, and closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

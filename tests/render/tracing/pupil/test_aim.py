@@ -1,7 +1,5 @@
 """Outlines of beams: against rays traced by NumPy just inside and outside of them, closed forms, and convergence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

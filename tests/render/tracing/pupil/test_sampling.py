@@ -1,7 +1,5 @@
 """Sampling of the pupil: Sobol nets, the order of the quadrature, and which of the two is chosen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

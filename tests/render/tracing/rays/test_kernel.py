@@ -1,7 +1,5 @@
 """Pixel values against brute force: the same lens traced by NumPy on a dense grid, error functions over every pixel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Diffraction images against the sums of plane waves on NumPy, whose rays, pupils and matrices are its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

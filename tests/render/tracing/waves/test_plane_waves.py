@@ -1,7 +1,5 @@
 """Rays between few traced ones against the rays themselves."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Components that turn, against spots whose turned images are known in closed form."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Few wavelengths in place of many: functions that polynomials tell are kept, in every band as many."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
