@@ -64,8 +64,10 @@ class Curved(Shape):
 
     def scaled(self, factor: float) -> Self:
         """The surface expanded uniformly; a kind with numbers that are no lengths (fields ``..._mm``) has its own."""
-        lengths = {one.name: getattr(self, one.name) for one in fields(self) if one.name.endswith("_mm")}
-        grown = {k: tuple(a * factor for a in v) if isinstance(v, tuple) else v * factor for k, v in lengths.items()}
+        grown: dict[str, Any] = {}
+        for name in (one.name for one in fields(self) if one.name.endswith("_mm")):
+            length = getattr(self, name)
+            grown[name] = tuple(a * factor for a in length) if isinstance(length, tuple) else length * factor
         return replace(self, **grown)
 
     def changed(self, name: str, by: float) -> Shape:
