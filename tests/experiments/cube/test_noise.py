@@ -9,8 +9,15 @@ from scipy.spatial.transform import Rotation
 from experiments.cube import bench as cube_bench
 from experiments.cube.bench import NOMINAL_CUBE, SQUARE, Case, build_table, draw_truths, spot_profile
 from experiments.cube.budget import DETECTOR_RELATIVE, reading_term
-from experiments.cube.noise import _beam, _spot_particles_px2, _spot_variance_px2, picture_noise, sensor_noise
-from experiments.cube.sensor import centre_of_light, field_angles, fit_sensor
+from experiments.cube.noise import (
+    _beam,
+    _pixel_noise,
+    _spot_particles_px2,
+    _spot_variance_px2,
+    picture_noise,
+    sensor_noise,
+)
+from experiments.cube.sensor import EXPOSURE_S, centre_of_light, field_angles, fit_sensor
 from experiments.cube.settings import Config
 from experiments.cube.trim import (
     exposed,
@@ -162,3 +169,22 @@ def test_noise_of_the_sun_sensor_is_that_of_many_fits(laboratory):
         found.append(fit_sensor(config, spots, read, table, sensor, free=False).rotation.as_rotvec())
     predicted = np.sqrt(np.diag(noise.covariance_rad2))
     assert np.std(found, axis=0) / predicted == pytest.approx(np.ones(3), abs=0.2)
+
+
+def test_noise_of_a_centre_of_light_is_that_of_drawn_windows(laboratory):
+    """A disk of even light in 3000 windows of drawn pixels; less what particles add. The columns move x alone."""
+    config, detector = laboratory.config.sensor, laboratory.sensor_detector
+    radius, side, runs = config.hole_um * 5e-4 / detector.pixel_pitch_mm, config.window_px, 3000
+    noise, rng = _pixel_noise(detector, EXPOSURE_S), np.random.default_rng(6)
+    row, column = np.mgrid[:side, :side] - (side - 1) / 2
+    light = config.plateau_e * np.clip(radius + 0.5 - np.hypot(row, column), 0.0, 1.0)
+    found = []
+    for _ in range(runs // 100):
+        seen = light * (1.0 + noise.prnu * rng.standard_normal((100, side, side)))
+        temporal = np.sqrt((light + noise.floor_e2) / config.frames)
+        seen += np.sqrt(temporal**2 + noise.offset_e**2) * rng.standard_normal(seen.shape)
+        seen += noise.column_e * rng.standard_normal((100, 1, side))
+        found.append(centre_of_light(seen) - (side - 1) / 2)
+    one = np.ones(1)
+    expected = _spot_variance_px2(laboratory, one)[0] - _spot_particles_px2(laboratory, radius, one)
+    assert np.mean(np.square(found)) == pytest.approx(expected, rel=0.07)

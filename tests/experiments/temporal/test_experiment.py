@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from experiments.harness.config import load_config
 from experiments.harness.progress import Progress
 from experiments.laboratory.point_scene import point_laboratory, point_scene
 from experiments.laboratory.temporal_error import target_place
 from experiments.temporal.experiment import run as measure
+from experiments.temporal.settings import Config
 from render.engine.random import Streams
 
-pytestmark = pytest.mark.slow
+slow = pytest.mark.slow
 
 FRAMES, STARS = 40, 6
 
@@ -23,6 +25,25 @@ FRAMES, STARS = 40, 6
 def run(tiny_run):
     small = {"target__rows": 2, "target__columns": 3, "target__pitch_px": 45.1, "target__edge_px": 40}
     return tiny_run("temporal", **small, compare=["epsf"], frames=FRAMES, draws=20, brightness__levels=2)
+
+
+def test_a_run_by_rays_sets_the_levels_and_scatters_as_predicted(engine, tmp_path):
+    """Levels set without error are even in magnitudes; 240 positions each: five standard deviations."""
+    (tmp_path / "tiny.toml").write_text('base = "cmv4000"\nname = "tiny"\nchip_width_px = 288\nchip_height_px = 256\n')
+    target = ["target.rows=2", "target.columns=3", "target.pitch_px=45.1", "target.edge_px=40"]
+    light = ["brightness.levels=2", "brightness.setting_error_ratio=0", f"frames={FRAMES}", "draws=20", "compare=[]"]
+    sensor = [f"instrument.detector={tmp_path / 'tiny.toml'}", "instrument.diffraction=rays"]
+    config = load_config(Config, settings=[*target, *light, *sensor])
+    result = measure(config, progress=Progress())
+    ends = [config.brightness.lowest_e, config.brightness.highest_e]
+    np.testing.assert_allclose([one.signal_e for one in result["levels"]], ends)
+    assert result["frames"].stars == STARS
+    for one in [*result["levels"], result["nominal"]]:
+        for ratio, over in zip(one.ratio[0], one.over_bound[0], strict=True):
+            assert ratio.value == pytest.approx(1.0, abs=5.0 * ratio.uncertainty)
+            assert ratio.uncertainty < 0.13
+            assert over.value > 0.8
+    assert result["levels"][0].bound_arcsec[0] > 4.0 * result["levels"][1].bound_arcsec[0]
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +90,7 @@ def bounds_px(run, laboratory):
     return np.array(bounds)
 
 
+@slow
 def test_the_bound_is_that_of_the_fisher_information(run, laboratory):
     assert run.status == 0
     expected = 3.0 * laboratory[0].pixel_arcsec * bounds_px(run, laboratory).mean(0)
@@ -76,6 +98,7 @@ def test_the_bound_is_that_of_the_fisher_information(run, laboratory):
     np.testing.assert_allclose([stated["x"], stated["y"]], expected, rtol=0.01)
 
 
+@slow
 def test_the_fit_scatters_as_the_bound_and_the_centre_of_gravity_as_its_own_sum(run, laboratory):
     """Centre of gravity: variance = sum (x - mean)^2 (light + floor) / flux^2, exact to first order in the noise."""
     instrument = laboratory[0]
@@ -97,6 +120,7 @@ def test_the_fit_scatters_as_the_bound_and_the_centre_of_gravity_as_its_own_sum(
     np.testing.assert_allclose([predicted[axis] for axis in "xy"], scale * np.mean(gravity, axis=1), rtol=0.01)
 
 
+@slow
 def test_the_verdicts_hold_for_other_seeds_and_notice_a_quarter(run, failing):
     """By rays: noise is what differs. Four verdicts of a false alarm of 1 in 1000 each."""
     instrument = run.config.instrument.model_copy(update={"diffraction": "rays"})
