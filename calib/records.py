@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from astropy import units
-from astropy.table import Table
 from numpy.typing import NDArray
 
 from calib.fitting.misfit import ChiSquare, joined
@@ -16,6 +14,9 @@ from calib.flags import UNFIT, StarFlag, describe_flags, has_flag
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
+
+if TYPE_CHECKING:
+    from astropy.table import Table
 
 __all__ = ["FLUX", "Conversion", "NoiseModel", "SensorImage", "Stamps", "StarTable", "X", "Y"]
 
@@ -162,21 +163,21 @@ class Stamps:
 
 
 _COLUMN_UNITS: dict[str, Any] = {
-    "x_px": units.pix,
-    "y_px": units.pix,
-    "flux_e": units.electron,
-    "background_e": units.electron,
-    "sigma_x_px": units.pix,
-    "sigma_y_px": units.pix,
-    "sigma_flux_e": units.electron,
+    "x_px": "pix",
+    "y_px": "pix",
+    "flux_e": "electron",
+    "background_e": "electron",
+    "sigma_x_px": "pix",
+    "sigma_y_px": "pix",
+    "sigma_flux_e": "electron",
     "correlation_xy": None,
     "correlation_x_flux": None,
     "correlation_y_flux": None,
     "chi2": None,
     "iterations": None,
     "flags": None,
-    "width_px": units.pix,
-    "phase_error_px": units.pix,
+    "width_px": "pix",
+    "phase_error_px": "pix",
 }
 
 
@@ -329,6 +330,8 @@ class StarTable:
 
     def to_table(self, columns: Sequence[str] = tuple(_COLUMN_UNITS)) -> Table:
         """The stars as an `astropy.table.Table` of plain columns with units, e.g. to write ECSV."""
+        from astropy.table import Table
+
         table = Table()
         for name in columns:
             table[name] = np.array(getattr(self, name))

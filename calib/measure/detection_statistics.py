@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
-from scipy.special import ndtr
-from scipy.stats import multivariate_normal, norm
+from scipy.special import ndtr, owens_t
 
 from calib.measure.moments import FWHM_PER_SIGMA
 from optics.arrays import FloatArray
@@ -59,6 +58,11 @@ def _correlation(fwhm_px: float, dy: int, dx: int) -> float:
     return float((a * b).sum() / (kernel**2).sum())
 
 
+def _density(z: FloatArray) -> FloatArray:
+    """Normal density."""
+    return np.asarray(np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi))
+
+
 def kernel_correlation(fwhm_px: float) -> tuple[float, float]:
     """Correlation of pixels one and two apart after the filter, in white noise."""
     return _correlation(fwhm_px, 0, 1), _correlation(fwhm_px, 0, 2)
@@ -72,10 +76,11 @@ def _chance_of_maximum(one: float, two: float) -> tuple[FloatArray, FloatArray]:
     """
     variance, shared = 1.0 - one**2, two - one**2
     shared = float(np.clip(shared, -0.999 * variance, 0.999 * variance))
-    law = multivariate_normal([0.0, 0.0], [[variance, shared], [shared, variance]])
     height = np.linspace(0.0, HIGHEST, HEIGHTS)
-    below = (1.0 - one) * height
-    return height, np.asarray(law.cdf(np.stack([below, below], axis=-1)))
+    below = (1.0 - one) * height / np.sqrt(variance)
+    # both of two correlated normal variates below the same limit (Owen 1956, Ann. Math. Statist. 27, 1075, eq. 2.1)
+    both = ndtr(below) - 2.0 * owens_t(below, np.sqrt((variance - shared) / (variance + shared)))
+    return height, np.asarray(both)
 
 
 def maxima_per_pixel(
@@ -86,7 +91,7 @@ def maxima_per_pixel(
     ``correlation_x`` and ``correlation_y`` are those of pixels one and two apart along the axes.
     """
     z = np.asarray(threshold, np.float64)[..., None] + np.linspace(0.0, 6.0, 121)
-    density = norm.pdf(z)
+    density = _density(z)
     for correlation in (correlation_x, correlation_y):
         density = density * np.interp(z, *_chance_of_maximum(*correlation))
     return np.asarray(np.trapezoid(density, z, axis=-1))
@@ -120,7 +125,7 @@ def clipped_noise(noise_spread: float, clip_sigma: float = 3.0) -> float:
         """Probability and second moment within +-limit of normal variates."""
         edge = limit / each
         chance = 2.0 * ndtr(edge) - 1.0
-        return chance, each**2 * (chance - 2.0 * edge * norm.pdf(edge))
+        return chance, each**2 * (chance - 2.0 * edge * _density(edge))
 
     one = inside(clip_sigma, np.ones(1))
     shrink, found = float(one[1][0] / one[0][0]), 1.0

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.camera.frames import FRAMES, SOLVED, compare, render_frames, solved_frames
+from experiments.camera.answer import Swing, Temperatures, ThermalRange, limits
+from experiments.camera.frames import FRAMES, SOLVED
 from experiments.camera.optical_state import OpticalState
 from experiments.camera.prediction import Accuracy, CameraPrediction, Optics, Sky, accuracy, optics, predict_camera, sky
 from experiments.camera.settings import Config
@@ -18,18 +18,13 @@ from experiments.harness.drawings import bars, curves
 from experiments.harness.plotting import INK, PALETTE, band_colours, new_figure
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities
-from experiments.harness.range import value_at, with_value
 from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.what_if import REQUIREMENTS, Requirement, judge, missed_words
-from experiments.laboratory.checks import focus_remark
-from experiments.laboratory.instrument import stated_lens
-from experiments.laboratory.requirements import AT_LEAST
 from optics.arrays import FloatArray
-from optics.errors import DomainError, StarbenchError
 from optics.figures import draw_lens
 from optics.rays.spots import trace_spots
 
-__all__ = ["SECTIONS", "limits", "predict", "run"]
+__all__ = ["SECTIONS", "predict", "predicted"]
 
 CURVE_POINTS = 91
 
@@ -79,12 +74,6 @@ def setup(prediction: CameraPrediction, requirements: Sequence[Requirement]) -> 
         trail_px=state.trail_length_px,
         state=state,
     )
-
-
-def limits(config: Config) -> dict[str, tuple[float, bool]]:
-    """Requirements of the sensor file: number -> (value, whether at least)."""
-    required = config.requirements.model_dump()
-    return {key: (float(value), key in AT_LEAST) for key, value in required.items() if value is not None}
 
 
 def draw_section(outcome: Outcome) -> Figure:
@@ -272,160 +261,9 @@ def draw_sky(outcome: Outcome) -> Figure:
     return figure
 
 
-# --- From the coldest to the hottest
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Temperatures:
-    """Lens and housing at one temperature, the detector where the focus was set."""
-
-    thermal_focus_um: FloatArray = col("Best focus", "um", ".1f", "temperature")
-    thermal_scale_ppm: FloatArray = col("Plate scale, change", "ppm", ".1f", "temperature")
-    thermal_spot_px: FloatArray = col("RMS spot radius, largest", "px", ".3f", "temperature")
-    thermal_colour_px: FloatArray = col("Lateral colour", "px", ".3f", "temperature")
-    thermal_nea_arcsec: FloatArray = col("NEA", "arcsec", ".3f", "temperature")
-    thermal_attitude_arcsec: FloatArray = col("Attitude across, median", "arcsec", ".3f", "temperature")
-    temperature_c: FloatArray
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ThermalRange:
-    """Largest changes over the temperatures; NaN for a lens without thermal data."""
-
-    focus_shift_um: float = col("Change of the best focus over temperature", "um", ".1f")
-    spot_thermal_px: float = col("Spot radius (RMS), largest over temperature", "px", ".3f")
-    scale_change_ppm: float = col("Change of the plate scale over temperature", "ppm", ".1f")
-    refusal: str = col("Why there is no answer", json="")
-
-
-def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
-    """The sensor predicted at all temperatures; None, and the reason, for a lens without thermal data."""
-    setting, reference_c = config.thermal, stated_lens(config.instrument).environment.temperature_c
-    at_c = np.linspace(setting.lowest_c, setting.highest_c, setting.points)
-    try:
-        reference, *found = (
-            predict_camera(with_value(config, "instrument.lens_temperature_c", float(t))) for t in (reference_c, *at_c)
-        )
-    except DomainError as error:
-        nothing = math.nan
-        refusal = str(error).splitlines()[0]
-        return None, ThermalRange(
-            focus_shift_um=nothing, spot_thermal_px=nothing, scale_change_ppm=nothing, refusal=refusal
-        )
-    scale_mm = np.array([one.state.performance.plate_scale_mm for one in found])
-
-    def values(name: str) -> FloatArray:
-        return np.array([one.value(name) for one in found])
-
-    over = Temperatures(
-        thermal_focus_um=values("best_focus_um"),
-        thermal_scale_ppm=1e6 * (scale_mm / reference.state.performance.plate_scale_mm - 1.0),
-        thermal_spot_px=values("spot_px"),
-        thermal_colour_px=values("lateral_colour_px"),
-        thermal_nea_arcsec=values("nea_arcsec"),
-        thermal_attitude_arcsec=values("attitude_cross_arcsec"),
-        temperature_c=at_c,
-    )
-    return over, ThermalRange(
-        focus_shift_um=float(np.ptp(over.thermal_focus_um)),
-        spot_thermal_px=float(over.thermal_spot_px.max()),
-        scale_change_ppm=float(np.abs(over.thermal_scale_ppm).max()),
-        refusal="",
-    )
-
-
 def temperature_axis(q: Quantities, found: Temperatures) -> None:
     """Temperatures of lens and housing."""
     q.axis("temperature", found.temperature_c, "Temperature", unit="°C", format=".0f", key="temperature_c")
-
-
-# --- What to change first
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Swing:
-    """One key moved down and up, the others as they are: relative changes, for magnitudes the difference."""
-
-    key: str = col("Key", json="")
-    low: float = col("From", format=".3g", json="", shown=False)
-    high: float = col("To", format=".3g", json="", shown=False)
-    unit: str = col("Unit", json="", shown=False)
-    swing_attitude_cross_arcsec: Sequence[float] = col("Change of attitude error", format="+.3f", dims="end")
-    swing_single_star_arcsec: Sequence[float] = col("Single star", format="+.3f", dims="end", shown=False)
-    swing_limiting_magnitude_mag: Sequence[float] = col("Limiting magnitude", "mag", "+.2f", "end")
-    swing_stars_worst_per_frame: Sequence[float] = col("Stars", format="+.3f", dims="end", shown=False)
-    label: str  # Of the key
-
-    @property
-    def size(self) -> float:
-        """Largest change of the attitude that is known."""
-        return max((abs(one) for one in self.swing_attitude_cross_arcsec if math.isfinite(one)), default=0.0)
-
-
-CHANGED = ("attitude_cross_arcsec", "single_star_arcsec", "limiting_magnitude_mag", "stars_worst_per_frame")
-FEW_ATTITUDES = 150
-"""Differences of the same attitudes are known from fewer of them."""
-
-
-def swings(config: Config, base: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> list[Swing]:
-    """Swings of all keys, the largest first."""
-    fewer = config.sky.model_copy(update={"attitudes": min(FEW_ATTITUDES, config.sky.attitudes)})
-    config = config.model_copy(update={"sky": fewer})
-    middle, rows = predict_camera(config), []
-    advance()
-    for key, label, unit, low, value, high in parameters(config, base):
-        ends = []
-        for at in (low, high):
-            ends.append(_changes(config, key, at, middle) if at != value else dict.fromkeys(CHANGED, 0.0))
-            advance()
-        moved = {f"swing_{name}": [end[name] for end in ends] for name in CHANGED}
-        rows.append(Swing(key=key, label=label, low=low, high=high, unit=unit, **moved))
-    return sorted(rows, key=lambda one: -one.size)
-
-
-def _changes(config: Config, key: str, value: float, middle: CameraPrediction) -> dict[str, float]:
-    """NaN where the setting is refused, or nothing is known to change."""
-    try:
-        found = predict_camera(with_value(config, key, value))
-    except (StarbenchError, ValueError):
-        return dict.fromkeys(CHANGED, math.nan)
-    changes = {}
-    for name in CHANGED:
-        new, old = found.value(name), middle.value(name)
-        relative = new / old - 1.0 if math.isfinite(old) and old else math.nan
-        changes[name] = new - old if name.endswith("_mag") else relative
-    return changes
-
-
-def parameters(config: Config, base: CameraPrediction) -> list[tuple[str, str, str, float, float, float]]:
-    """Key, label, unit, low, value, high."""
-    change, chip = config.tornado, base.processing.detector
-    share, depth_mm = change.change_fraction, base.value("depth_of_focus_um") * 1e-3
-    rows = []
-    for key, label, unit, own in (
-        ("instrument.exposure_s", "exposure", "s", None),
-        ("instrument.f_number", "F-number", "", base.value("f_number")),
-        ("detector.read_noise_e", "read noise", "e⁻", chip.read_noise_e),
-        ("detector.dark_current_e_per_s", "dark current", "e⁻/s", chip.dark_current_e_per_s),
-        ("detector.prnu", "PRNU", "", chip.prnu),
-        ("throughput_fraction", "throughput (QE, coatings)", "", None),
-        ("background_e_per_s", "straylight", "e⁻/s", None),
-        ("threshold_sigma", "detection limit", "σ", base.value("threshold_sigma")),
-    ):
-        value = float(value_at(config, key) if own is None else own)
-        low, high = value * (1.0 - share), value * (1.0 + share)
-        if key == "instrument.f_number":
-            low = value  # a stop can be closed, not opened beyond what the lens has
-        if key == "throughput_fraction":
-            high = min(high, 1.0)
-        rows.append((key, label, unit, low, value, high))
-    for key, label, unit, step in (
-        ("instrument.defocus_mm", "defocus", "mm", depth_mm),
-        ("instrument.chip_temperature_c", "chip temperature", "°C", change.chip_k),
-    ):
-        value = value_at(config, key)
-        rows.append((key, label, unit, value - step, value, value + step))
-    return [row for row in rows if row[3] < row[5] and row[0] in change.parameters]
 
 
 def swing_axes(q: Quantities, found: Sequence[Swing]) -> None:
@@ -456,29 +294,6 @@ def predicted(prediction: CameraPrediction, *more: Any) -> dict[str, Any]:
         "magnitudes": magnitudes(prediction),
         "attitudes": attitudes(prediction),
     }
-
-
-def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Predict, warm and cool, vary, render."""
-    with progress.stage("predict"):
-        prediction = predict_camera(config)
-    state = prediction.state
-    if remark := focus_remark(state.instrument.camera, state.light.wavelength_nm.ravel()):
-        progress.note(remark)
-    with progress.stage("temperature"):
-        over_temperature, thermal = temperatures(config)
-    sections: dict[str, Any] = predicted(prediction, thermal)
-    sections |= {"temperatures": over_temperature, "thermal": thermal}
-    if config.tornado.parameters:
-        keys = parameters(config, prediction)
-        with progress.stage("what to change", total=1 + 2 * len(keys)) as stage:
-            sections["changes"] = swings(config, prediction, advance=stage.advance) or None
-    if not config.predict_only:
-        with progress.stage("frames", total=config.frames.readouts + config.frames.sky) as stage:
-            rendered = render_frames(prediction, advance=stage.advance)
-        sections["frames"] = compare(prediction, rendered)
-        sections["solved"] = solved_frames(prediction, rendered)
-    return sections
 
 
 SECTIONS: Mapping[str, Section] = {

@@ -144,10 +144,10 @@ experiment = with_what_if(
     Experiment(
         name="camera",
         config=Config,
-        run="experiment:run",
+        run="run:run",
         sections="experiment:SECTIONS",
         predict="experiment:predict",
-        limits="experiment:limits",
+        limits="answer:limits",
         swept=(
             "attitude_cross_arcsec",
             "attitude_roll_arcsec",

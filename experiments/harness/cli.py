@@ -55,7 +55,9 @@ class Main(click.Group):
         if defaults is not None:
             click.echo(_defaults(self.experiment, options, whole=defaults == "all"), nl=False)
             return None
-        run, folder = perform(self.experiment, options, terminal_progress())
+        progress = terminal_progress()
+        progress.say = click.echo
+        run, folder = perform(self.experiment, options, progress)
         _show(run, folder.shown)
         return EXIT_FAILED if any(criterion.failed for criterion in run.criteria) else EXIT_GOOD
 
@@ -154,21 +156,15 @@ def _defaults(experiment: Experiment, options: Options, *, whole: bool) -> str:
 def _show(run: ExperimentRun, shown: str) -> None:
     from rich.console import Console
 
-    from experiments.harness.summary import CRITERIA_NOTE, percent, verdict_line
-    from experiments.harness.tables import Table, to_rich
+    from experiments.harness.summary import criteria_lines, verdict_line
+    from experiments.harness.tables import to_rich
 
     console = Console()
     for name in run.experiment.show:
         if run.tables[name].rows:
             console.print(to_rich(run.tables[name]))
-    holds = {True: "yes", False: "NO", None: "not judged"}
-    rows = [
-        (one.name, one.value, one.demand, one.unit, holds[one.passed], percent(one.false_alarm), percent(one.notices))
-        for one in run.criteria
-    ]
-    heads = ("criterion", "value", "limit", "unit", "holds", "false alarm", "notices")
-    if rows:
-        console.print(to_rich(Table(columns=heads, rows=rows, caption="Criteria", note=CRITERIA_NOTE)))
+    for line in criteria_lines(run.criteria):
+        console.print(line, style="red" if line.startswith("NO ") else None, highlight=False, markup=False)
     for one in run.criteria:
         if one.advice and one.failed:
             console.print(f"{one.name}: {one.advice}", style="red", highlight=False, markup=False, soft_wrap=True)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
-
-import xarray as xr
+from typing import TYPE_CHECKING, Any
 
 from experiments.harness.quantities import Quantity, positions, shown_unit
 from experiments.harness.tables import Cell, Column, Table
 from optics.errors import DomainError
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = ["Pivot", "pivot"]
 

@@ -33,6 +33,8 @@ class Progress:
     ----------
     times_s : dict
         Seconds spent in each stage, in order; stages of the same label add up.
+    say : callable or None
+        Takes what `answer` is told.
 
     Examples
     --------
@@ -46,6 +48,7 @@ class Progress:
 
     def __init__(self) -> None:
         self.times_s: dict[str, float] = {}
+        self.say: Callable[[str], None] | None = None
 
     @contextmanager
     def stage(self, label: str, total: int | None = None) -> Iterator[Stage]:
@@ -56,6 +59,11 @@ class Progress:
                 yield Stage(show)
         finally:
             self.times_s[label] = self.times_s.get(label, 0.0) + time.perf_counter() - start
+
+    def answer(self, words: str) -> None:
+        """Say what a run found before it is drawn and written; a command prints it."""
+        if self.say is not None:
+            self.say(words)
 
     def note(self, words: str) -> None:
         """Say something that the user has to know, on a line of its own on the standard error stream."""

@@ -13,14 +13,16 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from experiments.harness.summary import Measured
 from optics.errors import ConfigError, DomainError, unknown_name
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = ["Outcome", "Quantities", "Quantity", "shown_unit", "to_results", "write_netcdf"]
 
@@ -50,6 +52,8 @@ class Quantities:
     """
 
     def __init__(self) -> None:
+        import xarray as xr  # slow to import
+
         self.dataset = xr.Dataset()
 
     def axis(
@@ -117,7 +121,7 @@ class Quantities:
 
 def _split(values: Any) -> tuple[Any, Any, Any, str]:
     """Values, uncertainties, sample sizes and unit of nested sequences of `Measured`; others as they are."""
-    if isinstance(values, (np.ndarray, xr.DataArray)) and values.dtype != object:
+    if hasattr(values, "dtype") and values.dtype != object:
         return np.asarray(values), None, None, ""
     array = np.empty((), dtype=object)
     if isinstance(values, Measured):

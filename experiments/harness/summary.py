@@ -7,6 +7,7 @@ import enum
 import json
 import math
 import operator
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any, Literal
@@ -21,6 +22,7 @@ __all__ = [
     "NOTICED_PART",
     "Criterion",
     "Measured",
+    "criteria_lines",
     "dumps",
     "farthest_from_one",
     "measured",
@@ -143,6 +145,23 @@ def verdict_line(criteria: Sequence[Criterion], judged: str = "simulation") -> s
         return f"The {judged} is consistent: all {count} criteria hold{left}."
     not_so = f"{failed} of {count} criteria {'does' if failed == 1 else 'do'} not hold"
     return f"The {judged} is not consistent: {not_so}{left}."
+
+
+def criteria_lines(criteria: Sequence[Criterion], width: int = 80) -> list[str]:
+    """Criteria for a terminal, two lines each or more: whether it holds and what; value, limit, power."""
+    if not criteria:
+        return []
+    holds = {True: "yes", False: "NO", None: "–"}
+    lines = ["Criteria"]
+    for one in criteria:
+        lines += textwrap.wrap(one.name, width, initial_indent=f"{holds[one.passed]:<5}", subsequent_indent=5 * " ")
+        number = f"{one.value:.4g} ({one.demand}){f' {one.unit}' if one.unit else ''}"
+        power = {"false alarm": percent(one.false_alarm), "notices": percent(one.notices)}
+        told = ", ".join(f"{name} {text}" for name, text in power.items() if text)
+        numbers = f"     {number:<38} {told}".rstrip()
+        lines += [numbers] if len(numbers) <= width else [f"     {number}", f"     {told}"]
+    note = CRITERIA_NOTE if any(one.false_alarm is not None for one in criteria) else ""
+    return lines + textwrap.wrap(note, width)
 
 
 def summary(

@@ -11,19 +11,20 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, make_dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from experiments.harness.experiment import Experiment
-from experiments.harness.plotting import INK, PALETTE, log_ticks, new_figure, spaced_axis
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities, Quantity, shown_unit
 from experiments.harness.range import logarithmic, quantity_of, value_at, with_value
 from experiments.harness.sections import Section, col, single_numbers
 from optics.arrays import FloatArray
 from optics.errors import DomainError, StarbenchError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = [
     "REQUIREMENTS",
@@ -319,6 +320,8 @@ def _crossings(swept: Swept) -> list[Crossing]:
 
 
 def _draw_sweep(outcome: Outcome) -> Figure:
+    from experiments.harness.plotting import new_figure, spaced_axis
+
     swept: Swept = outcome.result["swept"]
     rows = -(-len(swept.shown) // 2)
     two = len(swept.keys) == 2
@@ -336,6 +339,8 @@ def _draw_sweep(outcome: Outcome) -> Figure:
 
 
 def _curve(figure: Figure, panel: Any, outcome: Outcome, swept: Swept, name: str) -> None:
+    from experiments.harness.plotting import PALETTE
+
     key, values = swept.keys[0], outcome.values(name)
     panel.plot(key.values, values, color=PALETTE[0], marker="o", markersize=3)
     if name in swept.required:
@@ -350,6 +355,8 @@ def _curve(figure: Figure, panel: Any, outcome: Outcome, swept: Swept, name: str
 
 
 def _map(figure: Figure, panel: Any, outcome: Outcome, swept: Swept, name: str) -> None:
+    from experiments.harness.plotting import INK
+
     first, second = (np.array(one.values) for one in swept.keys)
     values = outcome.values(name).reshape(len(first), len(second)).T
     drawn = panel.pcolormesh(first, second, np.ma.masked_invalid(values), shading="nearest", cmap="cividis")
@@ -504,6 +511,8 @@ def _plain(value: Any) -> str:
 
 
 def _draw_curves(outcome: Outcome) -> Figure:
+    from experiments.harness.plotting import PALETTE, log_ticks, new_figure
+
     drawn: _Curves = outcome.result["curves"]
     names = [name for name in drawn.names if all(name in one.data for one in drawn.outcomes)]
     figure, axes = new_figure(1, len(names), aspect_ratio=0.42, squeeze=False)

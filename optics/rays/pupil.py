@@ -9,7 +9,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import qmc
 
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
@@ -156,6 +155,8 @@ def sobol_disk(count: int, *, seed: int) -> PupilSamples:
     """
     if not (0 < count <= 1 << 30) or count & (count - 1):
         raise DomainError(f"{count} Sobol points; a power of two from 1 to 2^30 is needed")
+    from scipy.stats import qmc  # slow to import
+
     square = qmc.Sobol(2, scramble=True, rng=np.random.default_rng(seed)).random_base2(count.bit_length() - 1)
     x, y = disk_from_square(square[:, 0], square[:, 1])
     return PupilSamples(x=x, y=y, weight=np.full(count, 1.0 / count))

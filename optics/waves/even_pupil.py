@@ -124,11 +124,16 @@ def _inside(rim: FloatArray, side: FloatArray) -> FloatArray:
     angle = np.arctan2(rim[:, 1], rim[:, 0])
     order = np.argsort(angle)
     turn, radius = angle[order], np.hypot(*rim.T)[order]
-    x, y = np.meshgrid(side, side)
-    from_centre, half = np.hypot(x, y), 0.5 * (side[1] - side[0])
-    reach = np.interp(np.arctan2(y, x), turn, radius, period=2.0 * np.pi)
-    inside = np.asarray(from_centre < reach, np.float64)
-    row, column = np.nonzero(np.abs(from_centre - reach) < 2.0 * half)
+    from_centre, half = np.sqrt(np.add.outer(side**2, side**2)), 0.5 * (side[1] - side[0])
+    inside = np.asarray(from_centre < radius.min(), np.float64)
+    row, column = np.nonzero(
+        np.abs(from_centre - 0.5 * (radius.max() + radius.min())) < 0.5 * np.ptp(radius) + 2 * half
+    )
+    distance = from_centre[row, column]
+    reach = np.interp(np.arctan2(side[row], side[column]), turn, radius, period=2.0 * np.pi)
+    inside[row, column] = distance < reach
+    cut = np.abs(distance - reach) < 2.0 * half
+    row, column = row[cut], column[cut]
     part = half * ((2.0 * np.arange(PER_CELL) + 1.0) / PER_CELL - 1.0)
     dx, dy = (v.ravel() for v in np.meshgrid(part, part))
     px, py = side[column][:, None] + dx, side[row][:, None] + dy

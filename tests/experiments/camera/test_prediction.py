@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.camera import predict
-from experiments.camera.experiment import ThermalRange, limits, predicted, swings
+from experiments.camera.answer import ThermalRange, answer_lines, limits, swings, within
+from experiments.camera.experiment import predicted
 from experiments.camera.optical_state import optical_state
 from experiments.camera.prediction import accuracy
 from experiments.camera.settings import Config
@@ -145,7 +146,12 @@ def test_tornado_and_verdicts(config, tracker):
         }
     )
     found = swings(few, tracker)
-    assert found[-1].key == "detector.prnu"
+    assert [one.key for one in found][0::2] == ["instrument.exposure_s", "throughput_fraction"]
+    assert found[-1].gain == 0.0 < found[1].gain < found[-1].size  # all light there is: much to lose, nothing to gain
+    lines = answer_lines(tracker, [], found)
+    assert len(lines) == 10
+    assert max(map(len, lines)) <= 80
+    assert f"G = {tracker.value('limiting_magnitude_mag'):.2f} mag" in lines[4]
     light = {one.key: one for one in found}["throughput_fraction"]
     assert light.swing_limiting_magnitude_mag[0] == pytest.approx(2.5 * np.log10(0.8), abs=0.01)
     required = {"limiting_magnitude_mag": 3.0, "nea_arcsec": 0.01, "field_deg": 10.0}
@@ -155,6 +161,22 @@ def test_tornado_and_verdicts(config, tracker):
     excess = {one.key: one.excess for one in verdicts}["limiting_magnitude_mag"]
     assert excess == pytest.approx(tracker.value("limiting_magnitude_mag") - 3.0)
     assert missed_words(verdicts) == "The sensor misses 1 of 3 requirements: NEA."
+
+
+def test_share_of_errors_within():
+    assert within(np.full(50, 2.0)) == pytest.approx(2.0 * 2.96774, rel=1e-5)  # 99.7 % of a normal distribution
+    assert within(np.array([1.0] * 99 + [np.inf])) == np.inf
+
+
+def test_focus_gains_what_the_best_focus_gives(config):
+    blurred = with_value(config, "instrument.defocus_mm", config.instrument.defocus_mm + 0.06)
+    only = blurred.model_copy(
+        update={"tornado": config.tornado.model_copy(update={"parameters": ("instrument.defocus_mm",)})}
+    )
+    (focus,) = swings(only, predict(blurred))
+    at_best = predict(with_value(blurred, "instrument.defocus_mm", focus.better))
+    assert abs(at_best.value("best_focus_um")) < 0.5
+    assert focus.gain > 0.2
 
 
 def test_every_requirement_has_its_prediction(tracker):

@@ -1,0 +1,58 @@
+"""A run of the camera report: the answer first, then what its page shows, and frames. Light to import."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from experiments.camera.answer import Swing, ThermalRange, answer_lines, limits, parameters, swings, temperatures
+from experiments.camera.prediction import accuracy, optics, predict_camera, sky
+from experiments.camera.settings import Config
+from experiments.harness.progress import Progress
+from experiments.harness.sections import numbers_of
+from experiments.harness.what_if import judge
+from experiments.laboratory.checks import focus_remark
+
+__all__ = ["run"]
+
+
+def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+    """Predict and vary; say the answer; warm and cool, render."""
+    with progress.stage("predict"):
+        prediction = predict_camera(config)
+    state = prediction.state
+    if remark := focus_remark(state.instrument.camera, state.light.wavelength_nm.ravel()):
+        progress.note(remark)
+    required, thermal = limits(config), None
+    numbers: list[Any] = [optics(prediction), accuracy(prediction), sky(prediction)]
+    late = required.keys() & ThermalRange.__dataclass_fields__.keys()
+
+    def lines(found: list[Swing]) -> list[str]:
+        return answer_lines(prediction, judge(required, numbers_of(*numbers)), found)
+
+    first = 8 if late else 9  # what needs no further prediction
+    progress.answer("\n".join(lines([])[:first]))
+    found: list[Swing] = []
+    if config.tornado.parameters:
+        keys = parameters(config, prediction)
+        with progress.stage("what to change", total=1 + 2 * len(keys)) as stage:
+            found = swings(config, prediction, advance=stage.advance)
+    if late:
+        with progress.stage("temperature"):
+            over_temperature, thermal = temperatures(config)
+        numbers.append(thermal)
+    progress.answer("\n".join(lines(found)[first:]))
+    if thermal is None:
+        with progress.stage("temperature"):
+            over_temperature, thermal = temperatures(config)
+    from experiments.camera.experiment import predicted  # slow to import, as it draws
+
+    sections: dict[str, Any] = predicted(prediction, thermal)
+    sections |= {"temperatures": over_temperature, "thermal": thermal, "changes": found or None}
+    if not config.predict_only:
+        from experiments.camera.frames import compare, render_frames, solved_frames
+
+        with progress.stage("frames", total=config.frames.readouts + config.frames.sky) as stage:
+            rendered = render_frames(prediction, advance=stage.advance)
+        sections["frames"] = compare(prediction, rendered)
+        sections["solved"] = solved_frames(prediction, rendered)
+    return sections
