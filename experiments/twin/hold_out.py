@@ -1,9 +1,8 @@
 """Every frame by a twin that has not seen it: cameras without one frame, rendered sets, statistics of both.
 
 Shared by all twins, and therefore seen by all: detections and identification of the frames, the order of the camera
-model, the mask of hot pixels, and what the method itself does to the zero point, to widths and residuals of bright
-stars: a rendered set is measured like the real one, and what comes out differently is taken off (forward folding;
-widths and residuals by the other frames).
+model, the mask of hot pixels, and what the method itself does to widths and residuals of bright stars: a rendered set
+is measured like the real one, and what comes out differently is taken off (forward folding, by the other frames).
 The sky of a frame (its background) and its attitude are its own: they are no property of the camera.
 """
 
@@ -19,9 +18,8 @@ from calib.measure.background import estimate_background
 from calib.records import SensorImage
 from experiments.harness.progress import Progress
 from experiments.twin.compare import CLIP_PX, FrameStats, frame_stats
-from experiments.twin.measure import CameraFit, Prepared, field_airmass, measure_camera, prepare
+from experiments.twin.measure import CameraFit, Prepared, field_airmass, measure_camera, prepare, residuals
 from experiments.twin.night import field_stars, star_mask
-from experiments.twin.photometry import COLOUR_KNOTS, POGSON
 from experiments.twin.solve import Detections, detections
 from experiments.twin.twin import Assumed, Twin, TwinRenderer, as_image, build_twin
 from optics.arrays import FloatArray
@@ -32,8 +30,6 @@ __all__ = ["Bias", "HeldOut", "held_out"]
 BRIGHTER_MAG = 1.5
 """Stars so much brighter than the limit tell the motion of single stars."""
 FEWEST = 8
-CLIP_MAG = 0.3
-"""Rendered stars farther off have a neighbour."""
 SKY_BOX_PX = 128
 """The sky of a rendered frame is smooth on this scale: finer structure would carry the real frame's noise."""
 
@@ -42,7 +38,6 @@ SKY_BOX_PX = 128
 class Bias:
     """What the method makes of a rendered set, less what was put in; of every frame by the others."""
 
-    zero_point_mag: float  # Brighter than it is
     floor_px: float  # Error per axis that it finds where there is none
     motion_px: (
         FloatArray  # (frames,) Motion of single stars per axis: residuals of bright stars beyond the rendered set
@@ -51,16 +46,9 @@ class Bias:
 
     def off(self, fit: CameraFit, frame: int | None = None) -> CameraFit:
         """A camera without it, for a frame or all of them."""
-        above = fit.photometry.zero_point_above_mag
-        assert above is not None
-        light = replace(
-            fit.photometry,
-            zero_point_mag=fit.photometry.zero_point_mag - self.zero_point_mag,
-            zero_point_above_mag=replace(above, value=above.value - self.zero_point_mag),
-        )
         shape = fit.psf.value.copy()
         shape[3:5] += self.width_ln.mean() if frame is None else self.width_ln[frame]  # of the middle part, x and y
-        return replace(fit, photometry=light, psf=replace(fit.psf, value=shape))
+        return replace(fit, psf=replace(fit.psf, value=shape))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,7 +106,7 @@ def held_out(
         twin = twin_of(whole)
         renderer = TwinRenderer(twin)
         first = [rendered(whole, twin, renderer, k, None, streams.child("fold")) for k in range(frames)]
-        bias = _bias(known, whole, twin, first, black_level_dn)
+        bias = _bias(known, whole, first, black_level_dn)
     fits: list[CameraFit] = []
     for k in progress.track(range(frames), "cameras without one frame", total=frames):
         used = [other for other in range(frames) if other != k] or [k]
@@ -171,9 +159,7 @@ def _scatter_of(fit: CameraFit, frame: int, airmass: FloatArray) -> float:
     return float(np.mean(scatter))
 
 
-def _bias(
-    known: Prepared, whole: CameraFit, twin: Twin, images: Sequence[SensorImage], black_level_dn: float | None
-) -> Bias:
+def _bias(known: Prepared, whole: CameraFit, images: Sequence[SensorImage], black_level_dn: float | None) -> Bias:
     """Measure a rendered set like the real one."""
     frames = tuple(
         replace(one, image=image, seen=detections(image)) for one, image in zip(known.night.frames, images, strict=True)
@@ -186,31 +172,10 @@ def _bias(
     squares = np.array([[_bright_square(one, known.limit_mag, k) for k in numbers] for one in (whole, made)])
     widths = np.array([[_bright_width(one, known.limit_mag, k) for k in numbers] for one in (whole, made)])
     return Bias(
-        zero_point_mag=_brighter(known, whole, twin, made),
         floor_px=made.floor_px,
         motion_px=np.sqrt(np.maximum(squares[0] - squares[1], 0.0)),
         width_ln=np.clip(np.nan_to_num(np.log(widths[0] / widths[1])), -0.2, 0.2),
     )
-
-
-def _brighter(known: Prepared, whole: CameraFit, twin: Twin, made: CameraFit) -> float:
-    """By how much rendered stars are measured brighter than they are [mag], mean of those that are not clipped."""
-    light, stars = whole.photometry, made.fluxes
-    above, loss = light.zero_point_above_mag, light.extinction_mag
-    assert above is not None
-    zero = np.full(len(known.night), above.value)
-    if loss is not None:
-        frames = range(len(known.night))
-        zero = zero - loss.value * np.array([field_airmass(known, k, whole.camera, whole.attitudes) for k in frames])
-    response = np.interp(stars.colour, COLOUR_KNOTS, twin.response_mag)
-    true = zero[stars.frame] + response - light.loss_at(stars.u2) - stars.magnitude
-    good = stars.flux_e > 3.0 * stars.error_e
-    off = POGSON * np.log(stars.flux_e[good]) - true[good]
-    weight = 1.0 / (
-        (POGSON * stars.error_e[good] / stars.flux_e[good]) ** 2 + light.scatter_mag[stars.frame[good]] ** 2 + 1e-6
-    )
-    near = np.abs(off - np.median(off)) < CLIP_MAG
-    return float(np.average(off[near], weights=weight[near]))
 
 
 def _bright_width(fit: CameraFit, limit_mag: float, without: int) -> float:
@@ -225,8 +190,7 @@ def _bright_width(fit: CameraFit, limit_mag: float, without: int) -> float:
 def _bright_square(fit: CameraFit, limit_mag: float, without: int) -> float:
     """Mean squared residual per axis [px^2] of Gaussian fits of bright stars in all frames but one."""
     stars = fit.gaussian.observations
-    turn = fit.attitudes.as_matrix()[stars.frame]
-    left = stars.pixel_px - fit.camera.project(np.einsum("nij,nj->ni", turn, stars.direction))
+    left = residuals(stars, fit.camera, fit.attitudes)
     good = (fit.gaussian.magnitude < limit_mag - BRIGHTER_MAG) & (np.linalg.norm(left, axis=1) < CLIP_PX)
     others = good & (stars.frame != without)
     good = others if others.sum() >= FEWEST else good  # a single frame has no others

@@ -22,9 +22,9 @@ from calib.measure.stamps import extract_stamps
 from experiments.twin.camera import Order, attitudes_of, calibrated, chosen_order, cross_validated, predicted_residuals
 from experiments.twin.night import FieldStars, Night, field_stars, star_mask, star_sample
 from experiments.twin.noise import Blocks, NoiseFit, blocks_of, fit_noise
-from experiments.twin.photometry import Photometry, fit_photometry
+from experiments.twin.photometry import POGSON, Photometry, fit_photometry
 from experiments.twin.psf import PsfModel, fit_psf, linear_fit
-from experiments.twin.solve import WINDOW_PX, matched, wahba
+from experiments.twin.solve import matched, wahba
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 
@@ -41,6 +41,7 @@ __all__ = [
     "noise_of",
     "photometry_of",
     "prepare",
+    "residuals",
     "star_fluxes",
 ]
 
@@ -52,6 +53,8 @@ PSF_MAG = 1.5
 """The PSF comes from stars so much brighter than the limit, photometry from stars 0.8 mag brighter than that."""
 PHOTOMETRY_MAG = 0.8
 PSF_STARS = 900
+PSF_WINDOW_PX = 21
+"""So wide that wings and background are told apart."""
 ZONES = 3
 """Places per axis at which the PSF is sampled for centroids."""
 
@@ -294,7 +297,7 @@ def measure_camera(
         attitudes=attitudes,
         noise=noise,
         psf=psf,
-        photometry=photometry_of(known, fluxes, made.model, attitudes),
+        photometry=photometry_of(known, fluxes, made.model, attitudes, shape_error_mag=POGSON * psf.flux_error),
         fluxes=fluxes,
         gaussian=gaussian,
         fitted=fitted,
@@ -310,7 +313,7 @@ def _with_floor(fitted: Centroids, camera: CameraModel, order: str, used: Sequen
     noise = stars.covariance_px2 - FLOOR_PX**2 * np.eye(2)
     floor, made = FLOOR_PX, calibrated(stars, camera, order)
     for _ in range(3):
-        left = _residuals(stars, made)
+        left = residuals(stars, made.model, attitudes_of(made))
         size2 = (left**2).sum(axis=1) / 2.0
         own = np.trace(noise, axis1=1, axis2=2) / 2.0
         grid = np.geomspace(2e-3, 0.3, 60)
@@ -322,9 +325,10 @@ def _with_floor(fitted: Centroids, camera: CameraModel, order: str, used: Sequen
     return made, floor
 
 
-def _residuals(stars: Observations, made: Calibration) -> FloatArray:
-    turn = attitudes_of(made).as_matrix()[stars.frame]
-    return np.asarray(stars.pixel_px - made.model.project(np.einsum("nij,nj->ni", turn, stars.direction)))
+def residuals(stars: Observations, camera: CameraModel, attitudes: Rotation) -> FloatArray:
+    """Measured less predicted places (n, 2) [px]; attitudes of all frames."""
+    turn = attitudes.as_matrix()[stars.frame]
+    return np.asarray(stars.pixel_px - camera.project(np.einsum("nij,nj->ni", turn, stars.direction)))
 
 
 def _psf(
@@ -337,7 +341,7 @@ def _psf(
 ) -> PsfModel:
     pairs = [(known.night.frames[k], field_stars(known.night, k, camera, attitudes[k])) for k in used]
     sample = star_sample(
-        pairs, brightest_mag=-5.0, faintest_mag=known.limit_mag - PSF_MAG, size_px=WINDOW_PX, hot=known.hot
+        pairs, brightest_mag=-5.0, faintest_mag=known.limit_mag - PSF_MAG, size_px=PSF_WINDOW_PX, hot=known.hot
     )
     if len(sample) > PSF_STARS:
         sample = sample.select(np.arange(len(sample)) % -(-len(sample) // PSF_STARS) == 0)
@@ -360,13 +364,12 @@ def star_fluxes(
         pairs,
         brightest_mag=-5.0,
         faintest_mag=known.limit_mag - PSF_MAG + PHOTOMETRY_MAG,
-        size_px=WINDOW_PX,
+        size_px=PSF_WINDOW_PX,
         hot=known.hot,
     )
-    shape = psf.draw(sample.offset_px, sample.place_px, sample.colour, WINDOW_PX)
+    shape = psf.draw(sample.offset_px, sample.place_px, sample.colour, PSF_WINDOW_PX)
     # weights of the background alone: bright stars then do not depend on what the PSF misses in its core
-    level = np.median(sample.dn.reshape(len(sample), -1), axis=1)
-    weight = np.where(sample.valid, 1.0 / noise.variance_dn2(level)[:, None, None], 0.0)
+    weight = np.where(sample.valid, 1.0 / noise.variance_dn2(sample.level_dn)[:, None, None], 0.0)
     flux, background, variance = linear_fit(shape, sample.dn, weight)
     gain = noise.gain_e_per_dn.value
     left = sample.dn - flux[:, None, None] * shape - background[:, None, None]
@@ -374,8 +377,7 @@ def star_fluxes(
     share = (shape**3 * weight).sum((1, 2)) / np.maximum((shape**2 * weight).sum((1, 2)), 1e-12) ** 2
     share *= np.max(weight, axis=(1, 2))
     own = np.maximum(flux, 0.0) / gain * share
-    stars = [pairs[k][1] for k in range(len(pairs))]
-    pick = [stars[k] for k in sample.frame]
+    pick = [pairs[k][1] for k in sample.frame]
     middle = (np.asarray(known.night.size_px) - 1.0) / 2.0
     half = 0.5 * float(np.hypot(*known.night.size_px))
     return Fluxes(
@@ -385,7 +387,7 @@ def star_fluxes(
         magnitude=np.array([one.magnitude[row] for one, row in zip(pick, sample.star, strict=True)]),
         colour=np.array([one.colour[row] for one, row in zip(pick, sample.star, strict=True)]),
         u2=((sample.place_px - middle) ** 2).sum(axis=1) / half**2,
-        chi2=(left**2 * weight).sum((1, 2)) / (WINDOW_PX**2 - 2),
+        chi2=(left**2 * weight).sum((1, 2)) / (PSF_WINDOW_PX**2 - 2),
     )
 
 
@@ -395,9 +397,9 @@ def photometry_of(
     camera: CameraModel,
     attitudes: Rotation,
     *,
-    scatter_mag: FloatArray | None = None,
+    shape_error_mag: float = 0.0,
 ) -> Photometry:
-    """Brightness of the stars of the night; with the scatter of its frames, where that is known."""
+    """Brightness of the stars of the night."""
     mass = np.array([field_airmass(known, k, camera, attitudes) for k in range(len(known.night))])
     return fit_photometry(
         magnitude=fluxes.magnitude,
@@ -408,7 +410,7 @@ def photometry_of(
         flux_e=fluxes.flux_e,
         flux_error_e=fluxes.error_e,
         airmass=mass if np.isfinite(mass).all() else None,
-        scatter_mag=scatter_mag,
+        shape_error_mag=shape_error_mag,
     )
 
 

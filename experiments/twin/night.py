@@ -28,7 +28,12 @@ MASK_RADII = ((9.8, 3.0), (8.0, 5.0), (6.5, 8.0), (4.5, 14.0), (2.5, 30.0))
 """Radius [px] of the disk masked about a star brighter than a magnitude, for stars of width 0.65 px."""
 MASK_WIDTH_PX = 0.65
 NEIGHBOUR_MAG = 3.5
-"""A star counts as alone if no other one less than this much fainter is within its window."""
+"""A star counts as alone if no other one less than this much fainter is within `REACH_PX`."""
+LINEAR_SHARE = 0.85
+"""Pixels above this share of the highest one of all frames may be full, though the converter is not at its end."""
+REACH_PX = 9.0
+FAINTER_MAG, OTHER_PX = 1.5, 5.0
+"""Pixels about stars up to so much fainter than a sample's faintest are left out of the windows of others."""
 REFERENCE_K = 5040.0
 
 
@@ -159,6 +164,7 @@ def star_sample(
 ) -> StarSample:
     """Windows about isolated, unsaturated catalogue stars between two magnitudes."""
     half = size_px // 2
+    highest = LINEAR_SHARE * max(float(frame.image.dn[frame.image.valid & ~hot].max()) for frame, _ in frames)
     parts: list[StarSample] = []
     for number, (frame, stars) in enumerate(frames):
         image = frame.image
@@ -166,27 +172,43 @@ def star_sample(
         x, y = stars.place_px.T
         inside = (x > half + 1) & (x < width - half - 2) & (y > half + 1) & (y < height - half - 2)
         rows = np.flatnonzero(
-            inside & (stars.magnitude >= brightest_mag) & (stars.magnitude < faintest_mag) & stars.alone(size_px * 0.8)
+            inside & (stars.magnitude >= brightest_mag) & (stars.magnitude < faintest_mag) & stars.alone(REACH_PX)
         )
         middle = np.rint(stars.place_px[rows]).astype(np.int64)
         at_y = (middle[:, 1, None] - half + np.arange(size_px))[:, :, None]
         at_x = (middle[:, 0, None] - half + np.arange(size_px))[:, None, :]
-        whole = ~image.saturated[at_y, at_x].any(axis=(1, 2))
-        rows, middle, at_y, at_x = rows[whole], middle[whole], at_y[whole], at_x[whole]
+        sky_e = frame.seen.background.level_at(x[rows], y[rows])
+        level = image.noise.offset_dn + image.noise.gain_dn_per_e * sky_e
+        pixels = image.dn[at_y, at_x]
+        whole = ~(image.saturated[at_y, at_x] | (pixels > highest)).any(axis=(1, 2))
+        rows, middle, at_y, at_x, level = rows[whole], middle[whole], at_y[whole], at_x[whole], level[whole]
         parts.append(
             StarSample(
-                dn=image.dn[at_y, at_x],
+                dn=pixels[whole] - level[:, None, None],
                 offset_px=stars.place_px[rows] - middle,
                 place_px=stars.place_px[rows],
                 colour=stars.colour_class[rows],
                 frame=np.full(len(rows), number),
                 star=rows,
-                valid=image.valid[at_y, at_x] & ~hot[at_y, at_x],
+                level_dn=level,
+                valid=image.valid[at_y, at_x] & ~hot[at_y, at_x] & ~_others(stars, rows, at_x, at_y, faintest_mag),
             )
         )
     return StarSample(
         **{name: np.concatenate([getattr(one, name) for one in parts]) for name in StarSample.__dataclass_fields__}
     )
+
+
+def _others(
+    stars: FieldStars, rows: IntArray, at_x: IntArray, at_y: IntArray, faintest_mag: float
+) -> NDArray[np.bool_]:
+    """Pixels (n, s, s) nearer to another star than to their own, which stars of some brightness reach."""
+    bright = np.flatnonzero(stars.magnitude < faintest_mag + FAINTER_MAG)
+    x, y = np.broadcast_arrays(at_x, at_y)
+    if not len(bright) or not x.size:
+        return np.zeros(x.shape, bool)
+    far, near = cKDTree(stars.place_px[bright]).query(np.stack([x, y], axis=-1))
+    return np.asarray((bright[near] != rows[:, None, None]) & (far < OTHER_PX))
 
 
 def with_noise(image: SensorImage, noise: NoiseFit) -> SensorImage:

@@ -11,7 +11,7 @@ beyond the noise of the fluxes is the same for all stars of a frame: scintillati
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,12 +81,12 @@ def fit_photometry(
     flux_e: FloatArray,
     flux_error_e: FloatArray,
     airmass: FloatArray | None = None,
-    scatter_mag: FloatArray | None = None,
+    shape_error_mag: float = 0.0,
 ) -> Photometry:
     """Fit all stars of all frames at once.
 
     Shapes: ``magnitude``, ``colour``, ``u2``, ``frame``, ``flux_e``, ``flux_error_e`` (n,), ``airmass`` (frames,) of
-    the middle of each frame, ``scatter_mag`` (frames,) if the weights are not to follow from the residuals.
+    the middle of each frame; ``shape_error_mag`` is the error that all fluxes share, by the shape of the PSF.
     """
     good = (flux_e > 3.0 * flux_error_e) & np.isfinite(flux_e)
     if good.sum() < FEWEST_STARS:
@@ -94,7 +94,7 @@ def fit_photometry(
     measured = magnitude + POGSON * np.log(np.maximum(flux_e, 1e-9))
     noise = POGSON * flux_error_e / np.maximum(flux_e, 1e-9)
     design, used = _design(colour, u2, frame, frames, good)
-    scatter: FloatArray = np.full(frames, 0.05) if scatter_mag is None else scatter_mag
+    scatter: FloatArray = np.full(frames, 0.05)
     kept = good.copy()
     value: FloatArray = np.zeros(design.shape[1])
     covariance: FloatArray = np.zeros((design.shape[1],) * 2)
@@ -103,9 +103,8 @@ def fit_photometry(
         covariance = np.asarray(np.linalg.pinv(design.T @ (w[:, None] * design)), float)
         value = covariance @ (design.T @ (w * measured))
         left = measured - design @ value
-        if scatter_mag is None:
-            mine = [kept & (frame == k) for k in range(frames)]
-            scatter = np.array([_excess(left[one], noise[one]) for one in mine])
+        mine = [kept & (frame == k) for k in range(frames)]
+        scatter = np.array([_excess(left[one], noise[one]) for one in mine])
         kept = good & (np.abs(left) < CLIP_SIGMA * np.sqrt(noise**2 + scatter[frame] ** 2))
     error = np.sqrt(np.diag(covariance))
     whole = np.full(frames + len(COLOUR_KNOTS) + 2, np.nan)
@@ -116,7 +115,10 @@ def fit_photometry(
     colours[REFERENCE_KNOT], colour_errors[REFERENCE_KNOT] = 0.0, 0.0
     zero, zero_error = whole[:frames], errors[:frames]
     shape = covariance[-2:, -2:]
-    slope, above = _extinction(zero, np.hypot(zero_error, 0.0), airmass)
+    there = used < frames
+    common = float(np.sqrt(covariance[np.ix_(there, there)].mean()))
+    slope, above = _extinction(zero, zero_error, airmass)
+    above = replace(above, uncertainty=float(np.hypot(max(above.uncertainty or 0.0, common), shape_error_mag)))
     return Photometry(
         zero_point_mag=zero,
         zero_point_error_mag=zero_error,
@@ -156,9 +158,7 @@ def _excess(left: FloatArray, noise: FloatArray) -> float:
     return float(brentq(misfit, 1e-4, 5.0)) if misfit(1e-4) > 0 > misfit(5.0) else 0.0
 
 
-def _extinction(
-    zero: FloatArray, error: FloatArray, airmass: FloatArray | None
-) -> tuple[Measured | None, Measured | None]:
+def _extinction(zero: FloatArray, error: FloatArray, airmass: FloatArray | None) -> tuple[Measured | None, Measured]:
     """Loss per airmass, and the zero point without an atmosphere (or the mean one)."""
     known = np.isfinite(zero)
     if airmass is None or known.sum() < 3 or np.ptp(airmass[known]) < LEAST_AIRMASS_RANGE:

@@ -30,7 +30,7 @@ FEWEST_OF_A_CLASS = 6
 MODEL_FRACTION = 0.02
 """Of the light of a star in a pixel: what three Gaussians cannot describe, so that bright stars do not rule."""
 WIDEST_HALO = 0.25
-"""Width of the halo over the side of the window: a wider one is background, and its light would be anybody's guess."""
+"""Width of the halo over the side of the window: of a wider one most light would be anybody's guess."""
 CLIP = 8.0
 ROUNDS = 3
 COUNT = 18
@@ -45,12 +45,13 @@ def colour_class(temperature_k: FloatArray) -> IntArray:
 class StarSample:
     """Windows around stars whose place is known."""
 
-    dn: FloatArray  # (n, s, s) Pixels
+    dn: FloatArray  # (n, s, s) Pixels, less the background that the frame has there
     offset_px: FloatArray  # (n, 2) Place of the star from the middle pixel, column and row
     place_px: FloatArray  # (n, 2) On the detector
     colour: IntArray  # (n,) `colour_class`
     frame: IntArray  # (n,)
-    star: IntArray  # (n,) Row of the sky
+    star: IntArray  # (n,) Row of the stars of its frame
+    level_dn: FloatArray  # (n,) That background
     valid: NDArray[np.bool_]  # (n, s, s)
 
     def __len__(self) -> int:
@@ -66,9 +67,9 @@ class PsfModel:
     """Three Gaussians over a detector; parameters and their covariance."""
 
     size_px: tuple[int, int]  # Columns and rows of the detector
-    # (18,) Shares of core and halo, logarithms of the widths [px] of core, middle (x, y) and halo; changes of the
-    # middle's logarithms over the field (x by r^2, y by r^2, x by x, x by y, y by x, y by y) and with the three colour
-    # classes that are not the reference; changes of the logarithm of the core's share with them
+    # (18,) Logarithms of the shares of core and halo over that of the middle part, of the widths [px] of core, middle
+    # (x, y) and halo; changes of the middle's logarithms over the field (x by r^2, y by r^2, x by x, x by y, y by x,
+    # y by y) and with the three colour classes that are not the reference; changes of the core's logarithm with them
     value: FloatArray
     covariance: FloatArray  # (18, 18) Scaled by the misfit; infinite where nothing was determined
     chi2: float  # Per degree of freedom
@@ -87,8 +88,9 @@ class PsfModel:
         along_x = np.exp(v[3] + by_colour + v[6] * r2 + v[8] * u[:, 0] + v[9] * u[:, 1])
         along_y = np.exp(v[4] + by_colour + v[7] * r2 + v[10] * u[:, 0] + v[11] * u[:, 1])
         core, halo = np.exp(v[2]) * one, np.exp(v[5]) * one
-        inner = v[0] * np.exp(np.insert(v[15:18], REFERENCE_CLASS, 0.0))[colour]
-        return (inner, core, core), (1.0 - inner - v[1], along_x, along_y), (v[1] * one, halo, halo)
+        inner, outer = np.exp(v[0] + np.insert(v[15:18], REFERENCE_CLASS, 0.0)[colour]), np.exp(v[1])
+        whole = 1.0 + inner + outer
+        return (inner / whole, core, core), (1.0 / whole, along_x, along_y), (outer / whole, halo, halo)
 
     def draw(self, offset_px: FloatArray, place_px: FloatArray, colour: IntArray, size: int) -> FloatArray:
         """Share of the light in each pixel (n, size, size) of windows about stars."""
@@ -108,6 +110,19 @@ class PsfModel:
             x, y = (ndtr((at + 0.5) / s[0]) - ndtr((at - 0.5) / s[0]) for s in (along_x, along_y))
             values += share[0] * y[:, None] * x[None, :]
         return EffectivePsf(values=values, oversampling=oversampling)
+
+    @property
+    def flux_error(self) -> float:
+        """Relative error, common to all stars, of a flux by this shape: its parameters are uncertain."""
+        middle = (np.asarray(self.size_px, float)[None] - 1.0) / 2.0
+
+        def drawn(value: FloatArray) -> FloatArray:
+            return replace(self, value=value).draw(np.zeros((1, 2)), middle, np.array([REFERENCE_CLASS]), 9).ravel()
+
+        free = np.flatnonzero(np.diag(self.covariance) > 0.0)
+        step, shape = 1e-3, drawn(self.value)
+        slope = [(drawn(self.value + step * np.eye(COUNT)[k]) - shape) @ shape / step for k in free] / (shape @ shape)
+        return float(np.sqrt(slope @ self.covariance[np.ix_(free, free)] @ slope))
 
     def width_px(self, place_px: FloatArray, colour: IntArray) -> FloatArray:
         """Width (n,) of the middle part, mean of both axes."""
@@ -164,16 +179,15 @@ def fit_psf(
     freed[15:18] = freed[12:15]
     freed[6:12] = len(sample) >= 4 * FEWEST_STARS
     value = np.zeros(COUNT)
-    value[:6] = [0.1, 0.12, np.log(0.4 * width_px), np.log(width_px), np.log(width_px), np.log(3.2 * width_px)]
+    value[:6] = [-2.0, -2.0, np.log(0.4 * width_px), np.log(width_px), np.log(width_px), np.log(3.2 * width_px)]
     if start is not None:
         value[freed] = start[freed]
     low = np.array(
-        [0, 0, np.log(0.05), np.log(0.1), np.log(0.1), np.log(1.5 * width_px), *[-1.5] * 6, *[-0.7] * 3, *[-1.5] * 3]
+        [-5, -5, np.log(0.05), np.log(0.1), np.log(0.1), np.log(1.5 * width_px), *[-1.5] * 6, *[-0.7] * 3, *[-1.5] * 3]
     )
     high = np.array(
         [
-            0.6,
-            0.5,
+            *[4.0] * 2,
             np.log(0.8 * width_px),
             *[np.log(6.0)] * 2,
             np.log(max(WIDEST_HALO * size, 1.6 * width_px)),
@@ -186,7 +200,8 @@ def fit_psf(
     model = PsfModel(
         size_px=size_px, value=value, covariance=np.full((COUNT, COUNT), np.inf), chi2=float("nan"), stars=len(sample)
     )
-    weight = np.where(sample.valid, 1.0 / (noise_dn2[0] + noise_dn2[1] * np.maximum(np.median(sample.dn), 1.0)), 0.0)
+    sky = noise_dn2[0] + noise_dn2[1] * np.maximum(sample.level_dn, 1.0)[:, None, None]
+    weight = np.where(sample.valid, 1.0 / sky, 0.0)
 
     def drawn(at: FloatArray) -> FloatArray:
         whole = value.copy()
@@ -201,12 +216,9 @@ def fit_psf(
 
     for _ in range(ROUNDS if start is None else 1):
         shape = drawn(value[freed])
-        flux, level, _ = linear_fit(shape, sample.dn, weight)
+        flux, _, _ = linear_fit(shape, sample.dn, weight)
         light = np.maximum(flux, 0.0)[:, None, None] * shape
-        expected = np.maximum(level[:, None, None] + light, 0.0)
-        weight = np.where(
-            sample.valid, 1.0 / (noise_dn2[0] + noise_dn2[1] * expected + (MODEL_FRACTION * light) ** 2), 0.0
-        )
+        weight = np.where(sample.valid, 1.0 / (sky + noise_dn2[1] * light + (MODEL_FRACTION * light) ** 2), 0.0)
         start = np.clip(value[freed], low[freed] + 1e-6, high[freed] - 1e-6)
         found = least_squares(misfit, start, bounds=(low[freed], high[freed]), x_scale=0.05, xtol=1e-6)
         value[freed] = found.x

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
+from scipy.stats import t as student
 
 from experiments.harness.drawings import bars, curves
 from experiments.harness.quantities import Outcome, Quantities
@@ -23,7 +25,7 @@ from experiments.twin.compare import (
     statistics_of,
 )
 from experiments.twin.hold_out import HeldOut
-from experiments.twin.measure import CameraFit, Centroids
+from experiments.twin.measure import CameraFit, Centroids, residuals
 from experiments.twin.photometry import COLOUR_KNOTS
 from experiments.twin.synthetic import KnownNight, true_values
 from experiments.twin.twin import Twin
@@ -79,7 +81,7 @@ class CameraNumbers:
 
 
 def camera_numbers(reduced: Reduced, whole: CameraFit, compared: HeldOut, limit_mag: float) -> CameraNumbers:
-    """The camera in numbers; light is corrected for what the method makes of a rendered set."""
+    """The camera in numbers."""
     made, noise, light = whole.calibration, whole.noise, whole.photometry
     names, sigma = made.model.parameter_names, np.sqrt(np.diag(made.covariance))
     pitch = reduced.pitch_mm
@@ -197,6 +199,11 @@ def _of(values: FloatArray) -> Measured:
     )
 
 
+def _share(values: FloatArray, spread: float) -> Measured:
+    """Mean of the rendered sets; ``spread`` is the standard deviation of one."""
+    return Measured(value=float(values.mean()), uncertainty=spread / np.sqrt(len(values)), n=len(values))
+
+
 # --- How it was measured
 
 
@@ -240,9 +247,7 @@ def causes(fit: CameraFit, compared: HeldOut, limit_mag: float) -> list[Cause]:
     """What the residuals of bright stars are made of."""
 
     def of(one: Centroids) -> tuple[float, float]:
-        stars = one.observations
-        turn = fit.attitudes.as_matrix()[stars.frame]
-        left = stars.pixel_px - fit.camera.project(np.einsum("nij,nj->ni", turn, stars.direction))
+        left = residuals(one.observations, fit.camera, fit.attitudes)
         bright = (one.magnitude < limit_mag - 1.5) & (np.linalg.norm(left, axis=1) < 0.7)
         if bright.sum() < 8:
             return float("nan"), float("nan")
@@ -353,7 +358,7 @@ class Sections:
 
     def records(self) -> dict[str, Any]:
         """Section -> record or records."""
-        real, sets, reduced = self.compared.real, self.compared.sets, self.reduced
+        real, reduced = self.compared.real, self.reduced
         limit = limit_of(real, 5.0)
         numbers = camera_numbers(reduced, self.whole, self.compared, limit)
         noise = self.whole.noise
@@ -391,7 +396,7 @@ class Sections:
             "causes": causes(self.whole, self.compared, limit),
             "comparison": self._statistics(limit),
             "completeness": self._completeness(limit),
-            "detected": self._detected(real, sets),
+            "detected": self._detected(),
             "features": None
             if self.told is None
             else [Feature(name=name, effect=float(one)) for name, one in zip(FEATURES, self.told.effect, strict=True)],
@@ -434,21 +439,25 @@ class Sections:
             if count < FEWEST_IN_BIN:
                 continue
             shares = [np.array([one[1][k] for one in some]) for some in (five, six)]
-            spread = [float(one[1:].std(ddof=1)) for one in shares]
+            # of one set: every star is found or not
+            chance = [np.mean(one) for one in shares]
+            spread = [float(np.sqrt(p * (1.0 - p) / count)) for p in chance]
             real = [Measured(value=float(s[0]), uncertainty=e, n=count) for s, e in zip(shares, spread, strict=True)]
             out.append(
                 HalfMagnitude(
                     magnitude_mag=float(edges[k] + 0.25),
                     count=count,
                     real_5=real[0],
-                    twin_5=_of(shares[0][1:]),
+                    twin_5=_share(shares[0][1:], spread[0]),
                     real_6=real[1],
-                    twin_6=_of(shares[1][1:]),
+                    twin_6=_share(shares[1][1:], spread[1]),
                 )
             )
         return out
 
-    def _detected(self, real: Sequence[FrameStats], sets: Sequence[Sequence[FrameStats]]) -> Detected:
+    def _detected(self) -> Detected:
+        real, sets = self.compared.real, self.compared.sets
+
         def both(sigma: float) -> tuple[Measured, Measured]:
             seen = false_detections(real, sigma)
             drawn = np.array([false_detections(one, sigma) for one in sets], float)
@@ -516,8 +525,9 @@ def _error(quantity: Any) -> FloatArray:
     return np.zeros(np.shape(quantity.values)) if quantity.error is None else np.nan_to_num(quantity.error)
 
 
-def _z() -> float:
-    return float(norm.isf(FALSE_ALARM / 2.0))
+def _z(freedom: float = np.inf, alarm: float = FALSE_ALARM) -> float:
+    """Standard deviations that noise alone exceeds by a false alarm; ``freedom`` of the deviation's own estimate."""
+    return float(student.isf(alarm / 2.0, freedom))
 
 
 def _within(outcome: Outcome) -> list[Criterion]:
@@ -528,7 +538,7 @@ def _within(outcome: Outcome) -> list[Criterion]:
         off, allowed = outcome.quantity("off").at(statistic=k), float(outcome.values("allowed")[k])
         if not np.isfinite(allowed) or not np.isfinite(off.values):
             continue
-        limit = allowed + _z() * float(_error(off))
+        limit = allowed + _z(outcome.config.realisations - 1) * float(_error(off))
         out.append(
             Criterion(
                 name=f"twin against real: {label}",
@@ -570,10 +580,12 @@ def _each_frame(outcome: Outcome) -> list[Criterion]:
         off = np.abs(outcome.values(f"frame_{field}")) / 100.0
         drawn = outcome.quantity("frame_rendered_stars" if base == "stars" else "frame_rendered_noise_dn")
         sets = float(outcome.config.realisations)
-        error = _error(drawn) * np.sqrt(sets + 1.0) / outcome.values(f"frame_{base}")
+        level = outcome.values(f"frame_{base}")
+        # the scatter of a few sets says little of one frame: pooled over the frames, as counts scatter
+        relative = _error(drawn) * np.sqrt(sets + 1.0) / np.sqrt(level)
+        error = np.sqrt(np.mean(relative**2) / level)
         worst = int(np.argmax(off - error))
-        alarm = FALSE_ALARM / len(off)
-        limit = allowed + float(norm.isf(alarm / 2.0)) * float(error[worst])
+        limit = allowed + _z(len(off) * (sets - 1.0), FALSE_ALARM / len(off)) * float(error[worst])
         out.append(
             Criterion(
                 name=f"{name}: twin against real, the worst of {len(off)}",
@@ -599,52 +611,34 @@ def _false(outcome: Outcome) -> list[Criterion]:
     ]
 
 
-def pictures(number: int, outcome: Outcome) -> Figure:
-    """A real frame and its twin, the same stretch."""
+def pictures(outcome: Outcome, number: int, half_px: int | None = None) -> Figure:
+    """A real frame and its twin, the same stretch; of ``half_px`` the middle, enlarged."""
     from experiments.harness.plotting import new_figure
 
     kept: Kept = outcome.result["kept"]
     real, rendered = kept.real[number], kept.rendered[number]
+    if half_px is not None:
+        cut = tuple(slice(max(n // 2 - half_px, 0), n // 2 + half_px) for n in real.shape)
+        real, rendered = real[cut], rendered[cut]
     height, width = real.shape
     figure, grid = new_figure(1, 2, width="full", aspect_ratio=0.52 * height / width + 0.06)
     low, high = np.percentile(real, STRETCH_PERCENT)
     for panel, image, words in zip(np.ravel(grid), (real, rendered), ("real", "twin"), strict=True):
-        panel.imshow(np.clip(image, low, high), cmap="gray", vmin=low, vmax=high, interpolation="auto")
-        panel.set(title=words)
-        panel.set_axis_off()
-    return figure
-
-
-def first_picture(outcome: Outcome) -> Figure:
-    """The first frame."""
-    return pictures(0, outcome)
-
-
-def last_picture(outcome: Outcome) -> Figure:
-    """The last frame."""
-    return pictures(len(outcome.result["kept"].real) - 1, outcome)
-
-
-def close_up(outcome: Outcome) -> Figure:
-    """The middle of the first frame, enlarged."""
-    from experiments.harness.plotting import new_figure
-
-    kept: Kept = outcome.result["kept"]
-    real, rendered = kept.real[0], kept.rendered[0]
-    y, x = (n // 2 for n in real.shape)
-    half = min(96, y, x)
-    cut = (slice(y - half, y + half), slice(x - half, x + half))
-    figure, grid = new_figure(1, 2, width="full", aspect_ratio=0.55)
-    low, high = np.percentile(real[cut], STRETCH_PERCENT)
-    for panel, image, words in zip(np.ravel(grid), (real[cut], rendered[cut]), ("real", "twin"), strict=True):
-        panel.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+        panel.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="auto" if half_px is None else "nearest")
         panel.set(title=words)
         panel.set_axis_off()
     return figure
 
 
 SECTIONS: dict[str, Section] = {
-    "kept": Section(record=Kept, figures={"first": first_picture, "last": last_picture, "close": close_up}),
+    "kept": Section(
+        record=Kept,
+        figures={
+            "first": partial(pictures, number=0),
+            "last": partial(pictures, number=-1),
+            "close": partial(pictures, number=0, half_px=96),
+        },
+    ),
     "camera": Section(
         record=CameraNumbers, vertical=True, table="camera", caption="The camera, as its frames tell it."
     ),

@@ -60,8 +60,15 @@ class Reduced:
 
 
 def black_level(config: Config, truth: KnownNight | None) -> float | None:
-    """Black level: as stated; of rendered frames that of the data sheet."""
-    return truth.detector.offset_dn if truth is not None else config.camera.black_level_dn
+    """Level without light, as a dark frame of the same exposure shows it: as stated; of rendered frames the true one.
+
+    Dark current belongs to it: PRNU acts on light alone.
+    """
+    if truth is None:
+        return config.camera.black_level_dn
+    chip = truth.detector
+    dark_e = chip.dark_current_e_per_s * chip.dark_factor(chip.dark_reference_c) * truth.exposure_s
+    return float(chip.offset_dn + dark_e * chip.gain_dn_per_e)
 
 
 def reduce_night(

@@ -120,7 +120,7 @@ experiment = Experiment(
         "night.frames": 4,
         "night.width_px": 704,
         "night.height_px": 640,
-        "realisations": 2,
+        "realisations": 3,
         "orders": ["pinhole", "radial_1", "radial_2"],
     },
 )

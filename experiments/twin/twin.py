@@ -42,8 +42,8 @@ STIFFNESS_MAG = 0.5
 PSF_NODES = (5, 4)
 PSF_WAVES_NM = (500.0, 800.0)
 HIGHEST_TRANSMISSION = 0.9
-LARGEST_CORE = 0.45
-"""Share of the core at any wavelength; with the halo's half at most, the middle part keeps some."""
+LEAST_SHARE, NARROWEST_PX = 0.005, 0.05
+"""Of a Gaussian at the nodes: a line through the classes of colour may lead below."""
 NODES = 6
 DETECTOR_KEYS = """
     name source chip_width_px chip_height_px prnu dark_current_e_per_s dark_reference_c dark_doubling_c
@@ -247,33 +247,36 @@ def mixture(psf: PsfModel, pitch_mm: float, response: FloatArray) -> GaussianMix
     wave = (rates * WAVELENGTHS_NM).sum(axis=1) / rates.sum(axis=1)
     nodes = np.array(PSF_WAVES_NM)
 
-    def along(of_class: FloatArray) -> FloatArray:
-        """Factors at the nodes, from those of the classes."""
-        slope, level = np.polyfit(wave, np.insert(of_class, 1, 1.0), 1)
-        return np.clip(level + slope * nodes, 0.25, 4.0)
+    # classes without stars, whose changes are held at 0, have no say
+    error = np.insert(np.sqrt(np.diag(psf.covariance)[15:18]), 1, 0.0)
+    weight = np.where((error > 0.0) | (np.arange(4) == 1), 1.0 / (error + 0.05), 0.0)
 
-    width2, core = along(np.exp(2.0 * psf.value[12:15])), along(np.exp(psf.value[15:18]))
+    def at_nodes(of_class: FloatArray) -> FloatArray:
+        """Lines through the values of the classes (4, ...), at the nodes."""
+        if (weight > 0.0).sum() < 2:
+            return np.repeat(of_class[1:2], len(nodes), axis=0)
+        slope, level = np.polyfit(wave, of_class.reshape(4, -1), 1, w=weight)
+        return (level + slope * nodes[:, None]).reshape(len(nodes), *of_class.shape[1:])
+
     width, height = psf.size_px
     x, y = (np.linspace(0.0, n - 1.0, count) for n, count in ((width, PSF_NODES[0]), (height, PSF_NODES[1])))
     grid = np.stack(np.meshgrid(x, y), axis=-1)
-    parts = psf.parts(grid.reshape(-1, 2), np.ones(grid.shape[0] * grid.shape[1], np.int64))
-    shape = (len(nodes), len(y), len(x), len(parts))
-    share, covariance = np.zeros(shape), np.zeros((*shape, 3))
-    for k, (light, along_x, along_y) in enumerate(parts):
-        share[..., k] = light.reshape(len(y), len(x)) * (core[:, None, None] if k == 0 else 1.0)
-        if k == 0:
-            share[..., 0] = np.minimum(share[..., 0], LARGEST_CORE)
-        for axis, sigma in enumerate((along_x, along_y)):
-            by = width2 if k == 1 else np.ones(len(nodes))
-            covariance[..., k, axis] = (sigma.reshape(len(y), len(x)) * pitch_mm) ** 2 * by[:, None, None]
-    share[..., 1] = 1.0 - share[..., 0] - share[..., 2]
+    places, table = grid.reshape(-1, 2), (4, len(y), len(x), 3)
+    share, along_x, along_y = (
+        np.reshape([[part[k] for part in psf.parts(places, np.full(len(places), one))] for one in range(4)], (4, 3, -1))
+        .transpose(0, 2, 1)
+        .reshape(table)
+        for k in range(3)
+    )
+    light = np.maximum(at_nodes(share), LEAST_SHARE)
+    variance = [np.maximum(at_nodes(one**2), NARROWEST_PX**2) * pitch_mm**2 for one in (along_x, along_y)]
     return GaussianMixture(
         wavelength_nm=nodes,
         y_mm=(y - (height - 1.0) / 2.0) * pitch_mm,
         x_mm=(x - (width - 1.0) / 2.0) * pitch_mm,
-        share=share,
-        offset_mm=np.zeros((*shape, 2)),
-        covariance_mm2=covariance,
+        share=light / light.sum(axis=-1, keepdims=True),
+        offset_mm=np.zeros((*light.shape, 2)),
+        covariance_mm2=np.stack([*variance, np.zeros_like(light)], axis=-1),
     )
 
 

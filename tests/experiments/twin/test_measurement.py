@@ -73,7 +73,7 @@ def test_frames_of_one_level_tell_no_gain():
 def test_psf_comes_back_from_stars_at_known_places():
     rng, count, size = np.random.default_rng(5), 320, 11
     truth = np.zeros(18)
-    truth[:6] = [0.12, 0.14, np.log(0.15), np.log(0.62), np.log(0.72), np.log(2.0)]
+    truth[:6] = [-1.8, -1.66, np.log(0.15), np.log(0.62), np.log(0.72), np.log(2.0)]
     truth[6:8], truth[12:15] = 0.2, [-0.05, 0.03, 0.08]
     model = PsfModel(size_px=(1024, 768), value=truth, covariance=np.zeros((18, 18)), chi2=1.0, stars=count)
     place = rng.uniform(20, [1003, 747], (count, 2))
@@ -82,7 +82,8 @@ def test_psf_comes_back_from_stars_at_known_places():
     flux = 10.0 ** rng.uniform(3.2, 4.2, count)
     expected = 150.0 + flux[:, None, None] * model.draw(offset, place, colour, size)
     sample = StarSample(
-        dn=rng.poisson(expected).astype(float),
+        dn=rng.poisson(expected) - 150.0,
+        level_dn=np.full(count, 150.0),
         offset_px=offset,
         place_px=place,
         colour=colour,
