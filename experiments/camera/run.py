@@ -48,6 +48,11 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
 
     sections: dict[str, Any] = predicted(prediction, thermal)
     sections |= {"temperatures": over_temperature, "thermal": thermal, "changes": found or None}
+    if config.manufacture.lenses:
+        from experiments.camera.manufacture import manufactured
+
+        with progress.stage("lenses as made", total=config.manufacture.lenses) as stage:
+            sections["manufactured"] = manufactured(prediction, required, advance=stage.advance)
     if not config.predict_only:
         from experiments.camera.frames import compare, render_frames, solved_frames
 

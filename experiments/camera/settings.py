@@ -108,7 +108,9 @@ class TornadoConfig(StrictModel):
 class Config(SweptConfig, SensorExperimentConfig, SensorConfig):
     """A sensor file, and what is looked at; the defaults are the built-in star tracker."""
 
-    NOT_SWEPT: ClassVar[frozenset[str]] = frozenset({"requirements", "filters", "sky", "thermal", "frames", "tornado"})
+    NOT_SWEPT: ClassVar[frozenset[str]] = frozenset(
+        {"requirements", "filters", "sky", "thermal", "frames", "tornado", "manufacture"}
+    )
 
     detector: DetectorConfig = DetectorConfig()
     throughput_fraction: float = Field(

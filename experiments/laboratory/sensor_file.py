@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
@@ -16,7 +16,27 @@ from experiments.laboratory.settings import CatalogueConfig, FilterConfig, Instr
 from optics.errors import StarbenchError
 from optics.validate import parse_model
 
-__all__ = ["SensorConfig", "SensorExperimentConfig", "read_sensor", "whole_sensor"]
+__all__ = ["ManufactureConfig", "SensorConfig", "SensorExperimentConfig", "read_sensor", "whole_sensor"]
+
+
+class ManufactureConfig(StrictModel):
+    """Tolerances of the lens, as standard deviations: lenses drawn within them are traced by `camera`.
+
+    Elements are those of the lens file; what is 0 is exact.
+    """
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"index"})
+
+    lenses: int = Field(default=0, ge=0, le=100_000, description="how many are drawn; 0: none")
+    distribution: Literal["normal", "uniform"] = Field(default="normal", description="uniform: to sqrt(3) times these")
+    decentre_um: float = Field(default=10.0, ge=0, le=1000, description="of every element, along each axis")
+    tilt_arcmin: float = Field(default=0.5, ge=0, le=60, description="of every element, about each axis")
+    wedge_arcmin: float = Field(default=0.3, ge=0, le=60, description="of every element of glass: its last surface")
+    thickness_um: float = Field(default=10.0, ge=0, le=1000, description="of every element, what follows goes along")
+    radius_percent: float = Field(default=0.05, ge=0, le=10, description="of every curved surface")
+    index: float = Field(default=1e-4, ge=0, le=0.1, description="of every glass, alike at all wavelengths")
+    focus_um: float = Field(default=5.0, ge=0, le=1000, description="of the detector, after the focus was set")
+    refocused: bool = Field(default=True, description="compensator: the focus is set for every lens")
 
 
 class SensorConfig(StrictModel):
@@ -31,6 +51,7 @@ class SensorConfig(StrictModel):
     filters: FilterConfig = FilterConfig()
     catalogue: CatalogueConfig = CatalogueConfig()
     requirements: RequirementsConfig = RequirementsConfig()
+    manufacture: ManufactureConfig = ManufactureConfig()
 
     @field_validator("window_px")
     @classmethod
