@@ -250,7 +250,7 @@ def manufactured(
             met &= values <= limits[name][0]
     single = np.array([_left(basis, (up.map_px - down.map_px).ravel() / 2.0) for up, down in ends]) * pixel
     growth = np.array([(0.5 * (up.square_um2 + down.square_um2) - reference.square_um2).mean() for up, down in ends])
-    order = np.argsort(-growth / max(growth.max(), 1e-30) - single / max(single.max(), 1e-30))[:MOST]
+    order = np.argsort(-growth / growth.max(initial=1e-30) - single / single.max(initial=1e-30))[:MOST]
     return Manufactured(
         built_lenses=len(found),
         built_lost=setting.lenses - len(found),
