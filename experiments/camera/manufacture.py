@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -108,7 +110,8 @@ class _Probe:
 
     def trace(self, lens: LensSystem, *, refocused: bool, off_mm: float = 0.0) -> _Traced:
         """One lens, at the focus of the least mean square spot if that is set again, and off it."""
-        spots = trace_spots(lens, *self.field_deg, self.wave, order=ORDER)
+        x_deg, y_deg = self.field_deg
+        spots = trace_spots(lens, x_deg, y_deg, self.wave, order=ORDER)
         weight = spots.area_mm2 * self.share[:, None]
         light = weight.sum((1, 2))
         if not (light > 0.0).all():
@@ -155,39 +158,33 @@ def moves_of(lens: LensSystem, config: ManufactureConfig) -> dict[str, Move]:
     return dict(_moves(lens, config))
 
 
+def _moved(move: Callable[..., LensSystem], at: Any, key: str, sigma: float) -> Move:
+    """A change of an element or a surface by a number of standard deviations."""
+    return lambda lens, number: move(lens, at, **{key: number * sigma})
+
+
 def _moves(lens: LensSystem, config: ManufactureConfig) -> Iterator[tuple[str, Move]]:
-    arcmin = config.tilt_arcmin / 60.0
     for name in lens.elements:
         surfaces = lens.indices_of(name)
-        glass = [i for i in surfaces if lens.surfaces[i].medium != AMBIENT and not lens.surfaces[i].mirror]
+        last = surfaces[-1]
+        glass = tuple(i for i in surfaces if lens.surfaces[i].medium != AMBIENT and not lens.surfaces[i].mirror)
         for axis in "xy":
             if config.decentre_um:
-                key = f"{axis}_mm"
-                yield (
-                    f"decentre {axis} of {name}",
-                    lambda one, s, n=name, k=key: decentre(one, n, **{k: s * config.decentre_um * UM_MM}),
-                )
-            if arcmin:
-                key = f"{axis}_deg"
-                yield f"tilt {axis} of {name}", lambda one, s, n=name, k=key: tilt(one, n, **{k: s * arcmin})
+                yield f"decentre {axis} of {name}", _moved(decentre, name, f"{axis}_mm", config.decentre_um * UM_MM)
+            if config.tilt_arcmin:
+                yield f"tilt {axis} of {name}", _moved(tilt, name, f"{axis}_deg", config.tilt_arcmin / 60.0)
             if config.wedge_arcmin and glass:
-                key = f"{axis}_deg"
-                yield (
-                    f"wedge {axis} of {name}",
-                    lambda one, s, i=surfaces[-1], k=key: tilt(one, i, **{k: s * config.wedge_arcmin / 60.0}),
-                )
+                yield f"wedge {axis} of {name}", _moved(tilt, last, f"{axis}_deg", config.wedge_arcmin / 60.0)
         if config.thickness_um:
-            yield (
-                f"thickness of {name}",
-                lambda one, s, i=surfaces[-1]: despace(one, i, s * config.thickness_um * UM_MM, following=True),
-            )
+            longer = partial(despace, following=True)
+            yield f"thickness of {name}", _moved(longer, last, "z_mm", config.thickness_um * UM_MM)
         if config.index and glass:
-            yield f"index of {name}", lambda one, s, g=tuple(glass): change_index(one, g, s * config.index)
+            yield f"index of {name}", _moved(change_index, glass, "by", config.index)
         for i in surfaces if config.radius_percent else ():
             radius = getattr(lens.surfaces[i].shape, "radius_mm", np.inf)
             if np.isfinite(radius) and radius:
-                by = radius * config.radius_percent / 100.0
-                yield f"radius of {lens.label(i)}", lambda one, s, i=i, by=by: change_shape(one, i, "radius_mm", s * by)
+                change = partial(change_shape, name="radius_mm")
+                yield f"radius of {lens.label(i)}", _moved(change, i, "by", radius * config.radius_percent / 100.0)
 
 
 def built_lens(lens: LensSystem, moves: dict[str, Move], amounts: FloatArray) -> LensSystem:
@@ -236,9 +233,7 @@ def manufactured(
     pixel = prediction.state.pixel_arcsec
     before = np.array([_left(basis, (one.map_px - nominal.map_px).ravel()) for one in found]) * pixel
     cubic = _cubic(probe.place_px)
-    after = (
-        pixel * np.array([np.hypot(*(_left(cubic, one.map_px[:, k]) for k in (0, 1))) for one in found]) / np.sqrt(2)
-    )
+    after = pixel * np.array([_calibrated(cubic, one.map_px) for one in found])
     ratio = np.array([one.nea for one in found]) / nominal.nea
     noise, total = prediction.value("attitude_cross_noise_arcsec"), prediction.value("attitude_cross_arcsec")
     nea = prediction.value("nea_arcsec") * ratio
