@@ -63,7 +63,8 @@ def test_lens_and_detector_files_of_another_kind(refused, tmp_path):
     (tmp_path / "other.toml").write_text("frames = 3\n")
     assert re.search(r"other.toml: .*5 keys are missing: .*surface", refused("--set", "instrument.lens=other.toml"))
     said = refused("--set", "instrument.detector=other.toml")
-    assert "other.toml: most of what describes a detector is missing; base = " in said
+    assert "other.toml: 12 keys are missing: name, source, quantum_efficiency, " in said
+    assert " at its head takes from that one what" in said
 
 
 def test_lens_whose_rays_all_fail(refused, tmp_path):

@@ -69,10 +69,10 @@ def test_a_sensor_file_takes_them_too_and_reports_say_so(lens, tmp_path):
     sky = load_config(SkyCal, sensor=sensor)
     assert (sky.passband, sky.own.instrument) == (camera.passband, camera.instrument)
     for config in (camera, sky):
-        (said,) = config.remarks()
+        (said,) = (remark for remark in config.remarks() if "singlet.zmx" in remark)
         assert all(
             word in said for word in ("singlet.zmx", "F/4.8", "600 nm", "4°", "520 to 600 nm", " px that its field")
         )
-    assert load_config(Camera).remarks() == ()
+    assert not [remark for remark in load_config(Camera).remarks() if "lens" in remark]
     sensor.write_text(f'[instrument]\nlens = "{lens.name}"\n[passband]\nrange_nm = [480, 640]\n')
     assert load_config(Camera, sensor=sensor).passband.range_nm == (480.0, 640.0)
