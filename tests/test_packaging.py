@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -49,3 +50,15 @@ def test_the_source_distribution_runs_its_tests(tmp_path):
         [sys.executable, "-m", "pytest", "-q", "-n0", *tests], check=False, cwd=unpacked, capture_output=True, text=True
     )
     assert ran.returncode == 0, ran.stdout[-2000:]
+
+
+def test_setup_refuses_an_interpreter_that_is_not_there(tmp_path):
+    ran = subprocess.run(
+        ["sh", str(ROOT / "setup.sh")],
+        env={"PATH": os.environ["PATH"], "PYTHON": "python9", "VENV": str(tmp_path / "v")},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert (ran.returncode, ran.stderr) == (2, "setup.sh: PYTHON = python9: no such command\n")
+    assert not (tmp_path / "v").exists()
