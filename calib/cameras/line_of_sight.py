@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
+from scipy.special import gammaincinv
 
 from calib.cameras.base import CameraModel, checked_vectors, unproject_jacobian
 from optics.arrays import FloatArray
@@ -43,6 +44,9 @@ class LineOfSightMap:
     # (n, 2) Standard deviations of the same from the covariance of the parameters; NaN without a covariance, infinite
     # if it is not finite
     predicted_sigma_arcsec: FloatArray
+    # (p,) Eigenvalues of the predicted covariance of all errors, over n [arcsec^2]: ``rms_arcsec**2`` is the sum of
+    # their products with squares of independent standard normal deviates; as the standard deviations without it
+    mean_square_arcsec2: FloatArray
     # The rotation that was removed: applied to the model's directions, it brings them closest to the truth
     rotation: Rotation
 
@@ -51,6 +55,7 @@ class LineOfSightMap:
         freeze(self, "pixel_px", shape=("n", 2), sizes=sizes)
         freeze(self, "error_arcsec", shape=("n", 2), finite=False, sizes=sizes)
         freeze(self, "predicted_sigma_arcsec", shape=("n", 2), finite=False, sizes=sizes)
+        freeze(self, "mean_square_arcsec2", shape=("p",), finite=False, sizes=sizes)
 
     @property
     def rms_arcsec(self) -> float:
@@ -66,6 +71,19 @@ class LineOfSightMap:
     def predicted_rms_arcsec(self) -> float:
         """Root of the expected mean square length of the error; compare with `rms_arcsec`."""
         return float(np.sqrt(np.mean(np.sum(self.predicted_sigma_arcsec**2, axis=1))))
+
+    def rms_limit_arcsec(self, probability: float) -> float:
+        """Value that `rms_arcsec` stays below with a probability, if the covariance is right and errors are normal.
+
+        A weighted sum of chi-squares, by a chi-square with the same first three cumulants (Hall-Buckley-Eagleson;
+        Buckley and Eagleson 1988, Australian Journal of Statistics 30A, 150).
+        """
+        first, second, third = (float((self.mean_square_arcsec2**power).sum()) for power in (1, 2, 3))
+        if not np.isfinite(third) or third == 0.0:
+            return third
+        freedom = second**3 / third**2
+        deviate = (2.0 * gammaincinv(freedom / 2.0, probability) - freedom) / np.sqrt(2.0 * freedom)
+        return float(np.sqrt(first + np.sqrt(2.0 * second) * deviate))
 
 
 def best_rotation(direction: ArrayLike, reference: ArrayLike) -> Rotation:
@@ -131,13 +149,14 @@ def line_of_sight_map(
     # taken in cam, at the model's directions, so that the frame of the truth does not matter
     axes = _tangent_axes(direction)
     error = np.einsum("nai,ni->na", axes, direction - truth @ rotation.as_matrix())
-    sigma = np.full(pixel.shape, np.nan)
+    sigma, weights = np.full(pixel.shape, np.nan), np.full(1, np.nan)
     if covariance is not None and jacobian is not None:
-        sigma[known] = _predicted_sigma(direction[known], axes[known], jacobian[known], covariance)
+        sigma[known], weights = _predicted(direction[known], axes[known], jacobian[known], covariance)
     return LineOfSightMap(
         pixel_px=pixel,
         error_arcsec=error * RAD_ARCSEC,
         predicted_sigma_arcsec=sigma * RAD_ARCSEC,
+        mean_square_arcsec2=weights * RAD_ARCSEC**2,
         rotation=rotation,
     )
 
@@ -149,20 +168,26 @@ def _tangent_axes(direction: FloatArray) -> FloatArray:
     return np.stack([along, np.cross(direction, along)], axis=1)
 
 
-def _predicted_sigma(
+def _predicted(
     direction: FloatArray, axes: FloatArray, jacobian: FloatArray, covariance: ArrayLike
-) -> FloatArray:
-    """Standard deviations [rad] (n, 2) along the axes, the fitted rotation removed."""
+) -> tuple[FloatArray, FloatArray]:
+    """Standard deviations [rad] (n, 2) along the axes and weights [rad^2] (p,) of the mean square, the fitted rotation
+    removed.
+    """
     spread = np.asarray(covariance, dtype=np.float64)
     count = jacobian.shape[2]
     if spread.shape != (count, count):
         raise DomainError(f"covariance of shape {spread.shape} for a camera with {count} parameters")
     if not np.all(np.isfinite(spread)):
-        return np.full((len(direction), 2), np.inf)
+        return np.full((len(direction), 2), np.inf), np.full(count, np.inf)
     turning = np.cross(direction[:, :, None], jacobian, axis=1)
     moment = len(direction) * np.eye(3) - direction.T @ direction
     rotation = np.linalg.solve(moment, turning.sum(axis=0))
     remaining = jacobian + np.cross(direction[:, :, None], rotation[None, :, :], axis=1)
     along = np.einsum("nai,nip->nap", axes, remaining)
     variance = np.einsum("nap,pq,naq->na", along, spread, along, optimize=True)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+    square = np.einsum("nap,naq->pq", along, along) / len(direction)
+    weights = np.linalg.eigvals(
+        square @ spread
+    ).real  # of a product of two positive semidefinite matrices: none below 0
+    return np.sqrt(np.maximum(variance, 0.0)), np.maximum(weights, 0.0)

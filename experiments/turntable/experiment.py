@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from experiments.harness.drawings import image, maps
 from experiments.harness.progress import Progress
@@ -79,7 +78,7 @@ REDUCTIONS = {"estimated": "leans fitted", "ignored": "taken as square", "known"
 LEAST_RUNS = 10
 """Converged runs of a Monte-Carlo below which it says nothing."""
 RENDERED_QUANTILE = 0.998
-"""Of a scaled chi-square with the mean and the variance of the runs: their own quantile would be their largest."""
+"""Of the map error, by the estimator's covariance."""
 PULL_SLACK = 0.05
 """Part that second derivatives may add to the pulls."""
 MODEL_SHARE = 0.1
@@ -229,7 +228,7 @@ def line_of_sight(case: Case, pixel_arcsec: float) -> LineOfSight:
     return LineOfSight(
         map_error_arcsec=[one.line_of_sight.rms_arcsec for one in case.reductions.values()],
         map_predicted_arcsec=predicted,
-        map_limit_arcsec=predicted * rendered_limit(found.map_rms_arcsec / found.predicted_map_arcsec),
+        map_limit_arcsec=line.rms_limit_arcsec(RENDERED_QUANTILE),
         map_monte_carlo_arcsec=found.map_arcsec,
         map_bound_arcsec=case.bound.map_sigma_arcsec,
         camera_model_arcsec=model,
@@ -247,20 +246,6 @@ def line_of_sight(case: Case, pixel_arcsec: float) -> LineOfSight:
         line_error_arcsec=np.linalg.norm(line.error_arcsec, axis=1),
         line_sigma_arcsec=np.linalg.norm(line.predicted_sigma_arcsec, axis=1),
     )
-
-
-def rendered_limit(ratio: FloatArray) -> float:
-    """What the map error over its prediction stays below with probability `RENDERED_QUANTILE`.
-
-    Its square is a sum of squares of unequal size; a scaled chi-square takes its mean and variance from all runs
-    (Satterthwaite), where a quantile so far out would hang on one or two of them.
-    """
-    square = ratio**2
-    if len(square) < 2:
-        return float("nan")
-    mean, variance = float(square.mean()), float(square.var(ddof=1))
-    freedom = 2.0 * mean**2 / variance
-    return float(np.sqrt(mean * chi2.ppf(RENDERED_QUANTILE, freedom) / freedom))
 
 
 def point_over_line(sigma_arcsec: float, map_arcsec: float) -> float:

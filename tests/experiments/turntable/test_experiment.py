@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.harness.config import load_config
@@ -13,7 +12,7 @@ from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.reduce import Data, check_fit, check_parity, reduce_data
 from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import build_turntable
-from experiments.turntable.experiment import RENDERED_QUANTILE, point_over_line, rendered_limit
+from experiments.turntable.experiment import point_over_line
 from experiments.turntable.monte_carlo import (
     Coordinates,
     ReadingPoint,
@@ -118,16 +117,6 @@ def test_what_a_square_table_is_taken_for_does_not_fit() -> None:
 def test_settings_that_do_not_do(setting: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         load_config(Config, settings=[setting])
-
-
-def test_limit_of_the_rendered_run_hangs_on_no_single_run() -> None:
-    """Against the exact quantile of a chi-square of 5 degrees of freedom, from few runs."""
-    rng = np.random.default_rng(3)
-    exact = np.sqrt(chi2.ppf(RENDERED_QUANTILE, 5) / 5)
-    many = [rendered_limit(np.sqrt(rng.chisquare(5, 60) / 5)) for _ in range(300)]
-    assert np.mean(many) == pytest.approx(exact, rel=0.03)
-    assert np.std(many) < 0.1 * exact
-    assert np.isnan(rendered_limit(np.array([1.0])))
 
 
 def test_principal_point_and_line_of_sight_are_compared_per_axis() -> None:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import build_turntable
-from experiments.turntable.experiment import RENDERED_QUANTILE, rendered_limit
 from experiments.turntable.fields import field_sweep
 from experiments.turntable.monte_carlo import Coordinates, equal_reading_noise_arcsec, monte_carlo, reading_sweep
 from experiments.turntable.truth import TracedMap
@@ -93,12 +91,3 @@ def test_bounds_over_the_field_are_told_in_pixels_and_in_angles():
     assert point.rolled_point_arcsec == pytest.approx(point.rolled_point_px * pixel_arcsec, rel=1e-6)
     line = point.map_sigma_arcsec / 2**0.5
     assert point.point_over_line == pytest.approx(point.principal_point_sigma_arcsec / line)
-
-
-def test_limit_of_the_map_error_is_its_quantile():
-    """RMS of 16 normal numbers over its expectation: the limit is passed as often as stated, by 20 runs' moments."""
-    rng = np.random.default_rng(3)
-    limits = [rendered_limit(np.sqrt(rng.chisquare(16, 20) / 16)) for _ in range(400)]
-    exact = np.sqrt(chi2.ppf(RENDERED_QUANTILE, 16) / 16)
-    assert np.median(limits) == pytest.approx(exact, rel=0.03)
-    assert np.isnan(rendered_limit(np.ones(1)))
