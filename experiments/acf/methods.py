@@ -37,7 +37,7 @@ BOUNDS = {"acc": "acc", "linked": "linked", "free": "free", "iac_full": "free"}
 DRAWS = 400
 """Of the predicted errors, for the expected largest residual distortion."""
 SIGHT_FREEDOM = 4.0
-"""The line-of-sight map has five or so independent shapes of unequal size; as many squares as this scatter alike."""
+"""Effective degrees of freedom of the mean-square map error: five or so independent shapes of unequal size."""
 
 Row = Sequence[Measured]
 

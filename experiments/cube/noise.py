@@ -216,7 +216,7 @@ def _blur_px(laboratory: Laboratory) -> float:
 
 
 def _hole_response(laboratory: Laboratory, offset: FloatArray, half_px: float) -> FloatArray:
-    """Brightness about the hole's edge less half of what a line through the rim beside puts there, per px of radius.
+    """Change of brightness at the hole's edge per px of radius, less half of the same of the line fitted to the rim.
 
     The line goes from 2.5 to 7 px; the light of a particle is as wide as diffusion, pixel and interpolation.
     """

@@ -152,9 +152,9 @@ def predict_same_data(maps: FloatArray, noise_px2: FloatArray, rows: FloatArray)
 def ratio_scatter(maps: FloatArray, noise_px2: FloatArray) -> float:
     r"""Standard deviation, relative, of pixel method over Fisher on the same vectors.
 
-    Both are roots of sums of squares, ``b`` of the residuals n_i in pixels and ``a`` of T_i n_i on the sphere. Were an
-    angle per pixel the same all over the field they would scatter alike; where it is not, the ratio hangs on which
-    places got the large residuals. To first order, for normal n_i of covariance C_i and M_i = T_i^T T_i,
+    Both are roots of sums of squares, ``b`` of the residuals n_i in pixels and ``a`` of T_i n_i on the sphere. If the
+    angle per pixel were constant over the field, the ratio would be constant; where it varies, the ratio depends on
+    which places have the large residuals. To first order, for normal n_i of covariance C_i and M_i = T_i^T T_i,
 
     .. math:: \mathrm{var}\,\log(b/a) = \frac{1}{4} \sum_i 2\, \mathrm{tr}
         \left[\left(C_i / \textstyle\sum \mathrm{tr}\, C_j

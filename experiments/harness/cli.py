@@ -70,7 +70,7 @@ def command(experiment: Experiment) -> Main:
 def _options(experiment: Experiment) -> list[click.Parameter]:
     sensor = "TOML file of a star sensor, taken by every experiment."
     sensor += "" if experiment.comparison is None else " Repeatable: sensors side by side."
-    text = "Print what the other options make of the defaults, as a commented file for --sensor (all: for --config)."
+    text = "Print the defaults, changed by the other options, as a commented file for --sensor (all: for --config)."
     path, out = click.Path(readable=False), f"out/{experiment.name}"
     backends, files = click.Choice(["auto", "llvm", "cuda"]), click.Choice(["sensor", "all"])
 
