@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.cameras.base import CameraModel
-from calib.cameras.line_of_sight import line_of_sight_map
+from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.derivatives import design, reading_covariance_px2
 from optics.arrays import FloatArray
@@ -34,6 +34,7 @@ class Bound:
     alone: FloatArray  # (q,) Standard deviations if all other unknowns were known
     condition: float  # Of the information matrix scaled to a unit diagonal
     map_sigma_arcsec: float  # RMS length of the line-of-sight error over the map, after the best rotation
+    line_of_sight: LineOfSightMap  # At the truth
 
     @property
     def sigma(self) -> FloatArray:
@@ -122,6 +123,7 @@ def bound(
         alone=alone,
         condition=condition,
         map_sigma_arcsec=judged.predicted_rms_arcsec,
+        line_of_sight=judged,
     )
 
 
