@@ -36,8 +36,8 @@ One TOML file describes a star sensor, and every experiment takes it:
     python -m experiments.camera --sensor my.toml      # what this sensor can do: start here
     python -m experiments.chromatic --sensor my.toml
 
-`--defaults` prints a complete sensor file with comments, after the changes that the other options make; `--defaults all`
-prints all settings of an experiment, for `--config`:
+`--defaults` prints a complete sensor file with comments, after the changes that the other options make;
+`--defaults all` prints all settings of an experiment, for `--config`:
 
     python -m experiments.camera --set instrument.f_number=4 --defaults > my.toml
 
