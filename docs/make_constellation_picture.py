@@ -27,10 +27,10 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from optics.attitude import attitude_from_angles
+from optics.glass.coating import QuarterWave
 from optics.lens_file import load_lens
 from optics.light.band import TopHat, band_nodes
 from optics.light.spectrum import Blackbody
-from optics.light.transmission import QuarterWave
 from render.camera import Camera, build_camera
 from render.catalogue.gaia import load_gaia
 from render.catalogue.index import build_index

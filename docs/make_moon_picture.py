@@ -26,11 +26,11 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from docs.moon_model import MOON_RADIUS_KM, moon_scene
+from optics.glass.coating import QuarterWave
 from optics.lens_file import load_lens
 from optics.light.band import BandNodes, TopHat, band_nodes
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
-from optics.light.transmission import QuarterWave
 from optics.rays.paraxial import axial_paraxial
 from render.camera import Camera, build_camera
 from render.detector.diffusion import diffuse

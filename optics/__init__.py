@@ -20,6 +20,7 @@ optics.lens.perturb         `tilt`, `decentre`, `despace`, `refocus`, `tilt_imag
                             `change_index`, `change_shape` (radius, conic, ...); what moves: an element,
                             surfaces, `ALL_SURFACES`, `EVERYTHING`
 optics.glass.catalogue      `get_glass`, `list_glasses`, `Glass`
+optics.glass.coating        `Stack`, `QuarterWave`, `TabulatedCoating`: R and T over wavelength, angle, polarisation
 optics.glass.media          `Environment`, `CATALOGUE_AIR`, `VACUUM`
 optics.rays.paraxial        `paraxial`, `axial_colour_mm`
 optics.rays.chief           `chief_ray_points`, `plate_scale_mm`, `distortion_map`
@@ -32,7 +33,7 @@ optics.rays.reverse         `reverse`
 optics.light.spectrum       `Blackbody`, `TabulatedSed`
 optics.light.band           `TopHat`, `TabulatedBand`, `band_nodes`
 optics.light.photometry     `photon_rate`, `synthetic_magnitude`
-optics.light.transmission   `lens_transmission`, `QuarterWave`, `TabulatedCoating`
+optics.light.transmission   `lens_transmission`
 optics.response             `Response`
 optics.waves                `trace_pupil`, `wavefront`, `zernikes`, `zernike_map`, `strehl`, `strehl_through_focus`,
                             `encircled_energy`, `transfer_function`, `with_wavefront`

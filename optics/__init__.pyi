@@ -10,6 +10,10 @@ from .frames import field_direction as field_direction
 from .glass.catalogue import Glass as Glass
 from .glass.catalogue import get_glass as get_glass
 from .glass.catalogue import list_glasses as list_glasses
+from .glass.coating import Film as Film
+from .glass.coating import QuarterWave as QuarterWave
+from .glass.coating import Stack as Stack
+from .glass.coating import TabulatedCoating as TabulatedCoating
 from .glass.media import CATALOGUE_AIR as CATALOGUE_AIR
 from .glass.media import VACUUM as VACUUM
 from .glass.media import Environment as Environment
@@ -41,8 +45,6 @@ from .light.photometry import photon_rate as photon_rate
 from .light.photometry import synthetic_magnitude as synthetic_magnitude
 from .light.spectrum import Blackbody as Blackbody
 from .light.spectrum import TabulatedSed as TabulatedSed
-from .light.transmission import QuarterWave as QuarterWave
-from .light.transmission import TabulatedCoating as TabulatedCoating
 from .light.transmission import lens_transmission as lens_transmission
 from .page import Marks as Marks
 from .page import frame_page as frame_page

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
+from optics.glass.coating import Coating
 from optics.lens.system import LensSystem
-from optics.light.transmission import Coating, lens_transmission
+from optics.light.transmission import lens_transmission
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.pupil import EntrancePupil, entrance_pupil
 from optics.records import freeze

@@ -11,11 +11,11 @@ import numpy as np
 
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_angles_deg
+from optics.glass.coating import QuarterWave
 from optics.lens.system import LensSystem
 from optics.lens_file import load_lens
 from optics.light.band import Band, TopHat, band_nodes
 from optics.light.spectrum import Blackbody
-from optics.light.transmission import QuarterWave
 from optics.rays.chief import plate_scale_mm
 from optics.rays.spots import spot_moments
 from render.camera import Camera, Diffraction, build_camera

@@ -261,6 +261,8 @@ def _tables(draft: Draft, found: dict[int, Found], angles: list[tuple[float, flo
         tables["image"] = {k: v for k, v in image.moved.items() if k != "carry"}
     if own:
         tables["glass"] = own
+    if draft.coatings:
+        tables["coating"] = draft.coatings
     return tables
 
 
@@ -309,6 +311,8 @@ def _surface_table(row: Row, medium: str) -> dict[str, Any]:
         table["stop"] = True
     if row.apertures:
         table["aperture"] = row.apertures
+    if row.coating:
+        table["coating"] = row.coating
     return {**table, **row.moved}
 
 

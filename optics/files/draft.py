@@ -55,6 +55,7 @@ class Row:
     apertures: list[dict[str, Any]] = field(default_factory=list)
     moved: dict[str, Any] = field(default_factory=dict)
     comment: str = ""
+    coating: str = ""
 
     @property
     def is_break(self) -> bool:
@@ -105,6 +106,7 @@ class Draft:
     adjusted: bool = False
     catalogues: list[str] = field(default_factory=list)
     private: dict[str, Glass] = field(default_factory=dict)
+    coatings: dict[str, dict[str, Any]] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
     object_mm: float = math.inf
     object_curved: bool = False

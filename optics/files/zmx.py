@@ -8,8 +8,10 @@ surfaces, where merit functions and tolerances are kept.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from optics.errors import ConfigError
 from optics.files.draft import FAR_MM, Aperture, Draft, Field, GlassName, Row, number, whole
@@ -35,7 +37,7 @@ _DISPLAY = dict.fromkeys(
     "VERS": "version of the program",
 }  # fmt: skip
 _SURFACE_DISPLAY = {
-    "FIMP", "HIDE", "MIRR", "SLAB", "SSID", "MEMA", "OEMA", "POPS", "COMM", "GLCB", "COAT", "VPAR", "CHMF",
+    "FIMP", "HIDE", "MIRR", "SLAB", "SSID", "MEMA", "OEMA", "POPS", "COMM", "GLCB", "VPAR", "CHMF",
 }  # fmt: skip
 _SURFACE_KEYS = {"TYPE", "CURV", "CONI", "DISZ", "STOP", "GLAS", "DIAM", "PARM", "XDAT", "PPAR", *APERTURE_KEYS}
 """Commands that some writers do not indent."""
@@ -183,13 +185,15 @@ class _Reader:
             self._diameter(line, words, text, data)
         elif key in ("PZUP", "PPAR", "CPUP"):
             data.pickups.append((line, key, words, text))
+        elif key == "COAT":
+            data.coat = (line, words, text)
         elif key == "COMM":
             data.comment = text[4:].strip()
             self.report.ignored(line, text, "comment", data.number)
         elif (meaning := data.take(key, words, line, unit)) is not None:
             self.report.taken(line, text, meaning, data.number)
         elif key in _SURFACE_DISPLAY or key in _DISPLAY:
-            self.report.ignored(line, text, "display, coating, edges or physical optics", data.number)
+            self.report.ignored(line, text, "display, edges or physical optics", data.number)
         else:
             self.report.ignored(line, text, "unknown command of a surface", data.number, harmless=False)
 
@@ -269,6 +273,8 @@ class _Reader:
             raise ConfigError(f"{self.report.file}: {len(self.surfaces)} surfaces; object, lens and image are needed")
         self._configure()
         self._pickups()
+        for data in self.surfaces:
+            self._coating(data)
         first, *inner, last = self.surfaces
         draft.object_mm = first.thickness if abs(first.thickness) < FAR_MM else math.inf
         draft.rows = [self._row(data) for data in inner]
@@ -285,6 +291,30 @@ class _Reader:
         chosen = [self.waves[i] for i in sorted(self.waves) if i <= used]
         draft.wavelengths = chosen
         draft.primary = self.primary - 1
+
+    def _coating(self, data: SurfaceData) -> None:
+        """Take the coatings that the program's help defines; others stand in a file of the program and are named."""
+        if data.coat is None:
+            return
+        line, words, text = data.coat
+        name = words[1] if words[1:] else ""
+        wave = self.waves.get(self.primary, (0.0, 1.0))[0]
+        ideal = re.fullmatch(r"I(\.\d+)", name.upper())
+        if name.upper() == "AR" and wave > 0.0 and not data.mirror:
+            table: dict[str, Any] = {"kind": "quarter_wave", "design_wavelength_nm": wave, "material": "MgF2"}
+            meaning = f"a quarter wave of MgF2 at {wave:g} nm"
+        elif ideal and not data.mirror:
+            share = 1.0 - float(ideal[1])
+            table = {"kind": "table", "source": f"ideal coating {name}", "wavelength_nm": [100.0, 1e5]}
+            table["reflectance"] = [[share, share]]
+            meaning = f"reflects {share:g} at all wavelengths and angles"
+        else:
+            what = f"coating {name!r} is defined in a file of the program; give it as [coating.NAME] in a TOML file"
+            self.report.ignored(line, text, what if name else "no coating", data.number)
+            return
+        data.coating = name
+        self.draft.coatings[name] = table
+        self.report.taken(line, text, meaning, data.number)
 
     def _row(self, data: SurfaceData) -> Row:
         try:

@@ -52,6 +52,8 @@ class SurfaceData:
     outlines: list[dict[str, Any]] = field(default_factory=list)
     centre: tuple[float, float] = (0.0, 0.0)
     comment: str = ""
+    coat: tuple[int, list[str], str] | None = None
+    coating: str = ""
     pickups: list[tuple[int, str, list[str], str]] = field(default_factory=list)
 
     @property
@@ -136,6 +138,7 @@ class SurfaceData:
             drawn_mm=self.drawn,
             apertures=outlines,
             comment=self.comment,
+            coating=self.coating,
         )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
-from optics.errors import ConfigError, StarbenchError
+from optics.errors import ConfigError, StarbenchError, unknown_name
 from optics.glass.catalogue import Glass, get_glass, glass_from_table
 from optics.glass.media import CATALOGUE_AIR, Environment
 from optics.lens.geometry import axial_ray
@@ -171,6 +171,28 @@ def _glasses(file: Prescription, media: list[str], where: str) -> dict[str, Glas
     return glasses
 
 
+def _coated(file: Prescription, lens: LensSystem, names: Mapping[str, str]) -> LensSystem:
+    """The lens with its coatings; ``names`` are what labels of surfaces name."""
+
+    def glass_of(name: str) -> Glass:
+        return _glasses(file, [name], "film")[name]
+
+    made = file.coatings(glass_of)
+    for name in (file.default_coating, *names.values()):
+        if name and name not in made:
+            raise unknown_name("coating", name, made)
+    changed = {}
+    for number, (surface, (before, _)) in enumerate(zip(lens.surfaces, lens.media, strict=False)):
+        air_glass = (before == AMBIENT) != (surface.medium == AMBIENT)
+        name = names.get(surface.label, "") or (file.default_coating if air_glass else "")
+        if name and (surface.mirror or (before, surface.medium) != (AMBIENT, AMBIENT)):
+            try:
+                changed[number] = replace(surface, coating=made[name])
+            except ConfigError as error:
+                raise ConfigError(f"{surface.label}: {error}") from None
+    return lens.with_surfaces(changed)
+
+
 def glasses_of(file: Prescription) -> dict[str, Glass]:
     """Glasses that the surfaces of a prescription name; ConfigError for one that is not known."""
     media = [table.medium for table in file.surface if isinstance(table, SurfaceTable) and table.medium != MIRROR]
@@ -243,6 +265,11 @@ def lens_from_table(
         max_field_deg=file.max_field_deg,
         environment=environment,
     )
+    coating = {label: s.coating for label, s in zip(names, file.surface, strict=True) if isinstance(s, SurfaceTable)}
+    try:
+        lens = _coated(file, lens, coating)
+    except StarbenchError as error:
+        raise ConfigError(f"{where}: {error}") from None
     return lens if file.pupil is None else _opened(lens, file.pupil, where)
 
 

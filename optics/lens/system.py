@@ -15,6 +15,7 @@ import numpy as np
 from optics.arrays import NUMPY, FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.glass.catalogue import Glass
+from optics.glass.coating import Coating, TabulatedCoating
 from optics.glass.media import CATALOGUE_AIR, Environment, IndexFormula, index_parameters
 from optics.lens.apertures import Aperture
 from optics.lens.measured import MeasuredLens
@@ -67,6 +68,8 @@ class Surface:
         Whether this is the aperture stop.
     index_offset : float
         Added to the index of what follows (melt tolerance).
+    coating : Coating or None
+        What is on it; None: not stated (bare glass, or what the instrument says; mirrors reflect all light).
     label : str
         What messages call it, such as ``"surface 4 (line 27)"`` of a file that counts its own way.
     """
@@ -84,6 +87,7 @@ class Surface:
     element: str = ""
     is_stop: bool = False
     index_offset: float = 0.0
+    coating: Coating | None = None
     label: str = ""
 
     def __post_init__(self) -> None:
@@ -98,6 +102,8 @@ class Surface:
                 f"Surface.inner_semi_diameter_mm = {self.inner_semi_diameter_mm} mm; it must lie between 0 and the "
                 f"semi-diameter {self.semi_diameter_mm} mm"
             )
+        if self.mirror and self.coating is not None and not isinstance(self.coating, TabulatedCoating):
+            raise ConfigError("the coating of a mirror is a table of its reflectance (kind = 'table')")
 
     @property
     def holed(self) -> bool:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import MISSING, fields
 from functools import reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_type_hints
 
+import numpy as np
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -19,8 +21,10 @@ from pydantic import (
     model_validator,
 )
 
-from optics.errors import DomainError
+from optics.errors import ConfigError, DomainError
 from optics.glass.air import STANDARD_PRESSURE_HPA
+from optics.glass.catalogue import Glass
+from optics.glass.coating import BARE, Coating, Film, QuarterWave, Stack, TabulatedCoating
 from optics.lens.apertures import APERTURES, Aperture
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.registry import SHAPES, UNNAMED
@@ -30,6 +34,7 @@ __all__ = [
     "BREAK",
     "MIRROR",
     "BreakTable",
+    "CoatingTable",
     "ErrorTable",
     "GlassTable",
     "ImageTable",
@@ -47,6 +52,8 @@ Two = tuple[FiniteFloat, FiniteFloat]
 Three = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 MIRROR = "mirror"
+UNCOATED = "bare"
+"""Name of no coating."""
 BREAK: Final = "coordinate_break"
 """What stands for a medium behind a mirror; kind of a table that only moves the frame."""
 
@@ -163,7 +170,7 @@ class SurfaceTable(MovedTable):
 
     Its shift and turn hold for this surface alone (``carry = "none"``), for all that follows too (``"forward"``), or
     are those of a mirror behind which the frame follows the reflected axis (``"bend"``). ``cte_per_k`` is the expansion
-    of a mirror's substrate.
+    of a mirror's substrate; ``coating`` names a table ``[coating.NAME]``, or is ``"bare"``.
     """
 
     kind: str
@@ -177,6 +184,7 @@ class SurfaceTable(MovedTable):
     aperture: tuple[AnyAperture, ...] = ()
     error: ErrorTable | None = None
     cte_per_k: Expansion | None = None
+    coating: str = ""
 
     @model_validator(mode="after")
     def _it_is_a_surface(self) -> SurfaceTable:
@@ -238,6 +246,96 @@ class GlassTable(StrictTable):
     transmittance: tuple[NotNegative, ...] | None = None
 
 
+class FilmTable(StrictTable):
+    """A thin film: a material of the glass catalogue, or an index."""
+
+    thickness_nm: Positive
+    material: str = ""
+    index: NotNegative = 0.0
+    extinction: NotNegative = 0.0
+
+
+class StackTable(StrictTable):
+    """Thin films, from the side of the lower index."""
+
+    kind: Literal["stack"]
+    source: Annotated[str, Field(min_length=1)]
+    film: Annotated[tuple[FilmTable, ...], Field(min_length=1)]
+
+    def coating(self, glass_of: Callable[[str], Glass]) -> Coating:
+        """The coating that the table describes."""
+        return Stack(
+            films=tuple(
+                Film(
+                    thickness_nm=film.thickness_nm,
+                    material=glass_of(film.material) if film.material else None,
+                    index=film.index,
+                    extinction=film.extinction,
+                )
+                for film in self.film
+            )
+        )
+
+
+class QuarterWaveTable(StrictTable):
+    """One film, a quarter of a wavelength thick."""
+
+    kind: Literal["quarter_wave"]
+    design_wavelength_nm: Positive
+    material: str = "MgF2"
+
+    def coating(self, glass_of: Callable[[str], Glass]) -> Coating:
+        """The coating that the table describes."""
+        return QuarterWave(design_wavelength_nm=self.design_wavelength_nm, film=glass_of(self.material))
+
+
+Shares = tuple[tuple[FiniteFloat, ...], ...]
+"""A row for every angle, a value for every wavelength."""
+
+
+class ReflectanceTable(StrictTable):
+    """Measured or specified reflectance; ``reflectance`` stands for s and p light alike, ``transmittance`` too."""
+
+    kind: Literal["table"]
+    source: Annotated[str, Field(min_length=1)]
+    wavelength_nm: tuple[Positive, ...]
+    angle_deg: tuple[NotNegative, ...] = (0.0,)
+    reflectance: Shares | None = None
+    reflectance_s: Shares | None = None
+    reflectance_p: Shares | None = None
+    transmittance: Shares | None = None
+    transmittance_s: Shares | None = None
+    transmittance_p: Shares | None = None
+
+    @model_validator(mode="after")
+    def _both_or_each(self) -> ReflectanceTable:
+        for name in ("reflectance", "transmittance"):
+            mean, *each = (getattr(self, name + of) for of in ("", "_s", "_p"))
+            if (mean is not None and any(e is not None for e in each)) or (each[0] is None) != (each[1] is None):
+                raise ValueError(f"give {name}, or {name}_s and {name}_p")
+            if name == "reflectance" and mean is None and each[0] is None:
+                raise ValueError("reflectance is missing")
+            for rows in (mean, *each):
+                shape = (len(self.angle_deg), len(self.wavelength_nm))
+                if rows is not None and (len(rows) != shape[0] or any(len(row) != shape[1] for row in rows)):
+                    raise ValueError(f"{name} needs {shape[0]} rows (angles) of {shape[1]} values (wavelengths)")
+        return self
+
+    def coating(self, glass_of: Callable[[str], Glass]) -> Coating:
+        """The coating that the table describes."""
+        of = {
+            f"{name}_{light}": getattr(self, f"{name}_{light}") or getattr(self, name)
+            for name in ("reflectance", "transmittance")
+            for light in "sp"
+        }
+        return TabulatedCoating(
+            source=self.source, wavelength_nm=np.array(self.wavelength_nm), angle_deg=np.array(self.angle_deg), **of
+        )
+
+
+CoatingTable = Annotated[StackTable | QuarterWaveTable | ReflectanceTable, Discriminator("kind")]
+
+
 class Prescription(StrictTable):
     """Whole prescription file."""
 
@@ -250,6 +348,8 @@ class Prescription(StrictTable):
     surface: Annotated[tuple[AnySurface, ...], Field(min_length=1)]
     image: ImageTable = ImageTable()
     glass: dict[str, GlassTable] = {}
+    coating: dict[str, CoatingTable] = {}
+    default_coating: str = ""
 
     @model_validator(mode="after")
     def _one_stop(self) -> Prescription:
@@ -263,3 +363,15 @@ class Prescription(StrictTable):
                 "entrance_pupil_diameter_mm; not both"
             )
         return self
+
+    def coatings(self, glass_of: Callable[[str], Glass]) -> dict[str, Coating]:
+        """Coatings by name; ConfigError for one that makes no sense."""
+        made: dict[str, Coating] = {UNCOATED: BARE}
+        for name, table in self.coating.items():
+            if name == UNCOATED:
+                raise ConfigError(f"coating {name!r} is the name of no coating; take another")
+            try:
+                made[name] = table.coating(glass_of)
+            except DomainError as error:
+                raise ConfigError(f"coating {name!r}: {error}") from None
+        return made

@@ -1,112 +1,27 @@
 r"""How much light a lens lets through along its axis: reflections at every surface, absorption in every glass.
 
-.. math:: T(\lambda) = \prod_{surfaces} (1 - R_i) \prod_{glasses} \tau_j^{d_j / d_{j,0}}
+.. math:: T(\lambda) = \prod_{surfaces} T_i \prod_{glasses} \tau_j^{d_j / d_{j,0}}
 
 Light reflected twice is not followed here (it lands as a ghost, not in the image of the star).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
-from optics.glass.catalogue import Glass, get_glass
+from optics.glass.catalogue import Glass
+from optics.glass.coating import BARE, Coating
 from optics.records import freeze
 from optics.response import Response
 
-__all__ = [
-    "Coating",
-    "Layout",
-    "QuarterWave",
-    "TabulatedCoating",
-    "Uncoated",
-    "fresnel",
-    "layout_of",
-    "lens_transmission",
-]
-
-
-def fresnel(n_before: ArrayLike, n_after: ArrayLike) -> FloatArray:
-    """Reflectance of a bare interface at normal incidence, ``((n1 - n2) / (n1 + n2))^2``."""
-    first, second = np.asarray(n_before, dtype=np.float64), np.asarray(n_after, dtype=np.float64)
-    return np.asarray(((first - second) / (first + second)) ** 2)
-
-
-class Coating(Protocol):
-    """What is on an air-glass surface."""
-
-    def reflectance(self, wavelength_nm: FloatArray, index: FloatArray) -> FloatArray:
-        """Residual reflectance at normal incidence on glass of that index, in air."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Uncoated:
-    """Bare glass."""
-
-    def reflectance(self, wavelength_nm: FloatArray, index: FloatArray) -> FloatArray:
-        """Fresnel reflectance; shapes as the arguments."""
-        return fresnel(1.0, index)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class QuarterWave:
-    r"""One film, a quarter of the design wavelength thick; magnesium fluoride unless another material is given.
-
-    With :math:`\delta = \frac{\pi}{2} \frac{n(\lambda) \lambda_0}{n(\lambda_0) \lambda}` (Macleod, *Thin-Film Optical
-    Filters*, 4th ed., sec. 2.6, characteristic matrix at normal incidence). The index of the bulk crystal stands for
-    that of the evaporated film.
-
-    Attributes
-    ----------
-    design_wavelength_nm : float
-        Wavelength of least reflectance [nm].
-    film : Glass
-        Material of the film.
-
-    Raises
-    ------
-    DomainError
-        Design wavelength outside the range of the material.
-    """
-
-    design_wavelength_nm: float = 550.0
-    film: Glass = field(default_factory=lambda: get_glass("MgF2"))
-
-    def __post_init__(self) -> None:
-        self.film.index(self.design_wavelength_nm)
-
-    def reflectance(self, wavelength_nm: FloatArray, index: FloatArray) -> FloatArray:
-        """Residual reflectance; shapes as the arguments."""
-        n = self.film.index(wavelength_nm)
-        design = self.film.index(self.design_wavelength_nm)
-        phase = 0.5 * math.pi * (n / design) * (self.design_wavelength_nm / wavelength_nm)
-        front, inside = np.cos(phase) + 1j * index * np.sin(phase) / n, index * np.cos(phase) + 1j * n * np.sin(phase)
-        return np.asarray(np.abs((front - inside) / (front + inside)) ** 2)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TabulatedCoating:
-    """Residual reflectance as measured or specified, whatever the glass underneath.
-
-    Attributes
-    ----------
-    curve : Response
-        Reflectance over wavelength, with its source.
-    """
-
-    curve: Response
-
-    def reflectance(self, wavelength_nm: FloatArray, index: FloatArray) -> FloatArray:
-        """Interpolated reflectance; shapes as the arguments."""
-        return self.curve.interpolate(wavelength_nm)
+__all__ = ["Layout", "layout_of", "lens_transmission"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -115,6 +30,8 @@ class Layout:
 
     media: tuple[Glass | None, ...]  # Medium behind each surface, None for air; in front of the first surface is air
     thickness_mm: FloatArray  # (n,) Axial length of each of these media; that behind the last surface is not used
+    coatings: tuple[Coating | None, ...] = ()  # What is on each surface; None, or none at all: not stated
+    mirrors: tuple[bool, ...] = ()  # Whether it reflects; none at all: lenses only
 
     def __post_init__(self) -> None:
         thickness = freeze(self, "thickness_mm", shape=("n",), sizes={"n": len(self.media)})
@@ -135,7 +52,12 @@ def layout_of(lens: Any) -> Layout:
         media = tuple(lens.glasses.get(surface.medium) for surface in lens.surfaces)
     except AttributeError:
         raise ConfigError(f"a lens or a layout is needed, got {type(lens).__name__}") from None
-    return Layout(media=media, thickness_mm=np.linalg.norm(np.diff(vertices, axis=0), axis=1))
+    return Layout(
+        media=media,
+        thickness_mm=np.linalg.norm(np.diff(vertices, axis=0), axis=1),
+        coatings=tuple(surface.coating for surface in lens.surfaces),
+        mirrors=tuple(surface.mirror for surface in lens.surfaces),
+    )
 
 
 def lens_transmission(
@@ -150,7 +72,8 @@ def lens_transmission(
     wavelength_nm : array_like
         Wavelengths [nm], any shape.
     coating : Coating, optional
-        On every air-glass surface; bare glass if left out. Cemented surfaces have none.
+        On every air-glass surface for which the lens states none; bare glass if left out. Cemented surfaces have none
+        but what the lens states; mirrors without a coating reflect everything.
     absorption : bool
         Whether to count absorption in the glass; needs the internal transmittance of every glass.
 
@@ -170,24 +93,19 @@ def lens_transmission(
     if throughput is not None:
         return throughput.interpolate(wavelength_nm)
     layout = lens if isinstance(lens, Layout) else layout_of(lens)
-    film: Coating = Uncoated() if coating is None else coating
     wave = np.asarray(wavelength_nm, dtype=np.float64)
     through = np.ones_like(wave)
     before: Glass | None = None
-    for after in layout.media:
-        through = through * (1.0 - _reflectance(before, after, wave, film))
+    for number, after in enumerate(layout.media):
+        own = layout.coatings[number] if layout.coatings else None
+        index = [1.0 if glass is None else glass.index(wave) for glass in (before, after)]
+        if layout.mirrors and layout.mirrors[number]:
+            through = through if own is None else through * own.split(wave, *index).reflectance
+        elif before is not after:
+            default = coating if before is None or after is None else None
+            through = through * (own or default or BARE).split(wave, *index).transmittance
         before = after
     if absorption:
         for glass, thickness in layout.slabs:
             through = through * glass.internal_transmittance(wave, thickness)
     return through
-
-
-def _reflectance(before: Glass | None, after: Glass | None, wave: FloatArray, film: Coating) -> FloatArray:
-    if before is None and after is None:
-        return np.zeros_like(wave)
-    if before is not None and after is not None:
-        return fresnel(before.index(wave), after.index(wave))
-    glass = before if after is None else after
-    assert glass is not None
-    return film.reflectance(wave, glass.index(wave))

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from optics.errors import ConvergenceError, DomainError
+from optics.glass.coating import QuarterWave
 from optics.lens.perturb import decentre, tilt_image
 from optics.lens_file import load_lens
-from optics.light.transmission import QuarterWave, lens_transmission
+from optics.light.transmission import lens_transmission
 from optics.rays.trace import Rays, trace
 from optics.response import Response
 from render.camera import Camera, build_camera, launch_disk

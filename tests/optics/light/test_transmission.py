@@ -7,9 +7,10 @@ import pytest
 
 from optics.errors import ConfigError, DomainError
 from optics.glass.catalogue import Glass, get_glass
+from optics.glass.coating import BARE, QuarterWave, TabulatedCoating
 from optics.glass.dispersion import Dispersion
 from optics.lens_file import load_lens
-from optics.light.transmission import Layout, QuarterWave, TabulatedCoating, Uncoated, layout_of, lens_transmission
+from optics.light.transmission import Layout, layout_of, lens_transmission
 from optics.response import Response
 
 LINES = np.array([450.0, 550.0, 650.0])
@@ -61,14 +62,17 @@ def test_magnesium_fluoride_on_crown_leaves_the_textbook_figure() -> None:
     """About 1.3 % per surface on N-BK7 at the design wavelength instead of 4.2 %."""
     index = np.asarray(get_glass("N-BK7").index(LINES[1:2]))
     assert float(QuarterWave().reflectance(LINES[1:2], index)[0]) == pytest.approx(0.0125, abs=0.0015)
-    assert float(Uncoated().reflectance(LINES[1:2], index)[0]) == pytest.approx(0.042, abs=0.001)
+    assert float(BARE.reflectance(LINES[1:2], index)[0]) == pytest.approx(0.042, abs=0.001)
 
 
 def test_absorption_and_reflection_multiply_and_cement_is_uncoated() -> None:
     crown, flint = get_glass("N-BK7"), get_glass("F2")
     doublet = Layout(media=(crown, flint, None), thickness_mm=np.array([8.0, 3.0, 100.0]))
     coating = TabulatedCoating(
-        curve=Response(name="1 %", source="test", wavelength_nm=np.array([400.0, 700.0]), value=np.full(2, 0.01))
+        source="test",
+        wavelength_nm=np.array([400.0, 700.0]),
+        reflectance_s=np.full((1, 2), 0.01),
+        reflectance_p=np.full((1, 2), 0.01),
     )
     cement = ((crown.index(LINES) - flint.index(LINES)) / (crown.index(LINES) + flint.index(LINES))) ** 2
     inside = crown.internal_transmittance(LINES, 8.0) * flint.internal_transmittance(LINES, 3.0)
@@ -79,7 +83,9 @@ def test_absorption_and_reflection_multiply_and_cement_is_uncoated() -> None:
 
 def test_a_stop_in_air_costs_nothing_and_a_lens_is_read_along_its_vertices() -> None:
     glass = get_glass("N-SF6")
-    at = lambda z, medium: SimpleNamespace(position_mm=np.array([0.0, 0.0, z]), medium=medium)  # noqa: E731
+    at = lambda z, medium: SimpleNamespace(  # noqa: E731
+        position_mm=np.array([0.0, 0.0, z]), medium=medium, coating=None, mirror=False
+    )
     lens = SimpleNamespace(
         surfaces=(at(0.0, "air"), at(2.0, "N-SF6"), at(14.5, "air")),
         glasses={"N-SF6": glass},
