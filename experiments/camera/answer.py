@@ -247,7 +247,7 @@ def answer_lines(
         f"{lens.pixel_arcsec:.3f}\u2033 per pixel, focal length {lens.focal_length_mm:.3f} mm at F/{lens.f_number:.3g}"
     )
     depths = lens.best_focus_um / lens.depth_of_focus_um
-    best_mm = config.instrument.defocus_mm + 1e-3 * lens.best_focus_um
+    best_mm = state.instrument.camera.defocus_mm + 1e-3 * lens.best_focus_um
     put = f"; defocus_mm = {best_mm:.4f}" if abs(depths) > 2.0 else ""
     kept = [one for one in found if one.gain > 0.0][:2]
     first = "; ".join(
@@ -257,7 +257,7 @@ def answer_lines(
         "Sensor": config.name or f"{state.instrument.camera.lens.name} on {prediction.processing.detector.name}",
         "Field": f"{lens.field_width_deg:.2f}° × {lens.field_height_deg:.2f}°, diagonal {lens.field_diagonal_deg:.2f}°",
         "Scale": scale,
-        "Focus": f"best {lens.best_focus_um:+.0f} µm from the detector, {abs(depths):.1f} depths of focus{put}",
+        "Focus": f"best {round(lens.best_focus_um):+d} µm from the detector, {abs(depths):.1f} depths of focus{put}",
         "Limiting magnitude": f"{system} = {seen.limiting_magnitude_mag:.2f} mag, half of the stars are found",
         "NEA": f"{nea} for {system} = {quoted:g} mag, one axis, 1σ",
         "Stars per frame": f"{seen.stars_mean_per_frame:.1f}, worst 1 % of the sky {seen.stars_worst_per_frame:.1f}",

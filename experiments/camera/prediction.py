@@ -223,7 +223,7 @@ def predict_camera(config: Config) -> CameraPrediction:
     limit = _limits(config, state, stars)
     if limit[0.5] <= BRIGHTEST_MAG:
         remark = (
-            focus_remark(state.instrument.camera, state.light.wavelength_nm.ravel())
+            focus_remark(state.instrument.camera, state.light.wavelength_nm[0], state.share)
             or "the signal of every star is below the noise"
         )
         raise DomainError(f"half of the stars of {limit[0.5]:g} mag are not detected; {remark}")

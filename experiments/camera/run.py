@@ -20,7 +20,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     with progress.stage("predict"):
         prediction = predict_camera(config)
     state = prediction.state
-    if remark := focus_remark(state.instrument.camera, state.light.wavelength_nm.ravel()):
+    if remark := focus_remark(state.instrument.camera, state.light.wavelength_nm[0], state.share):
         progress.note(remark)
     required, thermal = limits(config), None
     numbers: list[Any] = [optics(prediction), accuracy(prediction), sky(prediction)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.laboratory.housing import expansion_per_k
 from experiments.laboratory.settings import InstrumentConfig
-from optics.errors import DomainError
+from optics.errors import ConfigError, DomainError
 from optics.lens.perturb import change_temperature
 from optics.lens.sag_map import read_map
 from optics.lens.system import LensSystem
@@ -111,6 +111,13 @@ def configured_detector(config: InstrumentConfig) -> Detector:
     return detector if config.gain_dn_per_e is None else replace(detector, gain_dn_per_e=config.gain_dn_per_e)
 
 
+def stated_defocus_mm(config: InstrumentConfig) -> float:
+    """The defocus of a configuration, where a number is needed."""
+    if isinstance(config.defocus_mm, str):
+        raise ConfigError('instrument.defocus_mm = "best" is found for one pass band; here a number in mm is needed')
+    return config.defocus_mm
+
+
 def build_instrument(
     config: InstrumentConfig, lens: LensSystem | None = None, detector: Detector | None = None
 ) -> Instrument:
@@ -119,7 +126,7 @@ def build_instrument(
     sensor = load_star_sensor(
         nominal if lens is None else lens,
         configured_detector(config) if detector is None else detector,
-        defocus_mm=config.defocus_mm,
+        defocus_mm=stated_defocus_mm(config),
         coating_nm=config.coating_nm,
         absorption=config.absorption,
         diffraction=config.diffraction,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from experiments.harness.config import ExperimentConfig, StrictModel, read_settings
 from experiments.laboratory.centroid_methods import CentroiderName
@@ -64,6 +64,8 @@ class SensorConfig(StrictModel):
 class SensorExperimentConfig(ExperimentConfig):
     """Base of the configuration of an experiment on a star sensor: it takes the keys of a sensor file that it has."""
 
+    _focused_mm: float | None = PrivateAttr(default=None)  # Where the best focus was asked for
+
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
         """Settings of this experiment that a sensor file decides.
@@ -73,6 +75,18 @@ class SensorExperimentConfig(ExperimentConfig):
         """
         return {key: value for key, value in whole_sensor(file).items() if key in cls.model_fields}
 
+    @model_validator(mode="after")
+    def _best_focus(self) -> Self:
+        """``defocus_mm = "best"`` becomes the number, for the pass band of this configuration."""
+        instrument, passband = getattr(self, "instrument", None), getattr(self, "passband", None)
+        if instrument is not None and instrument.defocus_mm == "best":
+            from experiments.laboratory.checks import best_defocus_mm
+
+            found = best_defocus_mm(instrument, passband or PassbandConfig())
+            object.__setattr__(self, "instrument", instrument.model_copy(update={"defocus_mm": found}))
+            self._focused_mm = found
+        return self
+
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> dict[str, Any]:
         """What the lens file of the instrument says beside the lens (`lens_defaults`)."""
@@ -81,7 +95,10 @@ class SensorExperimentConfig(ExperimentConfig):
     def remarks(self) -> tuple[str, ...]:
         """What was taken from the lens file of the instrument, and what is not from the data sheet of its detector."""
         instrument, passband = getattr(self, "instrument", None), getattr(self, "passband", None)
-        return () if instrument is None else (*lens_remarks(instrument, passband), *detector_remarks(instrument))
+        focus = self._focused_mm
+        words = () if focus is None else (f"In focus for the pass band: instrument.defocus_mm = {focus:g} mm.",)
+        told = () if instrument is None else (*lens_remarks(instrument, passband), *detector_remarks(instrument))
+        return (*words, *told)
 
     def notes(self) -> tuple[str, ...]:
         """The same of a detector that is the user's own file, for the terminal."""
