@@ -11,7 +11,7 @@ import re
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,9 +65,11 @@ def _is_model(annotation: Any) -> bool:
 
 
 def _number_of(annotation: Any) -> type | None:
-    """``float`` or ``int`` if the field holds one such number (or nothing), else None."""
+    """``float`` or ``int`` if the field holds one such number (or nothing, or a word in its place), else None."""
     several = typing.get_origin(annotation) not in (None, tuple, list)
-    kinds = {*(typing.get_args(annotation) if several else (annotation,))} - {type(None)}
+    parts = typing.get_args(annotation) if several else (annotation,)
+    plain = (getattr(one, "__origin__", one) for one in parts if typing.get_origin(one) is not Literal)
+    kinds = {*plain} - {type(None)}
     return next(iter(kinds)) if kinds in ({float}, {int}) else None
 
 
@@ -165,7 +167,7 @@ def quantity_of(key: str) -> tuple[str, str]:
 def check_range(model: type[BaseModel], sweep: SweepRange) -> None:
     """Refuse a sweep that leaves the allowed values of its parameter."""
     field = leaf_keys(model)[sweep.key]
-    constrained: Any = Annotated[field.annotation, *field.metadata]
+    constrained: Any = Annotated[field.annotation, "", *field.metadata]
     takes = TypeAdapter[Any](constrained)
     for value in (min(sweep.values), max(sweep.values)):
         try:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from experiments.laboratory.housing import expansion_per_k
-from experiments.laboratory.settings import InstrumentConfig
-from optics.errors import ConfigError, DomainError
+from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
+from optics.errors import DomainError
 from optics.lens.perturb import change_temperature
 from optics.lens.sag_map import read_map
 from optics.lens.system import LensSystem
@@ -112,10 +112,12 @@ def configured_detector(config: InstrumentConfig) -> Detector:
 
 
 def stated_defocus_mm(config: InstrumentConfig) -> float:
-    """The defocus of a configuration, where a number is needed."""
-    if isinstance(config.defocus_mm, str):
-        raise ConfigError('instrument.defocus_mm = "best" is found for one pass band; here a number in mm is needed')
-    return config.defocus_mm
+    """The defocus of a configuration; the best one, if it is left to us here, for the usual pass band."""
+    if isinstance(config.defocus_mm, float):
+        return config.defocus_mm
+    from experiments.laboratory.checks import best_defocus_mm
+
+    return best_defocus_mm(config, PassbandConfig())
 
 
 def build_instrument(

@@ -65,22 +65,27 @@ def _window_px(file: LensFile, detector: Any) -> tuple[int, int] | None:
     return (width, height) if min(width, height) > 0 else None
 
 
-def lens_defaults(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that the lens file of an instrument decides where nobody else does."""
+def lens_defaults(values: Mapping[str, Any], usual: Any = "star_camera_206mm") -> dict[str, Any]:
+    """Settings that the lens of an instrument decides where nobody else does.
+
+    Another lens than the ``usual`` one, whose focus is among the defaults, stands in its best focus.
+    """
     instrument, passband = values.get("instrument"), values.get("passband")
     if isinstance(instrument, Mapping) and in_focus(instrument.get("lens")):
         return {"instrument": {"defocus_mm": 0.0}}
-    file = _of_program(instrument.get("lens")) if isinstance(instrument, Mapping) else None
-    if file is None or not isinstance(instrument, Mapping):
+    if not isinstance(instrument, Mapping):
         return {}
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = {} if instrument.get("lens") == usual else {"instrument": {"defocus_mm": "best"}}
+    file = _of_program(instrument.get("lens"))
+    if file is None:
+        return found
     band = _range_nm(file)
     if isinstance(passband, Mapping) and band is not None and band[1] - band[0] > passband.get("edge_nm", 0.0):
         found["passband"] = {"range_nm": band}
     if not (instrument.get("width_px") or instrument.get("height_px")):
         window = _window_px(file, instrument.get("detector"))
         if window is not None:
-            found["instrument"] = {"width_px": window[0], "height_px": window[1]}
+            found["instrument"] = {**found.get("instrument", {}), "width_px": window[0], "height_px": window[1]}
     return found
 
 

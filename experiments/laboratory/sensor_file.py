@@ -16,7 +16,14 @@ from experiments.laboratory.settings import CatalogueConfig, FilterConfig, Instr
 from optics.errors import StarbenchError
 from optics.validate import parse_model
 
-__all__ = ["ManufactureConfig", "SensorConfig", "SensorExperimentConfig", "read_sensor", "whole_sensor"]
+__all__ = [
+    "ManufactureConfig",
+    "SensorConfig",
+    "SensorExperimentConfig",
+    "in_best_focus",
+    "read_sensor",
+    "whole_sensor",
+]
 
 
 class ManufactureConfig(StrictModel):
@@ -61,6 +68,19 @@ class SensorConfig(StrictModel):
         return value
 
 
+def in_best_focus(instrument: InstrumentConfig, passband: PassbandConfig) -> InstrumentConfig:
+    """The settings with the number that ``defocus_mm = "best"`` stands for; 0 for a lens that cannot be traced."""
+    if instrument.defocus_mm != "best":
+        return instrument
+    from experiments.laboratory.checks import best_defocus_mm
+
+    try:
+        found = best_defocus_mm(instrument, passband)
+    except StarbenchError:  # said where the lens is needed
+        found = 0.0
+    return instrument.model_copy(update={"defocus_mm": found})
+
+
 class SensorExperimentConfig(ExperimentConfig):
     """Base of the configuration of an experiment on a star sensor: it takes the keys of a sensor file that it has."""
 
@@ -80,17 +100,17 @@ class SensorExperimentConfig(ExperimentConfig):
         """``defocus_mm = "best"`` becomes the number, for the pass band of this configuration."""
         instrument, passband = getattr(self, "instrument", None), getattr(self, "passband", None)
         if instrument is not None and instrument.defocus_mm == "best":
-            from experiments.laboratory.checks import best_defocus_mm
+            from experiments.laboratory.instrument import stated_defocus_mm
 
-            found = best_defocus_mm(instrument, passband or PassbandConfig())
-            object.__setattr__(self, "instrument", instrument.model_copy(update={"defocus_mm": found}))
-            self._focused_mm = found
+            focused = in_best_focus(instrument, passband or PassbandConfig())
+            object.__setattr__(self, "instrument", focused)
+            self._focused_mm = stated_defocus_mm(focused)
         return self
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> dict[str, Any]:
         """What the lens file of the instrument says beside the lens (`lens_defaults`)."""
-        return lens_defaults(values)
+        return lens_defaults(values, getattr(cls(), "instrument", InstrumentConfig()).lens)
 
     def remarks(self) -> tuple[str, ...]:
         """What was taken from the lens file of the instrument, and what is not from the data sheet of its detector."""

@@ -87,7 +87,7 @@ class InstrumentConfig(StrictModel):
         default=0, ge=0, le=32768, description="columns read out in the middle of the detector; 0: all"
     )
     height_px: int = Field(default=0, ge=0, le=32768, description="rows read out in the middle of the detector; 0: all")
-    defocus_mm: Annotated[float, Field(ge=-10, le=10)] | Literal["best"] = Field(
+    defocus_mm: Annotated[float, Field(strict=True, ge=-10, le=10)] | Literal["best"] = Field(
         default=0.010,
         description="detector shift away from the lens; best: where the mean square spot of the pass band is least",
     )

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -15,7 +15,7 @@ from experiments.harness.config import AngleDeg, StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.lens_defaults import lens_remarks
-from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, whole_sensor
+from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, in_best_focus, whole_sensor
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
 
 __all__ = [
@@ -183,6 +183,15 @@ class Config(SensorExperimentConfig):
                 f"gyro.rate_hz = {self.gyro.rate_hz:g} Hz: at least motion.frame_rate_hz = "
                 f"{self.motion.frame_rate_hz:g} Hz is needed"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _best_focus_of_all(self) -> Self:
+        for name in ("own", "narrow", "wide"):
+            camera = getattr(self, name)
+            instrument = in_best_focus(camera.instrument, self.passband)
+            if instrument is not camera.instrument:
+                object.__setattr__(self, name, camera.model_copy(update={"instrument": instrument}))
         return self
 
     @classmethod

@@ -76,3 +76,19 @@ def test_a_sensor_file_takes_them_too_and_reports_say_so(lens, tmp_path):
     assert not [remark for remark in load_config(Camera).remarks() if "lens" in remark]
     sensor.write_text(f'[instrument]\nlens = "{lens.name}"\n[passband]\nrange_nm = [480, 640]\n')
     assert load_config(Camera, sensor=sensor).passband.range_nm == (480.0, 640.0)
+
+
+@pytest.mark.parametrize("passband", ["[450, 650]", "[600, 900]"])
+def test_the_best_focus_is_one_number_for_setting_report_and_remark(passband, tmp_path):
+    """Another lens stands in its best focus unless a focus is stated; the report finds none better, to 1 um."""
+    from experiments.camera.optical_state import optical_state
+
+    sensor = tmp_path / "sensor.toml"
+    chosen = 'lens = "cooke_triplet_50mm"\ndetector = "cmv4000"\nabsorption = false\n'
+    sensor.write_text(f"[instrument]\n{chosen}[passband]\nrange_nm = {passband}\n")
+    camera = load_config(Camera, sensor=sensor)
+    assert 0.02 < camera.instrument.defocus_mm < 0.2
+    assert any(f"defocus_mm = {camera.instrument.defocus_mm:g} mm" in one for one in camera.remarks())
+    assert optical_state(camera).performance.best_focus_mm == pytest.approx(0.0, abs=1e-3)
+    assert load_config(SkyCal, sensor=sensor).own.instrument == camera.instrument
+    assert load_config(Camera, sensor=sensor, settings=["instrument.defocus_mm=0.05"]).instrument.defocus_mm == 0.05
