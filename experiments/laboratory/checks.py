@@ -7,20 +7,15 @@ import math
 import numpy as np
 
 from experiments.laboratory.bench import Bench
-from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.instrument import Instrument, build_instrument
+from experiments.laboratory.instrument import Instrument, focus_of
 from experiments.laboratory.ray_prediction import expected_spots
-from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
-from optics.rays.paraxial import axial_paraxial
-from optics.rays.performance import FocusCurve, white_focus
-from optics.rays.spots import best_focus_shift_mm, trace_spots
+from optics.rays.spots import best_focus_shift_mm
 from render.camera import Camera
-from render.sky.star_light import star_light
 
-__all__ = ["best_defocus_mm", "check_light", "focus_of", "focus_remark"]
+__all__ = ["check_light", "focus_remark"]
 
 
 RADII = 4.0
@@ -28,12 +23,6 @@ RADII = 4.0
 WIDE_PX = 2.5
 FAR_OUT = 1.5
 """Spots of this RMS radius that are that many times those in the best focus are hardly meant."""
-PARTS = (0.0, 0.45, 0.7, 0.87, 1.0)
-"""Fields, as parts of the distance from the middle to the corner of the detector."""
-NODES = 6
-"""Wavelengths of a pass band."""
-STAR_K = 5800.0
-"""Temperature of the star that is in focus."""
 
 
 def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> None:
@@ -57,27 +46,6 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
             f"instrument.defocus_mm = {best:.3f} mm (it is {instrument.camera.defocus_mm:g} mm), or set "
             f"window_px = {window}"
         )
-
-
-def focus_of(camera: Camera, wavelength_nm: FloatArray, share: FloatArray) -> FocusCurve:
-    """Mean square spot over the detector against the defocus from where it stands; ``share`` weighs wavelengths."""
-    lens = camera.focused_lens
-    focal_mm = abs(axial_paraxial(lens, lens.design_wavelength_nm).efl_mm)
-    corner_mm = 0.5 * math.hypot(camera.width_px, camera.height_px) * camera.pixel_pitch_mm
-    field_deg = min(math.degrees(math.atan2(corner_mm, focal_mm)), lens.max_field_deg) * np.array(PARTS)
-    return white_focus(trace_spots(lens, field_deg, 0.0 * field_deg, wavelength_nm), share).mean
-
-
-def best_defocus_mm(config: InstrumentConfig, passband: PassbandConfig) -> float:
-    """Defocus of the least mean square spot over the detector, for a star of 5800 K through the pass band."""
-    instrument = build_instrument(config.model_copy(update={"defocus_mm": 0.0}))
-    camera = instrument.camera
-    if camera.lens.measured is not None:
-        return 0.0
-    light = star_light([open_band(passband, instrument)], nodes=NODES)
-    wave = light.wavelength_nm[0]
-    rate = light.photon_rate(np.zeros(1), np.array([STAR_K]))[0, 0] * camera.response_at(wave)
-    return round(float(focus_of(camera, wave, rate / rate.sum()).best_mm), 5)
 
 
 def focus_remark(camera: Camera, wavelength_nm: FloatArray, share: FloatArray | None = None) -> str:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.housing import expansion_per_k
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
+from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.perturb import change_temperature
 from optics.lens.sag_map import read_map
@@ -17,15 +20,35 @@ from optics.lens.without_glass import ideal_lens
 from optics.lens_file import load_lens
 from optics.light.band_file import load_band
 from optics.rays.chief import plate_scale_mm
-from optics.rays.paraxial import stopped_down
+from optics.rays.paraxial import axial_paraxial, stopped_down
+from optics.rays.performance import FocusCurve, white_focus
+from optics.rays.spots import trace_spots
 from optics.response import Response
 from optics.waves.measured import with_wavefront
 from optics.waves.wavefront import PathMap, zernike_map
+from render.camera import Camera
 from render.detector.noise import PixelNoise
 from render.detector.spec import Detector, load_detector
 from render.sensor import StarSensor, load_star_sensor
+from render.sky.star_light import star_light
 
-__all__ = ["Instrument", "build_instrument", "configured_detector", "configured_lens", "stated_lens"]
+__all__ = [
+    "Instrument",
+    "best_defocus_mm",
+    "build_instrument",
+    "configured_detector",
+    "configured_lens",
+    "focus_of",
+    "stated_defocus_mm",
+    "stated_lens",
+]
+
+PARTS = (0.0, 0.45, 0.7, 0.87, 1.0)
+"""Fields, as parts of the distance from the middle to the corner of the detector."""
+NODES = 6
+"""Wavelengths of a pass band."""
+STAR_K = 5800.0
+"""Temperature of the star that is in focus."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,11 +136,7 @@ def configured_detector(config: InstrumentConfig) -> Detector:
 
 def stated_defocus_mm(config: InstrumentConfig) -> float:
     """The defocus of a configuration; the best one, if it is left to us here, for the usual pass band."""
-    if isinstance(config.defocus_mm, float):
-        return config.defocus_mm
-    from experiments.laboratory.checks import best_defocus_mm
-
-    return best_defocus_mm(config, PassbandConfig())
+    return best_defocus_mm(config, PassbandConfig()) if isinstance(config.defocus_mm, str) else config.defocus_mm
 
 
 def build_instrument(
@@ -144,3 +163,24 @@ def build_instrument(
         detector=sensor.detector,
         focal_length_mm=plate_scale_mm(replace(sensor.camera, lens=nominal).focused_lens),
     )
+
+
+def focus_of(camera: Camera, wavelength_nm: FloatArray, share: FloatArray) -> FocusCurve:
+    """Mean square spot over the detector against the defocus from where it stands; ``share`` weighs wavelengths."""
+    lens = camera.focused_lens
+    focal_mm = abs(axial_paraxial(lens, lens.design_wavelength_nm).efl_mm)
+    corner_mm = 0.5 * math.hypot(camera.width_px, camera.height_px) * camera.pixel_pitch_mm
+    field_deg = min(math.degrees(math.atan2(corner_mm, focal_mm)), lens.max_field_deg) * np.array(PARTS)
+    return white_focus(trace_spots(lens, field_deg, 0.0 * field_deg, wavelength_nm), share).mean
+
+
+def best_defocus_mm(config: InstrumentConfig, passband: PassbandConfig) -> float:
+    """Defocus of the least mean square spot over the detector, for a star of 5800 K through the pass band."""
+    instrument = build_instrument(config.model_copy(update={"defocus_mm": 0.0}))
+    camera = instrument.camera
+    if camera.lens.measured is not None:
+        return 0.0
+    light = star_light([open_band(passband, instrument)], nodes=NODES)
+    wave = light.wavelength_nm[0]
+    rate = light.photon_rate(np.zeros(1), np.array([STAR_K]))[0, 0] * camera.response_at(wave)
+    return round(float(focus_of(camera, wave, rate / rate.sum()).best_mm), 5)

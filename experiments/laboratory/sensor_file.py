@@ -72,7 +72,7 @@ def in_best_focus(instrument: InstrumentConfig, passband: PassbandConfig) -> Ins
     """The settings with the number that ``defocus_mm = "best"`` stands for; 0 for a lens that cannot be traced."""
     if instrument.defocus_mm != "best":
         return instrument
-    from experiments.laboratory.checks import best_defocus_mm
+    from experiments.laboratory.instrument import best_defocus_mm
 
     try:
         found = best_defocus_mm(instrument, passband)
