@@ -30,6 +30,7 @@ optics.rays.pupil           `entrance_pupil`, `star_rays`, `gauss_disk`, `sobol_
 optics.rays.trace           `Rays`, `trace`, `trace_program`
 optics.rays.program         `compile_lens`
 optics.rays.reverse         `reverse`
+optics.rays.ghosts          `find_ghosts`, `with_cover_glass`
 optics.light.spectrum       `Blackbody`, `TabulatedSed`
 optics.light.band           `TopHat`, `TabulatedBand`, `band_nodes`
 optics.light.photometry     `photon_rate`, `synthetic_magnitude`

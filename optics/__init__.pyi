@@ -52,6 +52,8 @@ from .page import save_frame_page as save_frame_page
 from .rays.chief import chief_ray_points as chief_ray_points
 from .rays.chief import distortion_map as distortion_map
 from .rays.chief import plate_scale_mm as plate_scale_mm
+from .rays.ghosts import find_ghosts as find_ghosts
+from .rays.ghosts import with_cover_glass as with_cover_glass
 from .rays.paraxial import axial_colour_mm as axial_colour_mm
 from .rays.paraxial import paraxial as paraxial
 from .rays.program import compile_lens as compile_lens

@@ -1,4 +1,4 @@
-"""``starbench lens``: show a lens file as one page, or turn it into one of another format."""
+"""``starbench lens``: show a lens file as one page, list its ghosts, or turn it into one of another format."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from optics.errors import ConfigError
 from optics.textfile import write_text
@@ -93,3 +94,80 @@ def convert(file: str, new: str, force: bool, strict: bool, glass: tuple[str, ..
     _tell(read)
     for path in write_lens(read, new):
         click.echo(f"written: {path}")
+
+
+@lens.command(help="Ghosts of a star: every pair of surfaces, the detector and its window among them, brightest first.")
+@click.argument("file", type=click.Path(readable=False))
+@click.option("--field", multiple=True, type=float, metavar="DEG", help="field angle along x; axis and 0.7 if left out")
+@click.option("--wavelength", default=None, type=float, metavar="NM", help="design wavelength if left out")
+@click.option(
+    "--coating-nm", default=550.0, show_default=True, help="MgF2 quarter waves where the file says nothing; 0: bare"
+)
+@click.option("--detector", default=0.2, show_default=True, help="share of the light that the detector reflects")
+@click.option(
+    "--window", default=None, metavar="GLASS:MM:GAP", help="window of the detector, thickness and gap behind it"
+)
+@click.option("--pixel-um", default=5.5, show_default=True, help="pixel that the brightest light of a ghost falls on")
+@click.option("--absorption/--no-absorption", default=True, show_default=True, help="whether glass absorbs")
+@click.option("--rows", default=10, show_default=True, help="ghosts listed for every field angle")
+@_reading
+def ghosts(
+    file: str,
+    field: tuple[float, ...],
+    wavelength: float | None,
+    coating_nm: float,
+    detector: float,
+    window: str | None,
+    pixel_um: float,
+    absorption: bool,
+    rows: int,
+    strict: bool,
+    glass: tuple[str, ...],
+    catalogue: tuple[str, ...],
+) -> None:
+    from optics.frames import field_direction
+    from optics.glass.coating import QuarterWave
+    from optics.rays.ghosts import find_ghosts, ghost_pairs, with_cover_glass
+
+    if not pixel_um > 0.0:
+        raise ConfigError(f"--pixel-um {pixel_um:g}: it must be positive")
+    made = _read(file, strict, glass, catalogue).lens
+    if window is not None:
+        made = with_cover_glass(made, *_window(window))
+    end = len(made.surfaces)
+    click.echo(f"{made.name}: {len(ghost_pairs(made))} pairs of surfaces; {end} is the detector")
+    for angle in field or (0.0, 0.7 * made.max_field_deg):
+        found = find_ghosts(
+            made,
+            field_direction(angle, 0.0),
+            wavelength_nm=wavelength,
+            coating=QuarterWave(design_wavelength_nm=coating_nm) if coating_nm > 0.0 else None,
+            detector_reflectance=detector,
+            absorption=absorption,
+        )
+        click.echo(f"\nstar at {angle:g} deg, image at ({found.image_x_mm:.3f}, {found.image_y_mm:.3f}) mm")
+        click.echo("  back forward  magnitude     x [mm]     y [mm]  RMS radius [mm]  mag of its brightest pixel")
+        peak = -2.5 * np.log10(found.pixel_share(1e-3 * pixel_um))
+        for k in range(min(rows, len(found.flux))):
+            click.echo(
+                f"  {found.back[k]:4d} {found.forward[k]:7d} {found.magnitude[k]:+10.2f} {found.x_mm[k]:10.3f} "
+                f"{found.y_mm[k]:10.3f} {found.rms_mm[k]:16.4f} {peak[k]:+10.2f}{'  sharp' if found.sharp[k] else ''}"
+            )
+        if len(peak):
+            k = int(np.argmin(peak))
+            click.echo(f"  brightest pixel: pair {found.back[k]}, {found.forward[k]}, {peak[k]:+.2f} mag")
+        books = found.ledger
+        parts = ", ".join(
+            f"{one} {max(0.0, round(100.0 * getattr(books, one), 9)):.4g} %" for one in books.__dataclass_fields__
+        )
+        click.echo(f"  of the light on the first surface: {parts}")
+
+
+def _window(text: str) -> tuple[str, float, float]:
+    """Glass, thickness and gap [mm] of ``GLASS:MM:GAP``."""
+    name, _, rest = text.partition(":")
+    thickness, _, gap = rest.partition(":")
+    try:
+        return name, float(thickness), float(gap)
+    except ValueError:
+        raise ConfigError(f"--window {text}: GLASS:MM:GAP is needed, e.g. --window N-BK7:0.5:1.0") from None

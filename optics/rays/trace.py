@@ -268,7 +268,7 @@ def _trace_on_numpy(lens: LensSystem, rays: Rays, visit: Visitor | None = None) 
         return trace_program(program, NUMPY.parameters(theta), rays, NUMPY, visit)
 
 
-def trace(lens: LensSystem, rays: Rays) -> Rays:
+def trace(lens: LensSystem, rays: Rays, visit: Visitor | None = None) -> Rays:
     """Trace NumPy rays through a lens to its image plane.
 
     Parameters
@@ -277,6 +277,8 @@ def trace(lens: LensSystem, rays: Rays) -> Rays:
         The lens.
     rays : Rays
         In the lens frame (`Rays.create`).
+    visit : callable, optional
+        See `Visitor`.
 
     Returns
     -------
@@ -288,7 +290,7 @@ def trace(lens: LensSystem, rays: Rays) -> Rays:
     DomainError
         If a wavelength is outside the range of one of the glasses.
     """
-    return _trace_on_numpy(lens, rays)
+    return _trace_on_numpy(lens, rays, visit)
 
 
 def trace_path(lens: LensSystem, rays: Rays) -> NDArray[np.float64]:

@@ -87,3 +87,17 @@ def test_the_page_holds_prescription_figures_and_every_line(lens: Path) -> None:
         assert text in page, text
     assert "http://" not in page.replace("http://www.w3.org", "").replace("http://purl.org", "")
     assert "<b>" not in page.split("<h1>")[1].split("</h1>")[0]
+
+
+def test_ghosts_are_listed_with_the_books_of_the_light(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["lens", "ghosts", "star_tracker_26mm", "--field", "2", "--rows", "2"]
+    assert main([*arguments, "--window", "N-BK7:0.5:1.0"]) == 0
+    said = capsys.readouterr().out
+    assert "78 pairs of surfaces" in said
+    listed = [line.split() for line in said.splitlines() if line.strip()[:1].isdigit()]
+    assert len(listed) == 2
+    assert float(listed[0][2]) < float(listed[1][2])
+    shares = [float(part.split()[-2]) for part in said.splitlines()[-1].split(":")[1].split(",")]
+    assert sum(shares) == pytest.approx(100.0, abs=0.05)  # four digits each
+    assert main([*arguments, "--window", "N-BK7"]) == 2
+    assert "GLASS:MM:GAP is needed" in capsys.readouterr().err
