@@ -81,8 +81,8 @@ RENDERED_QUANTILE = 0.998
 """Of the map error, by the Cramér-Rao bound at the truth: two axes leave a direction in which estimates err so far that
 their own covariance is another one (the principal point's standard deviation 25 px instead of 32 in one of 40 runs)."""
 SECOND_ORDER = 1.15
-"""Of that limit, for what second derivatives add on two axes: 1500 runs of the Monte-Carlo have this quantile at 3.2 times
-the RMS of the bound, where normal errors have 2.8."""
+"""Of that limit, for what second derivatives add on two axes: 1500 runs of the Monte-Carlo have this quantile at 3.2
+times the RMS of the bound, where normal errors have 2.8."""
 PULL_SLACK = 0.05
 """Part that second derivatives may add to the pulls."""
 MODEL_SHARE = 0.1
