@@ -109,6 +109,8 @@ def convert(file: str, new: str, force: bool, strict: bool, glass: tuple[str, ..
 )
 @click.option("--pixel-um", default=5.5, show_default=True, help="pixel that the brightest light of a ghost falls on")
 @click.option("--absorption/--no-absorption", default=True, show_default=True, help="whether glass absorbs")
+@click.option("--roughness-nm", default=1.0, show_default=True, help="RMS roughness of all surfaces, for their scatter")
+@click.option("--cleanliness", default=300.0, show_default=True, help="IEST-STD-CC1246 level of the first surface")
 @click.option("--rows", default=10, show_default=True, help="ghosts listed for every field angle")
 @_reading
 def ghosts(
@@ -120,6 +122,8 @@ def ghosts(
     window: str | None,
     pixel_um: float,
     absorption: bool,
+    roughness_nm: float,
+    cleanliness: float,
     rows: int,
     strict: bool,
     glass: tuple[str, ...],
@@ -127,6 +131,7 @@ def ghosts(
 ) -> None:
     from optics.frames import field_direction
     from optics.glass.coating import QuarterWave
+    from optics.light.scatter import area_coverage, lens_scatter
     from optics.rays.ghosts import find_ghosts, ghost_pairs, with_cover_glass
 
     if not pixel_um > 0.0:
@@ -135,7 +140,11 @@ def ghosts(
     if window is not None:
         made = with_cover_glass(made, *_window(window))
     end = len(made.surfaces)
+    rough = lens_scatter(made, roughness_nm, made.design_wavelength_nm if wavelength is None else wavelength)
+    dust = area_coverage(cleanliness)
     click.echo(f"{made.name}: {len(ghost_pairs(made))} pairs of surfaces; {end} is the detector")
+    click.echo(f"scattered by roughness of {roughness_nm:g} nm: {100.0 * rough:.4g} %")
+    click.echo(f"covered by dust of level {cleanliness:g}: {100.0 * dust:.4g} % of a surface")
     for angle in field or (0.0, 0.7 * made.max_field_deg):
         found = find_ghosts(
             made,

@@ -94,6 +94,7 @@ def test_ghosts_are_listed_with_the_books_of_the_light(capsys: pytest.CaptureFix
     assert main([*arguments, "--window", "N-BK7:0.5:1.0"]) == 0
     said = capsys.readouterr().out
     assert "78 pairs of surfaces" in said
+    assert "dust of level 300: 0.02538 % of a surface" in said
     listed = [line.split() for line in said.splitlines() if line.strip()[:1].isdigit()]
     assert len(listed) == 2
     assert float(listed[0][2]) < float(listed[1][2])

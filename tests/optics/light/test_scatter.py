@@ -1,0 +1,75 @@
+"""Scatter: published figures, integrals by quadrature, and counts of particles summed size by size."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from optics.errors import DomainError
+from optics.glass.catalogue import get_glass
+from optics.lens.prescription import lens_from_table
+from optics.light.scatter import ABg, HarveyShack, area_coverage, lens_scatter, particles_per_mm2, roughness_tis
+
+
+def test_roughness() -> None:
+    """A mirror of 5 nm at 500 nm scatters 0.015791 (example of the program FRED), a lens (n - 1)^2 / 4 of it."""
+    assert float(roughness_tis(5.0, 500.0, 1.0, -1.0)) == pytest.approx(0.015791, abs=5e-7)
+    assert float(roughness_tis(5.0, 500.0, 1.0, 1.5)) == pytest.approx(0.015791 / 16.0, rel=1e-4)
+    cosine = np.cos(np.radians(60.0))
+    assert float(roughness_tis(5.0, 500.0, 1.0, -1.0, cosine)) == pytest.approx(0.015791 / 4.0, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        HarveyShack(b0=3.0, shoulder=0.02, slope=-1.5),
+        HarveyShack(b0=3.0, shoulder=0.02, slope=-2.0),
+        HarveyShack(b0=0.1, shoulder=0.3, slope=-2.7),
+        ABg(a=1e-3, b=1e-4, g=2.0),
+        ABg(a=1e-3, b=1e-2, g=1.4),
+        ABg(a=1e-5, b=1e-5, g=2.6),
+    ],
+)
+def test_total_scatter_is_the_integral_over_the_hemisphere(law: HarveyShack | ABg) -> None:
+    integral = quad(lambda log: 2.0 * np.pi * np.exp(2.0 * log) * float(law.bsdf(np.exp(log))), -30.0, 0.0, limit=400)
+    assert law.tis == pytest.approx(integral[0], rel=1e-9)
+
+
+def test_both_laws_agree_where_they_are_one() -> None:
+    """Harvey-Shack of slope -2 is an ABg law of g = 2: A = b0 l^2, B = l^2; pi b0 l^2 ln(1 + 1 / l^2)."""
+    law = HarveyShack(b0=2.0, shoulder=0.01, slope=-2.0)
+    assert law.tis == pytest.approx(np.pi * 2e-4 * np.log(10001.0), rel=1e-13)
+    assert ABg(a=2e-4, b=1e-4, g=2.0).tis == pytest.approx(law.tis, rel=1e-12)
+
+
+@pytest.mark.parametrize("level", [100.0, 300.0, 750.0])
+def test_area_coverage_is_the_sum_over_particles(level: float) -> None:
+    """Disks counted in 200 000 classes of size; the largest particle at its own size."""
+    edges = np.geomspace(1.0, level, 200_001)
+    number = particles_per_mm2(level, edges)
+    middle = np.sqrt(edges[1:] * edges[:-1])
+    covered = 0.25e-6 * np.pi * (np.sum(middle**2 * (number[:-1] - number[1:])) + level**2 * number[-1])
+    assert area_coverage(level) == pytest.approx(covered, rel=1e-6)
+    assert number[-1] * 1e5 == pytest.approx(1.0)
+
+
+def test_a_lens_scatters_what_its_surfaces_do() -> None:
+    """A plate: twice (n - 1)^2 / 4 of the mirror's 0.015791; behind a mirror, that as well."""
+    face = {"kind": "plane", "thickness_mm": 5.0, "semi_diameter_mm": 10.0}
+    plate = [{**face, "medium": "N-BK7", "stop": True}, {**face, "medium": "air"}]
+    head = {"name": "plate", "source": "test", "design_wavelength_nm": 500.0, "max_field_deg": 5.0}
+    both = 0.5 * (float(get_glass("N-BK7").index(500.0)) - 1.0) ** 2
+    fold = {**face, "medium": "mirror", "thickness_mm": -5.0}
+    for surfaces, known in ((plate, both), ([*plate, fold], both + 1.0)):
+        lens = lens_from_table({**head, "surface": surfaces}, where="plate.toml")
+        assert lens_scatter(lens, 5.0, 500.0) == pytest.approx(0.015791 * known, rel=1e-3)
+
+
+def test_mistakes() -> None:
+    with pytest.raises(DomainError, match=r"cleanliness level 0\.5 is outside 1"):
+        area_coverage(0.5)
+    with pytest.raises(DomainError, match="not smooth"):
+        roughness_tis(100.0, 500.0, 1.0, -1.0)
+    with pytest.raises(DomainError, match="shoulder = -1"):
+        HarveyShack(b0=1.0, shoulder=-1.0, slope=-2.0)
+    with pytest.raises(DomainError, match="between 1 um and the level"):
+        particles_per_mm2(100.0, 200.0)
