@@ -94,6 +94,8 @@ def convert(file: str, new: str, force: bool, strict: bool, glass: tuple[str, ..
     _tell(read)
     for path in write_lens(read, new):
         click.echo(f"written: {path}")
+    if not new.lower().endswith(".toml") and any(surface.coating is not None for surface in read.lens.surfaces):
+        click.echo("coatings are left out: only .toml holds them")
 
 
 @lens.command(help="Ghosts of a star: every pair of surfaces, the detector and its window among them, brightest first.")

@@ -37,6 +37,13 @@ SURF 4
 """
 
 
+AR = """
+[coating.ar]
+kind = "quarter_wave"
+design_wavelength_nm = 600.0
+"""
+
+
 @pytest.fixture
 def lens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
@@ -102,3 +109,15 @@ def test_ghosts_are_listed_with_the_books_of_the_light(capsys: pytest.CaptureFix
     assert sum(shares) == pytest.approx(100.0, abs=0.05)  # four digits each
     assert main([*arguments, "--window", "N-BK7"]) == 2
     assert "GLASS:MM:GAP is needed" in capsys.readouterr().err
+
+
+def test_formats_without_coatings_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "coated.toml"
+    assert main(["lens", "convert", "star_tracker_26mm", str(source)]) == 0
+    assert "left out" not in capsys.readouterr().out
+    source.write_text('default_coating = "ar"\n' + source.read_text() + AR)
+    for name, left_out in (("again.toml", False), ("new.zmx", True)):
+        assert main(["lens", "convert", str(source), str(tmp_path / name)]) == 0
+        assert ("coatings are left out" in capsys.readouterr().out) == left_out
+    known = load_lens(source).surfaces[0].coating
+    assert known == load_lens(tmp_path / "again.toml").surfaces[0].coating is not None
