@@ -20,7 +20,7 @@ optics.lens.perturb         `tilt`, `decentre`, `despace`, `refocus`, `tilt_imag
                             `change_index`, `change_shape` (radius, conic, ...); what moves: an element,
                             surfaces, `ALL_SURFACES`, `EVERYTHING`
 optics.glass.catalogue      `get_glass`, `list_glasses`, `Glass`
-optics.glass.coating        `Stack`, `QuarterWave`, `TabulatedCoating`: R and T over wavelength, angle, polarisation
+optics.glass.coating        `Stack` of `Film`, `QuarterWave`, `TabulatedCoating`: R, T over wavelength, angle, s and p
 optics.glass.media          `Environment`, `CATALOGUE_AIR`, `VACUUM`
 optics.rays.paraxial        `paraxial`, `axial_colour_mm`
 optics.rays.chief           `chief_ray_points`, `plate_scale_mm`, `distortion_map`

@@ -172,3 +172,28 @@ def test_mistakes() -> None:
         with_cover_glass(lens, "N-BK7", -1.0, 2.0)
     with pytest.raises(DomainError, match="no room"):
         with_cover_glass(lens, "N-BK7", 40.0, 30.0)
+
+
+def test_a_window_before_a_mirror_telescope() -> None:
+    """Light goes back over a mirror to the window; the window alone ghosts with R^2 of the image, in its place."""
+    rim = {"semi_diameter_mm": 50.0}
+    telescope = {
+        "name": "telescope", "source": "test", "design_wavelength_nm": 550.0, "max_field_deg": 1.0,
+        "surface": [
+            {**rim, "kind": "plane", "thickness_mm": 10.0, "medium": "N-BK7"},
+            {**rim, "kind": "plane", "thickness_mm": 300.0, "medium": "air"},
+            {**rim, "kind": "conic", "radius_mm": -400.0, "conic": -1.0, "thickness_mm": -200.0, "medium": "mirror",
+             "stop": True},
+        ],
+    }  # fmt: skip
+    lens = lens_from_table(telescope, where="telescope.toml")
+    found = find_ghosts(lens, [0.0, 0.0, 1.0], detector_reflectance=0.25, absorption=False)
+    air, glass, *_ = lens.indices(550.0)
+    reflectance = ((glass - air) / (glass + air)) ** 2
+    light = dict(zip(zip(found.back, found.forward, strict=True), found.flux, strict=True))
+    assert light[1, 0] == pytest.approx(reflectance**2, rel=1e-9)
+    # a focus on the detector comes back parallel, and by way of the window to the focus again
+    assert light[3, 1] == pytest.approx(0.25 * reflectance, rel=1e-2)
+    assert light[3, 0] == pytest.approx(0.25 * reflectance * (1.0 - reflectance) ** 2, rel=1e-2)
+    assert found.sharp.all()
+    assert found.ledger.total == pytest.approx(1.0, abs=1e-12)
