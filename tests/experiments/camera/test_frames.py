@@ -8,9 +8,11 @@ from scipy.constants import c, h, k
 
 from experiments.camera import predict
 from experiments.camera.frames import compare
-from experiments.camera.optical_state import COLD_K, HOT_K
+from experiments.camera.manufacture import _Probe
+from experiments.camera.optical_state import COLD_K, HOT_K, optical_state
 from experiments.camera.prediction import colour_distance
 from experiments.camera.settings import Config
+from experiments.harness.range import with_value
 from optics.rays.spots import trace_spots
 
 READOUTS, STARS, FRAMES, DRAWS = 3, 24, 20, 300
@@ -152,3 +154,29 @@ def test_colour_distance_by_hand():
     assert found[:3] == pytest.approx([1.0, 0.0, 1.0])
     assert found[3] == pytest.approx((1 / 4365 - 1 / 5800) / (1 / 3500 - 1 / 5800))
     assert colour_distance(np.array([5000.0]), 3500.0)[0] == pytest.approx((1 / 3500 - 1 / 5000) / (1 / 3500 - 1e-4))
+
+
+def test_width_of_a_trail_by_hand(tracker):
+    """A uniform trail of length L adds L²/12 along it: L²/24 to the mean of both axes."""
+    slewing = with_value(tracker.config, "slew.rate_deg_per_s", 0.2)
+    state, rest = optical_state(slewing), tracker.state
+    length_px = np.radians(0.2 * slewing.instrument.exposure_s) * state.instrument.focal_length_mm / 0.0055
+    assert state.trail_length_px == pytest.approx(length_px, rel=5e-3)
+    assert length_px > 1.0
+    grown = (state.fwhm_px**2 - rest.fwhm_px**2) / 2.3548**2
+    assert grown == pytest.approx(length_px**2 / 24.0, rel=0.01)
+
+
+def test_spots_of_a_made_lens_are_those_of_the_lens(tracker):
+    """The nominal lens, not focused again: root mean square radius about the mean of all light, on the axis."""
+    lens = tracker.state.instrument.camera.focused_lens
+    probe = _Probe(tracker)
+    found = probe.trace(lens, refocused=False)
+    spots = trace_spots(lens, np.zeros(1), np.zeros(1), probe.wave, order=(24, 48))
+    weight = (spots.area_mm2 * probe.share[:, None])[0]
+    square = (weight * (spots.rays.x**2 + spots.rays.y**2)[0]).sum() / weight.sum()  # the mean lies on the axis
+    assert found.square_um2[17] == pytest.approx(1e6 * square, rel=2e-3)
+    assert found.map_px[17] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert tuple(probe.place_px[[0, 17, 34]].ravel()) == pytest.approx(
+        (-884.45, -884.45, 0.0, 0.0, 884.45, 884.45), abs=1e-9
+    )
