@@ -42,6 +42,15 @@ def test_only_a_converged_solution_says_so():
         solution(status="convergd")
 
 
+def test_misfit_of_correlated_terms_has_their_own_degrees_of_freedom():
+    """12 for 6, of which 3 are independent: 6 for 3; none, where no noise was stated or nothing is left."""
+    tested = [solution(independent=n).misfit for n in (None, 3)]
+    assert [(one.value, one.degrees_of_freedom) for one in tested] == [(12.0, 6), (6.0, 3)]
+    for untested in (solution(independent=0), solution(degrees_of_freedom=-2), solution(independent=-1)):
+        assert untested.misfit.degrees_of_freedom == 0
+        assert not untested.misfit.tested
+
+
 def test_reduced_chi2_and_names():
     assert solution().reduced_chi2 == 2.0
     assert np.isnan(solution(degrees_of_freedom=0).reduced_chi2)

@@ -1,16 +1,21 @@
 """Rendered light against the closed form, and noise of pictures and sun sensor against its predictions."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
+from scipy.stats import norm
 
 from experiments.cube import bench as cube_bench
 from experiments.cube.bench import NOMINAL_CUBE, SQUARE, Case, build_table, draw_truths, spot_profile
 from experiments.cube.budget import DETECTOR_RELATIVE, reading_term
 from experiments.cube.noise import (
     _beam,
+    _blur_px,
+    _hole_response,
     _pixel_noise,
     _spot_particles_px2,
     _spot_variance_px2,
@@ -20,6 +25,7 @@ from experiments.cube.noise import (
 from experiments.cube.sensor import EXPOSURE_S, centre_of_light, field_angles, fit_sensor
 from experiments.cube.settings import Config
 from experiments.cube.trim import (
+    BESIDE_PX,
     exposed,
     fit_aperture,
     fit_hole,
@@ -188,3 +194,22 @@ def test_noise_of_a_centre_of_light_is_that_of_drawn_windows(laboratory):
     one = np.ones(1)
     expected = _spot_variance_px2(laboratory, one)[0] - _spot_particles_px2(laboratory, radius, one)
     assert np.mean(np.square(found)) == pytest.approx(expected, rel=0.07)
+
+
+def test_response_of_the_hole_s_edge_is_the_blurred_window_less_half_the_line():
+    """SciPy's quadrature of the weights against a normal density; the line has integral 1 and no first moment."""
+    bench = SimpleNamespace(detector=SimpleNamespace(diffusion_sigma_px=0.3))
+    blur, (near, far) = _blur_px(bench), BESIDE_PX
+    assert blur == pytest.approx(np.sqrt(0.09 + 0.25))
+    line = np.linalg.solve(
+        [[far - near, (far**2 - near**2) / 2], [(far**2 - near**2) / 2, (far**3 - near**3) / 3]], [1, 0]
+    )
+    for offset in (-1.0, 0.4, 3.0, 6.5):
+
+        def seen(u, offset=offset):
+            return norm.pdf(offset, u, blur)
+
+        window = quad(lambda u: 0.75 / 2.0 * (1.0 - (u / 2.0) ** 2) * seen(u), -2.0, 2.0)[0]
+        rim = quad(lambda u: (line[0] + line[1] * u) * seen(u), near, far)[0]
+        found = _hole_response(bench, np.array([offset]), 2.0)[0]
+        assert found == pytest.approx(window - 0.5 * rim, abs=2e-3)

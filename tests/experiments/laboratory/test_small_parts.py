@@ -7,14 +7,28 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.special import gamma
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
+from calib.records import NoiseModel
+from experiments.laboratory.centroid_methods import has_own_epsf
+from experiments.laboratory.distortion_error import camera_place, dense_grid, dense_map
 from experiments.laboratory.distortion_model import DistortionPrediction, camera_projector
 from experiments.laboratory.distortion_statistics import camera_terms
+from experiments.laboratory.readout import reduction
+from experiments.laboratory.readout.centroids import motion_method
 from experiments.laboratory.readout.psf_grid import PsfGrid
+from experiments.laboratory.readout.reduction import Reduction, measure_frame
+from experiments.laboratory.readout.search import SEARCH_PX, find_star
+from experiments.laboratory.readout.stamps import ring_subtracted
 from experiments.laboratory.single_star.measure import window_strip_e
 from experiments.laboratory.single_star.star import SingleStar
-from experiments.laboratory.temporal_error import scatter_interval, target_place, temporal_error_arcsec
+from experiments.laboratory.temporal_error import (
+    TemporalPrediction,
+    scatter_interval,
+    target_place,
+    temporal_error_arcsec,
+)
+from optics.errors import DomainError
 from optics.light.band import TopHat
 from optics.light.spectrum import Blackbody
 from render.records import EffectivePsf
@@ -119,3 +133,107 @@ def test_intervals_of_standard_deviations_are_those_of_chi_square():
     low, high = scatter_interval(np.array([2.0, 2.0, 2.0]), np.array([np.sqrt(1 / c4**2 - 1), np.inf, 0.0]))
     np.testing.assert_allclose([low[0], high[0]], 2.0 * c4 * np.sqrt(9.0 / chi2.isf([0.025, 0.975], 9)), rtol=1e-6)
     assert np.isnan([*low[1:], *high[1:]]).all()
+
+
+def test_a_correction_that_is_the_lens_leaves_nothing_but_what_it_lacks(star_camera):
+    """Camera and polynomial written out; a y^3 that neither has is left, less its mean (a pointing)."""
+    grid, rng = (5, 7), np.random.default_rng(3)
+    nominal, place = camera_place(star_camera, dense_grid(star_camera, *grid))
+    camera, (x, y) = 0.1 * rng.standard_normal(4), place.T
+    by_camera = np.stack([camera[0] + camera[2] * x - camera[3] * y, camera[1] + camera[2] * y + camera[3] * x], axis=1)
+    by_order = 0.1 * np.array([[1.0, -2.0], [0.5, 3.0], [-4.0, 1.0]])
+    lens = nominal + by_camera + np.stack([np.ones_like(x), x, y], axis=1) @ by_order
+    extra = np.stack([0 * y, y**2], axis=1)
+    given = {"reference": "aligned", "order": 1, "grid": grid}
+    found = dense_map(star_camera, camera, by_order, traced_px=lens + extra, **given)
+    np.testing.assert_allclose(found.corrected_px, extra - extra.mean(0), atol=1e-10)
+    np.testing.assert_allclose(found.rms_px, extra.std(0), atol=1e-10)
+
+
+def test_only_the_own_reference_psf_is_a_place_s_own():
+    assert [has_own_epsf(one) for one in ("epsf", "epsf_reference", "epsf_measured", "cog")] == [True] + 3 * [False]
+    assert (motion_method(["cog", "epsf"]), motion_method(["gaussian", "cog"])) == ("epsf", "gaussian")
+
+
+def test_uncertainty_of_a_predicted_temporal_error_by_hand():
+    """Two stars of 0.3 and 0.4 px, 9 draws, 5 frames: parts of draws, chips and the common motion in quadrature."""
+    sampled, device, common = (np.tile(np.reshape(v, (1, 2, 1)), 2) for v in ([0.3, 0.4], [0.03, 0.04], [0.06, 0.08]))
+    given = {"linear_px": {}, "bound_px": sampled, "levels_e": np.ones(1), "pixel_arcsec": 2.0, "draws": 9, "frames": 5}
+    named = {"device_px": {"m": device}, "sampled_px": {"m": sampled}, "common_px": {"m": common}}
+    chips, draws = 0.05 / 2.0, 0.5 / 4.0 / 2.0
+    motion = (0.06**2 / 0.6 + 0.08**2 / 0.8) / 2.0 * np.sqrt(0.5)
+    expected = 6.0 * np.sqrt(chips**2 + draws**2 + motion**2)
+    np.testing.assert_allclose(TemporalPrediction(**given, **named).te_uncertainty_arcsec("m"), expected, rtol=1e-12)
+
+
+def spot(x, y, sigma, height, width):
+    """Light 1 of a Gaussian image at a place, integrated over pixels."""
+    row, column = (np.diff(norm.cdf(np.arange(n + 1) - 0.5, at, sigma)) for at, n in ((y, height), (x, width)))
+    return row[:, None] * column
+
+
+class Windows:
+    """A reader without noise: offset 100, 0.5 DN/e-, and a pixel that glows."""
+
+    def expose(self, light, corner, *, frames, label):
+        dn = 100.0 + 0.5 * np.broadcast_to(light, (frames, *np.shape(light)))
+        dn = dn + 4000.0 * (np.indices((SEARCH_PX, SEARCH_PX)).sum(0) == 3)
+        off = np.zeros(np.shape(light), bool)
+        return SimpleNamespace(dn=dn, gain_dn_per_e=0.5, defect=off, saturated=np.broadcast_to(off, dn.shape))
+
+
+def test_a_star_is_found_off_the_middle_and_at_the_corners():
+    """Less the dark frame, whose glow is far above the star; a window beyond the edge is moved inside."""
+    place = np.array([[61.3, 22.8], [2.2, 3.1], [77.4, 66.9]])
+    for one in place:
+        light = 500.0 * spot(one[0], one[1], 1.2, 70, 80)
+        found = find_star(Windows(), light, one[None] + [[9.0, -7.0]])
+        np.testing.assert_allclose(found[0], one, atol=0.1)
+    rng = np.random.default_rng(1)
+    with pytest.raises(DomainError, match="not seen within 24 px of column 40"):
+        find_star(Windows(), rng.normal(0.0, 60.0, (70, 80)), np.array([[40.0, 30.0]]))
+    with pytest.raises(DomainError, match="smaller than the search window"):
+        find_star(Windows(), np.zeros((40, 80)), np.array([[20.0, 20.0]]))
+
+
+def test_centroids_of_windows_start_near_the_light_whatever_glows_elsewhere():
+    """Gravity over the 7 x 7 px around the detection; the corner of the window and the defect do not count."""
+    light = 3000.0 * spot(7.3, 6.8, 0.7, 15, 15)
+    dn, defect = 100.0 + 0.5 * light[None, None], np.zeros((1, 15, 15), bool)
+    dn[0, 0, 1, 2], dn[0, 0, 6, 5], defect[0, 6, 5] = 900.0, 4000.0, True
+    stack = SimpleNamespace(
+        dn=dn,
+        defect=defect,
+        saturated=np.zeros(dn.shape, bool),
+        corner_px=np.array([[30, 40]]),
+        offset_dn=100.0,
+        gain_dn_per_e=0.5,
+        read_noise_e=5.0,
+    )
+    stamps, _ = ring_subtracted(stack, np.array([[37.0, 47.0]]))
+    np.testing.assert_allclose(stamps.start_px, [[37.3, 46.8]], atol=0.02)
+
+
+@pytest.mark.parametrize("window_px", [7, 11])
+def test_a_frame_is_measured_in_the_window_that_was_asked_for(window_px, monkeypatch):
+    """At rest as asked, trails of 4 px two pixels more at each side."""
+    seen = []
+    real = reduction.find_stamps
+    monkeypatch.setattr(reduction, "find_stamps", lambda *a, **k: seen.append(k["size_px"]) or real(*a, **k))
+    noise = NoiseModel(read_noise_e=5.0)
+    dn = (1e4 * spot(30.3, 25.8, 1.0, 60, 64) + np.random.default_rng(4).normal(0.0, 5.0, (60, 64))) + 100.0
+    made = Reduction(
+        dark_dn=np.full((60, 64), 100.0),
+        noise=noise,
+        centroid="gaussian",
+        window_px=window_px,
+        threshold_sigma=8.0,
+        background_step_px=1,
+    )
+    off = np.zeros(dn.shape, bool)
+    told = {"read_noise_e": 5.0, "gain_dn_per_e": 1.0, "offset_dn": 100.0, "exposure_s": 1.0, "index": 0, "band": ""}
+    frame = SimpleNamespace(dn=dn, defect=off, saturated=off, **told)
+    found = measure_frame(frame, made).stars
+    np.testing.assert_allclose([found.x_px, found.y_px], [[30.3], [25.8]], atol=0.03)
+    measure_frame(frame, made, smear_px=4.0)
+    assert seen == [window_px, window_px + 4]
