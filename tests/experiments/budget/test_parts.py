@@ -1,5 +1,7 @@
 """Parts of the budget that need no frames: sums, overrides, attitude, basis of the tolerances."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,9 +9,11 @@ from experiments.budget import attitude as attitude_module
 from experiments.budget import combine as combine_module
 from experiments.budget.attitude import READINGS, StarErrors, attitude_study, solved_attitude
 from experiments.budget.combine import PRINTED, TERMS, Value, combine
+from experiments.budget.experiment import chief
 from experiments.budget.laboratory import build_laboratory, moved_lens
 from experiments.budget.settings import AttitudeConfig, Config, MovedConfig
 from experiments.budget.tolerances import cubic_basis
+from experiments.budget.tornado import parameters
 from experiments.harness.config import load_config
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.run import configuration_file
@@ -174,3 +178,23 @@ def test_cubic_basis_takes_every_cubic_and_no_quartic():
     for target, follows in ((x**3 - 2 * x * y**2 + y, True), (x**4, False)):
         left = target - basis @ np.linalg.lstsq(basis, target, rcond=None)[0]
         assert bool(np.abs(left).max() < 1e-9 * np.abs(target).max()) is follows
+
+
+def test_root_mean_squares_of_both_axes_are_what_sweeps_show():
+    both = {name: SimpleNamespace(arcsec=np.array([3.0, 4.0])) for name in ("total", "TE", "HSFE", "LSFE-S", "LSFE-C1")}
+    assert vars_of(chief(SimpleNamespace(budget=both))) == pytest.approx([np.sqrt(12.5)] * 5)
+
+
+def vars_of(record):
+    return [getattr(record, name) for name in type(record).__dataclass_fields__]
+
+
+def test_parameters_of_the_tornado_go_down_and_up_by_their_step():
+    """A quarter of the signal, of the chip's read noise; defocus by its millimetres."""
+    config = Config(tornado={"change_fraction": 0.25, "focus_mm": 0.02})
+    rows = {key: (low, high) for key, _, low, high in parameters(config)}
+    chip = load_detector(config.instrument.detector)
+    assert rows["source.signal_e"] == pytest.approx((4500.0, 7500.0))
+    assert rows["detector.read_noise_e"] == pytest.approx((0.75 * chip.read_noise_e, 1.25 * chip.read_noise_e))
+    middle = config.instrument.defocus_mm
+    assert rows["instrument.defocus_mm"] == pytest.approx((middle - 0.02, middle + 0.02))
