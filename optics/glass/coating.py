@@ -129,7 +129,13 @@ class Film:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stack(Coating):
-    """Thin films, listed from the side of the lower index (that of the air); no films: a bare surface."""
+    """Thin films; none: a bare surface.
+
+    Attributes
+    ----------
+    films : tuple of Film
+        Listed from the side of the lower index, that of the air.
+    """
 
     films: tuple[Film, ...] = ()
 
