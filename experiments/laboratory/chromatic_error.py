@@ -100,7 +100,7 @@ def measure_chromatic(
     advance: Callable[[], None] = lambda: None,
 ) -> ChromaticMeasurement:
     """Run the test on one lens."""
-    target = target_light(bench, instrument)
+    target = target_light(bench, instrument, by_grid=False)
     first: ExpectedImage | None = None
     parts: list[PointMeasurement] = []
     points = corner_directions(bench.target, instrument) if directions is None else directions
