@@ -27,7 +27,7 @@ from experiments.dataset.remote import Store
 from experiments.dataset.truth import FrameRecord
 from experiments.harness.provenance import count_memory_of_workers, peak_memory_mb
 from experiments.harness.system import THREADS, processors, signals_held
-from optics.errors import BackendError, ConfigError
+from optics.errors import BackendError, ConfigError, StarbenchError
 
 __all__ = ["Done", "make_frames"]
 
@@ -63,9 +63,16 @@ def make_frames(job: Job, frames: Sequence[int], *, workers: int, scheduler: str
     return 1
 
 
-def make_batch(job: Job, frames: Sequence[int], threads: int | None) -> list[FrameRecord]:
-    """Make frames one after the other, in a worker."""
-    return [make_frame(job, frame, threads) for frame in frames]
+def make_batch(job: Job, frames: Sequence[int], threads: int | None) -> list[FrameRecord] | StarbenchError:
+    """Make frames one after the other, in a worker.
+
+    Returns their records, or the error of a caller: as an exception Dask hands it on without its class when the frames
+    of its traceback are too large to send.
+    """
+    try:
+        return [make_frame(job, frame, threads) for frame in frames]
+    except StarbenchError as error:
+        return type(error)(str(error))
 
 
 def _on_processes(job: Job, frames: Sequence[int], count: int, done: Done) -> int:
@@ -223,7 +230,7 @@ def _gather(
             continue
         future = next(running)
         try:
-            done(future.result())
+            made = future.result()
         except distributed.KilledWorker:
             raise BackendError(
                 f"workers died {DEATHS + 1} times over {future.key.rsplit('-', 1)[0]} (killed, or out of memory); what "
@@ -232,6 +239,9 @@ def _gather(
         except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError):
             raise watch.gone() from None
         future.release()
+        if isinstance(made, StarbenchError):
+            raise made
+        done(made)
         for following in submit(AHEAD * watch.slots - running.count()):
             running.add(following)
 

@@ -10,7 +10,7 @@ import pytest
 from experiments.dataset import job as making
 from experiments.dataset import workers
 from experiments.dataset.job import Job
-from optics.errors import BackendError, ConfigError
+from optics.errors import BackendError, ConfigError, DomainError
 
 
 @pytest.fixture
@@ -84,3 +84,15 @@ def test_an_error_is_told_with_the_first_of_its_causes():
     error.__cause__ = RuntimeError("no worker")
     error.__cause__.__context__ = OSError(24, "Too many open files")
     assert workers._reason(error) == "Nanny failed to start: [Errno 24] Too many open files"
+
+
+def test_a_setting_refused_in_a_worker_is_an_error_of_the_caller(monkeypatch):
+    """Dask replaces an exception whose traceback is large: its class, and with it the exit status, is lost."""
+
+    def refused(job, frame, threads):
+        raise DomainError("defocus 5 mm puts the light beyond the patch")
+
+    monkeypatch.setattr(workers, "make_frame", refused)
+    answer = workers.make_batch(None, [0], None)
+    assert type(answer) is DomainError
+    assert str(answer) == "defocus 5 mm puts the light beyond the patch"
