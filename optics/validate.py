@@ -94,7 +94,7 @@ def _faults(model_class: type[BaseModel], error: ValidationError) -> list[dict[s
         nearest = min(reversed(types.values()), key=len)  # of as many, the one named last
         for said in types.values():
             faults = [fault for fault in faults if said is nearest or fault not in said]
-    return [fault for fault in faults if not _follows(fault, faults)]
+    return [fault for fault in faults if not _follows(fault, faults) and not _misspelt(model_class, fault, faults)]
 
 
 def _type_at(model_class: type[BaseModel], location: Location) -> int | None:
@@ -189,13 +189,30 @@ def _follows(fault: dict[str, Any], faults: list[dict[str, Any]]) -> bool:
     return fault["type"] == "too_short" and any(other["loc"][: len(at)] == at for other in faults if other != fault)
 
 
+def _misspelt(model_class: type[BaseModel], fault: dict[str, Any], faults: list[dict[str, Any]]) -> bool:
+    """Whether a key is missing because an unknown one of the same table is meant for it, which is said of that one."""
+    if fault["type"] != "missing":
+        return False
+    *table, name = fault["loc"]
+    here = [other for other in faults if [*other["loc"][:-1]] == table]
+    unknown = [other["loc"] for other in here if other["type"] == "extra_forbidden"]
+    if sum(other["type"] == "missing" for other in here) > len(unknown):
+        return False  # a file of another kind
+    return any(_nearest(str(loc[-1]), _known(model_class, loc[:-1]), {}) == name for loc in unknown)
+
+
+def _known(model_class: type[BaseModel], table: Location) -> list[str]:
+    """Keys of a table, sorted."""
+    return sorted({name for owner in _owners(model_class, table) for name in owner.model_fields})
+
+
 def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
     location: Location = fault["loc"]
     key = ".".join(str(step) for step in _without_tags(model_class, location)) or "(whole table)"
     kind = fault["type"]
     if kind == "extra_forbidden":
         table = location[:-1]
-        known = sorted({name for owner in _owners(model_class, table) for name in owner.model_fields})
+        known = _known(model_class, table)
         if table and _is_tag(_owners(model_class, table[:-1]), table[-1]):
             for other in _owners(model_class, table[:-1]):
                 if location[-1] in other.model_fields:
@@ -211,7 +228,7 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
         return f"key {key!r} is missing{_allowed(model_class, location)}"
     reason = _reason(fault)
     if kind in ("model_type", "model_attributes_type", "dict_type"):
-        keys = sorted({name for owner in _owners(model_class, location) for name in owner.model_fields})
+        keys = _known(model_class, location)
         reason = "a table is needed" + (f" with the keys {', '.join(keys)}" if keys else "")
     if kind in ("tuple_type", "list_type"):
         tables = bool(_owners(model_class, location))

@@ -85,6 +85,12 @@ def test_one_line_per_fault() -> None:
     assert len(fault({"exposure": 1.0, "exposure_s": -1.0}).splitlines()) == 2
 
 
+def test_a_misspelt_key_is_not_missing_as_well() -> None:
+    message = fault({"filters": [{"center_nm": 500.0}]})
+    assert "did you mean 'centre_nm'" in message
+    assert "missing" not in message
+
+
 def test_toml_faults(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
         read_toml(tmp_path / "missing.toml")
