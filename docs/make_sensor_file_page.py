@@ -41,7 +41,7 @@ One TOML file describes a star sensor, and every experiment takes it:
 
     python -m experiments.camera --set instrument.f_number=4 --defaults > my.toml
 
-[An example](examples/triplet_50mm/sensor.toml) has a lens file and measured filter curves beside it.
+[An example](examples/triplet_50mm/sensor.toml) includes a lens file and measured filter curves.
 
 * Paths are relative to the file. A name without suffix and folder is something built in.
 * A key that is left out of a table has the default below, in every experiment; `centroid`, `window_px` and
@@ -162,7 +162,7 @@ DETECTOR_HEAD = """# Detector files
 
 A detector is a TOML file, typed in from its data sheet. `load_detector("my_chip.toml")` reads it,
 `instrument.detector = "my_chip.toml"` of a [sensor file](sensor_file.md) gives it to every experiment.
-Definitions are those of EMVA 1288; [theory](theory/detector.md) says in which order they act.
+Parameters are defined as in EMVA 1288; [theory](theory/detector.md) gives the order in which they act.
 
 A whole file, from an EMVA 1288 data sheet of a camera:
 
@@ -192,8 +192,8 @@ file = "qe.csv"                # or two lists: wavelength_nm = [400, ...], value
 * `base = "cmv4000"` at the head takes from another detector what the file does not say.
 * **Nothing is inherited silently**: what came from the base, was left out, or is `assumed` stands in every report; of a
   file of your own also on the terminal. `load_detector(...).remarks()` in Python.
-* A converter that ends below half the full well is said there too: `gain_dn_per_e` is too high for `adc_bits`.
-* Curves are CSV files beside the file, with or without a header line: `wavelength_nm, quantum_efficiency` (or
+* A converter that saturates below half the full well is listed there too: `gain_dn_per_e` is too high for `adc_bits`.
+* Curves are CSV files, named relative to the detector file, with or without a header line: `wavelength_nm, quantum_efficiency` (or
   `quantum_efficiency_percent`), `temperature_c, e_per_s`. Quantum efficiencies include the fill factor. From a
   responsivity in A/W: QE = R h c / (e wavelength) = 1239.84 R / wavelength in nm.
 * Dark current over temperature is `dark_current_e_per_s` at `dark_reference_c`, doubling every `dark_doubling_c`; or a

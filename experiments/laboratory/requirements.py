@@ -27,7 +27,7 @@ def _asked(description: str, low: float = 0.0) -> float | None:
 
 
 class RequirementsConfig(StrictModel):
-    """What is asked of the sensor; every key may be left out. Accuracies are one standard deviation."""
+    """Required performance of the sensor; every key is optional. Accuracies are one standard deviation."""
 
     field_deg: float | None = _asked("field of view along the shorter side, at least")
     field_diagonal_deg: float | None = _asked("field of view over the diagonal, at least")
