@@ -195,7 +195,8 @@ file = "qe.csv"                # or two lists: wavelength_nm = [400, ...], value
 * A converter that saturates below half the full well is listed there too: `gain_dn_per_e` is too high for `adc_bits`.
 * Curves are CSV files, named relative to the detector file, with or without a header line:
   `wavelength_nm, quantum_efficiency` (or `quantum_efficiency_percent`), `temperature_c, e_per_s`.
-  Quantum efficiencies include the fill factor. From a responsivity in A/W: QE = R h c / (e wavelength) = 1239.84 R / wavelength in nm.
+  Quantum efficiencies include the fill factor. From a responsivity in A/W:
+  QE = R h c / (e wavelength) = 1239.84 R / wavelength in nm.
 * Dark current over temperature is `dark_current_e_per_s` at `dark_reference_c`, doubling every `dark_doubling_c`; or a
   table `[dark_current]` in the place of the first and last: its logarithm is linear in 1/T between the points, and
   temperatures outside it are refused. In nA/cm2: e-/s = 62.4 x nA/cm2 x (pitch in um)^2.
