@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,12 +66,15 @@ class WaveGrid:
     # centred
     origin_px: FloatArray
     moment: FloatArray  # (f, b, q, 6) `MOMENTS`
-    coefficient: NDArray[np.float32]  # (b, f, q, c) Components of every image
-    component: NDArray[np.float32]  # (b, c, m, m) Principal components, light per px^2
-    # (b, c) Of a lens of revolution: azimuthal orders of the components, of which there are twice as many
+    coefficient: tuple[NDArray[np.float32], ...]  # b of (f, q, c) Components of every image
+    # b of (c, h, h) Principal components, light per px^2: a quarter of each, which is even or odd along rows and along
+    # columns; and which: b of (c,), equal ones together, 2 where odd along rows plus 1 where odd along columns
+    component: tuple[NDArray[np.float32], ...]
+    parity: tuple[IntArray, ...]
+    # b of (c,) Of a lens of revolution: azimuthal orders of the components, of which there are twice as many
     # (`render.tracing.waves.polar`). The f = p points then lie along a radius, in parts of that of the farthest
     # corner; images, means and moments are those of stars on the column axis
-    order: IntArray | None = None
+    order: tuple[IntArray, ...] | None = None
     kink: float = 1.0  # Part of that radius from which apertures cut the beam; no polynomial reaches across it
     # error, error_px: Largest error found between the points, of a pixel and of a centroid
     error: float = math.nan
@@ -104,7 +108,7 @@ class WaveGrid:
             if trail is None:
                 pixels[:, b] = self._pixels(images, shift, stamp_px)
                 continue
-            images *= self._disk
+            images = [one * self._disk for one in images]
             for t in range(trail.weight.shape[2]):
                 part = self._pixels(images, shift + trail.offset_px[stars, b, t], stamp_px)
                 pixels[:, b] += trail.weight[stars, b, t].astype(np.float32)[:, None, None] * part
@@ -132,10 +136,9 @@ class WaveGrid:
         result = np.empty((*light.shape, count, count))
         for b in range(light.shape[1]):
             images = self._images(weight, shares[:, b], turn, b)
-            for s, image in enumerate(images):
-                shift = moments.mean_px[s, b] - origin[s, b]
+            for s, shift in enumerate(moments.mean_px[:, b] - origin[:, b]):
                 column, row = (kernel((centres + d)[:, None] - samples) * self.field.light_step for d in shift)
-                result[s, b] = (row @ image @ column.T) / light[s, b]
+                result[s, b] = _projected(row, [one[s] for one in images], column) / light[s, b]
         return result
 
     def _weights(
@@ -177,8 +180,11 @@ class WaveGrid:
 
     def _images(
         self, weight: FloatArray, shares: FloatArray, turn: NDArray[np.complex128], band: int
-    ) -> NDArray[np.float32]:
-        """Light per px^2 (s, m, m) of stars in a band, of the light that is sent into the launch disk."""
+    ) -> list[NDArray[np.float32]]:
+        """Light per px^2 of stars in a band, of the light that is sent into the launch disk, as quarters (s, h, h).
+
+        One for each `parity`.
+        """
         coefficient = self.coefficient[band]
         points, colours, count = coefficient.shape
         each = (weight.astype(np.float32) @ coefficient.reshape(points, -1)).reshape(-1, colours, count)
@@ -186,15 +192,20 @@ class WaveGrid:
         if self.order is not None:
             turned = turn[:, None] ** self.order[band]
             mixed = np.concatenate([mixed * turned.real, mixed * turned.imag], axis=1).astype(np.float32)
-        component = self.component[band]
-        return (mixed @ component.reshape(len(component), -1)).reshape(-1, *component.shape[1:])
+        component, side = self.component[band], self.component[band].shape[-1]
+        quarters = []
+        for parity in range(4):
+            which = np.flatnonzero(self.parity[band] == parity)
+            part = slice(int(which[0]), int(which[-1]) + 1) if len(which) else slice(0)
+            quarters.append((mixed[:, part] @ component[part].reshape(-1, side**2)).reshape(-1, side, side))
+        return quarters
 
-    def _pixels(self, images: NDArray[np.float32], shift_px: FloatArray, stamp_px: int) -> NDArray[np.float32]:
+    def _pixels(self, images: list[NDArray[np.float32]], shift_px: FloatArray, stamp_px: int) -> NDArray[np.float32]:
         """Pixels (s, n, n) of images whose middle lies beside the window's by a shift (s, 2)."""
-        samples = images.shape[-1]
+        samples = len(window_samples(self.field, self._window, self._table.pad_px))
         first = 0.5 - 0.5 * self._window + 0.5 * (samples - 1) * self.field.light_step  # pixel 0 from sample 0
         column, row = (self._table.rows(first - shift_px[:, axis], stamp_px, samples) for axis in (0, 1))
-        return np.asarray((row @ images) @ np.swapaxes(column, 1, 2))
+        return np.asarray(_projected(row, images, column), np.float32)
 
     @property
     def reach(self) -> float:
@@ -207,8 +218,9 @@ class WaveGrid:
 
     @property
     def _disk(self) -> NDArray[np.bool_]:
-        """Samples within the radius."""
+        """Samples of a quarter within the radius."""
         samples = window_samples(self.field, self._window, self._table.pad_px) - 0.5 * self._window
+        samples = samples[: -(-len(samples) // 2)]
         return np.asarray(np.hypot(samples, samples[:, None]) <= self.radius_px + 0.5)
 
     @property
@@ -383,13 +395,13 @@ class _FieldImages:
         found = self._summed(place, size / SIZES[0], size**2)
         if found is None:
             return None
-        light, moment, origin = found.light, found.moment, found.origin
-        if self.mirrored:
-            light, moment, origin = _unfolded(light, moment, origin, size)
         smoothing, disk = found.on_pixels(self.camera.blur_px)
         limit = COMPONENT * (SIZES[0] / size) ** 2
-        step, side = found.field.light_step, light.shape[-1]
-        parts = [_components(one.reshape(-1, side, side), smoothing, disk, step, limit) for one in light]
+        step, side = found.field.light_step, found.light.shape[-1]
+        parts = [_components(one.reshape(-1, side, side), smoothing, disk, step, limit) for one in found.light]
+        moment, origin = found.moment, found.origin
+        if self.mirrored:
+            parts, moment, origin = _unfolded(parts, moment, origin, size)
         return self._judged(self._made(found, points, moment, origin, parts), found.judges)
 
     def radial(self, size: int) -> WaveGrid | None:
@@ -402,30 +414,30 @@ class _FieldImages:
         found = self._summed(place, 1.0, len(place))
         if found is None:
             return None
-        bands, _, most, side, _ = found.light.shape
+        _, _, most, side, _ = found.light.shape
         blur_px = math.hypot(PIXEL_BLUR_PX, self.camera.blur_px)
-        parts: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
+        parts: list[_Components] = []
         orders: list[IntArray] = []
         for light in found.light:
             shapes = turning_shapes(
                 light.reshape(-1, side, side), found.samples_px, found.field, blur_px, 2.0 * COMPONENT
             )
-            near_by = shapes.value.reshape(len(place), most, -1)
-            every = np.concatenate([near_by[:half][::-1] * (-1.0) ** shapes.order, near_by]).astype(np.float32)
-            parts.append((every.reshape(len(points) * most, -1), shapes.shape))
-            orders.append(shapes.order)
-        kept = max(len(order) for order in orders)
-        order = np.zeros((bands, kept), np.int64)
-        for b, (value, shape) in enumerate(parts):
-            count = len(orders[b])
-            order[b, :count] = orders[b]
-            both = np.zeros((2, kept, side, side), np.float32)
-            both[:, :count] = shape
-            parts[b] = value, both.reshape(2 * kept, side, side)
+            by_parity = np.argsort(shapes.order % 2, kind="stable")
+            order, odd = shapes.order[by_parity], shapes.order[by_parity] % 2
+            near_by = shapes.value[:, by_parity].reshape(len(place), most, -1)
+            quarter = shapes.shape[:, by_parity, : -(-side // 2), : -(-side // 2)]
+            parts.append(
+                _Components(
+                    np.concatenate([near_by[:half][::-1] * (-1.0) ** order, near_by]).astype(np.float32),
+                    quarter.reshape(-1, *quarter.shape[2:]),
+                    np.concatenate([odd, 3 - odd]),  # cosines are even along rows, sines odd
+                )
+            )
+            orders.append(order)
         moment, origin = (np.concatenate([v[:half][::-1], v]) for v in (found.moment, found.origin))
         moment[:half, ..., 2] *= -1.0
         origin[:half, ..., 0] *= -1.0
-        return self._judged(self._made(found, points, moment, origin, parts, order), found.judges)
+        return self._judged(self._made(found, points, moment, origin, parts, tuple(orders)), found.judges)
 
     def _summed(self, place: FloatArray, finer: float, points: int) -> _Summed | None:
         """Images at places of the field; None for a lens or field without a grid of so many points."""
@@ -473,16 +485,10 @@ class _FieldImages:
         points: FloatArray,
         moment: FloatArray,
         origin: FloatArray,
-        parts: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
-        order: IntArray | None = None,
+        parts: list[_Components],
+        order: tuple[IntArray, ...] | None = None,
     ) -> WaveGrid:
         """The grid of moments and origins at all points, of coefficients and components of every band."""
-        (_, bands, most, _), side = moment.shape, found.light.shape[-1]
-        coefficient = np.zeros((bands, len(moment), most, max(value.shape[1] for value, _ in parts)), np.float32)
-        component = np.zeros((bands, max(len(shapes) for _, shapes in parts), side, side), np.float32)
-        for b, (values, shapes) in enumerate(parts):
-            coefficient[b, ..., : values.shape[1]] = values.reshape(len(moment), most, -1)
-            component[b, : len(shapes)] = shapes
         return WaveGrid(
             camera=self.camera,
             points=points,
@@ -493,8 +499,9 @@ class _FieldImages:
             spectral=found.spectral,
             origin_px=origin,
             moment=moment,
-            coefficient=coefficient,
-            component=component,
+            coefficient=tuple(part.value.reshape(len(moment), moment.shape[2], -1) for part in parts),
+            component=tuple(part.shape for part in parts),
+            parity=tuple(part.parity for part in parts),
             order=order,
             kink=self.kink,
         )
@@ -546,34 +553,72 @@ def _ray_moments(waves: PlaneWaves, chief_px: FloatArray, entrance: FloatArray) 
     return np.stack([waves.weight.sum(-1), entrance, *sums], axis=-1)
 
 
+@dataclass(frozen=True, slots=True)
+class _Components:
+    """Components of n images."""
+
+    value: NDArray[np.float32]  # (n, c), or what has as many elements
+    # shape, parity: (c, h, h), (c,) As `WaveGrid.component` and `WaveGrid.parity` of a band
+    shape: NDArray[np.float32]
+    parity: IntArray
+
+
 def _unfolded(
-    light: NDArray[np.float32], moment: FloatArray, origin: FloatArray, size: int
-) -> tuple[NDArray[np.float32], FloatArray, FloatArray]:
-    """Images, moments and origins at all points from those at points of the upper quarter."""
+    parts: list[_Components], moment: FloatArray, origin: FloatArray, size: int
+) -> tuple[list[_Components], FloatArray, FloatArray]:
+    """Components, moments and origins at all points from those at points of the upper quarter."""
     middle, count = size // 2, size - size // 2
     row, column = (v.ravel() for v in np.indices((size, size)))
     source = np.abs(row - middle) * count + np.abs(column - middle)
-    light, moment, origin = light[:, source], moment[source], origin[source]
+    values = [part.value.reshape(len(moment), -1, len(part.parity))[source] for part in parts]
+    moment, origin = moment[source], origin[source]
     for axis, lower in ((0, column < middle), (1, row < middle)):
         moment[lower, ..., 2 + axis] *= -1.0
         origin[lower, ..., axis] *= -1.0
-        light[:, lower] = np.flip(light[:, lower], axis=4 - axis)
-    return light, moment, origin
+        for value, part in zip(values, parts, strict=True):
+            value[lower] *= np.where(part.parity >> axis & 1, np.float32(-1.0), np.float32(1.0))
+    return [replace(part, value=value) for part, value in zip(parts, values, strict=True)], moment, origin
+
+
+def _folded(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """What sums half of an even (..., h), and half of an odd function, as values (..., m) sum all of it."""
+    half = -(-values.shape[-1] // 2)
+    first, last = values[..., :half], values[..., ::-1][..., :half]
+    even = first + last
+    if values.shape[-1] % 2:
+        even[..., -1] *= 0.5
+    return even, first - last
+
+
+def _projected(row: NDArray[Any], quarters: list[NDArray[Any]], column: NDArray[Any]) -> NDArray[Any]:
+    """Rows (..., n, m) times the images of quarters times columns (..., k, m)."""
+    (even, odd), (along, across) = _folded(row), _folded(column)
+    found = (even @ quarters[0] + odd @ quarters[2]) @ np.swapaxes(along, -1, -2)
+    return np.asarray(found + (even @ quarters[1] + odd @ quarters[3]) @ np.swapaxes(across, -1, -2))
 
 
 def _components(
     images: NDArray[np.float32], smoothing: NDArray[np.float32], disk: NDArray[np.bool_], step_px: float, limit: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Coefficients (n, c) and components (c, m, m) of images (n, m, m).
+) -> _Components:
+    """Components of images (n, m, m).
 
-    Principal components of what pixels see of them: of light on pixels at every third of a pixel, within the disk. They
-    are so many that what is left out, the root of its squares summed over the pixels of a stamp, is below a limit in
-    every image.
+    Principal components of what pixels see of them: of light on pixels at every third of a pixel, within the disk, for
+    each parity by itself. They are so many that what is left out, the root of its squares summed over the pixels of a
+    stamp, is below a limit in every image.
     """
-    stride = max(1, round(1.0 / (3.0 * step_px)))
-    few = smoothing[::stride]
-    seen = ((few @ images @ few.T) * disk[::stride, ::stride]).reshape(len(images), -1).astype(np.float64)
-    square, vectors = np.linalg.eigh(seen @ seen.T)
-    left = np.cumsum(np.maximum(square, 0.0) * vectors**2, axis=1).max(0) * (stride * step_px) ** 2
-    keep = vectors[:, left > limit**2].astype(np.float32)
-    return keep, np.tensordot(keep, images, axes=(0, 0))
+    stride, half = max(1, round(1.0 / (3.0 * step_px))), -(-images.shape[-1] // 2)
+    few, seen_disk = smoothing[:half:stride], disk[:half:stride, :half:stride]
+    turned = images[:, ::-1]
+    value, shape, parity = [], [], []
+    for p, (flip, by) in enumerate(product((1.0, -1.0), (1.0, -1.0))):
+        upper = images[:, :half] + np.float32(flip) * turned[:, :half]
+        quarter = 0.25 * (upper[:, :, :half] + np.float32(by) * upper[:, :, ::-1][:, :, :half])
+        row, column = _folded(few)[p // 2], _folded(few)[p % 2]
+        seen = ((row @ quarter @ column.T) * seen_disk).reshape(len(images), -1).astype(np.float64)
+        square, vectors = np.linalg.eigh(seen @ seen.T)
+        left = np.cumsum(np.maximum(square, 0.0) * vectors**2, axis=1).max(0) * (2.0 * stride * step_px) ** 2
+        keep = vectors[:, left > (0.5 * limit) ** 2].astype(np.float32)
+        value.append(keep)
+        shape.append(np.tensordot(keep, quarter, axes=(0, 0)))
+        parity.append(np.full(keep.shape[1], p))
+    return _Components(np.concatenate(value, axis=1), np.concatenate(shape), np.concatenate(parity))

@@ -31,7 +31,7 @@ LIGHT_RATE = 2.3
 """Samples of |U|^2 per cycle of its highest frequency and px, over 1."""
 KERNEL_ERROR = 1e-6
 """At which the kernel of a pixel ends."""
-UNSEEN = 5e-5
+UNSEEN = 6e-4
 """Part of a wave of light along an axis, left by pixels and diffusion, that is not kept in images of many stars; the
 lens leaves little of it before."""
 COARSE_REACH_PX = 3.0
