@@ -261,7 +261,7 @@ class WindowStack:
         freeze(self, "corner_px", shape=("n", 2), dtype=np.int64, sizes=sizes)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EffectivePsf:
     """Pixel-integrated point-spread function on a grid finer than the pixel (Anderson & King 2000, PASP 112, 1360).
 

@@ -10,6 +10,7 @@ The noise-equivalent angle of a star is its noise here times the angle of a pixe
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -69,8 +70,9 @@ class PhaseWindows:
     psf_index: NDArray[np.int64]  # (f n,) Which PSF
 
 
+@lru_cache(maxsize=24)
 def phase_windows(psfs: tuple[EffectivePsf, ...], window_px: int, phases: int = 4) -> PhaseWindows:
-    """Windows of unit stars at ``phases`` x ``phases`` even places within the middle pixel."""
+    """Windows of unit stars at ``phases`` x ``phases`` even places within the middle pixel; the last ones are kept."""
     step = (np.arange(phases) + 0.5) / phases - 0.5
     y, x = (value.ravel() + window_px // 2 for value in np.meshgrid(step, step, indexing="ij"))
     place = np.tile(np.column_stack([x, y]), (len(psfs), 1))

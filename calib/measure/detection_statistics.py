@@ -174,17 +174,13 @@ def detection_probability(
     sigma = np.sqrt(empty_e2 * power + flux[:, None, None] * np.maximum(photon, 0.0))
     needed = (limit - mean) / sigma  # (k, p, 9)
     draws = _draws(fwhm_px)
-    out = np.empty(needed.shape[:2])
-    for index in np.ndindex(*out.shape):
-        here = needed[index]
-        if here.min() < -6.0:
-            out[index] = 1.0
-        elif here.min() > 6.0:
-            out[index] = 0.0
-        else:  # the highest pixel exactly, what the others add by draws
-            top = int(here.argmin())
-            exact, hit = float(ndtr(-here[top])), draws > here
-            out[index] = exact + float((hit.any(axis=1) & ~hit[:, top]).mean())
+    best = needed.min(axis=2)
+    out = (best < 0.0).astype(np.float64)
+    for index in map(tuple, np.argwhere(np.abs(best) <= 6.0)):
+        here = needed[index]  # the highest pixel exactly, what the others add by draws
+        top = int(here.argmin())
+        exact, hit = float(ndtr(-here[top])), draws > here
+        out[index] = exact + float((hit.any(axis=1) & ~hit[:, top]).mean())
     return np.minimum(out, 1.0)
 
 

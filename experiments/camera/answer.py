@@ -70,15 +70,17 @@ class ThermalRange:
 
 def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
     """The sensor predicted at all temperatures; None, and the reason, for a lens without thermal data."""
-    setting, reference_c = config.thermal, stated_lens(config.instrument).environment.temperature_c
+    setting, lens = config.thermal, stated_lens(config.instrument)
     at_c = np.linspace(setting.lowest_c, setting.highest_c, setting.points)
 
-    def at(temperature_c: float) -> CameraPrediction:
-        return predict_camera(with_value(config, "instrument.lens_temperature_c", float(temperature_c)))
+    def at(temperature_c: float | None) -> CameraPrediction:
+        if temperature_c == lens.environment.temperature_c:
+            temperature_c = None  # as it is without a temperature, which is known already
+        return predict_camera(with_value(config, "instrument.lens_temperature_c", temperature_c))
 
     try:
         with prompt_pool() as pool:
-            reference, *found = pool.map(at, (reference_c, *at_c))
+            reference, *found = pool.map(at, (None, *map(float, at_c)))
     except DomainError as error:
         nothing = math.nan
         refusal = str(error).splitlines()[0]

@@ -143,7 +143,7 @@ def _state(
         raise DomainError(f"instrument.width_px, instrument.height_px: {error}") from None
     camera, lens = instrument.camera, instrument.camera.focused_lens
     band = open_band(passband, instrument)
-    light = star_light([band], nodes=NODES, magnitude_system=system)  # type: ignore[arg-type]  # "V" or "G"
+    light = _light(band, system)
     wave = light.wavelength_nm[0]
     response = camera.response_at(wave)
     share = _share(light, response, temperature_k)
@@ -166,7 +166,8 @@ def _state(
     if window is not None:
         _check_trail(float(np.hypot(*trail_px)), float(np.nanmax(rms_px)), *window)
     optics_px2 = float(np.nanmean(rms_px**2)) / 2.0 - camera.lens_blur_px**2
-    half = int(np.clip(np.ceil(4.0 * np.nanmax(rms_px) + 0.5 * np.abs(trail_px).max()) + 4, 8, 40))
+    reach_px = min(4.0 * float(np.nanmax(rms_px)), _farthest_mm(spots, performance.white_mm) / pitch + camera.blur_px)
+    half = int(np.clip(np.ceil(reach_px + 0.5 * np.abs(trail_px).max()) + 4, 8, 40))
     psfs_of: Callable[[FloatArray], tuple[EffectivePsf, ...]] = _psfs_by_rays(spots, camera, half)
     sigma2 = optics_px2 + diffusion_px**2 + 1.0 / 12.0 + float(trail_px @ trail_px) / 24.0
     if lens.measured is not None:
@@ -213,6 +214,17 @@ def _state(
         colour_px=(means - performance.white_mm) / pitch,
         temperatures_k=kelvin,
     )
+
+
+@lru_cache(maxsize=8)
+def _light(band: Band, system: str) -> StarLight:
+    return star_light([band], nodes=NODES, magnitude_system=system)  # type: ignore[arg-type]  # "V" or "G"
+
+
+def _farthest_mm(spots: Spots, middle_mm: FloatArray) -> float:
+    """Of all rays that arrive, from the mean of the light of their field, which lies along x."""
+    away = np.hypot(spots.rays.x - middle_mm[:, None, None], spots.rays.y)
+    return float(away[spots.area_mm2 > 0.0].max(initial=0.0))
 
 
 def _window(config: Config) -> tuple[str, int]:

@@ -203,6 +203,6 @@ def _ecsv(
     if "flags" in rows:
         table.meta["flags"] = {name: f"{bit}: {about}" for name, (bit, about) in FLAGS.items()}
     text = io.StringIO()
-    with np.printoptions(legacy=False):  # colour-science leaves a style behind that cuts digits off
+    with np.printoptions(legacy=False):  # a style of the user's program may cut digits off
         table.write(text, format="ascii.ecsv", delimiter=",")
     return text.getvalue().encode()

@@ -37,7 +37,6 @@ _PACKAGES = (
     "numpy",
     "scipy",
     "astropy",
-    "colour-science",
     "scikit-image",
     "pydantic",
     "matplotlib",

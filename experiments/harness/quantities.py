@@ -352,6 +352,8 @@ def write_netcdf(data: xr.Dataset, path: Path) -> None:
     """Write the quantities for users who analyse on: ``xarray.open_dataset("results.nc")``."""
     if not data.variables:
         return
+    from xarray.backends import ScipyDataStore
+
     plain = data.copy()
     plain.attrs["Conventions"] = "CF-1.11"
     for name in list(plain.variables):
@@ -362,7 +364,9 @@ def write_netcdf(data: xr.Dataset, path: Path) -> None:
         elif plain[name].dtype.kind in "iu":  # netCDF 3 has no 64-bit integers
             exact = np.abs(plain[name].values).max(initial=0) <= _EXACT_INTEGERS
             plain[name] = plain[name].astype(np.float64 if exact else str)
-    path.write_bytes(bytes(plain.to_netcdf(engine="scipy", format="NETCDF3_64BIT")))
+    store = ScipyDataStore(str(path), mode="w", format="NETCDF3_64BIT")  # to_netcdf imports all of Dask's clusters
+    plain.dump_to_store(store)
+    store.close()
 
 
 def positions(sizes: Mapping[Any, int], dims: Sequence[str]) -> list[dict[str, int]]:

@@ -65,7 +65,7 @@ def table():
 @pytest.mark.parametrize("style", [False, "1.13"])
 def test_ecsv_round_trip(table, tmp_path, style):
     path = tmp_path / "table1.ecsv"
-    with np.printoptions(legacy=style):  # colour-science leaves "1.13" behind
+    with np.printoptions(legacy=style):  # as colour-science leaves it where it is imported
         write_ecsv(table, path)
     back = AstropyTable.read(path, format="ascii.ecsv")
     assert back.colnames == ["band", "shift_x_px", "shift_x_px_error", "star_count", "noise_e"]
