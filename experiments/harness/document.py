@@ -1,7 +1,8 @@
 """``report.html`` from a Markdown template: prose in ``report.md``, tables and figures called by name.
 
 A template is Jinja in Markdown; reports that are alike extend one beside them. Its ``# title`` comes first, then the
-lead; a block quote holds the verdict, ``numbers`` the figures shown large, and every ``## head`` begins a section.
+lead; a block quote holds the verdict, ``numbers`` the figures shown large, and every ``## head`` begins a section. Sections after the
+first one with a figure are folded under their headings.
 Besides ``config``, ``result``, ``data`` and ``outcome`` it knows
 
 =========================  ============================================================================================
@@ -175,8 +176,9 @@ def render_document(
     criteria: Sequence[Criterion],
     provenance: Mapping[str, Any],
     judged: str = "simulation",
+    folded: bool = True,
 ) -> str:
-    """The report as one HTML page without any reference to another file or host."""
+    """The report as one HTML page without any reference to another file or host; ``folded``: later sections closed."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markdown_it import MarkdownIt
 
@@ -184,8 +186,11 @@ def render_document(
     text = _typeset(context, path)
     markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
     page, sections = _split(markdown, text, context.blocks, path.name)
+    answer = _after_first_figure(sections, context.blocks)
+    if folded:
+        sections[answer:] = [_folded(section) for section in sections[answer:]]
     if criteria and not any(isinstance(block, _Criteria) for block in context.blocks):
-        sections.insert(_after_first_figure(sections, context.blocks), context.criteria())
+        sections.insert(answer, context.criteria())
     page["sections"] = "\n".join(sections)
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).with_name("templates")),
@@ -249,13 +254,19 @@ def _split(markdown: Any, text: str, blocks: Sequence[Any], name: str) -> tuple[
 
 
 def _after_first_figure(sections: Sequence[str], blocks: Sequence[Any]) -> int:
-    """Where the criteria stand if the template does not say so."""
+    """Number of sections that hold the answer: up to the first figure. The criteria follow, the others are folded."""
     for number, html in enumerate(sections):
         inside = [blocks[int(mark)] for mark in _MARK.findall(html)]
         inside += [inner for block in inside if isinstance(block, Row) for inner in block.blocks]
         if any(isinstance(block, Figure) for block in inside):
             return number + 1
     return len(sections)
+
+
+def _folded(section: str) -> str:
+    """The section with its text under its heading, shown when the heading is clicked, and on paper."""
+    head, _, rest = section.removeprefix("<section>\n").removesuffix("</section>").partition("</h2>")
+    return f"<details class=\"section\">\n<summary>{head}</h2></summary>\n{rest}</details>"
 
 
 def _top_level(tokens: Sequence[Any]) -> list[list[Any]]:

@@ -35,4 +35,5 @@ def page_of(file: LensFile, shown: str) -> str:
         draw=draw,
         criteria=(),
         provenance=collect("lens", {"lens": shown, "seed": None}, variant=None, quick=False, times_s={}),
+        folded=False,
     )
