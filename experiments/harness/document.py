@@ -1,8 +1,8 @@
 """``report.html`` from a Markdown template: prose in ``report.md``, tables and figures called by name.
 
 A template is Jinja in Markdown; reports that are alike extend one beside them. Its ``# title`` comes first, then the
-lead; a block quote holds the verdict, ``numbers`` the figures shown large, and every ``## head`` begins a section. Sections after the
-first one with a figure are folded under their headings.
+lead; a block quote holds the verdict, ``numbers`` the figures shown large, and every ``## head`` begins a section.
+Sections after the first one with a figure are folded under their headings.
 Besides ``config``, ``result``, ``data`` and ``outcome`` it knows
 
 =========================  ============================================================================================
@@ -178,7 +178,7 @@ def render_document(
     judged: str = "simulation",
     folded: bool = True,
 ) -> str:
-    """The report as one HTML page without any reference to another file or host; ``folded``: later sections closed."""
+    """The report as one HTML page without a reference to another file or host; ``folded``: later sections closed."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markdown_it import MarkdownIt
 
@@ -254,7 +254,7 @@ def _split(markdown: Any, text: str, blocks: Sequence[Any], name: str) -> tuple[
 
 
 def _after_first_figure(sections: Sequence[str], blocks: Sequence[Any]) -> int:
-    """Number of sections that hold the answer: up to the first figure. The criteria follow, the others are folded."""
+    """Number of sections that hold the answer, up to the first figure. Criteria follow, the others are folded."""
     for number, html in enumerate(sections):
         inside = [blocks[int(mark)] for mark in _MARK.findall(html)]
         inside += [inner for block in inside if isinstance(block, Row) for inner in block.blocks]
@@ -266,7 +266,7 @@ def _after_first_figure(sections: Sequence[str], blocks: Sequence[Any]) -> int:
 def _folded(section: str) -> str:
     """The section with its text under its heading, shown when the heading is clicked, and on paper."""
     head, _, rest = section.removeprefix("<section>\n").removesuffix("</section>").partition("</h2>")
-    return f"<details class=\"section\">\n<summary>{head}</h2></summary>\n{rest}</details>"
+    return f'<details class="section">\n<summary>{head}</h2></summary>\n{rest}</details>'
 
 
 def _top_level(tokens: Sequence[Any]) -> list[list[Any]]:
