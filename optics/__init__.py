@@ -19,6 +19,7 @@ optics.lens.shapes          `Shape` and its kinds `Plane`, `Sphere`, `Conic`, `E
 optics.lens.perturb         `tilt`, `decentre`, `despace`, `refocus`, `tilt_image`, `change_temperature`,
                             `change_index`, `change_shape` (radius, conic, ...); what moves: an element,
                             surfaces, `ALL_SURFACES`, `EVERYTHING`
+optics.lens.thermal         `heated_lens`: gradients of temperature, `ThermalState`, `Housing`, `Mount`
 optics.glass.catalogue      `get_glass`, `list_glasses`, `Glass`
 optics.glass.coating        `Stack` of `Film`, `QuarterWave`, `TabulatedCoating`: R, T over wavelength, angle, s and p
 optics.glass.media          `Environment`, `CATALOGUE_AIR`, `VACUUM`
@@ -28,6 +29,7 @@ optics.rays.spots           `spot_moments`, `trace_spots`, `lateral_colour`, `vi
                             `collecting_area_mm2`
 optics.rays.pupil           `entrance_pupil`, `star_rays`, `gauss_disk`, `sobol_disk`
 optics.rays.trace           `Rays`, `trace`, `trace_program`
+optics.rays.thermal         `thermal_sensitivity`, `athermal_spacer`
 optics.rays.program         `compile_lens`
 optics.rays.reverse         `reverse`
 optics.rays.ghosts          `find_ghosts`, `with_cover_glass`

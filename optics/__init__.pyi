@@ -34,6 +34,10 @@ from .lens.shapes.plane import Plane as Plane
 from .lens.shapes.sphere import Sphere as Sphere
 from .lens.system import LensSystem as LensSystem
 from .lens.system import Surface as Surface
+from .lens.thermal import Housing as Housing
+from .lens.thermal import Mount as Mount
+from .lens.thermal import ThermalState as ThermalState
+from .lens.thermal import heated_lens as heated_lens
 from .lens_file import LensFile as LensFile
 from .lens_file import list_lenses as list_lenses
 from .lens_file import load_lens as load_lens
@@ -68,6 +72,8 @@ from .rays.spots import lateral_colour as lateral_colour
 from .rays.spots import spot_moments as spot_moments
 from .rays.spots import trace_spots as trace_spots
 from .rays.spots import vignetting as vignetting
+from .rays.thermal import athermal_spacer as athermal_spacer
+from .rays.thermal import thermal_sensitivity as thermal_sensitivity
 from .rays.trace import Rays as Rays
 from .rays.trace import trace as trace
 from .rays.trace import trace_program as trace_program

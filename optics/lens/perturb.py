@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.glass.media import Environment
-from optics.lens.system import AMBIENT, LensSystem, Surface
+from optics.lens.system import AMBIENT, LensSystem
+from optics.lens.thermal import Housing, ThermalState, heated_lens
 
 __all__ = [
     "ALL_SURFACES",
@@ -278,45 +279,12 @@ def tilt_image(lens: LensSystem, x_deg: float = 0.0, y_deg: float = 0.0) -> Lens
     return replace(lens, image_rotation=rotation @ lens.image_rotation)
 
 
-def _expansion(lens: LensSystem, medium: str) -> float:
-    cte = lens.glasses[medium].cte_per_k
-    if cte is None:
-        raise DomainError(
-            f"glass {medium} in lens {lens.name!r} has no expansion coefficient; give cte_per_k in the lens file"
-        )
-    return cte
-
-
-def _warmed_surface(lens: LensSystem, index: int, vertex: FloatArray, kelvin: float, housing: float) -> Surface:
-    """Surface at its new vertex, its shape expanded with the glass or the mirror it belongs to."""
-    surface = lens.surfaces[index]
-    before = lens.surfaces[index - 1].medium if index else AMBIENT
-    ctes = [_expansion(lens, m) for m in (before, surface.medium) if m != AMBIENT]
-    if surface.cte_per_k is not None:
-        ctes = [surface.cte_per_k]
-    shape_cte = sum(ctes) / len(ctes) if ctes else housing
-    growth = math.exp(shape_cte * kelvin)
-    return replace(
-        surface,
-        shape=surface.shape.scaled(growth),
-        position_mm=vertex,
-        semi_diameter_mm=surface.semi_diameter_mm * growth,
-        inner_semi_diameter_mm=surface.inner_semi_diameter_mm * growth,
-        apertures=tuple(aperture.scaled(growth) for aperture in surface.apertures),
-        error=None if surface.error is None else surface.error.scaled(growth),
-    )
-
-
 def change_temperature(
     lens: LensSystem, temperature_c: float, *, housing_cte_per_k: float, pressure_hpa: float | None = None
 ) -> LensSystem:
     """Bring the whole lens to another uniform temperature; its dimensions are taken to hold at its present one.
 
-    Glass: index by the maker's dn/dT, radii and centre thicknesses by its expansion (a cemented surface takes the mean
-    of the two glasses). A mirror takes the expansion of its substrate (``Surface.cte_per_k``), or that of the housing.
-    Air gaps, stop and the distance to the image plane follow the housing, along the axis: that spacers touch the lenses
-    at the rim, at another z than the vertex, is left out. Shifts across the axis follow the housing. A length L becomes
-    L exp(cte dT), so going back cancels exactly.
+    `optics.lens.thermal.heated_lens` without gradients, its spacers measured from vertex to vertex.
 
     Parameters
     ----------
@@ -339,20 +307,7 @@ def change_temperature(
     DomainError
         If a glass has no expansion or dn/dT data, or the temperature is out of range.
     """
-    lens.check_surfaces()
     _finite("expansion of the housing [1/K]", housing_cte_per_k)
-    environment = Environment(
-        temperature_c=temperature_c,
-        pressure_hpa=lens.environment.pressure_hpa if pressure_hpa is None else pressure_hpa,
-    )
-    kelvin = temperature_c - lens.environment.temperature_c
-    old, growth = [position for position, _ in lens.poses], math.exp(housing_cte_per_k * kelvin)
-    new = [old[0] * growth]
-    for surface, start, end, axis in zip(lens.surfaces, old[:-1], old[1:], lens.axis[1:], strict=True):
-        cte = housing_cte_per_k if surface.medium == AMBIENT else _expansion(lens, surface.medium)
-        along = ((end - start) @ axis) * axis
-        new.append(new[-1] + along * math.exp(cte * kelvin) + (end - start - along) * growth)
-    surfaces = tuple(_warmed_surface(lens, i, new[i], kelvin, housing_cte_per_k) for i in range(len(lens.surfaces)))
-    warmed = replace(lens, surfaces=surfaces, image_position_mm=new[-1], environment=environment)
-    warmed.indices(lens.design_wavelength_nm)  # refuses glasses without dn/dT now, not at the first trace
-    return warmed
+    new = Environment(temperature_c=temperature_c)
+    state = ThermalState(mean_k=new.temperature_c - lens.environment.temperature_c)
+    return heated_lens(lens, state, Housing(expansion_per_k=housing_cte_per_k), pressure_hpa=pressure_hpa)

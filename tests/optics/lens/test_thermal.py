@@ -1,0 +1,226 @@
+"""Lenses in temperature fields: closed forms of expansion, rim contact, bending, wedges and thermal lenses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optics.errors import ConfigError, DomainError
+from optics.glass.catalogue import Glass, get_glass
+from optics.glass.dispersion import Dispersion, ThermalDispersion
+from optics.glass.media import VACUUM
+from optics.lens.perturb import decentre, tilt
+from optics.lens.shapes.plane import Plane
+from optics.lens.shapes.sphere import Sphere
+from optics.lens.system import LensSystem, Surface
+from optics.lens.thermal import COMPONENTS, Housing, Mount, ThermalState, heated_lens, with_spacers
+from optics.lens_file import load_lens
+from optics.rays.chief import chief_ray_points
+from optics.rays.paraxial import paraxial
+from optics.rays.trace import Rays, trace
+
+LENS = load_lens("star_camera_206mm")
+ALUMINIUM = 23.6e-6
+ARCSEC = np.radians(1.0 / 3600.0)
+
+
+def glass(name="g", *, cte=0.0, d0=0.0):
+    return Glass(
+        name=name,
+        source="made up",
+        dispersion=Dispersion.constant(1.5),
+        range_nm=(400.0, 900.0),
+        cte_per_k=cte,
+        dndt=ThermalDispersion(D0=d0, D1=0.0, D2=0.0, E0=0.0, E1=0.0, lambda_tk_um=0.2),
+    )
+
+
+def dndt(d0, n=1.5):
+    """dn/dT of a glass with D0 alone (SCHOTT TIE-19)."""
+    return (n * n - 1.0) / (2.0 * n) * d0
+
+
+def lens_of(shapes, z_mm, media, image_mm, *, glasses, semi_mm=20.0):
+    surfaces = [Surface(shape=Plane(), position_mm=np.zeros(3), semi_diameter_mm=5.0, is_stop=True)]
+    for number, (shape, z, medium) in enumerate(zip(shapes, z_mm, media, strict=True)):
+        element = f"E{number // 2 + 1}"
+        surfaces.append(
+            Surface(
+                shape=shape, position_mm=np.array([0, 0, z]), medium=medium, semi_diameter_mm=semi_mm, element=element
+            )
+        )
+    return LensSystem(
+        name="made",
+        source="test",
+        surfaces=tuple(surfaces),
+        glasses={g.name: g for g in glasses},
+        image_position_mm=np.array([0.0, 0.0, image_mm]),
+        design_wavelength_nm=600.0,
+        max_field_deg=5.0,
+        environment=VACUUM,
+    )
+
+
+def plate_and_lens(**thermal):
+    """A plane plate 8 mm thick and a thin plano-convex lens of f = 200 mm that does not change."""
+    shapes = (Plane(), Plane(), Sphere(radius_mm=100.0), Plane())
+    lens = lens_of(
+        shapes, (2.0, 10.0, 20.0, 20.0), ("g", "air", "h", "air"), 220.0, glasses=(glass(**thermal), glass("h"))
+    )
+    return lens
+
+
+def test_a_null_state_gives_the_lens_back():
+    assert heated_lens(LENS, ThermalState(), Housing(expansion_per_k=ALUMINIUM)) is LENS
+
+
+def test_states_add_and_scale():
+    a, b = ThermalState(mean_k=1.0, radial_k=-2.0), ThermalState(mean_k=3.0, transverse_y_k=4.0)
+    assert a + 2.0 * b == ThermalState(mean_k=7.0, radial_k=-2.0, transverse_y_k=8.0)
+    assert list(ThermalState(axial_k=2.0).vector) == [2.0 * (name == "axial_k") for name in COMPONENTS]
+
+
+@pytest.mark.parametrize(("front", "back"), [(0.0, 0.0), (15.0, 0.0), (12.0, 18.0)])
+def test_spacers_that_touch_at_the_rim(front, back):
+    """Glass that does not expand between spacers that do: contact, not vertex, moves with the spacer."""
+    lens = lens_of(
+        (Sphere(radius_mm=60.0), Sphere(radius_mm=-45.0)), (10.0, 18.0), ("g", "air"), 90.0, glasses=(glass(),)
+    )
+    mount = Mount(front_radius_mm=front, back_radius_mm=back)
+    warm = heated_lens(lens, ThermalState(mean_k=40.0), Housing(expansion_per_k=1e-4, mounts={"E1": mount}))
+    grow = np.exp(1e-4 * 40.0)
+
+    def sag(radius, r):
+        return radius - np.sign(radius) * np.sqrt(radius**2 - r**2)
+
+    first = (10.0 + sag(60.0, front)) * grow - sag(60.0, front * grow)
+    image = first + 8.0 + sag(-45.0, back * grow) + (72.0 - sag(-45.0, back)) * grow
+    assert warm.surfaces[1].position_mm[2] == pytest.approx(first, abs=1e-12)
+    assert warm.image_position_mm[2] == pytest.approx(image, abs=1e-12)
+
+
+def test_glass_and_housing_of_one_expansion_scale_whatever_the_mount():
+    lens = lens_of(
+        (Sphere(radius_mm=60.0), Sphere(radius_mm=-45.0)), (10.0, 18.0), ("g", "air"), 90.0, glasses=(glass(cte=1e-5),)
+    )
+    mounts = {"E1": Mount(front_radius_mm=14.0, back_radius_mm=9.0)}
+    warm = heated_lens(lens, ThermalState(mean_k=50.0), Housing(expansion_per_k=1e-5, mounts=mounts))
+    assert warm.image_position_mm[2] == pytest.approx(90.0 * np.exp(5e-4), abs=1e-12)
+    assert paraxial(warm).efl_mm == pytest.approx(paraxial(lens).efl_mm * np.exp(5e-4), rel=1e-13)
+
+
+def test_every_element_has_the_temperature_of_its_place():
+    warm = heated_lens(LENS, ThermalState(mean_k=5.0, axial_k=10.0), Housing(expansion_per_k=ALUMINIUM))
+    length = LENS.image_position_mm[2]
+    for wave in (500.0, 850.0):
+        index = warm.indices(wave)
+        for element, name in (("L1", "N-FK51A"), ("L3", "N-FK51A"), ("L6", "N-LAK9")):
+            first, last = LENS.indices_of(element)
+            z = 0.5 * (LENS.surfaces[first].position_mm[2] + LENS.surfaces[last].position_mm[2])
+            own = 20.0 + 5.0 + 10.0 * (z / length - 0.5)
+            expected = get_glass(name).absolute_index(wave, temperature_c=own)
+            assert index[first + 1] == pytest.approx(float(expected), abs=1e-12)
+            thickness = warm.surfaces[last].position_mm[2] - warm.surfaces[first].position_mm[2]
+            grown = 1.0 + get_glass(name).cte_per_k * (own - 20.0)
+            assert thickness == pytest.approx(
+                (LENS.surfaces[last].position_mm[2] - LENS.surfaces[first].position_mm[2]) * grown, rel=1e-7
+            )
+    assert warm.environment.temperature_c == 25.0
+
+
+def test_bending_of_a_tube():
+    """Aluminium, 0.3 m, 0.1 m across, 1 K: 14.6 arcsec and 10.6 um at its end, away from the warm side."""
+    lens = replace(plate_and_lens(), image_position_mm=np.array([0.0, 0.0, 300.0]))
+    tube = Housing(expansion_per_k=ALUMINIUM, diameter_mm=100.0)
+    bent = heated_lens(lens, ThermalState(transverse_x_k=1.0), tube)
+    stop = bent.surfaces[0]
+    assert stop.position_mm[0] * 1e3 == pytest.approx(-10.62, abs=1e-4)
+    assert stop.rotation[0, 2] / ARCSEC == pytest.approx(14.60, abs=5e-3)  # the front leans back towards the warm side
+    assert bent.image_position_mm[0] == 0.0
+    held = heated_lens(lens, ThermalState(transverse_y_k=1.0), replace(tube, mounted_z_mm=0.0))
+    assert held.image_position_mm[1] * 1e3 == pytest.approx(-10.62, abs=1e-4)
+    assert held.image_rotation[1, 2] / ARCSEC == pytest.approx(-14.60, abs=5e-3)
+
+
+def test_a_bent_lens_is_one_of_decentred_and_tilted_elements():
+    """Without expansion and dn/dT of the glass the elements stay whole: the same by the perturbations of tolerances."""
+    whole = {
+        name: replace(g, cte_per_k=0.0, dndt=replace(g.dndt, D0=0.0, D1=0.0, D2=0.0, E0=0.0, E1=0.0))
+        for name, g in LENS.glasses.items()
+    }
+    lens = replace(LENS, glasses=whole)
+    bent = heated_lens(lens, ThermalState(transverse_x_k=3.0), Housing(expansion_per_k=ALUMINIUM, diameter_mm=90.0))
+    curvature, end = ALUMINIUM * 3.0 / 90.0, LENS.image_position_mm[2]
+    built = lens
+    for what in (0, *LENS.elements):
+        at = [0] if what == 0 else list(LENS.indices_of(what))
+        middle = 0.5 * (LENS.surfaces[at[0]].position_mm[2] + LENS.surfaces[at[-1]].position_mm[2])
+        arm = end - middle
+        built = tilt(built, what, y_deg=np.degrees(curvature * arm), pivot_mm=(0.0, 0.0, middle))
+        built = decentre(built, what, x_mm=-0.5 * curvature * arm**2)
+    field = np.array([0.0, 2.0, -3.0]), np.array([0.0, -2.0, 1.0])
+    np.testing.assert_allclose(chief_ray_points(bent, *field), chief_ray_points(built, *field), rtol=0, atol=1e-12)
+    assert np.abs(chief_ray_points(bent, *field)[0] - chief_ray_points(lens, *field)[0]).max() > 1e-3
+
+
+def test_a_plate_becomes_a_wedge():
+    """Deviation t [(n - 1) alpha + dn/dT] dT/dx of a plate in collimated light."""
+    alpha, d0 = 7e-6, 3e-5
+    lens = plate_and_lens(cte=alpha, d0=d0)
+    state = ThermalState(transverse_x_k=2.0)
+    warm = heated_lens(lens, state, Housing(expansion_per_k=0.0, diameter_mm=40.0))
+    n = float(lens.indices(600.0)[2])
+    deviation = 8.0 * ((n - 1.0) * alpha + dndt(d0)) * 2.0 / 40.0
+    x, y = chief_ray_points(warm, 0.0, 0.0)
+    assert float(x) == pytest.approx(200.0 * deviation, rel=1e-3)  # towards the thick, slow side
+    assert float(y) == 0.0
+
+
+def test_a_plate_becomes_a_lens():
+    """Power -2 t dT [dn/dT + (n - 1) alpha (1 + nu)] / R^2 of a plate that is warmer at its rim."""
+    alpha, d0, radius = 7e-6, 3e-5, 20.0
+    lens = plate_and_lens(cte=alpha, d0=d0)
+    warm = heated_lens(lens, ThermalState(radial_k=5.0), Housing(expansion_per_k=0.0, poisson_ratio=0.2))
+    power = -2.0 * 8.0 * 5.0 * (dndt(d0) + 0.5 * alpha * 1.2) / radius**2
+    # a weak lens 15 mm in front of the good one
+    height = np.array([0.5, 4.0])
+    rays = Rays.create(x_mm=height, y_mm=0.0, direction=[0.0, 0.0, 1.0], wavelength_nm=600.0)
+    turned = trace(replace(warm, surfaces=warm.surfaces[:3], image_position_mm=np.array([0, 0, 15.0])), rays).dx
+    np.testing.assert_allclose(turned, -height * power, rtol=1e-3)
+
+
+def test_the_centre_of_a_warm_rim_is_cold():
+    """Mean over the area unchanged: half the difference at the centre, by index and by thickness."""
+    alpha, d0 = 7e-6, 3e-5
+    warm = heated_lens(plate_and_lens(cte=alpha, d0=d0), ThermalState(radial_k=4.0), Housing(expansion_per_k=0.0))
+    assert warm.indices(600.0)[2] - plate_and_lens(cte=alpha, d0=d0).indices(600.0)[2] == pytest.approx(
+        -2.0 * dndt(d0), rel=1e-4
+    )
+    assert warm.surfaces[2].position_mm[2] - warm.surfaces[1].position_mm[2] == pytest.approx(
+        8.0 * (1.0 - 2.0 * alpha * 1.25), abs=1e-8
+    )
+
+
+def test_the_fourth_order_of_a_sphere_stays():
+    warm = heated_lens(LENS, ThermalState(radial_k=20.0), Housing(expansion_per_k=ALUMINIUM))
+    r = np.array([5.0, 10.0, 20.0, 30.0])
+    for old, new in zip(LENS.surfaces[1:], warm.surfaces[1:], strict=True):
+        r_in = np.minimum(r, 0.9 * old.semi_diameter_mm)
+        added = (new.shape.sag(r_in, 0.0 * r_in) - old.shape.sag(r_in, 0.0 * r_in)) / r_in**2
+        np.testing.assert_allclose(added, added[0], rtol=0.02)
+
+
+def test_input_that_cannot_be():
+    housing = Housing(expansion_per_k=ALUMINIUM)
+    with pytest.raises(DomainError, match=r"axial_k = nan K"):
+        ThermalState(axial_k=np.nan)
+    with pytest.raises(DomainError, match="outside -100"):
+        heated_lens(LENS, ThermalState(mean_k=200.0), housing)
+    with pytest.raises(DomainError, match=r"outside .* of its dn/dT data"):
+        heated_lens(LENS, ThermalState(mean_k=110.0, axial_k=40.0), housing)
+    with pytest.raises(ConfigError, match="did you mean L1"):
+        heated_lens(LENS, ThermalState(mean_k=1.0), with_spacers(housing, L11=1e-6))
+    with pytest.raises(DomainError, match="ends before"):
+        heated_lens(LENS, ThermalState(mean_k=1.0), replace(housing, mounts={"L6": Mount(front_radius_mm=90.0)}))
+    with pytest.raises(DomainError, match="diameter_mm"):
+        Housing(expansion_per_k=0.0, diameter_mm=0.0)
