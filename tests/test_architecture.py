@@ -48,30 +48,22 @@ DECLARATION = re.compile(r"experiments\.\w+\.(settings|experiment)\.(Config|expe
 LINES = 800
 
 
-@cache
-def nodes(source):
-    """All nodes of the syntax tree of a source text; parsed once."""
-    return tuple(ast.walk(ast.parse(source)))
+IMPORT = re.compile(r"^[ \t]*((?:from[ \t]+\S+[ \t]+)?import[ \t]+(?:\([^)]*\)|.*))", re.MULTILINE)
+DYNAMIC = re.compile(r"(?:import_module|__import__)\(\s*[\"']([\w.]+)")
 
 
 @cache
 def imported(source, package):
     """Full dotted names of all modules that a source text imports, wherever the statement stands."""
-    names = set()
-    for node in nodes(source):
+    names = set(DYNAMIC.findall(source))
+    for node in ast.walk(ast.parse("\n".join(IMPORT.findall(source)))):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
             base = ".".join([*above, *([node.module] if node.module else [])])
             names.update(f"{base}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Call) and is_dynamic_import(node):
-            names.update(arg.value for arg in node.args[:1] if isinstance(arg, ast.Constant))
     return names
-
-
-def is_dynamic_import(call):
-    return getattr(call.func, "attr", getattr(call.func, "id", "")) in ("import_module", "__import__")
 
 
 def violations(source, room, package=None):
@@ -120,10 +112,10 @@ def circle(graph):
 
 def calls_set_variant(source):
     """Whether ``set_variant`` is mentioned in code (comments and docstrings do not count)."""
-    return any(
+    return "set_variant" in source and any(
         (isinstance(node, ast.Attribute) and node.attr in ("set_variant", "scoped_set_variant"))
         or (isinstance(node, ast.ImportFrom) and any("set_variant" in alias.name for alias in node.names))
-        for node in nodes(source)
+        for node in ast.walk(ast.parse(source))
     )
 
 

@@ -44,6 +44,7 @@ def test_importing_the_packages_imports_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_sky_and_stars_need_no_mitsuba():
     code = "import sys; from render import load_sky, load_star_sensor; print('mitsuba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

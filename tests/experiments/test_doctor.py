@@ -35,6 +35,7 @@ def engine(cards="", **changes):
     return by_name(engine_findings({**WORKS, **changes}, 0, "", cards))
 
 
+@pytest.mark.slow
 def test_missing_llvm_and_missing_packages_are_told_without_a_traceback(tmp_path):
     gone = ["numpy", "pydantic", "rich", "scipy"]
     start = "import sys; from experiments.__main__ import main; sys.exit(main(sys.argv[1:]))"

@@ -80,6 +80,7 @@ def test_light_is_the_integral_over_the_pass_band(observation, sensor):
         assert table["electrons_in"][star] == pytest.approx(electrons, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_diffuse_light_is_added_where_it_is_asked_for(sky):
     sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=128)
     attitude = attitude_from_angles(*ORION)

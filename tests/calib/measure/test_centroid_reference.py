@@ -16,6 +16,7 @@ def stars(sky):
     return sky.stamps(electrons, x, y, background_e=10.0)
 
 
+@pytest.mark.slow
 def test_centre_of_gravity_is_photutils_centroid_com(stars, noise):
     centroids = pytest.importorskip("photutils.centroids")
     table = get_centroider("cog", half_width_px=None).measure(stars, noise)

@@ -15,7 +15,7 @@ from experiments.camera.settings import Config
 from experiments.harness.range import with_value
 from optics.rays.spots import trace_spots
 
-READOUTS, STARS, FRAMES, DRAWS = 3, 24, 20, 300
+READOUTS, STARS, FRAMES, DRAWS = 3, 24, 20, 200
 
 
 @pytest.fixture(scope="module")

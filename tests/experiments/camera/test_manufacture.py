@@ -21,6 +21,7 @@ def sensor(**tolerances):
             "width_px": 800,
             "height_px": 800,
             "defocus_mm": 0.0,
+            "diffraction": "rays",
         },
         passband={"range_nm": (500, 800)},
         sky={"attitudes": 20},

@@ -77,6 +77,7 @@ def test_where_a_requirement_is_crossed():
     assert found["swept"].answer.endswith("at exposure 0.235 s.")
 
 
+@pytest.mark.slow
 def test_two_keys_make_a_map():
     found = study("exposure_s=0.1:0.2:2", "threshold_sigma=4:8:3")
     limit = series(found, "limiting_magnitude_mag").reshape(2, 3)

@@ -41,10 +41,15 @@ def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("calibration")
     for name in ("frames", "truth"):
         (made / name).mkdir()
-    write_calibration(build_scene(CONFIG), made, FRAMES, lambda: None)
     for frame in (0, 3):
         make_frame(Job(config=CONFIG.model_dump_json(), folder=str(made), backend="llvm"), frame)
     return made
+
+
+@pytest.fixture(scope="module")
+def calibrated(folder):
+    write_calibration(build_scene(CONFIG), folder, FRAMES, lambda: None)
+    return folder
 
 
 def product(folder, name):
@@ -61,14 +66,14 @@ def pull(image, error, truth):
 
 
 @pytest.mark.slow
-def test_products_are_the_detector_within_their_own_noise(folder):
+def test_products_are_the_detector_within_their_own_noise(calibrated):
     chip = build_scene(CONFIG).instrument.detector
     maps = sensor_maps(chip)
     sound = ~maps.defect
-    bias, bias_error = product(folder, "bias")
-    dark, dark_error = product(folder, "dark")
-    flat, flat_error = product(folder, "flat")
-    gain, gain_error = product(folder, "gain_map")
+    bias, bias_error = product(calibrated, "bias")
+    dark, dark_error = product(calibrated, "dark")
+    flat, flat_error = product(calibrated, "flat")
+    gain, gain_error = product(calibrated, "gain_map")
     spread = 4.0 * np.sqrt(2.0 / sound.sum()) + 0.1  # fat tails of 20 frames; rounding of the numbers
     assert pull(bias[sound], bias_error[sound], maps.offset_dn[sound]) == pytest.approx(1.0, abs=spread)
     charge = maps.dark_current_e_per_s * chip.dark_factor(40.0) * 0.5
@@ -81,13 +86,14 @@ def test_products_are_the_detector_within_their_own_noise(folder):
     seen = 0.3 * 0.99**2 / 0.995
     assert np.median(gain) == pytest.approx(seen, abs=4.0 * np.median(gain_error) / np.sqrt(20))
     assert np.median(gain_error) < 0.02 * chip.gain_dn_per_e
-    defect = fits.getdata(folder / "calibration" / "defect_map.fits")
+    defect = fits.getdata(calibrated / "calibration" / "defect_map.fits")
     np.testing.assert_array_equal(defect.astype(bool), maps.defect)
 
 
-def test_the_same_bytes_again(folder, tmp_path):
+@pytest.mark.slow
+def test_the_same_bytes_again(calibrated, tmp_path):
     write_calibration(build_scene(CONFIG), tmp_path, FRAMES, lambda: None)
-    for file in (folder / "calibration").iterdir():
+    for file in (calibrated / "calibration").iterdir():
         assert (tmp_path / "calibration" / file.name).read_bytes() == file.read_bytes(), file.name
 
 
@@ -113,11 +119,11 @@ def test_headers_tell_who_when_and_with_what(folder):
 
 
 @pytest.mark.reference
-def test_fitsverify(folder):
+def test_fitsverify(calibrated):
     """HEASARC's own judge, where it is installed (Debian: fitsverify)."""
     if shutil.which("fitsverify") is None:
         pytest.skip("fitsverify is not installed")
-    files = [*(folder / "frames").glob("*.fits"), *(folder / "calibration").glob("*.fits")]
+    files = [*(calibrated / "frames").glob("*.fits"), *(calibrated / "calibration").glob("*.fits")]
     assert len(files) == 7
     for file in files:
         done = subprocess.run(["fitsverify", str(file)], capture_output=True, text=True, check=False)

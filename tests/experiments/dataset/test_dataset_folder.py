@@ -264,6 +264,7 @@ def test_no_bit_of_a_truth_file_can_change(dataset, tmp_path, form):
         path.write_bytes(whole)
 
 
+@pytest.mark.slow
 def test_check_names_what_is_damaged_and_what_is_made_again(dataset, tmp_path, capsys):
     folder = tmp_path / "checked"
     shutil.copytree(dataset, folder)
@@ -307,6 +308,7 @@ def test_a_bit_of_the_list_costs_no_frame(dataset, tmp_path, part, bit):
     assert state.frames == ()
 
 
+@pytest.mark.slow
 def test_dataset_json_is_written_anew_from_the_frames(dataset, tmp_path, capsys):
     folder = tmp_path / "renewed"
     shutil.copytree(dataset, folder)

@@ -224,6 +224,7 @@ def test_every_struck_pixel_is_in_one_track_and_no_charge_is_lost(shot):
     assert inside.any(1).all()
 
 
+@pytest.mark.slow
 def test_pixels_that_cosmic_rays_struck_are_marked(shot):
     """Expected behaviour: every pixel with an electron of theirs, in datasets that ask for them alone."""
     scene, quiet = shot

@@ -84,6 +84,7 @@ def solved(k, stars, *, sky, model, database, truth, near=None):
     )
 
 
+@pytest.mark.slow
 def test_errors_are_what_noise_and_number_of_stars_make(sky, model, database):
     """12 attitudes; sigma across the boresight is noise / sqrt(n); 24 pulls scatter by 14 %."""
     turns = Rotation.random(12, random_state=4)

@@ -116,6 +116,7 @@ def test_same_seed_same_bytes(shot_noise, tmp_path, output):
     assert drawings(tmp_path / "again") == drawings(output[1])
 
 
+@pytest.mark.slow
 def test_from_python_the_same_numbers_as_by_command(shot_noise, tmp_path, output):
     told = run_experiment(shot_noise.experiment, {"label": "<b>7 & 8</b>"}, seed=3, out=tmp_path / "again")
     for name in ("levels.ecsv", "frames/variance.npy"):

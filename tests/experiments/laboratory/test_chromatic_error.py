@@ -143,6 +143,7 @@ def test_inputs_unchanged(measured, bench_of, small_camera):
     assert np.array_equal(measured.direction, direction)
 
 
+@pytest.mark.slow
 def test_a_wedge_in_one_filter_shows_as_half_of_its_motion(measured, bench_of, small_camera):
     """Rationale: eq. 13-16 on frames, by a motion of whole pixels behind the last filter. Expected: half of it."""
     bench = bench_of(rows=1, columns=2, frames=2, dark_frames=2)

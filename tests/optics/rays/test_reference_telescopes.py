@@ -188,6 +188,7 @@ def with_rims(lens):
     return replace(lens, surfaces=tuple(surfaces))
 
 
+@pytest.mark.slow
 def test_the_wavefront_of_a_vignetted_telescope_is_that_of_zemax():
     """RMS to 0.2 %, coefficients of the full pupil to 1 % of the largest: hole and rims cut cells of our quadrature.
 

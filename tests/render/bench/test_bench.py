@@ -129,6 +129,7 @@ def test_glowing_aperture(engine, bench):
     assert (image.ravel() @ place) / image.sum() == pytest.approx([1.45e-3, 0], abs=3e-4)
 
 
+@pytest.mark.slow
 def test_glowing_aperture_by_the_stock_path_integrator(mi, bench):
     """The same sheet lit through the same hole by Mitsuba's ``directional`` emitter, imaged from the camera."""
     light = {"type": "directional", "direction": [0, 0, -1], "irradiance": 1.0}
@@ -144,6 +145,7 @@ def test_glowing_aperture_by_the_stock_path_integrator(mi, bench):
         assert (ours * grid).sum() / ours.sum() == pytest.approx((reference * grid).sum() / reference.sum(), abs=0.02)
 
 
+@pytest.mark.slow
 def test_spot_by_the_stock_particle_tracer(mi):
     """Perfectly collimated light: Mitsuba's ``ptracer`` with a ``directionalarea`` emitter gives the same picture."""
     from render.bench.trace import trace_screen

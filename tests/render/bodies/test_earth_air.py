@@ -48,6 +48,7 @@ def column_of(zenith_deg, wavelength_nm, *, to_sun=None, **changes):
     return image.image.electrons[:, 1, 0] / white.image.electrons[44, 1, 0], height
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wavelength_nm", "zenith_deg"),
     [(550.0, 30.0), *(pytest.param(*key, marks=pytest.mark.slow) for key in SASKTRAN if key != (550.0, 30.0))],

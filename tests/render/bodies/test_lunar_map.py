@@ -67,6 +67,7 @@ def test_maria_cover_what_is_published():
     assert min(at(0.0, -60.0), at(20.0, -35.0), at(150.0, 0.0)) > 0.11  # the southern highlands, the far side
 
 
+@pytest.mark.slow
 def test_earthshine_of_the_whole_disk():
     """At new Moon, where the Earth is full: 12 to 17 mag per square arcsecond.
 

@@ -223,6 +223,7 @@ def test_mesh_of_the_user(engine, tmp_path):
     assert var_y == pytest.approx(8**2 / 12 + spot[4], rel=0.05)
 
 
+@pytest.mark.slow
 def test_cut_by_the_edge(engine):
     """A full disk around the detector's edge: half of it, and only the part near it is rendered."""
     camera = camera_of(96, 512)

@@ -47,12 +47,14 @@ def test_missing_llvm_is_one_line_with_the_install_command(tmp_path):
     assert "does not exist" in done.stdout
 
 
+@pytest.mark.slow
 def test_dr_jit_is_silent_whatever_is_imported_first(tmp_path):
     program = f"import render.tracing.rays.kernel, render.detector.chain\n{PROGRAM}"
     done = in_new_process("llvm", program, DRJIT_LIBLLVM_PATH=str(tmp_path / "libLLVM.so"))
     assert (done.returncode, done.stderr, done.stdout.count("\n")) == (2, "", 1)
 
 
+@pytest.mark.slow
 def test_file_that_is_no_library(tmp_path):
     path = tmp_path / "libLLVM.so"
     path.write_text("not a shared object")
@@ -61,6 +63,7 @@ def test_file_that_is_no_library(tmp_path):
     assert "could not be loaded" in done.stdout
 
 
+@pytest.mark.slow
 def test_library_known_only_by_its_numbered_name(tmp_path):
     real = find_llvm(["/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64"])
     if real is None:
@@ -168,6 +171,7 @@ print(Engine.start("llvm").mitsuba.variant())
 """
 
 
+@pytest.mark.slow
 def test_mitsuba_comes_when_it_is_asked_for_and_its_variant_is_the_engine():
     done = subprocess.run([sys.executable, "-c", LAZY], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.stderr == ""

@@ -126,7 +126,7 @@ def test_all_light_goes_through_the_exit_disk(name, bench):
     assert 0.9 < filled < 1.0
 
 
-@pytest.mark.parametrize("perturbed", [False, True])
+@pytest.mark.parametrize("perturbed", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_distant_ball_is_seen_where_the_star_is(mi, bench, perturbed):
     """Reciprocity: light traced backwards from the detector finds the ball where light traced forwards lands."""
     lens = load_lens("star_camera_206mm")

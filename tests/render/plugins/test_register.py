@@ -105,6 +105,7 @@ def test_to_world_like_any_mitsuba_sensor(mi):
     assert truth.bundle_y_px[:, 0] == pytest.approx([99.5, 99.5 - offset, 99.5], abs=0.5)
 
 
+@pytest.mark.slow
 def test_body_and_star_agree_under_to_world(mi):
     """Mitsuba's perspective camera, our lens and our stars see the same corner of the scene."""
     view = mi.ScalarTransform4f().look_at(origin=[1, 2, 3], target=[1 + 0.8, 2 - 0.6, 3], up=[0, 0, 1])
@@ -147,6 +148,7 @@ def test_body_and_star_agree_under_to_world(mi):
     assert means[1] == pytest.approx(star, abs=0.6)  # an ideal lens of 206.2 mm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "suffix",
     ["ad_rgb", *(pytest.param(one, marks=pytest.mark.slow) for one in ("ad_spectral", "ad_spectral_polarized"))],
@@ -273,6 +275,7 @@ def test_registration_needs_a_vectorised_variant():
     assert "Engine.start" in done.stdout
 
 
+@pytest.mark.slow
 def test_code_of_the_documentation(engine, bench):
     """docs/rendering.md is run as it stands: the scene, and the lines about motion with a camera of ours.
 

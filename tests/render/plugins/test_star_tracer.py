@@ -74,6 +74,7 @@ def test_films_that_cannot_hold_pixels_of_a_detector_are_refused(mi, bench, came
     assert "reconstruction filter would blur" in str(caught.value.__cause__)
 
 
+@pytest.mark.slow
 def test_saved_scene_renders_to_the_same_bytes(mi, bench, camera, tmp_path):
     """Frames of one renderer, whose scene is kept up to date, against scenes that Mitsuba reads from files."""
     renderer = StarRenderer(camera, exposure_s=0.3, contents={"vane": vane(0.0)})
@@ -96,6 +97,7 @@ def test_saved_scene_renders_to_the_same_bytes(mi, bench, camera, tmp_path):
         assert again.tobytes() == expected.tobytes()
 
 
+@pytest.mark.slow
 def test_scenes_of_all_images_are_kept_on_request(mi, bench, camera, tmp_path, monkeypatch):
     """By an environment variable, so that any experiment does it; named by whoever knows the frame."""
     monkeypatch.setenv("STARBENCH_SCENES", str(tmp_path / "scenes"))

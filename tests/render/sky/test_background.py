@@ -25,6 +25,7 @@ def small(name, size=16):
     return Camera(lens=load_lens(name), width_px=size, height_px=size, pixel_pitch_mm=SIDE_MM[name] / size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["star_tracker_26mm", pytest.param("double_gauss_50mm", marks=pytest.mark.slow)])
 def test_etendue_against_rays_that_go_backwards(mi, name):
     """The map is made of rays from the sky; Mitsuba's path integrator starts on the detector."""

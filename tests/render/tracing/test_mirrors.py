@@ -70,6 +70,7 @@ def test_stars_are_where_numpy_rays_land_and_as_bright_as_the_open_area(engine, 
     assert truth.chief_y_px[1, 0] < 130
 
 
+@pytest.mark.slow
 @every_telescope
 def test_light_that_goes_backwards_finds_the_star_s_ball(mi, bench, which):
     camera = camera_of(which)

@@ -96,6 +96,7 @@ def test_one_ray_is_the_diffusion_kernel_on_pixels():
     assert psf.values[::16, ::16].sum() == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_rays_on_numpy_make_the_same(engine):
     sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=1024, diffraction="rays")
     camera = sensor.camera

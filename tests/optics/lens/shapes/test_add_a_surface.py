@@ -111,6 +111,7 @@ def refracted(direction, normal, ratio):
     return along + np.sqrt(1.0 - along @ along) * normal
 
 
+@pytest.mark.slow
 def test_traced_rays_agree_with_root_finding_and_snells_law(program):
     starts = [[0.5, 1.0], [-3.0, 2.0], [2.0, 4.0], [-1.0, -4.5]]
     direction = np.array([0.03, -0.02, 1.0]) / np.linalg.norm([0.03, -0.02, 1.0])

@@ -102,6 +102,7 @@ def _reversed(trajectory):
     return SampledAttitude(samples_s=times, attitudes=trajectory.attitude(times[::-1]))
 
 
+@pytest.mark.slow
 def test_hardly_any_motion_is_none(engine, bench):
     camera, whole = small(bench, "star_tracker_26mm")
     stars = bench.stars_at(whole, [699.3], [301.4])
@@ -176,6 +177,7 @@ def test_stars_that_leave_the_frame(engine, bench):
     assert traced.electrons.sum(dtype=float) == pytest.approx(truth.electrons_image.sum(), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_through_mitsuba(engine, bench):
     camera, whole = small(bench, "star_tracker_26mm")
     stars = bench.stars_at(whole, [699.3], [301.4])

@@ -64,6 +64,7 @@ def test_pixels_of_a_cut_bundle_against_brute_force(engine, bench):
     assert worst_pixel(bench, camera, stars, traced, rings=300, arms=400, stagger=True) < 2e-4
 
 
+@pytest.mark.slow
 def test_pixels_without_diffusion_converge(engine, bench):
     """Edges of pixels cut the bundle: more Sobol points, less error; against brute force with half a million rays."""
     camera = bench.camera_of(charge_diffusion_px=0.0, defocus_mm=0.02)
