@@ -23,9 +23,9 @@ image = sensor_image(expected.electrons[:, :, 0], gain_dn_per_e=1.0, offset_dn=0
 true_x, true_y = expected.truth.photon_x_px[:, 0], expected.truth.photon_y_px[:, 0]
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
 for name in ("cog", "windowed", "gaussian"):
-    found = find_stars(image, name, size_px=9)
-    nearest = np.hypot(found.x_px - true_x[:, None], found.y_px - true_y[:, None]).argmin(axis=1)
-    axes.plot((true_x + 0.5) % 1 - 0.5, found.x_px[nearest] - true_x, "o", markersize=4, label=name)
+    table = find_stars(image, name, size_px=9)
+    nearest = np.hypot(table.x_px - true_x[:, None], table.y_px - true_y[:, None]).argmin(axis=1)
+    axes.plot((true_x + 0.5) % 1 - 0.5, table.x_px[nearest] - true_x, "o", markersize=4, label=name)
 axes.set(xlabel="place of the star in its pixel [px]", ylabel="error in x [px]")
 axes.legend()
 axes.grid(color="0.9")

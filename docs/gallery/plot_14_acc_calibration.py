@@ -25,12 +25,12 @@ for stars in counts:
     sky = turn[frame].inv().apply(camera.unproject(pixel))
     noisy = pixel + rng.normal(0.0, 0.05, pixel.shape)
     seen = Observations.isotropic(pixel_px=noisy, direction=sky, frame=frame, sigma_px=0.05)
-    found = calibrate(
+    calibration = calibrate(
         seen, BrownConrady.create(chip, focal_length_mm=25.0), AttitudeCorrelated(gyro_rotation=gyro), free=free
     )
-    with_gyro.append(bound(seen, found.model, AttitudeCorrelated(gyro_rotation=gyro), free=free).sigma[0] * 1e3)
+    with_gyro.append(bound(seen, calibration.model, AttitudeCorrelated(gyro_rotation=gyro), free=free).sigma[0] * 1e3)
     without.append(bound(seen, camera, FreeAttitudes(attitude=turn), free=free).sigma[0] * 1e3)
-print("focal length with 20 stars a frame:", found.model.value("focal_length_mm"), "mm, truth 25.6 mm")
+print("focal length with 20 stars a frame:", calibration.model.value("focal_length_mm"), "mm, truth 25.6 mm")
 figure, axes = plt.subplots(figsize=(6.5, 4.0), layout="constrained")
 axes.loglog(counts, with_gyro, "o-", label="frames linked by a gyro")
 axes.loglog(counts, without, "s--", label="every frame by itself")

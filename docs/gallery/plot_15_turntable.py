@@ -23,12 +23,12 @@ pixel = camera.project((installation * table.inv()).apply(star)) + rng.normal(0.
 nominal = np.tile([0.0, 0.0, 1.0], (len(angles), 1))
 seen = Observations.isotropic(pixel_px=pixel, direction=nominal, frame=np.arange(len(angles)), sigma_px=0.03)
 start = BrownConrady.create(chip, focal_length_mm=39.0)
-found = calibrate(seen, start, TurntableAttitudes(table_rotation=table), free=("focal_length_mm", "q1_per_mm2"))
-print(found.solution.status, {name: found.model.value(name) for name in ("focal_length_mm", "q1_per_mm2")})
-off = 206265 * (star_direction(found) - star)[:2]
-known = dict(zip(found.solution.names, 206265 * np.sqrt(np.diag(found.solution.covariance)), strict=True))
+calibration = calibrate(seen, start, TurntableAttitudes(table_rotation=table), free=("focal_length_mm", "q1_per_mm2"))
+print(calibration.solution.status, {name: calibration.model.value(name) for name in ("focal_length_mm", "q1_per_mm2")})
+off = 206265 * (star_direction(calibration) - star)[:2]
+known = dict(zip(calibration.solution.names, 206265 * np.sqrt(np.diag(calibration.solution.covariance)), strict=True))
 print(f"star off by {off.round(0)} arcsec, sigma of its azimuth {known['star_azimuth_rad']:.0f} arcsec")
-left = pixel - found.model.project((found.installation * table.inv()).apply(star_direction(found)))
+left = pixel - calibration.model.project((calibration.installation * table.inv()).apply(star_direction(calibration)))
 figure, axes = plt.subplots(figsize=(5.6, 5.2), layout="constrained")
 arrows = axes.quiver(*pixel.T, *left.T, angles="xy")
 axes.quiverkey(arrows, 0.85, 1.03, 0.1, "0.1 px", labelpos="W")
