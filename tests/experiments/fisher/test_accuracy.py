@@ -1,0 +1,156 @@
+"""Accuracy of drawn star vectors: by the distribution, by pixels, by cause; no image is rendered."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.cameras import BrownConrady, SensorGeometry
+from experiments.fisher.accuracy import Calibrated, _path_px, accuracy, same_data
+from experiments.fisher.acquire import Motion, visit_once
+from experiments.fisher.settings import Config
+from experiments.laboratory.single_star.bench import Bench, aim
+from experiments.laboratory.single_star.reduce import Data, reduce_data
+from experiments.laboratory.single_star.star import star_direction
+from experiments.laboratory.turntable import build_turntable
+from optics.units import RAD_ARCSEC
+from render.engine.random import Streams
+
+SIGMA_PX, PIXEL_RAD, COUNT = 0.02, 0.0055 / 50.0, 100
+READING_ARCSEC = (0.2, 0.5)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """A bench and a camera of 50 mm that are calibrated to a millionth of a pixel."""
+    geometry = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
+    model = BrownConrady.create(geometry, focal_length_mm=50.0, x0_px=6.0, y0_px=-4.0, q1_per_mm2=2e-5)
+    table = build_turntable("xy", reading_noise_arcsec=READING_ARCSEC, non_orthogonality_arcsec=4.0)
+    bench = Bench(
+        table=table, star=star_direction(0.3, -0.2), installation=Rotation.from_rotvec([0.01, -0.02, 0.3])
+    )  # fmt: skip
+    angle = aim(bench, model.unproject(geometry.grid_px(6)), np.zeros(36))
+    exact = Data(
+        pixel_px=model.project(bench.seen(angle)),
+        covariance_px2=np.tile(1e-12 * np.eye(2), (36, 1, 1)),
+        reading_rad=angle,
+    )
+    still = build_turntable("xy", reading_noise_arcsec=(1e-6, 1e-6), non_orthogonality_arcsec=4.0)
+    calibration = reduce_data(exact, still, model, leans=True, start_star=np.array(bench.star))
+    camera = SimpleNamespace(
+        width_px=2048,
+        height_px=2048,
+        pixel_pitch_mm=0.0055,
+        nominal_direction=lambda x, y, f: model.unproject(geometry.grid_px(10)),
+    )
+    instrument = SimpleNamespace(
+        camera=camera,
+        focal_length_mm=50.0,
+        pixel_arcsec=PIXEL_RAD * RAD_ARCSEC,
+        config=SimpleNamespace(exposure_s=0.2),
+    )
+    return Calibrated(
+        config=Config(),
+        instrument=instrument,
+        streams=Streams(1),
+        true_bench=bench,
+        believed=table,
+        calibration=calibration,
+        model=model,
+        bench=bench,
+    )
+
+
+def taken_with(rig, seed, motion=None):
+    """Images with centroid noise where the table truly stood, and its noisy readings."""
+    wanted = rig.model.unproject(rig.model.geometry.grid_px(10))
+    places = visit_once(rig.true_bench, wanted, np.zeros(COUNT), motion or Motion(), 10, Streams(seed))
+    seen = rig.model.project(rig.bench.seen(np.array(places.true_rad)))
+    noise = SIGMA_PX * np.random.default_rng(seed).standard_normal(seen.shape)
+    return SimpleNamespace(
+        places=places,
+        position_px=seen + noise,
+        covariance_px2=np.tile(SIGMA_PX**2 * np.eye(2), (COUNT, 1, 1)),
+        bundle_px=seen,
+        lost=3,
+    )
+
+
+def test_scatter_is_predicted_and_told_apart(rig):
+    """40 acquisitions of 100 vectors: deviations of a normal distribution, a variance known to sqrt(2 / 40)."""
+    motion = Motion(rate_rad_per_s=2e-3, jitter_s=2e-3, samples=4)
+    made = [accuracy(rig, taken_with(rig, seed, motion)) for seed in range(40)]
+    z = np.array([one.z_score for one, _, _ in made])
+    # 1 % of the outliers are taken for what they are not, and their degrees with them
+    assert abs(z.mean()) < 4.0 / np.sqrt(40)
+    assert z.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(80))
+    ratio = np.array([one.baseline_over_fisher.value for one, _, _ in made])
+    first, expected, _ = made[0]
+    assert ratio.mean() == pytest.approx(
+        first.baseline_over_fisher_predicted, abs=4.0 * ratio.std() / np.sqrt(40) + 1e-4
+    )
+    assert ratio.std() == pytest.approx(first.baseline_over_fisher.uncertainty, rel=4.0 / np.sqrt(80))
+    pixel = PIXEL_RAD * RAD_ARCSEC
+    assert expected["centroids"] == pytest.approx(SIGMA_PX * pixel, rel=0.03)  # the field makes it smaller
+    # one axis turns the star by its own noise, both across it; per axis half of the sum of squares
+    assert expected["readings"] == pytest.approx(np.hypot(*READING_ARCSEC) / np.sqrt(2.0), rel=0.06)
+    clocks = motion.rate_rad_per_s * motion.jitter_s * RAD_ARCSEC / np.sqrt(2.0)
+    assert expected["clocks"] == pytest.approx(clocks, rel=0.06, abs=1e-12)
+    assert expected["table"] == pytest.approx(np.hypot(expected["readings"], expected["clocks"]))
+    assert expected["calibration"] < 1e-3
+    whole = np.hypot(expected["centroids"], expected["table"])
+    assert first.sigma_predicted_arcsec == pytest.approx(whole, rel=1e-3)
+    for cause in ("centroids", "table"):
+        size = np.sqrt(np.mean([realised[cause] ** 2 for *_, realised in made]))
+        assert size == pytest.approx(expected[cause], rel=4.0 / np.sqrt(2 * 40 * 100))
+    for one, _, realised in made:
+        assert realised["calibration"] < 1e-6
+        if np.isnan(one.sigma_without_table_arcsec):  # by chance all of it
+            continue
+        table2 = one.sigma_arcsec.value**2 - one.sigma_without_table_arcsec**2
+        assert table2 == pytest.approx(expected["table"] ** 2, rel=0.05)
+        assert one.sigma_interval_95_arcsec[0] < one.sigma_arcsec.value < one.sigma_interval_95_arcsec[1]
+
+
+def test_one_acquisition_in_numbers(rig):
+    taken = taken_with(rig, 4, Motion(rate_rad_per_s=2e-3, jitter_s=0.0, samples=4))
+    found, _, _ = accuracy(rig, taken)
+    assert (found.n, found.lost, found.outliers) == (COUNT, 3, 0)
+    assert found.streak_px == pytest.approx(2e-3 * 0.2 / PIXEL_RAD)
+    kappa = found.concentration
+    assert found.concentration_document == pytest.approx(1.0 / found.one_minus_resultant_length)
+    assert kappa == pytest.approx(found.concentration_document * (COUNT - 1) / COUNT, rel=1e-6)
+    # of a Fisher distribution 1 / kappa is the variance per axis
+    assert found.sigma_arcsec.value == pytest.approx(RAD_ARCSEC / np.sqrt(kappa), rel=1e-3)
+    assert found.sigma_arcsec.uncertainty == pytest.approx(found.sigma_arcsec.value / np.sqrt(4.0 * COUNT), rel=0.1)
+    assert found.offset_arcsec.shape == (COUNT, 2)
+    squares = (found.offset_arcsec**2).sum() / (2.0 * (COUNT - 1))
+    assert np.sqrt(squares) == pytest.approx(found.sigma_arcsec.value, rel=1e-3)
+    pixel_arcsec, sheet_arcsec, field_arcsec = found.baseline_arcsec
+    assert pixel_arcsec / found.sigma_arcsec.value == pytest.approx(found.baseline_over_fisher.value)
+    half = np.arctan(1024 * PIXEL_RAD)
+    assert field_arcsec / pixel_arcsec == pytest.approx(half / (1024 * PIXEL_RAD))
+    assert sheet_arcsec > pixel_arcsec  # a data sheet's focal length is rounded down
+    # z of an error of 100 %: the deviation of a variance of 2 n degrees by twice itself, root of n degrees
+    assert found.z_of_whole == pytest.approx(np.sqrt(2.0 * 2.0 * COUNT), rel=0.15)
+    path = _path_px(rig, taken.places)
+    length = np.linalg.norm(path[:, -1] - path[:, 0], axis=1) * path.shape[1] / (path.shape[1] - 1)
+    assert length.max() == pytest.approx(found.streak_px, rel=0.1)
+    assert np.abs(path.mean(1)).max() < 1e-9
+    assert not _path_px(rig, taken_with(rig, 4).places).any()
+
+
+def test_vectors_that_calibrated_look_better_than_they_are(rig):
+    """Fourteen unknowns of 200 coordinates: 10 acquisitions of 200 numbers are known to 4 / sqrt(4000)."""
+    made = [same_data(rig, taken_with(rig, seed)) for seed in range(10)]
+    assert {one.unknowns for one in made} == {14}
+    for one in made:
+        assert one.corrected_arcsec / one.naive_arcsec == pytest.approx(np.sqrt(198.0 / 186.0))
+    naive = np.sqrt(np.mean([one.naive_arcsec**2 for one in made]))
+    predicted = made[0].predicted_naive_arcsec
+    assert naive == pytest.approx(predicted, rel=4.0 / np.sqrt(4000))
+    whole = np.hypot(SIGMA_PX * PIXEL_RAD * RAD_ARCSEC, np.hypot(*READING_ARCSEC) / np.sqrt(2.0))
+    assert predicted < 0.98 * whole
