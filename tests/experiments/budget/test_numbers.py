@@ -1,0 +1,281 @@
+"""Both sides of the budget: terms over places and surveys, ratios, pulls, sums, swings; by hand and drawn."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from experiments.budget import tornado as tornado_module
+from experiments.budget.chromatic import ChromaticTerm, table1_of
+from experiments.budget.combine import Value, combine
+from experiments.budget.experiment import (
+    EVERY,
+    TESTED,
+    agreement,
+    compared,
+    of_prediction,
+    parts,
+    pulls,
+    setup,
+    tuned,
+)
+from experiments.budget.laboratory import build_laboratory, grid_target, marking, places_px, platform, step_plan
+from experiments.budget.measure import _marking, _over_places, _over_surveys
+from experiments.budget.predict import _over_places as predicted_over_places
+from experiments.budget.settings import Config
+from experiments.harness.config import load_config
+from experiments.harness.summary import Measured
+from experiments.laboratory.published import ACC18_ARCSEC
+from optics.errors import DomainError
+from optics.units import ARCSEC_RAD
+
+PIXEL_ARCSEC = 5.5
+NAMES = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
+
+
+def value(arcsec, uncertainty, n=0):
+    return Value(arcsec=np.array(arcsec, float), uncertainty_arcsec=np.array(uncertainty, float), n=n)
+
+
+def chromatic(x, sigma, n=0):
+    return ChromaticTerm(
+        table1_px={"600-500": np.array([x, -0.02]), "800-600": np.array([0.01, 0.05])},
+        sigma_px={"600-500": np.array([sigma, 0.001]), "800-600": np.array([0.001, 0.002])},
+        rms_px={"600-500": np.array([0.3, 0.4]), "800-600": np.array([0.1, 0.2])},
+        pixel_arcsec=PIXEL_ARCSEC,
+        n=n,
+    )
+
+
+def side(scale=1.0, uncertainty=0.03, table=None, n=0):
+    """Terms 0.5, 0.3, S, 0.2, 0.4 times a factor, in x; twice of it in y."""
+    table = table or chromatic(0.06, 0.003, n)
+    sizes = zip(NAMES, scale * np.array([0.5, 0.3, 0.0, 0.2, 0.4]), strict=True)
+    term = {name: value([a, 2 * a], [uncertainty, uncertainty], n) for name, a in sizes}
+    term["LSFE-S"] = table.value()
+    others = ("single", "found", "left", "one_survey", "survey_scatter")
+    same = {f"{part}_arcsec": k * np.ones(2) for k, part in enumerate(others)}
+    return SimpleNamespace(
+        budget=combine(term, stars=4),
+        chromatic=table,
+        causes_arcsec={"noise": np.array([0.1, 0.2])},
+        bound_te_arcsec=np.array([0.4, 0.8]),
+        marking_alone_arcsec=np.array([0.1, 0.1]),
+        **same,
+    )
+
+
+def numbers(rows):
+    return np.array([[[one.value, one.uncertainty] for one in row] for row in rows])
+
+
+def test_largest_entry_of_table_1_is_the_term():
+    table = chromatic(-0.06, 0.003, n=80)
+    assert table.largest() == ["600-500", "800-600"]
+    found = table.value()
+    assert (found.arcsec, found.uncertainty_arcsec) == (
+        pytest.approx(PIXEL_ARCSEC * np.array([0.06, 0.05])),
+        pytest.approx(PIXEL_ARCSEC * np.array([0.003, 0.002])),
+    )
+    assert found.n == 80
+    assert table.value(["800-600", "600-500"]).arcsec == pytest.approx(PIXEL_ARCSEC * np.array([0.01, 0.02]))
+    assert chromatic(1e-8, 0.0).value(["600-500"] * 2).arcsec[0] == 0.0  # rounding of a trace
+    first, second = table1_of(chromatic(-0.05, 0.0), table)
+    assert (first.pair, first.measured_px[0].value, first.measured_px[0].uncertainty) == ("600-500", -0.06, 0.003)
+    assert (first.predicted_px[0], first.measured_px[0].n, second.rms_px[1]) == (-0.05, 80, 0.2)
+
+
+def test_ratios_of_both_sides():
+    ours, theirs = side(1.2, 0.02), side(1.0, 0.03, n=100)
+    found = compared(ours, theirs)
+    ratio, index = numbers(found.ratio), {name: k for k, name in enumerate(EVERY)}
+    assert ratio[index["TE"], 0] == pytest.approx([1.2, 1.2 * np.hypot(0.02 / 0.6, 0.03 / 0.5)])
+    # the prediction's uncertainty of HSFE and C1 contains the measured one
+    for name, measured_x in (("HSFE", 0.3), ("LSFE-C1", 0.2)):
+        assert ratio[index[name], 0] == pytest.approx([1.2, 1.2 * 0.02 / (1.2 * measured_x)])
+    assert ratio[index["total"], 0, 0] > 1.0
+    assert found.measured_n[index["TE"]].tolist() == [100, 100]
+    faint = compared(side(0.1, 0.02), side(1.0, 0.03))  # 0.05 arcsec against 5 x 0.03: nothing to divide
+    assert np.isnan(numbers(faint.ratio)[index["TE"], 0, 0])
+    alone = compared(ours)
+    assert alone.measured_arcsec is None
+    assert numbers(alone.predicted_arcsec)[index["HSFE"]] == pytest.approx(np.array([[0.36, 0.02], [0.72, 0.02]]))
+
+
+def test_deviations_of_both_sides():
+    ours, theirs = side(1.2, 0.02, chromatic(0.07, 0.004)), side(1.0, 0.03, chromatic(0.06, 0.003))
+    assert pulls(ours, theirs, "TE") == pytest.approx(np.array([0.1, 0.2]) / np.hypot(0.02, 0.03))
+    assert pulls(ours, theirs, "HSFE") == pytest.approx(np.array([0.06, 0.12]) / 0.02)
+    entries = pulls(ours, theirs, "LSFE-S")
+    assert entries.shape == (2, 2)
+    assert entries[0, 0] == pytest.approx(0.01 / 0.005)
+    assert entries[1] == pytest.approx([0.0, 0.0])
+    found = agreement(ours, theirs)
+    assert found.pull[TESTED.index("LSFE-S")] == pytest.approx([2.0, 0.0])
+    assert found.pull[TESTED.index("TE")] == pytest.approx(np.array([0.1, 0.2]) / np.hypot(0.02, 0.03))
+    assert found.whole[TESTED.index("HSFE")] == pytest.approx(np.array([0.36, 0.72]) / 0.02)
+    assert found.whole[TESTED.index("LSFE-C2")].tolist() == [0.0, 0.0]
+    a = np.linalg.norm([0.6, 0.36, 0.07 * PIXEL_ARCSEC])
+    b = np.linalg.norm([0.5, 0.30, 0.06 * PIXEL_ARCSEC])
+    assert found.together[0].value == pytest.approx(a / b)
+
+
+def test_uncertainty_of_the_terms_together_is_that_of_drawn_terms():
+    """20 000 budgets whose terms scatter as stated: the ratio's scatter, known to 0.5 %, second order to 2 %."""
+    rng, truth, errors = np.random.default_rng(2), np.array([0.5, 0.3, 0.33]), np.array([0.02, 0.03, 0.01])
+    a, b = (truth + errors * rng.standard_normal((20_000, 3)) for _ in range(2))
+    b[:, 1] = truth[1]  # of HSFE the prediction's uncertainty is all
+    drawn = np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)
+    term = {
+        name: value([t, t], [e, e])
+        for name, t, e in zip(("TE", "HSFE", "LSFE-S"), truth, errors, strict=True)
+    }  # fmt: skip
+    term |= {name: value([0.2, 0.2], [0.01, 0.01]) for name in ("LSFE-C1", "LSFE-C2")}
+    one = SimpleNamespace(budget=combine(term, stars=4), chromatic=chromatic(0.06, 0.003))
+    assert agreement(one, one).together[0].uncertainty == pytest.approx(drawn.std(), rel=0.03)
+
+
+def test_step_tests_over_places():
+    """RMS over the places; 30 000 drawn step tests scatter as stated."""
+    lab = SimpleNamespace(instrument=SimpleNamespace(pixel_arcsec=PIXEL_ARCSEC))
+    of_place = [(1.0, 0.04), (2.0, 0.03), (2.0, 0.05)]
+    places = [
+        SimpleNamespace(
+            document_arcsec=lambda _, v=v, e=e: [Measured(value=v, uncertainty=e, n=30)] * 2,
+            single_px=lambda _, v=v: np.array([v, 2.0 * v]),
+        )
+        for v, e in of_place
+    ]
+    found, single = _over_places(lab, places, "cog")
+    assert found.arcsec == pytest.approx([np.sqrt(3.0)] * 2)
+    assert found.n == 90
+    draws = np.array([v for v, _ in of_place]) + np.array([e for _, e in of_place]) * np.random.default_rng(
+        1
+    ).standard_normal((30_000, 3))
+    assert found.uncertainty_arcsec[0] == pytest.approx(np.sqrt((draws**2).mean(1)).std(), rel=0.03)
+    assert single == pytest.approx(3.0 * PIXEL_ARCSEC * np.sqrt(3.0) * np.array([1.0, 2.0]))
+
+
+def test_predicted_steps_over_places():
+    """Places differ by chip and noise: the RMS over four scatters half as much as one; a PSF's session by all of it."""
+    lab = SimpleNamespace(
+        instrument=SimpleNamespace(pixel_arcsec=PIXEL_ARCSEC), config=SimpleNamespace(steps=SimpleNamespace(places=4))
+    )
+
+    class Anything(dict):
+        def __missing__(self, key):
+            return np.array([0.01, 0.02])
+
+    def place(sessions=()):
+        return SimpleNamespace(
+            document_px=np.array([0.03, 0.04]),
+            single_px=np.array([0.05, 0.06]),
+            scatter_px=np.array([0.002, 0.004]),
+            temporal_px=np.array([0.003, 0.0]),
+            dark_px=np.array([0.004, 0.0]),
+            roll_px=np.array([0.007, 0.007]),
+            cause_px=Anything(),
+            session_px2=np.array(sessions),
+        )
+
+    found, causes, single = predicted_over_places(lab, [place()] * 2)
+    scale = 3.0 * PIXEL_ARCSEC
+    assert found.arcsec == pytest.approx(scale * np.array([0.03, 0.04]))
+    assert found.uncertainty_arcsec == pytest.approx(scale * np.array([0.001, 0.002]))
+    assert single == pytest.approx(scale * np.array([0.05, 0.06]))
+    assert causes["averaged noise"] == pytest.approx(scale * np.array([0.005, 0.0]))
+    sessions = np.array([[1.0, 1.0], [3.0, 3.0]]) * 1e-5
+    shared, *_ = predicted_over_places(lab, [place(sessions)] * 2)
+    assert (shared.uncertainty_arcsec > found.uncertainty_arcsec).all()
+
+
+def test_surveys_and_the_marking_error():
+    """4000 drawn surveys of five points: C2 is three standard deviations of a coordinate."""
+    lab = SimpleNamespace(
+        instrument=SimpleNamespace(pixel_arcsec=PIXEL_ARCSEC),
+        config=SimpleNamespace(grid=SimpleNamespace(reference="aligned")),
+    )
+    each = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]) * np.array([1.0, 3.0])[:, None, None]
+    every, rms, spread = _over_surveys(lab, SimpleNamespace(over_surveys=lambda *_: each), "cog")
+    scale = 3.0 * PIXEL_ARCSEC
+    assert every[0, 2, 1] == pytest.approx(6.0 * scale)
+    assert rms[0, 0] == pytest.approx(np.sqrt(5.0) * scale)
+    assert spread[0, 0] == pytest.approx(np.sqrt(2.0) * scale)
+    rng = np.random.default_rng(4)
+    place = np.concatenate([rng.uniform(-0.05, 0.05, (5, 2)), np.ones((5, 1))], axis=1)
+    surveyed = np.tile(place, (4000, 1, 1))
+    surveyed[..., :2] += 0.2 * ARCSEC_RAD * rng.standard_normal((4000, 5, 2))
+    found = _marking(SimpleNamespace(surveyed=surveyed * rng.uniform(0.5, 2.0, (4000, 5, 1))))
+    assert found.arcsec == pytest.approx([0.6, 0.6], rel=4.0 / np.sqrt(2 * 20_000))
+    assert found.uncertainty_arcsec == pytest.approx(found.arcsec / np.sqrt(2 * 3999 * 5))
+    assert found.n == 20_000
+    assert _marking(SimpleNamespace(surveyed=surveyed[:1])) is None
+
+
+def test_sections_of_a_prediction_alone_and_with_frames():
+    config = load_config(Config, settings=["compare=[]", "centroid=epsf"])
+    ours, theirs = {"epsf": side(1.2, 0.02)}, {"epsf": side(1.0, 0.03)}
+    alone, both = of_prediction(config, ours), of_prediction(config, ours, theirs)
+    assert alone["methods"] is None
+    assert len(both["methods"]) == 1
+    total = ours["epsf"].budget.total.arcsec
+    assert both["chief"].total_rms_arcsec == pytest.approx(np.sqrt((total**2).mean()))
+    assert both["chief"].te_rms_arcsec == pytest.approx(0.6 * np.sqrt(2.5))
+    assert np.shape(alone["terms"].published_arcsec) == (len(EVERY), 2)  # the published sensor by default
+    other = of_prediction(
+        load_config(Config, settings=["compare=[]", "centroid=epsf", "detector.read_noise_e=3"]), ours
+    )
+    assert other["terms"].published_arcsec is None
+    assert [one.name for one in alone["causes"]] == ["noise"]
+    assert tuned(config, theirs["epsf"]) is None
+    aimed = tuned(load_config(Config, settings=["published_within_fraction=0.1"]), theirs["epsf"])
+    assert aimed.over_published[0][0].value == pytest.approx(0.5 / ACC18_ARCSEC["TE"][0])
+    numbers_of = parts(ours["epsf"], theirs["epsf"])
+    assert numbers_of.measured_left_arcsec.tolist() == [2.0, 2.0]
+    assert numbers_of.one_survey_arcsec.tolist() == [3.0, 3.0]
+
+
+def test_laboratory_of_the_settings():
+    settings = ["steps.step_px=0.2", "steps.places=3", "grid.marking_error_arcsec=0.4", "hexapod.roll_error_arcsec=9"]
+    lab = build_laboratory(load_config(Config, settings=settings))
+    assert (step_plan(lab).positions, step_plan(lab).step_px) == (lab.config.steps.positions, 0.2)
+    assert platform(lab).roll_error_arcsec == 9.0
+    assert (grid_target(lab).rows, grid_target(lab).marking_error_arcsec) == (lab.config.grid.rows, 0.4)
+    assert marking(lab).arcsec == pytest.approx([1.2, 1.2])
+    assert len(places_px(lab)) == 3
+    named = setup(lab)
+    assert named.between_arcsec is None or named.between_arcsec >= 0.0
+    assert named.signal_e == lab.signal.signal_e
+    assert named.pixel_arcsec == pytest.approx(5.5, abs=0.1)
+
+
+def test_swings_of_the_total(monkeypatch):
+    """Total 3 + read noise / 10 - focus: what grows by a step grows the total; what is refused has no number."""
+
+    def total(config):
+        noise = 13.0 if config.detector.read_noise_e is None else config.detector.read_noise_e
+        if config.source.signal_e is not None and config.source.signal_e > 6000.0:
+            raise DomainError("saturated")
+        focus = config.instrument.defocus_mm
+        return SimpleNamespace(
+            budget=SimpleNamespace(total=value([3.0 + noise / 10.0, 3.0 - focus], [0.0, 0.0]))
+        )  # fmt: skip
+
+    monkeypatch.setattr(tornado_module, "coarse_terms", total)
+    names = ["detector.read_noise_e", "instrument.defocus_mm", "source.signal_e"]
+    config = load_config(
+        Config, settings=[f"tornado.parameters={names}".replace("'", '"'), "instrument.defocus_mm=0.01"]
+    )
+    done = []
+    found = tornado_module.tornado(config, advance=lambda: done.append(1))
+    assert len(done) == 1 + 2 * 3
+    by_key = {one.key: one for one in found}
+    noise, focus, signal = (by_key[name] for name in names)
+    assert (noise.high - noise.low) / (noise.high + noise.low) == pytest.approx(config.tornado.change_fraction)
+    step = (noise.high - noise.low) / 2.0
+    assert noise.total_change_arcsec[1] - noise.total_change_arcsec[0] == pytest.approx([step / 5.0, 0.0])
+    assert focus.total_change_arcsec == pytest.approx(config.tornado.focus_mm * np.array([[0.0, 1.0], [0.0, -1.0]]))
+    assert signal.total_change_arcsec[0] == pytest.approx([0.0, 0.0])
+    assert np.isnan(signal.total_change_arcsec[1]).all()
+    assert [one.size for one in found] == sorted((one.size for one in found), reverse=True)
+    assert signal.size == 0.0
