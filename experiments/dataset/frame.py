@@ -84,6 +84,7 @@ class FrameMaker:
             scene.instrument.camera,
             exposure_s=scene.config.instrument.exposure_s,
             tolerance=scene.config.pupil_tolerance,
+            by_grid=True,
             contents=None if disks is None else hiding_spheres(disks),
         )
         self._bodies = None

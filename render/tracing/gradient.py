@@ -653,7 +653,7 @@ def _alike(
         stars = probe.stars[[one == key for one in keys]]
         step = max(1, WAVE_PASS_RAYS // (math.prod(key[2]) * images.wavelength_nm.size))
         for i in range(0, len(stars), step):
-            found.append((stars[i : i + step], key[0], tuple(map(FieldSampling, key[1])), key[2]))
+            found.append((stars[i : i + step], key[0], tuple(map(images.sampling, key[1])), key[2]))
     return found
 
 

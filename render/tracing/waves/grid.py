@@ -37,7 +37,17 @@ from render.tracing.waves.spectrum import lagrange, picked_wavelengths
 from render.tracing.waves.summed import LARGEST_RADIUS_PX, SummedImages, Trail
 from render.tracing.waves.windows import COARSE_REACH_PX, FieldSampling, PixelTable, coarser, window_samples
 
-__all__ = ["MOMENTS", "TOLERANCE", "WING_PX", "WaveGrid", "build_grid", "chebyshev", "worth_a_grid"]
+__all__ = [
+    "LEAST_STARS",
+    "MOMENTS",
+    "TOLERANCE",
+    "WING_PX",
+    "GridPlan",
+    "WaveGrid",
+    "build_grid",
+    "chebyshev",
+    "plan_grid",
+]
 
 
 MOMENTS = 6
@@ -238,8 +248,12 @@ FIRST_KINKED, CUT_STEPS = 2, 32
 """Which of them is the first where apertures cut beams; steps of the search for where they begin, twice."""
 GAIN = 4.0
 """By how much the next size lowers the error, at least; sizes that would not do are passed over."""
-LEAST_STARS = 12
-"""Stars on the detector, of wavelengths as many as a grid needs, from which it costs less over a few frames."""
+LEAST_STARS = 8
+"""Stars on the detector below which no grid is made unasked."""
+PAYS = ((2.0, math.inf), (4.0, 5.0), (10.0, 1.0))
+"""A grid is made that pays within so many frames, if it takes no longer than so many seconds."""
+RINGS_S = 0.3
+"""Processor time of what makes components that turn of images."""
 CENTROID_PX = 6
 """Half the side of the window whose centroid is compared."""
 PROBES = 6
@@ -259,11 +273,46 @@ SYMMETRIC_PX = 1e-6
 """Difference of rays from mirrored ones below which a quarter of the field tells the rest."""
 
 
-def worth_a_grid(wavelength_nm: FloatArray, stars: int) -> bool:
-    """Whether so many stars on the detector, of wavelengths (b, k), cost less by a grid."""
-    return stars * wavelength_nm.shape[1] >= LEAST_STARS * max(
-        len(picked_wavelengths(band)[0]) for band in wavelength_nm
-    )
+@dataclass(frozen=True, slots=True, eq=False)
+class GridPlan:
+    """What a grid would cost, and how it is made; made by `plan_grid`."""
+
+    images: _FieldImages
+    image_s: float  # Processor time of an image of one star and wavelength by itself, of a usual machine
+    grid_s: float  # The same of the grid; infinite where there is none
+
+    def pays(self, stars: int) -> bool:
+        """Whether so many stars on the detector cost less by a grid, over a few frames; the same on every machine."""
+        alone_s = stars * self.images.colours * self.image_s
+        soon = any(self.grid_s <= min(frames * alone_s, limit_s) for frames, limit_s in PAYS)
+        return stars >= LEAST_STARS and soon
+
+
+def plan_grid(
+    planner: PupilPlanner,
+    wavelength_nm: FloatArray,
+    collimation: Collimation | None = None,
+    least_radius_px: float = 0.0,
+) -> GridPlan:
+    """What a grid at wavelengths (b, k) would cost, from the rays and samples of a star in the middle and in a corner.
+
+    The number of images is that of the grids that are tried first: few of any lens are good enough at once.
+    """
+    field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
+    places = field.middle + np.outer([0.0, 0.97], field.half)
+    images, groups, chief, _ = field.exact(places, np.full((2, *wavelength_nm.shape), 1.0 / wavelength_nm.shape[1]))
+    probes = [probe for group in groups for probe in images.probes(group)]
+    if not np.isfinite(chief).all() or any(probe.group.points is None for probe in probes):
+        return GridPlan(field, math.inf, math.inf)
+    image_s = float(np.mean([images.image_s(probe) for probe in probes]))
+    first, judged = 25.0, 2 * PROBES * 3 * len(wavelength_nm)
+    if field.mirrored:
+        first = 9.0
+    more = (0.5 * RADIAL_SIZES[1] if field.turned else 1.8 * (25.0 if field.mirrored else 81.0)) * field.colours
+    if field.kink < 1.0:
+        first, more = 0.0, 1.5 * RADIAL_SIZES[FIRST_KINKED] * field.colours
+    count = first * field.colours + more + judged
+    return GridPlan(field, image_s, count * image_s + (RINGS_S if field.turned else 0.0))
 
 
 def build_grid(
@@ -273,7 +322,6 @@ def build_grid(
     least_radius_px: float = 0.0,
 ) -> WaveGrid | None:
     """The coarsest grid that is good enough; None where there is none."""
-    # wavelength_nm (b, k)
     field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
     sizes: tuple[int, ...] = SIZES
     made, at = field.grid, 0
@@ -325,6 +373,11 @@ class _FieldImages:
         self.reach = float(np.hypot(*(np.abs(self.middle) + self.half)))
         self.mirrored, self.turned = self._symmetry()
         self.kink = self._first_cut() if self.turned else 1.0
+
+    @property
+    def colours(self) -> int:
+        """Wavelengths of all bands that have images."""
+        return sum(len(picked_wavelengths(band)[0]) for band in self.wavelength_nm)
 
     def _direction(self, place: FloatArray) -> FloatArray:
         direction = np.column_stack([place, np.ones(len(place))])

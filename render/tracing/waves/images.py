@@ -6,6 +6,7 @@ import math
 import pickle
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from render.tracing.pupil.points import OutlinePoints
 from render.tracing.pupil.sampling import whole_disk
 from render.tracing.rays.images import RayImages
 from render.tracing.truth import Sampling, TruthSums, WaveStamps, add_stamps, check_lit
-from render.tracing.waves.grid import WING_PX, WaveGrid, build_grid, worth_a_grid
+from render.tracing.waves.grid import LEAST_STARS, WING_PX, GridPlan, WaveGrid, build_grid, plan_grid
 from render.tracing.waves.spectrum import condensed_light
 from render.tracing.waves.summed import KeptLight, SummedImages, Trail
 
@@ -31,12 +32,21 @@ GRIDS, GRID_BATCH = 4, 256
 SPREAD = 0.25
 """Part of the detector that stars must spread over for a grid over all of it."""
 
-_grids: dict[tuple[bytes, bytes, bytes, float], WaveGrid | None] = {}
+GridKey = tuple[bytes, bytes, bytes, float]
+_grids: dict[GridKey, WaveGrid | None] = {}
+_plans: dict[GridKey, GridPlan] = {}
 
 
 def _state(wavelength_nm: FloatArray, collimation: Collimation | None) -> tuple[bytes, bytes]:
     """What images at some places depend on, besides the camera and the shares of wavelengths."""
     return wavelength_nm.tobytes(), b"" if collimation is None else collimation.at(wavelength_nm).tobytes()
+
+
+def _kept(known: dict[GridKey, Any], key: GridKey, value: Any) -> None:
+    """Keep a value, and few others."""
+    while len(known) >= GRIDS:
+        known.pop(next(iter(known)))
+    known[key] = value
 
 
 class WaveImages:
@@ -79,10 +89,10 @@ class WaveImages:
             return nobody
         edge = np.array([camera.width_px, camera.height_px]) - 0.5 + WING_PX
         stars = np.flatnonzero(((chief > -0.5 - WING_PX) & (chief < edge)).all((1, 2)))
-        worth = self._spread(chief[stars]) and worth_a_grid(light.wavelength_nm, len(stars))
-        if not len(stars) or not (self.by_grid or worth):
+        by = light.wavelength_nm, exposure.paths.collimation
+        if not len(stars) or not self._pays(chief[stars], *by):
             return nobody
-        grid = self._grid(light.wavelength_nm, exposure.paths.collimation, 0.0)
+        grid = self._grid(*by, 0.0)
         if grid is None:
             return nobody
         direction = exposure.paths.mid
@@ -128,12 +138,9 @@ class WaveImages:
         By a grid, corners of the square are dark where its stamps have ended.
         """
         radius_px, chiefs = math.ceil(half_size_px + 0.5), exposure.chiefs
-        worth = self.by_grid or worth_a_grid(light.wavelength_nm, len(light.electrons))
-        if self.camera.diffraction == "waves" and worth:
-            chief, by = chiefs.place_px, (light.wavelength_nm, exposure.paths.collimation)
-            grid = (
-                self._grid(*by, 0.0) if self.by_grid or self._spread(chief) else None
-            )  # that of the images serves, if it is as large
+        chief, by = chiefs.place_px, (light.wavelength_nm, exposure.paths.collimation)
+        if self.camera.diffraction == "waves" and self._pays(chief, *by):
+            grid = self._grid(*by, 0.0)  # that of the images serves, if it is as large
             if grid is not None and grid.radius_px < radius_px:
                 grid = self._grid(*by, float(radius_px))
             if grid is not None and grid.holds(exposure.paths.mid).all() and not chiefs.blocked.any():
@@ -149,19 +156,24 @@ class WaveImages:
         check_lit(result[:, :, 0, :2])
         return result
 
-    def _spread(self, place_px: FloatArray) -> bool:
-        """Whether stars (n, b, 2) spread over so much of the detector that images over all of it are of use."""
-        if not len(place_px):
+    def _pays(self, place_px: FloatArray, wavelength_nm: FloatArray, collimation: Collimation | None) -> bool:
+        """Whether a grid over all of the detector is of use to stars at places (n, b, 2)."""
+        if self.by_grid:
+            return True
+        if len(place_px) < LEAST_STARS or self.camera.diffraction != "waves":
             return False
-        return bool(np.ptp(place_px, axis=(0, 1)).prod() > SPREAD * self.camera.width_px * self.camera.height_px)
+        if np.ptp(place_px, axis=(0, 1)).prod() <= SPREAD * self.camera.width_px * self.camera.height_px:
+            return False
+        key = self._camera_state, *_state(wavelength_nm, collimation), 0.0
+        if key not in _plans:
+            _kept(_plans, key, plan_grid(self.planner, wavelength_nm, collimation))
+        return _plans[key].pays(len(place_px))
 
     def _grid(self, wavelength_nm: FloatArray, collimation: Collimation | None, radius_px: float) -> WaveGrid | None:
         """The grid of images at these wavelengths, at least as large as a radius; None if there is none."""
         key = self._camera_state, *_state(wavelength_nm, collimation), radius_px
         if key not in _grids:
-            while len(_grids) >= GRIDS:
-                _grids.pop(next(iter(_grids)))
-            _grids[key] = build_grid(self.planner, wavelength_nm, collimation, radius_px)
+            _kept(_grids, key, build_grid(self.planner, wavelength_nm, collimation, radius_px))
         return _grids[key]
 
     @cached_property

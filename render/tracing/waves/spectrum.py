@@ -19,12 +19,11 @@ def lagrange(points: FloatArray, at: FloatArray) -> FloatArray:
     """Values (n, p) at n places of the Lagrange polynomials of p points."""
     difference = points[:, None] - points
     np.fill_diagonal(difference, 1.0)
-    result = np.ones((len(at), len(points)))
-    for j in range(len(points)):
-        for i in range(len(points)):
-            if i != j:
-                result[:, j] *= (at - points[i]) / difference[j, i]
-    return result
+    distance = at[:, None] - points
+    before, after = np.ones((2, len(at), len(points)))
+    np.cumprod(distance[:, :-1], axis=1, out=before[:, 1:])
+    np.cumprod(distance[:, :0:-1], axis=1, out=after[:, 1:])
+    return np.asarray(before * after[:, ::-1] / difference.prod(1))
 
 
 def picked_wavelengths(

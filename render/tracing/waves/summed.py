@@ -32,7 +32,7 @@ from render.tracing.waves.plane_waves import (
     phase_changes,
     trace_waves,
 )
-from render.tracing.waves.windows import FieldSampling, window_light, window_samples
+from render.tracing.waves.windows import FieldSampling, image_s, window_light, window_samples, window_terms
 
 __all__ = ["LARGEST_RADIUS_PX", "KeptLight", "Probe", "SummedImages", "Trail"]
 
@@ -209,7 +209,7 @@ class SummedImages:
         keys = list(zip(radius.tolist(), map(tuple, field.tolist()), resolved.tolist(), strict=True))
         for key in sorted(set(keys)):
             alike = np.array([one == key for one in keys])
-            fields, few = tuple(FieldSampling(one) for one in key[1]), order[alike]
+            fields, few = tuple(self.sampling(one) for one in key[1]), order[alike]
             if key[2]:
                 assert series is not None
                 yield Summands(
@@ -224,11 +224,22 @@ class SummedImages:
                     every = np.broadcast_to(most, (len(part), *few.shape[1:]))
                     yield Summands(part, traced, key[0], fields, every, group.mode, None)
 
+    def image_s(self, probe: Probe) -> float:
+        """Processor time of an image of one star, band and wavelength by itself, on a usual machine: a mean."""
+        radius, highest, order = self.needs(probe)
+        field, window = self.sampling(float(highest.max())), 2.0 * float(radius.max()) + 1.0
+        pad = field.pixel(1.0, self.camera.blur_px).reach_px
+        return image_s(float(order.prod(-1).mean()), window_terms(field, window, pad))
+
     def common_needs(self, probes: list[Probe]) -> tuple[int, FieldSampling]:
         """Radius [px] and sampling that serve all stars of probes."""
         needs = [self.needs(probe) for probe in probes]
         radius, highest = (max(float(one[i].max()) for one in needs) for i in (0, 1))
-        return int(radius), FieldSampling(highest)
+        return int(radius), self.sampling(highest)
+
+    def sampling(self, highest: float) -> FieldSampling:
+        """How light of so high a frequency [cycles/px] is sampled."""
+        return FieldSampling.of(highest, self.camera.blur_px)
 
     def _batches(self, stars: IntArray, order: tuple[int, int]) -> Iterator[IntArray]:
         """Stars, as many at a time as may be traced together."""

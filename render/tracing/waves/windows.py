@@ -24,7 +24,17 @@ from scipy.special import i0e, roots_legendre
 from optics.arrays import FloatArray
 from render.tracing.waves.plane_waves import RayArrays
 
-__all__ = ["COARSE_REACH_PX", "BandLimited", "FieldSampling", "PixelTable", "coarser", "window_light", "window_samples"]
+__all__ = [
+    "COARSE_REACH_PX",
+    "BandLimited",
+    "FieldSampling",
+    "PixelTable",
+    "coarser",
+    "image_s",
+    "window_light",
+    "window_samples",
+    "window_terms",
+]
 
 
 LIGHT_RATE = 2.3
@@ -36,6 +46,12 @@ UNSEEN = 6e-4
 lens leaves little of it before."""
 COARSE_REACH_PX = 3.0
 """How far the samples of such images draw on those of |U|^2."""
+DIFFUSED = 2e-5
+"""Part of a wave of light that diffusion leaves, beyond which none is looked for."""
+APART = 1.3
+"""Between the frequencies that are looked for and the copies of others that samples mistake for them [cycles/px]."""
+IMAGE_S, RAY_S, TERM_S = 0.9e-3, 4.3e-7, 7.2e-11
+"""Processor time of an image, of a ray of it, and of a product of two complex numbers."""
 SPREAD = 7
 """Points of the grid of frequencies along an axis to which a ray is spread: errors of 5e-7 of the largest amplitude."""
 OVERSAMPLING = 2
@@ -111,19 +127,32 @@ class FieldSampling:
     """How the fields of a camera's stars are sampled."""
 
     highest: float  # Highest frequency of the intensity [cycles/px]
+    kept: float = math.inf  # Highest that is looked for; coarse pixels see little of the intensity's
+
+    @classmethod
+    def of(cls, highest: float, sigma_px: float) -> FieldSampling:
+        """Sampling of what diffusion leaves."""
+        if sigma_px == 0.0:
+            return cls(highest)
+        return cls(highest, math.sqrt(-0.5 * math.log(DIFFUSED)) / (math.pi * sigma_px))
+
+    @property
+    def _few(self) -> bool:
+        """Whether samples may mistake high frequencies for others that are not looked for."""
+        return self.highest + self.kept + APART < LIGHT_RATE * self.highest
 
     @property
     def light_step(self) -> float:
         """Distance of the samples of |U|^2 [px]."""
-        return 1.0 / math.ceil(LIGHT_RATE * self.highest)
+        return 1.0 / math.ceil(self.highest + self.kept + APART if self._few else LIGHT_RATE * self.highest)
 
     def pixel(self, box_px: float, sigma_px: float) -> BandLimited:
         """Kernel that makes light on pixels or cells, after diffusion, of samples of |U|^2."""
-        high = 1.0 / self.light_step - self.highest
+        low, high = self.kept if self._few else self.highest, 1.0 / self.light_step - self.highest
         left = math.exp(-2.0 * (math.pi * sigma_px * high) ** 2) / (math.pi * high)
-        tail = math.log(max(left, KERNEL_ERROR) / KERNEL_ERROR) / (math.pi * (high - self.highest))
+        tail = math.log(max(left, KERNEL_ERROR) / KERNEL_ERROR) / (math.pi * (high - low))
         reach = max(0.5 * box_px + 5.5 * sigma_px + 0.5, tail)
-        return BandLimited(self.highest, high, reach, box_px, sigma_px)
+        return BandLimited(low, high, reach, box_px, sigma_px)
 
     def seen(self, sigma_px: float) -> FieldSampling:
         """Sampling of what pixels see after diffusion: what lies beyond its highest frequency they take for 0."""
@@ -278,6 +307,21 @@ def window_light(
         u = to_samples @ grid @ to_samples.T
         light += np.float32(shares[k]) * (u.real**2 + u.imag**2)
     return light
+
+
+def window_terms(field: FieldSampling, window_px: float, pad_px: float) -> float:
+    """Products of numbers that make an image over a window of frequencies."""
+    count = len(_samples(field, window_px, pad_px))
+    frequencies = _grid(field, count)[1].shape[1]
+    return float(count * frequencies * (count + frequencies))
+
+
+def image_s(rays: float, terms: float) -> float:
+    """Processor time of an image of one wavelength, of so many rays and products (`window_terms`).
+
+    Of a usual machine of 2024; ``python benchmarks/waves.py --cost`` compares it with the one at hand.
+    """
+    return IMAGE_S + RAY_S * rays + TERM_S * terms
 
 
 def _untilted(
