@@ -1,6 +1,7 @@
 """Diffraction: what it changes for a star of the 206 mm lens, and what it costs, beside other codes in the same run.
 
 python benchmarks/waves.py             # tables of docs/diffraction.md
+python benchmarks/waves.py --cost      # what images and grids cost here, beside what they are estimated to
 python benchmarks/waves.py --speed     # frames per second, terms per second, beside batoid, optiland, prysm and GalSim
 """
 
@@ -17,6 +18,7 @@ import numpy as np
 from optics.frames import field_direction
 from optics.lens.perturb import decentre
 from optics.lens_file import load_lens
+from optics.rays.paraxial import axial_paraxial
 from optics.waves.pupil_field import trace_pupil
 from render.camera import Camera
 from render.records import StarField
@@ -24,7 +26,7 @@ from render.tracing.motion.paths import at_rest
 from render.tracing.psf import render_epsf
 from render.tracing.pupil.sampling import staggered
 from render.tracing.tracer import Tracer
-from render.tracing.waves.grid import build_grid
+from render.tracing.waves.grid import build_grid, plan_grid
 from render.tracing.waves.plane_waves import trace_waves
 from render.tracing.waves.windows import FieldSampling, window_light, window_samples
 
@@ -246,10 +248,38 @@ def frames():
     print(f"one star by itself, 8 wavelengths: {1e3 * wall:.0f} ms, {1e3 * used:.0f} ms of a core")
 
 
+def costs():
+    """Processor time of an image and of a grid, measured and as the renderer estimates it to decide for a grid."""
+    print("| lens | pixel [um] | image [ms] | estimated | grid [s] | estimated | pays from (stars) |")
+    print("|---|---|---|---|---|---|---|")
+    wave = np.linspace(560.0, 640.0, 5)[None]
+    for lens, pitch_um in ((LENS, 5.5), (LENS, 22.0), (LENS, 44.0), ("star_tracker_26mm", 5.5), ("petzval_100mm", 5.5)):
+        size = round(1024 * 5.5 / pitch_um)
+        camera = Camera(lens=load_lens(lens), width_px=size, height_px=size, pixel_pitch_mm=1e-3 * pitch_um,
+                        charge_diffusion_px=SIGMA_PX)  # fmt: skip
+        place = np.random.default_rng(1).uniform(0.0, size - 1.0, (2, 4))
+        focal_mm = float(axial_paraxial(camera.lens, camera.lens.design_wavelength_nm).efl_mm)
+        stars = StarField(direction=camera.nominal_direction(*place, focal_mm), wavelength_nm=wave,
+                          photon_rate=np.ones((4, 1, 5)), band=("b",))  # fmt: skip
+        tracer = Tracer(camera)
+        plan = plan_grid(tracer.planner, wave)
+        image_s = timed(lambda t=tracer, s=stars: t.render(s, exposure_s=1.0), 1)[1] / 20.0
+        before = time.process_time()
+        build_grid(tracer.planner, wave)
+        grid_s = time.process_time() - before
+        pays = next((n for n in range(2, 1000) if plan.pays(n)), "-")
+        cells = lens, f"{pitch_um:g}", f"{1e3 * image_s:.1f}", f"{1e3 * plan.image_s:.1f}"
+        print("| " + " | ".join((*cells, f"{grid_s:.1f}", f"{plan.grid_s:.1f}", str(pays))) + " |")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--speed", action="store_true", help="time it instead")
-    if parser.parse_args().speed:
+    parser.add_argument("--cost", action="store_true", help="measure the cost of images and grids")
+    arguments = parser.parse_args()
+    if arguments.cost:
+        costs()
+    elif arguments.speed:
         frames()
         sums()
     else:

@@ -310,7 +310,7 @@ def plan_grid(
         first = 9.0
     more = (0.5 * RADIAL_SIZES[1] if field.turned else 1.8 * (25.0 if field.mirrored else 81.0)) * field.colours
     if field.kink < 1.0:
-        first, more = 0.0, 1.5 * RADIAL_SIZES[FIRST_KINKED] * field.colours
+        first, more = 0.0, 4.0 * RADIAL_SIZES[FIRST_KINKED] * field.colours
     count = first * field.colours + more + judged
     return GridPlan(field, image_s, count * image_s + (RINGS_S if field.turned else 0.0))
 
