@@ -31,7 +31,7 @@ ORDER = {
     "optics": "arrays errors forbes units < attitude brown_conrady fits frames record_files records textfile < validate"
     " < response < glass < files < lens light < rays < lens_file < export waves < figures page",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing < plugins"
-    " < bench bodies forward < observation",
+    " < baffle bench bodies forward < observation",
     "calib": "directional fitting flags < records < cameras measure < attitude < calibration figures",
 }
 # What experiments share is below them; experiments know nothing of each other's inside.

@@ -20,12 +20,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import erf, hyp2f1
+from scipy.special import erf, hyp2f1, j1
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["ABg", "HarveyShack", "area_coverage", "lens_scatter", "particles_per_mm2", "roughness_tis"]
+__all__ = [
+    "ABg",
+    "HarveyShack",
+    "Particles",
+    "area_coverage",
+    "lens_scatter",
+    "particles_per_mm2",
+    "polished",
+    "roughness_tis",
+]
 
 SLOPE = 0.926
 """Of the logarithm of the number of particles over log^2 of their size (IEST-STD-CC1246)."""
@@ -140,6 +149,12 @@ class ABg:
         return float(math.pi * self.a / self.b * hyp2f1(1.0, share, 1.0 + share, -1.0 / self.b))
 
 
+def polished(tis: float, shoulder: float, slope: float) -> HarveyShack:
+    """The Harvey-Shack law of a surface that scatters a share ``tis`` of its light."""
+    unit = HarveyShack(b0=1.0, shoulder=shoulder, slope=slope)
+    return HarveyShack(b0=tis / unit.tis, shoulder=shoulder, slope=slope)
+
+
 def particles_per_mm2(level: float, size_um: ArrayLike) -> FloatArray:
     """Particles of at least a size on a surface of a cleanliness level, 10^(0.926 (log^2 L - log^2 x)) on 0.1 m^2.
 
@@ -182,3 +197,63 @@ def area_coverage(level: float) -> float:
     area -= math.exp(2.0 * end - a * end**2) - 1.0
     largest = math.exp(2.0 * end) / REFERENCE_MM2
     return float(0.25 * math.pi * 1e-6 * (counted * area + largest))
+
+
+SIZES = 400
+"""Of particles, evenly in the logarithm."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Particles:
+    r"""Angular law of dust: opaque disks that diffract, and throw on a share of what they intercept.
+
+    .. math:: \int n(D) \left( \frac{\pi D^2}{4 \lambda} \right)^2 \left( \frac{2 J_1(x)}{x} \right)^2 dD
+              + \frac{g\, C}{\pi}, \qquad x = \pi D \Delta\beta / \lambda
+
+    with the coverage C (`area_coverage`). The first term integrates to C; rings of disks of one size are not resolved.
+
+    Attributes
+    ----------
+    level : float
+        Cleanliness level (IEST-STD-CC1246) [um], 1 to 5000.
+    wavelength_nm : float
+        Wavelength [nm].
+    forward : float
+        g, the share of the intercepted light that goes on, evenly like that of a Lambertian sheet: an assumption.
+    """
+
+    level: float
+    wavelength_nm: float
+    forward: float = 0.5
+
+    def __post_init__(self) -> None:
+        _positive(wavelength_nm=self.wavelength_nm)
+        particles_per_mm2(self.level, 1.0)
+        if not 0.0 <= self.forward <= 1.0:
+            raise DomainError(f"forward = {self.forward:g}; the share of light that goes on lies in 0 ... 1")
+
+    def bsdf(self, sine_difference: ArrayLike) -> FloatArray:
+        """BSDF [1/sr] at differences of sines."""
+        delta = np.abs(np.asarray(sine_difference, dtype=np.float64))
+        edges = np.geomspace(1.0, max(self.level, 1.0), SIZES + 1)
+        counts = particles_per_mm2(self.level, edges)
+        share = np.append(counts[:-1] - counts[1:], counts[-1])  # what is left at the end is the largest size
+        size_mm = 1e-3 * np.append(np.sqrt(edges[:-1] * edges[1:]), edges[-1])
+        wave_mm = 1e-6 * self.wavelength_nm
+        peak = share * (0.25 * math.pi * size_mm**2 / wave_mm) ** 2
+        knots = np.concatenate([[0.0], np.geomspace(1e-7, 4.0, 1200)])
+        x = np.maximum(math.pi * size_mm * knots[:, None] / wave_mm, 1e-9)
+        # beyond the second ring the mean of the rings: J1^2 -> 1 / (pi x)
+        airy = np.where(x < 7.0156, (2.0 * j1(x) / x) ** 2, 4.0 / (math.pi * x**3))
+        law = np.log(airy @ peak)
+        diffracted = np.exp(np.interp(np.log(np.maximum(delta, 1e-7)), np.log(np.maximum(knots[1:], 1e-7)), law[1:]))
+        return np.asarray(np.where(delta < 1e-7, math.exp(law[0]), diffracted) + self.forward * self._area / math.pi)
+
+    @property
+    def _area(self) -> float:
+        return area_coverage(self.level)
+
+    @property
+    def tis(self) -> float:
+        """Scattered in all, (1 + g) C; as much as is covered, C, is lost from the beam besides what is diffracted."""
+        return (1.0 + self.forward) * self._area

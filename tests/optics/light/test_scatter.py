@@ -7,7 +7,16 @@ from scipy.integrate import quad
 from optics.errors import DomainError
 from optics.glass.catalogue import get_glass
 from optics.lens.prescription import lens_from_table
-from optics.light.scatter import ABg, HarveyShack, area_coverage, lens_scatter, particles_per_mm2, roughness_tis
+from optics.light.scatter import (
+    ABg,
+    HarveyShack,
+    Particles,
+    area_coverage,
+    lens_scatter,
+    particles_per_mm2,
+    polished,
+    roughness_tis,
+)
 
 
 def test_roughness() -> None:
@@ -73,3 +82,35 @@ def test_mistakes() -> None:
         HarveyShack(b0=1.0, shoulder=-1.0, slope=-2.0)
     with pytest.raises(DomainError, match="between 1 um and the level"):
         particles_per_mm2(100.0, 200.0)
+
+
+@pytest.mark.parametrize("level", [50.0, 300.0, 700.0])
+def test_dust_diffracts_as_much_as_it_covers(level: float) -> None:
+    """Babinet: the integral of the diffracted light is the coverage, which is summed elsewhere in closed form."""
+    law = Particles(level=level, wavelength_nm=600.0, forward=0.0)
+    delta = np.append(0.0, np.geomspace(1e-8, 4.0, 8000))
+    light = np.trapezoid(2.0 * np.pi * delta * law.bsdf(delta), delta)
+    assert light == pytest.approx(area_coverage(level), rel=5e-3)
+    assert law.tis == pytest.approx(area_coverage(level), rel=1e-12)
+
+
+def test_dust_of_one_size_is_an_airy_disk_in_the_middle() -> None:
+    """At level 1 all particles are 1 um wide: n (pi D^2 / 4 lambda)^2 straight on, half of it where Airy has it."""
+    law = Particles(level=1.0, wavelength_nm=500.0, forward=0.0)
+    count = 1e-5 * 1.0  # one particle on 0.1 m^2, counted twice: as the distribution and as the largest
+    straight = (np.pi * 1e-6 / 4.0 / 5e-4) ** 2
+    assert float(law.bsdf(0.0)) == pytest.approx(count * straight, rel=0.01)
+    assert float(law.bsdf(1.6163 / np.pi * 0.5) / law.bsdf(0.0)) == pytest.approx(0.5, abs=0.01)
+
+
+def test_what_dust_throws_on_is_spread_evenly() -> None:
+    bare, bright = (Particles(level=300.0, wavelength_nm=600.0, forward=g) for g in (0.0, 0.8))
+    apart = bright.bsdf([0.01, 0.5]) - bare.bsdf([0.01, 0.5])
+    np.testing.assert_allclose(apart, 0.8 * area_coverage(300.0) / np.pi, rtol=1e-9)
+    with pytest.raises(DomainError, match="forward"):
+        Particles(level=300.0, wavelength_nm=600.0, forward=1.5)
+
+
+def test_a_polished_surface_scatters_what_it_is_told() -> None:
+    for slope in (-1.5, -2.0, -3.0):
+        assert polished(0.0123, 0.02, slope).tis == pytest.approx(0.0123, rel=1e-12)

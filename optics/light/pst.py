@@ -1,0 +1,174 @@
+"""Point-source transmittance: stray light of a source against its angle, by cause, as a table that can be kept.
+
+PST is the mean irradiance on the detector over the irradiance of the source through a plane that faces it, without the
+source's own image.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, DomainError
+from optics.records import freeze
+
+__all__ = ["PointSourceTransmittance", "read_pst", "write_pst"]
+
+FLOOR = 1e-30
+"""What stands for no light where logarithms are taken."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PointSourceTransmittance:
+    """Stray light against the angle between a source and the boresight.
+
+    Attributes
+    ----------
+    angle_deg : (a,)
+        Increasing angles, above 0 to 90.
+    azimuth_deg : (z,)
+        Increasing, 0 ... 90, from columns towards rows. Both axes of the detector are taken as mirrors: a source at any
+        azimuth has that of its quadrant; beyond the first or last the values there hold.
+    causes : tuple of str
+        Names of the c parts.
+    value, error : (c, z, a)
+        PST of each part, and standard errors, which count as independent.
+    source : str
+        Where the table comes from.
+
+    Raises
+    ------
+    DomainError
+        Angles that do not increase or lie outside, negative values or errors.
+    """
+
+    angle_deg: FloatArray
+    azimuth_deg: FloatArray
+    causes: tuple[str, ...]
+    value: FloatArray
+    error: FloatArray
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        sizes = {"c": len(self.causes)}
+        angle = freeze(self, "angle_deg", shape=("a",), sizes=sizes)
+        azimuth = freeze(self, "azimuth_deg", shape=("z",), sizes=sizes)
+        for name, one, low in (("angle", angle, 0.0), ("azimuth", azimuth, -1e-12)):
+            if not len(one) or one[0] <= low or one[-1] > 90.0 or (np.diff(one) <= 0.0).any():
+                raise DomainError(f"PST: {name}s must increase within 0 ... 90 deg; they are {one.tolist()}")
+        for name in ("value", "error"):
+            one = freeze(self, name, shape=("c", "z", "a"), sizes=sizes)
+            if (one < 0.0).any():
+                raise DomainError(f"PST: {name} of {one.min():g}; it must not be negative")
+
+    @property
+    def total(self) -> FloatArray:
+        """Sum of all causes (z, a)."""
+        return np.asarray(self.value.sum(axis=0))
+
+    @property
+    def total_error(self) -> FloatArray:
+        """Its standard error (z, a)."""
+        return np.asarray(np.sqrt((self.error**2).sum(axis=0)))
+
+    def at(self, v_cam: ArrayLike) -> FloatArray:
+        """Total for sources at unit vectors (..., 3) in cam.
+
+        In the logarithm, linear in the logarithm of the angle and in the azimuth; nearer than the first angle its value
+        holds, behind the camera there is none.
+        """
+        v = np.asarray(v_cam, dtype=np.float64)
+        angle = np.degrees(np.arctan2(np.hypot(v[..., 0], v[..., 1]), v[..., 2]))
+        azimuth = np.degrees(np.arctan2(np.abs(v[..., 1]), np.abs(v[..., 0])))
+        log = np.log(np.maximum(self.total, FLOOR))
+        place = np.log(np.maximum(angle, self.angle_deg[0]))
+        rows = np.stack([np.interp(place, np.log(self.angle_deg), row) for row in log])
+        number = np.interp(azimuth, self.azimuth_deg, np.arange(len(self.azimuth_deg)))
+        below = np.minimum(number.astype(int), len(rows) - 1)
+        above, share = np.minimum(below + 1, len(rows) - 1), number - below
+        lower, upper = (np.take_along_axis(rows, at[None], axis=0)[0] for at in (below, above))
+        found = np.exp((1.0 - share) * lower + share * upper)
+        return np.where((angle > 90.0) | (found <= 2.0 * FLOOR), 0.0, found)
+
+
+def write_pst(path: str | Path, pst: PointSourceTransmittance) -> Path:
+    """Write a table as ECSV (suffix ``.ecsv``) or CSV: ``angle_deg``, ``azimuth_deg``, each cause and its error."""
+    lines = []
+    if Path(path).suffix == ".ecsv":
+        names = [f"{cause}{end}" for cause in pst.causes for end in ("", "_error")]
+        lines = ["# %ECSV 1.0", "# ---", "# datatype:"]
+        lines += [f"# - {{name: {name}, unit: deg, datatype: float64}}" for name in ("angle_deg", "azimuth_deg")]
+        lines += [f"# - {{name: {name}, datatype: float64}}" for name in names]
+        lines += ["# delimiter: ','", f"# meta: {{source: '{pst.source.replace(chr(39), chr(39) * 2)}'}}"]
+        lines += ["# schema: astropy-2.0"]
+    heads = [name for cause in pst.causes for name in (cause, f"{cause}_error")]
+    lines.append(",".join(["angle_deg", "azimuth_deg", *heads]))
+    for z, azimuth in enumerate(pst.azimuth_deg):
+        for a, angle in enumerate(pst.angle_deg):
+            cells = np.stack([pst.value[:, z, a], pst.error[:, z, a]], axis=-1).ravel()
+            lines.append(",".join(repr(float(v)) for v in (angle, azimuth, *cells)))
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return Path(path)
+
+
+def read_pst(path: str | Path) -> PointSourceTransmittance:
+    """Read a table that `write_pst` wrote, or one's own.
+
+    Parameters
+    ----------
+    path : path
+        CSV or ECSV with the columns ``angle_deg`` and one per cause (``pst`` will do), each with ``NAME_error`` if
+        known; ``azimuth_deg`` may be left out. Every azimuth has the same angles. ``total`` beside others is not read.
+
+    Raises
+    ------
+    ConfigError
+        No such file, columns that are missing or hold no numbers, a grid that is not full.
+    DomainError
+        As `PointSourceTransmittance`.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as a table of PST ({error})") from None
+    plain = "\n".join(line for line in text.splitlines() if line.strip() and not line.startswith("#"))
+    head, _, rest = plain.partition("\n")
+    comma = "," in head
+    names = [name.strip().strip('"') for name in (head.split(",") if comma else head.split())]
+    try:
+        table = np.loadtxt(io.StringIO(rest), delimiter="," if comma else None, ndmin=2)
+    except ValueError as error:
+        raise ConfigError(f"{path}: not a table of numbers ({error})") from None
+    if "angle_deg" not in names or table.shape[1:] != (len(names),) or not len(table):
+        raise ConfigError(f"{path}: a table of PST has a head with angle_deg and rows of as many numbers")
+    columns = dict(zip(names, table.T, strict=True))
+    causes = _causes(names)
+    if not causes:
+        raise ConfigError(f"{path}: there is no column besides the angles; one with the PST is needed")
+    azimuth = columns.get("azimuth_deg", np.zeros(len(table)))
+    angles, azimuths = np.unique(columns["angle_deg"]), np.unique(azimuth)
+    order = np.lexsort((columns["angle_deg"], azimuth))
+    full = len(order) == len(angles) * len(azimuths)
+    if not full or not np.array_equal(columns["angle_deg"][order], np.tile(angles, len(azimuths))):
+        raise ConfigError(f"{path}: every azimuth needs the same angles, each once")
+    shape = (len(azimuths), len(angles))
+    none = np.zeros(len(table))
+    return PointSourceTransmittance(
+        angle_deg=angles,
+        azimuth_deg=azimuths,
+        causes=tuple(causes),
+        value=np.stack([columns[one][order].reshape(shape) for one in causes]),
+        error=np.stack([columns.get(f"{one}_error", none)[order].reshape(shape) for one in causes]),
+        source=str(path),
+    )
+
+
+def _causes(names: Sequence[str]) -> list[str]:
+    own = [n for n in names if n not in ("angle_deg", "azimuth_deg") and not n.endswith("_error")]
+    return [name for name in own if name != "total"] or own

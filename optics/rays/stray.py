@@ -1,0 +1,459 @@
+r"""Stray light of a lens on its detector: scatter of every surface, and ghosts, for sources in or outside the field.
+
+**Scatter** is a deterministic sum. Rays that image a point p of the detector are traced over the pupil; where such a
+ray crosses surface k, the ray of the source through the same point is looked for (Newton in the plane where it starts),
+and the surface turns a part of its light into the imaging ray. With the radiance over n^2 kept along rays, q the
+tangential part of n times a direction, and S(q) the BSDF per such direction (`optics.light.scatter`),
+
+.. math::
+
+   \frac{E(p)}{E_{in}} = \sum_{pupil} \frac{dA_\perp\, d\Omega}{dA_p} \; T_{k \to p} \; S(|q_{ray} - q_{source}|) \;
+   T_{\to k} \cos\theta \left| \frac{\partial(u, v)}{\partial(x, y)_k} \right| |N_z|
+
+where :math:`dA_\perp d\Omega / dA_p` is the throughput of the pupil element in object space, (u, v) the plane of start,
+:math:`(x, y)_k` and N the vertex plane and normal of the surface. What is scattered back, scattered twice, or scattered
+inside glass is not taken; nor are walls and edges of the lens barrel.
+
+**Ghosts** are those of `optics.rays.ghosts`, traced for light over the whole first surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.frames import light_direction
+from optics.glass.coating import BARE, Coating
+from optics.lens.system import AMBIENT, LensSystem
+from optics.rays.beam import find_beams
+from optics.rays.ghosts import ghost_pairs, trace_ghost
+from optics.rays.pupil import entrance_pupil, gauss_disk
+from optics.rays.trace import OK, TOTAL_REFLECTION, Rays, trace
+
+__all__ = [
+    "GhostLight",
+    "ImagingRays",
+    "LensScatter",
+    "ScatterLaw",
+    "entrance_radius_mm",
+    "ghost_light",
+    "imaging_rays",
+    "lens_scatter_light",
+    "scattering_surfaces",
+]
+
+ScatterLaw = Callable[[FloatArray], FloatArray]
+"""BSDF [1/sr] at differences of n times sine: the ``bsdf`` of a law of `optics.light.scatter`."""
+NEWTON_STEPS, NEWTON_MM = 12, 1e-6
+"""Steps towards a point of a surface, and the distance at which it is reached."""
+STEP_MM = 1e-4
+START = 15
+"""Rays along each side of the grid that the search starts from."""
+FIELD_STEP = 1e-4
+"""Of direction cosines, for the scale of the image."""
+SLACK = 1.25
+"""Where a first surface has no rim, light falls on so much more than the entrance pupil."""
+
+
+def entrance_radius_mm(lens: LensSystem) -> float:
+    """Radius of the first surface that light falls on: its clear aperture, or more than the entrance pupil."""
+    rim = lens.surfaces[0].semi_diameter_mm
+    return float(rim) if np.isfinite(rim) else SLACK * entrance_pupil(lens).radius_mm
+
+
+def scattering_surfaces(lens: LensSystem) -> list[int]:
+    """Numbers of the surfaces between two media, and of mirrors."""
+    media = lens.media
+    return [
+        number
+        for number, surface in enumerate(lens.surfaces)
+        if surface.mirror or (not surface.shape.redirects and media[number] != media[number + 1])
+    ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Crossing:
+    """Rays (n,) on a surface; points in its vertex frame, directions in the lens frame."""
+
+    x: FloatArray
+    y: FloatArray
+    before: FloatArray  # (3, n)
+    after: FloatArray  # (3, n)
+    share: FloatArray  # Light that is left behind the surface, whatever apertures do
+    arrived: np.typing.NDArray[np.bool_]  # Whether the ray gets to the surface and through its aperture
+
+
+class _Light:
+    """What the surfaces of a lens leave of light at one wavelength."""
+
+    def __init__(self, lens: LensSystem, wave: float, coating: Coating | None, absorption: bool) -> None:
+        self.lens, self.wave, self.coating, self.absorption = lens, wave, coating, absorption
+        self.index = lens.indices(wave)
+        self.relative = self.index / self.index[0]
+
+    def follow(self, rays: Rays, last: int | None = None) -> tuple[list[_Crossing], Rays]:
+        """All crossings up to the surface ``last``, or to the image."""
+        lens, found = self.lens, []
+        if last is not None:
+            lens = _up_to(lens, last)
+        before, opl = np.stack([rays.dx, rays.dy, rays.dz]), rays.opl_mm
+        share = np.ones(np.shape(rays.x))
+
+        def visit(number: int, now: Rays) -> None:
+            nonlocal before, opl, share
+            if number >= len(lens.surfaces):
+                return
+            after = lens.poses[number][1] @ np.stack([now.dx, now.dy, now.dz])
+            share = share * self._passed(number, before, after, now.opl_mm - opl)
+            got = (now.status == OK) | ((now.status == TOTAL_REFLECTION) & (now.failed_at == number))
+            found.append(_Crossing(now.x, now.y, before, after, share, np.asarray(got)))
+            before, opl = after, now.opl_mm
+
+        return found, trace(lens, rays, visit)
+
+    def _passed(self, number: int, before: FloatArray, after: FloatArray, path: FloatArray) -> FloatArray:
+        lens, surface = self.lens, self.lens.surfaces[number]
+        left = np.ones(path.shape)
+        glass = lens.glasses.get(lens.media[number][0])
+        if glass is not None and self.absorption:
+            length = np.nan_to_num(np.maximum(path / self.index[number], 0.0))
+            left = left * glass.internal_transmittance(self.wave, length)
+        n1, n2 = self.relative[number], self.relative[number + 1]
+        if surface.mirror:
+            if surface.coating is None:
+                return left
+            cosine = 0.5 * np.linalg.norm(after - before, axis=0)
+            return np.asarray(left * surface.coating.split(self.wave, n1, n1, np.nan_to_num(cosine)).reflectance)
+        if lens.media[number] == lens.media[number + 1] or surface.shape.redirects:
+            return left
+        coating = surface.coating
+        if coating is None and AMBIENT in (lens.media[number][0], lens.media[number + 1][0]):
+            coating = self.coating
+        across = n2 * after - n1 * before
+        length = np.linalg.norm(across, axis=0)
+        cosine = np.abs((across * before).sum(axis=0)) / np.where(length > 0.0, length, 1.0)
+        cosine = np.clip(np.nan_to_num(cosine, nan=1.0), 1e-6, 1.0)
+        return np.asarray(left * (coating or BARE).split(self.wave, n1, n2, cosine).transmittance)
+
+
+def _up_to(lens: LensSystem, last: int) -> LensSystem:
+    """The lens as far as a surface, on whose vertex the image plane lies."""
+    surfaces = tuple(replace(one, is_stop=at == 0) for at, one in enumerate(lens.surfaces[: last + 1]))
+    return replace(lens, surfaces=surfaces, image_position_mm=surfaces[-1].position_mm, image_rotation=np.eye(3))
+
+
+# --- Rays that image points of the detector
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImagingRays:
+    """Rays over the pupil for each of p points of the detector, j each; made by `imaging_rays`."""
+
+    lens: LensSystem
+    wavelength_nm: float
+    x_mm: FloatArray  # (p,) Points, in the frame of the image plane
+    y_mm: FloatArray
+    throughput: FloatArray  # (p, j) Of each ray: area x solid angle in object space per area of the detector [sr]
+    transmission: FloatArray  # (p, j) Of the whole lens, 0 for rays that do not arrive
+    light: _Light
+    crossings: tuple[_Crossing, ...]
+
+    @property
+    def irradiance(self) -> FloatArray:
+        """On the detector (p,) in front of a sky of unit radiance."""
+        return np.asarray((self.throughput * self.transmission).sum(axis=1))
+
+
+def imaging_rays(
+    lens: LensSystem,
+    v_cam: ArrayLike,
+    *,
+    wavelength_nm: float | None = None,
+    coating: Coating | None = None,
+    absorption: bool = True,
+    rings: int = 4,
+    arms: int = 10,
+) -> ImagingRays:
+    """Rays of the stars at unit vectors (p, 3) in cam, which stand for the points of the detector that they fall on.
+
+    Parameters
+    ----------
+    lens : LensSystem
+        The lens.
+    v_cam : (p, 3)
+        Directions in the field.
+    wavelength_nm, coating, absorption
+        As `optics.rays.ghosts.find_ghosts`.
+    rings, arms : int
+        Of the pupil (`optics.rays.beam.find_beams`).
+
+    Raises
+    ------
+    DomainError
+        A measured or ideal lens, which has no surfaces that scatter; directions that are not imaged.
+    """
+    lens.check_surfaces()
+    wave = lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
+    stars = np.asarray(v_cam, dtype=np.float64)
+    beams = find_beams(lens, stars, np.array([wave]), rings=rings, arms=arms)
+    x0, y0, area = (v[:, 0] for v in (beams.x_mm, beams.y_mm, beams.area_mm2))
+    light = _Light(lens, wave, coating, absorption)
+
+    def traced(directions: FloatArray) -> tuple[list[_Crossing], Rays]:
+        along = np.repeat(light_direction(directions), x0.shape[1], axis=0)
+        rays = Rays.create(
+            x_mm=x0.ravel(), y_mm=y0.ravel(), z_mm=beams.z_mm, direction=along, wavelength_nm=np.full(x0.size, wave)
+        )
+        return light.follow(rays)
+
+    crossings, arrived = traced(stars)
+    shape = x0.shape
+    ok = np.asarray(arrived.status == OK).reshape(shape) & (area > 0.0)
+    if not ok.any(axis=1).all():
+        raise DomainError(f"lens {lens.name!r}: {int((~ok.any(axis=1)).sum())} of the directions are not imaged")
+    weight = np.where(ok, area, 0.0)
+    weight = weight / weight.sum(axis=1, keepdims=True)
+
+    def centroid(rays: Rays) -> FloatArray:
+        return np.stack([(weight * np.where(ok, v.reshape(shape), 0.0)).sum(axis=1) for v in (rays.x, rays.y)])
+
+    # scale of the image: two neighbours of every direction, with the same rays
+    first = np.stack([np.ones(len(stars)), np.zeros(len(stars)), -stars[:, 0] / stars[:, 2]], axis=-1)
+    second = np.stack([np.zeros(len(stars)), np.ones(len(stars)), -stars[:, 1] / stars[:, 2]], axis=-1)
+    moved = []
+    for along in (first, second):
+        ends = [stars + sign * FIELD_STEP * along for sign in (-1.0, 1.0)]
+        ends = [one / np.linalg.norm(one, axis=1, keepdims=True) for one in ends]
+        moved.append(np.subtract(*(centroid(traced(one)[1]) for one in reversed(ends))))
+    scale = np.abs(moved[0][0] * moved[1][1] - moved[0][1] * moved[1][0])
+    solid = (2.0 * FIELD_STEP) ** 2 / stars[:, 2]  # dx dy of the direction cosines over z
+    x, y = centroid(arrived)
+    share = crossings[-1].share.reshape(shape)
+    return ImagingRays(
+        lens=lens,
+        wavelength_nm=wave,
+        x_mm=x,
+        y_mm=y,
+        throughput=area * (stars[:, 2] * solid / scale)[:, None],
+        transmission=np.where(ok, share, 0.0),
+        light=light,
+        crossings=tuple(crossings),
+    )
+
+
+# --- Scatter
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensScatter:
+    """Light that surfaces scatter onto p points of the detector, over that of the source at the entrance."""
+
+    surface: tuple[int, ...]  # Numbers of the k surfaces
+    # Name of each cause -> (p, k) irradiance over that of the source through a plane that faces it
+    by_cause: Mapping[str, FloatArray]
+    lost: FloatArray  # (k,) Share of the rays for which no ray of the source was found though the surface is lit
+
+    def total(self, cause: str) -> FloatArray:
+        """Of all surfaces (p,)."""
+        return np.asarray(self.by_cause[cause].sum(axis=1))
+
+
+def lens_scatter_light(
+    imaging: ImagingRays, v_source: ArrayLike, laws: Mapping[str, Mapping[int, ScatterLaw]]
+) -> LensScatter:
+    """Scatter of a distant point source by all surfaces of a lens.
+
+    Parameters
+    ----------
+    imaging : ImagingRays
+        Points of the detector, lens, wavelength, coatings.
+    v_source : (3,)
+        Unit vector towards the source in cam, in front of the lens.
+    laws : mapping
+        Cause -> number of a surface -> its law.
+
+    Raises
+    ------
+    DomainError
+        A source beside or behind the lens.
+    """
+    source = np.asarray(v_source, dtype=np.float64)
+    if not source[2] > 0.0:
+        raise DomainError("a source at 90 deg or more from the boresight does not shine into the lens")
+    known = scattering_surfaces(imaging.lens)
+    numbers = tuple(sorted({number for one in laws.values() for number in one}))
+    for number in set(numbers) - set(known):
+        raise DomainError(f"{imaging.lens.label(number)} lies between equal media and does not scatter")
+    shape = imaging.throughput.shape
+    found = {cause: np.zeros((shape[0], len(numbers))) for cause in laws}
+    lost = np.zeros(len(numbers))
+    for at, number in enumerate(numbers):
+        delta, flux, lost[at] = _scattered(imaging, source, number)
+        for cause, own in laws.items():
+            if number in own:
+                found[cause][:, at] = (flux * own[number](delta)).reshape(shape).sum(axis=1)
+    return LensScatter(surface=numbers, by_cause=found, lost=lost)
+
+
+def _scattered(imaging: ImagingRays, source: FloatArray, number: int) -> tuple[FloatArray, FloatArray, float]:
+    """Difference of n sine, and what a BSDF of 1 / sr would scatter, for all rays (p j,) at a surface."""
+    light, lens, own = imaging.light, imaging.lens, imaging.crossings[number]
+    n1, n2 = light.relative[number], light.relative[number + 1]
+    mirror = lens.surfaces[number].mirror
+    normal = (n1 if mirror else n2) * own.after - n1 * own.before
+    normal = normal / np.linalg.norm(normal, axis=0)
+    lit, (source_before, share, jacobian) = _meet(light, source, number, own)
+    used = imaging.transmission.ravel() > 0.0
+    n = n1 if mirror else n2
+    ray, came = n * own.after, n1 * source_before
+    apart = (ray - normal * (ray * normal).sum(axis=0)) - (came - normal * (came * normal).sum(axis=0))
+    tilt = np.abs(lens.surfaces[number].rotation[:, 2] @ normal)
+    behind = imaging.transmission.ravel() / np.where(own.share > 0.0, own.share, 1.0)
+    own_share = own.share if number == 0 else own.share / np.maximum(imaging.crossings[number - 1].share, 1e-300)
+    flux = imaging.throughput.ravel() * behind * own_share * share * source[2] * jacobian * tilt
+    good = lit & used
+    return (
+        np.where(good, np.linalg.norm(apart, axis=0), 0.0),
+        np.where(good, flux, 0.0),
+        float((used & ~np.isfinite(jacobian)).sum() / max(used.sum(), 1)),
+    )
+
+
+def _meet(
+    light: _Light, source: FloatArray, number: int, own: _Crossing
+) -> tuple[np.typing.NDArray[np.bool_], tuple[FloatArray, FloatArray, FloatArray]]:
+    """The source's ray at points of a surface: whether it gets there, its direction before the surface (3, n), what
+    is left of its light in front of it, and d(u, v) / d(x, y); NaN where it was not found.
+    """  # fmt: skip
+    lens, direction = light.lens, light_direction(source)
+    radius = entrance_radius_mm(lens)
+    first = lens.surfaces[0]
+    # the plane of start lies in front of all of the first surface
+    rim = np.array([0.0, radius])
+    depth = float(np.nanmax(np.abs(np.nan_to_num(first.shape.sag(rim, 0.0 * rim))))) + 1.0
+    centre = first.position_mm - direction / direction[2] * depth
+
+    def at(u: FloatArray, v: FloatArray) -> _Crossing:
+        rays = Rays.create(
+            x_mm=centre[0] + u, y_mm=centre[1] + v, z_mm=centre[2], direction=direction, wavelength_nm=light.wave
+        )
+        return light.follow(rays, number)[0][number]
+
+    def through(u: FloatArray, v: FloatArray) -> FloatArray:
+        there = at(u, v)
+        return np.stack([there.x, there.y])
+
+    span = np.linspace(-1.0, 1.0, START) * 1.1 * radius
+    u, v = (w.ravel() for w in np.meshgrid(span, span))
+    there = at(u, v)
+    seen = there.arrived & np.isfinite(there.x + there.y)
+    target = np.stack([own.x, own.y])
+    nothing = np.full(target.shape[1:], np.nan)
+    nowhere = (np.zeros(target.shape[1], bool), (np.zeros((3, target.shape[1])), nothing, nothing))
+    if seen.sum() < 3:
+        if not seen.any():
+            return nowhere[0], (nowhere[1][0], 0.0 * np.zeros(target.shape[1]), np.zeros(target.shape[1]))
+        seen = np.isfinite(there.x + there.y)
+    basis = np.stack([there.x, there.y, np.ones_like(there.x)], axis=-1)[seen]
+    fit, *_ = np.linalg.lstsq(basis, np.stack([u, v], axis=-1)[seen], rcond=None)
+    place = (np.stack([*target, np.ones(target.shape[1])], axis=-1) @ fit).T
+    with np.errstate(all="ignore"):
+        for _ in range(NEWTON_STEPS):
+            here = through(*place)
+            dx = (through(place[0] + STEP_MM, place[1]) - here) / STEP_MM
+            dy = (through(place[0], place[1] + STEP_MM) - here) / STEP_MM
+            determinant = dx[0] * dy[1] - dx[1] * dy[0]
+            miss = target - here
+            if np.nanmax(np.abs(miss), initial=0.0) < NEWTON_MM:
+                break
+            step = np.stack([miss[0] * dy[1] - miss[1] * dy[0], dx[0] * miss[1] - dx[1] * miss[0]]) / determinant
+            length = np.linalg.norm(step, axis=0)
+            place = place + np.nan_to_num(step * np.minimum(1.0, radius / np.maximum(length, 1e-300)))
+        final = at(*place)
+        miss = np.hypot(final.x - target[0], final.y - target[1])
+    reached = np.isfinite(miss) & (miss < 1e3 * NEWTON_MM)
+    share = np.ones(len(miss))
+    if number:
+        share = light.follow(
+            Rays.create(
+                x_mm=centre[0] + place[0],
+                y_mm=centre[1] + place[1],
+                z_mm=centre[2],
+                direction=direction,
+                wavelength_nm=light.wave,
+            ),
+            number,
+        )[0][number - 1].share
+    jacobian = np.where(reached, 1.0 / np.abs(np.where(determinant == 0.0, np.nan, determinant)), np.nan)
+    return reached & final.arrived, (final.before, share, jacobian)
+
+
+# --- Ghosts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GhostLight:
+    """Ghosts of a source as light on a rectangle about the axis."""
+
+    pairs: tuple[tuple[int, int], ...]
+    value: FloatArray  # (g,) Mean irradiance over that of the source through a plane that faces it
+    error: FloatArray  # (g,) As if the rays had been drawn
+
+
+def ghost_light(
+    lens: LensSystem,
+    v_source: ArrayLike,
+    half_mm: Sequence[float],
+    *,
+    wavelength_nm: float | None = None,
+    coating: Coating | None = None,
+    detector_reflectance: float = 0.2,
+    absorption: bool = True,
+    rings: int = 20,
+    arms: int = 48,
+) -> GhostLight:
+    """Light that all pairs of reflections throw on a detector of half sizes ``half_mm``, source anywhere in front.
+
+    Parameters as of `optics.rays.ghosts.find_ghosts`; ``rings`` x ``arms`` rays fill the first surface.
+    """
+    lens.check_surfaces()
+    if not 0.0 <= detector_reflectance <= 1.0:
+        raise DomainError(f"detector_reflectance = {detector_reflectance:g}; it must lie in 0 ... 1")
+    wave = lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
+    source = np.asarray(v_source, dtype=np.float64)
+    if not source[2] > 0.0:
+        raise DomainError("a source at 90 deg or more from the boresight does not shine into the lens")
+    direction, first, radius = light_direction(source), lens.surfaces[0], entrance_radius_mm(lens)
+    rim = np.array([0.0, radius])
+    sag = float(np.nanmax(np.abs(np.nan_to_num(first.shape.sag(rim, 0.0 * rim)))))
+    slope = float(np.hypot(*direction[:2]) / direction[2])
+    wide, samples = radius + sag * slope, gauss_disk(rings, arms)
+    back = direction / direction[2] * (sag + 1.0)
+    rays = Rays.create(
+        x_mm=first.position_mm[0] - back[0] + wide * samples.x,
+        y_mm=first.position_mm[1] - back[1] + wide * samples.y,
+        z_mm=first.position_mm[2] - back[2],
+        direction=direction,
+        wavelength_nm=wave,
+    )
+    weight = samples.weight * np.pi * wide**2 * source[2] / (4.0 * half_mm[0] * half_mm[1])
+    pairs = tuple(ghost_pairs(lens))
+    value, error = np.zeros(len(pairs)), np.zeros(len(pairs))
+    for at, pair in enumerate(pairs):
+        one = trace_ghost(
+            lens,
+            pair,
+            rays,
+            weight,
+            coating=coating,
+            detector_reflectance=detector_reflectance,
+            absorption=absorption,
+        )
+        on = (one.weight > 0.0) & (np.abs(one.rays.x) <= half_mm[0]) & (np.abs(one.rays.y) <= half_mm[1])
+        value[at], error[at] = one.weight[on].sum(), np.sqrt((one.weight[on] ** 2).sum())
+    return GhostLight(pairs=pairs, value=value, error=error)

@@ -1,0 +1,94 @@
+"""Table of point-source transmittance: kept, read back, looked up."""
+
+import numpy as np
+import pytest
+
+from optics.errors import ConfigError, DomainError
+from optics.light.pst import PointSourceTransmittance, read_pst, write_pst
+
+
+def example() -> PointSourceTransmittance:
+    angle, azimuth = np.array([1.0, 10.0, 90.0]), np.array([0.0, 45.0])
+    value = np.stack([np.stack([angle**-2.0, 4.0 * angle**-2.0]), np.zeros((2, 3))])
+    return PointSourceTransmittance(
+        angle_deg=angle, azimuth_deg=azimuth, causes=("ghosts", "walls"), value=value, error=0.1 * value, source="it's"
+    )
+
+
+def towards(angle_deg: float, azimuth_deg: float) -> np.ndarray:
+    a, p = np.radians([angle_deg, azimuth_deg])
+    return np.array([np.sin(a) * np.cos(p), np.sin(a) * np.sin(p), np.cos(a)])
+
+
+@pytest.mark.parametrize("suffix", ["csv", "ecsv"])
+def test_a_table_comes_back_as_it_was(tmp_path, suffix: str) -> None:
+    pst = example()
+    back = read_pst(write_pst(tmp_path / f"pst.{suffix}", pst))
+    assert back.causes == pst.causes
+    for name in ("angle_deg", "azimuth_deg", "value", "error"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(pst, name))
+
+
+def test_astropy_reads_it(tmp_path) -> None:
+    from astropy.table import Table
+
+    table = Table.read(write_pst(tmp_path / "pst.ecsv", example()))
+    assert table["angle_deg"].unit == "deg"
+    assert table.meta["source"] == "it's"
+    assert table["ghosts"][1] == 0.01
+
+
+def test_power_laws_are_met_between_the_angles() -> None:
+    pst = example()
+    for angle in (1.0, 2.0, 7.0, 33.0):
+        assert pst.at(towards(angle, 0.0)) == pytest.approx(angle**-2.0, rel=1e-12)
+        assert pst.at(towards(angle, 135.0)) == pytest.approx(4.0 * angle**-2.0, rel=1e-12)  # its quadrant's
+        assert pst.at(towards(angle, -22.5)) == pytest.approx(2.0 * angle**-2.0, rel=1e-12)
+    assert pst.at(towards(0.1, 0.0)) == pytest.approx(1.0)
+    assert pst.at(towards(95.0, 0.0)) == 0.0
+    np.testing.assert_allclose(pst.at(np.stack([towards(5.0, 80.0), towards(100.0, 0.0)])), [4.0 / 25.0, 0.0])
+
+
+def test_errors_of_causes_are_independent() -> None:
+    one = example()
+    both = PointSourceTransmittance(
+        angle_deg=one.angle_deg, azimuth_deg=one.azimuth_deg, causes=("a", "b"),
+        value=np.ones((2, 2, 3)), error=np.stack([np.full((2, 3), 3.0), np.full((2, 3), 4.0)]),
+    )  # fmt: skip
+    np.testing.assert_allclose(both.total_error, 5.0)
+    np.testing.assert_allclose(both.total, 2.0)
+
+
+def test_a_plain_table_of_two_columns(tmp_path) -> None:
+    (tmp_path / "my.csv").write_text("# measured\nangle_deg,pst\n30,1e-8\n10,1e-6\n")
+    pst = read_pst(tmp_path / "my.csv")
+    np.testing.assert_array_equal(pst.total, [[1e-6, 1e-8]])
+    (tmp_path / "both.csv").write_text("angle_deg,walls,total\n10,1e-6,2e-6\n")
+    assert read_pst(tmp_path / "both.csv").total.item() == 1e-6
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("angle_deg\n10\n", "no column besides"),
+        ("x,y\n1,2\n", "angle_deg"),
+        ("angle_deg,pst\n10,none\n", "not a table of numbers"),
+        ("angle_deg,azimuth_deg,pst\n10,0,1\n20,0,1\n10,90,1\n30,90,1\n", "the same angles"),
+        ("angle_deg,pst\n10,1\n10,2\n", "the same angles"),
+    ],
+)
+def test_bad_tables_are_told_in_a_line(tmp_path, text: str, words: str) -> None:
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        read_pst(tmp_path / "bad.csv")
+
+
+def test_bad_numbers_are_refused(tmp_path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_pst(tmp_path / "none.csv")
+    (tmp_path / "bad.csv").write_text("angle_deg,pst\n10,-1e-6\n")
+    with pytest.raises(DomainError, match="not be negative"):
+        read_pst(tmp_path / "bad.csv")
+    (tmp_path / "far.csv").write_text("angle_deg,pst\n100,1e-6\n")
+    with pytest.raises(DomainError, match="0 ... 90 deg"):
+        read_pst(tmp_path / "far.csv")
