@@ -152,6 +152,10 @@ def page() -> str:
             words = (field.annotation.__doc__ or "").strip().partition("\n\n")[0].replace("``", "`")
             lines += ["", f"## [{name}]", "", words, "", *fields(field.annotation)]
             lines += LENS if name == "instrument" else []
+            for key, inner in field.annotation.model_fields.items():
+                if isinstance(inner.annotation, type) and issubclass(inner.annotation, BaseModel):
+                    words = cleandoc(inner.annotation.__doc__ or "").replace("``", "`")
+                    lines += ["", f"## [{name}.{key}]", "", words, "", *fields(inner.annotation)]
     lines += ["", "## What each experiment takes", "", *takers(), "", LABORATORY, *fields(FilteredCollimatorConfig)]
     return "\n".join(lines) + "\n"
 

@@ -31,13 +31,15 @@ def toml_text(config: BaseModel, heading: str = "") -> str:
 
 
 def toml_value(value: Any) -> str:
-    """A number, text, truth value or list of them as TOML."""
+    """A number, text, truth value, list or table of them as TOML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(key)} = {toml_value(one)}" for key, one in value.items()) + "}"
     return repr(value)
 
 

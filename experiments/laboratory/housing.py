@@ -1,10 +1,21 @@
-"""Linear expansion of the materials that lens housings are made of."""
+"""Lens housings in sensor files: what they are made of, and where they touch the elements."""
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
+from pydantic import Field, field_validator
+
+from experiments.harness.config import StrictModel
 from optics.errors import unknown_name
 
-__all__ = ["DEFAULT_HOUSING", "EXPANSION_PPM_PER_K", "LARGEST_PPM_PER_K", "expansion_per_k"]
+__all__ = [
+    "DEFAULT_HOUSING",
+    "EXPANSION_PPM_PER_K",
+    "LARGEST_PPM_PER_K",
+    "HousingConfig",
+    "expansion_per_k",
+]
 
 EXPANSION_PPM_PER_K = {
     "aluminium_6061": 23.6,
@@ -27,8 +38,10 @@ LARGEST_PPM_PER_K = 200.0
 """Polymers reach some 100."""
 
 
-def expansion_per_k(housing: str | float) -> float:
-    """Linear expansion [1/K] of a material by name, or of a number in 1e-6/K."""
+def expansion_per_k(housing: str | float | HousingConfig) -> float:
+    """Linear expansion [1/K] of a material by name, of a number in 1e-6/K, or of a barrel."""
+    if isinstance(housing, HousingConfig):
+        return expansion_per_k(housing.material)
     if isinstance(housing, str):
         if housing not in EXPANSION_PPM_PER_K:
             raise unknown_name("material of a housing", housing, EXPANSION_PPM_PER_K)
@@ -36,3 +49,62 @@ def expansion_per_k(housing: str | float) -> float:
     if not -LARGEST_PPM_PER_K <= housing <= LARGEST_PPM_PER_K:
         raise ValueError(f"at least {-LARGEST_PPM_PER_K:g} and at most {LARGEST_PPM_PER_K:g} (1e-6/K)")
     return housing * 1e-6
+
+
+class HousingConfig(StrictModel):
+    """Barrel of the lens, spacers, where they touch the elements; ``housing = "invar_36"`` is a material alone.
+
+    Spacers are named by the element behind them, ``detector`` or ``stop``. What is not named is of the barrel's
+    material and reaches from vertex to vertex.
+    """
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"material", "spacers", "poisson_ratio"})
+
+    material: str | float = Field(
+        default=DEFAULT_HOUSING,
+        description="of the barrel, or its linear expansion in 1e-6/K: " + ", ".join(EXPANSION_PPM_PER_K),
+    )
+    diameter_mm: float = Field(
+        default=0.0,
+        ge=0,
+        le=1e4,
+        description="over which gradients across the housing are stated; 0: the widest clear aperture",
+    )
+    mounted_z_mm: float | None = Field(
+        default=None,
+        ge=-1e5,
+        le=1e5,
+        description="plane that stays when the housing bends, from the first surface; left out: the image plane",
+    )
+    spacers: dict[str, str | float] = Field(default={}, description="materials of single spacers")
+    rims_mm: dict[str, tuple[float, float]] = Field(
+        default={}, description="by element: radii where spacers touch its front and its back face; 0: the vertex"
+    )
+    poisson_ratio: float = Field(default=0.25, ge=0, le=0.5, description="Poisson's ratio of the glasses")
+
+    def __hash__(self) -> int:
+        """Of its text: tables are not hashable."""
+        return hash(self.model_dump_json())
+
+    @field_validator("material", "spacers")
+    @classmethod
+    def _known(cls, value: str | float | dict[str, str | float]) -> str | float | dict[str, str | float]:
+        for material in value.values() if isinstance(value, dict) else (value,):
+            expansion_per_k(material)
+        return value
+
+    @field_validator("spacers", "rims_mm")
+    @classmethod
+    def _names(cls, value: dict[str, Any]) -> dict[str, Any]:
+        for name in value:
+            if not name or set(name) & set(" .=:"):
+                raise ValueError(f"{name!r}: an element's name has no blanks and none of . = :")
+        return value
+
+    @field_validator("rims_mm")
+    @classmethod
+    def _radii(cls, value: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        for name, radii in value.items():
+            if min(radii) < 0.0:
+                raise ValueError(f"{name}: radii {radii[0]:g} and {radii[1]:g} mm; they must not be negative")
+        return value

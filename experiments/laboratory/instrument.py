@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.housing import expansion_per_k
+from experiments.laboratory.housing import HousingConfig, expansion_per_k
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.lens.perturb import change_temperature
+from optics.glass.media import Environment
 from optics.lens.sag_map import read_map
 from optics.lens.system import LensSystem
+from optics.lens.thermal import Housing, Mount, ThermalState, heated_lens
 from optics.lens.without_glass import ideal_lens
 from optics.lens_file import load_lens
 from optics.light.band_file import load_band
@@ -39,6 +40,7 @@ __all__ = [
     "configured_detector",
     "configured_lens",
     "focus_of",
+    "housing_of",
     "stated_defocus_mm",
     "stated_lens",
 ]
@@ -96,6 +98,18 @@ def stated_lens(config: InstrumentConfig) -> LensSystem:
     )
 
 
+def housing_of(table: HousingConfig) -> Housing:
+    """The housing of a configuration (``instrument.housing``)."""
+    return Housing(
+        expansion_per_k=expansion_per_k(table.material),
+        diameter_mm=table.diameter_mm or None,
+        mounted_z_mm=table.mounted_z_mm,
+        mounts={name: Mount(front_radius_mm=f, back_radius_mm=b) for name, (f, b) in table.rims_mm.items()},
+        spacers_per_k={name: expansion_per_k(material) for name, material in table.spacers.items()},
+        poisson_ratio=table.poisson_ratio,
+    )
+
+
 def configured_lens(config: InstrumentConfig) -> LensSystem:
     """The lens of a configuration: stopped down, at its temperature with its housing, with its measured error."""
     lens = stated_lens(config)
@@ -106,9 +120,8 @@ def configured_lens(config: InstrumentConfig) -> LensSystem:
         raise DomainError(f"instrument.{error}") from None
     if config.lens_temperature_c is not None:
         try:
-            lens = change_temperature(
-                lens, config.lens_temperature_c, housing_cte_per_k=expansion_per_k(config.housing)
-            )
+            kelvin = Environment(temperature_c=config.lens_temperature_c).temperature_c - lens.environment.temperature_c
+            lens = heated_lens(lens, ThermalState(mean_k=kelvin), housing_of(config.housing))
         except DomainError as error:
             raise DomainError(f"instrument.lens_temperature_c = {config.lens_temperature_c:g} C: {error}") from None
     return _with_measured_wavefront(lens, config)

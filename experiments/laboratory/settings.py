@@ -10,7 +10,7 @@ from pydantic import BaseModel, Discriminator, Field, Tag, ValidationInfo, field
 
 from experiments.harness.config import FileName, StrictModel, WavelengthNm
 from experiments.laboratory.focus import in_focus
-from experiments.laboratory.housing import DEFAULT_HOUSING, EXPANSION_PPM_PER_K, expansion_per_k
+from experiments.laboratory.housing import HousingConfig
 
 __all__ = [
     "CatalogueConfig",
@@ -74,7 +74,7 @@ def _lens_form(value: Any) -> str:
 class InstrumentConfig(StrictModel):
     """Lens, detector and how they are operated."""
 
-    dimensionless: ClassVar[frozenset[str]] = frozenset({"f_number", "housing"})
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"f_number"})
 
     lens: Annotated[
         Annotated[FileName, Tag("name")] | Annotated[IdealLensConfig, Tag("ideal")], Discriminator(_lens_form)
@@ -108,11 +108,7 @@ class InstrumentConfig(StrictModel):
         le=150,
         description="temperature of lens and housing, focused at the one of the prescription; left out: that one",
     )
-    housing: str | float = Field(
-        default=DEFAULT_HOUSING,
-        description="material of the housing, or its linear expansion in 1e-6/K, with lens_temperature_c; materials: "
-        + ", ".join(EXPANSION_PPM_PER_K),
-    )
+    housing: HousingConfig = HousingConfig()
     wavefront_zernike_nm: tuple[Annotated[float, Field(ge=-1e5, le=1e5)], ...] = Field(
         default=(),
         max_length=66,
@@ -152,11 +148,11 @@ class InstrumentConfig(StrictModel):
             raise ValueError("wavefront_zernike_nm and wavefront_map: give one of them")
         return self
 
-    @field_validator("housing")
+    @field_validator("housing", mode="before")
     @classmethod
-    def _housing(cls, value: str | float) -> str | float:
-        expansion_per_k(value)
-        return value
+    def _material(cls, value: Any) -> Any:
+        """A material alone is the barrel's."""
+        return {"material": value} if isinstance(value, str | float | int) else value
 
 
 class PassbandConfig(StrictModel):

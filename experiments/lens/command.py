@@ -1,4 +1,4 @@
-"""``starbench lens``: show a lens file as one page, list its ghosts, or turn it into one of another format."""
+"""``starbench lens``: show a lens file as one page, list its ghosts and what temperatures do, write another format."""
 
 from __future__ import annotations
 
@@ -172,6 +172,74 @@ def ghosts(
             f"{one} {max(0.0, round(100.0 * getattr(books, one), 9)):.4g} %" for one in books.__dataclass_fields__
         )
         click.echo(f"  of the light on the first surface: {parts}")
+
+
+@lens.command(
+    help="What temperatures of lens and housing do to the image, per kelvin, and the spacer that holds focus."
+)
+@click.argument("file", type=click.Path(readable=False))
+@click.option("--housing", default=None, metavar="MATERIAL", help="of the barrel, or its expansion in 1e-6/K")
+@click.option("--diameter", type=float, metavar="MM", help="of the barrel; the widest clear aperture if left out")
+@click.option("--mounted", type=float, metavar="MM", help="plane that stays when it bends; image plane if left out")
+@click.option("--spacer", multiple=True, metavar="NAME=MATERIAL", help="in front of an element, the stop, the detector")
+@click.option("--rim", multiple=True, metavar="NAME=FRONT:BACK", help="radii [mm] where spacers touch an element")
+@click.option("--field", type=float, metavar="DEG", help="half diagonal of the square that is traced")
+@click.option("--athermal", multiple=True, metavar="NAME", help="spacer to solve for; all if left out")
+@click.option("--second", default="invar_36", show_default=True, metavar="MATERIAL", help="to make that spacer with")
+@_reading
+def thermal(
+    file: str,
+    housing: str | None,
+    diameter: float | None,
+    mounted: float | None,
+    spacer: tuple[str, ...],
+    rim: tuple[str, ...],
+    field: float | None,
+    athermal: tuple[str, ...],
+    second: str,
+    strict: bool,
+    glass: tuple[str, ...],
+    catalogue: tuple[str, ...],
+) -> None:
+    from experiments.laboratory.housing import HousingConfig
+    from experiments.laboratory.instrument import housing_of
+    from experiments.lens.thermal import thermal_lines
+    from optics.validate import parse_model
+
+    given: dict[str, Any] = {"diameter_mm": diameter, "mounted_z_mm": mounted}
+    given |= {"material": None if housing is None else _material(housing)}
+    given = {key: value for key, value in given.items() if value is not None}
+    given["spacers"] = {name: _material(text) for name, text in _pairs("spacer", spacer, "L6=invar_36")}
+    given["rims_mm"] = {name: _radii(text) for name, text in _pairs("rim", rim, "L1=35:35")}
+    table = parse_model(HousingConfig, given, "housing")
+    made = _read(file, strict, glass, catalogue).lens
+    for line in thermal_lines(made, housing_of(table), _material(second), corner_deg=field, spacers=athermal):
+        click.echo(line)
+
+
+def _pairs(option: str, given: tuple[str, ...], example: str) -> list[tuple[str, str]]:
+    """Name and value of NAME=VALUE."""
+    pairs = [tuple(part.strip() for part in one.partition("=")[::2]) for one in given]
+    for one, (name, value) in zip(given, pairs, strict=True):
+        if not (name and value):
+            raise ConfigError(f"--{option} {one}: NAME=VALUE is needed, e.g. --{option} {example}")
+    return [(name, value) for name, value in pairs]
+
+
+def _material(text: str) -> str | float:
+    """A material's name, or its expansion."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _radii(text: str) -> tuple[float, float]:
+    front, _, back = text.partition(":")
+    try:
+        return float(front), float(back)
+    except ValueError:
+        raise ConfigError(f"--rim {text}: FRONT:BACK in mm is needed, e.g. --rim L1=35:35") from None
 
 
 def _window(text: str) -> tuple[str, float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,8 +11,8 @@ from scipy.optimize import brentq
 
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
-from optics.lens.system import LensSystem
-from optics.lens.thermal import COMPONENTS, DETECTOR, Housing, ThermalState, heated_lens, with_spacers
+from optics.lens.system import AMBIENT, LensSystem
+from optics.lens.thermal import COMPONENTS, DETECTOR, STOP, Housing, ThermalState, heated_lens, with_spacers
 from optics.rays.chief import plate_scale_mm
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.spots import Spots, trace_spots
@@ -23,6 +24,7 @@ __all__ = [
     "ThermalSensitivity",
     "athermal_spacer",
     "focus_um_per_k",
+    "spacers_of",
     "thermal_sensitivity",
 ]
 
@@ -287,6 +289,17 @@ class Athermal:
         return self.length_mm * (self.expansion_per_k - first_per_k) / (second_per_k - first_per_k)
 
 
+def spacers_of(lens: LensSystem) -> tuple[str, ...]:
+    """Names of the spacers of a lens that have a length, in the order of the light."""
+    names = []
+    for i, (before, after) in enumerate(pairwise(lens.poses)):
+        behind = lens.surfaces[i + 1] if i + 1 < len(lens.surfaces) else None
+        name = DETECTOR if behind is None else behind.element or (STOP if behind.is_stop else "")
+        if name and lens.surfaces[i].medium == AMBIENT and np.linalg.norm(after[0] - before[0]) > 0.0:
+            names.append(name)
+    return tuple(dict.fromkeys(names))
+
+
 def athermal_spacer(lens: LensSystem, housing: Housing, *, spacer: str = DETECTOR) -> Athermal:
     """Solve for the expansion of one spacer that leaves the paraxial focus on the detector.
 
@@ -324,7 +337,8 @@ def athermal_spacer(lens: LensSystem, housing: Housing, *, spacer: str = DETECTO
     made = with_spacers(housing, **{spacer: root})
     heated = [heated_lens(lens, uniform * k, made) for k in (-STEP_K, STEP_K, 20.0)]
     efl = [axial_paraxial(one, one.design_wavelength_nm).efl_mm for one in heated]
-    place = next(i for i, s in enumerate((*lens.surfaces, None)) if s is None or s.element == spacer)
+    surfaces = enumerate(lens.surfaces)
+    place = next((i for i, s in surfaces if spacer in (s.element, STOP if s.is_stop else "")), len(lens.surfaces))
     gap = lens.poses[place][0] - lens.poses[max(place - 1, 0)][0]
     return Athermal(
         spacer=spacer,

@@ -131,7 +131,7 @@ def test_cube_says_why_it_takes_no_sensor(capsys):
         ("[instrumnt]\n", "unknown key 'instrumnt'; did you mean 'instrument'?"),
         ("[instrument]\nexposure_s = -1", r"instrument.exposure_s = -1: .*\(allowed: above 0 and at most 10000"),
         ("[instrument]\nf_number = -1", r"instrument.f_number = -1: .*\(allowed: above 0 and at most 1000\)"),
-        ("[instrument]\nhousing = 'aluminium'", "instrument.housing = 'aluminium': .*did you mean aluminium_"),
+        ("[instrument]\nhousing = 'aluminium'", "instrument.housing.material = 'aluminium': .*did you mean aluminium_"),
         ("[filters]\nfiles = ['a.csv']", "1 files for 3 centres_nm"),
         ("window_px = 12", "12 px is even"),
         ("centroid = 'gausian'", "did you mean gaussian"),

@@ -1,9 +1,11 @@
 """The instrument as configuration: lens, detector, focus, coatings."""
 
+import math
+
 import numpy as np
 import pytest
 
-from experiments.laboratory.instrument import build_instrument
+from experiments.laboratory.instrument import build_instrument, configured_lens, housing_of
 from experiments.laboratory.settings import InstrumentConfig
 from optics.errors import ConfigError, DomainError
 from optics.lens.perturb import decentre
@@ -115,3 +117,24 @@ def test_what_the_instrument_cannot_do_is_refused_with_the_range(settings, said)
 def test_misspelt_name_brings_the_nearest(settings, said):
     with pytest.raises(ConfigError, match=said):
         build_instrument(parse_model(InstrumentConfig, settings, "instrument"))
+
+
+def test_housing_of_a_sensor_file_reaches_the_lens():
+    """Spacers and rims stated: the chip moves by the rule of spacers; a material alone is the barrel's."""
+    table = {
+        "material": "titanium_ti6al4v",
+        "spacers": {"detector": 100.0},
+        "rims_mm": {"L1": (30.0, 0.0)},
+        "diameter_mm": 90.0,
+    }
+    config = InstrumentConfig.model_validate({"lens_temperature_c": 60.0, "housing": table})
+    housing = housing_of(config.housing)
+    assert (housing.expansion_per_k, housing.diameter_mm) == (pytest.approx(8.6e-6), 90.0)
+    assert housing.spacers_per_k == {"detector": pytest.approx(1e-4)}
+    gap = [
+        float(lens.image_position_mm[2] - lens.surfaces[-1].position_mm[2])
+        for lens in (configured_lens(config), configured_lens(InstrumentConfig()))
+    ]
+    assert gap[0] == pytest.approx(gap[1] * math.exp(1e-4 * 40.0), rel=1e-12)
+    assert InstrumentConfig.model_validate({"housing": "invar_36"}).housing.material == "invar_36"
+    assert hash(config.housing) != hash(InstrumentConfig().housing)

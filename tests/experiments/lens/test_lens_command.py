@@ -121,3 +121,18 @@ def test_formats_without_coatings_say_so(tmp_path: Path, capsys: pytest.CaptureF
         assert ("coatings are left out" in capsys.readouterr().out) == left_out
     known = load_lens(source).surfaces[0].coating
     assert known == load_lens(tmp_path / "again.toml").surfaces[0].coating is not None
+
+
+def test_thermal_matrix_and_the_spacer_that_holds_the_focus(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["lens", "thermal", "star_camera_206mm", "--housing", "titanium_ti6al4v", "--athermal", "L6"]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    matrix = {line[:26].strip(): line[26:].split() for line in said.splitlines() if line.startswith(("mean", "across"))}
+    assert float(matrix["mean"][0]) == pytest.approx(6.46, rel=0.03)  # um/K over 20 K; dn/dT grows by 2 % to its end
+    assert float(matrix["across, +x less -x"][2]) == pytest.approx(-float(matrix["across, +y less -y"][3]))
+    (solved,) = (line.split() for line in said.splitlines() if line.startswith("  L6"))
+    assert float(solved[1]) == 33.76
+    assert main(["lens", "thermal", "star_camera_206mm", "--rim", "L1=35"]) == 2
+    assert "FRONT:BACK in mm is needed" in capsys.readouterr().err
+    assert main(["lens", "thermal", "star_camera_206mm", "--spacer", "L9=invar_36"]) == 2
+    assert "L9" in capsys.readouterr().err

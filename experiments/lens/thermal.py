@@ -1,0 +1,78 @@
+"""Text of ``starbench lens thermal``: the sensitivity matrix, and spacers that hold the focus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from experiments.laboratory.housing import expansion_per_k
+from optics.errors import ConfigError, DomainError
+from optics.lens.system import LensSystem
+from optics.lens.thermal import COMPONENTS, Housing
+from optics.rays.thermal import Athermal, ThermalSensitivity, athermal_spacer, spacers_of, thermal_sensitivity
+
+__all__ = ["thermal_lines"]
+
+NAMES = dict(
+    zip(
+        COMPONENTS,
+        ("mean", "front to detector", "across, +x less -x", "across, +y less -y", "elements, rim less centre"),
+        strict=True,
+    )
+)
+
+
+def thermal_lines(
+    lens: LensSystem,
+    housing: Housing,
+    second: str | float,
+    *,
+    corner_deg: float | None = None,
+    spacers: Sequence[str] = (),
+) -> Iterator[str]:
+    """Lines for the terminal; ``second`` is the material that compensating spacers are made with."""
+    lens.check_glass()
+    try:
+        second_per_k = expansion_per_k(second)
+    except ValueError as error:
+        raise ConfigError(f"--second {second}: {error}") from None
+    found = thermal_sensitivity(lens, housing, corner_deg=corner_deg)
+    yield f"{lens.name}: housing {1e6 * housing.expansion_per_k:g} ppm/K, focal length {found.focal_length_mm:.4g} mm"
+    yield from _matrix(found)
+    yield ""
+    yield f"spacers that hold the focus, the others {1e6 * housing.expansion_per_k:g} ppm/K:"
+    yield "  in front of  length [mm]  expansion [ppm/K]  left at +20 K [um]  second material [mm]"
+    for name in spacers or spacers_of(lens):
+        try:
+            yield _spacer(athermal_spacer(lens, housing, spacer=name), housing, second_per_k)
+        except DomainError:
+            if spacers:
+                raise
+            yield f"  {name:11s} none within +-10000 ppm/K"
+
+
+def _matrix(found: ThermalSensitivity) -> Iterator[str]:
+    yield ""
+    yield (
+        "per kelvin                   focus    scale    boresight x, y  distortion  colour  map fit   step\n"
+        "                              [um]    [ppm]          [arcsec]    [arcsec]    [um]     [nm]"
+    )
+    for row, name in enumerate(COMPONENTS):
+        x, y = (value if abs(value) > 5e-5 else 0.0 for value in found.boresight_arcsec_per_k[row])
+        yield (
+            f"{NAMES[name]:26s} {found.focus_um_per_k[row]:+7.3f} {_plain(found.scale_ppm_per_k[row]):+8.2f} {x:+8.3f} "
+            f"{y:+8.3f} {found.distortion_arcsec_per_k[row]:11.4f} {found.colour_um_per_k[row]:7.4f} "
+            f"{1e6 * found.fit_error_mm_per_k[row]:8.3f} {found.step_error[row]:6.0e}"
+        )
+
+
+def _plain(value: float) -> float:
+    return value if abs(value) > 5e-3 else 0.0
+
+
+def _spacer(one: Athermal, housing: Housing, second_per_k: float) -> str:
+    own = housing.expansion_per_k
+    length = "–" if own == second_per_k else f"{one.second_material_mm(own, second_per_k):.2f}"
+    return (
+        f"  {one.spacer:11s} {one.length_mm:12.3f} {1e6 * one.expansion_per_k:18.2f} {one.focus_um_at_20_k:19.3f} "
+        f"{length:>21s}"
+    )
