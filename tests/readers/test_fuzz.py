@@ -370,7 +370,7 @@ def test_bombs(tmp_path, bounded):
         assert 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) < 1.2 * 2**30
 
 
-@pytest.mark.parametrize("members", [1, 2])
+@pytest.mark.parametrize("members", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_bomb_within_a_tile(tmp_path, members):
     """Rationale: the header of the image is honest, one tile of it is not. Expected: a line, before it is unpacked."""
     table = fits.CompImageHDU(np.zeros((64, 64), np.int16), compression_type="GZIP_1", tile_shape=(64, 64))

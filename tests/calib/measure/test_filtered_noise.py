@@ -30,7 +30,7 @@ def colour_camera(rng, light=0.0, *, shape=(700, 700), jpeg=None):
     return image.mean(axis=2)
 
 
-@pytest.mark.parametrize("jpeg", [None, 90])
+@pytest.mark.parametrize("jpeg", [pytest.param(None, marks=pytest.mark.slow), 90])
 def test_false_detections_are_as_many_as_stated(jpeg):
     """At 4 sigma, where they can be counted: half of the number to 1.3 times; white noise would call these 7 sigma."""
     rng = np.random.default_rng(7)

@@ -22,6 +22,7 @@ def test_results_come_in_order():
     assert multiprocessing.active_children() == []
 
 
+@pytest.mark.slow
 def test_an_error_in_a_worker_is_passed_on():
     with pytest.raises(ValueError, match="math domain error"):
         run_tasks(math.sqrt, [1.0, -1.0, 4.0], workers=2, done=lambda index: None)

@@ -21,7 +21,7 @@ from optics.rays.spots import trace_spots
 TRACKER = {
     "instrument": {
         "lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 1024, "height_px": 1024, "exposure_s": 0.2,
-        "defocus_mm": 0.0,
+        "defocus_mm": 0.0, "diffraction": "rays",
     },
     "passband": {"range_nm": [500.0, 800.0]},
     "sky": {"attitudes": 120},
@@ -169,8 +169,7 @@ def test_share_of_errors_within():
 
 
 def test_focus_gains_what_the_best_focus_gives(config):
-    by_rays = with_value(config, "instrument.diffraction", "rays")
-    blurred = with_value(by_rays, "instrument.defocus_mm", config.instrument.defocus_mm + 0.06)
+    blurred = with_value(config, "instrument.defocus_mm", config.instrument.defocus_mm + 0.06)
     only = blurred.model_copy(
         update={"tornado": config.tornado.model_copy(update={"parameters": ("instrument.defocus_mm",)})}
     )
@@ -192,7 +191,7 @@ def test_refused(config):
     with pytest.raises(DomainError, match="the signal of every star is below the noise"):
         predict(with_value(with_value(config, "instrument.exposure_s", 1e-5), "throughput_fraction", 0.001))
     with pytest.raises(DomainError, match=r"stars are far out of focus: .* with instrument\.defocus_mm = "):
-        predict(with_value(with_value(config, "instrument.diffraction", "rays"), "instrument.defocus_mm", 5.0))
+        predict(with_value(config, "instrument.defocus_mm", 5.0))
     with pytest.raises(DomainError, match="read at most"):
         predict(with_value(with_value(config, "instrument.width_px", 0), "instrument.height_px", 0))
 

@@ -66,6 +66,7 @@ def test_magnitude_of_the_star_that_is_quoted():
     np.testing.assert_allclose(light[:-1] / light[1:], 10.0, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_where_a_requirement_is_crossed():
     """Frames per second are 1 / exposure: 4 Hz at 0.25 s, and more below."""
     found = study("exposure_s=0.235:0.275:3", requirements={"update_rate_hz": 4.0})

@@ -135,6 +135,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
 
 
+@pytest.mark.slow
 def test_what_cannot_fit_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(storage.shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10, 9, 10**5))
     assert run(tmp_path / "large") == 2

@@ -96,6 +96,7 @@ def test_the_page_holds_prescription_figures_and_every_line(lens: Path) -> None:
     assert "<b>" not in page.split("<h1>")[1].split("</h1>")[0]
 
 
+@pytest.mark.slow
 def test_ghosts_are_listed_with_the_books_of_the_light(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["lens", "ghosts", "star_tracker_26mm", "--field", "2", "--rows", "2"]
     assert main([*arguments, "--window", "N-BK7:0.5:1.0"]) == 0

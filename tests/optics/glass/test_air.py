@@ -35,6 +35,7 @@ def test_ciddor_gives_the_values_of_the_nist_calculator(
     assert float(air_index(wave, celsius, hpa, humidity=humidity, formula="ciddor")) == pytest.approx(index, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_standard_air_of_other_authors() -> None:
     """Edlen 1953 (Penndorf 1957) is the same dispersion; Edlen 1966 and Peck-Reeder 1972 are later measurements."""
     rayleigh = pytest.importorskip("colour.phenomena.rayleigh")

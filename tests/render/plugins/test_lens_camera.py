@@ -201,6 +201,7 @@ def test_crop_is_a_part_of_the_film(mi, integrator):
     assert 0.2 < part.min() / part.max() < 0.8 or part.min() == 0.0  # there is something to tell places by
 
 
+@pytest.mark.slow
 def test_rows_of_a_crop_start_when_those_of_the_film_do(mi):
     """Rolling shutter: an edge leans as in the whole film, from the first row of the film."""
     camera = Camera(lens=load_lens("star_tracker_26mm"), width_px=48, height_px=40, pixel_pitch_mm=0.05)

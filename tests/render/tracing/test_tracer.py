@@ -184,6 +184,7 @@ def test_turning_the_camera_and_the_stars_changes_nothing(engine, bench):
     assert np.array_equal(override.electrons, b.electrons)
 
 
+@pytest.mark.slow
 def test_a_thousandth_of_an_arcsecond_moves_the_star(engine, bench):
     """Yaw about +Y by +e: the star goes towards -X by the local scale of the lens, 1.8e-4 px; float64 all the way."""
     arcsec = np.pi / 180 / 3600
@@ -202,6 +203,7 @@ def test_a_thousandth_of_an_arcsecond_moves_the_star(engine, bench):
     assert near[1] - at[1] == pytest.approx(0.001 * scale, rel=2e-2)
 
 
+@pytest.mark.slow
 def test_narrow_band_becomes_a_line(engine, bench):
     camera = bench.window(bench.camera_of(defocus_mm=0.01), 800, 3600, 400)
     place = ([700.3, 90.1], [300.2, 780.9])

@@ -225,6 +225,7 @@ def test_a_star_that_loses_light_unforeseen_is_no_matter_of_its_neighbour(engine
     np.testing.assert_allclose(images[0], images[1] + images[2], atol=1e-4 * images[0].max())
 
 
+@pytest.mark.slow
 def test_sobol_agrees_with_quadrature_on_the_same_clear_pupil(engine, bench):
     camera = bench.camera_of(defocus_mm=0.02)
     stars = bench.stars_at(camera, [2047.5, 3000.2, 4010.4], [1023.5, 400.8, 60.1])
