@@ -41,7 +41,7 @@ from cosmic_ray.plugins import get_operator, operator_names
 
 ROOT = Path(__file__).resolve().parents[1]
 STUDIES = ["laboratory", "reduce", "fisher", "turntable", "temporal", "acf", "cube", "skycal", "hsfe", "distortion"]
-STUDIES += ["chromatic", "budget", "camera", "dataset"]
+STUDIES += ["chromatic", "budget", "camera", "dataset", "twin"]
 ROOMS = ["calib", "render/detector", "optics/rays", *(f"experiments/{name}" for name in STUDIES)]
 NO_SCIENCE = ("__*", "*settings*", "*figures*", "*sketch*", "*tables*", "*quantities*", "*criteria*", "own_frames*")
 NO_SCIENCE += ("card*", "command*", "exports*", "folder*", "frames_toml*", "job*", "pictures*", "remote*", "workers*")

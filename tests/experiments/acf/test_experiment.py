@@ -80,13 +80,6 @@ def test_the_gyro_of_stated_noise_is_acc_when_the_gyro_is_perfect(outcome):
     assert np.all(linked_bound >= 1.0)
 
 
-@pytest.mark.slow
-def test_errors_of_table_2_as_the_document_prints_them(outcome):
-    published = outcome.values("table2_published_error")
-    assert published[:3] == pytest.approx([-0.19, -0.51, 0.0002], rel=1e-6)
-    assert 3600 * published[8:] == pytest.approx([26.64, -13.68, 3.6, 6.84, -18.0, 0.36], rel=1e-3)  # arcsec
-
-
 def test_runs_do_not_depend_on_how_they_are_cut_into_tasks():
     point = Point(
         name="cut", runs=3, noise_px=0.2, gyro=((0.03, 0.005),), methods=("acc", "free"), own_sky=True, stars=8

@@ -29,22 +29,6 @@ def run(tiny_run):
     return tiny_run("distortion", **target, **numbers, compare=["cog"], target__marking_error_arcsec=MARKING_ARCSEC)
 
 
-def test_a_polynomial_divides_marking_error_by_its_degrees_of_freedom(run):
-    """Of W points with error s, k terms leave s sqrt((W - k) / (W - 1)) and take s sqrt((k - 1) / (W - 1))."""
-    assert run.status == 0
-    points, terms = ROWS * COLUMNS, (ORDER + 1) * (ORDER + 2) // 2
-    error = 3.0 * MARKING_ARCSEC
-    numbers = run.results["methods_arcsec_3sigma"]["epsf"]["nominal"]
-    for name, freedom in (("sigma_left", points - terms), ("sigma_c1", terms - 1)):
-        expected = error * np.sqrt(freedom / (points - 1))
-        limit = 4.0 / np.sqrt(2.0 * freedom * SURVEYS) + 0.02  # of an RMS; 2 %: the lens, noise of the frames
-        for axis in "xy":
-            assert numbers[name]["over_surveys"][axis] == pytest.approx(expected, rel=limit)
-    assert run.results["sigma_c1_of_marking_error_alone_arcsec_3sigma"] == pytest.approx(
-        error * np.sqrt((terms - 1) / (points - 1)), rel=1e-12
-    )
-
-
 @pytest.fixture(scope="module")
 def wide(engine):
     """The wide field of a small run."""

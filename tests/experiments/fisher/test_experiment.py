@@ -61,23 +61,6 @@ def test_the_same_seed_gives_the_same_tables(run, again) -> None:
         assert (run.folder / name).read_bytes() == (second.folder / name).read_bytes()
 
 
-@pytest.mark.slow
-def test_the_same_data_lose_degrees_of_freedom(run) -> None:
-    """2 (n - 1) against 2 n - q of the same chords; the prediction within four standard deviations."""
-    found = run.results["same_data_rendered"]
-    free = 2 * 80 - found["unknowns"]
-    assert found["unknowns"] == 14
-    assert found["naive_arcsec"] / found["corrected_arcsec"] == pytest.approx(np.sqrt(free / (2 * 79)), rel=1e-9)
-    assert found["naive_arcsec"] == pytest.approx(found["predicted_naive_arcsec"], rel=4 / np.sqrt(2 * free))
-
-
-@pytest.mark.slow
-def test_realised_errors_make_the_scatter(run) -> None:
-    static = run.results["static"]
-    whole = np.sqrt(sum(value**2 for value in static["realised_arcsec"].values()))
-    assert static["sigma_arcsec"]["value"] == pytest.approx(whole, rel=0.25)  # 80 vectors: causes correlate by chance
-
-
 def test_angle_of_a_pixel_by_focal_length_and_by_the_field(star_camera) -> None:
     """The last one is the angle between the directions of the outer edges over the number of pixels."""
     camera = star_camera.camera

@@ -250,31 +250,3 @@ def test_perturbed_lenses_share_one_structure():
     roundings = 0.5 * np.spacing(plain.opl_mm[plain.ok].max()) * 2 * len(program.steps)  # of either, one per surface
     assert field_by_field(plain, general, plain.ok) < max(1e-13, float(roundings))
     assert compile_lens(change_shape(lens, 0, "conic", 0.1))[0] != compile_lens(lens)[0]
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "star_tracker_26mm",
-        *(pytest.param(one, marks=pytest.mark.slow) for one in ("star_camera_206mm", "double_gauss_50mm")),
-    ],
-)
-def test_numpy_and_drjit_agree(name):
-    drjit = pytest.importorskip("drjit")
-    llvm = pytest.importorskip("drjit.llvm")
-    arrays = pytest.importorskip("render.engine.arrays").DrJitArrays(llvm.Float64)
-    lens = tilt(load_lens(name), load_lens(name).elements[1], 0.2, 0.1)
-    rays = star_rays(
-        entrance_pupil(lens), sobol_disk(2048, seed=5), field_direction(0.5 * lens.max_field_deg, 1.0), 633.0
-    )
-    expected = trace(lens, rays)
-    program, theta = compile_lens(lens)
-    kinds = {"status": llvm.Int32, "failed_at": llvm.Int32}
-    on_llvm = Rays(**{k: kinds.get(k, llvm.Float64)(getattr(rays, k)) for k in Rays.__dataclass_fields__})
-    out = trace_program(program, arrays.parameters(theta.tolist()), on_llvm, arrays)
-    drjit.eval(out.x, out.status)
-    np.testing.assert_array_equal(np.array(out.status), expected.status)
-    np.testing.assert_array_equal(np.array(out.failed_at), expected.failed_at)
-    for field in ("x", "y", "z", "dx", "dy", "dz", "opl_mm"):
-        got, wanted = np.array(getattr(out, field)), getattr(expected, field)
-        np.testing.assert_allclose(got[expected.ok], wanted[expected.ok], rtol=0, atol=2e-12)
