@@ -76,7 +76,7 @@ def test_frames_with_structure_stay_within_the_frame():
     assert not outside.any()
 
 
-@pytest.mark.parametrize("oversampling", [2, 4])
+@pytest.mark.parametrize("oversampling", [pytest.param(2, marks=pytest.mark.slow), 4])
 def test_psf_of_known_places_has_no_s_curve(sky, oversampling):
     """Sharp cores, no dithers: without places the S-curve of the Gaussian fit stays; with them pulls are 1."""
     rng = np.random.default_rng(2)

@@ -101,7 +101,10 @@ def solution_of(engine, star_camera, bench_of):
     return solve
 
 
-@pytest.mark.parametrize(("element", "kind", "axis"), [("L2", "decentre", 0), ("L1", "tilt", 0), ("L2", "decentre", 1)])
+@pytest.mark.parametrize(
+    ("element", "kind", "axis"),
+    [("L2", "decentre", 0), ("L1", "tilt", 0), pytest.param("L2", "decentre", 1, marks=pytest.mark.slow)],
+)
 def test_solution_by_an_independent_trace(solution_of, star_camera, bench_of, element, kind, axis):
     """The movement found must give the wanted mean in a brute-force trace that knows neither frames nor pupils."""
     bench, found = bench_of(), solution_of(element, kind, axis)

@@ -54,6 +54,7 @@ def batoid_lens(batoid, lens: LensSystem):
     return batoid.CompoundOptic([*items, detector], inMedium=batoid.ConstMedium(index[0]), outMedium=air)
 
 
+@pytest.mark.slow
 @pytest.mark.reference
 @pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm"])
 def test_every_path_is_that_of_batoid(name: str) -> None:

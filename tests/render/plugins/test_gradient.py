@@ -153,6 +153,7 @@ def check(mi, scene, steps):
     return found, weight
 
 
+@pytest.mark.slow
 def test_rates_backwards(mi):
     """The image is linear in them: the derivative is the image of a unit rate."""
     scene = scene_of(mi, "star_camera_206mm")
@@ -302,6 +303,7 @@ def test_trails(mi):
         check(mi, scene, [("camera.rate_rad_per_s", 0, step), other])
 
 
+@pytest.mark.slow
 def test_what_has_no_derivative_is_refused(mi):
     """Beams by Sobol points (no diffusion, a stop inside), and bodies in the same image."""
     import drjit as dr

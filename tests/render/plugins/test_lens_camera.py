@@ -48,6 +48,7 @@ def test_uniform_sky_gives_pi_sine_squared(mi):
     assert image.mean() / 3.0 == pytest.approx(np.pi * marginal_sine(lens) ** 2, rel=2.5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [LENSES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in LENSES[1:])])
 def test_fall_off_against_the_light_that_goes_forward(mi, bench, name):
     """Conservation of etendue: irradiance = radiance x collecting area(field) x solid angle of sky per area of image.

@@ -175,6 +175,7 @@ def test_refused(bench, index):
         star_field(field, star_light([TopHat(centre_nm=600, width_nm=100)]))
 
 
+@pytest.mark.slow
 def test_rendered_where_it_was_looked_up(bench, engine):
     from render.forward import StarRenderer
 

@@ -76,7 +76,7 @@ def test_light_is_conserved_and_centred(engine, bench):
 
 
 def test_bad_requests(engine, bench):
-    camera = bench.camera_of("star_tracker_26mm", film=False)
+    camera = bench.camera_of(film=False)
     tracer = epsf_tracer(camera)
     stars = bench.stars_at(camera, 500.0, 500.0)
     for oversampling in (0, 1, 3):

@@ -168,6 +168,7 @@ def test_directions_on_the_detector(engine, bench):
         assert np.hypot(brightest[:, 0] - y[star], brightest[:, 1] - x[star]).min() < 1.5
 
 
+@pytest.mark.slow
 def test_turning_the_camera_and_the_stars_changes_nothing(engine, bench):
     turn = Rotation.from_euler("zyx", [123.0, -40.0, 77.0], degrees=True).as_matrix()
     camera = bench.camera_of(decentre(load_lens("star_camera_206mm"), "L2", x_mm=0.1))
@@ -261,7 +262,7 @@ def test_star_without_flux_has_a_place_but_no_light(engine, bench):
 
 def test_star_whose_rays_all_fail_is_flagged_in_its_truth(engine, bench):
     """Not an error: the light is accounted for as vignetted, positions are NaN, the other stars are untouched."""
-    camera = bench.camera_of("star_tracker_26mm")
+    camera = bench.window(bench.camera_of(), 40, 500, 500)
     place = bench.stars_at(camera, [500.2, 200.0], [500.9, 300.0], bands=((650.0, 0.0),))
     direction = np.array([place.direction[0], [np.sin(0.9), 0.0, np.cos(0.9)]])  # 52 deg off axis
     traced = rendered(camera, replace(place, direction=direction), sobol_log2_rays=12)
@@ -274,6 +275,7 @@ def test_star_whose_rays_all_fail_is_flagged_in_its_truth(engine, bench):
     assert traced.electrons.astype(float).sum() == pytest.approx(truth.electrons_image[0, 0], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_bundle_means_need_no_image(engine, bench):
     camera = bench.camera_of(tilt(load_lens("star_camera_206mm"), "L2", x_deg=0.1), film=False)
     stars = bench.stars_at(camera, [100.0, 2000.0], [100.0, 1000.0], bands=BANDS)
