@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from experiments.hsfe.own_frames import misplaced
 from experiments.laboratory.temporal_error import scatter_interval, small_sample_factor
+from experiments.reduce import checks, sequence
 from experiments.reduce.sequence import lag_one, largest_change, shared_noise
 
 ALARM, RUNS = 0.02, 1000
@@ -51,6 +54,55 @@ def test_frames_of_independent_noise_share_none_and_a_copy_with_noise_shares_mos
     one = shared_noise(dn, usable, names, "s", false_alarm=1e-3)
     assert one.frames == ("2", "7")
     assert one.value == pytest.approx(1 / np.sqrt(1.25), abs=0.1)
+
+
+def test_noise_that_frames_share_alarms_no_more_often_than_stated(monkeypatch):
+    """66 pairs of twelve frames with 121 pixels: the share of 100 that pass the limit of 20 % for all of them."""
+    rng, usable, names = np.random.default_rng(3), np.ones((1, 11, 11), bool), list("abcdefghijkl")
+    monkeypatch.setattr(sequence, "SHARED", 0.0)
+    found = [
+        shared_noise(rng.normal(1e4, 100.0, (12, 1, 11, 11)), usable, names, "s", false_alarm=0.2) for _ in range(100)
+    ]
+    passed = np.mean([one.value > one.limit for one in found])
+    # the limit of a scatter that is measured itself, from 66 pairs, is a little wide
+    assert 0.02 < passed < 0.2 + 4.0 * np.sqrt(0.2 * 0.8 / 100)
+
+
+def test_common_motion_alarms_as_often_as_stated(monkeypatch):
+    """Four frames of two points that do not move: 5 % of 4000 axes, within four standard deviations."""
+    monkeypatch.setattr(checks, "FALSE_ALARM", 0.05)
+    monkeypatch.setattr(checks, "MOTION_SHARE", 0.0)
+    rng = np.random.default_rng(6)
+    found = [one for _ in range(2000) for one in checks.common_motion(rng.standard_normal((4, 2, 2)), "s")]
+    passed = np.mean([one.rms_px > one.limit_px for one in found])
+    assert passed == pytest.approx(0.05, abs=4.0 * np.sqrt(0.05 * 0.95 / 4000))
+    still = checks.common_motion(np.zeros((4, 2, 2)) + np.arange(4.0)[:, None, None], "s")
+    assert still[0].rms_px == pytest.approx(np.sqrt(5.0 / 3.0))  # 0, 1, 2, 3
+
+
+def test_scatter_over_the_noise_model_is_known_as_well_as_stated():
+    """Two series of three and five frames, four points of unequal noise: 3000 ratios."""
+    rng, noise = np.random.default_rng(7), np.array([1.0, 2.0, 0.5, 1.5])[:, None] * np.ones(2)
+
+    def series(frames):
+        seen = (noise * rng.standard_normal((frames, 4, 2))).std(0, ddof=1)
+        return SimpleNamespace(
+            frames=frames,
+            effective_frames=frames,
+            predicted_px=lambda _: noise,
+            points=SimpleNamespace(sigma_px=lambda _: seen),
+        )
+
+    found = [checks._noise_ratio([series(3), series(5), SimpleNamespace(frames=1)], "cog") for _ in range(3000)]
+    square = np.square([one.value for one in found])
+    assert square.mean() == pytest.approx(1.0, abs=4.0 * square.std() / np.sqrt(3000))
+    assert found[0].uncertainty == pytest.approx(0.5 * square.std(), rel=0.06)
+    assert found[0].n == (3 + 5) * 4
+    assert checks._noise_ratio([SimpleNamespace(frames=1)], "cog") is None
+    correlated = series(5)
+    correlated.effective_frames = 1.25
+    one, other = (checks._noise_ratio([this], "cog").uncertainty for this in (correlated, series(5)))
+    assert one == pytest.approx(2.0 * other)
 
 
 @pytest.mark.parametrize(("frames", "stars"), [(2, 1), (3, 5), (30, 9)])
