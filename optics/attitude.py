@@ -1,4 +1,5 @@
-"""Attitudes: from right ascension, declination and roll to a rotation and back, and the error of one against another.
+"""Attitudes: from right ascension, declination and roll to a rotation and back, the error of one against another, and
+where a moving observer sees the stars that attitudes are measured with.
 
 An attitude is a `scipy.spatial.transform.Rotation`, cam from icrs: ``v_cam = R v_icrs``. Roll is the position angle of
 *up* in the image (towards smaller rows) at the boresight, from north through east. At roll 0 north is up and, as the
@@ -7,17 +8,19 @@ sky is seen, east is to the left.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import constants
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import DEG_RAD, RAD_ARCSEC, RAD_DEG
 
-__all__ = ["angles_from_attitude", "attitude_error_arcsec", "attitude_from_angles", "quat_xyzw"]
+__all__ = ["aberrated", "angles_from_attitude", "attitude_error_arcsec", "attitude_from_angles", "quat_xyzw"]
 
 
 def attitude_from_angles(ra_deg: ArrayLike, dec_deg: ArrayLike, roll_deg: ArrayLike = 0.0) -> Rotation:
@@ -109,3 +112,37 @@ def attitude_error_arcsec(estimated: Rotation, truth: Rotation) -> FloatArray:
         Errors about cam x, y (across the boresight) and z (roll) [arcsec]; report x, y and z apart.
     """
     return np.asarray((estimated * truth.inv()).as_rotvec() * RAD_ARCSEC)
+
+
+def aberrated(direction: ArrayLike, velocity_km_per_s: ArrayLike) -> FloatArray:
+    """Directions as a moving observer sees them; with the opposite velocity, the way back.
+
+    The exact formula of special relativity: S. A. Klioner, AJ 125, 1580 (2003), eq. 10.
+
+    Parameters
+    ----------
+    direction : (n, 3)
+        Unit vectors as seen at rest.
+    velocity_km_per_s : (3,)
+        Velocity of the observer, same axes [km/s].
+
+    Returns
+    -------
+    (n, 3)
+        Unit vectors.
+
+    Raises
+    ------
+    DomainError
+        On other shapes, or a velocity that is not below that of light.
+    """
+    r = np.asarray(direction, np.float64)
+    beta = np.asarray(velocity_km_per_s, np.float64) * 1e3 / constants.c
+    if r.ndim != 2 or r.shape[1] != 3 or beta.shape != (3,):
+        raise DomainError(f"directions (n, 3) and a velocity (3,) are needed, got {r.shape} and {beta.shape}")
+    if not float(beta @ beta) < 1.0:
+        raise DomainError(f"velocity {np.linalg.norm(beta) * constants.c / 1e3:g} km/s is not below that of light")
+    inverse_gamma = math.sqrt(1.0 - float(beta @ beta))
+    along = r @ beta
+    seen = inverse_gamma * r + (1.0 + along / (1.0 + inverse_gamma))[:, None] * beta
+    return np.asarray(seen / np.sqrt(np.einsum("ij,ij->i", seen, seen))[:, None])

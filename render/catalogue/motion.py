@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from scipy import constants
 
 from optics.arrays import FloatArray
+from optics.attitude import aberrated
 from optics.errors import DomainError
 from optics.records import freeze
 from render.catalogue.record import StarCatalog
@@ -235,21 +236,6 @@ def deflected(direction: ArrayLike, from_sun_au: ArrayLike) -> FloatArray:
     edge = (_SUN_RADIUS_AU / distance) ** 2 / 2.0
     bend = _SUN_AU / distance / np.maximum(1.0 + along, edge)
     return _unit(r + bend[:, None] * (away - along[:, None] * r))
-
-
-def aberrated(direction: ArrayLike, velocity_km_per_s: ArrayLike) -> FloatArray:
-    """Directions as a moving observer sees them; with the opposite velocity, the way back."""
-    # direction (n, 3), velocity_km_per_s (3,) -> (n, 3)
-    r = np.asarray(direction, np.float64)
-    beta = np.asarray(velocity_km_per_s, np.float64) / _LIGHT_KM_PER_S
-    if r.ndim != 2 or r.shape[1] != 3 or beta.shape != (3,):
-        raise DomainError(f"directions (n, 3) and a velocity (3,) are needed, got {r.shape} and {beta.shape}")
-    if not float(beta @ beta) < 1.0:
-        raise DomainError(f"velocity {np.linalg.norm(beta) * _LIGHT_KM_PER_S:g} km/s is not below that of light")
-    inverse_gamma = math.sqrt(1.0 - float(beta @ beta))
-    along = r @ beta
-    seen = inverse_gamma * r + (1.0 + along / (1.0 + inverse_gamma))[:, None] * beta
-    return _unit(seen)
 
 
 def propagate(catalog: StarCatalog, epoch_year: float) -> StarCatalog:

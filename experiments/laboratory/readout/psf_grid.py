@@ -44,8 +44,9 @@ def render_psf_grid(
     window_px: int,
     trail_px: FloatArray | None = None,
     long_side: int = LONG_SIDE,
+    by_grid: bool = False,
 ) -> PsfGrid:
-    """Render the PSFs of a camera."""
+    """Render the PSFs of a camera; ``by_grid`` as of `render.tracing.psf.epsf_tracer`, for many of them by waves."""
     camera = instrument.camera
     size = np.array([camera.width_px, camera.height_px])
     columns, rows = np.maximum(3, np.rint(long_side * size / size.max()).astype(int) // 2 * 2 + 1)
@@ -53,7 +54,8 @@ def render_psf_grid(
     place = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) + camera.centre_px
     direction = camera.nominal_direction(place[:, 0], place[:, 1], instrument.focal_length_mm)
     stars = light.stars(direction, 5.0, temperature_k)
-    rendered = render_epsf(epsf_tracer(camera), stars, oversampling=OVERSAMPLING, half_size_px=window_px // 2 + 2)
+    tracer = epsf_tracer(camera, by_grid=by_grid)
+    rendered = render_epsf(tracer, stars, oversampling=OVERSAMPLING, half_size_px=window_px // 2 + 2)
     psfs = tuple(row[0] for row in rendered)
     if trail_px is not None and trail_px.any():
         psfs = tuple(trailed(psf, trail_px) for psf in psfs)

@@ -1,0 +1,471 @@
+"""A star tracker's own work: a frame and a time in, a quaternion with its covariance out.
+
+Lost in space, all stars of the frame are detected and identified (`calib.attitude.star_attitude.identify_stars`). From
+then on only windows are looked at, around the places where guide stars are predicted: the last attitude, carried on by
+the rate of a gyro or by the turn between the last two attitudes. A window whose star is not where it should be after
+the common shift of all (hot pixel, cosmic ray, planet, wrong star) is rejected, then stars that lie farther than 3.5
+sigma from the best attitude. Too few stars left: the frame is searched as a whole; too few there: no attitude, said by
+a status.
+
+Times are those of the middle of the exposures. Directions of the guide stars are turned by the aberration of the
+velocity that the tracker is told; the quaternion is cam from icrs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.association import pixel_angle_rad
+from calib.attitude.solve import AttitudeSolution, solve_wahba
+from calib.attitude.star_attitude import identify_stars
+from calib.cameras.base import CameraModel
+from calib.measure.background import estimate_background
+from calib.measure.centroid import get_centroider
+from calib.measure.find import find_stamps
+from calib.measure.image import image_from_frame, subtract_dark
+from calib.measure.stamps import extract_stamps, ring_background
+from calib.records import NoiseModel, SensorImage, StarTable
+from optics.arrays import FloatArray
+from optics.attitude import aberrated, quat_xyzw
+from optics.errors import DomainError
+from optics.records import freeze
+from optics.units import RAD_ARCSEC
+from render.records import EffectivePsf, Frame
+
+__all__ = ["GuideCatalogue", "StarTracker", "TrackedAttitude", "guide_catalogue", "sky_coverage"]
+
+
+CLIP_SIGMA, CLIP_ROUNDS = 3.5, 6
+SNR = 5.0
+"""Signal-to-noise ratio of the flux below which a window holds no star."""
+SEEN_SHARE = 0.5
+"""Of the predicted stars, so many have to be there after an acquisition, or it was a chance match."""
+LONGEST_GAP_S = 5.0
+"""A turn is carried on for so long; then the sky is searched anew."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuideCatalogue:
+    """Stars that a tracker looks for; made by `guide_catalogue`."""
+
+    id: NDArray[np.int64]  # (n,)
+    direction: FloatArray  # (n, 3) Unit vectors along icrs, at the epoch, without aberration
+    magnitude: FloatArray  # (n,) In the tracker's own band
+    row: NDArray[np.int64]  # (n,) In the catalogue they were chosen from
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "id", shape=("n",), dtype=np.int64, sizes=sizes)
+        freeze(self, "direction", shape=("n", 3), sizes=sizes)
+        freeze(self, "magnitude", shape=("n",), sizes=sizes)
+        freeze(self, "row", shape=("n",), dtype=np.int64, sizes=sizes)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+
+def guide_catalogue(
+    identifier: ArrayLike,
+    direction: ArrayLike,
+    magnitude: ArrayLike,
+    *,
+    faintest_mag: float,
+    brightest_mag: float = -2.0,
+    apart_rad: float,
+    fainter_mag: float = 3.0,
+) -> GuideCatalogue:
+    """Stars that stand alone, between two magnitudes of the instrument.
+
+    Parameters
+    ----------
+    identifier : (n,)
+        Names of all stars of the sky.
+    direction : (n, 3)
+        Unit vectors along icrs.
+    magnitude : (n,)
+        Magnitudes as the instrument sees them: those of stars of the same electrons and one colour.
+    faintest_mag, brightest_mag : float
+        Limits: what is fainter is not measured, what is brighter saturates.
+    apart_rad : float
+        No other star may be nearer than this [rad] ...
+    fainter_mag : float
+        ... that is not fainter by so much.
+
+    Returns
+    -------
+    GuideCatalogue
+        Brightest first.
+
+    Raises
+    ------
+    DomainError
+        Limits in the wrong order, a distance that is not positive, or no star left.
+    """
+    direction, magnitude = np.asarray(direction, float), np.asarray(magnitude, float)
+    if not brightest_mag < faintest_mag:
+        raise DomainError(
+            f"guide stars from {brightest_mag:g} to {faintest_mag:g} mag: the first must be the lower magnitude"
+        )
+    if not apart_rad > 0.0:
+        raise DomainError(f"apart_rad = {apart_rad:g} rad; it must be positive")
+    near = np.flatnonzero(magnitude <= faintest_mag + fainter_mag)
+    pairs = cKDTree(direction[near]).query_pairs(2.0 * np.sin(0.5 * min(apart_rad, np.pi)), output_type="ndarray")
+    alone = np.ones(len(magnitude), bool)
+    for one, other in (pairs.T, pairs.T[::-1]):
+        disturbed = magnitude[near[other]] < magnitude[near[one]] + fainter_mag
+        alone[near[one[disturbed]]] = False
+    row = np.flatnonzero(alone & (magnitude >= brightest_mag) & (magnitude <= faintest_mag))
+    if not len(row):
+        raise DomainError(f"no guide star from {brightest_mag:g} to {faintest_mag:g} mag stands alone in the catalogue")
+    row = row[np.argsort(magnitude[row], kind="stable")]
+    return GuideCatalogue(
+        id=np.asarray(identifier, np.int64)[row], direction=direction[row], magnitude=magnitude[row], row=row
+    )
+
+
+def sky_coverage(guides: GuideCatalogue, model: CameraModel, *, attitudes: int = 1000, margin_px: float = 0.0) -> Any:
+    """Guide stars in the field, in attitudes that are spread evenly over the sky and all rolls.
+
+    Returns
+    -------
+    (attitudes,) int64
+        Number of guide stars at least ``margin_px`` inside the detector's edge.
+    """
+    k = np.arange(attitudes)
+    z = 1.0 - (2.0 * k + 1.0) / attitudes
+    golden = np.pi * (3.0 - np.sqrt(5.0))
+    turned = Rotation.from_euler("ZYZ", np.column_stack([golden * k, np.arccos(z), k * np.sqrt(2.0) * np.pi])).inv()
+    size = np.array([model.geometry.width_px, model.geometry.height_px])
+    corner = model.unproject(np.array([[-0.5, -0.5], size - 0.5]))
+    reach = float(np.max(2.0 * np.sin(0.5 * np.arccos(np.clip(corner[:, 2], -1.0, 1.0)))))
+    tree, counts = cKDTree(guides.direction), np.zeros(attitudes, np.int64)
+    for n, matrix in enumerate(turned.as_matrix()):
+        near = tree.query_ball_point(matrix[2], 1.02 * reach)
+        if near:
+            counts[n] = np.count_nonzero(_inside(model.project(guides.direction[near] @ matrix.T), size, margin_px))
+    return counts
+
+
+def _inside(place: FloatArray, size: NDArray[Any], margin_px: float) -> NDArray[np.bool_]:
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((place >= margin_px - 0.5) & (place <= size - 0.5 - margin_px)).all(axis=1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackedAttitude:
+    """What the tracker says of one frame.
+
+    Attributes
+    ----------
+    time_s : float
+        Middle of the exposure, as the tracker was told.
+    mode : str
+        ``"acquisition"`` or ``"tracking"``: how the stars were found.
+    status : str
+        ``"ok"``; ``"few_stars"``: fewer than needed; ``"not_identified"``: stars, but of no known pattern;
+        ``"not_confirmed"``: a pattern, but most guide stars are missing in it.
+    attitude : Rotation or None
+        cam from icrs; None unless ok.
+    covariance_rad2 : (3, 3)
+        Of the error's rotation vector in cam; infinite unless ok.
+    star_id : (k,) int64
+        Guide stars that the attitude was made of.
+    pixel_px : (k, 2)
+        Their centroids.
+    rejected : int
+        Windows that held light, but no star that fits.
+    expected : int
+        Windows that were looked at.
+    """
+
+    time_s: float
+    mode: str
+    status: str
+    attitude: Rotation | None
+    covariance_rad2: FloatArray
+    star_id: NDArray[np.int64]
+    pixel_px: FloatArray
+    rejected: int = 0
+    expected: int = 0
+
+    def __post_init__(self) -> None:
+        freeze(self, "covariance_rad2", shape=(3, 3), finite=False)
+        sizes: dict[str, int] = {}
+        freeze(self, "star_id", shape=("k",), dtype=np.int64, sizes=sizes)
+        freeze(self, "pixel_px", shape=("k", 2), sizes=sizes)
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is an attitude."""
+        return self.status == "ok"
+
+    @property
+    def quat_xyzw(self) -> FloatArray:
+        """Quaternion (4,), scalar last and not negative; NaN where there is none."""
+        return np.full(4, np.nan) if self.attitude is None else quat_xyzw(self.attitude)
+
+    @property
+    def sigma_arcsec(self) -> FloatArray:
+        """Standard deviation (3,) about cam x, y (across the boresight) and z (roll) [arcsec]."""
+        return np.asarray(np.sqrt(np.diag(self.covariance_rad2)) * RAD_ARCSEC)
+
+
+class StarTracker:
+    """From frames to attitudes; it remembers the last ones.
+
+    Parameters
+    ----------
+    model : CameraModel
+        The calibrated camera.
+    guides : GuideCatalogue
+        Stars to look for.
+    dark_dn : (h, w), optional
+        Mean frame without light, subtracted from every frame.
+    noise : NoiseModel, optional
+        Of a frame minus that mean; the frame's own if left out.
+    centroid : str
+        Centroider (`calib.measure.centroid.list_centroiders`).
+    psfs, psf_place_px : sequence of EffectivePsf, (p, 2), optional
+        PSFs for a centroider that needs them, and where on the detector they hold; the nearest is taken.
+    window_px : int
+        Side of the windows, odd.
+    threshold_sigma, fwhm_px : float
+        Detection limit of the acquisition, and width of its filter.
+    fewest, most : int
+        Stars that an attitude needs, and that are tracked at most, the brightest.
+    gate_px : float
+        How far a star may lie from its place after the common shift of all.
+    star_error_px : float
+        Error per axis and star that the noise of a centroid does not hold (pixel patterns, colours, calibration):
+        added to it in weights and covariance.
+    database : tetra3rs.SolverDatabase, optional
+        As of `identify_stars`.
+    """
+
+    def __init__(
+        self,
+        model: CameraModel,
+        guides: GuideCatalogue,
+        *,
+        dark_dn: NDArray[np.float32] | None = None,
+        noise: NoiseModel | None = None,
+        centroid: str = "epsf",
+        psfs: Sequence[EffectivePsf] = (),
+        psf_place_px: ArrayLike | None = None,
+        window_px: int = 13,
+        threshold_sigma: float = 5.0,
+        fwhm_px: float = 1.8,
+        fewest: int = 4,
+        most: int = 30,
+        gate_px: float = 2.0,
+        star_error_px: float = 0.0,
+        database: Any = None,
+    ) -> None:
+        if not 3 <= fewest <= most:
+            raise DomainError(f"fewest = {fewest}, most = {most}: at least 3, and not more than the second, are needed")
+        self.model, self.guides = model, guides
+        self._dark, self._noise, self._window = dark_dn, noise, window_px
+        self._centroider = get_centroider(centroid, **({"epsf": tuple(psfs)} if len(psfs) else {}))
+        self._psf_place = np.zeros((1, 2)) if psf_place_px is None else np.asarray(psf_place_px, float)
+        self._threshold, self._fwhm = threshold_sigma, fwhm_px
+        self._fewest, self._most, self._gate, self._star_error = fewest, most, gate_px, star_error_px
+        self._database = database
+        self._size = np.array([model.geometry.width_px, model.geometry.height_px])
+        corner = model.unproject(np.array([[-0.5, -0.5], self._size - 0.5]))
+        self._cos_reach = float(np.cos(1.05 * np.arccos(np.clip(corner[:, 2].min(), -1.0, 1.0))))
+        self._pixel_rad = pixel_angle_rad(model)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all attitudes: the next frame is searched as a whole."""
+        self._last: list[tuple[float, Rotation]] = []
+
+    def begin(self, time_s: float, attitude: Rotation) -> None:
+        """Hand an attitude over, cam from icrs: that of another sensor, or of an acquisition elsewhere."""
+        self._last = [(time_s, attitude)]
+
+    def __call__(
+        self,
+        frame: Frame,
+        time_s: float,
+        *,
+        velocity_km_per_s: ArrayLike | None = None,
+        rate_rad_per_s: ArrayLike | None = None,
+        near: Rotation | None = None,
+    ) -> TrackedAttitude:
+        """Attitude of a frame.
+
+        Parameters
+        ----------
+        frame : Frame
+            As read out.
+        time_s : float
+            Middle of the exposure; later than that of the frame before.
+        velocity_km_per_s : (3,), optional
+            Velocity of the tracker against the barycentre of the solar system, along icrs, for the aberration; left
+            out: none is corrected.
+        rate_rad_per_s : (3,), optional
+            Rate since the last frame in axes of the camera, as a gyro gives it; left out: as between the last two
+            attitudes.
+        near : Rotation, optional
+            Rough attitude from elsewhere; the memory is left alone: neither read nor written.
+
+        Raises
+        ------
+        DomainError
+            A time that is not later than the last one.
+        """
+        if near is None and self._last and not time_s > self._last[-1][0]:
+            raise DomainError(
+                f"time_s = {time_s:g} s, after {self._last[-1][0]:g} s; frames have to come in the order of time"
+            )
+        image = image_from_frame(frame) if self._dark is None else subtract_dark(frame, self._dark)
+        if self._noise is not None:
+            image = replace(image, noise=self._noise)
+        moved = None if velocity_km_per_s is None else np.asarray(velocity_km_per_s, float)
+        rough = near if near is not None else self._predicted(time_s, rate_rad_per_s)
+        found = None if rough is None else self._track(image, time_s, rough, moved, "tracking")
+        if near is None and (found is None or not found.ok):
+            found = self._acquire(image, time_s, moved)
+        assert found is not None
+        if near is None:
+            self._last = [*self._last[-1:], (time_s, found.attitude)] if found.attitude is not None else []
+        return found
+
+    def _predicted(self, time_s: float, rate: ArrayLike | None) -> Rotation | None:
+        if not self._last or time_s - self._last[-1][0] > LONGEST_GAP_S:
+            return None
+        last_s, attitude = self._last[-1]
+        if rate is not None:
+            return Rotation.from_rotvec(-np.asarray(rate, float) * (time_s - last_s)) * attitude
+        if len(self._last) < 2:
+            return attitude
+        before_s, before = self._last[0]
+        turn = (attitude * before.inv()).as_rotvec()
+        return Rotation.from_rotvec(turn * (time_s - last_s) / (last_s - before_s)) * attitude
+
+    def _apparent(self, rows: Any, velocity: FloatArray | None) -> FloatArray:
+        chosen = np.array(self.guides.direction[rows])
+        return chosen if velocity is None else aberrated(chosen, velocity)
+
+    def _expected(
+        self, rough: Rotation, velocity: FloatArray | None
+    ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+        """Guide stars that whole windows are expected of: rows, directions as seen, places."""
+        near = np.flatnonzero(self.guides.direction @ rough.as_matrix()[2] > self._cos_reach)
+        seen = self._apparent(near, velocity)
+        place = self.model.project(rough.apply(seen)) if len(near) else np.empty((0, 2))
+        chosen = np.flatnonzero(_inside(place, self._size, self._window // 2 + 1.0))[: self._most]  # brightest first
+        return near[chosen], seen[chosen], place[chosen]
+
+    def _track(
+        self, image: SensorImage, time_s: float, rough: Rotation, velocity: FloatArray | None, mode: str
+    ) -> TrackedAttitude:
+        row, seen, place = self._expected(rough, velocity)
+        if len(row) < self._fewest:
+            return _nothing(time_s, mode, "few_stars", expected=len(row))
+        stars = self._measured(image, place)
+        light = stars.fit & (stars.flux_e > SNR * np.sqrt(np.maximum(stars.covariance[:, 2, 2], 0.0)))
+        miss = stars.pixel_px - place
+        good = light.copy()
+        if light.any():  # a rough attitude shifts all stars alike; what is off by more is something else
+            apart = np.hypot(*(miss - np.median(miss[light], axis=0)).T)
+            good &= np.nan_to_num(apart, nan=np.inf) <= self._gate
+        used = np.flatnonzero(good)
+        if len(used) < self._fewest:
+            return _nothing(time_s, mode, "few_stars", rejected=int(light.sum()) - len(used), expected=len(row))
+        solution, kept = self._solved(stars, used, seen)
+        used = used[kept]
+        if not solution.ok or len(used) < self._fewest:
+            return _nothing(time_s, mode, "few_stars", rejected=int(light.sum()) - len(used), expected=len(row))
+        return TrackedAttitude(
+            time_s=time_s,
+            mode=mode,
+            status="ok",
+            attitude=solution.rotation,
+            covariance_rad2=solution.covariance_rad2,
+            star_id=self.guides.id[row[used]],
+            pixel_px=stars.pixel_px[used],
+            rejected=int(light.sum()) - len(used),
+            expected=len(row),
+        )
+
+    def _measured(self, image: SensorImage, place: FloatArray) -> StarTable:
+        """Centroids in windows around places (n, 2)."""
+        nearest = ((place[:, None] - self._psf_place) ** 2).sum(-1).argmin(1)
+        stamps = extract_stamps(
+            image, place[:, 0], place[:, 1], background=np.zeros(len(place)), size_px=self._window, psf_index=nearest
+        )
+        stamps = replace(stamps, background_e=ring_background(stamps.electrons, stamps.valid))
+        return self._centroider.measure(stamps, image.noise)
+
+    def _solved(
+        self, stars: StarTable, used: NDArray[np.int64], seen: FloatArray
+    ) -> tuple[AttitudeSolution, NDArray[np.bool_]]:
+        v_cam, v_ref = self.model.unproject(stars.pixel_px[used]), seen[used]
+        sigma = self._pixel_rad * np.hypot(stars.position_sigma_px[used], self._star_error)
+        kept = np.isfinite(v_cam).all(axis=1)
+        for _ in range(CLIP_ROUNDS):
+            solution = solve_wahba(v_cam[kept], v_ref[kept], sigma_rad=sigma[kept])
+            miss = np.linalg.norm(v_cam - solution.rotation.apply(v_ref), axis=1)
+            # the worst are left out first: a far one pulls the attitude, and with it all others, off their places
+            allowed = np.maximum(CLIP_SIGMA * sigma, 0.5 * np.nanmax(miss[kept], initial=0.0))
+            if (miss[kept] <= CLIP_SIGMA * sigma[kept]).all():
+                break
+            good = kept & (miss <= allowed)
+            if np.count_nonzero(good) < self._fewest or np.array_equal(good, kept):
+                break
+            kept = good
+        if solution.status == "inconsistent":  # stars beyond the stated errors: an attitude all the same
+            solution = replace(solution, status="ok")
+        return solution, kept
+
+    def _acquire(self, image: SensorImage, time_s: float, velocity: FloatArray | None) -> TrackedAttitude:
+        try:
+            background = estimate_background(image, step_px=2)
+        except DomainError:  # saturated all over
+            return _nothing(time_s, "acquisition", "few_stars")
+        stamps = find_stamps(
+            image, background=background, threshold_sigma=self._threshold, fwhm_px=self._fwhm, size_px=self._window
+        )
+        if not len(stamps):
+            return _nothing(time_s, "acquisition", "few_stars")
+        place = stamps.start_px
+        stamps = replace(stamps, psf_index=((place[:, None] - self._psf_place) ** 2).sum(-1).argmin(1))
+        stars = self._centroider.measure(stamps, image.noise)
+        known = _Known(id=self.guides.id, direction=self._apparent(slice(None), velocity))
+        found = identify_stars(stars, self.model, known, database=self._database)
+        if not found.ok or found.attitude is None:
+            status = "few_stars" if found.status == "too_few" else "not_identified"
+            return _nothing(time_s, "acquisition", status)
+        tracked = self._track(image, time_s, found.attitude.rotation, velocity, "acquisition")
+        if tracked.ok and len(tracked.star_id) < SEEN_SHARE * tracked.expected:
+            return _nothing(time_s, "acquisition", "not_confirmed", tracked.rejected, tracked.expected)
+        return tracked
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Known:
+    id: NDArray[np.int64]
+    direction: FloatArray
+
+
+def _nothing(time_s: float, mode: str, status: str, rejected: int = 0, expected: int = 0) -> TrackedAttitude:
+    return TrackedAttitude(
+        time_s=time_s,
+        mode=mode,
+        status=status,
+        attitude=None,
+        covariance_rad2=np.full((3, 3), np.inf),
+        star_id=np.empty(0, np.int64),
+        pixel_px=np.empty((0, 2)),
+        rejected=rejected,
+        expected=expected,
+    )

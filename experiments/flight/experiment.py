@@ -1,0 +1,435 @@
+"""The flight: its budget, its frames, the terms of both, and what the mission asks of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta, norm
+
+from calib.attitude.tracker import sky_coverage
+from experiments.flight.frames import FlightFrames, Segment, render_flight
+from experiments.flight.prediction import Budget, SegmentErrors, build_budget
+from experiments.flight.scenario import Flight, build_flight
+from experiments.flight.settings import Config
+from experiments.flight.terms import COMPONENTS, LABELS, VERDICTS, Term, measured_terms, predicted_terms
+from experiments.harness.drawings import curves
+from experiments.harness.progress import Progress
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, above, below, col
+from experiments.harness.summary import Measured
+from optics.arrays import FloatArray
+
+__all__ = ["SECTIONS", "axes", "run"]
+
+HISTORY = 61
+"""Times of the curves over the orbit."""
+COVERAGE = 1500
+CONFIDENCE = 0.9
+LEVEL = 0.95
+"""Confidence level that the metrics are quoted for."""
+
+
+# --- The sensor and its mission
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mission:
+    """What flies, and how often it has an attitude."""
+
+    name: str = col("Sensor", json="")
+    lens: str = col("Lens", json="")
+    detector: str = col("Detector", json="")
+    period_s: float = col("Period of the orbit", "s", ".0f")
+    rate_deg_per_s: float = col("Rate across the line of sight, mean", "deg/s", ".4g")
+    guide_stars: int = col("Guide stars")
+    guide_mean: float = col("Guide stars in the field, mean over the sky", "", ".1f")
+    guide_worst: float = col("Guide stars in the field, worst 1 % of the sky", "", ".1f")
+    covered_percent: float = col("Sky with enough guide stars", "percent", ".2f")
+    star_error_arcsec: float = col("Error of a guide star besides noise", "arcsec", ".3g")
+    available_percent: float = col("Availability over the orbit, predicted", "percent", ".1f")
+    # None without frames
+    solved_percent: Measured | None = col("Frames with an attitude, of those not blinded", "percent", default=None)
+    acquired: Measured | None = col("Acquisitions lost in space that succeed", default=None)
+    acquired_least: float | None = col("the same, lower limit at 90 % confidence", "", ".3f", default=None)
+    acquisition_s: Measured | None = col("Time of an acquisition on this machine", "s", default=None)
+    wrong_attitudes: int | None = col("Wrong attitudes", default=None)
+    rejected_per_frame: float | None = col("Windows rejected per frame", "", ".3g", default=None)
+
+
+def mission(budget: Budget, history: Sequence[Moment], frames: FlightFrames | None) -> Mission:
+    """Sensor and mission in numbers."""
+    config, flight = budget.config, budget.flight
+    state = budget.nominal.state
+    counts = sky_coverage(budget.guides, budget.model, attitudes=COVERAGE, margin_px=config.window_px // 2 + 1.0)
+    rate = np.asarray(flight.trajectory.rate(np.array([one.time_min * 60.0 for one in history])))
+    return Mission(
+        name=config.name or f"{state.instrument.camera.lens.name} on {budget.nominal.processing.detector.name}",
+        lens=state.instrument.camera.lens.name,
+        detector=budget.nominal.processing.detector.name,
+        period_s=flight.period_s,
+        rate_deg_per_s=float(np.degrees(np.linalg.norm(rate[:, :2], axis=1).mean())),
+        guide_stars=len(budget.guides),
+        guide_mean=float(counts.mean()),
+        guide_worst=float(np.quantile(counts, 0.01)),
+        covered_percent=100.0 * float((counts >= config.tracker.fewest).mean()),
+        star_error_arcsec=budget.star_error_px * state.pixel_arcsec,
+        available_percent=100.0 * float(np.mean([one.available for one in history])),
+        **(_seen(frames) if frames is not None else {}),
+    )
+
+
+def _seen(frames: FlightFrames) -> dict[str, Any]:
+    """Numbers of rendered segments that no body blinds."""
+    lit = [one for one in frames.segments if not one.blinded]
+    if not lit:
+        return {}
+    solved = np.concatenate([one.solved for one in lit])
+    ok = np.array([one.acquired == "ok" for one in lit])
+    share = float(ok.mean())
+    spent = np.array([one.acquisition_s for one in lit])
+    return {
+        "solved_percent": Measured(
+            value=100.0 * float(solved.mean()),
+            unit="percent",
+            uncertainty=100.0 * math.sqrt(max(solved.mean() * (1.0 - solved.mean()), 0.0) / len(solved)),
+            n=len(solved),
+        ),
+        "acquired": Measured(value=share, uncertainty=math.sqrt(share * (1.0 - share) / len(ok)), n=len(ok)),
+        # Clopper and Pearson 1934, Biometrika 26, 404
+        "acquired_least": float(beta.ppf(1.0 - CONFIDENCE, ok.sum(), len(ok) - ok.sum() + 1)) if ok.any() else 0.0,
+        "acquisition_s": Measured(
+            value=float(spent.mean()), unit="s", uncertainty=float(spent.std() / np.sqrt(len(spent))), n=len(spent)
+        ),
+        "wrong_attitudes": sum(one.wrong for one in lit),
+        "rejected_per_frame": float(np.concatenate([one.rejected for one in lit]).mean()),
+    }
+
+
+# --- Over the orbit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """One time of the orbit, by prediction."""
+
+    time_min: float = col("Time", "min", ".1f")
+    mean_k: float = col("Lens above its calibration", "K", ".2f")
+    sun_deg: float = col("Angle to the Sun", "deg", ".1f")
+    earth_deg: float = col("Angle to the Earth's limb", "deg", ".1f")
+    moon_deg: float = col("Angle to the Moon", "deg", ".1f")
+    background_e_per_s: float = col("Stray light", "e-/s", ".3g", shown=False)
+    stars: float = col("Guide stars", "", ".1f")
+    thermo_elastic_arcsec: FloatArray = col("Thermo-elastic error", "arcsec", ".4g", "axis", shown=False)
+    aberration_arcsec: FloatArray = col("Aberration, residual", "arcsec", ".4g", "axis", shown=False)
+    noise_arcsec: FloatArray = col("Temporal noise", "arcsec", ".4g", "axis", shown=False)
+    available: bool  # Whether there is an attitude
+
+
+def moments(budget: Budget, progress: Progress) -> list[Moment]:
+    """The orbit, evenly sampled."""
+    flight, found = budget.flight, []
+    for time in progress.track(np.linspace(0.0, flight.period_s, HISTORY), "prediction"):
+        errors, angles = budget.errors(float(time)), flight.angles_deg(float(time))
+        found.append(
+            Moment(
+                time_min=float(time) / 60.0,
+                mean_k=float(flight.thermal.at(float(time))[0]),
+                sun_deg=float(angles["sun"]),
+                earth_deg=float(angles["earth"]),
+                moon_deg=float(angles["moon"]),
+                background_e_per_s=float(flight.background_e_per_s(float(time))),
+                stars=errors.stars,
+                thermo_elastic_arcsec=errors.thermal_arcsec,
+                aberration_arcsec=errors.aberration_arcsec,
+                noise_arcsec=np.sqrt(errors.noise_arcsec2),
+                available=errors.available,
+            )
+        )
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """One rendered segment; errors are means over its frames."""
+
+    part_min: float = col("Time", "min", ".1f")
+    stars: float = col("Stars used", "", ".1f")
+    error_arcsec: FloatArray = col("Attitude error", "arcsec", ".4f", "axis")
+    thermo_elastic_arcsec: Sequence[Measured] = col("Thermo-elastic error", "arcsec", dims="axis")
+    predicted_thermo_elastic_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "axis", shown=False)
+    aberration_arcsec: Sequence[Measured] = col("Aberration, residual", "arcsec", dims="axis")
+    predicted_aberration_arcsec: FloatArray = col("Predicted", "arcsec", ".4f", "axis", shown=False)
+    status: str = col("First frame", json="")
+
+
+def parts(segments: Sequence[Segment], errors: Sequence[SegmentErrors]) -> list[Part]:
+    """Segments beside their prediction."""
+
+    def switched(values: FloatArray) -> list[Measured]:
+        known = values[np.isfinite(values).all(axis=1)]
+        if not len(known):
+            return [Measured(value=math.nan, uncertainty=math.nan)] * 3
+        spread = known.std(axis=0, ddof=1) / math.sqrt(len(known)) if len(known) > 1 else np.full(3, np.nan)
+        return [
+            Measured(value=float(v), unit="arcsec", uncertainty=float(e), n=len(known))
+            for v, e in zip(known.mean(axis=0), spread, strict=True)
+        ]
+
+    found = []
+    for one, told in zip(segments, errors, strict=True):
+        solved = one.solved
+        error = one.error_arcsec[:, solved].mean(axis=(0, 1)) if solved.any() else np.full(3, np.nan)
+        found.append(
+            Part(
+                part_min=one.start_s / 60.0,
+                stars=float(one.stars[solved].mean()) if solved.any() else 0.0,
+                error_arcsec=error,
+                thermo_elastic_arcsec=switched(one.thermal_arcsec),
+                predicted_thermo_elastic_arcsec=told.thermal_arcsec,
+                aberration_arcsec=switched(one.aberration_arcsec),
+                predicted_aberration_arcsec=told.aberration_arcsec,
+                status=one.acquired.replace("_", " "),
+            )
+        )
+    return found
+
+
+# --- Metrics of the standard
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Metric:
+    """An error metric at the confidence level, for a normal error of the predicted terms."""
+
+    metric: str = col("Metric", json="")
+    meaning: str = col("Of", json="")
+    predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4g", "component")
+    measured_arcsec: Sequence[float] | None = col("Measured", "arcsec", ".4g", "component", default=None)
+
+
+METRICS = (
+    ("AME", "attitude error at any time", ("total",)),
+    ("MME", "mean error of a segment", ("bias", "thermo_elastic", "fov_spatial", "aberration")),
+    ("RME", "error about that mean", ("pixel_spatial", "temporal_noise")),
+)
+"""ECSS-E-ST-60-20C: absolute, mean and relative measurement error."""
+
+
+def metrics(terms: Sequence[Term], segments: Sequence[Segment]) -> list[Metric]:
+    """Metrics at `LEVEL`, across about one axis, mixed interpretation: over the sampled orbit."""
+    squares = {one.term: np.square(one.predicted_arcsec) for one in terms}
+    factor = float(norm.isf((1.0 - LEVEL) / 2.0))
+    seen = [one.error_arcsec[0, one.solved] for one in segments if one.solved.any()]
+    rows = []
+    for name, meaning, of in METRICS:
+        measured = None
+        if seen:
+            errors = {
+                "AME": np.concatenate(seen),
+                "MME": np.array([one.mean(axis=0) for one in seen]),
+                "RME": np.concatenate([one - one.mean(axis=0) for one in seen]),
+            }[name]
+            measured = [float(np.quantile(np.abs(errors[:, list(pick)]), LEVEL)) for _, pick in COMPONENTS]
+        rows.append(
+            Metric(
+                metric=name,
+                meaning=meaning,
+                predicted_arcsec=factor * np.sqrt(np.sum([squares[one] for one in of], axis=0)),
+                measured_arcsec=measured,
+            )
+        )
+    return rows
+
+
+# --- Begin and end of life
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Age:
+    """The sensor new, and at the end of its life, by prediction."""
+
+    age: str = col("Life", json="")
+    limiting_magnitude_mag: float = col("Limiting magnitude, half are found", "mag", ".2f")
+    electrons_e: float = col("Electrons of a star of 6 mag", "e-", ".0f")
+    dark_e: float = col("Dark charge", "e-", ".3g")
+    stars: float = col("Guide stars, mean of the flight", "", ".1f")
+    available_percent: float = col("Availability at the segments", "percent", ".1f")
+    noise_arcsec: FloatArray = col("Temporal noise", "arcsec", ".4g", "component")
+    total_arcsec: FloatArray = col("Total", "arcsec", ".4g", "component")
+
+
+def age(budget: Budget, errors: Sequence[SegmentErrors]) -> Age:
+    """Predicted numbers of one life."""
+    terms = {one.term: one.predicted_arcsec for one in predicted_terms(budget, errors)}
+    nothing = np.full(len(COMPONENTS), np.nan)
+    light = float(budget.nominal.electrons(np.array([6.0]), budget.config.star_temperature_k)[0])
+    return Age(
+        age="end" if budget.old else "begin",
+        limiting_magnitude_mag=budget.nominal.limits_mag[0.5],
+        electrons_e=light,
+        dark_e=budget.nominal.processing.pixel.dark_e,
+        stars=float(np.mean([one.stars for one in errors])),
+        available_percent=100.0 * float(np.mean([one.available for one in errors])),
+        noise_arcsec=terms.get("temporal_noise", nothing),
+        total_arcsec=terms.get("total", nothing),
+    )
+
+
+# --- The run
+
+
+def axes(config: Config) -> Quantities:
+    """Dimensions that all sections share."""
+    q = Quantities()
+    q.axis("component", [name for name, _ in COMPONENTS], "Component")
+    q.axis("axis", ["x", "y", "roll"], "Axis")
+    return q
+
+
+def _term_axis(q: Quantities, terms: Sequence[Term]) -> None:
+    keys = [one.term for one in terms]
+    q.axis("term", np.array(keys, dtype=object), "Term", names=[LABELS[key] for key in keys])
+
+
+def at_segments(budget: Budget, flight: Flight) -> list[SegmentErrors]:
+    """Prediction in the middles of the segments."""
+    half = 0.5 * (flight.config.frames.frames - 1) / flight.config.frames.rate_hz
+    return [
+        budget.errors(float(start) + half, state_k=state)
+        for start, state in zip(flight.segments_s, flight.states_k, strict=True)
+    ]
+
+
+def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+    """Predict, fly, split.
+
+    Raises
+    ------
+    StarbenchError
+        Anything that the user can mend: tables, orbits, lenses without thermal data, sensors without stars.
+    """
+    flight = build_flight(config)
+    with progress.stage("budget"):
+        lives = [build_budget(config, flight), build_budget(config, flight, old=True)]
+    budget = lives[config.frames.end_of_life]
+    history = moments(budget, progress)
+    told = [at_segments(one, flight) for one in lives]
+    errors = told[config.frames.end_of_life]
+    frames = None
+    if not config.predict_only:
+        with progress.stage("frames", total=config.frames.segments * config.frames.frames) as stage:
+            frames = render_flight(budget, advance=stage.advance)
+    segments = () if frames is None else frames.segments
+    terms = predicted_terms(budget, errors) if frames is None else measured_terms(budget, segments, errors)
+    return {
+        "mission": mission(budget, history, frames),
+        "terms": terms or None,
+        "metrics": metrics(terms, segments) if terms else None,
+        "history": history,
+        "parts": parts(segments, errors) or None,
+        "lives": [age(one, found) for one, found in zip(lives, told, strict=True)],
+    }
+
+
+SECTIONS = {
+    "mission": Section(
+        record=Mission,
+        table="mission",
+        vertical=True,
+        caption="Sensor, guide catalogue, availability and acquisition.",
+        verdicts=[
+            below("wrong_attitudes", 0.0, title="wrong attitudes"),
+            above("solved_percent", 95.0, title="frames with an attitude, of those that no body blinds"),
+        ],
+    ),
+    "terms": Section(
+        record=Term,
+        dim="term",
+        axes=_term_axis,
+        prefix="term_",
+        place="terms[term]",
+        table="terms",
+        rows="term component",
+        columns="measured_arcsec predicted_arcsec ratio slope",
+        caption="Attitude error by terms, RMS over the flight, one standard deviation; across: about one axis.",
+        note="Ratio and slope are left out where a term is below 5 % of the total.",
+        figures={
+            "terms": curves(
+                "term",
+                points="term_measured_arcsec",
+                lines="term_predicted_arcsec",
+                panels="component",
+                joined=False,
+                log="y",
+            )
+        },
+        verdicts=VERDICTS,
+    ),
+    "metrics": Section(
+        record=Metric,
+        dim="metric_row",
+        prefix="metric_",
+        place="metrics[metric_row]",
+        table="metrics",
+        hidden="metric_row",
+        rows="metric_row component",
+        caption="Metrics at a confidence level of 95 %.",
+        note="Predicted for a normal error; measured: quantile of all frames, or of all segments.",
+    ),
+    "history": Section(
+        record=Moment,
+        dim="moment",
+        along="time_min",
+        place="history[moment]",
+        prefix="at_",
+        table="history",
+        caption="Over the orbit.",
+        figures={
+            "angles": curves("moment", lines="at_sun_deg at_earth_deg at_moon_deg", y="Angle from the boresight"),
+            "temperature": curves("moment", lines="at_mean_k"),
+        },
+    ),
+    "parts": Section(
+        record=Part,
+        dim="part",
+        along="part_min",
+        prefix="part_",
+        place="parts[part]",
+        table="parts",
+        rows="part",
+        columns="stars status thermo_elastic_arcsec aberration_arcsec error_arcsec",
+        across="axis",
+        caption="Rendered segments.",
+        figures={
+            "thermo_elastic": curves(
+                "part",
+                points="part_thermo_elastic_arcsec",
+                lines="part_predicted_thermo_elastic_arcsec",
+                panels="axis",
+                aspect_ratio=0.36,
+            ),
+            "aberration": curves(
+                "part",
+                points="part_aberration_arcsec",
+                lines="part_predicted_aberration_arcsec",
+                panels="axis",
+                aspect_ratio=0.36,
+            ),
+        },
+    ),
+    "lives": Section(
+        record=Age,
+        dim="life",
+        prefix="life_",
+        place="lives[life]",
+        table="lives",
+        rows="life",
+        hidden="life",
+        across="component",
+        caption="Begin and end of life, by prediction.",
+    ),
+}

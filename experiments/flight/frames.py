@@ -1,0 +1,286 @@
+"""Rendered segments of the orbit, and the tracker's attitudes: each error beside what it is made of, by switching.
+
+Every frame is rendered with the lens at its temperatures and read out twice, with independent noise. With errors a and
+b of both attitudes, (a - b)^2 / 2 is temporal noise and a b everything else, both without bias. A few frames of every
+segment are rendered a second time through the lens as calibrated, with the same noise: the difference is the
+thermo-elastic error. They are solved a second time with the true velocity: the difference is the aberration that is
+left. What remains of the mean of a segment is spatial error of the field and the constant bias.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.tracker import StarTracker, TrackedAttitude
+from experiments.flight.prediction import Budget, heated, throughput
+from experiments.laboratory.centroid_methods import needs_epsf
+from experiments.laboratory.detector_changes import overridden
+from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
+from experiments.laboratory.readout.frames import mean_dark_frame
+from experiments.laboratory.readout.psf_grid import PsfGrid, render_psf_grid
+from optics.arrays import FloatArray
+from optics.attitude import aberrated, attitude_error_arcsec
+from optics.records import freeze
+from optics.units import ARCSEC_RAD
+from render.catalogue.index import build_index
+from render.detector.readout import expose
+from render.engine.random import Streams
+from render.forward import StarRenderer
+from render.motion.trajectory import Trajectory
+from render.records import Frame
+from render.sky.field import field_of_view
+from render.tracing.motion.exposure import exposure_motion
+
+__all__ = ["Camera", "FlightFrames", "Segment", "build_tracker", "render_flight"]
+
+
+MARGIN_PX = 16.0
+STILL_PX = 0.02
+"""Stars that trail by less in an exposure are rendered at rest."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Segment:
+    """Frames of one part of the orbit; errors about x, y and roll [arcsec], NaN where there is no attitude."""
+
+    start_s: float
+    blinded: bool  # A body within its exclusion angle: nothing is rendered
+    time_s: FloatArray  # (n,)
+    error_arcsec: FloatArray  # (2, n, 3) Of both readouts
+    sigma_arcsec: FloatArray  # (n, 3) That the tracker states
+    stars: FloatArray  # (n,) Used
+    rejected: FloatArray  # (n,)
+    thermal_arcsec: FloatArray  # (s, 3) By switching the temperatures
+    aberration_arcsec: FloatArray  # (s, 3) By switching the knowledge of the velocity
+    acquired: str  # Status of the first frame, searched lost in space
+    acquisition_s: float  # Time that it took on this machine
+    wrong: int  # Attitudes beyond the stated limit
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "time_s", shape=("n",), sizes=sizes)
+        freeze(self, "error_arcsec", shape=(2, "n", 3), finite=False, sizes=sizes)
+        freeze(self, "sigma_arcsec", shape=("n", 3), finite=False, sizes=sizes)
+        freeze(self, "stars", shape=("n",), sizes=sizes)
+        freeze(self, "rejected", shape=("n",), sizes=sizes)
+        freeze(self, "thermal_arcsec", shape=("s", 3), finite=False, sizes=sizes)
+        freeze(self, "aberration_arcsec", shape=("s", 3), finite=False, sizes=sizes)
+
+    @property
+    def solved(self) -> NDArray[np.bool_]:
+        """Frames (n,) of which both readouts have an attitude."""
+        return np.asarray(np.isfinite(self.error_arcsec).all(axis=(0, 2)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightFrames:
+    """All segments, and one frame to look at."""
+
+    segments: tuple[Segment, ...]
+    example_e: NDArray[np.float32]  # (h, w) Electrons above the dark
+    example_px: FloatArray  # (k, 2) Stars that were tracked in it
+
+
+class Camera:
+    """Renders and reads frames of the sensor at its temperatures; a lens is prepared once per state."""
+
+    def __init__(self, budget: Budget) -> None:
+        config = self.config = budget.config
+        self.budget, self.flight = budget, budget.flight
+        self.detector = overridden(configured_detector(config.instrument), config.detector)
+        self.nominal: Instrument = build_instrument(config.instrument, detector=self.detector)
+        chip = self.nominal.detector
+        self.streams = Streams(config.seed).child("flight", "old" if budget.old else "new")
+        self.detector = chip
+        self.index = build_index(budget.stars)
+        self._renderers: dict[bytes, StarRenderer] = {}
+
+    def renderer(self, state_k: FloatArray) -> StarRenderer:
+        """Renderer of the lens in a state."""
+        key = np.asarray(state_k, float).tobytes()
+        if key not in self._renderers:
+            lens = heated(self.config, state_k)
+            whole = overridden(configured_detector(self.config.instrument), self.config.detector)
+            camera = build_instrument(self.config.instrument, lens=lens, detector=whole).camera
+            exposure_s = self.config.instrument.exposure_s
+            self._renderers[key] = StarRenderer(camera, exposure_s=exposure_s, tolerance=1e-4, by_grid=True)
+        return self._renderers[key]
+
+    def expected(self, time_s: float, state_k: FloatArray, trajectory: Trajectory | None = None) -> FloatArray:
+        """Noiseless electrons (h, w) of an exposure about a time."""
+        path = self.flight.trajectory if trajectory is None else trajectory
+        exposure, attitude = self.config.instrument.exposure_s, path.attitude(time_s)
+        view = field_of_view(self.nominal.camera, margin_px=MARGIN_PX)
+        reach = 1.1 * view.radius_rad
+        row = np.flatnonzero(self.budget.direction @ attitude.as_matrix()[2] > np.cos(reach))
+        seen = aberrated(self.budget.direction[row], self.flight.velocity_km_per_s(time_s))
+        stars = self.budget.nominal.state.light.stars(
+            seen, self.budget.stars.magnitude[row], self.budget.temperature_k[row]
+        )
+        lost = throughput(self.config, self.budget.old)
+        stars = replace(stars, photon_rate=stars.photon_rate * lost)
+        renderer = self.renderer(state_k)
+        trail = float(np.linalg.norm(path.rate(time_s)[:2])) * exposure / self.budget.pixel_rad
+        if trail > STILL_PX or self.config.jitter.rms_arcsec:
+            motion = exposure_motion(path, start_s=time_s - 0.5 * exposure, exposure_s=exposure, camera=renderer.camera)
+            traced = renderer.trace(stars, motion=motion)
+        else:
+            traced = renderer.trace(stars, rotation_cam_from_world=attitude.as_matrix())
+        return np.array(traced.electrons[:, :, 0])
+
+    def read(self, electrons: FloatArray, time_s: float, number: int, label: str) -> Frame:
+        """One readout; the same number and label: the same noise."""
+        setting = self.config.instrument
+        return expose(
+            electrons,
+            self.detector,
+            streams=self.streams,
+            frame=number,
+            exposure_s=setting.exposure_s,
+            temperature_c=setting.chip_temperature_c,
+            background_e_per_s=float(self.flight.background_e_per_s(time_s)),
+            band=label,
+        )
+
+
+def psf_grid(budget: Budget) -> PsfGrid | None:
+    """PSFs that the tracker was calibrated with, for a centroider that needs them."""
+    config = budget.config
+    if not needs_epsf(config.centroid):
+        return None
+    rate = np.asarray(budget.flight.trajectory.rate(float(budget.flight.segments_s[0])))
+    camera = budget.camera(0.0, rate)
+    return render_psf_grid(
+        budget.instrument,
+        budget.nominal.state.light,
+        temperature_k=config.star_temperature_k,
+        window_px=config.window_px,
+        trail_px=camera.state.trail_px,
+        long_side=config.frames.psf_grid,
+        by_grid=True,
+    )
+
+
+def build_tracker(camera: Camera) -> StarTracker:
+    """The tracker as it was calibrated on ground: camera model, PSFs, mean dark frame, guide stars."""
+    budget = camera.budget
+    config, processing, grid = budget.config, budget.nominal.processing, psf_grid(budget)
+    return StarTracker(
+        budget.model,
+        budget.guides,
+        dark_dn=mean_dark_frame(
+            replace(camera.nominal, detector=camera.detector), config.dark_frames, streams=camera.streams, label="dark"
+        ),
+        noise=processing.noise,
+        centroid=config.centroid,
+        psfs=() if grid is None else grid.psfs,
+        psf_place_px=None if grid is None else grid.place_px,
+        window_px=config.window_px,
+        threshold_sigma=processing.threshold_sigma,
+        fwhm_px=processing.fwhm_px,
+        fewest=config.tracker.fewest,
+        most=config.tracker.most,
+        gate_px=config.tracker.gate_px,
+        star_error_px=budget.star_error_px,
+    )
+
+
+def render_flight(budget: Budget, *, advance: Callable[[], None] = lambda: None) -> FlightFrames:
+    """Render all segments and track their stars."""
+    camera = Camera(budget)
+    tracker = build_tracker(camera)
+    segments, example = [], None
+    for number, start_s in enumerate(budget.flight.segments_s):
+        segment, seen = _segment(camera, tracker, number, float(start_s), advance)
+        segments.append(segment)
+        example = example or seen
+    image, place = example or (np.zeros(camera.detector.shape, np.float32), np.empty((0, 2)))
+    return FlightFrames(segments=tuple(segments), example_e=image, example_px=place)
+
+
+def _segment(
+    camera: Camera, tracker: StarTracker, number: int, start_s: float, advance: Callable[[], None]
+) -> tuple[Segment, tuple[NDArray[np.float32], FloatArray] | None]:
+    flight, setting = camera.flight, camera.config.frames
+    times, count = flight.frame_times_s(start_s), setting.frames
+    state = flight.states_k[number]
+    aligned = Rotation.from_rotvec(ARCSEC_RAD * camera.budget.bias_arcsec())
+    errors, sigma = np.full((2, count, 3), np.nan), np.full((count, 3), np.nan)
+    stars, rejected = np.zeros(count), np.zeros(count)
+    warm, moving = np.full((setting.switched, 3), np.nan), np.full((setting.switched, 3), np.nan)
+    blinded, status, spent, wrong = bool(flight.blinded(start_s)), "blinded", float("nan"), 0
+    example = None
+    tracker.reset()
+    for k, at_s in enumerate(times if not blinded else ()):
+        truth, known = flight.trajectory.attitude(at_s), flight.known_velocity_km_per_s(at_s)
+        image, key = camera.expected(at_s, state), number * count + k
+        frame = camera.read(image, at_s, key, "first")
+        began = time.perf_counter()
+        found = tracker(frame, at_s, velocity_km_per_s=known, rate_rad_per_s=flight.trajectory.rate(at_s))
+        if k == 0:
+            status, spent = found.status, time.perf_counter() - began
+        second = tracker(
+            camera.read(image, at_s, key, "second"), at_s, velocity_km_per_s=known, near=found.attitude or truth
+        )
+        for n, one in enumerate((found, second)):
+            if one.attitude is not None:
+                # the alignment turns what the tracker says against the body that it is asked for
+                errors[n, k] = attitude_error_arcsec(aligned * one.attitude, truth)
+        if found.ok:
+            sigma[k], stars[k], rejected[k] = found.sigma_arcsec, len(found.star_id), found.rejected
+            off = errors[0, k] - camera.budget.bias_arcsec()
+            wrong += bool((np.abs(off) > camera.config.tracker.wrong_sigma * found.sigma_arcsec).any())
+            if k < setting.switched:
+                warm[k], moving[k] = _switched(camera, tracker, found, frame, at_s, key, state)
+            if example is None:
+                light = (frame.dn - frame.offset_dn) / np.float32(frame.gain_dn_per_e)
+                example = (np.asarray(light, np.float32), found.pixel_px)
+        advance()
+    return (
+        Segment(
+            start_s=start_s,
+            blinded=blinded,
+            time_s=times,
+            error_arcsec=errors,
+            sigma_arcsec=sigma,
+            stars=stars,
+            rejected=rejected,
+            thermal_arcsec=warm,
+            aberration_arcsec=moving,
+            acquired=status,
+            acquisition_s=spent,
+            wrong=wrong,
+        ),
+        example,
+    )
+
+
+def _switched(
+    camera: Camera,
+    tracker: StarTracker,
+    found: TrackedAttitude,
+    frame: Frame,
+    at_s: float,
+    key: int,
+    state_k: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Thermo-elastic error, and aberration that is left: this attitude less the one without, noise as it was."""
+    flight = camera.flight
+    truth, known = flight.trajectory.attitude(at_s), flight.known_velocity_km_per_s(at_s)
+    cold = camera.read(camera.expected(at_s, 0.0 * state_k), at_s, key, "first")
+    without = tracker(cold, at_s, velocity_km_per_s=known, near=found.attitude)
+    exact = tracker(frame, at_s, velocity_km_per_s=flight.velocity_km_per_s(at_s), near=found.attitude)
+    own = tracker(frame, at_s, velocity_km_per_s=known, near=found.attitude)
+    out = []
+    for other in (without, exact):
+        if own.attitude is None or other.attitude is None:
+            out.append(np.full(3, np.nan))
+        else:
+            out.append(attitude_error_arcsec(own.attitude, truth) - attitude_error_arcsec(other.attitude, truth))
+    return out[0], out[1]

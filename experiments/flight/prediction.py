@@ -1,0 +1,454 @@
+"""The error budget in flight, without frames: what every guide star errs by, and the attitude that follows.
+
+A star's errors come from the camera report's prediction (noise, pixel patterns and pixel phase against its electrons)
+and from ray traces (colour, distortion that the camera model leaves, heated lens). An attitude of stars v with weights
+w = 1 / sigma^2 errs, to first order, by
+
+    e = M^-1 sum w (v x dv),   M = sum w (I - v v^T)
+
+where stars are displaced by known dv, and with the covariance M^-1 [sum w^2 s^2 (I - v v^T)] M^-1 where they err
+independently by s across each direction. A velocity that is not known by dV displaces all stars alike, and the attitude
+by z x dV / c (z: the boresight).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import constants
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.association import pixel_angle_rad
+from calib.attitude.tracker import GuideCatalogue, guide_catalogue
+from calib.cameras.base import CameraModel
+from calib.cameras.fit import fit_camera
+from calib.measure.centroid import centroider_class, get_centroider
+from calib.measure.centroid_prediction import phase_windows
+from calib.records import Stamps
+from experiments.camera.prediction import CameraPrediction, colour_distance, predict_camera
+from experiments.camera.settings import Config as CameraConfig
+from experiments.flight.scenario import STATES, Flight, trail_of_rate
+from experiments.flight.settings import Config
+from experiments.laboratory.catalogue import load_catalogue
+from experiments.laboratory.detector_changes import DetectorConfig
+from experiments.laboratory.housing import expansion_per_k
+from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector, configured_lens
+from optics.arrays import FloatArray
+from optics.attitude import aberrated
+from optics.errors import DomainError
+from optics.lens.system import LensSystem
+from optics.lens.thermal import Housing, ThermalState, heated_lens
+from optics.units import RAD_ARCSEC
+from render.catalogue.motion import directions_at
+from render.catalogue.temperature import star_temperature
+from render.detector.radiation import aged
+from render.engine.random import Streams
+from render.records import EffectivePsf
+
+__all__ = ["TERMS", "Budget", "SegmentErrors", "attitude_of_shifts", "build_budget", "covariance_of_noise", "heated"]
+
+
+TERMS = ("bias", "thermo_elastic", "fov_spatial", "pixel_spatial", "temporal_noise", "aberration")
+STEP_K = {"mean_k": 1.0, "axial_k": 0.5, "transverse_x_k": 0.2, "transverse_y_k": 0.2, "radial_k": 0.5}
+"""Of the differences that sensitivities are made of."""
+DEGREE = 5
+"""Of the polynomials that maps of shifts over the field are read with."""
+SATURATION_MARGIN_MAG = 0.3
+FEW_ATTITUDES = 60
+BACKGROUND_STEP = 1.02
+"""Predictions are kept for backgrounds this far apart."""
+
+
+def end_of_life(config: Config) -> Config:
+    """The sensor after its years in orbit; a dose becomes mean and spread of the dark current (its two moments)."""
+    life, chip = config.end_of_life, config.detector
+    detector = configured_detector(config.instrument)
+    old = aged(
+        detector,
+        displacement_dose_tev_per_g=life.displacement_dose_tev_per_g,
+        depleted_volume_um3=life.depleted_volume_um3,
+        temperature_c=config.instrument.chip_temperature_c,
+    )
+    centres, each = old.damage_centres_per_px, old.damage_dark_e_per_s
+    mean = detector.dark_current_e_per_s if chip.dark_current_e_per_s is None else chip.dark_current_e_per_s
+    spread = detector.dark_spread_e_per_s if chip.dark_spread_e_per_s is None else chip.dark_spread_e_per_s
+    grown: dict[str, Any] = {
+        "dark_current_e_per_s": mean + centres * each,
+        "dark_spread_e_per_s": float(np.hypot(spread, np.sqrt(2.0 * centres) * each)),
+    }
+    return config.model_copy(update={"detector": DetectorConfig(**{**chip.model_dump(), **grown})})
+
+
+def throughput(config: Config, old: bool) -> float:
+    """Share of the light that the glass leaves."""
+    return config.end_of_life.throughput_fraction if old else 1.0
+
+
+def heated(config: Config, state_k: FloatArray) -> LensSystem:
+    """The configured lens in a state (5,), in the order of `STATES`.
+
+    Raises
+    ------
+    DomainError
+        A lens without thermal data, or a temperature beyond that of its glasses.
+    """
+    lens = configured_lens(config.instrument)
+    if not np.any(state_k):
+        return lens
+    if isinstance(config.instrument.lens, dict) or lens.measured is not None:
+        raise DomainError(
+            f"lens {lens.name!r} is described without glass: it has no thermal model; set the amplitudes of "
+            "[temperature] to 0"
+        )
+    housing = Housing(expansion_per_k=expansion_per_k(config.instrument.housing))
+    try:
+        return heated_lens(lens, ThermalState.of(np.asarray(state_k, float)), housing)
+    except DomainError as error:
+        raise DomainError(f"temperature: {error}") from None
+
+
+def attitude_of_shifts(v: FloatArray, weight: FloatArray, shift: FloatArray) -> FloatArray:
+    """Attitude error (3,) [rad] of stars (n, 3) that are displaced by ``shift`` (n, 3) [rad]."""
+    return np.asarray(np.linalg.solve(_information(v, weight), (weight[:, None] * np.cross(v, shift)).sum(0)))
+
+
+def covariance_of_noise(v: FloatArray, weight: FloatArray, variance: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of the attitude of stars that err independently."""
+    inverse = np.linalg.inv(_information(v, weight))
+    return np.asarray(inverse @ _information(v, weight**2 * variance) @ inverse)
+
+
+def _information(v: FloatArray, weight: FloatArray) -> FloatArray:
+    return np.asarray(weight.sum() * np.eye(3) - np.einsum("n,ni,nj->ij", weight, v, v))
+
+
+# --- Maps over the field
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldMap:
+    """A shift over the field [px], as polynomials in the tangents of the direction."""
+
+    reach: float
+    coefficients: FloatArray  # (terms, 2)
+
+    @classmethod
+    def of(cls, direction: FloatArray, shift_px: FloatArray) -> FieldMap:
+        """Fitted to shifts (n, 2) at directions (n, 3)."""
+        tangent = direction[:, :2] / direction[:, 2:]
+        reach = float(np.abs(tangent).max())
+        basis = _basis(tangent / reach)
+        return cls(reach=reach, coefficients=np.linalg.lstsq(basis, shift_px, rcond=None)[0])
+
+    def at(self, direction: FloatArray) -> FloatArray:
+        """Shifts (n, 2)."""
+        return np.asarray(_basis(direction[:, :2] / direction[:, 2:] / self.reach) @ self.coefficients)
+
+
+def _basis(place: FloatArray) -> FloatArray:
+    whole = np.polynomial.legendre.legvander2d(place[:, 0], place[:, 1], [DEGREE, DEGREE])
+    i, j = np.indices((DEGREE + 1, DEGREE + 1))
+    return np.asarray(whole[:, (i + j <= DEGREE).ravel()])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SegmentErrors:
+    """Predicted errors of the attitude at one time, about x, y and roll [arcsec]."""
+
+    time_s: float
+    available: bool
+    stars: float  # Guide stars, with their chance to be fit
+    noise_arcsec2: FloatArray  # (3,) Variance by temporal noise
+    pixel_arcsec2: FloatArray  # (3,) Variance by pixel patterns and pixel phase
+    fov_arcsec: FloatArray  # (3,) Error by colour and distortion
+    spot_arcsec2: FloatArray  # (3,) Variance by spots of other colours at the phases of the pixels
+    thermal_arcsec: FloatArray  # (3,) Error by the heated lens
+    aberration_arcsec: FloatArray  # (3,) Error by the velocity that is not known
+
+
+class Budget:
+    """The sensor as it was calibrated, its guide stars, and their errors at any time; made by `build_budget`."""
+
+    def __init__(self, config: Config, flight: Flight, *, old: bool = False) -> None:
+        self.config = end_of_life(config) if old else config
+        self.flight, self.old = flight, old
+        self.nominal: CameraPrediction = self.camera(0.0)
+        state = self.nominal.state
+        self.instrument: Instrument = state.instrument
+        self._map = self.instrument.pixel_map(state.band, temperature_k=config.star_temperature_k)
+        self.model: CameraModel = fit_camera(self._map).camera
+        self.pixel_rad = pixel_angle_rad(self.model)
+        residual = self._map.pixel_px - self.model.project(self._map.direction)
+        self._residual = FieldMap.of(self._map.direction, residual)
+        whole = load_catalogue(config.catalogue)
+        stars = whole.select(np.flatnonzero(whole.magnitude <= config.catalogue.faintest_mag))
+        self.stars = stars
+        self.direction = directions_at(stars, config.catalogue.epoch_year)
+        self.temperature_k = star_temperature(stars, config.catalogue.temperature)
+        self.guides = self._guides()
+
+    # --- Sky
+
+    def _guides(self) -> GuideCatalogue:
+        config, camera = self.config, self.nominal
+        limit = camera.value("limiting_magnitude_mag") - 1.5
+        faintest = config.tracker.faintest_mag if config.tracker.faintest_mag is not None else limit
+        kelvin, axis = self.temperature_k, np.zeros(len(self.stars))
+        zero = camera.electrons(np.zeros(1), config.star_temperature_k)[0]
+        rate = camera.state.electrons_per_s(self.stars.magnitude, kelvin, axis) * config.instrument.exposure_s
+        return guide_catalogue(
+            self.stars.id,
+            self.direction,
+            -2.5 * np.log10(rate * throughput(config, self.old) / zero),
+            faintest_mag=faintest,
+            brightest_mag=camera.value("saturation_mag") + SATURATION_MARGIN_MAG,
+            apart_rad=config.window_px * self.pixel_rad,
+        )
+
+    # --- The camera's prediction
+
+    def camera(self, background_e_per_s: float, rate_rad_per_s: FloatArray | None = None) -> CameraPrediction:
+        """The camera report's prediction under a background, for stars that trail as the rate makes them."""
+        rate = np.zeros(3) if rate_rad_per_s is None else rate_rad_per_s
+        level = 0.0
+        if background_e_per_s > 1.0:
+            level = BACKGROUND_STEP ** round(np.log(background_e_per_s) / np.log(BACKGROUND_STEP))
+        turn, towards = trail_of_rate(rate)
+        return _camera(self.config, throughput(self.config, self.old), level, round(turn, 6), round(towards, 3))
+
+    # --- Thermal and colour maps
+
+    @cached_property
+    def sensitivity(self) -> Mapping[str, FieldMap]:
+        """Shift [px/K] of stars by every state that the flight has, from traces of the lens a little off."""
+        used = np.abs(self.flight.thermal.values_k).max(axis=0) > 0.0
+        found = {}
+        for name, there, unit in zip(STATES, used, np.eye(len(STATES)), strict=True):
+            if there:
+                step = STEP_K[name]
+                ends = [self._traced(sign * step * unit) for sign in (1.0, -1.0)]
+                found[name] = FieldMap.of(self._map.direction, (ends[0] - ends[1]) / (2.0 * step))
+        return found
+
+    def _traced(self, state_k: FloatArray) -> FloatArray:
+        """Mean places of traced light (n, 2) through the lens in a state, for the directions of the map."""
+        warm = build_instrument(self.config.instrument, lens=heated(self.config, state_k))
+        found = warm.pixel_map(self.nominal.state.band, temperature_k=self.config.star_temperature_k)
+        if found.direction.shape != self._map.direction.shape:
+            raise DomainError("temperature: the heated lens loses light at the edge of the field; smaller states")
+        return np.asarray(found.pixel_px)
+
+    @cached_property
+    def _colour_bias(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of a fit with the PSF of the calibration, on stars of 3500 and 10 000 K: radial mean (2, f) and RMS (2, f)."""
+        state = self.nominal.state
+        mean, spread = np.zeros((2, len(state.radius_px))), np.zeros((2, len(state.radius_px)))
+        if centroider_class(self.config.centroid).needs_epsf:
+            turn = np.radians(22.5)  # where the PSFs of the prediction lie from the middle
+            along = np.array([np.cos(turn), np.sin(turn)])
+            for n, others in enumerate((state.cold_psfs, state.hot_psfs)):
+                bias = self._fit_bias(others)
+                mean[n] = bias.mean(1) @ along
+                spread[n] = np.sqrt(bias.var(axis=1).mean(1))
+        return state.radius_px, mean, spread
+
+    def _fit_bias(self, others: tuple[EffectivePsf, ...]) -> FloatArray:
+        """Fitted minus true places (f, phases, 2) of stars of another colour without noise."""
+        state, processing = self.nominal.state, self.nominal.processing
+        windows = phase_windows(others, self.config.window_px, 4)
+        bright = float(self.nominal.electrons(np.array([np.median(self.guides.magnitude)]), 5800.0)[0])
+        count = len(windows.light)
+        stamps = Stamps(
+            electrons=bright * windows.light,
+            valid=np.ones(windows.light.shape, bool),
+            corner_px=np.zeros((count, 2), np.int64),
+            background_e=np.zeros(count),
+            start_px=windows.place_px,
+            flags=np.zeros(count, np.uint32),
+            psf_index=windows.psf_index,
+        )
+        table = get_centroider(self.config.centroid, epsf=state.psfs).measure(stamps, processing.noise)
+        return np.asarray((table.pixel_px - windows.place_px).reshape(len(others), -1, 2))
+
+    def colour_px(self, temperature_k: FloatArray, radius_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Radial shift (n,) of stars by their colour as the centroider sees it, and its RMS over pixel phases."""
+        apart = colour_distance(temperature_k, self.config.star_temperature_k)
+        cold = temperature_k < self.config.star_temperature_k
+        radius, mean, spread = self._colour_bias
+        bias, spot = (np.where(cold, *(np.interp(radius_px, radius, row) for row in rows)) for rows in (mean, spread))
+        shift = self.nominal.state.colour_shift_px(temperature_k, radius_px)
+        return np.asarray(shift + apart * bias), np.asarray(apart * spot)
+
+    # --- Stars of an attitude
+
+    def expected(self, attitude: Rotation, velocity: FloatArray | None) -> tuple[NDArray[np.int64], FloatArray]:
+        """Guide stars that a tracker looks at, rows of `guides`, and their directions in cam."""
+        matrix = attitude.as_matrix()
+        size = np.array([self.model.geometry.width_px, self.model.geometry.height_px])
+        corner = self.model.unproject(np.array([[-0.5, -0.5]]))[0, 2]
+        near = np.flatnonzero(self.guides.direction @ matrix[2] > np.cos(1.05 * np.arccos(corner)))
+        if not len(near):
+            return near, np.empty((0, 3))
+        seen = np.array(self.guides.direction[near])
+        v = (seen if velocity is None else aberrated(seen, velocity)) @ matrix.T
+        place, margin = self.model.project(v), self.config.window_px // 2 + 1.0
+        inside = ((place >= margin - 0.5) & (place <= size - 0.5 - margin)).all(axis=1)
+        chosen = np.flatnonzero(inside)[: self.config.tracker.most]
+        return near[chosen], v[chosen]
+
+    def errors(self, time_s: float, *, state_k: FloatArray | None = None) -> SegmentErrors:
+        """Errors of the attitude at a time, with the lens in its state then or in another one."""
+        flight, config = self.flight, self.config
+        attitude = flight.trajectory.attitude(time_s)
+        rows, v = self.expected(attitude, flight.velocity_km_per_s(time_s))
+        fit = (1.0 - self._bad) ** (config.window_px**2)
+        nothing = np.full(3, np.nan)
+        if len(rows) * fit < config.tracker.fewest or bool(flight.blinded(time_s)):
+            return SegmentErrors(
+                time_s=time_s,
+                available=False,
+                stars=len(rows) * fit,
+                noise_arcsec2=nothing,
+                pixel_arcsec2=nothing,
+                fov_arcsec=nothing,
+                spot_arcsec2=nothing,
+                thermal_arcsec=nothing,
+                aberration_arcsec=nothing,
+            )
+        noise, pixel, spot, shift = self._star_errors(time_s, rows, v)
+        weight = fit / (self.pixel_rad**2 * (noise**2 + self.star_error_px**2))
+        scale = self.pixel_rad * RAD_ARCSEC
+
+        def variance(sigma_px: FloatArray) -> FloatArray:
+            # a star that is left out (a bad pixel in its window) takes its error along: 1 / fit of each weight
+            return np.asarray(scale**2 * np.diag(covariance_of_noise(v, weight / fit, sigma_px**2)) / fit)
+
+        warm = self._thermal_shift(flight.thermal.at(time_s) if state_k is None else state_k, v)
+        return SegmentErrors(
+            time_s=time_s,
+            available=True,
+            stars=len(rows) * fit,
+            noise_arcsec2=variance(noise),
+            pixel_arcsec2=variance(pixel),
+            fov_arcsec=RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, shift)),
+            spot_arcsec2=variance(spot),
+            thermal_arcsec=RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, warm)),
+            aberration_arcsec=self.aberration_arcsec(time_s, attitude),
+        )
+
+    @property
+    def _bad(self) -> float:
+        chip = self.nominal.processing.detector
+        return chip.hot_fraction + chip.dead_fraction
+
+    def _star_errors(
+        self, time_s: float, rows: NDArray[np.int64], v: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Noise, pixel patterns and phase, spots of other colours (n,), shift by colour and distortion (n, 2) [px]."""
+        camera = self.camera(
+            float(self.flight.background_e_per_s(time_s)), np.asarray(self.flight.trajectory.rate(time_s))
+        )
+        place = self.model.project(v)
+        away = place - self.model.geometry.centre_px
+        radius = np.hypot(*away.T)
+        kelvin = self.temperature_k[self.guides.row[rows]]
+        electrons = camera.state.electrons_per_s(self.stars.magnitude[self.guides.row[rows]], kelvin, radius)
+        electrons = electrons * self.config.instrument.exposure_s * throughput(self.config, self.old)
+        star = camera.stars
+        shown = star.effective(electrons, kelvin, radius, self.config.star_temperature_k)
+        noise = star.sigma_at(star.centroid.noise_px, shown, radius)
+        pixel = star.sigma_at(np.hypot(star.centroid.pattern_px, star.centroid.phase_px), electrons, radius)
+        colour, spot = self.colour_px(kelvin, radius)
+        shift = colour[:, None] * away / np.maximum(radius, 1e-9)[:, None] + self._residual.at(v)
+        return noise, pixel, spot, shift
+
+    def _thermal_shift(self, state_k: FloatArray, v: FloatArray) -> FloatArray:
+        total = np.zeros((len(v), 2))
+        for name, value in zip(STATES, state_k, strict=True):
+            if name in self.sensitivity:
+                total += value * self.sensitivity[name].at(v)
+        return total
+
+    def _turned(self, v: FloatArray, shift_px: FloatArray) -> FloatArray:
+        """Shifts on the detector as changes of direction (n, 3): what the camera model makes of them."""
+        place = self.model.project(v)
+        return np.asarray(self.model.unproject(place + shift_px) - self.model.unproject(place))
+
+    def aberration_arcsec(self, time_s: float, attitude: Rotation) -> FloatArray:
+        """Closed form: z x dV / c, with dV the true velocity less the known one, in cam."""
+        known = self.flight.known_velocity_km_per_s(time_s)
+        left = self.flight.velocity_km_per_s(time_s) - (np.zeros(3) if known is None else known)
+        return np.asarray(RAD_ARCSEC * np.cross([0.0, 0.0, 1.0], attitude.apply(left)) * 1e3 / constants.c)
+
+    @cached_property
+    def star_error_px(self) -> float:
+        """Error per axis that a guide star has besides noise, RMS over the flight: what the tracker is told."""
+        squares: list[float] = []
+        for time in self.flight.segments_s:
+            attitude = self.flight.trajectory.attitude(float(time))
+            rows, v = self.expected(attitude, None)
+            if len(rows):
+                _, pixel, spot, shift = self._star_errors(float(time), rows, v)
+                squares += list(pixel**2 + spot**2 + 0.5 * (shift**2).sum(1))
+        return float(np.sqrt(np.mean(squares))) if squares else 0.0
+
+    def bias_arcsec(self) -> FloatArray:
+        """Error (3,) of the alignment on ground."""
+        return np.array(self.config.tracker.alignment_arcsec)
+
+
+@lru_cache(maxsize=512)
+def _cached(text: str, through: float, background: float, rate: float, towards: float) -> CameraPrediction:
+    config = Config.model_validate_json(text)
+    return predict_camera(
+        CameraConfig(
+            **{name: getattr(config, name) for name in _SHARED},
+            throughput_fraction=through,
+            background_e_per_s=background,
+            star={"magnitude_mag": 6.0, "temperature_k": config.star_temperature_k},
+            slew={"rate_deg_per_s": rate, "direction_deg": towards},
+            sky={"attitudes": FEW_ATTITUDES},
+        )
+    )
+
+
+_SHARED = (
+    "seed",
+    "centroid",
+    "window_px",
+    "threshold_sigma",
+    "instrument",
+    "passband",
+    "catalogue",
+    "detector",
+    "dark_frames",
+)
+
+
+def _camera(config: Config, through: float, background: float, rate: float, towards: float) -> CameraPrediction:
+    return _cached(config.model_dump_json(), through, background, rate, towards)
+
+
+def build_budget(config: Config, flight: Flight, *, old: bool = False) -> Budget:
+    """Prediction at the beginning of life, or of the sensor as it is ``old``.
+
+    Raises
+    ------
+    StarbenchError
+        As the camera report; a lens without thermal data in a flight with temperatures.
+    """
+    budget = Budget(config, flight, old=old)
+    _ = budget.sensitivity  # refuses lenses and temperatures before anything is rendered
+    for extreme in (flight.thermal.values_k.min(axis=0), flight.thermal.values_k.max(axis=0)):
+        heated(config, extreme)
+    return budget
+
+
+def streams(config: Config) -> Streams:
+    """Root of the randomness of the flight's frames."""
+    return Streams(config.seed).child("flight")

@@ -1,0 +1,309 @@
+"""What the flight does to the sensor at any time: attitude, temperatures, velocity known and true, stray light."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from experiments.flight.orbit import Orbit, build_orbit
+from experiments.flight.settings import Config
+from optics.arrays import FloatArray
+from optics.attitude import attitude_from_angles
+from optics.errors import DomainError
+from optics.textfile import read_text
+from render.engine.random import Streams
+from render.motion.jitter import JitterSpectrum, jittered
+from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory
+
+__all__ = ["STATES", "Flight", "ThermalHistory", "build_flight", "read_columns", "trail_of_rate"]
+
+
+STATES = ("mean_k", "axial_k", "transverse_x_k", "transverse_y_k", "radial_k")
+"""Temperatures of lens and housing, as `optics.lens.thermal.ThermalState` names them."""
+SAMPLES = 721
+"""Times of the attitude of an elliptic orbit, per revolution."""
+BEFORE_S, AFTER_S = 60.0, 600.0
+"""The trajectory begins before and ends after the orbit, for segments at its ends."""
+LONGEST_GAP = 0.05
+"""Of the orbit: tables of temperature may leave out so much."""
+GAP_DEG = 90.0
+"""Attitudes of a table may turn by so much from row to row."""
+
+
+def read_columns(file: str, key: str, needed: tuple[str, ...], may: tuple[str, ...] = ()) -> dict[str, FloatArray]:
+    """Columns of a CSV file; the first of ``needed`` increases.
+
+    Raises
+    ------
+    DomainError
+        A column that is missing or unknown, a value that is no number, values of the first column that do not increase,
+        fewer than two rows.
+    """
+    lines = read_text(Path(file), "a table").lines
+    rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
+    head = [name.strip() for name in rows[0]] if rows else []
+    what = f"{key} = {Path(file).name}"
+    if missing := [name for name in needed if name not in head]:
+        raise DomainError(f"{what}: no column {missing[0]}; needed are {', '.join(needed)}")
+    if unknown := [name for name in head if name not in (*needed, *may)]:
+        raise DomainError(f"{what}: column {unknown[0]} is not known; columns are {', '.join((*needed, *may))}")
+    try:
+        values = np.array([[float(cell) for cell in row] for row in rows[1:]]).reshape(-1, len(head))
+    except ValueError:
+        raise DomainError(f"{what}: every row needs {len(head)} numbers, as its head has columns") from None
+    table = dict(zip(head, values.T, strict=True))
+    first = table[needed[0]]
+    if len(first) < 2 or not np.isfinite(values).all():
+        raise DomainError(f"{what}: at least two rows of finite numbers are needed")
+    if not (np.diff(first) > 0).all():
+        row = int(np.argmax(np.diff(first) <= 0)) + 1
+        raise DomainError(
+            f"{what}: {needed[0]} = {first[row]:g} in row {row + 1} is not above {first[row - 1]:g} before it; it has "
+            "to increase"
+        )
+    return table
+
+
+def _covers(time_s: FloatArray, end_s: float, what: str) -> None:
+    if time_s[0] > 0.0 or time_s[-1] < end_s:
+        raise DomainError(
+            f"{what} runs from {time_s[0]:g} to {time_s[-1]:g} s; the orbit lasts from 0 to {end_s:.0f} s"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ThermalHistory:
+    """Temperatures of lens and housing against those of the calibration, over the orbit."""
+
+    time_s: FloatArray  # (t,) Increasing
+    values_k: FloatArray  # (t, 5) In the order of `STATES`
+
+    def at(self, time_s: ArrayLike) -> FloatArray:
+        """States (..., 5) [K]; as at the ends beyond them."""
+        t = np.asarray(time_s, float)
+        return np.stack([np.interp(t, self.time_s, column) for column in self.values_k.T], axis=-1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Flight:
+    """Everything that is a function of time; made by `build_flight`."""
+
+    config: Config
+    orbit: Orbit
+    trajectory: Trajectory  # cam from icrs
+    thermal: ThermalHistory
+    straylight: Mapping[str, tuple[FloatArray, FloatArray]]  # body -> angles [deg], light [e-/px/s]
+
+    @property
+    def period_s(self) -> float:
+        """Of the orbit."""
+        return self.orbit.period_s
+
+    @cached_property
+    def segments_s(self) -> FloatArray:
+        """Starts of the segments, in the middles of equal parts of the orbit."""
+        count = self.config.frames.segments
+        return np.asarray((np.arange(count) + 0.5) * self.period_s / count)
+
+    @cached_property
+    def states_k(self) -> FloatArray:
+        """Thermal states (segments, 5) that segments are rendered in: of like uniform temperature, their mean."""
+        own = self.thermal.at(self.segments_s)
+        count = min(self.config.frames.thermal_states, len(own))
+        found = np.empty_like(own)
+        for group in np.array_split(np.argsort(own[:, 0], kind="stable"), count):
+            found[group] = own[group].mean(axis=0)
+        return found
+
+    def frame_times_s(self, start_s: float) -> FloatArray:
+        """Middles of the exposures of a segment."""
+        frames = self.config.frames
+        return np.asarray(start_s + np.arange(frames.frames) / frames.rate_hz)
+
+    def velocity_km_per_s(self, time_s: float) -> FloatArray:
+        """True velocity (3,) against the barycentre."""
+        return self.orbit.velocity_km_per_s(time_s)
+
+    def known_velocity_km_per_s(self, time_s: float) -> FloatArray | None:
+        """Velocity (3,) that the tracker is told; None: it corrects none."""
+        setting = self.config.aberration
+        if setting.corrected == "none":
+            return None
+        if setting.corrected == "earth":
+            return self.orbit.earth.velocity_km_per_s
+        _, own = self.orbit.state(time_s)
+        error = 1e-3 * setting.velocity_error_m_per_s * own / np.linalg.norm(own)
+        return np.asarray(self.velocity_km_per_s(time_s) + error)
+
+    def angles_deg(self, time_s: ArrayLike) -> dict[str, FloatArray]:
+        """Angles (...,) from the boresight to the Sun, to the limb of the Earth and to the Moon."""
+        t = np.asarray(time_s, float)
+        boresight = self.trajectory.attitude(t).as_matrix()[..., 2, :]
+        moon_km = 384_400.0 * self.orbit.moon - self.orbit.state(t)[0]
+        moon = moon_km / np.linalg.norm(moon_km, axis=-1, keepdims=True)
+        return {
+            "sun": np.degrees(np.arccos(np.clip(boresight @ self.orbit.sun, -1.0, 1.0))),
+            "earth": self.orbit.earth_limb_deg(boresight, t),
+            "moon": np.degrees(np.arccos(np.clip((boresight * moon).sum(-1), -1.0, 1.0))),
+        }
+
+    def background_e_per_s(self, time_s: ArrayLike) -> FloatArray:
+        """Stray light (...,) per pixel; in the shadow there is none of the Sun."""
+        angles, dark = self.angles_deg(time_s), self.orbit.shadowed(time_s)
+        light = np.zeros(np.shape(time_s))
+        for body, (angle, rate) in self.straylight.items():
+            seen = np.interp(angles[body], angle, rate)
+            light = light + (np.where(dark, 0.0, seen) if body == "sun" else seen)
+        return np.asarray(light)
+
+    def blinded(self, time_s: ArrayLike) -> NDArray[np.bool_]:
+        """Whether (...,) a body is within its exclusion angle."""
+        angles, setting, dark = self.angles_deg(time_s), self.config.straylight, self.orbit.shadowed(time_s)
+        return np.asarray(
+            ((angles["sun"] < setting.sun_exclusion_deg) & ~dark)
+            | (angles["earth"] < setting.earth_exclusion_deg)
+            | (angles["moon"] < setting.moon_exclusion_deg)
+        )
+
+
+def build_flight(config: Config) -> Flight:
+    """The flight of a configuration.
+
+    Raises
+    ------
+    StarbenchError
+        Tables that cannot be read, run backwards, or do not cover the orbit.
+    """
+    orbit = build_orbit(config.orbit, config.catalogue.epoch_year)
+    light = {
+        body: _straylight(getattr(config.straylight, f"{body}_file"), f"straylight.{body}_file")
+        for body in ("sun", "earth", "moon")
+        if getattr(config.straylight, f"{body}_file")
+    }
+    return Flight(
+        config=config,
+        orbit=orbit,
+        trajectory=_trajectory(config, orbit),
+        thermal=_thermal(config, orbit),
+        straylight=light,
+    )
+
+
+def _straylight(file: str, key: str) -> tuple[FloatArray, FloatArray]:
+    table = read_columns(file, key, ("angle_deg", "e_per_px_s"))
+    if table["e_per_px_s"].min() < 0.0:
+        raise DomainError(f"{key} = {Path(file).name}: e_per_px_s = {table['e_per_px_s'].min():g}; it is negative")
+    return table["angle_deg"], table["e_per_px_s"]
+
+
+# --- Attitude
+
+
+def _trajectory(config: Config, orbit: Orbit) -> Trajectory:
+    law, start, end = config.attitude, -BEFORE_S, orbit.period_s + AFTER_S
+    base: Trajectory
+    if law.law == "table":
+        base = _tabulated(law.file, orbit.period_s)
+    elif law.law == "nadir":
+        time = np.linspace(start, end, int(SAMPLES * (end - start) / orbit.period_s))
+        base = SampledAttitude(samples_s=time, attitudes=_nadir(orbit, time, law.off_zenith_deg))
+    else:
+        rate = np.zeros(3)
+        if law.law == "turn":
+            towards = np.radians(law.direction_deg)
+            rate = np.radians(law.rate_deg_per_s) * np.array([np.sin(towards), -np.cos(towards), 0.0])
+        at_zero = attitude_from_angles(law.ra_deg, law.dec_deg, law.roll_deg)
+        base = ConstantRate(
+            initial=Rotation.from_rotvec(-rate * start) * at_zero, rate_rad_per_s=rate, start_s=start, end_s=end
+        )
+    jitter = config.jitter
+    if not jitter.rms_arcsec:
+        return base
+    level = jitter.rms_arcsec**2 / (jitter.highest_hz - jitter.lowest_hz)
+    spectrum = JitterSpectrum(
+        frequency_hz=np.array([jitter.lowest_hz, jitter.highest_hz]), psd_arcsec2_per_hz=np.full((3, 2), level)
+    )
+    return jittered(base, spectrum, streams=Streams(config.seed).child("flight"))
+
+
+def _nadir(orbit: Orbit, time_s: FloatArray, off_zenith_deg: float) -> Rotation:
+    """Boresight from the zenith towards the pole of the orbit; columns against the flight."""
+    place, _ = orbit.state(time_s)
+    zenith = place / np.linalg.norm(place, axis=-1, keepdims=True)
+    tilt = np.radians(off_zenith_deg)
+    boresight = np.cos(tilt) * zenith + np.sin(tilt) * orbit.pole
+    ahead = np.cross(orbit.pole, zenith)
+    return Rotation.from_matrix(np.stack([-ahead, np.cross(boresight, -ahead), boresight], axis=1))
+
+
+def _tabulated(file: str, end_s: float) -> SampledAttitude:
+    names = ("qx", "qy", "qz", "qw")
+    table = read_columns(file, "attitude.file", ("time_s", *names))
+    _covers(table["time_s"], end_s, f"attitude.file = {Path(file).name}")
+    quat = np.column_stack([table[name] for name in names])
+    length = np.linalg.norm(quat, axis=1)
+    if np.abs(length - 1.0).max() > 1e-3:
+        raise DomainError(
+            f"attitude.file = {Path(file).name}: a quaternion has the length {length[np.abs(length - 1.0).argmax()]:g}; "
+            "it must be 1"
+        )
+    turned = Rotation.from_quat(quat)
+    step = np.degrees((turned[1:] * turned[:-1].inv()).magnitude())
+    if step.max() > GAP_DEG:
+        row = int(step.argmax())
+        raise DomainError(
+            f"attitude.file = {Path(file).name}: {step[row]:.0f} deg between {table['time_s'][row]:g} and "
+            f"{table['time_s'][row + 1]:g} s; a gap, at most {GAP_DEG:g} deg"
+        )
+    time = table["time_s"]
+    if time[-1] < end_s + AFTER_S:  # at rest beyond its end, as far as segments reach
+        time, turned = np.append(time, end_s + AFTER_S + 1.0), Rotation.concatenate([turned, turned[-1]])
+    return SampledAttitude(samples_s=time, attitudes=turned)
+
+
+def trail_of_rate(rate_rad_per_s: FloatArray) -> tuple[float, float]:
+    """Rate across the line of sight [deg/s], and where stars trail to [deg] from columns towards rows."""
+    x, y = float(rate_rad_per_s[0]), float(rate_rad_per_s[1])
+    return float(np.degrees(np.hypot(x, y))), float(np.degrees(np.arctan2(x, -y))) if x or y else 0.0
+
+
+# --- Temperature
+
+
+def _thermal(config: Config, orbit: Orbit) -> ThermalHistory:
+    setting, period = config.temperature, orbit.period_s
+    time = np.linspace(0.0, period, SAMPLES)
+    if setting.file:
+        table = read_columns(setting.file, "temperature.file", ("time_s", "mean_k"), STATES[1:])
+        _covers(table["time_s"], period, f"temperature.file = {Path(setting.file).name}")
+        gap = float(np.diff(table["time_s"]).max())
+        if gap > LONGEST_GAP * period:
+            raise DomainError(
+                f"temperature.file = {Path(setting.file).name}: a gap of {gap:g} s; at most {LONGEST_GAP * period:.0f} s, "
+                "a twentieth of the orbit"
+            )
+        columns = [table.get(name, np.zeros(len(table["time_s"]))) for name in STATES]
+        return ThermalHistory(time_s=table["time_s"], values_k=np.column_stack(columns))
+    wave = np.cos(2.0 * np.pi * time / period + np.radians(setting.phase_deg))
+    quarter = np.sin(2.0 * np.pi * time / period + np.radians(setting.phase_deg))
+    mean = setting.offset_k + setting.mean_k * wave + _eclipse(setting.eclipse_k, setting.eclipse_time_s, orbit, time)
+    columns = [mean, setting.axial_k * quarter, setting.transverse_k * quarter, 0.0 * wave, setting.radial_k * quarter]
+    return ThermalHistory(time_s=time, values_k=np.column_stack(columns))
+
+
+def _eclipse(step_k: float, constant_s: float, orbit: Orbit, time_s: FloatArray) -> FloatArray:
+    """Answer of the first order to the shadow, in its periodic state: two revolutions before."""
+    own = np.linspace(-2.0 * orbit.period_s, orbit.period_s, 3 * (len(time_s) - 1) + 1)
+    forced = np.where(orbit.shadowed(own), step_k, 0.0)
+    keep = np.exp(-(own[1] - own[0]) / constant_s)
+    value = np.zeros(len(own))
+    for n in range(1, len(own)):
+        value[n] = keep * value[n - 1] + (1.0 - keep) * forced[n]
+    return np.asarray(value[-len(time_s) :])

@@ -1,0 +1,254 @@
+"""The measured split of the attitude error, term by term, beside the prediction for the same times.
+
+Within a segment the stars cross several pixels, and no noticeable part of the field: what varies there is temporal noise
+(told by the two readouts) and pixel spatial error (common to both); what stays is of low frequency. Between segments the
+sky changes. The part of the pixel spatial error that stays within a segment, where stars move by less than a pixel from
+its first frame to its last, is of low frequency in measurement and prediction alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.flight.frames import Segment
+from experiments.flight.prediction import TERMS, Budget, SegmentErrors
+from experiments.harness.sections import agree, col, ratio_near
+from experiments.harness.summary import Measured
+from optics.arrays import FloatArray
+
+__all__ = ["COMPONENTS", "LABELS", "VERDICTS", "Term", "measured_terms", "predicted_terms", "within_share"]
+
+
+LABELS = {
+    "bias": "Bias",
+    "thermo_elastic": "Thermo-elastic error",
+    "fov_spatial": "FOV spatial error",
+    "pixel_spatial": "Pixel spatial error",
+    "temporal_noise": "Temporal noise",
+    "aberration": "Aberration of light, residual",
+    "total": "Total",
+}
+COMPONENTS: tuple[tuple[str, tuple[int, ...]], ...] = (("across", (0, 1)), ("roll", (2,)))
+DWELL_PX = 1.2
+"""Distance over which pixel patterns and pixel phase change: a star is that wide."""
+SMALL = 0.05
+"""A term below this share of the total is not judged by its ratio: others drown it."""
+FEWEST_SOLVED = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Term:
+    """One term of the budget, root mean square over the flight, about one axis; roll apart."""
+
+    measured_arcsec: Sequence[Measured] | None = col("Measured", "arcsec", dims="component", default=None)
+    predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4g", "component")
+    ratio: Sequence[Measured] | None = col("Measured / predicted", dims="component", default=None)
+    # Slope of measured errors against predicted ones over the segments; NaN for random terms
+    slope: Sequence[Measured] | None = col("Slope, error by error", dims="component", default=None)
+    term: str  # Its key in `LABELS`
+
+
+VERDICTS = [
+    *(
+        ratio_near(
+            "term_ratio",
+            within=0.10 if name == "total" else 0.15,
+            at={"term": name, "component": component},
+            title="measured over predicted",
+        )
+        for name in (*TERMS, "total")
+        for component in ("across", "roll")
+    ),
+    *(
+        agree(
+            "term_slope",
+            1.0,
+            at={"term": name, "component": component},
+            slack=0.15,
+            title="slope of the measured errors against the predicted ones",
+            advice="a sign, a unit or a frame: the errors are as large as predicted, and not where they should be",
+        )
+        for name in ("thermo_elastic", "fov_spatial", "aberration")
+        for component in ("across", "roll")
+    ),
+]
+
+
+def within_share(budget: Budget, start_s: float) -> float:
+    """Share of the variance of pixel spatial errors that shows within a segment: 1 less their mean correlation."""
+    times = budget.flight.frame_times_s(start_s)
+    rate = np.linalg.norm(np.asarray(budget.flight.trajectory.rate(start_s))[:2]) / budget.pixel_rad
+    apart = np.abs(times[:, None] - times) * rate
+    correlation = np.clip(1.0 - apart / DWELL_PX, 0.0, None)
+    count = len(times)
+    return float(1.0 - (correlation.sum() - count) / (count * (count - 1)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Squares:
+    """Mean squares about one component [arcsec^2]."""
+
+    values: dict[str, float]
+
+    @property
+    def total(self) -> float:
+        """Sum of all terms."""
+        return sum(self.values.values())
+
+
+def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tuple[int, ...]) -> Squares:
+    """Prediction over the times of some segments."""
+    pick = list(axes)
+
+    def mean(values: Sequence[FloatArray]) -> float:
+        return float(np.mean([np.asarray(one)[pick] for one in values]))
+
+    fov = np.array([one.fov_arcsec[pick] for one in errors])
+    middle = fov.mean(axis=0)
+    bias = budget.bias_arcsec()[pick] + middle
+    shown = np.array([within_share(budget, one.time_s) for one in errors])
+    pixel = np.array([(one.pixel_arcsec2 + one.spot_arcsec2)[pick].mean() for one in errors])
+    return Squares(
+        values={
+            "bias": float((bias**2).mean()),
+            "thermo_elastic": mean([one.thermal_arcsec**2 for one in errors]),
+            "fov_spatial": float(((fov - middle) ** 2).mean() + (pixel * (1.0 - shown)).mean()),
+            "pixel_spatial": float((pixel * shown).mean()),
+            "temporal_noise": mean([one.noise_arcsec2 for one in errors]),
+            "aberration": mean([one.aberration_arcsec**2 for one in errors]),
+        }
+    )
+
+
+def predicted_terms(budget: Budget, errors: Sequence[SegmentErrors]) -> list[Term]:
+    """The prediction alone; nothing where the sensor has no attitude at any of the times."""
+    seen = [one for one in errors if one.available]
+    if not seen:
+        return []
+    squares = [predicted_squares(budget, seen, axes) for _, axes in COMPONENTS]
+    rows = [np.array([one.values[name] for one in squares]) for name in TERMS] + [
+        np.array([one.total for one in squares])
+    ]
+    return [Term(term=name, predicted_arcsec=np.sqrt(row)) for name, row in zip((*TERMS, "total"), rows, strict=True)]
+
+
+def measured_terms(budget: Budget, segments: Sequence[Segment], errors: Sequence[SegmentErrors]) -> list[Term]:
+    """Measured beside predicted, over the segments that have both."""
+    pairs = [
+        (segment, error)
+        for segment, error in zip(segments, errors, strict=True)
+        if error.available and segment.solved.sum() >= FEWEST_SOLVED
+    ]
+    if len(pairs) < 2:
+        return predicted_terms(budget, errors)
+    seen, told = [one for one, _ in pairs], [one for _, one in pairs]
+    columns = [_component(budget, seen, told, axes) for _, axes in COMPONENTS]
+    return [
+        Term(
+            term=name,
+            measured_arcsec=[column[name][0] for column in columns],
+            predicted_arcsec=np.array([column[name][1] for column in columns]),
+            ratio=[column[name][2] for column in columns],
+            slope=[column[name][3] for column in columns],
+        )
+        for name in (*TERMS, "total")
+    ]
+
+
+Row = tuple[Measured, float, Measured, Measured]
+UNKNOWN = Measured(value=math.nan, uncertainty=math.nan)
+
+
+def _component(
+    budget: Budget, segments: Sequence[Segment], told: Sequence[SegmentErrors], axes: tuple[int, ...]
+) -> dict[str, Row]:
+    pick, predicted = list(axes), predicted_squares(budget, told, axes)
+    both = [one.error_arcsec[:, one.solved][:, :, pick] for one in segments]  # (2, n, axes) of every segment
+    counts = np.array([one.shape[1] for one in both])
+    parts = len(pick)
+    # temporal noise: half of the mean square difference of the readouts
+    each_noise = np.array([((one[0] - one[1]) ** 2).mean() / 2.0 for one in both])
+    noise = float(np.average(each_noise, weights=counts))
+    spread = {"temporal_noise": noise * math.sqrt(2.0 / (parts * counts.sum()))}
+    # pixel spatial: what varies within a segment in both readouts alike
+    products = np.array(
+        [((one[0] - one[0].mean(0)) * (one[1] - one[1].mean(0))).sum() / parts / (one.shape[1] - 1) for one in both]
+    )
+    freedom = counts - 1
+    pixel = float(np.average(products, weights=freedom))
+    known = predicted.values["pixel_spatial"]
+    spread["pixel_spatial"] = math.sqrt(((known + noise) ** 2 + known**2) / (parts * freedom.sum()))
+    # low frequency: means of the segments, by switching
+    middle = np.array([one.mean(axis=(0, 1)) for one in both])
+    of_mean = float(np.mean((0.5 * each_noise + max(pixel, 0.0)) / counts))
+    warm, warm_error = _switched([one.thermal_arcsec[:, pick] for one in segments])
+    moving, moving_error = _switched([one.aberration_arcsec[:, pick] for one in segments])
+    rest = middle - warm - moving
+    bias, fov_told = rest.mean(axis=0), np.array([one.fov_arcsec[pick] for one in told])
+    scatter = float((rest - fov_told).var(axis=0, ddof=1).mean())  # what the prediction does not tell, error by error
+    square = {
+        "temporal_noise": noise,
+        "pixel_spatial": pixel,
+        "thermo_elastic": float((warm**2).mean()),
+        "aberration": float((moving**2).mean()),
+        "bias": float((bias**2).mean() - scatter / len(segments)),
+        "fov_spatial": float(rest.var(axis=0, ddof=1).mean() * (1.0 - 1.0 / len(segments)) - of_mean),
+    }
+    free = parts * (len(segments) - 1)
+    unknown = max(scatter, of_mean)
+    spread["thermo_elastic"] = 2.0 * math.sqrt(square["thermo_elastic"] * warm_error / (parts * len(segments)))
+    spread["aberration"] = 2.0 * math.sqrt(square["aberration"] * moving_error / (parts * len(segments)))
+    spread["bias"] = 2.0 * math.sqrt(predicted.values["bias"] * unknown / (parts * len(segments)))
+    spread["fov_spatial"] = math.sqrt((4.0 * predicted.values["fov_spatial"] * unknown + 2.0 * unknown**2) / free)
+    square["total"] = float(np.average([(one**2).mean() for one in both], weights=counts))
+    spread["total"] = math.sqrt(sum(spread[name] ** 2 for name in TERMS))
+    samples = {name: parts * len(segments) for name in (*TERMS, "total")}
+    samples |= {name: parts * int(counts.sum()) for name in ("temporal_noise", "pixel_spatial", "total")}
+    expected = predicted.values | {"total": predicted.total}
+    slopes = {
+        "thermo_elastic": _slope(warm, np.array([one.thermal_arcsec[pick] for one in told])),
+        "aberration": _slope(moving, np.array([one.aberration_arcsec[pick] for one in told])),
+        "fov_spatial": _slope(rest - bias, fov_told - fov_told.mean(axis=0)),
+    }
+    rows: dict[str, Row] = {}
+    for name in (*TERMS, "total"):
+        large = expected[name] > SMALL**2 * predicted.total
+        rows[name] = (
+            _root(square[name], spread[name], samples[name]),
+            math.sqrt(expected[name]),
+            _ratio(square[name], spread[name], expected[name], samples[name]) if large else UNKNOWN,
+            slopes.get(name, UNKNOWN) if large else UNKNOWN,
+        )
+    return rows
+
+
+def _switched(values: Sequence[FloatArray]) -> tuple[FloatArray, float]:
+    """Means (p, axes) over the frames of each segment, and the variance of such a mean."""
+    mean = np.array([np.nanmean(one, axis=0) for one in values])
+    counts = np.array([np.isfinite(one[:, 0]).sum() for one in values])
+    spread = [np.nanvar(one, axis=0, ddof=1).mean() / n for one, n in zip(values, counts, strict=True) if n > 1]
+    return mean, float(np.mean(spread)) if spread else 0.0
+
+
+def _root(square: float, spread: float, n: int) -> Measured:
+    root = math.sqrt(max(square, 0.0))
+    error = spread / (2.0 * max(root, math.sqrt(0.5 * spread), 1e-12))
+    return Measured(value=root, unit="arcsec", uncertainty=error, n=n)
+
+
+def _ratio(square: float, spread: float, expected: float, n: int) -> Measured:
+    ratio, error = math.sqrt(max(square, 0.0) / expected), spread / expected
+    return Measured(value=ratio, uncertainty=error / (2.0 * max(ratio, 0.5)), n=n)
+
+
+def _slope(measured: FloatArray, predicted: FloatArray) -> Measured:
+    power = float((predicted**2).sum())
+    if power <= 0.0:
+        return UNKNOWN
+    slope = float((measured * predicted).sum()) / power
+    left = float(((measured - slope * predicted) ** 2).sum()) / max(measured.size - 1, 1)
+    return Measured(value=slope, uncertainty=math.sqrt(left / power), n=measured.size)

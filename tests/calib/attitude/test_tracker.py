@@ -1,0 +1,152 @@
+"""A star tracker: frames drawn from Gaussian spots whose attitude is known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.tracker import StarTracker, guide_catalogue, sky_coverage
+from calib.cameras import BrownConrady, SensorGeometry
+from calib.measure.gaussian import draw_gaussian
+from optics.attitude import aberrated, attitude_error_arcsec, attitude_from_angles
+from optics.errors import DomainError
+from render.records import Frame
+
+SIDE, READ_E, GAIN, OFFSET = 256, 5.0, 1.0, 100
+GEOMETRY = SensorGeometry(width_px=SIDE, height_px=SIDE, pixel_pitch_mm=0.01)
+MODEL = BrownConrady.create(GEOMETRY, focal_length_mm=20.0)
+TRUTH = attitude_from_angles(120.0, 35.0, 200.0)
+RATE = np.array([0.002, -0.001, 0.003])
+PIXEL_ARCSEC = np.degrees(0.01 / 20.0) * 3600.0
+
+
+@pytest.fixture(scope="module")
+def sky():
+    rng = np.random.default_rng(3)
+    v = rng.normal(size=(4000, 3))
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    return SimpleNamespace(id=np.arange(4000) * 3, direction=v, magnitude=rng.uniform(2.0, 6.0, 4000))
+
+
+@pytest.fixture(scope="module")
+def guides(sky):
+    return guide_catalogue(sky.id, sky.direction, sky.magnitude, faintest_mag=5.5, apart_rad=11 * 5e-4)
+
+
+def frame_of(sky, attitude, *, seed, velocity=None, extra=()):
+    """Stars of 20 000 e- at magnitude 4, spots of sigma 0.9 px, Poisson and read noise."""
+    seen = np.array(sky.direction) if velocity is None else aberrated(sky.direction, velocity)
+    v = attitude.apply(seen)
+    row = np.flatnonzero(MODEL.visible(v))
+    place = MODEL.project(v[row])
+    light = np.zeros((SIDE, SIDE))
+    for (x, y), mag in zip(place, sky.magnitude[row], strict=True):
+        light += 2e4 * 10.0 ** (-0.4 * (mag - 4.0)) * draw_gaussian(np.array([x]), np.array([y]), 0.9, (SIDE, SIDE))[0]
+    for x, y, electrons in extra:
+        light[y, x] += electrons
+    rng = np.random.default_rng(seed)
+    dn = rng.poisson(light) * GAIN + rng.normal(OFFSET, READ_E, light.shape)
+    bad = np.zeros(light.shape, bool)
+    return Frame(
+        dn=np.clip(np.rint(dn), 0, 65535).astype(np.uint16),
+        saturated=bad,
+        defect=bad,
+        gain_dn_per_e=GAIN,
+        offset_dn=OFFSET,
+        read_noise_e=READ_E,
+        exposure_s=0.1,
+        band="",
+        index=seed,
+    )
+
+
+def at(time_s):
+    return Rotation.from_rotvec(-RATE * time_s) * TRUTH
+
+
+def tracker(guides, **options):
+    return StarTracker(MODEL, guides, centroid="gaussian", window_px=11, **options)
+
+
+def test_it_tracks_a_turning_sky_and_errs_as_it_states(sky, guides):
+    head = tracker(guides)
+    head.begin(-0.2, at(-0.2))
+    pulls = []
+    for n in range(12):
+        found = head(frame_of(sky, at(0.2 * n), seed=n), 0.2 * n, rate_rad_per_s=RATE)
+        assert found.ok
+        assert found.mode == "tracking"
+        pulls.append(attitude_error_arcsec(found.attitude, at(0.2 * n)) / found.sigma_arcsec)
+        assert np.isclose(np.linalg.norm(found.quat_xyzw), 1.0)
+    # 36 deviates: the mean square is 1 +- sqrt(2 / 36); pixel phase of a well sampled spot is small
+    assert np.mean(np.square(pulls)) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 36))
+
+
+def test_without_a_gyro_it_carries_the_turn_between_its_last_attitudes_on(sky, guides):
+    head = tracker(guides)
+    head.begin(-0.02, at(-0.02))
+    assert head(frame_of(sky, at(0.0), seed=1), 0.0).mode == "tracking"
+    # in 1 s the sky moves by some 4 px in the field and turns: too far for a tracker that stays where it was
+    assert head(frame_of(sky, at(1.0), seed=2), 1.0).mode == "tracking"
+
+
+def test_false_stars_are_rejected_and_do_not_move_the_attitude(sky, guides):
+    clean = tracker(guides)(frame_of(sky, TRUTH, seed=5), 0.0, near=TRUTH)
+    head = tracker(guides)
+    place = clean.pixel_px[:3]
+    false = [(int(x) + dx, int(y) + dy, 60_000.0) for (x, y), dx, dy in zip(place, (3, -3, 0), (0, 1, 4), strict=True)]
+    found = head(frame_of(sky, TRUTH, seed=5, extra=false), 0.0, near=TRUTH)
+    assert found.ok
+    assert found.rejected >= 2
+    assert len(found.star_id) < len(clean.star_id)
+    error = attitude_error_arcsec(found.attitude, TRUTH)
+    assert (np.abs(error) < 5.0 * found.sigma_arcsec).all()
+
+
+def test_aberration_left_out_turns_the_attitude_by_the_velocity_over_that_of_light(sky, guides):
+    velocity = np.array([20.0, -15.0, 10.0])
+    frame = frame_of(sky, TRUTH, seed=8, velocity=velocity)
+    head = tracker(guides)
+    told = attitude_error_arcsec(head(frame, 0.0, near=TRUTH, velocity_km_per_s=velocity).attitude, TRUTH)
+    left = attitude_error_arcsec(head(frame, 0.0, near=TRUTH).attitude, TRUTH)
+    across = TRUTH.apply(velocity) / 299792.458 * 206264.806
+    # stars move towards the velocity, v + dV / c: a turn about z x dV. The cos of 4 deg and the field's tilt: 1 %
+    np.testing.assert_allclose(left[:2] - told[:2], [-across[1], across[0]], atol=0.02 * np.hypot(*across[:2]))
+
+
+def test_a_frame_without_stars_gives_no_attitude_and_says_so(sky, guides):
+    head = tracker(guides)
+    head.begin(-0.1, TRUTH)
+    empty = SimpleNamespace(id=sky.id[:0], direction=sky.direction[:0], magnitude=sky.magnitude[:0])
+    found = head(frame_of(empty, TRUTH, seed=4), 0.0)
+    assert (found.ok, found.status, found.mode) == (False, "few_stars", "acquisition")
+    assert found.attitude is None
+    assert np.isnan(found.quat_xyzw).all()
+    assert np.isinf(found.covariance_rad2).any()
+
+
+def test_times_have_to_increase(sky, guides):
+    head = tracker(guides)
+    head.begin(1.0, TRUTH)
+    with pytest.raises(DomainError, match="order of time"):
+        head(frame_of(sky, TRUTH, seed=1), 1.0)
+
+
+def test_guide_stars_stand_alone_between_their_limits(sky, guides):
+    distance = np.degrees(np.arccos(np.clip(guides.direction @ sky.direction.T, -1.0, 1.0)))
+    near = (distance < np.degrees(11 * 5e-4)) & (distance > 1e-4)
+    fainter = sky.magnitude[None] >= guides.magnitude[:, None] + 3.0
+    assert (~near | fainter).all()
+    assert guides.magnitude.max() <= 5.5
+    assert (np.diff(guides.magnitude) >= 0).all()
+    with pytest.raises(DomainError, match="no guide star"):
+        guide_catalogue(sky.id, sky.direction, sky.magnitude, faintest_mag=1.0, apart_rad=1e-3)
+
+
+def test_coverage_counts_the_stars_of_the_field(guides):
+    counts = sky_coverage(guides, MODEL, attitudes=2000)
+    solid = 4.0 * np.arcsin(np.sin(np.arctan(SIDE * 0.005 / 20.0)) ** 2)  # of a square pyramid, of 4 pi
+    mean = len(guides) * solid / (4.0 * np.pi)
+    # places overlap: as many independent fields as there are on the sky
+    assert counts.mean() == pytest.approx(mean, abs=5.0 * np.sqrt(mean * solid / (4.0 * np.pi)) + 0.02 * mean)
