@@ -26,6 +26,7 @@ from calib.attitude.association import pixel_angle_rad
 from calib.attitude.solve import AttitudeSolution, solve_wahba
 from calib.attitude.star_attitude import identify_stars
 from calib.cameras.base import CameraModel
+from calib.flags import StarFlag
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
@@ -47,6 +48,7 @@ SNR = 5.0
 """Signal-to-noise ratio of the flux below which a window holds no star."""
 SEEN_SHARE = 0.5
 """Of the predicted stars, so many have to be there after an acquisition, or it was a chance match."""
+DOUBTFUL = StarFlag.SPIKE | StarFlag.TRAIL | StarFlag.UNDETERMINED
 LONGEST_GAP_S = 5.0
 """A turn is carried on for so long; then the sky is searched anew."""
 
@@ -411,7 +413,7 @@ class StarTracker:
     ) -> tuple[AttitudeSolution, NDArray[np.bool_]]:
         v_cam, v_ref = self.model.unproject(stars.pixel_px[used]), seen[used]
         sigma = self._pixel_rad * np.hypot(stars.position_sigma_px[used], self._star_error)
-        kept = np.isfinite(v_cam).all(axis=1)
+        kept = np.asarray(np.isfinite(v_cam).all(axis=1))
         for _ in range(CLIP_ROUNDS):
             solution = solve_wahba(v_cam[kept], v_ref[kept], sigma_rad=sigma[kept])
             miss = np.linalg.norm(v_cam - solution.rotation.apply(v_ref), axis=1)
@@ -419,7 +421,7 @@ class StarTracker:
             allowed = np.maximum(CLIP_SIGMA * sigma, 0.5 * np.nanmax(miss[kept], initial=0.0))
             if (miss[kept] <= CLIP_SIGMA * sigma[kept]).all():
                 break
-            good = kept & (miss <= allowed)
+            good = np.asarray(kept & (miss <= allowed))
             if np.count_nonzero(good) < self._fewest or np.array_equal(good, kept):
                 break
             kept = good
@@ -442,6 +444,9 @@ class StarTracker:
         stars = self._centroider.measure(stamps, image.noise)
         known = _Known(id=self.guides.id, direction=self._apparent(slice(None), velocity))
         found = identify_stars(stars, self.model, known, database=self._database)
+        if not found.ok:  # bright stars in sharp focus look like hot pixels: all that shines is asked
+            shining = replace(stars, flags=stars.flags & ~np.uint32(DOUBTFUL))
+            found = identify_stars(shining, self.model, known, database=self._database)
         if not found.ok or found.attitude is None:
             status = "few_stars" if found.status == "too_few" else "not_identified"
             return _nothing(time_s, "acquisition", status)

@@ -47,7 +47,6 @@ from optics.units import RAD_ARCSEC
 from render.catalogue.motion import directions_at
 from render.catalogue.temperature import star_temperature
 from render.detector.radiation import aged
-from render.engine.random import Streams
 from render.records import EffectivePsf
 
 __all__ = ["TERMS", "Budget", "SegmentErrors", "attitude_of_shifts", "build_budget", "covariance_of_noise", "heated"]
@@ -143,7 +142,7 @@ class FieldMap:
         tangent = direction[:, :2] / direction[:, 2:]
         reach = float(np.abs(tangent).max())
         basis = _basis(tangent / reach)
-        return cls(reach=reach, coefficients=np.linalg.lstsq(basis, shift_px, rcond=None)[0])
+        return cls(reach=reach, coefficients=np.asarray(np.linalg.lstsq(basis, shift_px, rcond=None)[0]))
 
     def at(self, direction: FloatArray) -> FloatArray:
         """Shifts (n, 2)."""
@@ -245,7 +244,7 @@ class Budget:
 
     @cached_property
     def _colour_bias(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of a fit with the PSF of the calibration, on stars of 3500 and 10 000 K: radial mean (2, f) and RMS (2, f)."""
+        """Bias of a fit of the calibrated PSF to stars of 3500 and 10 000 K: radial mean (2, f) and RMS (2, f)."""
         state = self.nominal.state
         mean, spread = np.zeros((2, len(state.radius_px))), np.zeros((2, len(state.radius_px)))
         if centroider_class(self.config.centroid).needs_epsf:
@@ -303,12 +302,18 @@ class Budget:
 
     def errors(self, time_s: float, *, state_k: FloatArray | None = None) -> SegmentErrors:
         """Errors of the attitude at a time, with the lens in its state then or in another one."""
+        path = self.flight.trajectory
+        return self.errors_of(path.attitude(time_s), np.asarray(path.rate(time_s)), time_s, state_k=state_k)
+
+    def errors_of(
+        self, attitude: Rotation, rate_rad_per_s: FloatArray, time_s: float, *, state_k: FloatArray | None = None
+    ) -> SegmentErrors:
+        """The same in another attitude, cam from icrs, that turns at another rate."""
         flight, config = self.flight, self.config
-        attitude = flight.trajectory.attitude(time_s)
         rows, v = self.expected(attitude, flight.velocity_km_per_s(time_s))
         fit = (1.0 - self._bad) ** (config.window_px**2)
         nothing = np.full(3, np.nan)
-        if len(rows) * fit < config.tracker.fewest or bool(flight.blinded(time_s)):
+        if len(rows) * fit < config.tracker.fewest or bool(flight.blinded(time_s, attitude)):
             return SegmentErrors(
                 time_s=time_s,
                 available=False,
@@ -320,7 +325,9 @@ class Budget:
                 thermal_arcsec=nothing,
                 aberration_arcsec=nothing,
             )
-        noise, pixel, spot, shift = self._star_errors(time_s, rows, v)
+        noise, pixel, spot, shift = self._star_errors(
+            float(flight.background_e_per_s(time_s, attitude)), rate_rad_per_s, rows, v
+        )
         weight = fit / (self.pixel_rad**2 * (noise**2 + self.star_error_px**2))
         scale = self.pixel_rad * RAD_ARCSEC
 
@@ -347,12 +354,10 @@ class Budget:
         return chip.hot_fraction + chip.dead_fraction
 
     def _star_errors(
-        self, time_s: float, rows: NDArray[np.int64], v: FloatArray
+        self, background_e_per_s: float, rate_rad_per_s: FloatArray, rows: NDArray[np.int64], v: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Noise, pixel patterns and phase, spots of other colours (n,), shift by colour and distortion (n, 2) [px]."""
-        camera = self.camera(
-            float(self.flight.background_e_per_s(time_s)), np.asarray(self.flight.trajectory.rate(time_s))
-        )
+        camera = self.camera(background_e_per_s, rate_rad_per_s)
         place = self.model.project(v)
         away = place - self.model.geometry.centre_px
         radius = np.hypot(*away.T)
@@ -393,7 +398,8 @@ class Budget:
             attitude = self.flight.trajectory.attitude(float(time))
             rows, v = self.expected(attitude, None)
             if len(rows):
-                _, pixel, spot, shift = self._star_errors(float(time), rows, v)
+                rate = np.asarray(self.flight.trajectory.rate(float(time)))
+                _, pixel, spot, shift = self._star_errors(0.0, rate, rows, v)
                 squares += list(pixel**2 + spot**2 + 0.5 * (shift**2).sum(1))
         return float(np.sqrt(np.mean(squares))) if squares else 0.0
 
@@ -405,14 +411,17 @@ class Budget:
 @lru_cache(maxsize=512)
 def _cached(text: str, through: float, background: float, rate: float, towards: float) -> CameraPrediction:
     config = Config.model_validate_json(text)
+    shared = {name: value for name, value in config.model_dump().items() if name in _SHARED}
     return predict_camera(
-        CameraConfig(
-            **{name: getattr(config, name) for name in _SHARED},
-            throughput_fraction=through,
-            background_e_per_s=background,
-            star={"magnitude_mag": 6.0, "temperature_k": config.star_temperature_k},
-            slew={"rate_deg_per_s": rate, "direction_deg": towards},
-            sky={"attitudes": FEW_ATTITUDES},
+        CameraConfig.model_validate(
+            {
+                **shared,
+                "throughput_fraction": through,
+                "background_e_per_s": background,
+                "star": {"magnitude_mag": 6.0, "temperature_k": config.star_temperature_k},
+                "slew": {"rate_deg_per_s": rate, "direction_deg": towards},
+                "sky": {"attitudes": FEW_ATTITUDES},
+            }
         )
     )
 
@@ -447,8 +456,3 @@ def build_budget(config: Config, flight: Flight, *, old: bool = False) -> Budget
     for extreme in (flight.thermal.values_k.min(axis=0), flight.thermal.values_k.max(axis=0)):
         heated(config, extreme)
     return budget
-
-
-def streams(config: Config) -> Streams:
-    """Root of the randomness of the flight's frames."""
-    return Streams(config.seed).child("flight")

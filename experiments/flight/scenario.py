@@ -142,10 +142,10 @@ class Flight:
         error = 1e-3 * setting.velocity_error_m_per_s * own / np.linalg.norm(own)
         return np.asarray(self.velocity_km_per_s(time_s) + error)
 
-    def angles_deg(self, time_s: ArrayLike) -> dict[str, FloatArray]:
-        """Angles (...,) from the boresight to the Sun, to the limb of the Earth and to the Moon."""
+    def angles_deg(self, time_s: ArrayLike, attitude: Rotation | None = None) -> dict[str, FloatArray]:
+        """Angles (...,) from the boresight, of the law or of another attitude, to Sun, limb of the Earth and Moon."""
         t = np.asarray(time_s, float)
-        boresight = self.trajectory.attitude(t).as_matrix()[..., 2, :]
+        boresight = (self.trajectory.attitude(t) if attitude is None else attitude).as_matrix()[..., 2, :]
         moon_km = 384_400.0 * self.orbit.moon - self.orbit.state(t)[0]
         moon = moon_km / np.linalg.norm(moon_km, axis=-1, keepdims=True)
         return {
@@ -154,18 +154,19 @@ class Flight:
             "moon": np.degrees(np.arccos(np.clip((boresight * moon).sum(-1), -1.0, 1.0))),
         }
 
-    def background_e_per_s(self, time_s: ArrayLike) -> FloatArray:
+    def background_e_per_s(self, time_s: ArrayLike, attitude: Rotation | None = None) -> FloatArray:
         """Stray light (...,) per pixel; in the shadow there is none of the Sun."""
-        angles, dark = self.angles_deg(time_s), self.orbit.shadowed(time_s)
+        angles, dark = self.angles_deg(time_s, attitude), self.orbit.shadowed(time_s)
         light = np.zeros(np.shape(time_s))
         for body, (angle, rate) in self.straylight.items():
             seen = np.interp(angles[body], angle, rate)
             light = light + (np.where(dark, 0.0, seen) if body == "sun" else seen)
         return np.asarray(light)
 
-    def blinded(self, time_s: ArrayLike) -> NDArray[np.bool_]:
+    def blinded(self, time_s: ArrayLike, attitude: Rotation | None = None) -> NDArray[np.bool_]:
         """Whether (...,) a body is within its exclusion angle."""
-        angles, setting, dark = self.angles_deg(time_s), self.config.straylight, self.orbit.shadowed(time_s)
+        angles, setting = self.angles_deg(time_s, attitude), self.config.straylight
+        dark = self.orbit.shadowed(time_s)
         return np.asarray(
             ((angles["sun"] < setting.sun_exclusion_deg) & ~dark)
             | (angles["earth"] < setting.earth_exclusion_deg)
@@ -250,10 +251,8 @@ def _tabulated(file: str, end_s: float) -> SampledAttitude:
     quat = np.column_stack([table[name] for name in names])
     length = np.linalg.norm(quat, axis=1)
     if np.abs(length - 1.0).max() > 1e-3:
-        raise DomainError(
-            f"attitude.file = {Path(file).name}: a quaternion has the length {length[np.abs(length - 1.0).argmax()]:g}; "
-            "it must be 1"
-        )
+        worst = length[np.abs(length - 1.0).argmax()]
+        raise DomainError(f"attitude.file = {Path(file).name}: a quaternion has the length {worst:g}; it must be 1")
     turned = Rotation.from_quat(quat)
     step = np.degrees((turned[1:] * turned[:-1].inv()).magnitude())
     if step.max() > GAP_DEG:
@@ -286,8 +285,8 @@ def _thermal(config: Config, orbit: Orbit) -> ThermalHistory:
         gap = float(np.diff(table["time_s"]).max())
         if gap > LONGEST_GAP * period:
             raise DomainError(
-                f"temperature.file = {Path(setting.file).name}: a gap of {gap:g} s; at most {LONGEST_GAP * period:.0f} s, "
-                "a twentieth of the orbit"
+                f"temperature.file = {Path(setting.file).name}: a gap of {gap:g} s; at most "
+                f"{LONGEST_GAP * period:.0f} s, a twentieth of the orbit"
             )
         columns = [table.get(name, np.zeros(len(table["time_s"]))) for name in STATES]
         return ThermalHistory(time_s=table["time_s"], values_k=np.column_stack(columns))

@@ -1,9 +1,9 @@
 """The measured split of the attitude error, term by term, beside the prediction for the same times.
 
-Within a segment the stars cross several pixels, and no noticeable part of the field: what varies there is temporal noise
-(told by the two readouts) and pixel spatial error (common to both); what stays is of low frequency. Between segments the
-sky changes. The part of the pixel spatial error that stays within a segment, where stars move by less than a pixel from
-its first frame to its last, is of low frequency in measurement and prediction alike.
+Within a segment the stars cross several pixels, and no noticeable part of the field: what varies there is temporal
+noise (told by the two readouts) and pixel spatial error (common to both); what stays is of low frequency. Between
+segments the sky changes. The part of the pixel spatial error that stays within a segment, where stars move by less than
+a pixel from its first frame to its last, is of low frequency in measurement and prediction alike.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import numpy as np
 
 from experiments.flight.frames import Segment
 from experiments.flight.prediction import TERMS, Budget, SegmentErrors
-from experiments.harness.sections import agree, col, ratio_near
-from experiments.harness.summary import Measured
+from experiments.harness.quantities import Outcome
+from experiments.harness.sections import Verdict, agree, col, ratio_near
+from experiments.harness.summary import Criterion, Measured
 from optics.arrays import FloatArray
 
 __all__ = ["COMPONENTS", "LABELS", "VERDICTS", "Term", "measured_terms", "predicted_terms", "within_share"]
@@ -52,28 +53,48 @@ class Term:
     term: str  # Its key in `LABELS`
 
 
+def _known(verdict: Verdict, name: str, term: str, component: str) -> Verdict:
+    """The verdict, where its number is known."""
+
+    def judge(outcome: Outcome) -> list[Criterion]:
+        if name not in outcome.data or term not in outcome.data["term"].values:
+            return []
+        value = float(outcome.values(name, term=term, component=component))
+        return verdict(outcome) if math.isfinite(value) else []
+
+    judge.names = verdict.names  # type: ignore[attr-defined]
+    found: Verdict = judge  # type: ignore[assignment]
+    return found
+
+
+def _ratio_verdict(term: str, component: str) -> Verdict:
+    near = ratio_near(
+        "term_ratio",
+        within=0.10 if term == "total" else 0.15,
+        at={"term": term, "component": component},
+        title="measured over predicted",
+    )
+    return _known(near, "term_ratio", term, component)
+
+
+def _slope_verdict(term: str, component: str) -> Verdict:
+    one = agree(
+        "term_slope",
+        1.0,
+        at={"term": term, "component": component},
+        slack=0.15,
+        title="slope of the measured errors against the predicted ones",
+        advice="a sign, a unit or a frame: the errors are as large as predicted, and not where they should be",
+    )
+    return _known(one, "term_slope", term, component)
+
+
 VERDICTS = [
+    *(_ratio_verdict(name, component) for name in (*TERMS, "total") for component, _ in COMPONENTS),
     *(
-        ratio_near(
-            "term_ratio",
-            within=0.10 if name == "total" else 0.15,
-            at={"term": name, "component": component},
-            title="measured over predicted",
-        )
-        for name in (*TERMS, "total")
-        for component in ("across", "roll")
-    ),
-    *(
-        agree(
-            "term_slope",
-            1.0,
-            at={"term": name, "component": component},
-            slack=0.15,
-            title="slope of the measured errors against the predicted ones",
-            advice="a sign, a unit or a frame: the errors are as large as predicted, and not where they should be",
-        )
+        _slope_verdict(name, component)
         for name in ("thermo_elastic", "fov_spatial", "aberration")
-        for component in ("across", "roll")
+        for component, _ in COMPONENTS
     ),
 ]
 

@@ -17,7 +17,6 @@ special relativity. `erfa.ab` adds the potential of the Sun, below 0.001 mas.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np

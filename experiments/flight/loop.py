@@ -1,0 +1,139 @@
+"""The sensor as a plain function, to sit in a control loop: attitude, rate and time in; quaternion and covariance out.
+
+By frames (`by_frames`): each call renders the exposure, reads it out and lets the tracker solve it. By budget
+(`by_budget`): each call draws the error that the budget predicts, thousands of times a second. Both answer with the
+same record, and both know the truth that they were given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.tracker import TrackedAttitude
+from experiments.flight.frames import Camera, build_tracker
+from experiments.flight.prediction import Budget, build_budget
+from experiments.flight.scenario import build_flight
+from experiments.flight.settings import Config
+from optics.arrays import FloatArray
+from optics.units import ARCSEC_RAD
+from render.engine.random import Streams
+from render.motion.trajectory import ConstantRate
+
+__all__ = ["Sensor", "by_budget", "by_frames"]
+
+Sensor = Callable[[Rotation, ArrayLike, float], TrackedAttitude]
+"""``sensor(attitude, rate_rad_per_s, time_s)``: cam from icrs and its rate in cam, in the middle of the exposure."""
+
+MARGIN_S = 1.0
+FIELD_PART = 0.02
+"""Errors of the stars are looked up again after a turn by this part of the field, or `AGED_S`."""
+AGED_S = 10.0
+
+
+def by_frames(config: Config) -> Sensor:
+    """A sensor that renders every exposure, with the lens as calibrated.
+
+    Parameters
+    ----------
+    config : Config
+        Sensor and orbit; its attitude law is not used.
+
+    Returns
+    -------
+    Sensor
+        Times have to increase from call to call.
+
+    Raises
+    ------
+    StarbenchError
+        As `experiments.flight.prediction.build_budget`.
+    """
+    camera = Camera(build_budget(config, build_flight(config)))
+    tracker, flight = build_tracker(camera), camera.flight
+    aligned, calls = Rotation.from_rotvec(ARCSEC_RAD * camera.budget.bias_arcsec()), iter(range(2**31))
+
+    def sensor(attitude: Rotation, rate_rad_per_s: ArrayLike, time_s: float) -> TrackedAttitude:
+        rate = np.asarray(rate_rad_per_s, float)
+        start = Rotation.from_rotvec(rate * MARGIN_S) * attitude
+        path = ConstantRate(initial=start, rate_rad_per_s=rate, start_s=time_s - MARGIN_S, end_s=time_s + MARGIN_S)
+        image = camera.expected(time_s, np.zeros(5), path)
+        frame = camera.read(image, time_s, next(calls), "loop")
+        known = flight.known_velocity_km_per_s(time_s)
+        found = tracker(frame, time_s, velocity_km_per_s=known, rate_rad_per_s=rate)
+        return found if found.attitude is None else replace(found, attitude=aligned * found.attitude)
+
+    return sensor
+
+
+def by_budget(config: Config, *, budget: Budget | None = None) -> Sensor:
+    """A sensor that errs as the budget predicts: temporal noise anew in every call, what the stars make as it is.
+
+    Parameters
+    ----------
+    config : Config
+        Sensor and orbit; its attitude law is not used.
+    budget : Budget, optional
+        Of this configuration, where there is one already.
+
+    Returns
+    -------
+    Sensor
+        Without stars enough, or blinded, its status says so.
+
+    Raises
+    ------
+    StarbenchError
+        As `by_frames`.
+    """
+    known = budget or build_budget(config, build_flight(config))
+    rng = Streams(config.seed).generator("loop")
+    bias = ARCSEC_RAD * known.bias_arcsec()
+    reach = FIELD_PART * 2.0 * float(np.arccos(known.model.unproject(np.array([[-0.5, -0.5]]))[0, 2]))
+    kept: list[tuple[Rotation, float, TrackedAttitude, FloatArray, FloatArray]] = []
+
+    def looked_up(attitude: Rotation, rate: FloatArray, time_s: float) -> None:
+        errors, found = known.errors_of(attitude, rate, time_s), np.full((3, 3), np.inf)
+        root, shift = np.zeros((3, 3)), np.zeros(3)
+        if errors.available:
+            found = ARCSEC_RAD**2 * np.diag(errors.noise_arcsec2)
+            root = np.sqrt(found)
+            static = errors.pixel_arcsec2 + errors.spot_arcsec2
+            found = found + ARCSEC_RAD**2 * np.diag(static)
+            own = errors.fov_arcsec + errors.thermal_arcsec + errors.aberration_arcsec
+            shift = ARCSEC_RAD * (own + np.sqrt(static) * rng.standard_normal(3)) + bias
+        answer = TrackedAttitude(
+            time_s=time_s,
+            mode="tracking",
+            status="ok" if errors.available else "few_stars",
+            attitude=None,
+            covariance_rad2=found,
+            star_id=np.empty(0, np.int64),
+            pixel_px=np.empty((0, 2)),
+            expected=round(errors.stars),
+        )
+        kept[:] = [(attitude, time_s, answer, root, shift)]
+
+    def sensor(attitude: Rotation, rate_rad_per_s: ArrayLike, time_s: float) -> TrackedAttitude:
+        if not kept or abs(time_s - kept[0][1]) > AGED_S or (attitude * kept[0][0].inv()).magnitude() > reach:
+            looked_up(attitude, np.asarray(rate_rad_per_s, float), time_s)
+        _, _, answer, root, shift = kept[0]
+        seen = None
+        if answer.status == "ok":
+            seen = Rotation.from_rotvec(shift + root @ rng.standard_normal(3)) * attitude
+        return TrackedAttitude(
+            time_s=time_s,
+            mode=answer.mode,
+            status=answer.status,
+            attitude=seen,
+            covariance_rad2=answer.covariance_rad2,
+            star_id=answer.star_id,
+            pixel_px=answer.pixel_px,
+            expected=answer.expected,
+        )
+
+    return sensor
