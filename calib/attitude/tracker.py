@@ -31,14 +31,14 @@ from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
 from calib.measure.image import image_from_frame, subtract_dark
-from calib.measure.stamps import extract_stamps, ring_background
-from calib.records import NoiseModel, SensorImage, StarTable
+from calib.measure.stamps import ring_background, stamps_from_windows
+from calib.records import NoiseModel, StarTable
 from optics.arrays import FloatArray
 from optics.attitude import aberrated, quat_xyzw
 from optics.errors import DomainError
 from optics.records import freeze
 from optics.units import RAD_ARCSEC
-from render.records import EffectivePsf, Frame
+from render.records import EffectivePsf, Frame, WindowStack
 
 __all__ = ["GuideCatalogue", "StarTracker", "TrackedAttitude", "guide_catalogue", "sky_coverage"]
 
@@ -328,14 +328,11 @@ class StarTracker:
             raise DomainError(
                 f"time_s = {time_s:g} s, after {self._last[-1][0]:g} s; frames have to come in the order of time"
             )
-        image = image_from_frame(frame) if self._dark is None else subtract_dark(frame, self._dark)
-        if self._noise is not None:
-            image = replace(image, noise=self._noise)
         moved = None if velocity_km_per_s is None else np.asarray(velocity_km_per_s, float)
         rough = near if near is not None else self._predicted(time_s, rate_rad_per_s)
-        found = None if rough is None else self._track(image, time_s, rough, moved, "tracking")
+        found = None if rough is None else self._track(frame, time_s, rough, moved, "tracking")
         if near is None and (found is None or not found.ok):
-            found = self._acquire(image, time_s, moved)
+            found = self._acquire(frame, time_s, moved)
         assert found is not None
         if near is None:
             self._last = [*self._last[-1:], (time_s, found.attitude)] if found.attitude is not None else []
@@ -368,12 +365,12 @@ class StarTracker:
         return near[chosen], seen[chosen], place[chosen]
 
     def _track(
-        self, image: SensorImage, time_s: float, rough: Rotation, velocity: FloatArray | None, mode: str
+        self, frame: Frame, time_s: float, rough: Rotation, velocity: FloatArray | None, mode: str
     ) -> TrackedAttitude:
         row, seen, place = self._expected(rough, velocity)
         if len(row) < self._fewest:
             return _nothing(time_s, mode, "few_stars", expected=len(row))
-        stars = self._measured(image, place)
+        stars = self._measured(frame, place)
         light = stars.fit & (stars.flux_e > SNR * np.sqrt(np.maximum(stars.covariance[:, 2, 2], 0.0)))
         miss = stars.pixel_px - place
         good = light.copy()
@@ -399,14 +396,37 @@ class StarTracker:
             expected=len(row),
         )
 
-    def _measured(self, image: SensorImage, place: FloatArray) -> StarTable:
-        """Centroids in windows around places (n, 2)."""
-        nearest = ((place[:, None] - self._psf_place) ** 2).sum(-1).argmin(1)
-        stamps = extract_stamps(
-            image, place[:, 0], place[:, 1], background=np.zeros(len(place)), size_px=self._window, psf_index=nearest
+    def _measured(self, frame: Frame, place: FloatArray) -> StarTable:
+        """Centroids in windows around places (n, 2), all of them inside the frame."""
+        corner = np.rint(place).astype(np.int64) - self._window // 2
+        step = np.arange(self._window)
+        at = (corner[:, 1, None, None] + step[:, None], corner[:, 0, None, None] + step)
+        stack = WindowStack(
+            dn=frame.dn[at][None],
+            saturated=frame.saturated[at][None],
+            defect=frame.defect[at],
+            corner_px=corner,
+            gain_dn_per_e=frame.gain_dn_per_e,
+            offset_dn=frame.offset_dn,
+            read_noise_e=frame.read_noise_e,
+            exposure_s=frame.exposure_s,
+            band=frame.band,
+            first_index=frame.index,
         )
-        stamps = replace(stamps, background_e=ring_background(stamps.electrons, stamps.valid))
-        return self._centroider.measure(stamps, image.noise)
+        nothing = np.zeros(len(place))
+        stamps, noise = stamps_from_windows(
+            stack, background_e=nothing, start_px=place, psf_index=self._nearest_psf(place)
+        )
+        electrons = stamps.electrons
+        if self._dark is not None:
+            dark = (self._dark[at] - frame.offset_dn) / frame.gain_dn_per_e
+            electrons = np.where(stamps.valid, electrons - dark, 0.0)
+        level = ring_background(electrons, stamps.valid)
+        stamps = replace(stamps, electrons=electrons, background_e=level)
+        return self._centroider.measure(stamps, noise if self._noise is None else self._noise)
+
+    def _nearest_psf(self, place: FloatArray) -> NDArray[np.int64]:
+        return np.asarray(((place[:, None] - self._psf_place) ** 2).sum(-1).argmin(1))
 
     def _solved(
         self, stars: StarTable, used: NDArray[np.int64], seen: FloatArray
@@ -429,7 +449,10 @@ class StarTracker:
             solution = replace(solution, status="ok")
         return solution, kept
 
-    def _acquire(self, image: SensorImage, time_s: float, velocity: FloatArray | None) -> TrackedAttitude:
+    def _acquire(self, frame: Frame, time_s: float, velocity: FloatArray | None) -> TrackedAttitude:
+        image = image_from_frame(frame) if self._dark is None else subtract_dark(frame, self._dark)
+        if self._noise is not None:
+            image = replace(image, noise=self._noise)
         try:
             background = estimate_background(image, step_px=2)
         except DomainError:  # saturated all over
@@ -439,8 +462,7 @@ class StarTracker:
         )
         if not len(stamps):
             return _nothing(time_s, "acquisition", "few_stars")
-        place = stamps.start_px
-        stamps = replace(stamps, psf_index=((place[:, None] - self._psf_place) ** 2).sum(-1).argmin(1))
+        stamps = replace(stamps, psf_index=self._nearest_psf(stamps.start_px))
         stars = self._centroider.measure(stamps, image.noise)
         known = _Known(id=self.guides.id, direction=self._apparent(slice(None), velocity))
         found = identify_stars(stars, self.model, known, database=self._database)
@@ -450,7 +472,7 @@ class StarTracker:
         if not found.ok or found.attitude is None:
             status = "few_stars" if found.status == "too_few" else "not_identified"
             return _nothing(time_s, "acquisition", status)
-        tracked = self._track(image, time_s, found.attitude.rotation, velocity, "acquisition")
+        tracked = self._track(frame, time_s, found.attitude.rotation, velocity, "acquisition")
         if tracked.ok and len(tracked.star_id) < SEEN_SHARE * tracked.expected:
             return _nothing(time_s, "acquisition", "not_confirmed", tracked.rejected, tracked.expected)
         return tracked

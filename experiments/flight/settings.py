@@ -200,6 +200,7 @@ experiment = Experiment(
     config=Config,
     run="experiment:run",
     sections="experiment:SECTIONS",
+    axes="experiment:axes",
     takes="3 min (--quick: 40 s)",
     examples={
         "--quick": "a small run",

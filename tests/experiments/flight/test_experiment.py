@@ -1,0 +1,98 @@
+"""The flight as a user runs it, its prediction, and the sensor in a loop."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from experiments.flight.loop import by_budget, by_frames
+from experiments.flight.prediction import build_budget
+from experiments.flight.scenario import build_flight
+from experiments.flight.settings import Config, main
+from optics.attitude import attitude_error_arcsec
+
+SMALL = {
+    "instrument": {
+        "lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 1024, "height_px": 1024, "exposure_s": 0.2,
+        "defocus_mm": 0.0, "diffraction": "rays",
+    },
+    "passband": {"range_nm": [500.0, 800.0]},
+    "dark_frames": 6,
+}  # fmt: skip
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def budget():
+    config = Config(**SMALL)
+    return build_budget(config, build_flight(config))
+
+
+def run(folder, *options):
+    status = main([*options, "--out", str(folder / "out")], own_process=False)
+    return status, json.loads((folder / "out" / "summary.json").read_text()) if status < 2 else None
+
+
+def test_the_quick_run_ends_with_every_term_beside_its_prediction(tmp_path, engine):
+    status, summary = run(tmp_path, "--quick")
+    terms = summary["results"]["terms"]
+    assert set(terms) >= {"bias", "thermo_elastic", "fov_spatial", "pixel_spatial", "temporal_noise", "aberration"}
+    assert status == 0, [one for one in summary["criteria"] if one["passed"] is False]
+    assert summary["results"]["wrong_attitudes"] == 0
+
+
+def test_a_law_that_looks_at_the_earth_is_unavailable_and_no_error(tmp_path):
+    status, summary = run(
+        tmp_path, "--quick", "--predict-only", "--set", "attitude.law=nadir", "--set", "attitude.off_zenith_deg=170"
+    )
+    assert status == 0
+    assert summary["results"]["available_percent"] == 0.0
+    assert "terms" not in summary["results"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--set", "temperature.mean_k=60", "--set", "temperature.offset_k=-60"), "temperature"),
+        (("--set", "orbit.perigee_km=-5"), "perigee_km"),
+        (("--set", "attitude.law=table"), "attitude"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_status_two(tmp_path, capsys, options, words):
+    status, _ = run(tmp_path, "--predict-only", *options)
+    text = capsys.readouterr().err.strip()
+    assert status == 2
+    assert words in text
+    assert "Traceback" not in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_aberration_in_closed_form_is_that_of_stars_moved_one_by_one(budget):
+    """Best rotation of guide stars whose places are those of the true and of the known velocity."""
+    from calib.attitude.solve import solve_wahba
+    from optics.attitude import aberrated
+
+    flight, time = budget.flight, float(budget.flight.segments_s[4])
+    attitude = flight.trajectory.attitude(time)
+    rows, _ = budget.expected(attitude, None)
+    stars = np.array(budget.guides.direction[rows])
+    seen = attitude.apply(aberrated(stars, flight.velocity_km_per_s(time)))
+    solved = solve_wahba(seen, aberrated(stars, flight.known_velocity_km_per_s(time)))
+    error = attitude_error_arcsec(solved.rotation, attitude)
+    np.testing.assert_allclose(budget.aberration_arcsec(time, attitude)[:2], error[:2], atol=0.02 * np.abs(error).max())
+
+
+def test_the_sensor_by_budget_errs_as_it_states_and_that_of_frames_alike(engine):
+    config = Config(**SMALL, tracker={"alignment_arcsec": [0, 0, 0]}, temperature={"offset_k": 0, "mean_k": 0})
+    fast, slow = by_budget(config), by_frames(config)
+    attitude = Rotation.from_euler("x", -60, degrees=True)
+    errors = np.array(
+        [attitude_error_arcsec(fast(attitude, np.zeros(3), 0.1 * n).attitude, attitude) for n in range(80)]
+    )
+    stated = fast(attitude, np.zeros(3), 8.0).sigma_arcsec
+    assert errors.std(axis=0)[:2] == pytest.approx(stated[:2], rel=0.5)
+    seen = slow(attitude, np.zeros(3), 0.1)
+    assert seen.ok
+    assert (np.abs(attitude_error_arcsec(seen.attitude, attitude)) < 6.0 * seen.sigma_arcsec).all()
