@@ -48,6 +48,8 @@ SNR = 5.0
 """Signal-to-noise ratio of the flux below which a window holds no star."""
 SEEN_SHARE = 0.5
 """Of the predicted stars, so many have to be there after an acquisition, or it was a chance match."""
+BRIGHTEST = (20, 12)
+"""Detections that are asked for their names when all of them make no pattern."""
 DOUBTFUL = StarFlag.SPIKE | StarFlag.TRAIL | StarFlag.UNDETERMINED
 LONGEST_GAP_S = 5.0
 """A turn is carried on for so long; then the sky is searched anew."""
@@ -466,9 +468,13 @@ class StarTracker:
         stars = self._centroider.measure(stamps, image.noise)
         known = _Known(id=self.guides.id, direction=self._apparent(slice(None), velocity))
         found = identify_stars(stars, self.model, known, database=self._database)
-        if not found.ok:  # bright stars in sharp focus look like hot pixels: all that shines is asked
-            shining = replace(stars, flags=stars.flags & ~np.uint32(DOUBTFUL))
-            found = identify_stars(shining, self.model, known, database=self._database)
+        # bright stars in sharp focus look like hot pixels; then all that shines is asked, at last the brightest alone
+        shining = replace(stars, flags=stars.flags & ~np.uint32(DOUBTFUL))
+        rank = np.argsort(np.argsort(-np.nan_to_num(stars.flux_e, nan=-np.inf)))
+        for most in (len(stars), *BRIGHTEST):
+            if not found.ok:
+                some = replace(shining, flux_e=np.where(rank < most, stars.flux_e, np.nan))
+                found = identify_stars(some, self.model, known, database=self._database)
         if not found.ok or found.attitude is None:
             status = "few_stars" if found.status == "too_few" else "not_identified"
             return _nothing(time_s, "acquisition", status)

@@ -59,6 +59,9 @@ DEGREE = 5
 """Of the polynomials that maps of shifts over the field are read with."""
 SATURATION_MARGIN_MAG = 0.3
 FEW_ATTITUDES = 60
+AZIMUTH_DEG = 22.5
+"""Where the PSFs of the camera report lie from the middle of the detector."""
+SMALLEST_K = 0.1
 BACKGROUND_STEP = 1.02
 """Predictions are kept for backgrounds this far apart."""
 
@@ -165,7 +168,7 @@ class SegmentErrors:
     noise_arcsec2: FloatArray  # (3,) Variance by temporal noise
     pixel_arcsec2: FloatArray  # (3,) Variance by pixel patterns and pixel phase
     fov_arcsec: FloatArray  # (3,) Error by colour and distortion
-    spot_arcsec2: FloatArray  # (3,) Variance by spots of other colours at the phases of the pixels
+    spot_arcsec2: FloatArray  # (3,) Variance by spots of other colours and focus at the phases of the pixels
     thermal_arcsec: FloatArray  # (3,) Error by the heated lens
     aberration_arcsec: FloatArray  # (3,) Error by the velocity that is not known
 
@@ -243,45 +246,80 @@ class Budget:
         return np.asarray(found.pixel_px)
 
     @cached_property
-    def _colour_bias(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Bias of a fit of the calibrated PSF to stars of 3500 and 10 000 K: radial mean (2, f) and RMS (2, f)."""
-        state = self.nominal.state
-        mean, spread = np.zeros((2, len(state.radius_px))), np.zeros((2, len(state.radius_px)))
-        if centroider_class(self.config.centroid).needs_epsf:
-            turn = np.radians(22.5)  # where the PSFs of the prediction lie from the middle
-            along = np.array([np.cos(turn), np.sin(turn)])
-            for n, others in enumerate((state.cold_psfs, state.hot_psfs)):
-                bias = self._fit_bias(others)
-                mean[n] = bias.mean(1) @ along
-                spread[n] = np.sqrt(bias.var(axis=1).mean(1))
-        return state.radius_px, mean, spread
+    def _colour_bias(self) -> tuple[FloatArray, FloatArray]:
+        """Bias of a fit of the calibrated PSF to stars of 3500 and 10 000 K: radial mean (2, f), RMS over phases."""
+        state = self.usual.state
+        return self._fit_bias(state.cold_psfs, state.hot_psfs)
 
-    def _fit_bias(self, others: tuple[EffectivePsf, ...]) -> FloatArray:
-        """Fitted minus true places (f, phases, 2) of stars of another colour without noise."""
+    @cached_property
+    def _heat_bias(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The same through the coldest and the hottest lens of the flight [K]: its focus has moved."""
+        span = self.flight.thermal.values_k[:, 0]
+        ends = np.array([min(span.min(), -SMALLEST_K), max(span.max(), SMALLEST_K)])
+        if not span.any():
+            nothing = np.zeros((2, len(self.nominal.state.radius_px)))
+            return ends, nothing, nothing
+        at_c = configured_lens(self.config.instrument).environment.temperature_c
+        psfs = []
+        for kelvin in ends:
+            warm = self.config.instrument.model_copy(update={"lens_temperature_c": at_c + float(kelvin)})
+            config = self.config.model_copy(update={"instrument": warm})
+            turn, towards = trail_of_rate(self._usual_rate)
+            psfs.append(_camera(config, 1.0, 0.0, round(turn, 6), round(towards, 3)).state.psfs)
+        return ends, *self._fit_bias(*psfs)
+
+    @property
+    def _usual_rate(self) -> FloatArray:
+        return np.asarray(self.flight.trajectory.rate(float(self.flight.segments_s[0])))
+
+    @cached_property
+    def usual(self) -> CameraPrediction:
+        """Prediction for stars that trail as at the first segment, which the tracker's PSFs are made for."""
+        return self.camera(0.0, self._usual_rate)
+
+    def _fit_bias(self, *others: tuple[EffectivePsf, ...]) -> tuple[FloatArray, FloatArray]:
+        """Fitted minus true places of stars with other PSFs, noiseless: radial mean and RMS over phases (k, f) [px]."""
         state, processing = self.nominal.state, self.nominal.processing
-        windows = phase_windows(others, self.config.window_px, 4)
+        shape = (len(others), len(state.radius_px))
+        mean, spread = np.zeros(shape), np.zeros(shape)
+        if not centroider_class(self.config.centroid).needs_epsf:
+            return mean, spread
         bright = float(self.nominal.electrons(np.array([np.median(self.guides.magnitude)]), 5800.0)[0])
-        count = len(windows.light)
-        stamps = Stamps(
-            electrons=bright * windows.light,
-            valid=np.ones(windows.light.shape, bool),
-            corner_px=np.zeros((count, 2), np.int64),
-            background_e=np.zeros(count),
-            start_px=windows.place_px,
-            flags=np.zeros(count, np.uint32),
-            psf_index=windows.psf_index,
-        )
-        table = get_centroider(self.config.centroid, epsf=state.psfs).measure(stamps, processing.noise)
-        return np.asarray((table.pixel_px - windows.place_px).reshape(len(others), -1, 2))
+        turn = np.radians(AZIMUTH_DEG)
+        for n, psfs in enumerate(others):
+            windows = phase_windows(psfs, self.config.window_px, 4)
+            count = len(windows.light)
+            stamps = Stamps(
+                electrons=bright * windows.light,
+                valid=np.ones(windows.light.shape, bool),
+                corner_px=np.zeros((count, 2), np.int64),
+                background_e=np.zeros(count),
+                start_px=windows.place_px,
+                flags=np.zeros(count, np.uint32),
+                psf_index=windows.psf_index,
+            )
+            fit = get_centroider(self.config.centroid, epsf=self.usual.state.psfs)
+            bias = (fit.measure(stamps, processing.noise).pixel_px - windows.place_px).reshape(len(psfs), -1, 2)
+            mean[n] = bias.mean(1) @ np.array([np.cos(turn), np.sin(turn)])
+            spread[n] = np.sqrt(bias.var(axis=1).mean(1))
+        return mean, spread
 
     def colour_px(self, temperature_k: FloatArray, radius_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Radial shift (n,) of stars by their colour as the centroider sees it, and its RMS over pixel phases."""
         apart = colour_distance(temperature_k, self.config.star_temperature_k)
-        cold = temperature_k < self.config.star_temperature_k
-        radius, mean, spread = self._colour_bias
-        bias, spot = (np.where(cold, *(np.interp(radius_px, radius, row) for row in rows)) for rows in (mean, spread))
+        cold, radius = temperature_k < self.config.star_temperature_k, self.nominal.state.radius_px
+        bias, spot = (
+            np.where(cold, *(np.interp(radius_px, radius, row) for row in rows)) for rows in self._colour_bias
+        )
         shift = self.nominal.state.colour_shift_px(temperature_k, radius_px)
         return np.asarray(shift + apart * bias), np.asarray(apart * spot)
+
+    def heat_px(self, mean_k: float, radius_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Radial bias (n,) of the fit through a lens warmer by so much, and its RMS over pixel phases."""
+        ends, *both = self._heat_bias
+        part, end = abs(mean_k) / abs(ends[int(mean_k > 0.0)]), int(mean_k > 0.0)
+        bias, spot = (part * np.interp(radius_px, self.nominal.state.radius_px, rows[end]) for rows in both)
+        return np.asarray(bias), np.asarray(spot)
 
     # --- Stars of an attitude
 
@@ -335,7 +373,8 @@ class Budget:
             # a star that is left out (a bad pixel in its window) takes its error along: 1 / fit of each weight
             return np.asarray(scale**2 * np.diag(covariance_of_noise(v, weight / fit, sigma_px**2)) / fit)
 
-        warm = self._thermal_shift(flight.thermal.at(time_s) if state_k is None else state_k, v)
+        state = flight.thermal.at(time_s) if state_k is None else state_k
+        warm, blurred = self._thermal_shift(state, v)
         return SegmentErrors(
             time_s=time_s,
             available=True,
@@ -343,7 +382,7 @@ class Budget:
             noise_arcsec2=variance(noise),
             pixel_arcsec2=variance(pixel),
             fov_arcsec=RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, shift)),
-            spot_arcsec2=variance(spot),
+            spot_arcsec2=variance(np.hypot(spot, blurred)),
             thermal_arcsec=RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, warm)),
             aberration_arcsec=self.aberration_arcsec(time_s, attitude),
         )
@@ -372,12 +411,16 @@ class Budget:
         shift = colour[:, None] * away / np.maximum(radius, 1e-9)[:, None] + self._residual.at(v)
         return noise, pixel, spot, shift
 
-    def _thermal_shift(self, state_k: FloatArray, v: FloatArray) -> FloatArray:
-        total = np.zeros((len(v), 2))
+    def _thermal_shift(self, state_k: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Shift of stars by the heated lens (n, 2), and RMS (n,) over pixel phases by its spots [px]."""
+        away = self.model.project(v) - self.model.geometry.centre_px
+        radius = np.hypot(*away.T)
+        bias, spot = self.heat_px(float(state_k[0]), radius)
+        total = bias[:, None] * away / np.maximum(radius, 1e-9)[:, None]
         for name, value in zip(STATES, state_k, strict=True):
             if name in self.sensitivity:
                 total += value * self.sensitivity[name].at(v)
-        return total
+        return total, spot
 
     def _turned(self, v: FloatArray, shift_px: FloatArray) -> FloatArray:
         """Shifts on the detector as changes of direction (n, 3): what the camera model makes of them."""

@@ -149,7 +149,7 @@ class FramesConfig(StrictModel):
     segments: int = Field(default=12, ge=2, le=500, description="parts of the orbit, evenly apart")
     frames: int = Field(default=14, ge=3, le=1000, description="frames of a segment, each read out twice")
     rate_hz: float = Field(default=5.0, gt=0, le=100, description="frames per second")
-    switched: int = Field(default=3, ge=1, le=100, description="frames of a segment rendered with the lens as built")
+    switched: int = Field(default=6, ge=1, le=100, description="frames of a segment rendered with the lens as built")
     thermal_states: int = Field(
         default=4, ge=1, le=500, description="lenses traced hot and cold: segments of like temperature share the mean"
     )
@@ -215,9 +215,8 @@ experiment = Experiment(
     quick={
         "frames.segments": 6,
         "frames.frames": 8,
-        "frames.switched": 2,
-        "frames.thermal_states": 2,
-        "instrument.diffraction": "rays",
+        "frames.switched": 4,
+        "frames.thermal_states": 1,
         "dark_frames": 8,
     },
 )

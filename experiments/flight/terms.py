@@ -214,15 +214,16 @@ def _component(
     square = {
         "temporal_noise": noise,
         "pixel_spatial": pixel,
-        "thermo_elastic": float((warm**2).mean()),
-        "aberration": float((moving**2).mean()),
+        "thermo_elastic": float((warm**2).mean() - warm_error),
+        "aberration": float((moving**2).mean() - moving_error),
         "bias": float((bias**2).mean() - scatter / len(segments)),
-        "fov_spatial": float(rest.var(axis=0, ddof=1).mean() * (1.0 - 1.0 / len(segments)) - of_mean),
+        "fov_spatial": float(rest.var(axis=0, ddof=1).mean() * (1.0 - 1.0 / len(segments)) - of_mean - warm_error),
     }
     free = parts * (len(segments) - 1)
-    unknown = max(scatter, of_mean)
-    spread["thermo_elastic"] = 2.0 * math.sqrt(square["thermo_elastic"] * warm_error / (parts * len(segments)))
-    spread["aberration"] = 2.0 * math.sqrt(square["aberration"] * moving_error / (parts * len(segments)))
+    unknown = max(scatter, of_mean + warm_error)
+    for name, error in (("thermo_elastic", warm_error), ("aberration", moving_error)):
+        power = 4.0 * predicted.values[name] * error + 2.0 * error**2
+        spread[name] = math.sqrt(power / (parts * len(segments)))
     spread["bias"] = 2.0 * math.sqrt(predicted.values["bias"] * unknown / (parts * len(segments)))
     spread["fov_spatial"] = math.sqrt((4.0 * predicted.values["fov_spatial"] * unknown + 2.0 * unknown**2) / free)
     square["total"] = float(np.average([(one**2).mean() for one in both], weights=counts))
