@@ -21,13 +21,33 @@ from optics.response import Response
 from optics.units import UM_MM
 from render.detector.spec import Detector
 
-__all__ = ["Camera", "Diffraction", "build_camera", "launch_disk"]
+__all__ = ["Camera", "Diffraction", "PathLosses", "build_camera", "launch_disk"]
 
 
 RESPONSE_STEP_NM = 5.0
 
 Diffraction = Literal["rays", "waves", "exact_waves"]
 """How the images of stars are made."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathLosses:
+    """What surfaces and glasses take of rays off the axis, each along its own path; a response knows the axis alone.
+
+    Attributes
+    ----------
+    coating : Coating or None
+        On air-glass surfaces for which the lens states none; bare glass if left out.
+    absorption : bool
+        Whether glass absorbs.
+    """
+
+    coating: Coating | None = None
+    absorption: bool = True
+
+    def along_axis(self, lens: LensSystem, wavelength_nm: FloatArray) -> FloatArray:
+        """Transmission along the axis."""
+        return lens_transmission(lens, wavelength_nm, coating=self.coating, absorption=self.absorption)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +71,10 @@ class Camera:
     rotation_cam_from_world : (3, 3)
         ``v_cam = rotation_cam_from_world @ v_world``, float64.
     response : Response or None
-        Electrons per photon against wavelength: quantum efficiency times lens transmission; None is 1.
+        Electrons per photon against wavelength: quantum efficiency times lens transmission along the axis; None is 1.
+    losses : PathLosses or None
+        What surfaces and glasses take of every ray along its own path, in place of that of the axis, which the response
+        holds; None: all rays lose alike.
     blind_columns_px : tuple of (int, int)
         First and last columns of strips that take no light, such as the gaps between chips; stars lose it there as over
         the edge.
@@ -69,6 +92,7 @@ class Camera:
     charge_diffusion_px: float = 0.0
     rotation_cam_from_world: FloatArray = field(default_factory=lambda: np.eye(3))
     response: Response | None = None
+    losses: PathLosses | None = None
     blind_columns_px: tuple[tuple[int, int], ...] = ()
     diffraction: Diffraction = "waves"
 
@@ -225,6 +249,7 @@ def build_camera(
         source=f"{lens.source}; {efficiency.source}",
     )
     held = lens.measured is not None and lens.measured.includes_charge_diffusion
+    known = lens.measured is None and lens.throughput is None
     return Camera(
         lens=lens,
         width_px=detector.width_px,
@@ -234,6 +259,7 @@ def build_camera(
         charge_diffusion_px=0.0 if held else detector.diffusion_sigma_px,
         rotation_cam_from_world=np.eye(3) if rotation_cam_from_world is None else rotation_cam_from_world,
         response=response,
+        losses=PathLosses(coating=coating, absorption=absorption) if known else None,
         blind_columns_px=detector.gap_columns_px,
         diffraction=diffraction,
     )

@@ -121,6 +121,9 @@ class Truth:
     electrons_beyond : (n, b), optional
         Light of diffraction images beyond their stamps: it lands somewhere, is not rendered, and belongs to the sum
         that ``electrons_in`` is. 0 for rays, and if left out.
+    electrons_absorbed : (n, b), optional
+        Light of rays that surfaces and glasses take on top of what they take along the axis (`Camera.losses`), part of
+        the same sum; negative where they take less. 0 if left out.
     noise_area_px2 : (n, b), optional
         Noise-equivalent area of the star's rendered image, cut by no edge of the detector: square of the sum of its
         pixels over the sum of their squares. NaN without light, and if left out.
@@ -144,10 +147,15 @@ class Truth:
     variance_y_px2: FloatArray
     electrons_beyond: FloatArray | None = None
     noise_area_px2: FloatArray | None = None
+    electrons_absorbed: FloatArray | None = None
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        for name, missing in (("electrons_beyond", 0.0), ("noise_area_px2", np.nan)):
+        for name, missing in (
+            ("electrons_beyond", 0.0),
+            ("noise_area_px2", np.nan),
+            ("electrons_absorbed", 0.0),
+        ):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full(np.shape(self.electrons_in), missing))
         for name in self.__dataclass_fields__:  # NaN is told by `missing`

@@ -42,7 +42,7 @@ from render.tracing.motion.paths import Light, StarPaths, at_rest, pick_times
 from render.tracing.pupil.outlines import ARMS, Arcs, Outlines, outline_series
 from render.tracing.pupil.planning import Group
 from render.tracing.pupil.points import OutlinePoints, PupilPoints, TablePoints
-from render.tracing.rays.kernel import PIXEL_REACH, gaussian_shares
+from render.tracing.rays.kernel import PIXEL_REACH, StarKernel, gaussian_shares
 from render.tracing.tracer import Tracer
 from render.tracing.waves.images import WaveImages
 from render.tracing.waves.plane_waves import DIFFERENCE
@@ -229,6 +229,7 @@ def _ray_image(
         for part in (group.members[i : i + step] for i in range(0, len(group.members), step)):
             points = group.of(part)
             sample = _sample(scene, outlines, part, points, stars.wavelength_nm)
+            sample = _through(exposure.nodes, sample, part, stars.wavelength_nm)
             _splat(scene, image, part, points.count, stars.wavelength_nm, sample, rate, response, exposure_s)
     return image
 
@@ -258,6 +259,24 @@ def _sample(
     assert isinstance(points, TablePoints)
     types = SimpleNamespace(Float64=scene.F, UInt32=scene.U)
     return partial(points.sample, types)
+
+
+def _through(
+    kernel: StarKernel,
+    sample: Sample,
+    part: IntArray,
+    wavelength_nm: FloatArray,
+    of: Callable[[Any], Any] = lambda v: v,
+) -> Sample:
+    """Points whose shares hold the transmission of their rays, or its root; it has no derivatives."""
+
+    def passed(slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
+        px, py, share = sample(slot, node, point)
+        rays = dr.detach(px), dr.detach(py)
+        through = kernel.through(*rays, slot, node, wavelength_nm, part.astype(np.uint32))
+        return px, py, share if through is None else share * of(through)
+
+    return passed
 
 
 def _outline_points(
@@ -630,6 +649,7 @@ def _wave_image(
         for part, radius, fields, order in _alike(images, probe):
             points = probe.group.of(part, order)
             sample = _sample(scene, outlines, part, points, few.wavelength_nm)
+            sample = _through(images.kernel, sample, part, few.wavelength_nm, dr.sqrt)
             chief = [dr.zeros(F, len(part) * bands)] * 2
             if outlines is not None:
                 chief = _attached_chiefs(scene, outlines.chief, part, mean_nm)

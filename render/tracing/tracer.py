@@ -221,7 +221,8 @@ class Tracer:
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Mean landing points (s, b, 2) of some stars, and whether all rays arrive (s,)."""
         x, y, ok = kernel.land(pupil, light.wavelength_nm, stars.astype(np.uint32))
-        weight = light.share[stars][..., None] * pupil.weight * ok
+        passed = kernel.transmitted(pupil, light.wavelength_nm, stars.astype(np.uint32))
+        weight = light.share[stars][..., None] * pupil.weight * (ok * passed)
         with np.errstate(invalid="ignore"):
             mean = np.stack([(weight * v).sum((2, 3)) / weight.sum((2, 3)) for v in (x, y)], axis=-1)
         return mean, np.asarray(ok.all((1, 2, 3)))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from render.records import Truth
-from render.tracing.rays.kernel import ARRIVED, FIRST, HIDDEN, LOST, OUTSIDE, SECOND, STRIPS, StampSums
+from render.tracing.rays.kernel import ARRIVED, CLEAR, FIRST, HIDDEN, LOST, OUTSIDE, SECOND, STRIPS, StampSums
 
 __all__ = ["RayMoments", "Sampling", "TruthSums", "WaveStamps", "add_stamps", "check_lit"]
 
@@ -75,6 +75,7 @@ class WaveStamps:
     mode: str  # How the pupils were sampled
     # Of the stars' rays, where no others tell more: those of cells, of which some are covered in part, do not
     moments: RayMoments | None = None
+    clear: FloatArray | None = None  # (s, b) The same without what surfaces and glasses take on top of the axis's part
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,12 +93,13 @@ class TruthSums:
     beyond: FloatArray
     entrance: FloatArray
     noise_area: FloatArray
+    absorbed: FloatArray
 
     @classmethod
     def empty(cls, stars: int, bands: int) -> TruthSums:
         """Nothing known yet, and nothing beyond stamps."""
-        places, light = np.full((4, stars, bands, 2), np.nan), np.full((7, stars, bands), np.nan)
-        light[4] = 0.0
+        places, light = np.full((4, stars, bands, 2), np.nan), np.full((8, stars, bands), np.nan)
+        light[[4, 7]] = 0.0
         return cls(*places, *light)
 
     def store(
@@ -127,6 +129,8 @@ class TruthSums:
         self.vignetted[stars] = moments[..., LOST] * electrons_in
         self.off_edge[stars] = (landed - on_image + moments[..., OUTSIDE]) * electrons_in
         self.hidden[stars] = moments[..., HIDDEN] * electrons_in
+        passed = moments[..., ARRIVED] + moments[..., OUTSIDE] + moments[..., HIDDEN]
+        self.absorbed[stars] = (moments[..., CLEAR] - passed) * electrons_in
 
     def store_waves(self, stamps: WaveStamps, electrons_in: FloatArray, on_image: FloatArray) -> None:
         """What diffraction makes of stars whose rays are stored, or come with it; parameters as `store`."""
@@ -141,8 +145,10 @@ class TruthSums:
         self.off_edge[stars] = (landed - on_image) * electrons_in
         self.beyond[stars] = (stamps.light - landed) * electrons_in
         hidden = np.nan_to_num(self.hidden[stars])
-        self.entrance[stars] = np.maximum(self.entrance[stars], stamps.light + hidden / electrons_in)
-        self.vignetted[stars] = (self.entrance[stars] - stamps.light) * electrons_in - hidden
+        clear = stamps.light if stamps.clear is None else stamps.clear
+        self.absorbed[stars] = (clear - stamps.light) * electrons_in
+        self.entrance[stars] = np.maximum(self.entrance[stars], clear + hidden / electrons_in)
+        self.vignetted[stars] = (self.entrance[stars] - clear) * electrons_in - hidden
 
     def put(self, stars: NDArray[np.int64], others: TruthSums) -> None:
         """Take over what is known of some stars."""
@@ -162,6 +168,7 @@ class TruthSums:
             electrons_hidden=self.hidden,
             electrons_beyond=self.beyond,
             noise_area_px2=self.noise_area,
+            electrons_absorbed=self.absorbed,
         )
 
 

@@ -49,6 +49,7 @@ from render.tracing.pupil.sampling import (
     sobol_points,
     staggered,
 )
+from render.tracing.pupil.transmission import PupilTransmission, fit_transmission
 from render.tracing.rays.kernel import Geometry, Shade, StarKernel, reach_px
 
 __all__ = ["Bounds", "Exposure", "Group", "PupilPlanner", "Sampled"]
@@ -242,7 +243,11 @@ class PupilPlanner:
             pupil_radius_mm=pupil.radius_mm,
             diffusion_px=self.camera.blur_px,
         )
-        return StarKernel(self.program, self.theta, geometry, direction, shear, collimation)
+        return StarKernel(self.program, self.theta, geometry, direction, shear, collimation, self.transmission)
+
+    def transmission(self, wavelength_nm: FloatArray) -> PupilTransmission | None:
+        """Transmission of rays over that of the axis at wavelengths (b, k); None where it is 1."""
+        return fit_transmission(self.camera, self.pupil, wavelength_nm)
 
     def received(self, nodes: FloatArray) -> FloatArray:
         """Light (n, t) of stars in directions (n, t, 3) that the launch disk takes, relative to the axis."""

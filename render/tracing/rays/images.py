@@ -15,7 +15,7 @@ from render.tracing.pupil.planning import Bounds, Exposure, Group, PupilPlanner,
 from render.tracing.pupil.points import PupilPoints, TablePoints
 from render.tracing.rays.kernel import (
     ARRIVED,
-    HIDDEN,
+    CLEAR,
     LOST,
     OUTSIDE,
     Shade,
@@ -144,9 +144,9 @@ class _Passes:
         moments, entrance = collected.moments, self.entrance[stars]
         if isinstance(pupil, TablePoints):
             return entrance
-        arrived = moments[..., ARRIVED] + moments[..., OUTSIDE] + moments[..., HIDDEN]
-        entrance = np.fmax(np.where(np.isnan(entrance), 1.0, entrance), arrived)
-        moments[..., LOST] = entrance - arrived
+        clear = moments[..., CLEAR]
+        entrance = np.fmax(np.where(np.isnan(entrance), 1.0, entrance), clear)
+        moments[..., LOST] = entrance - clear
         return entrance
 
     def splat(

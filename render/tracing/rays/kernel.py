@@ -14,6 +14,7 @@ compiled kernel serves every star field and every sampling of the pupil.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -29,6 +30,7 @@ from optics.rays.trace import OK, Rays, trace_program
 from render.engine import Engine
 from render.engine.jit import dr
 from render.tracing.pupil.points import OutlinePoints, PupilPoints
+from render.tracing.pupil.transmission import PupilTransmission
 
 __all__ = ["Geometry", "Shade", "StampSums", "StarKernel", "gaussian_shares", "reach_px", "strips_per_pixel"]
 
@@ -42,10 +44,11 @@ MOST_STRIPS = 1024
 
 ARRIVED, LOST, OUTSIDE = 0, 1, 2
 FIRST, SECOND, STRIPS = slice(3, 5), slice(5, 7), slice(7, 9)
-HIDDEN = 9
+HIDDEN, CLEAR = 9, 10
 """Where the moments of `StampSums` stand: shares of light, then (x, y) of the landing points, of their squares, and of
-the strips; last the share that would have arrived if nothing stood between the sky and the lens."""
-_MOMENTS = HIDDEN + 1
+the strips; the share that would have arrived if nothing stood between the sky and the lens; last what apertures let
+through, of which surfaces and glasses take some on top of what they take along the axis."""
+_MOMENTS = CLEAR + 1
 
 _SCALE = 2.0**50
 # Between 2^52 and 2^53 a float64 counts in ones: added to this number, a value below 2^51 is rounded to a whole number
@@ -111,15 +114,20 @@ class StampSums:
     """What a pass collects of s stars in b bands; light in shares of what the star sends into the pupil."""
 
     pixels: FloatArray  # (s, b, m, m) Light per pixel of the stamp
-    # (s, b, 10) Light on the stamp (`ARRIVED`), lost in the lens (`LOST`), beside the stamp (`OUTSIDE`); `FIRST` and
+    # (s, b, 11) Light on the stamp (`ARRIVED`), lost in the lens (`LOST`), beside the stamp (`OUTSIDE`); `FIRST` and
     # `SECOND` moments of the landing points on the stamp, and first moments of the light over `STRIPS` of columns and
-    # of rows, from the stamp's corner in units of its size; light that does not get to the lens (`HIDDEN`). Where
+    # of rows, from the stamp's corner in units of its size; light that does not get to the lens (`HIDDEN`), and
+    # that of all of these but the lost (`CLEAR`). Where
     # cells were asked for in place of pixels the strips are left out
     moments: FloatArray
 
     def take(self, keep: NDArray[np.bool_]) -> StampSums:
         """Some of the stars."""
         return StampSums(self.pixels[keep], self.moments[keep])
+
+
+Transmission = Callable[[FloatArray], PupilTransmission | None]
+"""Of every ray over that of the axis, for wavelengths (b, k)."""
 
 
 class Shade(Protocol):
@@ -147,6 +155,7 @@ class StarKernel:
         direction: FloatArray,
         shear: FloatArray | None = None,
         collimation: Collimation | None = None,
+        transmission: Transmission | None = None,
     ) -> None:
         engine = Engine.active()
         self.types = types = engine.types
@@ -158,7 +167,7 @@ class StarKernel:
         self.disk = self.xp.parameters([*geometry.pupil_mm, geometry.pupil_radius_mm])
         self.direction = direction[:, None] if direction.ndim == 2 else direction
         self.count, self.times = self.direction.shape[:2]
-        self.collimation = collimation
+        self.collimation, self.transmission = collimation, transmission
         light = light_direction(self.direction).reshape(-1, 3)
         self.light = [self.F(np.ascontiguousarray(light[:, i])) for i in range(3)]
         self.shear = None
@@ -223,6 +232,37 @@ class StarKernel:
         ok = status == OK
         dr.eval(x, y, ok)
         return x.numpy().reshape(shape), y.numpy().reshape(shape), ok.numpy().astype(bool).reshape(shape)
+
+    def transmitted(
+        self, pupil: PupilPoints, wavelength_nm: FloatArray, stars: NDArray[np.uint32]
+    ) -> FloatArray | float:
+        """Transmission (s, b, t k, m) of rays over that of the axis, where `land` lets them arrive."""
+        bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
+        shape = (len(stars), bands, nodes, pupil.count)
+        point, node, slot = self.numbered(math.prod(shape), nodes, pupil.count)
+        px, py, _ = pupil.sample(self.types, slot, node, point)
+        through = self.through(px, py, slot, node, wavelength_nm, stars)
+        return 1.0 if through is None else np.asarray(through.numpy()).reshape(shape)
+
+    def through(
+        self, px: Any, py: Any, slot: Any, node: Any, wavelength_nm: FloatArray, stars: NDArray[np.uint32] | None
+    ) -> Any:
+        """Transmission over that of the axis of rays from points of the launch disk; None where it is 1."""
+        found = None if self.transmission is None else self.transmission(wavelength_nm)
+        if found is None:
+            return None
+        F, U = self.F, self.U
+        middle = self.direction[:, self.times // 2]  # in the middle of the exposure, along whose path it hardly changes
+        light = light_direction(middle if stars is None else middle[stars])
+        table = found.table(light)
+        bands, colours, terms = (dr.opaque(U, size) for size in (*wavelength_nm.shape, table.shape[2]))
+        position = slot // bands
+        at = (slot * colours + node % colours) * terms
+        flat = F(np.ascontiguousarray(table.ravel()))
+        dx, dy = (dr.gather(F, F(np.ascontiguousarray(light[:, i])), position) for i in (0, 1))
+        return found.value(
+            [dr.gather(F, flat, at + q) for q in range(table.shape[2])], *found.coordinates(px, py, dx, dy)
+        )
 
     def hidden_share(self, shade: Shade, pupil: PupilPoints, stars: NDArray[np.uint32]) -> FloatArray:
         """Share (s,) of the launch disk from which some stars are not seen, by equal weights of its points."""
@@ -304,6 +344,7 @@ class StarKernel:
         point, node, slot = self.numbered(len(stars) * bands * nodes * pupil.count, nodes, pupil.count)
         px, py, weight = pupil.sample(self.types, slot, node, point)
         weight = weight * dr.gather(F, F(node_share.ravel()), slot * dr.opaque(U, nodes) + node) * _SCALE
+        through = self.through(px, py, slot, node, wavelength_nm, stars)
         star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
         error = self.error_of(slot, node, wavelength_nm)
         x, y, status = self.launch(star, px, py, wavelength, error)
@@ -314,7 +355,7 @@ class StarKernel:
         y = y - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 1].ravel())), slot)
         strips = cells_per_px == 1 and self.times == 1 and not isinstance(pupil, OutlinePoints)
         shape = (len(stars), bands)
-        return self._collect(x, y, ok, hidden, weight, slot, shape, stamp_px, cells_per_px, strips)
+        return self._collect(x, y, ok, hidden, weight, through, slot, shape, stamp_px, cells_per_px, strips)
 
     def _collect(
         self,
@@ -323,6 +364,7 @@ class StarKernel:
         ok: Any,
         hidden: Any,
         weight: Any,
+        through: Any,
         slot: Any,
         shape: tuple[int, int],
         stamp_px: int,
@@ -331,7 +373,7 @@ class StarKernel:
     ) -> StampSums:
         """Add the light of every ray to its star's pixels (or cells) and moments."""
         F, U, slots = self.F, self.U, math.prod(shape)
-        ok = ok if hidden is None else ok & ~hidden
+        arrived, ok = ok, ok if hidden is None else ok & ~hidden
         size, strips = stamp_px * cells_per_px, stamp_px * self.geometry.strips
         cells = [self._shares(v, cells_per_px, PIXEL_REACH) for v in (x, y)]
         marginals = [self._shares(v, self.geometry.strips, STRIP_REACH) for v in (x, y)] if by_strips else []
@@ -341,6 +383,9 @@ class StarKernel:
                 inside = inside & (first >= 0) & (first + len(shares) <= dr.opaque(self.I, limit))
         moments = dr.zeros(self.U64, slots * _MOMENTS)
         base = slot * _MOMENTS
+        if through is not None:
+            self._add(moments, weight, base + CLEAR, arrived, together=True)
+            weight = weight * dr.select(arrived, through, 1.0)
         kind = dr.select(inside, U(ARRIVED), dr.select(ok, U(OUTSIDE), U(LOST)))
         if hidden is not None:
             kind = dr.select(hidden, U(HIDDEN), kind)
@@ -364,4 +409,7 @@ class StarKernel:
             for c, share_x in enumerate(along_x):
                 self._add(pixels, line * share_x, origin + r * edge + c, inside)
         dr.eval(pixels, moments)
-        return StampSums(self._numpy(pixels, *shape, size, size), self._numpy(moments, *shape, _MOMENTS))
+        sums = self._numpy(moments, *shape, _MOMENTS)
+        if through is None:
+            sums[..., CLEAR] = sums[..., ARRIVED] + sums[..., OUTSIDE] + sums[..., HIDDEN]
+        return StampSums(self._numpy(pixels, *shape, size, size), sums)

@@ -50,9 +50,9 @@ __all__ = [
 ]
 
 
-MOMENTS = 6
+MOMENTS = 7
 """Light of a wavelength that gets through the lens, and that enters it; the former times the mean (column, row) of its
-rays from the chief ray and times their mean squares."""
+rays from the chief ray and times their mean squares; what apertures let through."""
 
 
 def chebyshev(count: int) -> FloatArray:
@@ -75,7 +75,7 @@ class WaveGrid:
     # (f, b, 2) Mean of the rays of a middle wavelength from the chief ray, at the f = p^2 points: where images are
     # centred
     origin_px: FloatArray
-    moment: FloatArray  # (f, b, q, 6) `MOMENTS`
+    moment: FloatArray  # (f, b, q, 7) `MOMENTS`
     coefficient: tuple[NDArray[np.float32], ...]  # b of (f, q, c) Components of every image
     # b of (c, h, h) Principal components, light per px^2: a quarter of each, which is even or odd along rows and along
     # columns; and which: b of (c,), equal ones together, 2 where odd along rows plus 1 where odd along columns
@@ -107,7 +107,7 @@ class WaveGrid:
         """Stamps of some stars."""
         # stars (s,), direction (s, 3), share (s, b, k), chief_px (s, b, 2)
         weight, shares, turn = self._weights(direction, share)
-        light, moments, origin = self._rays(weight, shares, turn, chief_px)
+        light, moments, origin, clear = self._rays(weight, shares, turn, chief_px)
         size = 2 * self.radius_px + 1
         first, more = (0.0, 0) if trail is None else trail.room(stars)
         corner, stamp_px = np.rint(moments.mean_px) - 0.5 * size + first, size + more
@@ -128,7 +128,7 @@ class WaveGrid:
         else:
             moments = trail.along(moments, stars)
         np.maximum(pixels, 0.0, out=pixels)
-        return WaveStamps(stars, pixels, corner, moments.mean_px, light, len(self.points) ** 2, "grid", moments)
+        return WaveStamps(stars, pixels, corner, moments.mean_px, light, len(self.points) ** 2, "grid", moments, clear)
 
     def cells(
         self, direction: FloatArray, share: FloatArray, chief_px: FloatArray, half_size_px: int, cells_per_px: int
@@ -138,7 +138,7 @@ class WaveGrid:
         Parameters as `stamps`; light that lies beyond the radius of the grid is left out.
         """
         weight, shares, turn = self._weights(direction, share)
-        light, moments, origin = self._rays(weight, shares, turn, chief_px)
+        light, moments, origin, _ = self._rays(weight, shares, turn, chief_px)
         count = (2 * half_size_px + 1) * cells_per_px
         centres = (np.arange(count) + 0.5) / cells_per_px - 0.5 * count / cells_per_px
         kernel = self.field.pixel(1.0 / cells_per_px, self.camera.blur_px)
@@ -173,10 +173,10 @@ class WaveGrid:
 
     def _rays(
         self, weight: FloatArray, shares: FloatArray, turn: NDArray[np.complex128], chief_px: FloatArray
-    ) -> tuple[FloatArray, RayMoments, FloatArray]:
-        """Share of the light that gets through (s, b), moments of the rays, and where images are centred (s, b, 2)."""
+    ) -> tuple[FloatArray, RayMoments, FloatArray, FloatArray]:
+        """Light that gets through (s, b), moments of rays, where images are centred (s, b, 2), what apertures leave."""
         sums = np.einsum("sf,fbqm,sbq->sbm", weight, self.moment, shares, optimize=True)
-        light, entrance = sums[..., 0], sums[..., 1]
+        light, entrance, clear = sums[..., 0], sums[..., 1], sums[..., 6]
         mean, square = sums[..., 2:4] / light[..., None], sums[..., 4:6] / light[..., None]
         origin, variance = np.einsum("sf,fbx->sbx", weight, self.origin_px), square - mean**2
         if self.order is not None:
@@ -185,8 +185,8 @@ class WaveGrid:
             along, across = variance[..., 0], variance[..., 1]
             turned = along * cos**2 + across * sin**2, along * sin**2 + across * cos**2
             variance = np.stack(turned, axis=-1)
-        moments = RayMoments(chief_px + mean, variance, np.maximum(entrance, light))
-        return light, moments, chief_px + origin
+        moments = RayMoments(chief_px + mean, variance, np.maximum(entrance, clear))
+        return light, moments, chief_px + origin, clear
 
     def _images(
         self, weight: FloatArray, shares: FloatArray, turn: NDArray[np.complex128], band: int
@@ -344,7 +344,7 @@ class _Summed:
     """Images at f places, of q wavelengths in b bands."""
 
     light: NDArray[np.float32]  # (b, f, q, i, i) On samples
-    # moment, origin: (f, b, q, 6), (f, b, 2) As `WaveGrid.moment` and `WaveGrid.origin_px`
+    # moment, origin: (f, b, q, 7), (f, b, 2) As `WaveGrid.moment` and `WaveGrid.origin_px`
     moment: FloatArray
     origin: FloatArray
     radius_px: int  # Of the stamps
@@ -513,7 +513,7 @@ class _FieldImages:
         near = np.hypot(samples, samples[:, None]) <= radius + pad + 0.5
         down, margin = coarser(fine, field, window, pad), pad + COARSE_REACH_PX
         light = np.zeros((bands, len(place), most, len(samples), len(samples)), np.float32)
-        moment, origin = np.zeros((len(place), bands, most, 6)), np.zeros((len(place), bands, 2))
+        moment, origin = np.zeros((len(place), bands, most, MOMENTS)), np.zeros((len(place), bands, 2))
         for own in (one for probe in probes for one in images.summands(probe, radius)):
             if not (own.waves.weight.sum(-1) > 0.0).all():
                 return None
@@ -600,10 +600,10 @@ def _alike(weight: FloatArray, x_px: FloatArray, y_px: FloatArray) -> bool:
 
 
 def _ray_moments(waves: PlaneWaves, chief_px: FloatArray, entrance: FloatArray) -> FloatArray:
-    """`MOMENTS` (s, b, k, 6) of some waves."""
+    """`MOMENTS` (s, b, k, 7) of some waves."""
     x, y = (v - chief_px[:, :, None, None, i] for i, v in enumerate((waves.x, waves.y)))
     sums = [(waves.weight * v).sum(-1) for v in (x, y, x**2, y**2)]
-    return np.stack([waves.weight.sum(-1), entrance, *sums], axis=-1)
+    return np.stack([waves.weight.sum(-1), entrance, *sums, waves.clear], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)

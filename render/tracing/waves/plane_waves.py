@@ -51,8 +51,9 @@ class PlaneWaves:
     fy: FloatArray
     turns: FloatArray  # Optical path in vacuum wavelengths, from a plane wavefront
     amplitude: FloatArray  # ``w sqrt(J)``; 0 for lost rays
-    weight: FloatArray  # Shares of the launch disk; 0 for lost rays
+    weight: FloatArray  # Shares of the launch disk times the transmission over that of the axis; 0 for lost rays
     lost: FloatArray  # (s, b, k) Share of the launched light that these points stand for and that is lost
+    clear: FloatArray  # (s, b, k) The share that apertures let through
 
     @property
     def mean(self) -> FloatArray:
@@ -115,12 +116,13 @@ def trace_waves(
     px, py = (p + dr.gather(F, F(np.ascontiguousarray(steps[:, i])), variant) for i, p in enumerate((px, py)))
     error = kernel.error_of(slot, node, wavelength_nm)
     start = kernel.rays(star, px, py, wavelength, error)
+    through = kernel.through(px, py, slot, node, wavelength_nm, stars)
     ambient = kernel.program.media[kernel.program.steps[0].before].index(kernel.theta, wavelength, kernel.xp)
     phase = ambient * _launch_path(kernel, star, px, py, error)
     out = trace_program(kernel.program, kernel.theta, start, kernel.xp)
     path = out.opl_mm + phase
     ok = U((out.status == OK) if coverage is None else (out.status == OK) | (out.status == VIGNETTED))
-    dr.eval(out.x, out.y, out.dx, out.dy, path, ok, weight)
+    dr.eval(out.x, out.y, out.dx, out.dy, path, ok, weight, through)
 
     def every(values: object) -> FloatArray:
         return np.asarray(values.numpy()).reshape(*shape, 3)  # type: ignore[attr-defined]
@@ -133,7 +135,9 @@ def trace_waves(
     arrived = every(ok)[..., 0] > 0
     arrived &= np.isfinite(jacobian)
     weights = every(weight)[..., 0]
-    lit = np.where(arrived, weights if coverage is None else weights * coverage, 0.0)
+    clear = np.where(arrived, weights if coverage is None else weights * coverage, 0.0)
+    passed = 1.0 if through is None else every(through)[..., 0]
+    lit = clear * passed
 
     def kept(values: FloatArray) -> FloatArray:
         return np.where(lit > 0.0, values[..., 0], 0.0)
@@ -144,9 +148,10 @@ def trace_waves(
         fx=kept(fx) * per_px,
         fy=-kept(fy) * per_px,
         turns=kept(every(path)) * (1e6 / wavelength_nm)[..., None],
-        amplitude=lit * np.sqrt(np.where(lit > 0.0, jacobian, 0.0)) * per_px,
+        amplitude=clear * np.sqrt(np.where(lit > 0.0, jacobian * passed, 0.0)) * per_px,
         weight=lit,
-        lost=(weights - lit).sum(-1),
+        lost=(weights - clear).sum(-1),
+        clear=clear.sum(-1),
     )
 
 

@@ -313,7 +313,8 @@ class SummedImages:
         rays = rays if self.trail is None else self.trail.along(rays, stars)
         kept = None if mode == "cells" else rays
         count = int(summands.order.prod(-1).max())
-        return WaveStamps(stars, np.maximum(pixels, 0.0), corner, rays.mean_px, light, count, mode, kept)
+        clear = (self.share[stars] * waves.clear).sum(2)
+        return WaveStamps(stars, np.maximum(pixels, 0.0), corner, rays.mean_px, light, count, mode, kept, clear)
 
     def _window_light(
         self, summands: Summands, at: tuple[int, int], mean_px: FloatArray, window_px: float, box_px: float

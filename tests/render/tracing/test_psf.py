@@ -145,6 +145,7 @@ PIXEL = {"pitch_mm": 5.5e-3, "diffusion_px": 0.18}
 def test_wavefronts_on_numpy_make_the_same(engine, azimuth):
     """Two codes that share the trace alone: 1e-4 of the light in a pixel, of a peak of 0.6."""
     camera = load_star_sensor("star_camera_206mm", "acc18_mosaic", diffraction="exact_waves").camera
+    camera = replace(camera, losses=None)  # the other code lets all rays through alike: 3e-4 of the light in a pixel
     wave, field = np.array([500.0, 760.0]), 3.0
     share = np.array([0.4, 0.6])
     turn = np.radians(azimuth)

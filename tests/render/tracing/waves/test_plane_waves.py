@@ -23,7 +23,9 @@ def waves_of(order, bump=0.0, turn=TURN):
     arrays = {"x": 100.0 + 0.4 * u, "y": 50.0 + 0.4 * v, "fx": 1.4 * u, "fy": 1.4 * v + 20.0, "weight": share}
     arrays["turns"] = 3e4 + phase - 1.4 * u * (100.0 - arrays["x"]) - arrays["fy"] * (50.0 - arrays["y"])
     arrays["amplitude"] = share * (1.0 + 0.1 * u)
-    return PlaneWaves(**{name: v[None, None, None] for name, v in arrays.items()}, lost=np.zeros((1, 1, 1)))
+    return PlaneWaves(
+        **{name: v[None, None, None] for name, v in arrays.items()}, lost=np.zeros((1, 1, 1)), clear=np.ones((1, 1, 1))
+    )
 
 
 def field_at(rays, x, y):
