@@ -29,6 +29,10 @@ COMMANDS = {
         "experiments.reduce.command:reduce",
         "a laboratory's own frames, reduced and judged: reduce --frames FOLDER --method temporal",
     ),
+    "statement": (
+        "experiments.statement.command:statement",
+        "performance clause by clause of ECSS-E-ST-60-20C, to print: statement --sensor my.toml",
+    ),
 }
 """Commands that are no experiments."""
 HELP = """Run an experiment: starbench NAME [--quick] [--out DIR], or python -m experiments.NAME; more by NAME --help.

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import erf
 
 from experiments.camera.prediction import CameraPrediction, accuracy, optics, predict_camera, sky
 from experiments.camera.settings import Config
@@ -18,6 +17,7 @@ from experiments.harness.range import value_at, with_value
 from experiments.harness.sections import col
 from experiments.harness.system import prompt_pool
 from experiments.harness.what_if import Requirement
+from experiments.laboratory.error_metrics import mixture_bound
 from experiments.laboratory.instrument import stated_lens
 from experiments.laboratory.requirements import AT_LEAST
 from optics.arrays import FloatArray
@@ -32,7 +32,6 @@ __all__ = [
     "parameters",
     "swings",
     "temperatures",
-    "within",
 ]
 
 
@@ -223,19 +222,6 @@ USUAL = 0.997
 """Share of all frames that the second accuracy of the answer holds for."""
 
 
-def within(sigma: FloatArray, share: float = USUAL) -> float:
-    """What a share of all errors stays below, whose standard deviations (n,) are equally likely; inf if it has none."""
-    known = sigma[np.isfinite(sigma)]
-    if len(known) < share * len(sigma):
-        return math.inf
-    low, high = 0.0, 10.0 * float(known.max())
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        inside = float(erf(middle / (np.sqrt(2.0) * known)).sum()) / len(sigma)
-        low, high = (middle, high) if inside < share else (low, middle)
-    return high
-
-
 def answer_lines(
     prediction: CameraPrediction, requirements: Sequence[Requirement], found: Sequence[Swing]
 ) -> list[str]:
@@ -265,7 +251,7 @@ def answer_lines(
         "Stars per frame": f"{seen.stars_mean_per_frame:.1f}, worst 1 % of the sky {seen.stars_worst_per_frame:.1f}",
         "Attitude": _two("1σ, median", seen.attitude_cross_arcsec, seen.attitude_roll_arcsec)
         + "; "
-        + _two("99.7 %", within(across), within(forecast.total_arcsec[:, 2])),
+        + _two("99.7 %", mixture_bound(across, USUAL), mixture_bound(forecast.total_arcsec[:, 2], USUAL)),
         "Requirements": _verdict(requirements),
         "Change first": first or "nothing of [tornado] lowers the attitude error",
     }

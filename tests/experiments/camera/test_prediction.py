@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.camera import predict
-from experiments.camera.answer import ThermalRange, answer_lines, limits, swings, within
+from experiments.camera.answer import ThermalRange, answer_lines, limits, swings
 from experiments.camera.experiment import predicted
 from experiments.camera.optical_state import optical_state
 from experiments.camera.prediction import accuracy
@@ -161,11 +161,6 @@ def test_tornado_and_verdicts(config, tracker):
     excess = {one.key: one.excess for one in verdicts}["limiting_magnitude_mag"]
     assert excess == pytest.approx(tracker.value("limiting_magnitude_mag") - 3.0)
     assert missed_words(verdicts) == "The sensor misses 1 of 3 requirements: NEA."
-
-
-def test_share_of_errors_within():
-    assert within(np.full(50, 2.0)) == pytest.approx(2.0 * 2.96774, rel=1e-5)  # 99.7 % of a normal distribution
-    assert within(np.array([1.0] * 99 + [np.inf])) == np.inf
 
 
 def test_focus_gains_what_the_best_focus_gives(config):

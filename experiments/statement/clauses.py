@@ -1,0 +1,55 @@
+"""What of ECSS-E-ST-60-20C a statement refers to: numbers of clauses that were read, and what is not covered.
+
+The wording is ours. Read were: the terms of Rev. 2 (15 May 2019) in the public glossary of ECSS, which has no numbers
+of its own but names clauses, and the clauses 3.2.8.2 to 3.2.8.4 of Rev. 1 (15 November 2008). A number that was not
+read is not stated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["CLAUSES", "NOT_COVERED", "STANDARD", "UNREAD", "Clause"]
+
+STANDARD = "ECSS-E-ST-60-20C Rev. 2 (15 May 2019)"
+UNREAD = "number not read"
+
+
+@dataclass(frozen=True, slots=True)
+class Clause:
+    """A term of the standard, and where it stands."""
+
+    term: str
+    where: str = UNREAD
+
+
+CLAUSES = {
+    "bias": Clause("Bias", "Rev. 2: term, contributors 5.5, angles B.5.17; Rev. 1: 3.2.8.2, metric MME B.5.7"),
+    "thermo_elastic": Clause("Thermo-elastic error"),
+    "fov_spatial": Clause("FOV spatial error", "Rev. 1: 3.2.8.3, metric MDE B.5.11"),
+    "pixel_spatial": Clause("Pixel spatial error", "Rev. 2: term, contributors 5.5; Rev. 1: 3.2.8.4"),
+    "temporal_noise": Clause("Temporal noise"),
+    "aberration": Clause("Aberration of light"),
+    "date": Clause("Measurement date error"),
+    "bandwidth": Clause("Output bandwidth"),
+    "total": Clause("Attitude error, all terms", "metrics: annex B"),
+    "field": Clause("Half-rectangular field of view", "Rev. 2: term, Figure 3-9"),
+    "false_star": Clause("False stars", "Rev. 2: term"),
+    "detection": Clause("Detection of stars"),
+    "acquisition": Clause("Autonomous attitude determination"),
+    "tracking": Clause("Autonomous attitude tracking", "Rev. 2: term"),
+}
+
+NOT_COVERED = (
+    ("Bias", "alignment on the ground and its change to flight are measured with the hardware", ""),
+    ("Mechanical launch and settling effects", "not modelled", ""),
+    ("Measurement date error", "time stamps come from the electronics", ""),
+    ("Robustness to solar events", "not modelled", ""),
+    ("Functional interfaces, commands and telemetry", "outside of what an optical simulation knows", ""),
+    ("Verification by test", "`starbench reduce` reduces frames of the hardware; night sky tests need it", ""),
+    ("Radiation, begin and end of life", "needs a flight run", "flight"),
+    ("Sun, Earth and Moon near the field of view", "needs a flight run", "flight"),
+    ("Lost in space: probability and time of acquisition, wrong attitudes", "needs a flight run", "flight"),
+    ("Thermo-elastic error over an orbit, aberration residual", "needs a flight run", "flight"),
+)
+"""Title, reason, what covers it (``"flight"``: the results of a flight)."""

@@ -1,0 +1,41 @@
+"""``starbench statement``: the performance of a sensor file as one document."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from optics.errors import ConfigError
+from optics.textfile import write_text
+
+__all__ = ["statement"]
+
+
+@click.command("statement", context_settings={"help_option_names": ["-h", "--help"]})
+@click.option("--sensor", default=None, metavar="TOML", help="sensor file; the built-in tracker if left out")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="setting of the experiment camera")
+@click.option("--flight", default=None, metavar="DIR", help="output folder of the experiment flight")
+@click.option("--out", default="statement.html", show_default=True, metavar="HTML", help="the document")
+@click.option("--force", is_flag=True, help="replace a file that is there")
+def statement(sensor: str | None, settings: tuple[str, ...], flight: str | None, out: str, force: bool) -> None:
+    """State the performance of a sensor clause by clause of ECSS-E-ST-60-20C: one HTML page that prints to PDF.
+
+    Numbers are the prediction of the experiment camera, and of a run of flight where there is one.
+    """
+    page = Path(out)
+    if page.exists() and not force:
+        raise ConfigError(f"{out} is there already; --force replaces it")
+    if not page.parent.is_dir():
+        raise ConfigError(f"{page}: the folder {page.parent} does not exist")
+    from experiments.statement.page import page_of
+    from experiments.statement.study import statement as state
+
+    made = state(() if sensor is None else (sensor,), settings, flight)
+    write_text(page, page_of(made, "built-in tracker" if sensor is None else Path(sensor).name))
+    missed = [one.label for one in made.requirements if not one.met]
+    click.echo(f"{made.name}: attitude {made.ame_arcsec[0]:.3g} / {made.ame_arcsec[1]:.3g} arcsec (AME, 95 %)")
+    if made.requirements:
+        click.echo(f"required values met: {len(made.requirements) - len(missed)} of {len(made.requirements)}")
+        click.echo("".join(f"  not met: {label}\n" for label in missed), nl=False)
+    click.echo(f"page: {page}")

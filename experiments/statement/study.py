@@ -1,0 +1,368 @@
+"""Numbers of a performance statement: from the prediction of `camera`, the lens, and a flight if there is one."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.harness.progress import Progress
+from experiments.harness.quantities import Outcome
+from experiments.harness.registry import declared
+from experiments.harness.run import Options, configuration
+from experiments.laboratory.error_metrics import mixture_bound, normal_factor, quantile_limit
+from experiments.laboratory.instrument import build_instrument, housing_of
+from experiments.statement.clauses import CLAUSES
+from optics.arrays import FloatArray
+from optics.errors import ConfigError, StarbenchError
+from optics.rays.thermal import ThermalSensitivity, thermal_sensitivity
+from optics.units import RAD_ARCSEC
+
+__all__ = ["CONFIDENCE", "LEVELS", "Line", "Statement", "read_flight", "statement"]
+
+LEVELS = (0.683, 0.95, 0.997)
+CONFIDENCE = 0.9
+"""Of a limit that a sample of the sky tells."""
+ANALYSIS, RENDERED, INPUT = "analysis", "rendered simulation", "input"
+LIGHT_M_PER_S = 299_792_458.0
+EARTH_M_PER_S = 29_784.7
+"""Mean orbital speed of the Earth."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """A number with everything that belongs to it."""
+
+    clause: str  # Key of `CLAUSES`
+    what: str
+    value: str  # With its unit; across the boresight / about it
+    statistic: str
+    conditions: str
+    derivation: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Statement:
+    """What the document holds."""
+
+    name: str
+    lens: str
+    detector: str
+    conditions: Sequence[tuple[str, str, str]]  # What, value, derivation
+    errors: Sequence[Line]
+    detection: Sequence[Line]
+    requirements: Sequence[Any]
+    unjudged: Sequence[str]
+    flight: str
+    notes: Sequence[str] = field(default_factory=tuple)
+    ame_arcsec: tuple[float, float]  # At 95 %, across and about the boresight
+    limiting_mag: float
+
+
+class _Numbers:
+    """Numbers of the prediction by name."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        self.outcome = outcome
+
+    def __call__(self, name: str) -> float:
+        return float(self.outcome.values(name))
+
+    def pair(self, name: str) -> tuple[float, float]:
+        """Across and about the boresight."""
+        return self(f"attitude_cross{name}_arcsec"), self(f"attitude_roll{name}_arcsec")
+
+
+def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str | None = None) -> Statement:
+    """Predict the sensor of a file and collect its statement.
+
+    Parameters
+    ----------
+    sensor : sequence of str
+        The sensor file, or none for the built-in tracker.
+    settings : sequence of str
+        ``key=value`` of the configuration of `camera`.
+    flight : str, optional
+        Output folder of `flight`.
+
+    Raises
+    ------
+    StarbenchError
+        Whatever `camera` refuses; a folder that holds no flight.
+    """
+    told = None if flight is None else read_flight(Path(flight))
+    camera = declared("camera")
+    config = configuration(camera, Options(sensor=tuple(sensor), settings=tuple(settings)))
+    outcome = camera.outcome(config, camera.part(camera.predict)(config, progress=Progress()))
+    number = _Numbers(outcome)
+    setup, judged = outcome.result["setup"], outcome.result["requirements"]
+    thermal, refusal = _sensitivity(config, number("field_diagonal_deg"))
+    conditions = _conditions(config, number, setup)
+    at = f"sky, {config.sky.attitudes} attitudes"
+    across, roll = (outcome.values(f"sky_{axis}_arcsec") for axis in ("cross", "roll"))
+    errors = [
+        *_attitude(number, across, roll, at),
+        *_terms(number, config, at),
+        *(() if thermal is None else _thermal(thermal, number)),
+        *_aberration(),
+        *([] if told is None else _flight(told, str(flight))),
+    ]
+    asked = {key for key, value in config.requirements.model_dump().items() if value is not None}
+    return Statement(
+        name=setup.name,
+        lens=setup.lens,
+        detector=setup.detector,
+        conditions=conditions,
+        errors=errors,
+        detection=[*_detection(number, config, at), *([] if told is None else _availability(told, str(flight)))],
+        requirements=judged,
+        unjudged=sorted(asked - {one.key for one in judged}),
+        flight="" if flight is None else str(flight),
+        notes=[f"No thermo-elastic sensitivity: {refusal}."] if refusal else [],
+        ame_arcsec=(mixture_bound(across, 0.95), mixture_bound(roll, 0.95)),
+        limiting_mag=number("limiting_magnitude_mag"),
+    )
+
+
+def _sensitivity(config: Any, diagonal_deg: float) -> tuple[ThermalSensitivity | None, str]:
+    """Derivatives by temperature of the focused lens over the detector, or why there are none."""
+    try:
+        lens = build_instrument(config.instrument).camera.focused_lens
+        lens.check_glass()
+        corner = min(0.5 * diagonal_deg, lens.max_field_deg)
+        return thermal_sensitivity(lens, housing_of(config.instrument.housing), corner_deg=corner), ""
+    except StarbenchError as error:
+        return None, str(error).splitlines()[0]
+
+
+def _conditions(config: Any, number: _Numbers, setup: Any) -> list[tuple[str, str, str]]:
+    instrument, star = config.instrument, config.star
+    lens_c = instrument.lens_temperature_c
+    return [
+        ("Lens, detector", f"{setup.lens}, {setup.detector}", INPUT),
+        ("Focal length, F-number", f"{number('focal_length_mm'):.3f} mm, {number('f_number'):.2f}", ANALYSIS),
+        ("Exposure", f"{instrument.exposure_s:g} s", INPUT),
+        ("Chip temperature", f"{instrument.chip_temperature_c:g} °C", INPUT),
+        ("Lens temperature", "that of the prescription" if lens_c is None else f"{lens_c:g} °C", INPUT),
+        ("Slew during an exposure", f"{config.slew.rate_deg_per_s:g} °/s", INPUT),
+        ("Pass band", config.passband.words, INPUT),
+        ("Even background", f"{config.background_e_per_s:g} e⁻/s in a pixel", INPUT),
+        ("Centroid, detection", f"{config.centroid}, {config.window_px} px, {config.threshold_sigma:g} σ", INPUT),
+        ("Stars", f"{config.catalogue.source}, epoch {config.catalogue.epoch_year:g}", INPUT),
+        ("Sky", f"{config.sky.attitudes} attitudes, uniform over all rotations", INPUT),
+        ("Quoted star", f"{star.magnitude_mag:g} mag ({setup.magnitude_system}), {star.temperature_k:g} K", INPUT),
+        ("Life", "begin", INPUT),
+    ]
+
+
+def _arcsec(*values: float) -> str:
+    """Across / about the boresight."""
+    return " / ".join(f"{value:.3g}″" if math.isfinite(value) else "none" for value in values)
+
+
+def _percent(level: float) -> str:
+    return f"{100.0 * level:.4g} %"
+
+
+def _attitude(number: _Numbers, across: FloatArray, roll: FloatArray, at: str) -> Iterator[Line]:
+    for level in LEVELS:
+        yield Line(
+            clause="total",
+            what="attitude",
+            value=_arcsec(mixture_bound(across, level), mixture_bound(roll, level)),
+            statistic=f"AME, one axis, level {_percent(level)}, mixed interpretation",
+            conditions=at,
+            derivation=ANALYSIS,
+        )
+    factor = normal_factor(0.997)
+    yield Line(
+        clause="total",
+        what="attitude, worst 1 % of the sky",
+        value=_arcsec(*(factor * one for one in number.pair("_worst"))),
+        statistic="AME, one axis, level 99.7 % of a normal error, ensemble interpretation",
+        conditions=at,
+        derivation=ANALYSIS,
+    )
+    yield Line(
+        clause="total",
+        what="attitude, worst 1 % of the sky",
+        value=_arcsec(*(factor * quantile_limit(one, 0.99, CONFIDENCE) for one in (across, roll))),
+        statistic=f"the same, upper limit at {_percent(CONFIDENCE)} confidence for this sample of the sky",
+        conditions=at,
+        derivation=ANALYSIS,
+    )
+
+
+def _terms(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
+    factor = normal_factor(0.997)
+    sigma = "one axis, level 99.7 % of a normal error"
+    for part, where in (("", "median of the sky"), ("_worst", "worst 1 % of the sky")):
+        noise, total = number.pair(f"{part}_noise"), number.pair(part)
+        spatial = [math.sqrt(max(t * t - n * n, 0.0)) for t, n in zip(total, noise, strict=True)]
+        yield Line(
+            clause="temporal_noise",
+            what=f"attitude, {where}",
+            value=_arcsec(*(factor * one for one in noise)),
+            statistic=f"RME, {sigma}, ensemble interpretation",
+            conditions=at,
+            derivation=ANALYSIS,
+        )
+        yield Line(
+            clause="pixel_spatial",
+            what=f"attitude, {where}; with star colours (FOV spatial)",
+            value=_arcsec(*(factor * one for one in spatial)),
+            statistic=f"{sigma}, ensemble interpretation",
+            conditions=f"{at}; squares of quantiles subtracted",
+            derivation=ANALYSIS,
+        )
+    star = f"star of {config.star.magnitude_mag:g} mag, mean over the detector"
+    for clause, what, values in (
+        ("temporal_noise", "noise-equivalent angle", (number("nea_arcsec"),)),
+        ("pixel_spatial", "pixel patterns and pixel phase", (number("pattern_arcsec"), number("phase_arcsec"))),
+        ("fov_spatial", "star colours; distortion is taken as calibrated", (number("colour_arcsec"),)),
+    ):
+        yield Line(
+            clause=clause,
+            what=f"single star, {what}",
+            value=_arcsec(factor * math.sqrt(sum(v * v for v in values))),
+            statistic=sigma,
+            conditions=star,
+            derivation=ANALYSIS,
+        )
+
+
+def _thermal(found: ThermalSensitivity, number: _Numbers) -> Iterator[Line]:
+    corner = math.tan(math.radians(0.5 * number("field_diagonal_deg"))) * RAD_ARCSEC * 1e-6
+    across = float(np.linalg.norm(found.boresight_arcsec_per_k[2]))
+    for what, value, where in (
+        ("line of sight, lens against detector", f"{across:.3g}″/K", "1 K across the housing"),
+        (
+            "corner of the field, scale",
+            f"{found.scale_ppm_per_k[0] * corner:+.3g}″/K",
+            f"1 K, uniform: {found.scale_ppm_per_k[0]:+.3g} ppm",
+        ),
+        (
+            "corner of the field, scale",
+            f"{found.scale_ppm_per_k[1] * corner:+.3g}″/K",
+            f"1 K from front to detector: {found.scale_ppm_per_k[1]:+.3g} ppm",
+        ),
+        ("field, without shift, scale and roll", f"{found.distortion_arcsec_per_k[0]:.2g}″/K", "1 K, uniform; RMS"),
+        ("best focus", f"{found.focus_um_per_k[0]:+.3g} µm/K", "1 K, uniform"),
+    ):
+        yield Line(
+            clause="thermo_elastic",
+            what=what,
+            value=value,
+            statistic="derivative; times the temperatures of the mission",
+            conditions=where,
+            derivation=ANALYSIS,
+        )
+
+
+def _aberration() -> Iterator[Line]:
+    size = EARTH_M_PER_S / LIGHT_M_PER_S * RAD_ARCSEC
+    yield Line(
+        clause="aberration",
+        what="uncorrected, orbit of the Earth about the Sun",
+        value=_arcsec(size),
+        statistic="largest, one axis",
+        conditions="speed of 29.785 km/s across the line of sight",
+        derivation=ANALYSIS,
+    )
+
+
+def _detection(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
+    half = (f"±{0.5 * number(f'field_{side}_deg'):.2f}°" for side in ("width", "height"))
+    frame = "one frame"
+    yield Line(
+        clause="field",
+        what="about the X and Y axes",
+        value=" × ".join(half),
+        statistic="",
+        conditions=frame,
+        derivation=ANALYSIS,
+    )
+    for clause, what, value, statistic in (
+        ("detection", "limiting magnitude", f"{number('limiting_magnitude_mag'):.2f} mag", "half of the stars found"),
+        ("detection", "limiting magnitude", f"{number('complete_magnitude_mag'):.2f} mag", "90 % of the stars found"),
+        ("detection", "brightest star", f"{number('saturation_mag'):.2f} mag", "brightest pixel full on the axis"),
+        ("detection", "stars in a frame", f"{number('stars_mean_per_frame'):.1f}", "mean over the sky"),
+        ("detection", "stars in a frame", f"{number('stars_worst_per_frame'):.1f}", "1 % quantile of the sky"),
+        ("false_star", "by noise, in a frame", f"{number('false_alarms_per_frame'):.2g}", "expectation"),
+        ("bandwidth", "update rate", f"{number('update_rate_hz'):.3g} Hz", "exposures without a gap"),
+    ):
+        where = at if "sky" in statistic else frame
+        yield Line(clause=clause, what=what, value=value, statistic=statistic, conditions=where, derivation=ANALYSIS)
+
+
+# --- A flight
+
+
+def read_flight(folder: Path) -> Mapping[str, Any]:
+    """Results of a flight, from its ``summary.json``."""
+    path = folder / "summary.json"
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); --flight takes the folder of a run") from None
+    except ValueError:
+        raise ConfigError(f"{path}: is no summary of a run") from None
+    if not isinstance(summary, dict) or summary.get("experiment") != "flight":
+        name = summary.get("experiment") if isinstance(summary, dict) else None
+        raise ConfigError(f"{path}: is of {name!r}; --flight takes the folder of a run of flight")
+    results: Mapping[str, Any] = summary.get("results", {})
+    return results
+
+
+def _number(value: Any) -> float:
+    """Plain, or with its uncertainty; NaN where there is none."""
+    value = value.get("value") if isinstance(value, dict) else value
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def _of(value: Any) -> list[float]:
+    """Across and about the boresight."""
+    parts = value.values() if isinstance(value, dict) and "value" not in value else value
+    return [_number(one) for one in parts] if isinstance(parts, list) or hasattr(parts, "__iter__") else []
+
+
+def _flight(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
+    where = f"flight of {folder}, its sensor and orbit"
+    for name, term in results.get("terms", {}).items():
+        for key, derivation in (("measured_arcsec", RENDERED), ("predicted_arcsec", ANALYSIS)):
+            values = [] if term.get(key) is None else _of(term[key])
+            if name in CLAUSES and any(map(math.isfinite, values)):
+                yield Line(
+                    clause=name,
+                    what="attitude over the flight",
+                    value=_arcsec(*values),
+                    statistic="RMS, one axis, 1σ",
+                    conditions=where,
+                    derivation=derivation,
+                )
+
+
+def _availability(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
+    where = f"flight of {folder}"
+    for clause, key, what, unit, derivation in (
+        ("tracking", "available_percent", "availability over the orbit", " %", ANALYSIS),
+        ("tracking", "solved_percent", "frames with an attitude, of those not blinded", " %", RENDERED),
+        ("acquisition", "acquired", "share of acquisitions that succeed", "", RENDERED),
+        ("acquisition", "acquired_least", "the same, lower limit at 90 % confidence", "", RENDERED),
+        ("acquisition", "wrong_attitudes", "wrong attitudes", "", RENDERED),
+    ):
+        value = _number(results.get(key))
+        if math.isfinite(value):
+            yield Line(
+                clause=clause,
+                what=what,
+                value=f"{value:.4g}{unit}",
+                statistic="mean" if key != "acquired_least" else "Clopper and Pearson",
+                conditions=where,
+                derivation=derivation,
+            )

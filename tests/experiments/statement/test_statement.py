@@ -1,0 +1,154 @@
+"""The performance statement: numbers with level and derivation, clauses that were read, what is missing."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.__main__ import main
+from experiments.statement.clauses import CLAUSES, UNREAD
+from experiments.statement.page import page_of, tables
+from experiments.statement.study import LEVELS, Line, Statement, read_flight, statement
+from optics.errors import ConfigError
+
+FLIGHT = {
+    "experiment": "flight",
+    "results": {
+        "terms": {
+            "temporal_noise": {
+                "measured_arcsec": {
+                    "across": {"value": 1.25, "unit": "arcsec", "uncertainty": 0.02, "n": 99},
+                    "roll": {"value": 11.5, "unit": "arcsec", "uncertainty": 0.3, "n": 99},
+                },
+                "predicted_arcsec": {"across": 1.2, "roll": 11.0},
+            },
+            "bias": {"measured_arcsec": None, "predicted_arcsec": {"across": 0.5, "roll": 2.0}},
+        },
+        "available_percent": 93.5,
+        "wrong_attitudes": 0,
+    },
+}
+
+
+def line(clause: str, what: str = "attitude") -> Line:
+    return Line(clause=clause, what=what, value="1″", statistic="AME", conditions="sky", derivation="analysis")
+
+
+MADE = Statement(
+    name="made up",
+    lens="lens",
+    detector="chip",
+    conditions=[("Exposure", "0.1 s", "input")],
+    errors=[line("total"), line("temporal_noise", "b"), line("pixel_spatial"), line("temporal_noise", "a")],
+    detection=[line("field")],
+    requirements=[],
+    unjudged=["focus_shift_um"],
+    flight="",
+    ame_arcsec=(1.0, 2.0),
+    limiting_mag=6.0,
+)
+
+
+def test_page_tells_what_it_holds_and_what_not() -> None:
+    page = page_of(MADE, "my.toml")
+    text = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", page))
+    assert "Performance statement: made up" in text
+    for said in ("3.2.8.4", UNREAD, "focus_shift_um", "Robustness to solar events", "needs a flight run", "annex B"):
+        assert said in text, said
+    assert not re.search(r"https?://(?!www\.w3\.org)", page)
+    flown = tables(replace(MADE, flight="out/flight"))["missing"].rows
+    assert 0 < len(flown) < len(tables(MADE)["missing"].rows)
+    assert not any("flight run" in why for _, why in flown)
+
+
+def test_lines_stand_in_the_order_of_the_clauses_each_named_once() -> None:
+    rows = tables(MADE)["errors"].rows
+    assert [row[0].partition(" (")[0] for row in rows] == [
+        "Pixel spatial error",
+        "Temporal noise",
+        "",
+        "Attitude error, all terms",
+    ]
+    assert [row[1] for row in rows[1:3]] == ["b", "a"]
+
+
+def test_no_clause_has_a_number_that_is_not_one() -> None:
+    """Numbers that were read, and nothing else that looks like one."""
+    read = {"5.5", "B.5.17", "3.2.8.2", "B.5.7", "3.2.8.3", "B.5.11", "3.2.8.4", "3-9"}
+    stated = {one for clause in CLAUSES.values() for one in re.findall(r"[A-Z]?\.?\d+(?:[.-]\d+)+", clause.where)}
+    assert stated == read
+
+
+def test_a_folder_that_holds_no_flight(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ConfigError, match="--flight takes the folder"):
+        read_flight(tmp_path)
+    (tmp_path / "summary.json").write_text('{"experiment": "camera", "results": {}}')
+    assert main(["statement", "--flight", str(tmp_path), "--out", str(tmp_path / "s.html")]) == 2
+    assert "is of 'camera'" in capsys.readouterr().err
+    (tmp_path / "summary.json").write_text("[")
+    with pytest.raises(ConfigError, match="no summary"):
+        read_flight(tmp_path)
+    (tmp_path / "s.html").write_text("mine")
+    assert main(["statement", "--out", str(tmp_path / "s.html")]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert (tmp_path / "s.html").read_text() == "mine"
+
+
+@pytest.mark.slow
+def test_statement_of_a_sensor_with_a_flight(tmp_path: Path) -> None:
+    """Levels in their order; the flight beside the prediction; what is asked for, judged."""
+    (tmp_path / "summary.json").write_text(json.dumps(FLIGHT))
+    sensor = tmp_path / "my.toml"
+    sensor.write_text(
+        """name = "mine"
+[instrument]
+lens = "star_tracker_26mm"
+detector = "cmv4000"
+width_px = 1024
+height_px = 1024
+housing = "titanium_ti6al4v"
+[requirements]
+attitude_cross_arcsec = 0.001
+limiting_magnitude_mag = 3.0
+focus_shift_um = 5.0
+"""
+    )
+    made = statement((str(sensor),), ("sky.attitudes=60",), str(tmp_path))
+    assert {one.key: one.met for one in made.requirements} == {
+        "attitude_cross_arcsec": False,
+        "limiting_magnitude_mag": True,
+    }
+    assert made.unjudged == ["focus_shift_um"]
+    by = [one for one in made.errors if one.clause == "total" and "mixed" in one.statistic]
+    bound = [[float(part.rstrip("″")) for part in one.value.split(" / ")] for one in by]
+    assert len(bound) == len(LEVELS)
+    assert all(np.diff(np.array(bound), axis=0).ravel() > 0.0)
+    assert made.ame_arcsec == pytest.approx(bound[1], rel=0.01)
+    flown = [one for one in made.errors if "flight" in one.conditions]
+    assert {(one.clause, one.value, one.derivation) for one in flown} == {
+        ("temporal_noise", "1.25″ / 11.5″", "rendered simulation"),
+        ("temporal_noise", "1.2″ / 11″", "analysis"),
+        ("bias", "0.5″ / 2″", "analysis"),
+    }
+    assert [one.value for one in made.detection if "flight" in one.conditions] == ["93.5 %", "0"]
+    assert sum(one.clause == "thermo_elastic" for one in made.errors) == 5
+    assert all(
+        one.derivation in ("analysis", "rendered simulation", "input") for one in (*made.errors, *made.detection)
+    )
+    assert "mine" in page_of(made, "my.toml")
+
+
+@pytest.mark.slow
+def test_a_lens_without_glass_states_why_it_has_no_thermal_numbers(tmp_path: Path) -> None:
+    sensor = tmp_path / "ideal.toml"
+    sensor.write_text(
+        "[instrument.lens]\nkind = 'ideal'\nfocal_length_mm = 30.0\nf_number = 1.6\nmax_field_deg = 40.0\n"
+    )
+    made = statement((str(sensor),), ("sky.attitudes=20",))
+    assert not any(one.clause == "thermo_elastic" for one in made.errors)
+    assert "ideal lens without glass" in made.notes[0]
