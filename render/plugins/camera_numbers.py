@@ -24,6 +24,8 @@ ALUMINIUM_PER_K = 23.6e-6
 FOCUS_STEP_MM = 1e-3
 TURN_STEP_RAD = 1e-3
 BESIDE_K = 1e-7
+LINEAR = 1e-9
+"""Part of the change of numbers by which they may bend and be taken to be linear."""
 _WEIGHTS = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0))
 """Fourth-order central difference."""
 
@@ -111,20 +113,27 @@ class CameraNumbers:
         values = self._centre()
         steps = {**steps_of({k: v for k, v in values.items() if k != "defocus_mm"})}
         steps["defocus_mm"] = np.array([FOCUS_STEP_MM])
-        found = []
+        centre, found = self.made(values), []
+        known = numbers_of(centre)
         for name, value in values.items():
             if not dr.grad_enabled(self.tensors[name]):
                 continue
             for at in np.ndindex(value.shape):
                 if not self._free(values, name, at):
                     continue
-                total: Any = 0.0
-                for times, weight in _WEIGHTS:
-                    moved = value.copy()
-                    moved[at] += times * steps[name][at]
-                    total = total + weight * numbers_of(self.made({**values, name: moved}))
+
+                def moved(times: int, name: str = name, value: FloatArray = value, at: Any = at) -> FloatArray:
+                    other = value.copy()
+                    other[at] += times * steps[name][at]
+                    return numbers_of(self.made({**values, name: other}))
+
+                ahead, back = moved(1), moved(-1)
+                total = 0.5 * (ahead - back)
+                if np.abs(ahead + back - 2.0 * known).max() > LINEAR * np.abs(total).max():
+                    near = {1: ahead, -1: back}
+                    total = sum((w * (near[n] if n in near else moved(n)) for n, w in _WEIGHTS), np.zeros(len(known)))
                 found.append((name, int(np.ravel_multi_index(at, value.shape)), total / steps[name][at]))
-        return self.made(values), found
+        return centre, found
 
     def _free(self, values: dict[str, FloatArray], name: str, at: tuple[int, ...]) -> bool:
         """Whether a surface has this number."""

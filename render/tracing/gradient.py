@@ -7,20 +7,15 @@ where a function of lens and direction is zero, and one Newton step from the poi
 derivative. A beam that other apertures cut (arcs, or Sobol points that are lost at an edge) has none that sampling can
 tell, and is _refused.
 
-Diffraction images are sums of plane waves over windows, whose derivatives have a closed form. With P the phase at the
-middle of the samples [turns], A the amplitude and E the light of a wavelength,
-
-    U(X) = sum_j sqrt(pi) A_j exp{2 pi i [P_j + f_j X]},   I = sum E |U|^2,   dI = sum 2 E Re{conj(U) dU} + |U|^2 dE
-
-so that the adjoint of a weight G over the samples is one more sum, of G conj(U) over the window, for every ray. Stamps,
-pixels and motion are those of `render.tracing.waves.images`, in double precision; images that the renderer
-interpolates, between few rays or between few places of the field, are summed ray by ray here.
+Diffraction images are sums of plane waves over windows (`render.tracing.waves.adjoint`). Stamps, pixels and motion are
+those of `render.tracing.waves.images`, in double precision; images that the renderer interpolates, between few rays or
+between few places of the field, are summed ray by ray here.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from types import SimpleNamespace
@@ -44,12 +39,13 @@ from render.tracing.pupil.planning import Group
 from render.tracing.pupil.points import OutlinePoints, PupilPoints, TablePoints
 from render.tracing.rays.kernel import PIXEL_REACH, StarKernel, gaussian_shares
 from render.tracing.tracer import Tracer
+from render.tracing.waves.adjoint import WaveLanes, Window, summed_waves
 from render.tracing.waves.images import WaveImages
 from render.tracing.waves.plane_waves import DIFFERENCE
 from render.tracing.waves.summed import Probe, SummedImages
-from render.tracing.waves.windows import BandLimited, FieldSampling, window_samples
+from render.tracing.waves.windows import FieldSampling
 
-__all__ = ["AttachedPaths", "LensNumbers", "WaveLanes", "Window", "lens_numbers", "star_image", "summed_waves"]
+__all__ = ["AttachedPaths", "LensNumbers", "lens_numbers", "star_image"]
 
 
 AIM, RIM = 1e-4, 1e-5
@@ -416,217 +412,6 @@ def _splat(
             dr.scatter_add(image, light * along_y * along_x, index, inside)
 
 
-ARRAYS = ("phase", "fx", "fy", "amplitude", "energy", "right", "down", "part")  # of `_Stamps`
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Window:
-    """Where the image of one star in one band is summed, and how samples become pixels."""
-
-    corner_px: FloatArray  # (2,) Outer corner (column, row) of the window
-    mean_px: FloatArray  # (2,) Where samples lie about
-    size: int  # Pixels of the window along an axis
-    field: FieldSampling
-    sigma_px: float  # Charge diffusion
-    first_px: FloatArray  # (2,) Whole pixels from the window to the stamp
-    stamp_px: int  # Pixels of the stamp along an axis
-    moving: bool  # Whether the image is a trail: it ends by samples then, by pixels else
-
-    @property
-    def kernel(self) -> BandLimited:
-        """Of a pixel."""
-        return self.field.pixel(1.0, self.sigma_px)
-
-    @property
-    def samples(self) -> FloatArray:
-        """Samples along an axis, from the mean."""
-        return window_samples(self.field, float(self.size), self.kernel.reach_px) - 0.5 * self.size
-
-    @property
-    def places(self) -> FloatArray:
-        """The same (2, samples) along columns and rows, from the middle of the window."""
-        return self.samples + (self.mean_px - self.corner_px - 0.5 * self.size)[:, None]
-
-    def ends(self) -> tuple[FloatArray, FloatArray]:
-        """Which samples, and which pixels, belong to the disk that is rendered."""
-        (column, row), pixels = self.places, np.arange(0.5, self.size) - 0.5 * self.size
-        if self.moving:
-            return np.asarray(np.hypot(column, row[:, None]) <= 0.5 * self.size, np.float64), np.ones((1, 1))
-        return np.ones((1, 1)), np.asarray(np.hypot(pixels, pixels[:, None]) <= 0.5 * (self.size - 1), np.float64)
-
-    def matrices(self, offset_px: FloatArray, axis: int) -> tuple[FloatArray, FloatArray]:
-        """What makes pixels (t, m, samples) of an image moved by offsets (t,), and its derivatives."""
-        centres = np.arange(self.stamp_px) + 0.5 + self.first_px[axis] - 0.5 * self.size
-        distance = centres[:, None] - self.places[axis] - offset_px[:, None, None]
-        kernel, step = self.kernel, self.field.light_step
-        return kernel(distance) * step, -kernel.slope(distance) * step
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rays:
-    """Waves of one star, band and wavelength over the samples of a window."""
-
-    column: FloatArray
-    row: FloatArray
-    phase: FloatArray
-    amplitude: FloatArray
-    samples: FloatArray
-
-    @classmethod
-    def of(cls, phase: FloatArray, fx: FloatArray, fy: FloatArray, amplitude: FloatArray, samples: FloatArray) -> _Rays:
-        column, row = (np.exp(2j * np.pi * np.outer(f, samples)) for f in (fx, fy))
-        return cls(column, row, np.sqrt(np.pi) * np.exp(2j * np.pi * phase), amplitude, samples)
-
-    def field(self) -> FloatArray:
-        """U (rows, columns)."""
-        return np.asarray((self.row * (self.phase * self.amplitude)[:, None]).T @ self.column)
-
-    def change(self, phase: FloatArray, fx: FloatArray, fy: FloatArray, amplitude: FloatArray) -> FloatArray:
-        """Change of U with changes of the rays."""
-        turned = 2j * np.pi * self.amplitude * self.phase
-        whole = (self.row * (turned * phase + self.phase * amplitude)[:, None]).T @ self.column
-        along = (self.row * (turned * fx)[:, None]).T @ self.column * self.samples
-        across = (self.row * (turned * fy)[:, None]).T @ self.column * self.samples[:, None]
-        return np.asarray(whole + along + across)
-
-    def adjoint(self, weight: FloatArray) -> tuple[FloatArray, ...]:
-        """Gradients of Re sum(weight U) with respect to phase, fx, fy and amplitude."""
-        rows = self.row @ weight
-        across = (self.row * self.samples) @ weight
-        whole, along = ((rows * wave).sum(1) * self.phase for wave in (self.column, self.column * self.samples))
-        turned = -2.0 * np.pi * self.amplitude
-        down = (across * self.column).sum(1) * self.phase
-        return turned * whole.imag, turned * along.imag, turned * down.imag, whole.real
-
-
-@dataclass(frozen=True, slots=True)
-class WaveLanes:
-    """Plane waves as arrays with derivatives, of s b windows at k wavelengths, p of each; lanes (s b k p,)."""
-
-    phase: Any  # At the mean that samples lie about [turns]
-    # fx, fy: Spatial frequencies [cycles/px]
-    fx: Any
-    fy: Any
-    amplitude: Any  # As in `render.tracing.waves.plane_waves.PlaneWaves`
-
-
-def summed_waves(
-    F: Any, windows: list[Window], lanes: WaveLanes, energy: Any, offset: tuple[Any, Any], weight: Any
-) -> Any:
-    """Electrons of the pixels of stamps (s b m m,), with derivatives."""
-    # energy (s b k,) [e-], offset (s b t,) [px], weight (s b t,)
-
-    class Sum(dr.CustomOp):
-        """The sum; arrays are those of `_Stamps`."""
-
-        def eval(
-            self, phase: Any, fx: Any, fy: Any, amplitude: Any, energy: Any, right: Any, down: Any, part: Any
-        ) -> Any:
-            arrays = (phase, fx, fy, amplitude, energy, right, down, part)
-            self.stamps = _Stamps(windows, [np.array(a.numpy()) for a in arrays])
-            return F(self.stamps.pixels().ravel())
-
-        def forward(self) -> None:
-            arrays: list[Any] = [self.grad_in(name) for name in ARRAYS]
-            changes = [np.array(a.numpy()) for a in arrays]
-            self.set_grad_out(F(self.stamps.changed(changes).ravel()))
-
-        def backward(self) -> None:
-            gradient_out: Any = self.grad_out()
-            gradients = self.stamps.adjoint(np.array(gradient_out.numpy()))
-            for name, gradient in zip(ARRAYS, gradients, strict=True):
-                self.set_grad_in(name, F(np.ascontiguousarray(gradient.ravel())))
-
-        def name(self) -> str:
-            return "sum of plane waves"
-
-    return dr.custom(Sum, lanes.phase, lanes.fx, lanes.fy, lanes.amplitude, energy, *offset, weight)
-
-
-class _Stamps:
-    """Stamps of windows, on NumPy.
-
-    Arrays: phase, fx, fy and amplitude of rays; light of wavelengths; offsets along columns and rows, and parts of
-    times.
-    """
-
-    def __init__(self, windows: list[Window], arrays: list[FloatArray]) -> None:
-        self.windows, count = windows, len(windows)
-        self.colours = arrays[4].size // count
-        self.rays = [a.reshape(count, self.colours, -1) for a in arrays[:4]]
-        self.energy, *self.moves = (a.reshape(count, -1) for a in arrays[4:])
-
-    def _fields(self, slot: int) -> Iterator[tuple[int, _Rays, FloatArray]]:
-        samples = self.windows[slot].samples
-        for k in range(self.colours):
-            phase, fx, fy, amplitude = (a[slot, k] for a in self.rays)
-            rays = _Rays.of(phase, fx, fy, amplitude, samples)
-            yield k, rays, rays.field()
-
-    def _light(self, slot: int) -> FloatArray:
-        return np.asarray(sum(self.energy[slot, k] * np.abs(u) ** 2 for k, _, u in self._fields(slot)))
-
-    def _matrices(self, slot: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        window, (ox, oy, weight) = self.windows[slot], (m[slot] for m in self.moves)
-        return *window.matrices(ox, 0), *window.matrices(oy, 1), weight
-
-    def pixels(self) -> FloatArray:
-        """Pixels (slots, m, m)."""
-        found = []
-        for slot, window in enumerate(self.windows):
-            column, _, row, _, weight = self._matrices(slot)
-            inside, disk = window.ends()
-            image = self._light(slot) * inside
-            found.append(np.einsum("t,tij->ij", weight, row @ image @ np.swapaxes(column, 1, 2)) * disk)
-        return np.stack(found)
-
-    def changed(self, changes: list[FloatArray]) -> FloatArray:
-        """Change of the pixels with changes of the arrays."""
-        count = len(self.windows)
-        shapes = [a.shape for a in (*self.rays, self.energy, *self.moves)]
-        *rays, energy, dx, dy, dw = (
-            np.broadcast_to(c, math.prod(s)).reshape(s) for c, s in zip(changes, shapes, strict=True)
-        )
-        found = []
-        for slot in range(count):
-            column, column_slope, row, row_slope, weight = self._matrices(slot)
-            inside, disk = self.windows[slot].ends()
-            light, slope = np.zeros(()), np.zeros(())
-            for k, waves, u in self._fields(slot):
-                du = waves.change(*(r[slot, k] for r in rays))
-                light = light + self.energy[slot, k] * np.abs(u) ** 2
-                slope = slope + energy[slot, k] * np.abs(u) ** 2 + 2.0 * self.energy[slot, k] * (u.conj() * du).real
-            light, slope = light * inside, slope * inside
-            c, c_slope = np.swapaxes(column, 1, 2), np.swapaxes(column_slope, 1, 2)
-            w, x, y, v = (a[:, None, None] for a in (weight, weight * dx[slot], weight * dy[slot], dw[slot]))
-            each = w * (row @ slope @ c) + v * (row @ light @ c)
-            each = each + x * (row @ light @ c_slope) + y * (row_slope @ light @ c)
-            found.append(each.sum(0) * disk)
-        return np.stack(found)
-
-    def adjoint(self, gradient: FloatArray) -> list[FloatArray]:
-        """Gradients of all arrays from that of the pixels."""
-        found = [np.zeros_like(a) for a in (*self.rays, self.energy, *self.moves)]
-        for slot, window in enumerate(self.windows):
-            column, column_slope, row, row_slope, weight = self._matrices(slot)
-            inside, disk = window.ends()
-            g = gradient.reshape(len(self.windows), window.stamp_px, window.stamp_px)[slot] * disk
-            to_light = np.einsum("t,tij->ij", weight, np.swapaxes(row, 1, 2) @ g @ column) * inside
-            light = np.zeros(())
-            for k, waves, u in self._fields(slot):
-                light = light + self.energy[slot, k] * np.abs(u) ** 2
-                found[4][slot, k] = (to_light * np.abs(u) ** 2).sum()
-                parts = waves.adjoint(2.0 * self.energy[slot, k] * to_light * u.conj())
-                for into, part in zip(found[:4], parts, strict=True):
-                    into[slot, k] = part
-            light = light * inside
-            c, c_slope = np.swapaxes(column, 1, 2), np.swapaxes(column_slope, 1, 2)
-            found[5][slot] = weight * (g * (row @ light @ c_slope)).sum((1, 2))
-            found[6][slot] = weight * (g * (row_slope @ light @ c)).sum((1, 2))
-            found[7][slot] = (g * (row @ light @ c)).sum((1, 2))
-        return found
-
-
 def _wave_image(
     scene_of: SceneOf, tracer: Tracer, stars: StarField, paths: AttachedPaths, exposure_s: float, rate: Any
 ) -> Any:
@@ -657,7 +442,7 @@ def _wave_image(
             windows = _windows(images, probe, part, radius, fields)
             energy = _energy(scene, part, rate, response[..., None] * np.swapaxes(mixed, 0, 1))
             lanes = _plane_waves(scene, part, few.wavelength_nm, points, sample, windows)
-            stamps = summed_waves(F, windows, lanes, energy, offset, weight)
+            stamps = summed_waves(F, windows, lanes, energy, offset, weight, values=False)
             _add(scene, image, windows, stamps, bands)
     return image
 

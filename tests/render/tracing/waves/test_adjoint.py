@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from render.tracing.gradient import WaveLanes, Window, summed_waves
+from render.tracing.waves.adjoint import WaveLanes, Window, summed_waves
 from render.tracing.waves.windows import FieldSampling, window_light, window_samples
 
 STEP = 1e-5

@@ -1,0 +1,309 @@
+"""Sums of plane waves over windows, and what their derivatives have in closed form.
+
+With P the phase at the middle of the samples [turns], A the amplitude and E the light of a wavelength,
+
+    U(X) = sum_j sqrt(pi) A_j exp{2 pi i [P_j + f_j X]},   I = sum E |U|^2,   dI = sum 2 E Re{conj(U) dU} + |U|^2 dE
+
+so that the adjoint of a weight G over the samples is one more sum, of G conj(U) over the window, for every ray. Both
+sums go by a grid of frequencies as those of `render.tracing.waves.windows`, there and back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from optics.arrays import FloatArray
+from render.engine.jit import dr
+from render.tracing.waves.windows import BandLimited, FieldSampling, window_samples
+
+__all__ = ["WaveLanes", "Window", "summed_waves"]
+
+
+SPREAD, OVERSAMPLING = 9, 2
+"""Points of the grid of frequencies that a ray is spread to, along an axis, and how fine it is: errors of 1e-9."""
+BETA = math.pi * math.sqrt((SPREAD * (1.0 - 0.5 / OVERSAMPLING)) ** 2 - 0.8)
+ARRAYS = ("phase", "fx", "fy", "amplitude", "energy", "right", "down", "part")  # of `_Stamps`
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """Where the image of one star in one band is summed, and how samples become pixels."""
+
+    corner_px: FloatArray  # (2,) Outer corner (column, row) of the window
+    mean_px: FloatArray  # (2,) Where samples lie about
+    size: int  # Pixels of the window along an axis
+    field: FieldSampling
+    sigma_px: float  # Charge diffusion
+    first_px: FloatArray  # (2,) Whole pixels from the window to the stamp
+    stamp_px: int  # Pixels of the stamp along an axis
+    moving: bool  # Whether the image is a trail: it ends by samples then, by pixels else
+
+    @property
+    def kernel(self) -> BandLimited:
+        """Of a pixel."""
+        return self.field.pixel(1.0, self.sigma_px)
+
+    @property
+    def samples(self) -> FloatArray:
+        """Samples along an axis, from the mean."""
+        return window_samples(self.field, float(self.size), self.kernel.reach_px) - 0.5 * self.size
+
+    @property
+    def places(self) -> FloatArray:
+        """The same (2, samples) along columns and rows, from the middle of the window."""
+        return self.samples + (self.mean_px - self.corner_px - 0.5 * self.size)[:, None]
+
+    def ends(self) -> tuple[FloatArray, FloatArray]:
+        """Which samples, and which pixels, belong to the disk that is rendered."""
+        (column, row), pixels = self.places, np.arange(0.5, self.size) - 0.5 * self.size
+        if self.moving:
+            return np.asarray(np.hypot(column, row[:, None]) <= 0.5 * self.size, np.float64), np.ones((1, 1))
+        return np.ones((1, 1)), np.asarray(np.hypot(pixels, pixels[:, None]) <= 0.5 * (self.size - 1), np.float64)
+
+    def matrices(self, offset_px: FloatArray, axis: int) -> tuple[FloatArray, FloatArray]:
+        """What makes pixels (t, m, samples) of an image moved by offsets (t,), and its derivatives."""
+        centres = np.arange(self.stamp_px) + 0.5 + self.first_px[axis] - 0.5 * self.size
+        distance = centres[:, None] - self.places[axis] - offset_px[:, None, None]
+        kernel, step = self.kernel, self.field.light_step
+        return kernel(distance) * step, -kernel.slope(distance) * step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grid:
+    """Grid of frequencies for samples about 0, as that of `render.tracing.waves.windows`, in double precision."""
+
+    step: float  # [cycles/px]
+    waves: NDArray[np.complex128]  # (n, c) What leads from the grid to the samples
+
+
+@lru_cache(maxsize=16)
+def _grid(count: int, sample_px: float, highest: float) -> _Grid:
+    """Grid for so many samples, of frequencies up to half the highest."""
+    samples = (np.arange(count) - 0.5 * (count - 1)) * sample_px
+    step = 1.0 / (OVERSAMPLING * count * sample_px)
+    reach = math.ceil(0.5 * highest / step + 0.5 * SPREAD + 1.0)
+    node, weight = np.polynomial.legendre.leggauss(100)
+    spread = 0.5 * SPREAD * (np.cos(np.pi * SPREAD * step * np.outer(samples, node)) @ (weight * _bell(node)[0]))
+    waves = np.exp(2j * np.pi * step * np.outer(samples, np.arange(-reach, reach + 1)))
+    return _Grid(step, np.asarray(waves / spread[:, None], np.complex128))
+
+
+def _bell(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Kernel on [-1, 1], exponential of a semicircle, and its slope."""
+    root = np.sqrt(np.maximum(1.0 - t * t, 1e-12))
+    value = np.exp(BETA * (root - 1.0))
+    return value, -BETA * t / root * value
+
+
+class _Rays:
+    """Waves of one star, band and wavelength over the samples of a window; frequencies count from a middle one."""
+
+    def __init__(
+        self, phase: FloatArray, fx: FloatArray, fy: FloatArray, amplitude: FloatArray, samples: FloatArray
+    ) -> None:
+        fx, fy = (f - 0.5 * (f.max() + f.min()) for f in (fx, fy))
+        highest = 2.0 * float(max(np.abs(fx).max(), np.abs(fy).max()))
+        self.grid = _grid(len(samples), round(float(samples[1] - samples[0]), 12), math.ceil(20.0 * highest) / 20.0)
+        self.samples, self.amplitude = samples, amplitude
+        self.phase = np.sqrt(np.pi) * np.exp(2j * np.pi * phase)
+        side, steps = self.grid.waves.shape[1], np.arange(SPREAD, dtype=np.int32)
+        first, self.kernels = [], []
+        for frequency in (fx, fy):
+            place = frequency / self.grid.step + side // 2
+            one = np.ceil(place - 0.5 * SPREAD).astype(np.int32)
+            first.append(one)
+            self.kernels.append(_bell((one[:, None] + steps - place[:, None]) * (2.0 / SPREAD)))
+        self.index = (first[1] * side + first[0])[:, None, None] + steps[:, None] * np.int32(side) + steps
+        self.ends = np.arange(0, self.index.size + 1, SPREAD**2, dtype=np.int32)
+
+    def _spread(self, along: int = 0, across: int = 0) -> csr_array:
+        """What takes values at frequencies of the grid to the rays (p, c^2), or to slopes by fx or fy."""
+        value = self.kernels[1][across][:, :, None] * self.kernels[0][along][:, None, :]
+        return csr_array(
+            (value.ravel(), self.index.ravel(), self.ends), (len(self.phase), self.grid.waves.shape[1] ** 2)
+        )
+
+    def _sums(self, coefficients: list[NDArray[np.complex128]]) -> list[NDArray[np.complex128]]:
+        """Sums (rows, columns) of waves with coefficients (p,)."""
+        waves = self.grid.waves
+        parts = self._spread().T @ np.stack(coefficients, axis=-1).view(np.float64).reshape(len(self.phase), -1)
+        side = waves.shape[1]
+        grids = np.ascontiguousarray(parts.reshape(side, side, -1, 2).transpose(2, 0, 1, 3)).view(np.complex128)
+        return [waves @ one[..., 0] @ waves.T for one in grids]
+
+    def field(self) -> NDArray[np.complex128]:
+        """U (rows, columns), but for a wave of the middle frequency."""
+        return self._sums([self.phase * self.amplitude])[0]
+
+    def change(
+        self, phase: FloatArray, fx: FloatArray, fy: FloatArray, amplitude: FloatArray
+    ) -> NDArray[np.complex128]:
+        """Change of U with changes of the rays."""
+        turned = 2j * np.pi * self.amplitude * self.phase
+        parts = self._sums([turned * phase + self.phase * amplitude, turned * fx, turned * fy])
+        return np.asarray(parts[0] + parts[1] * self.samples + parts[2] * self.samples[:, None])
+
+    def adjoint(self, weight: NDArray[np.complex128]) -> tuple[FloatArray, ...]:
+        """Gradients of Re sum(weight U) with respect to phase, fx, fy and amplitude.
+
+        The sum over the samples is a function of the ray's frequency, whose slope is 2 pi i times that of its place.
+        """
+        waves = self.grid.waves
+        to_rays = np.ascontiguousarray(waves.T @ weight @ waves).ravel().view(np.float64).reshape(-1, 2)
+        slope = 2.0 / SPREAD / self.grid.step
+        whole, along, across = (
+            np.ascontiguousarray(self._spread(*which) @ to_rays).view(np.complex128)[:, 0] * self.phase
+            for which in ((0, 0), (1, 0), (0, 1))
+        )
+        by_place = -slope * self.amplitude  # a ray that moves up is nearer to what lies above
+        return (
+            -2.0 * np.pi * self.amplitude * whole.imag,
+            by_place * along.real,
+            by_place * across.real,
+            whole.real,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class WaveLanes:
+    """Plane waves as arrays with derivatives, of s b windows at k wavelengths, p of each; lanes (s b k p,)."""
+
+    phase: Any  # At the mean that samples lie about [turns]
+    # fx, fy: Spatial frequencies [cycles/px]
+    fx: Any
+    fy: Any
+    amplitude: Any  # As in `render.tracing.waves.plane_waves.PlaneWaves`
+
+
+def summed_waves(
+    F: Any,
+    windows: list[Window],
+    lanes: WaveLanes,
+    energy: Any,
+    offset: tuple[Any, Any],
+    weight: Any,
+    *,
+    values: bool = True,
+) -> Any:
+    """Electrons of the pixels of stamps (s b m m,), with derivatives; without ``values`` these alone, and zeros."""
+    # energy (s b k,) [e-], offset (s b t,) [px], weight (s b t,)
+
+    class Sum(dr.CustomOp):
+        """The sum; arrays are those of `_Stamps`."""
+
+        def eval(
+            self, phase: Any, fx: Any, fy: Any, amplitude: Any, energy: Any, right: Any, down: Any, part: Any
+        ) -> Any:
+            arrays = (phase, fx, fy, amplitude, energy, right, down, part)
+            self.stamps = _Stamps(windows, [np.array(a.numpy()) for a in arrays])
+            if not values:
+                return dr.zeros(F, sum(window.stamp_px**2 for window in windows))
+            return F(self.stamps.pixels().ravel())
+
+        def forward(self) -> None:
+            arrays: list[Any] = [self.grad_in(name) for name in ARRAYS]
+            changes = [np.array(a.numpy()) for a in arrays]
+            self.set_grad_out(F(self.stamps.changed(changes).ravel()))
+
+        def backward(self) -> None:
+            gradient_out: Any = self.grad_out()
+            gradients = self.stamps.adjoint(np.array(gradient_out.numpy()))
+            for name, gradient in zip(ARRAYS, gradients, strict=True):
+                self.set_grad_in(name, F(np.ascontiguousarray(gradient.ravel())))
+
+        def name(self) -> str:
+            return "sum of plane waves"
+
+    return dr.custom(Sum, lanes.phase, lanes.fx, lanes.fy, lanes.amplitude, energy, *offset, weight)
+
+
+class _Stamps:
+    """Stamps of windows, on NumPy.
+
+    Arrays: phase, fx, fy and amplitude of rays; light of wavelengths; offsets along columns and rows, and parts of
+    times.
+    """
+
+    def __init__(self, windows: list[Window], arrays: list[FloatArray]) -> None:
+        self.windows, count = windows, len(windows)
+        self.colours = arrays[4].size // count
+        self.rays = [a.reshape(count, self.colours, -1) for a in arrays[:4]]
+        self.energy, *self.moves = (a.reshape(count, -1) for a in arrays[4:])
+
+    def _fields(self, slot: int) -> Iterator[tuple[int, _Rays, NDArray[np.complex128]]]:
+        samples = self.windows[slot].samples
+        for k in range(self.colours):
+            phase, fx, fy, amplitude = (a[slot, k] for a in self.rays)
+            rays = _Rays(phase, fx, fy, amplitude, samples)
+            yield k, rays, rays.field()
+
+    def _light(self, slot: int) -> FloatArray:
+        return np.asarray(sum(self.energy[slot, k] * np.abs(u) ** 2 for k, _, u in self._fields(slot)))
+
+    def _matrices(self, slot: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        window, (ox, oy, weight) = self.windows[slot], (m[slot] for m in self.moves)
+        return *window.matrices(ox, 0), *window.matrices(oy, 1), weight
+
+    def pixels(self) -> FloatArray:
+        """Pixels (slots, m, m)."""
+        found = []
+        for slot, window in enumerate(self.windows):
+            column, _, row, _, weight = self._matrices(slot)
+            inside, disk = window.ends()
+            image = self._light(slot) * inside
+            found.append(np.einsum("t,tij->ij", weight, row @ image @ np.swapaxes(column, 1, 2)) * disk)
+        return np.stack(found)
+
+    def changed(self, changes: list[FloatArray]) -> FloatArray:
+        """Change of the pixels with changes of the arrays."""
+        count = len(self.windows)
+        shapes = [a.shape for a in (*self.rays, self.energy, *self.moves)]
+        *rays, energy, dx, dy, dw = (
+            np.broadcast_to(c, math.prod(s)).reshape(s) for c, s in zip(changes, shapes, strict=True)
+        )
+        found = []
+        for slot in range(count):
+            column, column_slope, row, row_slope, weight = self._matrices(slot)
+            inside, disk = self.windows[slot].ends()
+            light, slope = np.zeros(()), np.zeros(())
+            for k, waves, u in self._fields(slot):
+                du = waves.change(*(r[slot, k] for r in rays))
+                light = light + self.energy[slot, k] * np.abs(u) ** 2
+                slope = slope + energy[slot, k] * np.abs(u) ** 2 + 2.0 * self.energy[slot, k] * (u.conj() * du).real
+            light, slope = light * inside, slope * inside
+            c, c_slope = np.swapaxes(column, 1, 2), np.swapaxes(column_slope, 1, 2)
+            w, x, y, v = (a[:, None, None] for a in (weight, weight * dx[slot], weight * dy[slot], dw[slot]))
+            each = w * (row @ slope @ c) + v * (row @ light @ c)
+            each = each + x * (row @ light @ c_slope) + y * (row_slope @ light @ c)
+            found.append(each.sum(0) * disk)
+        return np.stack(found)
+
+    def adjoint(self, gradient: FloatArray) -> list[FloatArray]:
+        """Gradients of all arrays from that of the pixels."""
+        found = [np.zeros_like(a) for a in (*self.rays, self.energy, *self.moves)]
+        for slot, window in enumerate(self.windows):
+            column, column_slope, row, row_slope, weight = self._matrices(slot)
+            inside, disk = window.ends()
+            g = gradient.reshape(len(self.windows), window.stamp_px, window.stamp_px)[slot] * disk
+            to_light = np.einsum("t,tij->ij", weight, np.swapaxes(row, 1, 2) @ g @ column) * inside
+            light = np.zeros(())
+            for k, waves, u in self._fields(slot):
+                light = light + self.energy[slot, k] * np.abs(u) ** 2
+                found[4][slot, k] = (to_light * np.abs(u) ** 2).sum()
+                parts = waves.adjoint(2.0 * self.energy[slot, k] * to_light * u.conj())
+                for into, part in zip(found[:4], parts, strict=True):
+                    into[slot, k] = part
+            light = light * inside
+            c, c_slope = np.swapaxes(column, 1, 2), np.swapaxes(column_slope, 1, 2)
+            found[5][slot] = weight * (g * (row @ light @ c_slope)).sum((1, 2))
+            found[6][slot] = weight * (g * (row_slope @ light @ c)).sum((1, 2))
+            found[7][slot] = (g * (row @ light @ c)).sum((1, 2))
+        return found
