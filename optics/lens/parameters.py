@@ -13,7 +13,7 @@ import numpy as np
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.lens.perturb import change_temperature, decentre, tilt
+from optics.lens.perturb import change_index, change_temperature, decentre, tilt
 from optics.lens.system import AMBIENT, LensSystem
 
 __all__ = ["LENS_PARAMETERS", "lens_parameters", "steps_of", "with_parameters"]
@@ -25,6 +25,7 @@ LENS_PARAMETERS = {
     "thickness_mm": "(s,) distance along the axis to the next surface, or to the image plane [mm]",
     "decentre_mm": "(s, 2) shift of a surface across the axis, lens frame [mm]",
     "tilt_deg": "(s, 2) rotation of a surface about its own vertex, lens frame [deg]",
+    "index_offset": "(s,) added to the refractive index of the glass behind a surface, at every wavelength alike",
     "temperature_c": "(1,) temperature of the whole lens [C]",
 }
 
@@ -50,6 +51,7 @@ def lens_parameters(lens: LensSystem) -> dict[str, FloatArray]:
         "thickness_mm": np.array([float((position[i + 1] - position[i]) @ along[i]) for i in range(count)]),
         "decentre_mm": np.zeros((count, 2)),
         "tilt_deg": np.zeros((count, 2)),
+        "index_offset": np.array([surface.index_offset for surface in lens.surfaces]),
         "temperature_c": np.array([lens.environment.temperature_c]),
     }
 
@@ -58,7 +60,7 @@ def steps_of(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Steps by which numbers are changed when derivatives of what the lens is compiled to are taken by differences."""
     relative, least = (
         {"curvature_per_mm": 1e-3, "asphere": 1e-3},
-        {"curvature_per_mm": 1e-8, "asphere": 1e-20, "tilt_deg": 1e-2, "temperature_c": 0.1},
+        {"curvature_per_mm": 1e-8, "asphere": 1e-20, "tilt_deg": 1e-2, "index_offset": 1e-4, "temperature_c": 0.1},
     )
     return {name: np.maximum(np.abs(v) * relative.get(name, 0.0), least.get(name, 1e-3)) for name, v in values.items()}
 
@@ -133,6 +135,15 @@ def _tilt(lens: LensSystem, at: tuple[int, ...], values: FloatArray, by: FloatAr
     return tilt(lens, at[0], float(x_deg), float(y_deg))
 
 
+def _index(lens: LensSystem, at: tuple[int, ...], values: FloatArray, by: FloatArray) -> LensSystem:
+    same = [at[0]]  # a stop within the glass has the same behind it
+    for i in range(at[0] + 1, len(lens.surfaces)):
+        if lens.surfaces[i].mirror or lens.media[i + 1] != lens.media[at[0] + 1]:
+            break
+        same.append(i)
+    return change_index(lens, same, float(by[at]))
+
+
 CHANGES: dict[str, Change] = {
     "curvature_per_mm": _curvature,
     "conic": _conic,
@@ -140,6 +151,7 @@ CHANGES: dict[str, Change] = {
     "thickness_mm": _thickness,
     "decentre_mm": _decentre,
     "tilt_deg": _tilt,
+    "index_offset": _index,
     "temperature_c": lambda lens, at, values, by: lens,
 }
 """How a number of a surface is changed; the temperature comes last, on its own."""

@@ -66,15 +66,26 @@ class _Vector:
         return at
 
 
-def _media(lens: LensSystem, vector: _Vector) -> tuple[list[IndexFormula], list[int]]:
-    """Index formulas of the distinct media, and for each surface the number of the medium that follows it."""
-    distinct = list(dict.fromkeys(lens.media))
-    formulas = []
-    for name, offset in distinct:
+def _media(lens: LensSystem, vector: _Vector, general: bool) -> tuple[list[IndexFormula], list[int]]:
+    """Index formulas of the media, and for each surface the number of the medium that follows it.
+
+    One formula for every distinct medium, or in general for the glass behind every surface: any of them may change.
+    """
+    formulas: list[IndexFormula] = []
+    number: list[int] = []
+    known: dict[object, int] = {}
+    for i, (name, offset) in enumerate(lens.media):
         glass = None if name == AMBIENT else lens.glasses[name]
-        numbers, form, thermal = index_parameters(glass, lens.environment, offset)
-        formulas.append(IndexFormula(at=vector.add(numbers), form=form, thermal=thermal))
-    return formulas, [distinct.index(medium) for medium in lens.media]
+        if general and i and lens.surfaces[i - 1].mirror:
+            number.append(number[-1])
+            continue
+        key = (name, offset, i if general and glass is not None else 0)
+        if key not in known:
+            numbers, form, thermal = index_parameters(glass, lens.environment, offset)
+            known[key] = len(formulas)
+            formulas.append(IndexFormula(at=vector.add(numbers), form=form, thermal=thermal))
+        number.append(known[key])
+    return formulas, number
 
 
 def _outline(aperture: Aperture, vector: _Vector) -> tuple[type[Aperture], int, int, bool]:
@@ -91,7 +102,8 @@ def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgra
     lens : LensSystem
         The lens.
     general : bool
-        Keep every pose general even if it is centred, so that all perturbations of the lens share one structure.
+        Keep every pose general even if it is centred, and the glass behind every surface by itself, so that all
+        perturbations of the lens share one structure.
 
     Returns
     -------
@@ -102,7 +114,7 @@ def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgra
     """
     lens.check_surfaces()
     vector = _Vector()
-    media, medium_of = _media(lens, vector)
+    media, medium_of = _media(lens, vector, general)
     steps = []
     position, rotation = np.zeros(3), np.eye(3)
     for i, (new_position, new_rotation) in enumerate(lens.poses):

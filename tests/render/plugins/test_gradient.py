@@ -208,6 +208,7 @@ def test_lens_with_its_stop_in_front(mi):
         ("camera.curvature_per_mm", 2, 5e-9),
         ("camera.thickness_mm", 2, 1e-4),
         ("camera.temperature_c", 0, 0.03),
+        ("camera.index_offset", 1, 1e-6),
         ("camera.decentre_mm", (1, 0), 3e-5),
         ("camera.tilt_deg", (1, 1), 1e-5),
     ]
@@ -245,6 +246,7 @@ WAVES = {
         [
             ("camera.conic", 0, 2e-3),
             ("camera.asphere", (10, 0), 4e-7),
+            ("camera.index_offset", 0, 1e-5),
             ("camera.decentre_mm", (1, 0), 1e-4),
             ("camera.attitude_rad", 0, 1e-6),
         ],
