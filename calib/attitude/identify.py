@@ -282,11 +282,13 @@ def _accepted(
         return failed("mirrored", _MIRRORED)
     residual = np.sqrt(2.0) * solution.sigma_rad * focal_px
     if not solution.ok or residual > tolerance_px:
-        return failed(
-            "inconsistent",
+        words = (
             f"{len(matched)} stars matched, but they lie {residual:.3g} px from their places; {tolerance_px:g} px is "
-            "allowed, a better camera model is needed",
+            "allowed, a better camera model is needed"
         )
+        return replace(
+            failed("inconsistent", words), scale=float(found.camera_model.focal_length_px / focal_px)
+        )  # by which the search may go on
     return Identification(
         status="identified",
         message=f"{len(matched)} stars identified, {solution.sigma_rad * RAD_ARCSEC:.3g} arcsec per axis",

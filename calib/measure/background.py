@@ -23,6 +23,10 @@ _FIRST_STEP, _FIRST_BOX = 2, 32
 """The first pass, which only tells stars, takes every second pixel of every second row of cells of so many px."""
 
 
+SLOPE_PART, LEAST_PART = 0.15, 0.2
+"""Of the noise of a cell: slopes that vary the level by less are left in; less noise than this is not believed."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Background:
     """Background and its noise on a mesh of cells, smooth in between."""
@@ -88,7 +92,8 @@ def estimate_background(
     expectation, which the likelihood needs, and not the median, which whole DN quantise) or, in a crowded cell,
     2.5 median - 1.5 mean (Bertin & Arnouts 1996, A&AS 117, 393, sec. 7.1). A second pass leaves out everything
     3 sigma above the first, grown by two pixels. Cells without usable pixels take the median of the others, and a
-    3 x 3 median over the mesh removes cells filled by a bright object.
+    3 x 3 median over the mesh removes cells filled by a bright object. What the level varies within a cell is taken out
+    of its noise.
 
     Parameters
     ----------
@@ -140,7 +145,19 @@ def estimate_background(
     stars = electrons > first.level_image() + 3.0 * first.sigma_image()
     # bright pixels next to another one; lone noise peaks stay in, or the noise would be underestimated
     rest = usable & ~grown(stars & grown(stars, 1, itself=False), 2)
-    return _mesh(electrons, rest, box_px, clip_sigma, quantum) if rest.any() else first
+    return _without_slopes(_mesh(electrons, rest, box_px, clip_sigma, quantum)) if rest.any() else first
+
+
+def _without_slopes(found: Background) -> Background:
+    """The noise without what the level itself varies within a cell: vignetting and twilight are no noise."""
+    slope2 = np.zeros(found.level_e.shape)
+    for axis, centre in enumerate((found.centre_y_px, found.centre_x_px)):
+        if len(centre) > 1:  # variance of a slope over the pixels of a cell
+            step = 2.0 * centre[0] + 1.0
+            slope2 = slope2 + np.gradient(found.level_e, centre, axis=axis) ** 2 * (step**2 - 1.0) / 12.0
+    sigma = found.sigma_e
+    flat = np.sqrt(np.maximum(sigma**2 - slope2, (LEAST_PART * sigma) ** 2))
+    return replace(found, sigma_e=np.where(slope2 > (SLOPE_PART * sigma) ** 2, flat, sigma))
 
 
 def _thinned(

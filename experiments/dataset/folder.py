@@ -65,7 +65,7 @@ OWN_FOLDERS = (FRAMES, TRUTH, "calibration", "coco", "webdataset")
 FORMAT_VERSION = 2
 FREE = (
     *("frames", "exports", "png_bits", "card", "verify", "calibration_frames"),
-    *("centroid", "window_px", "threshold_sigma", "workers", "scheduler"),
+    *("centroid", "compared", "window_px", "threshold_sigma", "workers", "scheduler"),
 )
 """Keys that change no frame."""
 FILE_KEYS = (

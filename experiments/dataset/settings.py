@@ -269,6 +269,9 @@ class Config(SensorExperimentConfig):
         description="of the quadrature over the pupil: largest error of a pixel in the light of its star",
     )
     catalogue: CatalogueConfig = CatalogueConfig()
+    compared: tuple[str, ...] = Field(
+        default=(), description="how close such frames are to those of the real sensor; of a sensor file"
+    )
     centroid: CentroiderName = Field(default="epsf", description="centroider")
     window_px: int = Field(default=7, ge=5, le=63, description="window of the centroider, odd")
     threshold_sigma: float = Field(default=5.0, gt=0, le=1000, description="detection limit, in standard deviations")

@@ -53,6 +53,9 @@ class SensorConfig(StrictModel):
     centroid: CentroiderName = Field(default="epsf", description="centroider")
     window_px: int = Field(default=13, ge=5, le=63, description="window around a star, odd")
     threshold_sigma: float = Field(default=5.0, gt=0, le=1000, description="detection limit, in standard deviations")
+    compared: tuple[str, ...] = Field(
+        default=(), description="how close rendered frames are to those of the real sensor; dataset's card shows it"
+    )
     instrument: InstrumentConfig = InstrumentConfig()
     passband: PassbandConfig = PassbandConfig()
     filters: FilterConfig = FilterConfig()

@@ -34,6 +34,7 @@ __all__ = [
     "frame_stats",
     "half_magnitudes",
     "limit_of",
+    "star_heights",
     "statistics_of",
 ]
 
@@ -118,6 +119,11 @@ def frame_stats(
         solved=solve(seen),
         seen=seen,
     )
+
+
+def star_heights(seen: Detections, field: FieldStars) -> FloatArray:
+    """Significance at which each catalogue star (n,) was found; 0 if it was not."""
+    return _pairs(seen, field)[0]
 
 
 def _pairs(seen: Detections, field: FieldStars) -> tuple[FloatArray, IntArray]:

@@ -14,7 +14,8 @@ from experiments.harness.progress import Progress
 from experiments.twin.classify import Told, tell_apart
 from experiments.twin.folder import night_frames
 from experiments.twin.hold_out import HeldOut, held_out
-from experiments.twin.report import SECTIONS, Sections, axes
+from experiments.twin.prescription import fit_lens_pose, write_prescription
+from experiments.twin.report import SECTIONS, Sections, axes, compared_words
 from experiments.twin.road import Reduced, black_level, reduce_night
 from experiments.twin.settings import Config
 from experiments.twin.synthetic import KnownNight, render_night
@@ -70,8 +71,20 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         hot=int(reduced.known.hot.sum()),
     )
     told = _told(reduced, compared)
+    pose = None
+    if config.prescription:
+        with progress.stage("focus and tilt of the known lens"):
+            pose = fit_lens_pose(Path(config.prescription), reduced.whole, reduced.known.limit_mag)
     return Sections(
-        reduced=reduced, whole=whole, compared=compared, twin=twin, told=told, truth=truth, name=name
+        reduced=reduced,
+        whole=whole,
+        compared=compared,
+        twin=twin,
+        told=told,
+        truth=truth,
+        name=name,
+        pose=pose,
+        prescription=config.prescription,
     ).records()
 
 
@@ -79,7 +92,16 @@ def files(result: Mapping[str, Any], folder: Path) -> None:
     """The twin's sensor file, with the lens and the detector that it names."""
     kept = result["kept"]
     twin: Twin = kept.twin
-    write_twin(twin, folder, faintest_mag=round(float(kept.limit_mag) + 0.5, 1), window_px=WINDOW_PX, name=kept.name)
+    write_twin(
+        twin,
+        folder,
+        faintest_mag=round(float(kept.limit_mag) + 0.5, 1),
+        window_px=WINDOW_PX,
+        name=kept.name,
+        compared=compared_words(result["comparison"], result["detected"]),
+    )
+    if kept.prescription:
+        write_prescription(Path(kept.prescription), result["pose"], folder)
 
 
 def _told(reduced: Reduced, compared: HeldOut) -> Told | None:

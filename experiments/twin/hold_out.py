@@ -12,14 +12,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.polynomial.legendre import legvander
 
-from calib.measure.background import estimate_background
 from calib.records import SensorImage
 from experiments.harness.progress import Progress
-from experiments.twin.compare import CLIP_PX, FrameStats, frame_stats
+from experiments.twin.compare import CLIP_PX, FrameStats, frame_stats, star_heights
 from experiments.twin.measure import CameraFit, Prepared, field_airmass, measure_camera, prepare, residuals
-from experiments.twin.night import field_stars, star_mask
+from experiments.twin.night import field_stars
+from experiments.twin.noise import BLOCK_PX
+from experiments.twin.photometry import POGSON
 from experiments.twin.solve import Detections, detections
 from experiments.twin.twin import Assumed, Twin, TwinRenderer, as_image, build_twin
 from optics.arrays import FloatArray
@@ -30,8 +31,10 @@ __all__ = ["Bias", "HeldOut", "held_out"]
 BRIGHTER_MAG = 1.5
 """Stars so much brighter than the limit tell the motion of single stars."""
 FEWEST = 8
-SKY_BOX_PX = 128
-"""The sky of a rendered frame is smooth on this scale: finer structure would carry the real frame's noise."""
+SKY_DEGREE, BLOCKS_PER_TERM = 10, 6
+"""Polynomial of the sky of a rendered frame: finer structure would carry the real frame's noise."""
+SURE_SIGMA = 8.0
+"""Stars of this significance are found whatever the noise does."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,12 +46,21 @@ class Bias:
         FloatArray  # (frames,) Motion of single stars per axis: residuals of bright stars beyond the rendered set
     )
     width_ln: FloatArray  # (frames,) Logarithm of the widths of bright stars, real over rendered
+    light_mag: FloatArray  # (frames,) How much brighter stars are in the filter of the detection, real over rendered
 
     def off(self, fit: CameraFit, frame: int | None = None) -> CameraFit:
         """A camera without it, for a frame or all of them."""
         shape = fit.psf.value.copy()
-        shape[3:5] += self.width_ln.mean() if frame is None else self.width_ln[frame]  # of the middle part, x and y
-        return replace(fit, psf=replace(fit.psf, value=shape))
+        at = slice(None) if frame is None else slice(frame, frame + 1)
+        shape[3:5] += self.width_ln[at].mean()  # of the middle part, x and y
+        above = fit.photometry.zero_point_above_mag
+        assert above is not None
+        light = replace(above, value=above.value + float(self.light_mag[at].mean()))
+        return replace(
+            fit,
+            psf=replace(fit.psf, value=shape),
+            photometry=replace(fit.photometry, zero_point_above_mag=light),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,7 +91,7 @@ def held_out(
     """Fit without each frame, render, reduce."""
     frames = len(known.night)
     mass = np.array([field_airmass(known, k, whole.camera, whole.attitudes) for k in range(frames)])
-    sky = [_sky(known, k, whole) for k in range(frames)]
+    sky = [_sky(known, k) for k in range(frames)]
 
     def twin_of(fit: CameraFit) -> Twin:
         return build_twin(
@@ -107,6 +119,11 @@ def held_out(
         renderer = TwinRenderer(twin)
         first = [rendered(whole, twin, renderer, k, None, streams.child("fold")) for k in range(frames)]
         bias = _bias(known, whole, first, black_level_dn)
+        # with the right width the light is right in the filter of the detection
+        twin = twin_of(bias.off(whole))
+        renderer = TwinRenderer(twin)
+        second = [rendered(whole, twin, renderer, k, None, streams.child("light")) for k in range(frames)]
+        bias = replace(bias, light_mag=_light(known, whole, second))
     fits: list[CameraFit] = []
     for k in progress.track(range(frames), "cameras without one frame", total=frames):
         used = [other for other in range(frames) if other != k] or [k]
@@ -140,14 +157,31 @@ def held_out(
     )
 
 
-def _sky(known: Prepared, frame: int, fit: CameraFit) -> FloatArray:
-    """Light of the sky (h, w) [e-] of a frame, its stars left out."""
-    one = known.night.frames[frame]
-    stars = field_stars(known.night, frame, fit.camera, fit.attitudes[frame])
-    masked: NDArray[np.bool_] = star_mask(one.image, stars, one.seen, known.hot, known.width_px)
-    box = min(SKY_BOX_PX, *(n // 2 for n in one.image.dn.shape))
-    found = estimate_background(one.image, box_px=box, exclude=masked & one.image.valid)
-    return np.maximum(found.level_image(), 0.0)
+def _sky(known: Prepared, frame: int) -> FloatArray:
+    """Light of the sky (h, w) [e-] of a frame, its stars left out: a polynomial through the levels of its blocks."""
+    blocks, image = known.blocks[frame], known.night.frames[frame].image
+    columns, count = blocks.columns, len(blocks.level_dn)
+    rows = count // columns
+    degree = next(d for d in range(SKY_DEGREE, -1, -1) if (d + 1) * (d + 2) * BLOCKS_PER_TERM <= 2 * count or not d)
+    terms = [(a, b) for a in range(degree + 1) for b in range(degree + 1 - a)]
+    x, y = ((2.0 * np.arange(n) + 1.0) / n - 1.0 for n in (columns, rows))
+    design = np.einsum("yb,xa->yxba", legvander(y, degree), legvander(x, degree)).reshape(count, degree + 1, -1)
+    design = np.stack([design[:, b, a] for a, b in terms], axis=1)
+    weight = np.nan_to_num(np.sqrt(blocks.count / blocks.variance_dn2))
+    found = np.zeros(len(terms))
+    for _ in range(3):
+        found = np.linalg.lstsq(design * weight[:, None], blocks.level_dn * weight, rcond=None)[0]
+        left = (blocks.level_dn - design @ found) * weight
+        weight = np.where(np.abs(left) < 4.0 * 1.4826 * np.median(np.abs(left[weight > 0])), weight, 0.0)
+    table = np.zeros((degree + 1, degree + 1))
+    for (a, b), value in zip(terms, found, strict=True):
+        table[b, a] = value
+    height, width = image.dn.shape
+    at = [
+        np.clip((2.0 * np.arange(n) + 1.0) / (BLOCK_PX * m) - 1.0, -1, 1) for n, m in ((width, columns), (height, rows))
+    ]
+    level = legvander(at[1], degree) @ table @ legvander(at[0], degree).T
+    return np.maximum(image.noise.to_electrons(level), 0.0)
 
 
 def _scatter_of(fit: CameraFit, frame: int, airmass: FloatArray) -> float:
@@ -175,7 +209,26 @@ def _bias(known: Prepared, whole: CameraFit, images: Sequence[SensorImage], blac
         floor_px=made.floor_px,
         motion_px=np.sqrt(np.maximum(squares[0] - squares[1], 0.0)),
         width_ln=np.clip(np.nan_to_num(np.log(widths[0] / widths[1])), -0.2, 0.2),
+        light_mag=np.zeros(len(frames)),
     )
+
+
+def _light(known: Prepared, whole: CameraFit, images: Sequence[SensorImage]) -> FloatArray:
+    """Median ratio [mag] of the significance of stars, real over rendered, in all frames but one (frames,).
+
+    A PSF misses a little of what it is fitted to; the height in the filter by which stars are found must be right.
+    """
+    ratios = []
+    for k, (frame, image) in enumerate(zip(known.night.frames, images, strict=True)):
+        stars = field_stars(known.night, k, whole.camera, whole.attitudes[k])
+        real, twin = (star_heights(seen, stars) for seen in (frame.seen, detections(image)))
+        good = (stars.magnitude < known.limit_mag - 1.0) & (np.minimum(real, twin) > SURE_SIGMA)
+        ratios.append(POGSON * np.log(real[good] / twin[good]))
+    out = np.zeros(len(ratios))
+    for k in range(len(ratios)):
+        others = np.concatenate([one for j, one in enumerate(ratios) if j != k or len(ratios) == 1])
+        out[k] = np.clip(np.median(others), -0.2, 0.2) if len(others) >= FEWEST else 0.0
+    return out
 
 
 def _bright_width(fit: CameraFit, limit_mag: float, without: int) -> float:

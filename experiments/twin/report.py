@@ -27,6 +27,7 @@ from experiments.twin.compare import (
 from experiments.twin.hold_out import HeldOut
 from experiments.twin.measure import CameraFit, Centroids, residuals
 from experiments.twin.photometry import COLOUR_KNOTS
+from experiments.twin.prescription import LensPose
 from experiments.twin.synthetic import KnownNight, true_values
 from experiments.twin.twin import Twin
 from optics.arrays import FloatArray
@@ -34,7 +35,7 @@ from optics.arrays import FloatArray
 if TYPE_CHECKING:
     from experiments.twin.road import Reduced
 
-__all__ = ["SECTIONS", "Sections", "axes"]
+__all__ = ["SECTIONS", "Sections", "axes", "compared_words"]
 
 FALSE_ALARM = 0.01
 COMPLETENESS_LIMIT = 0.03
@@ -342,6 +343,7 @@ class Kept:
     real: tuple[FloatArray, ...]  # Frames as read
     rendered: tuple[FloatArray, ...]
     notes: tuple[str, ...]
+    prescription: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -355,6 +357,8 @@ class Sections:
     told: Told | None
     truth: KnownNight | None
     name: str
+    pose: LensPose | None = None
+    prescription: str = ""
 
     def records(self) -> dict[str, Any]:
         """Section -> record or records."""
@@ -371,6 +375,7 @@ class Sections:
                 real=tuple(one.image.dn for one in reduced.known.night.frames),
                 rendered=tuple(one.dn for one in self.compared.images),
                 notes=reduced.notes,
+                prescription=self.prescription,
             ),
             "camera": numbers,
             "frames": frame_numbers(reduced, self.whole, self.compared),
@@ -400,6 +405,7 @@ class Sections:
             "features": None
             if self.told is None
             else [Feature(name=name, effect=float(one)) for name, one in zip(FEATURES, self.told.effect, strict=True)],
+            "pose": self.pose,
             "truth": None if self.truth is None else self._truth(self.truth, numbers),
         }
 
@@ -488,6 +494,21 @@ class Sections:
             pull = (found.value - true) / (found.uncertainty or np.nan)
             out.append(TrueNumber(name=f"{name}|{unit}", found=found, true=true, pull=float(pull)))
         return out
+
+
+def compared_words(statistics: Sequence[Compared], detected: Detected) -> list[str]:
+    """How close the twin is to the camera, for whoever uses frames of it: a line per statistic that was judged."""
+    out = []
+    for one in statistics:
+        _, label, unit = one.key.split("|")
+        if one.within:
+            values = f"{one.real.value:.4g}, rendered {one.twin.value:.4g}{' ' + unit if unit else ''}"
+            out.append(f"{label}: real {values}{'' if one.within == 'yes' else ' (more than is allowed)'}")
+    if detected.area is not None:
+        out.append(
+            f"star windows told apart with an area under the ROC curve of {detected.area.value:.2f} (0.5: not at all)"
+        )
+    return out
 
 
 # --- Axes, verdicts, pictures
@@ -737,6 +758,13 @@ SECTIONS: dict[str, Section] = {
         table="features",
         caption="By what real and rendered star windows differ.",
         figures={"feature_bars": bars("feature", bars="feature_effect")},
+    ),
+    "pose": Section(
+        record=LensPose,
+        prefix="lens_",
+        vertical=True,
+        table="pose",
+        caption="The lens of the sensor file, its detector where the frames put it.",
     ),
     "truth": Section(
         record=TrueNumber,

@@ -16,6 +16,8 @@ from calib.measure.hot_pixels import find_hot_pixels
 from experiments.harness.progress import Progress
 from experiments.twin.camera import Order, Zenith, attitudes_of, fit_refraction, fit_zenith, zenith_of
 from experiments.twin.camera import calibrated as calibrate_order
+from experiments.twin.compare import star_heights
+from experiments.twin.faults import clouded, shape_words, what_is_wrong
 from experiments.twin.folder import NightFrame
 from experiments.twin.measure import (
     CameraFit,
@@ -27,9 +29,9 @@ from experiments.twin.measure import (
     noise_of,
     prepare,
 )
-from experiments.twin.night import Frame, Night, stars_about, with_noise
+from experiments.twin.night import Frame, Night, field_stars, stars_about, with_noise
 from experiments.twin.settings import Config
-from experiments.twin.solve import Solved, Solver, detections, solve_all, what_is_wrong
+from experiments.twin.solve import FIELDS_DEG, Solved, Solver, detections, solve_all
 from experiments.twin.synthetic import KnownNight
 from optics.errors import DomainError
 from render.sky.sky import Sky, load_sky
@@ -37,6 +39,10 @@ from render.sky.sky import Sky, load_sky
 __all__ = ["Reduced", "black_level", "reduce_night"]
 
 FEWEST_FOR_HOT = 3
+FEWEST_FOR_OTHER = 12
+"""Detections from which a frame is tried as one of another camera."""
+SURE_MAG = 1.2
+"""Stars so much brighter than the limit are found in clear sky."""
 CATALOGUE_MAG = 10.0
 REFRACTIONS_ARCSEC = (20.0, 58.3, 90.0)
 
@@ -90,8 +96,8 @@ def reduce_night(
     words = [
         *notes,
         *(
-            f"{solved[k].name}: {what_is_wrong(solved[k], _fill(solved[k]))}"
-            for k in range(len(solved))
+            f"{one.name}: {_other_camera(one, solver) or what_is_wrong(one)}"
+            for k, one in enumerate(solved)
             if k not in rows
         ),
     ]
@@ -109,6 +115,7 @@ def reduce_night(
             image = with_noise(replace(one.image, valid=one.image.valid & ~hot), noise)
             again.append(replace(one, image=image, seen=detections(image)))
         known = prepare(replace(night, frames=tuple(again)), made, hot)
+        words += _faults(known)
     with progress.stage("order of the camera model"):
         order, tried = cross_validate(known, config.orders)
         if len(night) < 2:
@@ -171,21 +178,43 @@ def _again(solved: list[Solved], solver: Solver) -> list[Solved]:
     return out
 
 
-def _fill(one: Solved) -> float:
-    """Share of the range that the background takes."""
-    conversion = one.image.conversion
-    full = (
-        conversion.full / conversion.step if conversion is not None and conversion.full else float(one.image.dn.max())
+def _other_camera(one: Solved, solver: Solver) -> str:
+    """Whether a frame that the scale of the others does not solve is of another camera."""
+    if solver.focal_px is None or one.seen.sane.sum() < FEWEST_FOR_OTHER:
+        return ""
+    found, model = Solver(*solver.size_px, fields_deg=FIELDS_DEG[:3]).identify(one.seen)
+    if not found.ok:
+        return ""
+    focal = model.value("focal_length_mm")
+    return (
+        f"frames of two cameras: solved with {focal:.1f} px per radian where the others show {solver.focal_px:.1f}; "
+        "left out. Folders of one camera and one focus are needed"
     )
-    return float(np.median(one.image.dn)) / max(full, 1.0)
+
+
+def _faults(known: Prepared) -> list[str]:
+    """What is wrong with frames that were solved nevertheless."""
+    out = []
+    for k, frame in enumerate(known.night.frames):
+        shape = shape_words(frame.image, frame.seen)
+        if shape:
+            out.append(f"{frame.name}: {shape}. Solved all the same; the twin holds such images")
+        stars = field_stars(known.night, k, known.camera, known.attitudes[k])
+        sure = (stars.magnitude < known.limit_mag - SURE_MAG) & known.camera.geometry.contains(stars.place_px)
+        share = clouded(frame.image, stars.place_px[sure], (star_heights(frame.seen, stars) > 0.0)[sure])
+        if share > 0.0:
+            out.append(
+                f"{frame.name}: clouds or an obstacle over about {100 * share:.0f} % of the frame: most of its bright "
+                "stars are missing there. Attitude and camera hold; completeness and light are too low"
+            )
+    return out
 
 
 def _refuse_unsolved(solved: Sequence[Solved], rows: Sequence[int]) -> None:
     if not rows:
         first = solved[0]
         raise DomainError(
-            f"none of {len(solved)} frames shows stars that can be named; {first.name}: "
-            f"{what_is_wrong(first, _fill(first))}"
+            f"none of {len(solved)} frames shows stars that can be named; {first.name}: {what_is_wrong(first)}"
         )
 
 

@@ -74,6 +74,9 @@ class Config(ExperimentConfig):
         max_length=5,
         description="camera models that are tried, the simplest first",
     )
+    prescription: FileName = Field(
+        default="", description="sensor file of a known lens, whose focus, tilt and decentre the frames tell"
+    )
     realisations: int = Field(default=5, ge=2, le=100, description="sets of frames that the twin renders")
     night: NightConfig = NightConfig()
 
@@ -86,13 +89,18 @@ class Config(ExperimentConfig):
 
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
-        """What a sensor file says of the camera before its frames are read: pixel pitch and exposure time."""
+        """What a sensor file says before frames are read: pitch, exposure time, whether its lens can be traced."""
         from experiments.laboratory.sensor_file import whole_sensor
+        from experiments.twin.prescription import has_prescription
         from render.detector.spec import load_detector
 
         instrument = whole_sensor(file)["instrument"]
         chip = load_detector(instrument["detector"])
-        return {"camera": {"pixel_pitch_um": chip.pixel_pitch_mm * 1e3, "exposure_s": instrument["exposure_s"]}}
+        known = {"prescription": str(file.resolve())} if has_prescription(file) else {}
+        return {
+            "camera": {"pixel_pitch_um": chip.pixel_pitch_mm * 1e3, "exposure_s": instrument["exposure_s"]},
+            **known,
+        }
 
     def as_sensor(self, file: Path | None) -> StrictModel | None:
         """The sensor file that was given; the twin's own is written by a run."""

@@ -27,7 +27,7 @@ from experiments.harness.progress import Progress
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 
-__all__ = ["Detections", "Solved", "Solver", "detections", "matched", "solve_all"]
+__all__ = ["FIELDS_DEG", "Detections", "Solved", "Solver", "detections", "matched", "solve_all"]
 
 THRESHOLD_SIGMA = 5.0
 WINDOW_PX = 11
@@ -39,8 +39,6 @@ FIELD_REACH, STATED_REACH = 0.3, 0.06
 FEWEST = 4
 BRIGHTEST = 80
 """Detections that the blind search may look at."""
-WIDE_PX = 2.5
-"""Width from which stars count as out of focus: the Gaussian fit sees only the middle of a disk."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,9 +107,11 @@ class Solved:
 class Solver:
     """Blind identification; what the first frame tells of the scale narrows the search for the next ones."""
 
-    def __init__(self, width_px: int, height_px: int, *, field_deg: float | None = None) -> None:
+    def __init__(
+        self, width_px: int, height_px: int, *, field_deg: float | None = None, fields_deg: Sequence[float] = ()
+    ) -> None:
         self.size_px = (width_px, height_px)
-        self._fields = FIELDS_DEG if field_deg is None else (field_deg,)
+        self._fields = tuple(fields_deg) or FIELDS_DEG if field_deg is None else (field_deg,)
         self._reach = FIELD_REACH if field_deg is None else STATED_REACH
         self._databases: dict[float, Any] = {}
         self.focal_px: float | None = None
@@ -190,22 +190,6 @@ def solve_all(
             progress.note(out[-1].line)
             stage.advance()
     return out
-
-
-def what_is_wrong(one: Solved, level_fraction: float) -> str:
-    """The likely reason why a frame has no solution, and what it still tells."""
-    seen = one.seen
-    good = seen.sane
-    if level_fraction > 0.5:
-        return "daylight or twilight: the background takes more than half of the range; exposures after dusk are needed"
-    if good.sum() < 4:
-        return "no stars: fewer than 4 detections; lens cap, clouds or too short an exposure. Noise was measured"
-    width = float(np.nanmedian(seen.stars.width_px[good]))
-    if width > WIDE_PX:
-        return f"out of focus: stars are {width:.1f} px wide (sigma); centroids hold, identification lacks faint stars"
-    if "mirrored" in one.words:
-        return one.words
-    return f"{int(good.sum())} detections match no part of the sky: {one.words}"
 
 
 def matched(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +17,7 @@ from calib.records import NoiseModel, SensorImage
 from experiments.twin.measure import CameraFit
 from experiments.twin.night import REFERENCE_K, FieldStars
 from experiments.twin.photometry import COLOUR_KNOTS, POGSON, REFERENCE_KNOT
-from experiments.twin.psf import PsfModel
+from experiments.twin.psf import REFERENCE_CLASS, PsfModel
 from optics.arrays import FloatArray
 from optics.export.write import write_measured_lens
 from optics.lens.measured import GaussianMixture, MeasuredLens
@@ -41,9 +42,14 @@ STIFFNESS_MAG = 0.5
 """How far the correction may bend at a knot without evidence."""
 PSF_NODES = (5, 4)
 PSF_WAVES_NM = (500.0, 800.0)
+CLASS_K = (3400.0, 4880.0, 6330.0, 10500.0)
+"""Colour temperatures that stand for the classes of the PSF: means of the brightest stars (G < 7) of the sky."""
+PSF_TRUST = 0.02
+"""Logarithm of a width or share: what three Gaussians in four classes cannot describe."""
+CORE_SLOPE, WIDTH_SLOPE = 3.0, 0.3
+"""How far the logarithms of core and width may change from node to node without evidence."""
 HIGHEST_TRANSMISSION = 0.9
-LEAST_SHARE, NARROWEST_PX = 0.005, 0.05
-"""Of a Gaussian at the nodes: a line through the classes of colour may lead below."""
+NARROWEST_PX = 0.05
 NODES = 6
 DETECTOR_KEYS = """
     name source chip_width_px chip_height_px prnu dark_current_e_per_s dark_reference_c dark_doubling_c
@@ -241,49 +247,73 @@ def _lens(
 
 
 def mixture(psf: PsfModel, pitch_mm: float, response: FloatArray) -> GaussianMixture:
-    """The PSF as tables; the widths of the colour classes become linear in wavelength, by their mean wavelengths."""
-    temperature = (3900.0, 5000.0, 6200.0, 9500.0)
-    rates = np.stack([_photons(one) * response for one in temperature])
-    wave = (rates * WAVELENGTHS_NM).sum(axis=1) / rates.sum(axis=1)
-    nodes = np.array(PSF_WAVES_NM)
-
-    # classes without stars, whose changes are held at 0, have no say
-    error = np.insert(np.sqrt(np.diag(psf.covariance)[15:18]), 1, 0.0)
-    weight = np.where((error > 0.0) | (np.arange(4) == 1), 1.0 / (error + 0.05), 0.0)
-
-    def at_nodes(of_class: FloatArray) -> FloatArray:
-        """Lines through the values of the classes (4, ...), at the nodes."""
-        if (weight > 0.0).sum() < 2:
-            return np.repeat(of_class[1:2], len(nodes), axis=0)
-        slope, level = np.polyfit(wave, of_class.reshape(4, -1), 1, w=weight)
-        return (level + slope * nodes[:, None]).reshape(len(nodes), *of_class.shape[1:])
-
+    """The PSF as tables: one PSF at every node of wavelength, so that the classes of colour come out as measured."""
+    at_nodes = psf_of_wavelengths(psf, response)
     width, height = psf.size_px
     x, y = (np.linspace(0.0, n - 1.0, count) for n, count in ((width, PSF_NODES[0]), (height, PSF_NODES[1])))
-    grid = np.stack(np.meshgrid(x, y), axis=-1)
-    places, table = grid.reshape(-1, 2), (4, len(y), len(x), 3)
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    reference = np.full(len(places), REFERENCE_CLASS)
     share, along_x, along_y = (
-        np.reshape([[part[k] for part in psf.parts(places, np.full(len(places), one))] for one in range(4)], (4, 3, -1))
+        np.array([[part[k] for part in one.parts(places, reference)] for one in at_nodes])
         .transpose(0, 2, 1)
-        .reshape(table)
+        .reshape(len(at_nodes), len(y), len(x), 3)
         for k in range(3)
     )
-    light = np.maximum(at_nodes(share), LEAST_SHARE)
-    variance = [np.maximum(at_nodes(one**2), NARROWEST_PX**2) * pitch_mm**2 for one in (along_x, along_y)]
+    variance = [np.maximum(one, NARROWEST_PX) ** 2 * pitch_mm**2 for one in (along_x, along_y)]
     return GaussianMixture(
-        wavelength_nm=nodes,
+        wavelength_nm=np.array(PSF_WAVES_NM),
         y_mm=(y - (height - 1.0) / 2.0) * pitch_mm,
         x_mm=(x - (width - 1.0) / 2.0) * pitch_mm,
-        share=light / light.sum(axis=-1, keepdims=True),
-        offset_mm=np.zeros((*light.shape, 2)),
-        covariance_mm2=np.stack([*variance, np.zeros_like(light)], axis=-1),
+        share=share / share.sum(axis=-1, keepdims=True),
+        offset_mm=np.zeros((*share.shape, 2)),
+        covariance_mm2=np.stack([*variance, np.zeros_like(share)], axis=-1),
     )
+
+
+def psf_of_wavelengths(psf: PsfModel, response: FloatArray) -> list[PsfModel]:
+    """A PSF (its reference class) for each node, which stars of the four classes see mixed as their spectra are.
+
+    Core and width of a class are strongly correlated: both are fitted together, with the covariance of the PSF's fit.
+    """
+    rates = np.stack([_photons(one) * response for one in CLASS_K])
+    hats = np.stack([np.interp(WAVELENGTHS_NM, PSF_WAVES_NM, row) for row in np.eye(len(PSF_WAVES_NM))])
+    light = rates @ hats.T / rates.sum(axis=1)[:, None]  # (4, nodes) Share of a class's light that a node stands for
+    known = np.array([0, 3, *np.arange(12, 18)])
+    covariance = psf.covariance[np.ix_(known, known)]
+    free = np.diag(covariance) > 0.0  # classes without stars have no say
+    root = np.linalg.cholesky(np.linalg.inv(covariance[np.ix_(free, free)] + PSF_TRUST**2 * np.eye(int(free.sum()))))
+    count, outer = len(PSF_WAVES_NM), float(np.exp(psf.value[1]))
+    others = np.arange(len(CLASS_K)) != REFERENCE_CLASS
+
+    def seen(p: FloatArray) -> FloatArray:
+        """Logarithms of core over middle and of the middle's width of the classes, as the PSF holds them."""
+        inner = np.exp(p[:count])
+        core, middle = inner / (1.0 + inner + outer), 1.0 / (1.0 + inner + outer)
+        ratio = np.log(light @ core) - np.log(light @ middle)
+        width = 0.5 * np.log(light @ (middle * np.exp(2.0 * p[count:])) / (light @ middle))
+        at = REFERENCE_CLASS
+        return np.concatenate([[ratio[at], width[at]], (width - width[at])[others], (ratio - ratio[at])[others]])
+
+    def misfit(p: FloatArray) -> FloatArray:
+        bend = np.concatenate([np.diff(p[:count]) / CORE_SLOPE, np.diff(p[count:]) / WIDTH_SLOPE])
+        return np.concatenate([root.T @ (seen(p) - psf.value[known])[free], bend])
+
+    start = np.repeat(psf.value[[0, 3]], count)
+    found = least_squares(misfit, start, bounds=(start - 3.0, start + 3.0)).x
+    out = []
+    for core, width in found.reshape(2, count).T:
+        value = psf.value.copy()
+        value[0], value[3:5] = core, psf.value[3:5] + width - psf.value[3]
+        out.append(replace(psf, value=value))
+    return out
 
 
 # --- Files
 
 
-def write_twin(twin: Twin, folder: Path, *, faintest_mag: float, window_px: int, name: str) -> tuple[Path, ...]:
+def write_twin(
+    twin: Twin, folder: Path, *, faintest_mag: float, window_px: int, name: str, compared: Sequence[str] = ()
+) -> tuple[Path, ...]:
     """``sensor.toml``, ``lens.toml`` and ``detector.toml`` in a folder."""
     lens = write_measured_lens(twin.lens, folder / "lens.toml")
     detector, sensor = folder / "detector.toml", folder / "sensor.toml"
@@ -300,8 +330,9 @@ def write_twin(twin: Twin, folder: Path, *, faintest_mag: float, window_px: int,
     detector.write_text("\n".join(lines) + "\n", encoding="utf-8")
     text = [
         f"name = {_toml(name)}",
-        'centroid = "gaussian"',
+        'centroid = "epsf"',
         f"window_px = {window_px}",
+        f"compared = [{', '.join(_toml(one) for one in compared)}]",
         "",
         "[instrument]",
         'lens = "lens.toml"',

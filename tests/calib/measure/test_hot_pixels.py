@@ -89,7 +89,7 @@ def test_eight_real_frames():
     trails, count = [], {5.0: 0, 6.0: 0}
     for image in (without_pixels(image, hot.mask) for image in images):
         noise = detection_noise(image)
-        assert 1.0 <= noise.scale < 1.08
+        assert 1.0 <= noise.scale < 1.15  # stars too faint to be found, structure of 8 px
         for sigma in count:
             stars = detect(image, threshold_sigma=sigma, noise=noise)
             member = has_flag(stars.flags, StarFlag.TRAIL)
