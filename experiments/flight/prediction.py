@@ -36,13 +36,18 @@ from experiments.flight.scenario import STATES, Flight, trail_of_rate
 from experiments.flight.settings import Config
 from experiments.laboratory.catalogue import load_catalogue
 from experiments.laboratory.detector_changes import DetectorConfig
-from experiments.laboratory.housing import expansion_per_k
-from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector, configured_lens
+from experiments.laboratory.instrument import (
+    Instrument,
+    build_instrument,
+    configured_detector,
+    configured_lens,
+    housing_of,
+)
 from optics.arrays import FloatArray
 from optics.attitude import aberrated
 from optics.errors import DomainError
 from optics.lens.system import LensSystem
-from optics.lens.thermal import Housing, ThermalState, heated_lens
+from optics.lens.thermal import ThermalState, heated_lens
 from optics.units import RAD_ARCSEC
 from render.catalogue.motion import directions_at
 from render.catalogue.temperature import star_temperature
@@ -107,9 +112,8 @@ def heated(config: Config, state_k: FloatArray) -> LensSystem:
             f"lens {lens.name!r} is described without glass: it has no thermal model; set the amplitudes of "
             "[temperature] to 0"
         )
-    housing = Housing(expansion_per_k=expansion_per_k(config.instrument.housing))
     try:
-        return heated_lens(lens, ThermalState.of(np.asarray(state_k, float)), housing)
+        return heated_lens(lens, ThermalState.of(np.asarray(state_k, float)), housing_of(config.instrument.housing))
     except DomainError as error:
         raise DomainError(f"temperature: {error}") from None
 

@@ -38,10 +38,8 @@ LARGEST_PPM_PER_K = 200.0
 """Polymers reach some 100."""
 
 
-def expansion_per_k(housing: str | float | HousingConfig) -> float:
-    """Linear expansion [1/K] of a material by name, of a number in 1e-6/K, or of a barrel."""
-    if isinstance(housing, HousingConfig):
-        return expansion_per_k(housing.material)
+def expansion_per_k(housing: str | float) -> float:
+    """Linear expansion [1/K] of a material by name, or of a number in 1e-6/K."""
     if isinstance(housing, str):
         if housing not in EXPANSION_PPM_PER_K:
             raise unknown_name("material of a housing", housing, EXPANSION_PPM_PER_K)

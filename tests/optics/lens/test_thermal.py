@@ -15,7 +15,7 @@ from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import LensSystem, Surface
 from optics.lens.thermal import COMPONENTS, Housing, Mount, ThermalState, heated_lens, with_spacers
 from optics.lens_file import load_lens
-from optics.rays.chief import chief_ray_points
+from optics.rays.chief import chief_ray_points, plate_scale_mm
 from optics.rays.paraxial import paraxial
 from optics.rays.trace import Rays, trace
 
@@ -24,11 +24,11 @@ ALUMINIUM = 23.6e-6
 ARCSEC = np.radians(1.0 / 3600.0)
 
 
-def glass(name="g", *, cte=0.0, d0=0.0):
+def glass(name="g", *, cte=0.0, d0=0.0, index=1.5):
     return Glass(
         name=name,
         source="made up",
-        dispersion=Dispersion.constant(1.5),
+        dispersion=Dispersion.constant(index),
         range_nm=(400.0, 900.0),
         cte_per_k=cte,
         dndt=ThermalDispersion(D0=d0, D1=0.0, D2=0.0, E0=0.0, E1=0.0, lambda_tk_um=0.2),
@@ -189,6 +189,33 @@ def test_a_plate_becomes_a_lens():
     np.testing.assert_allclose(turned, -height * power, rtol=1e-3)
 
 
+def test_cemented_plates_add_up():
+    """Wedge and lens of two glasses: the sums over both of what either is alone."""
+    two = (glass("g", cte=7e-6, d0=3e-5), glass("k", cte=12e-6, d0=-2e-5, index=1.7))
+    shapes = (Plane(), Plane(), Plane(), Sphere(radius_mm=100.0), Plane())
+    lens = lens_of(
+        shapes, (2.0, 7.0, 10.0, 20.0, 20.0), ("g", "k", "air", "h", "air"), 220.0, glasses=(*two, glass("h"))
+    )
+    lens = replace(
+        lens, surfaces=tuple(replace(s, element="E2" if i > 3 else s.element) for i, s in enumerate(lens.surfaces))
+    )
+    n = lens.indices(600.0)[2:4]
+    wedge = sum(
+        t * ((n_i - 1.0) * cte + slope)
+        for t, n_i, cte, slope in zip((5.0, 3.0), n, (7e-6, 12e-6), (dndt(3e-5), dndt(-2e-5, 1.7)), strict=True)
+    )
+    thermal = sum(
+        t * (1.2 * (n_i - 1.0) * cte + slope)
+        for t, n_i, cte, slope in zip((5.0, 3.0), n, (7e-6, 12e-6), (dndt(3e-5), dndt(-2e-5, 1.7)), strict=True)
+    )
+    warm = heated_lens(lens, ThermalState(transverse_y_k=2.0), Housing(expansion_per_k=0.0, diameter_mm=40.0))
+    assert float(chief_ray_points(warm, 0.0, 0.0)[1]) == pytest.approx(200.0 * wedge * 2.0 / 40.0, rel=2e-3)
+    warm = heated_lens(lens, ThermalState(radial_k=5.0), Housing(expansion_per_k=0.0, poisson_ratio=0.2))
+    rays = Rays.create(x_mm=[0.5, 4.0], y_mm=0.0, direction=[0.0, 0.0, 1.0], wavelength_nm=600.0)
+    turned = trace(replace(warm, surfaces=warm.surfaces[:4], image_position_mm=np.array([0, 0, 15.0])), rays).dx
+    np.testing.assert_allclose(turned, np.array([0.5, 4.0]) * 2.0 * 5.0 * thermal / 20.0**2, rtol=2e-3)
+
+
 def test_the_centre_of_a_warm_rim_is_cold():
     """Mean over the area unchanged: half the difference at the centre, by index and by thickness."""
     alpha, d0 = 7e-6, 3e-5
@@ -224,3 +251,48 @@ def test_input_that_cannot_be():
         heated_lens(LENS, ThermalState(mean_k=1.0), replace(housing, mounts={"L6": Mount(front_radius_mm=90.0)}))
     with pytest.raises(DomainError, match="diameter_mm"):
         Housing(expansion_per_k=0.0, diameter_mm=0.0)
+
+
+@pytest.mark.parametrize(("radii", "thickness"), [((60.0, -90.0), 15.0), ((-80.0, -40.0), 12.0)])
+def test_thick_elements_with_a_radial_gradient_of_the_index(radii, thickness):
+    """Against the matrix of a rod with n(r) = n0 + n2 r^2 (Yariv 1967): the faces stand for it within 0.1 %."""
+    lens = lens_of(
+        tuple(Sphere(radius_mm=r) for r in radii),
+        (5.0, 5.0 + thickness),
+        ("g", "air"),
+        100.0,
+        glasses=(glass(d0=3e-5),),
+    )
+    warm = heated_lens(lens, ThermalState(radial_k=8.0), Housing(expansion_per_k=0.0))
+    n, slope = float(lens.indices(600.0)[2]), dndt(3e-5)
+
+    def power(n0, n2):
+        g = np.sqrt(complex(-2.0 * n2 / n0)) or 1e-12
+        rod = np.array(
+            [
+                [np.cos(g * thickness), np.sin(g * thickness) / (n0 * g)],
+                [-n0 * g * np.sin(g * thickness), np.cos(g * thickness)],
+            ]
+        )
+        front, back = (
+            np.array([[1.0, 0.0], [-(s * (n0 - 1.0)) / r, 1.0]]) for s, r in zip((1.0, -1.0), radii, strict=True)
+        )
+        return -(back @ rod @ front)[1, 0].real
+
+    change = power(n - 4.0 * slope, slope * 8.0 / 20.0**2) - power(n, 0.0)
+    assert 1.0 / paraxial(lens).efl_mm == pytest.approx(power(n, 0.0), rel=1e-9)
+    assert 1.0 / paraxial(warm).efl_mm - 1.0 / paraxial(lens).efl_mm == pytest.approx(change, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("ppm", "focus_um", "scale_ppm", "corner_px"),
+    [(23.6, 4.55, 33.0, 0.076), (8.6, 6.46, 25.0, 0.058), (1.3, 7.41, 21.0, 0.049)],
+)
+def test_figures_of_the_206_mm_lens_in_three_housings(ppm, focus_um, scale_ppm, corner_px):
+    """Per kelvin over 20 K, as an earlier study of uniform temperatures has them."""
+    warm = heated_lens(LENS, ThermalState(mean_k=20.0), Housing(expansion_per_k=ppm * 1e-6))
+    focus = [paraxial(one).rear_focus_z_mm - one.image_position_mm[2] for one in (LENS, warm)]
+    assert 1e3 * (focus[1] - focus[0]) / 20.0 == pytest.approx(focus_um, rel=0.01)
+    assert 1e6 * np.log(plate_scale_mm(warm) / plate_scale_mm(LENS)) / 20.0 == pytest.approx(scale_ppm, rel=0.04)
+    corner = [chief_ray_points(one, 3.5, 0.0)[0] for one in (LENS, warm)]
+    assert (corner[1] - corner[0]) / 5.5e-3 / 20.0 == pytest.approx(corner_px, rel=0.03)
