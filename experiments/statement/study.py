@@ -99,6 +99,11 @@ def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str |
     camera = declared("camera")
     config = configuration(camera, Options(sensor=tuple(sensor), settings=tuple(settings)))
     outcome = camera.outcome(config, camera.part(camera.predict)(config, progress=Progress()))
+    asked = {key for key, value in config.requirements.model_dump().items() if value is not None}
+    if asked - {one.key for one in outcome.result["requirements"]}:  # those over temperature
+        shorter = config.tornado.model_copy(update={"parameters": ()})
+        config = config.model_copy(update={"tornado": shorter, "predict_only": True})
+        outcome = camera.outcome(config, camera.part(camera.run)(config, progress=Progress()))
     number = _Numbers(outcome)
     setup, judged = outcome.result["setup"], outcome.result["requirements"]
     thermal, refusal = _sensitivity(config, number("field_diagonal_deg"))
@@ -112,7 +117,6 @@ def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str |
         *_aberration(),
         *([] if told is None else _flight(told, str(flight))),
     ]
-    asked = {key for key, value in config.requirements.model_dump().items() if value is not None}
     return Statement(
         name=setup.name,
         lens=setup.lens,

@@ -11,6 +11,7 @@ from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.lens.shapes.plane import Plane
 from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import AMBIENT, LensSystem
+from optics.lens.thermal import Housing, ThermalState, heated_lens
 from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points, plate_scale_mm
 from optics.rays.paraxial import paraxial
@@ -75,8 +76,14 @@ def everything_askew(lens):
     return tilt_image(tilt(decentre(lens, lens.elements[0], 0.1, 0.05), lens.elements[-2], -0.2, 0.3), 0.5, 0.4)
 
 
+def heated(lens):
+    """Every element its own glass, bent, a wedge and a conicoid."""
+    state = ThermalState(mean_k=8.0, axial_k=6.0, transverse_x_k=5.0, transverse_y_k=-3.0, radial_k=4.0)
+    return heated_lens(lens, state, Housing(expansion_per_k=23.6e-6))
+
+
 @pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"])
-@pytest.mark.parametrize("change", [centred, tilted, decentred, everything_askew])
+@pytest.mark.parametrize("change", [centred, tilted, decentred, everything_askew, heated])
 def test_rays_agree_with_batoid(name, change):
     batoid = pytest.importorskip("batoid")
     lens = change(load_lens(name))
