@@ -1,0 +1,122 @@
+"""Lines of the budget from drawn errors of many benches; terms by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from experiments.cube import bench as cube_bench
+from experiments.cube import budget as study
+from experiments.cube.budget import build_budget, eq14_arcsec, perfect_sensor, sigma1_arcsec, terms
+from experiments.cube.montecarlo import CASES, CaseResult
+from experiments.cube.settings import Config
+
+SEEN, SENSOR = np.array([0.2, 0.2, 0.2]), np.array([0.3, 0.1, 0.2])
+
+
+@pytest.fixture(scope="module")
+def laboratory(engine):
+    return cube_bench.build_laboratory(Config(benches={"count": 2}))
+
+
+@pytest.fixture(scope="module")
+def single(laboratory):
+    return terms(laboratory, perfect_sensor(laboratory), np.array([0.5, 0.25]))
+
+
+def benches_of(case, sigma, count, seed=1):
+    """Benches whose errors are normal, of the sensor a third, half as large as it states."""
+    drawn = sigma * np.random.default_rng(seed).standard_normal((count, 3))
+    made = [
+        SimpleNamespace(
+            error_arcsec=one,
+            sensor_error_arcsec=one / 3.0,
+            sensor_sigma_arcsec=2.0 * sigma / 3.0,
+            trims=(SimpleNamespace(rows=[1, 2, 3]), SimpleNamespace(rows=[1])),
+        )
+        for one in drawn
+    ]
+    return CaseResult(case=case, bench=tuple(made))
+
+
+def test_equations_13_and_14_with_the_right_units(laboratory):
+    """7 um over 650 mm, halved by the mirror, is what the document misprints as 2.34 arcsec; its sum with 2, 2, 0.4."""
+    pixel = sigma1_arcsec(laboratory)
+    assert pixel == pytest.approx(2.38, abs=0.01)
+    assert eq14_arcsec(laboratory) == pytest.approx(np.sqrt(pixel**2 + 4.0 + 4.0 + 0.16), rel=1e-9)
+
+
+def test_terms_alone(laboratory, single):
+    pixel, repeats = sigma1_arcsec(laboratory), np.sqrt(laboratory.config.cube.repeats)
+    assert single["pixel"] == pytest.approx([pixel / repeats] * 3)
+    assert single["trim"] * repeats == pytest.approx(pixel * np.array([0.25, 0.5, 0.25]))
+    assert single["mounting"] * repeats == pytest.approx([2.0] * 3)
+    outer, inner = laboratory.config.table.outer_reading_arcsec, laboratory.config.table.inner_reading_arcsec
+    assert single["reading"] * repeats == pytest.approx([outer, inner, outer])
+    assert single["square"][2] == pytest.approx(1.0, rel=0.05)  # 2 arcsec, half of which cancels; about z alone
+    assert np.abs(single["square"][:2]).max() < 0.02
+
+
+def test_lines_of_benches_that_err_as_predicted(laboratory, single, monkeypatch):
+    """400 benches a case: the RMS of an axis known to 1 / sqrt(800), with its stated uncertainty."""
+    monkeypatch.setattr(study, "_noise", lambda *_: (SEEN, SENSOR))
+    monkeypatch.setattr(study, "play_trim", lambda *_: np.array([0.5, 0.25]))
+    on = {
+        "pixel": ["pixel"],
+        "trim": ["trim"],
+        "square": ["square"],
+        "mounting": ["mounting"],
+        "reading": ["reading"],
+        "all": ["pixel", "square", "mounting", "reading"],
+        "procedure": ["trim", "square", "mounting", "reading"],
+        "improved": ["reading"],
+    }
+    cases, expected = {}, {}
+    for number, case in enumerate(CASES):
+        squares = sum(single[name] ** 2 for name in on[case.name])
+        expected[case.name] = np.sqrt(squares + SEEN**2 + SENSOR**2)
+        cases[case.name] = benches_of(case, expected[case.name], 400, seed=number)
+    rows = {row.term: row for row in build_budget(laboratory, cases, SimpleNamespace(two_px=0.1, own_px=0.1))}
+    for name, row in rows.items():
+        assert [one.value for one in row.predicted] == pytest.approx(expected[name])
+        error = np.array([one.uncertainty for one in row.measured])
+        away = np.array([one.value for one in row.measured]) - expected[name]
+        # strata take the scatter of their own term away: never more than that of independent draws
+        assert (error < 1.01 * (away + expected[name]) / np.sqrt(800)).all()
+        assert np.abs(away).max() < 4.0 * expected[name].max() / np.sqrt(800)
+        assert row.predicted_over_measured.value == pytest.approx(1.0, abs=4.0 / np.sqrt(800))
+        assert row.measured[0].n == 400
+    free = rows["reading"].measured[0]  # nothing stratified
+    assert free.uncertainty == pytest.approx(free.value / np.sqrt(800))
+    known = np.hypot(SEEN[0] ** 2, 0.15 * SENSOR[0] ** 2) / expected["pixel"][0]
+    assert rows["pixel"].predicted[0].uncertainty == pytest.approx(known)
+    assert rows["square"].acts_on.tolist() == [False, False, True]
+    assert rows["improved"].acts_on.all()
+    assert rows["all"].published_arcsec == 3.69
+    assert (rows["procedure"].claimed_arcsec, rows["improved"].claimed_arcsec) == (4.0, 1.0)
+    assert np.isnan(rows["pixel"].claimed_arcsec)
+    few = {"procedure": benches_of(CASES[6], expected["procedure"], 50)}
+    (row,) = build_budget(laboratory, few, SimpleNamespace(two_px=0.1, own_px=0.1))
+    assert (row.claim_arcsec, row.claimed_arcsec) == (4.0, pytest.approx(4.0 * 1.3))
+
+
+def test_statistics_of_a_case():
+    found = benches_of(CASES[0], np.array([1.0, 2.0, 3.0]), 200)
+    assert found.rms_arcsec == pytest.approx([1.0, 2.0, 3.0], rel=4.0 / np.sqrt(400))
+    assert found.sensor_rms_arcsec == pytest.approx(found.rms_arcsec / 3.0)
+    assert found.sensor_pull == pytest.approx(found.rms_arcsec / [2.0, 4.0, 6.0])
+    for (mean, sigma), part in ((found.mean_arcsec, 1.0), (found.sensor_mean_arcsec, 1.0 / 3.0)):
+        assert sigma == pytest.approx(part * np.array([1.0, 2.0, 3.0]) / np.sqrt(200), rel=4.0 / np.sqrt(400))
+        assert (np.abs(mean) < 4.0 * sigma).all()
+    assert found.trims.tolist() == [3, 1] * 200
+
+
+def test_ratio_of_two_sides_by_drawn_numbers():
+    """20 000 draws of both sides on two axes: the ratio of their lengths scatters as stated."""
+    rng = np.random.default_rng(5)
+    a, b = np.array([1.0, 2.0]), np.array([1.2, 1.9])
+    sigma_a, sigma_b = np.array([0.02, 0.05]), np.array([0.03, 0.04])
+    found = study._ratio(a, sigma_a, b, sigma_b)
+    drawn = [np.linalg.norm(v + s * rng.standard_normal((20_000, 2)), axis=1) for v, s in ((a, sigma_a), (b, sigma_b))]
+    assert found.value == pytest.approx(np.sqrt(5.0) / np.hypot(1.2, 1.9))
+    assert found.uncertainty == pytest.approx((drawn[0] / drawn[1]).std(), rel=0.03)
