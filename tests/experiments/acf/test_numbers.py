@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from experiments.acf import table2 as table2_module
 from experiments.acf import trials as monte_carlo
 from experiments.acf.gain import gains, sweep_points
 from experiments.acf.methods import fig5_points, largest_distortion, methods
@@ -286,3 +287,19 @@ def test_what_a_run_is_judged_by(monkeypatch):
     assert tasks == [("exact", 0, 25), ("exact", 25, 26), ("all", 0, 1)]
     assert done == [25, 1, 1]
     assert np.array_equal(trials["exact"].values["run"], np.arange(26))
+
+
+def test_stars_of_the_design_stand_evenly_over_the_detector(monkeypatch):
+    """Eleven by eleven middles of equal cells, in every second frame of the night."""
+    seen = {}
+    monkeypatch.setattr(table2_module.Design, "at", lambda *given: seen.update(given=given))
+    table2_module._even_design(CONFIG, 8.0)
+    camera, attitude, _, direction, frame = seen["given"]
+    assert np.unique(frame).tolist() == [0, 2, 4, 6, 8, 10]
+    first = camera.project(attitude[0].apply(direction[frame == 0]))
+    size = np.array([camera.geometry.width_px, camera.geometry.height_px])
+    for axis in range(2):
+        columns, count = np.unique(first[:, axis].round(6), return_counts=True)
+        assert count.tolist() == [11] * 11
+        assert np.diff(columns) == pytest.approx(np.full(10, size[axis] / 11))
+    assert first.mean(0) == pytest.approx((size - 1) / 2.0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.budget import tornado as tornado_module
+from experiments.budget.attitude import LAYOUTS
 from experiments.budget.chromatic import ChromaticTerm, table1_of
 from experiments.budget.combine import Value, combine
 from experiments.budget.experiment import (
@@ -279,3 +280,17 @@ def test_swings_of_the_total(monkeypatch):
     assert np.isnan(signal.total_change_arcsec[1]).all()
     assert [one.size for one in found] == sorted((one.size for one in found), reverse=True)
     assert signal.size == 0.0
+
+
+def test_a_star_in_place_of_a_signal_is_moved_by_magnitudes():
+    """A fifth more light is 0.198 mag."""
+    config = load_config(Config, settings=["source.magnitude_mag=5", "tornado.change_fraction=0.2"])
+    (row,) = [row for row in tornado_module.parameters(config) if row[0] == "source.magnitude_mag"]
+    assert row[2:] == pytest.approx((5.0 - 0.19795, 5.0 + 0.19795), abs=1e-5)
+
+
+def test_layouts_of_stars_are_parts_of_the_field():
+    """Whole, half, an eighth in a band at the edge, a quarter: area in half widths squared."""
+    area = {name: (right - left) * (top - low) for name, (left, right, low, top) in LAYOUTS.items()}
+    assert area == {"whole field": 4.0, "left half": 2.0, "upper quarter band": 1.0, "one corner": 1.0}
+    assert all(-1.0 <= low < high <= 1.0 for one in LAYOUTS.values() for low, high in (one[:2], one[2:]))

@@ -4,11 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
-from experiments.budget import tolerances
+from experiments.budget import laboratory, tolerances
 from experiments.budget.laboratory import places_px
 from experiments.budget.predict import _coarse
 from experiments.budget.settings import Config
+from experiments.laboratory.points import nominal_px
+from optics.errors import DomainError
 from render.engine.random import Streams
 
 PIXEL_ARCSEC, ELEMENTS = 5.5, 3
@@ -118,3 +121,31 @@ def test_places_of_the_step_test_begin_in_the_middle_of_the_first_chip():
     assert found.shape == (6, 2)
     assert (np.abs(found[:, 0] - 2047.5) + 300.0 + 100.0 < 2048.0).all()  # the whole target and 100 px
     assert len({round(one % 1.0, 3) for one in found[:, 1]}) == 6
+
+
+def test_places_that_a_built_lens_is_traced_at(star_camera, bench_of):
+    """Corners of the target first, then a grid over the detector, in rows."""
+    bench = bench_of()
+    probe = tolerances._Probe(SimpleNamespace(instrument=star_camera, filtered=bench))
+    place = nominal_px(star_camera, probe.stars.direction)[probe.corners.shape[0] * probe.corners.shape[1] :]
+    np.testing.assert_allclose(place, probe.grid_px, atol=1e-6)
+    size = np.array([star_camera.camera.width_px, star_camera.camera.height_px])
+    np.testing.assert_allclose(probe.grid_px[0] + probe.grid_px[-1], size - 1)
+    assert (probe.grid_px[1] - probe.grid_px[0])[1] == 0.0
+
+
+@pytest.mark.parametrize("radius_px", [1.5, 3.0])
+def test_points_that_saturate_are_refused(star_camera, monkeypatch, radius_px):
+    """The middle pixel of a Gaussian spot, by error functions; the rule of thumb is within 15 %."""
+    chip, sigma = star_camera.detector, np.hypot(radius_px / np.sqrt(2.0), star_camera.camera.blur_px)
+    share = erf(0.5 / (np.sqrt(2.0) * sigma)) ** 2
+    most = min(chip.full_well_e, (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e) / share
+    monkeypatch.setattr(laboratory, "check_light", lambda *_: None)
+    monkeypatch.setattr(laboratory, "corner_directions", lambda *_: None)
+    monkeypatch.setattr(laboratory, "expected_spots", lambda *_: (None, np.array([radius_px, 9.0]), None))
+    lab = SimpleNamespace(instrument=star_camera, config=SimpleNamespace(target=None), filtered=None)
+    lab.signal = SimpleNamespace(signal_e=0.85 * most)
+    laboratory.check_laboratory(lab)
+    lab.signal = SimpleNamespace(signal_e=1.15 * most)
+    with pytest.raises(DomainError, match="saturates its brightest pixel"):
+        laboratory.check_laboratory(lab)

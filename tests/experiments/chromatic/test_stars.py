@@ -52,6 +52,7 @@ def test_statistics_of_the_field(shift):
     assert shift.rms_px == pytest.approx(np.sqrt(np.mean(length**2, axis=1)))
     stars = stars_of(shift, {"800-600": np.full((9, 2), 0.3), "600-500": np.zeros((9, 2))})
     assert stars.max_px == pytest.approx(length.max(1), rel=1e-12)
+    assert stars.mean_size_px == pytest.approx(np.hypot(*shift.shift_px.mean(1).T), abs=1e-12)
     assert stars.third_px == pytest.approx(0.3 * np.sqrt(2) / 6)
     # 3000 K and 30000 K lie on opposite sides of the reference star
     apart = shift.shift_px[0] - shift.shift_px[-1]

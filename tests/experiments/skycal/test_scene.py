@@ -30,6 +30,11 @@ def test_random_sky_has_the_numbers_of_the_real_one():
         count = int((sky.magnitude < limit).sum())
         assert abs(count - CUMULATIVE_COUNT[limit]) < 5 * np.sqrt(CUMULATIVE_COUNT[limit])
     assert len(sky) == CUMULATIVE_COUNT[8.0]
+    # the sky holds 2.6 to 3.9 times the stars for every magnitude more, from 1 to 10
+    assert list(CUMULATIVE_COUNT) == list(range(1, 11))
+    steps = np.diff(np.log10(list(CUMULATIVE_COUNT.values())))
+    assert (steps > 0.4).all()
+    assert (steps < 0.6).all()
     mean = sky.direction.mean(0)  # each component of a uniform direction has variance 1/3
     assert np.abs(mean).max() < 5 / np.sqrt(3 * len(sky))
     assert 4000 < np.median(sky.temperature_k) < 5500
