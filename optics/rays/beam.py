@@ -31,6 +31,9 @@ RIM_STEPS, RIM_TOLERANCE = 60, 1e-8
 """Steps of false position; residual in radii of the aperture."""
 WIDEST = 64.0
 """In paraxial pupil radii: a beam wider than this has no edge."""
+OUTWARDS = (0.25, 0.5, 0.7, 0.85, 0.95, 1.05)
+"""Where the rim is looked for first, in these units; beyond in steps of a tenth: strongly aberrated rays from far out
+may come back into the stop, and do not belong to the beam."""
 SCAN = 41
 """Rays along each side of the grid that looks for a beam whose chief ray does not get through."""
 NODES = 4
@@ -248,15 +251,17 @@ def _outline(
     low, high = np.zeros(len(x0)), np.full(len(x0), np.nan)
     at_low, at_high = np.full(len(x0), -1.0), np.full(len(x0), np.inf)
     at_low[open_] = excess(open_, low[open_])
-    lanes, reach = open_, 1.05 * apertures.scale_mm
+    lanes, steps = open_, iter(OUTWARDS)
+    reach = 0.0
     while len(lanes):
         if reach > WIDEST * apertures.scale_mm:
             raise ConvergenceError(f"rays pass even {reach:.1f} mm from the axis; no aperture limits the beam")
+        reach = next(steps, 1.1 * reach / apertures.scale_mm) * apertures.scale_mm
         value = excess(lanes, np.full(len(lanes), reach))
         outside = value >= 0.0
         high[lanes[outside]], at_high[lanes[outside]] = reach, value[outside]
         low[lanes[~outside]], at_low[lanes[~outside]] = reach, value[~outside]
-        lanes, reach = lanes[~outside], 1.5 * reach
+        lanes = lanes[~outside]
     lanes = open_
     side = np.zeros(len(x0))  # where the last step ended: -1 inside, +1 outside
     for _ in range(RIM_STEPS):

@@ -16,8 +16,22 @@ from optics.rays.beam import find_beams
 from optics.rays.beam_widths import beam_widths
 from optics.rays.pupil import sobol_disk
 from optics.rays.spots import collecting_area_mm2, spot_moments
+from optics.rays.trace import OK, Rays, trace
 
 CAMERA, GAUSS = load_lens("star_camera_206mm"), load_lens("double_gauss_50mm")
+
+
+BALL = """
+name = "ball"
+source = "made up"
+design_wavelength_nm = 587.6
+max_field_deg = 0.5
+surface = [
+  { kind = "sphere", radius_mm = 20.0, thickness_mm = 20.0, medium = "N-BK7" },
+  { kind = "plane", thickness_mm = 8.0, medium = "air" },
+  { kind = "plane", stop = true, semi_diameter_mm = 5.5, thickness_mm = 5.0, medium = "air" },
+]
+"""
 
 
 def with_hood(radius_mm, distance_mm):
@@ -95,3 +109,22 @@ def test_vignetting_factors_move_narrow_and_turn_the_beam(factors):
     reach = np.hypot(*(chief[:, None] + np.array([[c, -s], [s, c]]) @ edge)).max()
     assert widths.semi_diameter_mm[0] == pytest.approx(reach, rel=2e-3)
     assert (widths.lost, widths.dark) == (0, ())
+
+
+def test_rays_that_come_back_into_the_stop_do_not_belong_to_the_beam(tmp_path):
+    """A ball's spherical aberration bends rays at 19 mm into the stop again, which those from 13 to 18 mm miss."""
+    path = tmp_path / "ball.toml"
+    path.write_text(BALL, encoding="utf-8")
+    lens = load_lens(path)
+    height = np.linspace(0.0, 19.4, 3881)
+    rays = Rays.create(
+        x_mm=height, y_mm=0.0 * height, z_mm=-1.0, direction=np.array([0.0, 0.0, 1.0]), wavelength_nm=587.6
+    )
+    glass = {i: replace(lens.surfaces[i], semi_diameter_mm=math.inf) for i in (0, 1)}
+    opened = lens.with_surfaces(glass)
+    passes = trace(opened, rays).status == OK
+    first = float(height[np.argmin(passes)])
+    assert passes[height > 19.0].any()
+    widest = beam_widths(opened, [[0.0, 0.0]], [587.6]).semi_diameter_mm
+    assert widest[0] == pytest.approx(first, abs=0.01)
+    assert lens.surfaces[0].semi_diameter_mm < 1.2 * first  # found with the field of the file
