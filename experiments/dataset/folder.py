@@ -347,11 +347,12 @@ class DatasetFolder:
             self.close()
 
     def _sums(self) -> str:
-        """Text of ``SHA256SUMS`` for all files of the dataset, as ``sha256sum --check`` reads it."""
+        """Text of ``SHA256SUMS`` for all files of the dataset, as ``sha256sum --check`` reads it, with its digest."""
         names = sorted({*_own_files(self.path), *self.digests} - {SUMS})
         with ThreadPoolExecutor() as pool:
             digests = pool.map(lambda name: self.digests.get(name) or file_digest(self.path / name), names)
-            return "".join(f"{digest}  {name}\n" for digest, name in zip(digests, names, strict=True))
+            lines = "".join(f"{digest}  {name}\n" for digest, name in zip(digests, names, strict=True))
+        return lines + _seal(lines)
 
     def _look(self) -> None:
         if not self.path.exists():
@@ -490,12 +491,20 @@ def check(folder: Path, progress: Progress) -> Checked:
     )
 
 
+def _seal(lines: str) -> str:
+    """Last line of ``SHA256SUMS``, a comment to ``sha256sum``: no line before it was taken away or added."""
+    return f"# these lines: {hashlib.sha256(lines.encode(errors='replace')).hexdigest()}\n"
+
+
 def _listed(folder: Path) -> tuple[dict[str, str], bool]:
-    """Digests by name of ``SHA256SUMS``, and whether every line of it is one; a list that is not there is whole."""
+    """Digests by name of ``SHA256SUMS``, and whether it is as it was written; a list that is not there is whole."""
     try:
-        *lines, rest = (folder / SUMS).read_bytes().decode(errors="replace").split("\n")
+        *lines, seal, rest = (folder / SUMS).read_bytes().decode(errors="replace").split("\n")
     except OSError:
         return {}, True
+    except ValueError:
+        return {}, False
     matches = [_SUM_LINE.fullmatch(line) for line in lines]
     inside = [m for m in matches if m and not m[2].startswith("/") and ".." not in m[2].split("/")]
-    return {m[2]: m[1] for m in inside}, bool(lines) and not rest and len(inside) == len(lines)
+    sealed = not rest and f"{seal}\n" == _seal("".join(f"{line}\n" for line in lines))
+    return {m[2]: m[1] for m in inside}, sealed and bool(lines) and len(inside) == len(lines)

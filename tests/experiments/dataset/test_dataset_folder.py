@@ -309,6 +309,17 @@ def test_a_bit_of_the_list_costs_no_frame(dataset, tmp_path, part, bit):
     assert state.frames == ()
 
 
+def test_a_line_of_the_list_that_is_gone_or_was_added_is_told(dataset, tmp_path):
+    folder = tmp_path / "listed"
+    shutil.copytree(dataset, folder)
+    *lines, seal = (folder / "SHA256SUMS").read_text().splitlines(keepends=True)
+    (folder / "notes.txt").write_text("mine")
+    added = f"{hashlib.sha256(b'mine').hexdigest()}  notes.txt\n"
+    for others in (lines[1:], [*lines, added]):
+        (folder / "SHA256SUMS").write_text("".join([*others, seal]))
+        assert check(folder, Progress()).damaged == ("SHA256SUMS",)
+
+
 @pytest.mark.slow
 def test_dataset_json_is_written_anew_from_the_frames(dataset, tmp_path, capsys):
     folder = tmp_path / "renewed"
