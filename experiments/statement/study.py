@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from experiments.harness.outputs import flat
 from experiments.harness.progress import Progress
+from experiments.harness.provenance import without_paths
 from experiments.harness.quantities import Outcome
 from experiments.harness.registry import declared
 from experiments.harness.run import Options, configuration
@@ -95,9 +97,9 @@ def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str |
     StarbenchError
         Whatever `camera` refuses; a folder that holds no flight.
     """
-    told = None if flight is None else read_flight(Path(flight))
     camera = declared("camera")
     config = configuration(camera, Options(sensor=tuple(sensor), settings=tuple(settings)))
+    told = None if flight is None else read_flight(Path(flight), config)
     outcome = camera.outcome(config, camera.part(camera.predict)(config, progress=Progress()))
     asked = {key for key, value in config.requirements.model_dump().items() if value is not None}
     if asked - {one.key for one in outcome.result["requirements"]}:  # those over temperature
@@ -115,7 +117,7 @@ def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str |
         *_terms(number, config, at),
         *(() if thermal is None else _thermal(thermal, number)),
         *_aberration(),
-        *([] if told is None else _flight(told, str(flight))),
+        *([] if told is None else _flight(told, Path(str(flight)).name)),
     ]
     return Statement(
         name=setup.name,
@@ -123,10 +125,13 @@ def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str |
         detector=setup.detector,
         conditions=conditions,
         errors=errors,
-        detection=[*_detection(number, config, at), *([] if told is None else _availability(told, str(flight)))],
+        detection=[
+            *_detection(number, config, at),
+            *([] if told is None else _availability(told, Path(str(flight)).name)),
+        ],
         requirements=judged,
         unjudged=sorted(asked - {one.key for one in judged}),
-        flight="" if flight is None else str(flight),
+        flight="" if flight is None else Path(flight).name,
         notes=[f"No thermo-elastic sensitivity: {refusal}."] if refusal else [],
         ame_arcsec=(mixture_bound(across, 0.95), mixture_bound(roll, 0.95)),
         limiting_mag=number("limiting_magnitude_mag"),
@@ -307,8 +312,18 @@ def _detection(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
 # --- A flight
 
 
-def read_flight(folder: Path) -> Mapping[str, Any]:
-    """Results of a flight, from its ``summary.json``."""
+SAME = ("instrument", "passband", "centroid", "window_px", "threshold_sigma")
+"""Settings that make a sensor, in `camera` and `flight` alike."""
+
+
+def read_flight(folder: Path, config: Any) -> Mapping[str, Any]:
+    """Results of a flight of the same sensor, from its ``summary.json``.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds none, or one of another sensor.
+    """
     path = folder / "summary.json"
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
@@ -319,6 +334,14 @@ def read_flight(folder: Path) -> Mapping[str, Any]:
     if not isinstance(summary, dict) or summary.get("experiment") != "flight":
         name = summary.get("experiment") if isinstance(summary, dict) else None
         raise ConfigError(f"{path}: is of {name!r}; --flight takes the folder of a run of flight")
+    own = without_paths(config.model_dump(mode="json", include=set(SAME)))
+    flown = flat({key: value for key, value in summary.get("config", {}).items() if key in SAME})
+    for key, value in flat(own).items():
+        if key in flown and flown[key] != value:
+            raise ConfigError(
+                f"{path}: is of another sensor: {key} = {flown[key]!r} there, {value!r} here; run flight with this "
+                "sensor file"
+            )
     results: Mapping[str, Any] = summary.get("results", {})
     return results
 
@@ -335,24 +358,45 @@ def _of(value: Any) -> list[float]:
     return [_number(one) for one in parts] if isinstance(parts, list) or hasattr(parts, "__iter__") else []
 
 
+def _spread(value: Any) -> list[float]:
+    """Uncertainty across and about the boresight; NaN where none is stated."""
+    parts = value.values() if isinstance(value, dict) else ()
+    return [_number(one.get("uncertainty")) if isinstance(one, dict) else math.nan for one in parts]
+
+
 def _flight(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
-    where = f"flight of {folder}, its sensor and orbit"
+    where = f"orbit of the flight {folder}"
     for name, term in results.get("terms", {}).items():
         for key, derivation in (("measured_arcsec", RENDERED), ("predicted_arcsec", ANALYSIS)):
             values = [] if term.get(key) is None else _of(term[key])
             if name in CLAUSES and any(map(math.isfinite, values)):
+                spread = _spread(term[key])
+                known = (
+                    f"; ± {_arcsec(*spread)}, 1σ, by the length of the flight"
+                    if any(map(math.isfinite, spread))
+                    else ""
+                )
                 yield Line(
                     clause=name,
                     what="attitude over the flight",
                     value=_arcsec(*values),
-                    statistic="RMS, one axis, 1σ",
+                    statistic=f"RMS, one axis{known}",
                     conditions=where,
                     derivation=derivation,
                 )
+    for life, age in zip(("begin of life", "end of life"), results.get("lives", ()), strict=False):
+        yield Line(
+            clause="total",
+            what=f"attitude over the flight, {life}",
+            value=_arcsec(*_of(age.get("total_arcsec", {}))),
+            statistic="RMS, one axis, all terms",
+            conditions=f"{where}; {_number(age.get('dark_e')):.3g} e⁻ of dark charge in a pixel",
+            derivation=ANALYSIS,
+        )
 
 
 def _availability(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
-    where = f"flight of {folder}"
+    where = f"orbit of the flight {folder}"
     for clause, key, what, unit, derivation in (
         ("tracking", "available_percent", "availability over the orbit", " %", ANALYSIS),
         ("tracking", "solved_percent", "frames with an attitude, of those not blinded", " %", RENDERED),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
+from experiments.camera.settings import Config
 from experiments.statement.clauses import CLAUSES, UNREAD
 from experiments.statement.page import page_of, tables
 from experiments.statement.study import LEVELS, Line, Statement, read_flight, statement
@@ -29,6 +30,10 @@ FLIGHT = {
             },
             "bias": {"measured_arcsec": None, "predicted_arcsec": {"across": 0.5, "roll": 2.0}},
         },
+        "lives": [
+            {"dark_e": 1.0, "total_arcsec": {"across": 1.5, "roll": 12.0}},
+            {"dark_e": 9.0, "total_arcsec": {"across": 1.75, "roll": 14.0}},
+        ],
         "available_percent": 93.5,
         "wrong_attitudes": 0,
     },
@@ -86,13 +91,13 @@ def test_no_clause_has_a_number_that_is_not_one() -> None:
 
 def test_a_folder_that_holds_no_flight(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(ConfigError, match="--flight takes the folder"):
-        read_flight(tmp_path)
+        read_flight(tmp_path, None)
     (tmp_path / "summary.json").write_text('{"experiment": "camera", "results": {}}')
     assert main(["statement", "--flight", str(tmp_path), "--out", str(tmp_path / "s.html")]) == 2
     assert "is of 'camera'" in capsys.readouterr().err
     (tmp_path / "summary.json").write_text("[")
     with pytest.raises(ConfigError, match="no summary"):
-        read_flight(tmp_path)
+        read_flight(tmp_path, None)
     (tmp_path / "s.html").write_text("mine")
     assert main(["statement", "--out", str(tmp_path / "s.html")]) == 2
     assert "--force" in capsys.readouterr().err
@@ -135,13 +140,27 @@ focus_shift_um = 5.0
         ("temporal_noise", "1.25″ / 11.5″", "rendered simulation"),
         ("temporal_noise", "1.2″ / 11″", "analysis"),
         ("bias", "0.5″ / 2″", "analysis"),
+        ("total", "1.5″ / 12″", "analysis"),
+        ("total", "1.75″ / 14″", "analysis"),
     }
+    assert "± 0.02″ / 0.3″" in next(one.statistic for one in flown if one.derivation == "rendered simulation")
     assert [one.value for one in made.detection if "flight" in one.conditions] == ["93.5 %", "0"]
     assert sum(one.clause == "thermo_elastic" for one in made.errors) == 5
     assert all(
         one.derivation in ("analysis", "rendered simulation", "input") for one in (*made.errors, *made.detection)
     )
     assert "mine" in page_of(made, "my.toml")
+
+
+def test_a_flight_of_another_sensor_is_refused(tmp_path: Path) -> None:
+    config = Config()
+    flown = config.model_dump(mode="json")
+    (tmp_path / "summary.json").write_text(json.dumps({**FLIGHT, "config": flown}))
+    assert read_flight(tmp_path, config)["wrong_attitudes"] == 0
+    flown["instrument"]["housing"]["material"] = "invar_36"
+    (tmp_path / "summary.json").write_text(json.dumps({**FLIGHT, "config": flown}))
+    with pytest.raises(ConfigError, match=r"another sensor: instrument\.housing\.material = 'invar_36' there"):
+        read_flight(tmp_path, config)
 
 
 @pytest.mark.slow
