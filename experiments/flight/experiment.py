@@ -16,7 +16,7 @@ from experiments.flight.prediction import Budget, SegmentErrors, build_budget
 from experiments.flight.scenario import Flight, build_flight
 from experiments.flight.settings import Config
 from experiments.flight.terms import COMPONENTS, LABELS, VERDICTS, Term, measured_terms, predicted_terms
-from experiments.harness.drawings import curves
+from experiments.harness.drawings import bars, curves
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, above, below, col
@@ -358,14 +358,7 @@ SECTIONS = {
         caption="Attitude error by terms, RMS over the flight, one standard deviation; across: about one axis.",
         note="Ratio and slope are left out where a term is below 5 % of the total.",
         figures={
-            "terms": curves(
-                "term",
-                points="term_measured_arcsec",
-                lines="term_predicted_arcsec",
-                panels="component",
-                joined=False,
-                log="y",
-            )
+            "terms": bars("term", bars="term_measured_arcsec", points="term_predicted_arcsec", panels="component")
         },
         verdicts=VERDICTS,
     ),

@@ -23,7 +23,7 @@ from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
 from experiments.laboratory.readout.frames import mean_dark_frame
-from experiments.laboratory.readout.psf_grid import PsfGrid, render_psf_grid
+from experiments.laboratory.readout.psf_grid import PsfGrid, refined, render_psf_grid
 from optics.arrays import FloatArray
 from optics.attitude import aberrated, attitude_error_arcsec
 from optics.records import freeze
@@ -41,6 +41,8 @@ __all__ = ["Camera", "FlightFrames", "Segment", "build_tracker", "render_flight"
 
 
 MARGIN_PX = 16.0
+BLENDED = 4
+"""Steps between rendered PSFs of the tracker; those between are blended."""
 STILL_PX = 0.02
 """Stars that trail by less in an exposure are rendered at rest."""
 
@@ -156,7 +158,7 @@ def psf_grid(budget: Budget) -> PsfGrid | None:
         return None
     rate = np.asarray(budget.flight.trajectory.rate(float(budget.flight.segments_s[0])))
     camera = budget.camera(0.0, rate)
-    return render_psf_grid(
+    coarse = render_psf_grid(
         budget.instrument,
         budget.nominal.state.light,
         temperature_k=config.star_temperature_k,
@@ -165,6 +167,7 @@ def psf_grid(budget: Budget) -> PsfGrid | None:
         long_side=config.frames.psf_grid,
         by_grid=True,
     )
+    return refined(coarse, BLENDED)
 
 
 def build_tracker(camera: Camera) -> StarTracker:

@@ -13,7 +13,7 @@ from render.records import EffectivePsf
 from render.sky.star_light import StarLight
 from render.tracing.psf import epsf_tracer, render_epsf, trailed
 
-__all__ = ["PsfGrid", "render_psf_grid"]
+__all__ = ["PsfGrid", "refined", "render_psf_grid"]
 
 
 LONG_SIDE = 9
@@ -60,3 +60,21 @@ def render_psf_grid(
     if trail_px is not None and trail_px.any():
         psfs = tuple(trailed(psf, trail_px) for psf in psfs)
     return PsfGrid(psfs=psfs, place_px=place)
+
+
+def refined(grid: PsfGrid, factor: int) -> PsfGrid:
+    """The same grid with ``factor`` steps for each of its own, PSFs between its nodes blended linearly."""
+    x, y = np.unique(grid.place_px[:, 0]), np.unique(grid.place_px[:, 1])
+    values = np.stack([psf.values for psf in grid.psfs]).reshape(len(y), len(x), *grid.psfs[0].values.shape)
+    for axis, count in ((0, len(y)), (1, len(x))):
+        at = np.linspace(0.0, count - 1.0, (count - 1) * factor + 1)
+        low = np.minimum(at.astype(int), count - 2)
+        part = (at - low).reshape(-1, *[1] * (values.ndim - axis - 1))
+        values = (1.0 - part) * values.take(low, axis=axis) + part * values.take(low + 1, axis=axis)
+    finer = [np.interp(np.arange((len(one) - 1) * factor + 1) / factor, np.arange(len(one)), one) for one in (x, y)]
+    flat = values.reshape(-1, *values.shape[2:])
+    oversampling = grid.psfs[0].oversampling
+    return PsfGrid(
+        psfs=tuple(EffectivePsf(values=one, oversampling=oversampling) for one in flat),
+        place_px=np.stack(np.meshgrid(*finer), axis=-1).reshape(-1, 2),
+    )
