@@ -330,7 +330,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         "terms": terms or None,
         "metrics": metrics(terms, segments) if terms else None,
         "history": history,
-        "parts": parts(segments, errors) or None,
+        "parts": None if frames is None else parts(segments, errors),
         "lives": [age(one, found) for one, found in zip(lives, told, strict=True)],
     }
 

@@ -107,10 +107,10 @@ def heated(config: Config, state_k: FloatArray) -> LensSystem:
     lens = configured_lens(config.instrument)
     if not np.any(state_k):
         return lens
-    if isinstance(config.instrument.lens, dict) or lens.measured is not None:
+    if lens.measured is not None:
         raise DomainError(
-            f"lens {lens.name!r} is described without glass: it has no thermal model; set the amplitudes of "
-            "[temperature] to 0"
+            f"lens {lens.name!r} is known by measurement alone: it has no thermal model; set offset_k, mean_k and "
+            "eclipse_k of [temperature] to 0"
         )
     try:
         return heated_lens(lens, ThermalState.of(np.asarray(state_k, float)), housing_of(config.instrument.housing))
