@@ -13,7 +13,7 @@ from scipy.stats import beta, norm
 from calib.attitude.tracker import sky_coverage
 from experiments.flight.frames import FlightFrames, Segment, render_flight
 from experiments.flight.prediction import Budget, SegmentErrors, build_budget
-from experiments.flight.scenario import Flight, build_flight
+from experiments.flight.scenario import STATES, Flight, build_flight
 from experiments.flight.settings import Config
 from experiments.flight.terms import COMPONENTS, LABELS, VERDICTS, Term, measured_terms, predicted_terms
 from experiments.harness.drawings import bars, curves
@@ -22,6 +22,7 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, above, below, col
 from experiments.harness.summary import Measured
 from optics.arrays import FloatArray
+from optics.errors import DomainError
 
 __all__ = ["SECTIONS", "axes", "run"]
 
@@ -279,6 +280,76 @@ def age(budget: Budget, errors: Sequence[SegmentErrors]) -> Age:
     )
 
 
+# --- Against rate and temperature
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turning:
+    """The attitude of the segments' stars while the body turns faster, by prediction."""
+
+    rate_deg_per_s: float = col("Rate", "deg/s", "g")
+    trail_px: float = col("Trail of a star", "px", ".2f")
+    noise_arcsec: FloatArray = col("Temporal noise", "arcsec", ".4g", "component")
+    pixel_arcsec: FloatArray = col("Pixel spatial error", "arcsec", ".4g", "component")
+
+
+def turning(budget: Budget) -> list[Turning]:
+    """Every rate of the configuration; NaN where the trail is too long for the window."""
+    flight, found = budget.flight, []
+    for rate in budget.config.rates_deg_per_s:
+        across = np.array([0.0, -np.radians(rate), 0.0])
+        nothing = np.full(len(COMPONENTS), np.nan)
+        noise, pixel = nothing, nothing
+        try:
+            times = [float(start) for start in flight.segments_s]
+            every = [budget.errors_of(flight.trajectory.attitude(time), across, time) for time in times]
+        except DomainError:  # the camera's prediction says how long a window would have to be
+            every = []
+        if seen := [one for one in every if one.available]:
+            noise, pixel = (
+                np.sqrt([np.mean([v[list(pick)] for v in values]) for _, pick in COMPONENTS])
+                for values in (
+                    [one.noise_arcsec2 for one in seen],
+                    [one.pixel_arcsec2 + one.spot_arcsec2 for one in seen],
+                )
+            )
+        trail = np.radians(rate) * budget.config.instrument.exposure_s / budget.pixel_rad
+        found.append(Turning(rate_deg_per_s=rate, trail_px=float(trail), noise_arcsec=noise, pixel_arcsec=pixel))
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kelvin:
+    """What a state of the temperature field does per kelvin, RMS over the segments."""
+
+    state: str = col("Temperature", json="")
+    attitude_arcsec: FloatArray = col("Attitude error per kelvin", "arcsec", ".4g", "component")
+    corner_px: float = col("Shift of a star in the corner per kelvin", "px", ".4f")
+
+
+STATE_WORDS = {
+    "mean_k": "uniform",
+    "axial_k": "front to detector",
+    "transverse_x_k": "across, along columns",
+    "transverse_y_k": "across, along rows",
+    "radial_k": "elements, middle to edge",
+}
+
+
+def per_kelvin(budget: Budget) -> list[Kelvin]:
+    """Sensitivities of the states that the flight has."""
+    corner = budget.model.unproject(np.array([[-0.5, -0.5]]))
+    found = []
+    for name, shift in budget.sensitivity.items():
+        unit = np.array([float(name == one) for one in STATES])
+        errors = [budget.errors(float(start), state_k=unit) for start in budget.flight.segments_s]
+        seen = np.array([one.thermal_arcsec for one in errors if one.available]).reshape(-1, 3)
+        rms = [float(np.sqrt((seen[:, list(pick)] ** 2).mean())) if len(seen) else math.nan for _, pick in COMPONENTS]
+        moved = float(np.linalg.norm(shift.at(corner)))
+        found.append(Kelvin(state=STATE_WORDS[name], attitude_arcsec=np.array(rms), corner_px=moved))
+    return found
+
+
 # --- The run
 
 
@@ -331,6 +402,8 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         "metrics": metrics(terms, segments) if terms else None,
         "history": history,
         "parts": None if frames is None else parts(segments, errors),
+        "rates": turning(budget) or None,
+        "kelvin": per_kelvin(budget) or None,
         "lives": [age(one, found) for one, found in zip(lives, told, strict=True)],
     }
 
@@ -424,5 +497,27 @@ SECTIONS = {
         hidden="life",
         across="component",
         caption="Begin and end of life, by prediction.",
+    ),
+    "rates": Section(
+        record=Turning,
+        dim="rate",
+        along="rate_deg_per_s",
+        prefix="rate_",
+        place="rates[rate]",
+        table="rates",
+        across="component",
+        caption="The same stars while the body turns across the line of sight, by prediction.",
+        note="No number: the trail is too long for the window.",
+    ),
+    "kelvin": Section(
+        record=Kelvin,
+        dim="state_row",
+        prefix="per_kelvin_",
+        place="per_kelvin[state_row]",
+        table="per_kelvin",
+        rows="state_row",
+        hidden="state_row",
+        across="component",
+        caption="Attitude error per kelvin, RMS over the segments.",
     ),
 }
