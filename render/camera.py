@@ -21,7 +21,7 @@ from optics.response import Response
 from optics.units import UM_MM
 from render.detector.spec import Detector
 
-__all__ = ["Camera", "Diffraction", "PathLosses", "build_camera", "launch_disk"]
+__all__ = ["Camera", "Diffraction", "FarLight", "PathLosses", "build_camera", "launch_disk"]
 
 
 RESPONSE_STEP_NM = 5.0
@@ -50,6 +50,36 @@ class PathLosses:
         return lens_transmission(lens, wavelength_nm, coating=self.coating, absorption=self.absorption)
 
 
+FAR_NOISE = 0.25
+"""Part of the read noise at which the image of a bright star ends."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FarLight:
+    """How far diffraction images of bright stars reach (`render.tracing.waves.far`); fainter ones end at their stamps.
+
+    Attributes
+    ----------
+    ends_e : float
+        Electrons of a pixel at which an image ends.
+    saturated_e : float
+        Electrons of a star above which at most 1e-3 of its light lie beyond.
+    """
+
+    ends_e: float
+    saturated_e: float
+
+    def __post_init__(self) -> None:
+        for name in ("ends_e", "saturated_e"):
+            if not (getattr(self, name) > 0.0 and math.isfinite(getattr(self, name))):
+                raise DomainError(f"FarLight.{name} = {getattr(self, name):g} e-; it must be positive")
+
+    @property
+    def least_e(self) -> float:
+        """Electrons below which no star reaches beyond its stamp, whose outermost pixels hold some 2e-5 of them."""
+        return min(self.saturated_e, 2e4 * self.ends_e)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
     """A lens in front of a pixelated detector.
@@ -75,6 +105,8 @@ class Camera:
     losses : PathLosses or None
         What surfaces and glasses take of every ray along its own path, in place of that of the axis, which the response
         holds; None: all rays lose alike.
+    far : FarLight or None
+        How far diffraction images of bright stars reach; None: all end at their stamps.
     blind_columns_px : tuple of (int, int)
         First and last columns of strips that take no light, such as the gaps between chips; stars lose it there as over
         the edge.
@@ -93,6 +125,7 @@ class Camera:
     rotation_cam_from_world: FloatArray = field(default_factory=lambda: np.eye(3))
     response: Response | None = None
     losses: PathLosses | None = None
+    far: FarLight | None = None
     blind_columns_px: tuple[tuple[int, int], ...] = ()
     diffraction: Diffraction = "waves"
 
@@ -260,6 +293,7 @@ def build_camera(
         rotation_cam_from_world=np.eye(3) if rotation_cam_from_world is None else rotation_cam_from_world,
         response=response,
         losses=PathLosses(coating=coating, absorption=absorption) if known else None,
+        far=FarLight(ends_e=FAR_NOISE * max(detector.read_noise_e, 1.0), saturated_e=detector.full_well_e),
         blind_columns_px=detector.gap_columns_px,
         diffraction=diffraction,
     )

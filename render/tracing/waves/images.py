@@ -20,6 +20,7 @@ from render.tracing.pupil.points import OutlinePoints
 from render.tracing.pupil.sampling import whole_disk
 from render.tracing.rays.images import RayImages
 from render.tracing.truth import Sampling, TruthSums, WaveStamps, add_stamps, check_lit
+from render.tracing.waves.far import add_far_images
 from render.tracing.waves.grid import LEAST_STARS, WING_PX, GridPlan, WaveGrid, build_grid, plan_grid
 from render.tracing.waves.spectrum import condensed_light
 from render.tracing.waves.summed import KeptLight, SummedImages, Trail
@@ -101,6 +102,7 @@ class WaveImages:
         for part in (stars[i : i + GRID_BATCH] for i in range(0, len(stars), GRID_BATCH)):
             stamps = grid.stamps(part, direction[part], share[part], chief[part], trail)
             self._add_stamps(stamps, light, image, sums, sampling)
+            add_far_images(self.planner, stamps, grid.radius_px, light, image, sums, trail)
         return stars
 
     def _add_summed(
@@ -119,6 +121,9 @@ class WaveImages:
         for group in self.planner.sampled_by_waves(images.still, near).groups:
             for stamps in images.stamps(group):
                 self._add_stamps(stamps, light, image, sums, sampling)
+                if exposure.shade is None:  # what stands in a beam makes edges of its own
+                    radius_px = 0.5 * (stamps.pixels.shape[-1] - 1 - images.room_px(stamps.stars))
+                    add_far_images(self.planner, stamps, radius_px, light, image, sums, images.trail)
 
     def near(self, bounds: Bounds) -> IntArray:
         """Stars whose images may reach the detector."""
@@ -179,7 +184,7 @@ class WaveImages:
     @cached_property
     def _camera_state(self) -> bytes:
         """What images depend on of a camera."""
-        return pickle.dumps(replace(self.camera, rotation_cam_from_world=np.eye(3), response=None))
+        return pickle.dumps(replace(self.camera, rotation_cam_from_world=np.eye(3), response=None, far=None))
 
     def condensed(self, light: Light, exposure: Exposure) -> Light:
         """Light of as few wavelengths as tell the images of all, unless none may be interpolated."""

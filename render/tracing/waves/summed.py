@@ -159,6 +159,10 @@ class SummedImages:
             for summands in self.summands(probe, radius_px):
                 yield self._stamps(summands)
 
+    def room_px(self, stars: IntArray) -> int:
+        """By how much stamps of some stars are wider than their disks, for the motion of the images."""
+        return 0 if self.trail is None else self.trail.room(stars)[1]
+
     def cells(
         self, group: Group, half_size_px: int, cells_per_px: int
     ) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:

@@ -1,0 +1,249 @@
+r"""The image of a bright star beyond its stamp: the far diffraction image of its aperture, spikes of vanes included.
+
+Far from the core an image is what edges of the aperture make of it, whatever the aberrations. The aperture on the axis
+is traced on a grid of cells, those at its edges in parts; the square of its Fourier transform is the image in units of
+lambda N, the same for all wavelengths. Running sums of it tell the light of a pixel anywhere:
+
+.. math:: P(q) = |\mathrm{FT}[m](q)|^2, \qquad q = a x / \lambda, \qquad \int P \, dq = 1
+
+It begins where the stamp has ended and is scaled so that stamp and far image, followed to infinity, hold all light of
+the star. It ends where a pixel of its mean over a few degrees, the brightest ones, holds ``FarLight.ends_e``, and for
+stars above ``FarLight.saturated_e`` no nearer than where `BEYOND` of the light is left. Charge diffusion, which moves
+light by less than a pixel, and the change of the aperture over the field are left out.
+"""
+
+from __future__ import annotations
+
+import math
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft2
+
+from optics.arrays import FloatArray
+from render.tracing.motion.paths import Light, at_rest
+from render.tracing.pupil.planning import PupilPlanner
+from render.tracing.pupil.points import TablePoints
+from render.tracing.truth import TruthSums, WaveStamps
+from render.tracing.waves.plane_waves import trace_waves
+from render.tracing.waves.summed import Trail
+
+__all__ = ["FarImage", "add_far_images", "far_image"]
+
+CELLS = 1024
+"""Across the aperture."""
+PARTS = 55
+"""Points of a cell at its edge, a Fibonacci lattice: edges along the axes are found to 1 / 55 of a cell."""
+LAST = 400.0
+"""Distance [lambda N] at which the grid of cells ends what is known."""
+ANNULUS = (60.0, 160.0)
+"""Distances [lambda N] at which the fall of the image is measured, as 1 / r^3, in `SECTORS` sectors."""
+SECTORS = 72
+BEYOND = 7e-4
+"""Part of the light of a saturated star that is left out."""
+ASKEW = 0.02
+"""Part by which the axes of pupil and image may be turned against each other."""
+MOST_TIMES = 8
+"""Places along a trail from which far images are added up."""
+
+_kept: dict[bytes, FarImage | None] = {}
+MOST_KEPT = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FarImage:
+    """Far image of one camera."""
+
+    running: FloatArray  # (n + 1, n + 1) Light below edges of the samples, rows first
+    per_px: tuple[float, float]  # Frequencies q of a pixel along columns and rows, at `wavelength_nm`
+    wavelength_nm: float
+    fall: float  # Mean light per (lambda N)^2 at a distance r [lambda N], times r^3
+    spikes: float  # The same of the brightest sector
+
+    def unit_px(self, wavelength_nm: FloatArray | float) -> Any:
+        """lambda N [px]."""
+        return wavelength_nm / (2.0 * self.wavelength_nm * math.sqrt(self.per_px[0] * self.per_px[1]))
+
+    def pixels(self, x_px: FloatArray, y_px: FloatArray, wavelength_nm: FloatArray, share: FloatArray) -> FloatArray:
+        """Light (h, w) between edges (w + 1,), (h + 1,) from the middle, of wavelengths (k,) with their shares."""
+        count = len(self.running) - 1
+        total = np.zeros((len(y_px) - 1, len(x_px) - 1))
+        for nm, part in zip(wavelength_nm, share, strict=True):
+            if part == 0.0:
+                continue
+            below = self.running
+            for edges, per_px in ((y_px, self.per_px[1]), (x_px, self.per_px[0])):
+                at = np.clip(4.0 * edges * per_px * self.wavelength_nm / nm + 0.5 * count + 0.5, 0.0, count - 1e-9)
+                low = at.astype(np.int64)
+                up = (at - low)[:, None]
+                below = (below[low] * (1.0 - up) + below[low + 1] * up).T  # twice: rows first again
+            total += part * np.diff(np.diff(below, axis=0), axis=1)
+        return total
+
+    def radius_px(self, electrons: float, unit_px: float, ends_e: float, saturated: bool) -> float:
+        """Where the image of a star ends."""
+        radius = float(np.cbrt(electrons * self.spikes * unit_px / ends_e))
+        if saturated:
+            radius = max(radius, 2.0 * math.pi * self.fall * unit_px / BEYOND)
+        return min(radius, LAST * unit_px)
+
+
+def far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
+    """Far image of a planner's camera; None where no light of the axis arrives or pupil and image are turned askew."""
+    camera = planner.camera
+    plain = replace(camera, rotation_cam_from_world=np.eye(3), response=None, far=None, losses=None)
+    key = pickle.dumps(plain)
+    if key not in _kept:
+        while len(_kept) >= MOST_KEPT:
+            _kept.pop(next(iter(_kept)))
+        _kept[key] = _far_image(planner, wavelength_nm)
+    return _kept[key]
+
+
+def _far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
+    wave = np.array([[wavelength_nm]])
+    exposure = planner.exposure(at_rest(np.array([[0.0, 0.0, 1.0]])), wave)
+    (centre,), (radius,) = (v[:, 0] for v in planner.disks(exposure, wave, np.zeros(1, np.int64)))
+    star = np.zeros(1, np.uint32)
+
+    def table(points: FloatArray) -> TablePoints:
+        return TablePoints((centre + radius * points)[None], np.full(len(points), 1.0 / len(points)))
+
+    def arrives(points: FloatArray) -> FloatArray:
+        inside, found = np.hypot(*points.T) <= 1.0, np.zeros(len(points))
+        found[inside] = exposure.mid.land(table(points[inside]), wave, star)[2].ravel()
+        return found
+
+    middle = (np.arange(CELLS) + 0.5) * (2.0 / CELLS) - 1.0
+    x, y = (v.ravel() for v in np.meshgrid(middle, middle))
+    mask = _aperture(arrives, x, y)
+    if not mask.any():
+        return None
+    lit = np.flatnonzero(mask > 0.5)
+    some = np.stack([x[lit], y[lit]], axis=-1)[:: max(1, len(lit) // 500)]
+    index = np.asarray(planner.camera.focused_lens.indices(wave)[-1])
+    waves = trace_waves(exposure.mid, table(some), wave, index, star)
+    design = np.column_stack([some, np.ones(len(some))])
+    slope = np.linalg.lstsq(design, np.stack([waves.fx[0, 0, 0], waves.fy[0, 0, 0]], axis=-1), rcond=None)[0][:2].T
+    if max(abs(slope[0, 1]), abs(slope[1, 0])) > ASKEW * np.abs(slope).max():
+        return None
+    if slope[0, 0] * slope[1, 1] < 0.0:  # the square of the transform is the same from both sides of the middle
+        mask = mask[:, ::-1]
+    half = np.abs(rfft2(mask.astype(np.float32), s=(2 * CELLS, 2 * CELLS))) ** 2
+    cell = np.sinc(np.fft.fftfreq(2 * CELLS)) ** 2  # what cells are damped by
+    half /= cell[:, None] * cell[: CELLS + 1]
+    power = np.empty((2 * CELLS, 2 * CELLS))
+    power[:, : CELLS + 1] = half
+    mirrored = (-np.arange(2 * CELLS)) % (2 * CELLS)
+    power[:, CELLS + 1 :] = half[mirrored][:, CELLS - 1 : 0 : -1]
+    power = np.fft.fftshift(power / power.sum())
+    running = np.zeros((2 * CELLS + 1, 2 * CELLS + 1))
+    np.cumsum(np.cumsum(power, axis=0), axis=1, out=running[1:, 1:])
+    fall, spikes = _falls(power)
+    return FarImage(running, (abs(float(slope[0, 0])), abs(float(slope[1, 1]))), wavelength_nm, fall, spikes)
+
+
+def _aperture(arrives: Callable[[FloatArray], FloatArray], x: FloatArray, y: FloatArray) -> FloatArray:
+    """Part of every cell (n, n) about its middle x, y that light passes; those at edges are divided."""
+    mask = arrives(np.stack([x, y], axis=-1)).reshape(CELLS, CELLS)
+    edge = np.zeros(mask.shape, np.bool_)
+    for axis in (0, 1):
+        changes = np.diff(mask, axis=axis) != 0.0
+        edge[(slice(None),) * axis + (slice(1, None),)] |= changes
+        edge[(slice(None),) * axis + (slice(None, -1),)] |= changes
+    few = np.flatnonzero(edge)
+    if len(few):
+        number = np.arange(PARTS)
+        dx, dy = (((v + 0.5) / PARTS - 0.5) * (2.0 / CELLS) for v in (number, number * 34 % PARTS))
+        inner = np.stack([(x[few, None] + dx).ravel(), (y[few, None] + dy).ravel()], axis=-1)
+        mask.ravel()[few] = arrives(inner).reshape(len(few), -1).mean(1)
+    return mask
+
+
+def _falls(power: FloatArray) -> tuple[float, float]:
+    """Light of samples per (lambda N)^2 times the cube of their distance [lambda N]: mean, and brightest sector."""
+    place = 0.5 * (np.arange(len(power)) - 0.5 * len(power))  # samples lie half a unit apart
+    distance = np.hypot(place, place[:, None])
+    some = (distance > ANNULUS[0]) & (distance < ANNULUS[1])
+    row, column = np.nonzero(some)
+    value = 4.0 * power[some] * distance[some] ** 3
+    sector = ((np.arctan2(place[row], place[column]) / (2.0 * np.pi) % 1.0) * SECTORS).astype(int) % SECTORS
+    means = np.bincount(sector, value, SECTORS) / np.bincount(sector, minlength=SECTORS)
+    return float(value.mean()), float(means.max())
+
+
+def add_far_images(
+    planner: PupilPlanner,
+    stamps: WaveStamps,
+    radius_px: float,
+    light: Light,
+    image: NDArray[np.float32],
+    sums: TruthSums,
+    trail: Trail | None = None,
+) -> None:
+    """Add what lies beyond the stamps of bright stars, disks of a radius, and move it from what is left out."""
+    camera = planner.camera
+    far = camera.far
+    if far is None:
+        return
+    stars, bands = stamps.stars, light.wavelength_nm.shape[0]
+    electrons = light.electrons[stars] * stamps.light
+    share = light.share[stars].reshape(len(stars), bands, -1, light.wavelength_nm.shape[1]).sum(2)
+    for s, b in np.argwhere(electrons > far.least_e).tolist():
+        wave = light.wavelength_nm[b]
+        known = far_image(planner, float(wave.mean()))
+        if known is None:
+            return
+        unit, light_e = known.unit_px(float(share[s, b] @ wave)), float(electrons[s, b])
+        end = known.radius_px(light_e, unit, far.ends_e, light_e > far.saturated_e)
+        if end < radius_px + 1.0:
+            continue
+        star = int(stars[s])
+        places = [(stamps.mean_px[s, b], 1.0)]
+        if trail is not None:
+            way, weight = trail.offset_px[star, b], trail.weight[star, b]
+            first = stamps.mean_px[s, b] - weight @ way
+            parts = np.array_split(np.arange(len(weight)), min(len(weight), MOST_TIMES))
+            places = [(first + weight[p] @ way[p] / weight[p].sum(), float(weight[p].sum())) for p in parts]
+        left = float(sums.beyond[star, b])
+        for place, weight_here in places:
+            there, colours = (place, radius_px, end), (wave, share[s, b])
+            landed, on_image = _add(known, there, colours, left * weight_here, image[..., b], camera.sensitive_columns)
+            sums.image[star, b] += on_image
+            sums.off_edge[star, b] += landed - on_image
+            sums.beyond[star, b] -= landed
+
+
+def _add(
+    known: FarImage,
+    there: tuple[FloatArray, float, float],
+    colours: tuple[FloatArray, FloatArray],
+    left_e: float,
+    image: NDArray[np.float32],
+    sensitive: NDArray[np.bool_] | None,
+) -> tuple[float, float]:
+    """Add one far image; its electrons, and those of them on the detector."""
+    mean_px, radius_px, end_px = there
+    reach, middle = math.ceil(end_px), np.rint(mean_px)
+    edges = np.arange(-reach, reach + 2) - 0.5
+    x, y = (edges + (m - p) for m, p in zip(middle, mean_px, strict=True))
+    pixels = known.pixels(x, y, *colours)
+    steps = np.arange(-reach, reach + 1)
+    distance = np.hypot(steps, steps[:, None])
+    outside = 1.0 - float(pixels[distance <= radius_px].sum())
+    pixels *= (distance > radius_px) & (distance <= end_px)
+    pixels *= left_e / outside
+    (column, row), (height, width) = middle.astype(int) - reach, image.shape
+    rows, columns = (slice(max(0, -a), max(0, min(2 * reach + 1, n - a))) for a, n in ((row, height), (column, width)))
+    kept = pixels[rows, columns]
+    if kept.size and sensitive is not None:
+        kept = kept * sensitive[column + columns.start : column + columns.stop]
+    if kept.size:
+        image[row + rows.start : row + rows.stop, column + columns.start : column + columns.stop] += kept.astype(
+            np.float32
+        )
+    return float(pixels.sum()), float(kept.sum())
