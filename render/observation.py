@@ -14,8 +14,10 @@ from scipy.spatial.transform import Rotation
 from optics.attitude import angles_from_attitude
 from optics.errors import ConfigError
 from optics.light.band import Band
+from optics.light.pst import PointSourceTransmittance, read_pst
 from optics.page import Marks, differences, save_frame_page
 from render.bodies.solar_system import SolarSystem, hiding_spheres, planet_field, solar_system
+from render.bodies.stray_light import band_light, stray_electrons_per_s
 from render.bodies.sunlit_body import added
 from render.detector.readout import expose
 from render.engine.random import Streams
@@ -229,6 +231,9 @@ class SkySimulator:
         Which of Moon, Earth and planets are there (`render.bodies.solar_system.BODIES`, ``"earth"``), as the observer
         of the sky sees them: the Earth needs one above it (`Observer.moved`). Those larger than a pixel are disks that
         hide stars and one another, the others points of light, left out where no magnitude is published.
+    stray_light : path or PointSourceTransmittance, optional
+        Table of the camera (``pst.ecsv`` of experiment ``straylight``): Sun and Moon, and the Earth where ``bodies`` has
+        it, as the observer of the sky sees them, add even light to every pixel; their images are not drawn.
 
     Raises
     ------
@@ -256,6 +261,7 @@ class SkySimulator:
         uniform: UniformSky | None = None,
         seed: int = 0,
         bodies: Sequence[str] = (),
+        stray_light: str | Path | PointSourceTransmittance | None = None,
     ) -> None:
         sensor.check_field()
         self.sensor, self.sky = sensor, load_sky() if sky is None else sky
@@ -269,6 +275,13 @@ class SkySimulator:
             self.diffuse = background_map(sensor.camera, [band])
         self.temperature_c, self.background_e_per_s = temperature_c, background_e_per_s
         self.exposure_s, self._streams = exposure_s, Streams(seed)
+        known = stray_light is None or isinstance(stray_light, PointSourceTransmittance)
+        self._pst = stray_light if known else read_pst(stray_light)
+        self._earth, self._band_light = "earth" in bodies, None
+        if self._pst is not None:
+            if self.sky.observer is None:
+                raise ConfigError("stray_light: the sky needs an observer, load_sky(observer='earth')")
+            self._band_light = band_light(sensor.detector, band)
         self._disks: SolarSystem | None = None
         self._points: SolarSystem | None = None
         hidden = None
@@ -322,6 +335,10 @@ class SkySimulator:
                 uniform=self.uniform,
             )
             expected = replace(expected, electrons=expected.electrons + rate * np.float32(expected.exposure_s))
+        stray = self.stray_e_per_s(attitude)
+        if stray:
+            light = np.float32(sum(stray.values()) * expected.exposure_s)
+            expected = replace(expected, electrons=expected.electrons + light)
         bodies: dict[str, tuple[float, float, float]] = {}
         for name, image, place in self._seen(attitude):
             expected, bodies[name] = added(expected, image), place
@@ -340,6 +357,19 @@ class SkySimulator:
             sensor=self.sensor,
             sky=self.sky,
             bodies=bodies,
+        )
+
+    def stray_e_per_s(self, attitude: Rotation) -> dict[str, float]:
+        """Stray light of each body in an attitude [e- s^-1 per pixel]; empty without a table."""
+        if self._pst is None or self._band_light is None:
+            return {}
+        return stray_electrons_per_s(
+            self._pst,
+            self._band_light,
+            attitude,
+            observer=self.sky.observer,
+            epoch_year=self.sky.epoch_year,
+            earth=self._earth,
         )
 
     def _seen(self, attitude: Rotation) -> Iterator[tuple[str, ExpectedImage, tuple[float, float, float]]]:

@@ -296,7 +296,9 @@ def _moment_covariance(stamps: Stamps, noise: NoiseModel, light: FloatArray) -> 
     """Covariance (n, 3, 3) of place and flux where only the light of the window is known: a matched filter of 1 px."""
     variance = noise.variance_e2(stamps.background_e) * stamps.valid.sum(axis=(1, 2)) + light
     out = np.zeros((len(light), FLUX + 1, FLUX + 1))
-    out[:, X, X] = out[:, Y, Y] = np.minimum(2.0 * variance / light**2, 0.25 * stamps.electrons.shape[1] ** 2)
+    with np.errstate(invalid="ignore", divide="ignore"):  # a window without a valid pixel has neither
+        place = 2.0 * variance / light**2
+    out[:, X, X] = out[:, Y, Y] = np.fmin(place, 0.25 * stamps.electrons.shape[1] ** 2)
     out[:, FLUX, FLUX] = variance
     return out
 

@@ -109,7 +109,18 @@ class Config(SweptConfig, SensorExperimentConfig, SensorConfig):
     """A sensor file, and what is looked at; the defaults are the built-in star tracker."""
 
     NOT_SWEPT: ClassVar[frozenset[str]] = frozenset(
-        {"requirements", "filters", "sky", "thermal", "frames", "tornado", "manufacture"}
+        {
+            "requirements",
+            "filters",
+            "sky",
+            "thermal",
+            "frames",
+            "tornado",
+            "manufacture",
+            "baffle",
+            "scatter",
+            "contamination",
+        }
     )
 
     detector: DetectorConfig = DetectorConfig()

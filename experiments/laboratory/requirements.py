@@ -49,4 +49,5 @@ class RequirementsConfig(StrictModel):
     vignetting_percent: float | None = _asked("largest loss of light over the field against the axis, at most")
     focus_shift_um: float | None = _asked("change of the best focus over [thermal], largest, at most")
     spot_thermal_px: float | None = _asked("RMS radius of the white spot over [thermal], largest, at most")
+    sun_exclusion_deg: float | None = _asked("angle to the Sun at which frames are usable, at most (straylight)")
     scale_change_ppm: float | None = _asked("change of the plate scale over [thermal], largest, at most")

@@ -13,6 +13,7 @@ from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.lens_defaults import lens_defaults, lens_remarks
 from experiments.laboratory.requirements import RequirementsConfig
 from experiments.laboratory.settings import CatalogueConfig, FilterConfig, InstrumentConfig, PassbandConfig
+from experiments.laboratory.stray_settings import BaffleConfig, ContaminationConfig, ScatterConfig
 from optics.errors import StarbenchError
 from optics.validate import parse_model
 
@@ -62,6 +63,9 @@ class SensorConfig(StrictModel):
     catalogue: CatalogueConfig = CatalogueConfig()
     requirements: RequirementsConfig = RequirementsConfig()
     manufacture: ManufactureConfig = ManufactureConfig()
+    baffle: BaffleConfig = BaffleConfig()
+    scatter: ScatterConfig = ScatterConfig()
+    contamination: ContaminationConfig = ContaminationConfig()
 
     @field_validator("window_px")
     @classmethod

@@ -49,8 +49,9 @@ __all__ = [
 
 ScatterLaw = Callable[[FloatArray], FloatArray]
 """BSDF [1/sr] at differences of n times sine: the ``bsdf`` of a law of `optics.light.scatter`."""
-NEWTON_STEPS, NEWTON_MM = 12, 1e-6
-"""Steps towards a point of a surface, and the distance at which it is reached."""
+NEWTON_STEPS, NEWTON_MM, FAR = 10, 1e-6, 6.0
+"""Steps towards a point of a surface, the distance at which it is reached, and how many radii of the entrance away from
+the axis the search is given up."""
 STEP_MM = 1e-4
 START = 15
 """Rays along each side of the grid that the search starts from."""
@@ -96,11 +97,9 @@ class _Light:
         self.index = lens.indices(wave)
         self.relative = self.index / self.index[0]
 
-    def follow(self, rays: Rays, last: int | None = None) -> tuple[list[_Crossing], Rays]:
-        """All crossings up to the surface ``last``, or to the image."""
-        lens, found = self.lens, []
-        if last is not None:
-            lens = _up_to(lens, last)
+    def follow(self, rays: Rays) -> tuple[list[_Crossing], Rays]:
+        """All crossings up to the image."""
+        lens, found = self.lens, list[_Crossing]()
         before, opl = np.stack([rays.dx, rays.dy, rays.dz]), rays.opl_mm
         share = np.ones(np.shape(rays.x))
 
@@ -139,6 +138,13 @@ class _Light:
         cosine = np.abs((across * before).sum(axis=0)) / np.where(length > 0.0, length, 1.0)
         cosine = np.clip(np.nan_to_num(cosine, nan=1.0), 1e-6, 1.0)
         return np.asarray(left * (coating or BARE).split(self.wave, n1, n2, cosine).transmittance)
+
+
+def _at_surface(lens: LensSystem, rays: Rays) -> Rays:
+    """Rays on the last surface of a lens, in its vertex frame."""
+    kept: list[Rays] = []
+    trace(lens, rays, lambda _, now: kept.append(now))
+    return kept[len(lens.surfaces) - 1]
 
 
 def _up_to(lens: LensSystem, last: int) -> LensSystem:
@@ -306,7 +312,7 @@ def _scattered(imaging: ImagingRays, source: FloatArray, number: int) -> tuple[F
     n1, n2 = light.relative[number], light.relative[number + 1]
     mirror = lens.surfaces[number].mirror
     normal = (n1 if mirror else n2) * own.after - n1 * own.before
-    normal = normal / np.linalg.norm(normal, axis=0)
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=0), 1e-300)
     lit, (source_before, share, jacobian) = _meet(light, source, number, own)
     used = imaging.transmission.ravel() > 0.0
     n = n1 if mirror else n2
@@ -338,57 +344,54 @@ def _meet(
     depth = float(np.nanmax(np.abs(np.nan_to_num(first.shape.sag(rim, 0.0 * rim))))) + 1.0
     centre = first.position_mm - direction / direction[2] * depth
 
-    def at(u: FloatArray, v: FloatArray) -> _Crossing:
-        rays = Rays.create(
+    short = _up_to(lens, number)
+
+    def launched(u: FloatArray, v: FloatArray) -> Rays:
+        return Rays.create(
             x_mm=centre[0] + u, y_mm=centre[1] + v, z_mm=centre[2], direction=direction, wavelength_nm=light.wave
         )
-        return light.follow(rays, number)[0][number]
 
     def through(u: FloatArray, v: FloatArray) -> FloatArray:
-        there = at(u, v)
+        there = _at_surface(short, launched(u, v))
         return np.stack([there.x, there.y])
 
+    target = np.stack([own.x, own.y])
+    count = target.shape[1]
+    nothing = np.full(count, np.nan)
+    unlit = np.zeros(count, bool), (np.zeros((3, count)), nothing, nothing)
     span = np.linspace(-1.0, 1.0, START) * 1.1 * radius
     u, v = (w.ravel() for w in np.meshgrid(span, span))
-    there = at(u, v)
-    seen = there.arrived & np.isfinite(there.x + there.y)
-    target = np.stack([own.x, own.y])
-    nothing = np.full(target.shape[1:], np.nan)
-    nowhere = (np.zeros(target.shape[1], bool), (np.zeros((3, target.shape[1])), nothing, nothing))
-    if seen.sum() < 3:
-        if not seen.any():
-            return nowhere[0], (nowhere[1][0], 0.0 * np.zeros(target.shape[1]), np.zeros(target.shape[1]))
-        seen = np.isfinite(there.x + there.y)
+    there = _at_surface(short, launched(u, v))
+    finite = np.isfinite(there.x + there.y)
+    seen = finite & ((there.status == OK) | ((there.status == TOTAL_REFLECTION) & (there.failed_at == number)))
+    if not seen.any():
+        return unlit[0], (unlit[1][0], 0.0 * nothing, np.zeros(count))
+    seen = seen if seen.sum() >= 3 else finite
     basis = np.stack([there.x, there.y, np.ones_like(there.x)], axis=-1)[seen]
     fit, *_ = np.linalg.lstsq(basis, np.stack([u, v], axis=-1)[seen], rcond=None)
-    place = (np.stack([*target, np.ones(target.shape[1])], axis=-1) @ fit).T
+    place = (np.stack([*target, np.ones(count)], axis=-1) @ fit).T
+    determinant, active = np.full(count, np.nan), np.arange(count)
     with np.errstate(all="ignore"):
         for _ in range(NEWTON_STEPS):
-            here = through(*place)
-            dx = (through(place[0] + STEP_MM, place[1]) - here) / STEP_MM
-            dy = (through(place[0], place[1] + STEP_MM) - here) / STEP_MM
-            determinant = dx[0] * dy[1] - dx[1] * dy[0]
-            miss = target - here
-            if np.nanmax(np.abs(miss), initial=0.0) < NEWTON_MM:
-                break
-            step = np.stack([miss[0] * dy[1] - miss[1] * dy[0], dx[0] * miss[1] - dx[1] * miss[0]]) / determinant
+            u, v = place[:, active]
+            moved = through(np.concatenate([u, u + STEP_MM, u]), np.concatenate([v, v, v + STEP_MM]))
+            here, right, up = np.split(moved, 3, axis=1)
+            dx, dy = (right - here) / STEP_MM, (up - here) / STEP_MM
+            determinant[active] = d = dx[0] * dy[1] - dx[1] * dy[0]
+            miss = target[:, active] - here
+            going = ~(np.hypot(*miss) < NEWTON_MM) & np.isfinite(miss).all(axis=0)
+            step = np.stack([miss[0] * dy[1] - miss[1] * dy[0], dx[0] * miss[1] - dx[1] * miss[0]]) / d
             length = np.linalg.norm(step, axis=0)
-            place = place + np.nan_to_num(step * np.minimum(1.0, radius / np.maximum(length, 1e-300)))
-        final = at(*place)
-        miss = np.hypot(final.x - target[0], final.y - target[1])
+            step = np.nan_to_num(step * np.minimum(1.0, radius / np.maximum(length, 1e-300)))
+            place[:, active] += np.where(going, step, 0.0)
+            active = active[going & (np.hypot(*place[:, active]) < FAR * radius)]
+            if not len(active):
+                break
+        crossed, _ = _Light(short, light.wave, light.coating, light.absorption).follow(launched(*place))
+    final = crossed[number]
+    miss = np.hypot(final.x - target[0], final.y - target[1])
     reached = np.isfinite(miss) & (miss < 1e3 * NEWTON_MM)
-    share = np.ones(len(miss))
-    if number:
-        share = light.follow(
-            Rays.create(
-                x_mm=centre[0] + place[0],
-                y_mm=centre[1] + place[1],
-                z_mm=centre[2],
-                direction=direction,
-                wavelength_nm=light.wave,
-            ),
-            number,
-        )[0][number - 1].share
+    share = crossed[number - 1].share if number else np.ones(count)
     jacobian = np.where(reached, 1.0 / np.abs(np.where(determinant == 0.0, np.nan, determinant)), np.nan)
     return reached & final.arrived, (final.before, share, jacobian)
 

@@ -1,0 +1,71 @@
+"""Settings of stray light in a sensor file: baffle, scatter of surfaces, dust. Light to import."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from experiments.harness.config import FileName, StrictModel
+
+__all__ = ["BaffleConfig", "ContaminationConfig", "ScatterConfig"]
+
+
+class BaffleConfig(StrictModel):
+    """What stands in front of the lens; stated nowhere, a vaned tube whose shade begins at 35 deg."""
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"vanes", "diffuse", "specular", "roughness"})
+
+    fitted: bool = Field(default=True, description="false: a bare lens")
+    mesh: FileName = Field(
+        default="",
+        description="closed mesh in mm in place of vanes, .ply, .obj or .glb: +z to the sky, 0 at the first surface",
+    )
+    shade_deg: float = Field(
+        default=35.0, gt=0, lt=90, description="angle of the Sun from which on the lens is in the shade; sets length"
+    )
+    length_mm: float | None = Field(default=None, gt=0, le=1e4, description="length in its place")
+    vane_depth_mm: float = Field(default=8.0, gt=0, le=1e3, description="how far the front vane reaches into the tube")
+    vanes: int | None = Field(
+        default=None, ge=0, le=60, description="number that sets the depth; 0: plain tube; left out: by construction"
+    )
+    clearance_mm: float = Field(default=0.5, ge=-100, le=100, description="between beams of the field and vanes")
+    edge_radius_um: float = Field(default=20.0, ge=0, le=1000, description="radius of the edges of the vanes")
+    coating: Literal["z306", "black_anodised", "magic_black", "own"] = Field(
+        default="z306", description="black coating; own: the three numbers below"
+    )
+    diffuse: float = Field(default=0.04, ge=0, le=1, description="Lambertian reflectance of coating = own")
+    specular: float = Field(default=0.0, ge=0, le=0.04, description="its specular reflectance, normal incidence")
+    roughness: float = Field(default=0.3, ge=0.01, le=1, description="its specular lobe, GGX alpha")
+
+    @model_validator(mode="after")
+    def _reflects(self) -> Self:
+        if self.diffuse + 25.0 * self.specular > 1.0:
+            raise ValueError(
+                f"diffuse = {self.diffuse:g} with specular = {self.specular:g} reflects more than all grazing light; "
+                "specular is at most 0.04 (1 - diffuse)"
+            )
+        return self
+
+
+class ScatterConfig(StrictModel):
+    """Polish of the lens surfaces, all alike, and what the detector reflects: typical figures, assumed."""
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"shoulder", "slope", "detector_reflectance"})
+
+    roughness_nm: float = Field(default=1.5, ge=0, le=50, description="RMS roughness in the band that scatters")
+    shoulder: float = Field(default=0.01, gt=0, le=1, description="Harvey-Shack l: sine where the BSDF begins to fall")
+    slope: float = Field(default=-1.5, ge=-6, lt=0, description="Harvey-Shack s: power of its fall")
+    detector_reflectance: float = Field(default=0.2, ge=0, le=1, description="of the detector, as a mirror")
+
+
+class ContaminationConfig(StrictModel):
+    """Dust by IEST-STD-CC1246."""
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"level", "inner_level"})
+
+    level: float = Field(default=300.0, ge=1, le=5000, description="cleanliness level of the first surface")
+    inner_level: float = Field(default=100.0, ge=1, le=5000, description="of all other surfaces next to air")
+    forward_fraction: float = Field(
+        default=0.5, ge=0, le=1, description="of the light that dust intercepts, what goes on, spread evenly: assumed"
+    )

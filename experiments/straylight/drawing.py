@@ -1,0 +1,109 @@
+"""Pictures: lens and baffle with the worst paths, transmittance by cause, frames under the Sun."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.harness.plotting import INK, PALETTE, new_figure
+from experiments.harness.quantities import Outcome
+from optics.figures import draw_image, draw_lens
+from render.baffle.geometry import VanedBaffle
+
+__all__ = ["draw_baffle", "draw_causes", "draw_frames"]
+
+WARM = "#d55e00"
+
+
+def draw_baffle(outcome: Outcome) -> Figure:
+    """Section through lens and baffle; lines from the surfaces seen to the entrance, thicker where more light comes."""
+    setup: Any = outcome.result["setup"]
+    lens, baffle = setup.camera.focused_lens, setup.stray.baffle
+    figure = draw_lens(lens, fields_deg=[0.0, float(0.9 * setup.field_deg)])
+    panel = figure.axes[0]
+    panel.set_title("")
+    z0 = float(lens.surfaces[0].position_mm[2])
+    radius, far = setup.entrance_mm, 0.0
+    if isinstance(baffle, VanedBaffle):
+        far, radius = baffle.length_mm, baffle.tube_mm
+        for side in (-1.0, 1.0):
+            wall = side * baffle.tube_mm
+            panel.plot([z0 - far, z0, z0], [wall, wall, side * baffle.entrance_mm], color=INK, linewidth=1.4)
+            for z, tip in zip(baffle.vane_z_mm, baffle.vane_mm, strict=True):
+                panel.plot([z0 - z, z0 - z], [side * tip, wall], color=INK, linewidth=1.2)
+    elif baffle is not None:
+        far = float(baffle.vertex_mm[:, 2].max())
+        height = np.hypot(*baffle.vertex_mm[:, :2].T)
+        radius = float(height.max())
+        panel.plot(z0 - baffle.vertex_mm[:, 2], height, ",", color=INK)
+        panel.plot(z0 - baffle.vertex_mm[:, 2], -height, ",", color=INK)
+    if setup.worst is not None and len(setup.worst.share):
+        # turned into the plane of the drawing, entrance above or below as they meet
+        for point, start, share in zip(
+            setup.worst.point_mm, setup.worst.entrance_mm, setup.worst.share / setup.worst.share.max(), strict=True
+        ):
+            height = float(np.hypot(*point[:2]))
+            side = np.sign(point[0]) or 1.0
+            at = side * float(start[:2] @ point[:2]) / max(height, 1e-9)
+            panel.plot([z0 - point[2], z0], [side * height, at], color=WARM, linewidth=0.3 + 1.2 * share, alpha=0.6)
+    if far:
+        left = z0 - 1.25 * far
+        length = 0.9 * far
+        angle = np.radians(setup.worst_deg)
+        panel.annotate(
+            f"Sun, {setup.worst_deg:.0f}°", xy=(z0 - far, 0.0),
+            xytext=(z0 - far - length * np.cos(angle) * 0.4, length * np.sin(angle) * 0.6 + 0.3 * radius),
+            arrowprops={"arrowstyle": "->", "color": "#f0a000"}, fontsize=8, color="#b07000",
+        )  # fmt: skip
+        right = panel.get_xlim()[1]
+        panel.set_xlim(left, right)
+        panel.set_ylim(-1.35 * radius, 1.35 * radius)
+        figure.set_size_inches(7.6, max(7.6 * 2.7 * radius / (right - left), 2.2))
+    return figure
+
+
+def draw_causes(outcome: Outcome) -> Figure:
+    """PST by cause, one panel per azimuth; the axis on the right counts the Sun's electrons."""
+    setup: Any = outcome.result["setup"]
+    pst, scale = setup.stray.pst, setup.sun_e
+    count = len(pst.azimuth_deg)
+    figure, axes = new_figure(1, count, aspect_ratio=0.5 if count == 1 else 0.45, squeeze=False, sharey=True)
+    labels = {"ghosts": "ghosts", "polish": "polish", "dust": "dust", "walls": "walls, vanes", "edges": "vane edges"}
+    top = float(pst.total.max())
+    bottom = max(float(pst.total[pst.total > 0].min()) / 30.0, top * 1e-12)
+    for z, panel in enumerate(axes[0]):
+        for row, (cause, colour) in enumerate(zip(pst.causes, PALETTE * 3, strict=False)):
+            value, error = pst.value[row, z], pst.error[row, z]
+            lit = value > 0.0
+            if lit.any():
+                panel.plot(pst.angle_deg[lit], value[lit], color=colour, label=labels.get(cause, cause))
+                low, high = np.maximum(value - error, bottom * 1e-3)[lit], (value + error)[lit]
+                panel.fill_between(pst.angle_deg[lit], low, high, color=colour, alpha=0.2, linewidth=0)
+        panel.plot(pst.angle_deg, np.maximum(pst.total[z], bottom * 1e-3), color=INK, linewidth=1.6, label="total")
+        if np.isfinite(setup.shade_deg):
+            panel.axvline(setup.shade_deg, color="0.6", linewidth=0.8, dashes=(4, 3))
+        panel.set(xscale="log", yscale="log", xlabel="Angle of the source [°]", ylim=(bottom, 3.0 * top))
+        panel.set_title(f"azimuth {pst.azimuth_deg[z]:g}°", fontsize=9)
+        if z == count - 1:
+            other = panel.secondary_yaxis("right", functions=(lambda v: v * scale, lambda v: v / scale))
+            other.set_ylabel("Sun [e⁻ per pixel]")
+    axes[0][0].set_ylabel("PST")
+    axes[0][0].legend(fontsize=7.5, loc="lower left")
+    return figure
+
+
+def draw_frames(outcome: Outcome) -> Figure:
+    """The first attitude without much light, at the exclusion angle, and well inside it."""
+    rows = outcome.result["frames"]
+    edge = outcome.result["exclusion"].sun_exclusion_deg
+    near = min(range(len(rows)), key=lambda k: abs(rows[k].sun_deg - edge))
+    chosen = sorted({0, near, len(rows) - 1}, reverse=True)
+    figure, axes = new_figure(1, len(chosen), aspect_ratio=0.36, squeeze=False)
+    for panel, k in zip(axes[0], chosen, strict=True):
+        draw_image(rows[k].frames.example_e, panel)
+        panel.set_title(f"Sun at {rows[k].sun_deg:.1f}°, {rows[k].light_e:.3g} e⁻", fontsize=8.5)
+        panel.set(xticks=[], yticks=[], xlabel="", ylabel="")
+        panel.grid(False)
+    return figure

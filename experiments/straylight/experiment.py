@@ -1,0 +1,510 @@
+"""Stray light: transmittance by cause, background, frames under the Sun, exclusion angle, what to change."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.harness.drawings import curves
+from experiments.harness.progress import Progress
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, below, col, numbers_of
+from experiments.harness.summary import Measured
+from experiments.harness.what_if import REQUIREMENTS, judge
+from experiments.laboratory.filter_wheel import open_band
+from experiments.laboratory.instrument import Instrument, build_instrument
+from experiments.laboratory.requirements import AT_LEAST
+from experiments.laboratory.stray_settings import BaffleConfig
+from experiments.straylight.drawing import draw_baffle, draw_causes, draw_frames
+from experiments.straylight.frames import Bench, SunFrames, light_map, rms
+from experiments.straylight.settings import Config
+from experiments.straylight.transmittance import CAUSES, SMALLEST, Stray, direction, lens_part, transmittance
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.light.pst import PointSourceTransmittance, read_pst, write_pst
+from render.baffle.geometry import VanedBaffle
+from render.baffle.light import WorstPaths
+from render.bodies.solar_system import RADIUS_KM
+from render.bodies.stray_light import BandLight, band_light, limb_pst
+
+__all__ = ["SECTIONS", "limits", "run", "save_table"]
+
+LABELS = {
+    "ghosts": "Ghosts",
+    "polish": "Polished surfaces",
+    "dust": "Dust",
+    "walls": "Walls and vanes",
+    "edges": "Vane edges",
+}
+LIMB_DEG = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0, 90.0)
+
+
+def limits(config: Config) -> dict[str, tuple[float, bool]]:
+    """Requirements of the sensor file that are answered here."""
+    required = config.requirements.model_dump()
+    return {
+        key: (float(v), key in AT_LEAST) for key, v in required.items() if v is not None and key == "sun_exclusion_deg"
+    }
+
+
+# --- The sensor in words
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """What light meets."""
+
+    name: str = col("Sensor", json="")
+    baffle: str = col("Baffle", json="")
+    coating: str = col("Coating", json="")
+    vanes: int = col("Vanes")
+    shade_deg: float = col("Shade of the baffle begins at", "deg", ".2f")  # NaN without vanes
+    length_mm: float = col("Length of the baffle", "mm", ".1f")
+    diameter_mm: float = col("Diameter of the tube", "mm", ".1f")
+    entrance_mm: float = col("Radius of the entrance", "mm", ".2f")
+    field_deg: float = col("Half angle of the field, corner", "deg", ".2f")
+    rays: int = col("Rays through the baffle")
+    sun_e: float = col("Sun, electrons per pixel for a PST of 1", "e-", ".3g")
+    walls_error_percent: float = col("Standard error of walls and vanes, largest", "percent", ".1f")
+    walls_limit_percent: float = col("Standard error asked for", "percent", ".1f", json="")
+    whole_baffle: bool = col("No baffle was stated", json="")
+    stray: Any
+    worst: WorstPaths | None
+    worst_deg: float
+    camera: Any
+
+
+# --- Point-source transmittance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Angle:
+    """One angle of the source."""
+
+    angle_deg: float = col("Source", "deg", "g")
+    direct: float = col("Entrance in the light", format=".3f", shown=False)
+    pst_cause: FloatArray = col("PST by cause", format=".2e", dims="cause azimuth", shown=False)
+    pst: Sequence[Measured] = col("PST", format=".2e", dims="azimuth", json="pst")
+    sun_e: FloatArray = col("Sun", "e-", ".3g", "azimuth")
+    moon_e: FloatArray = col("Full Moon", "e-", ".3g", "azimuth", shown=False)
+    azimuth_deg: FloatArray  # Of the table
+
+
+def by_angle(stray: Stray, light: BandLight, exposure_s: float) -> list[Angle]:
+    """The table, with what Sun and Moon make of it."""
+    pst = stray.pst
+    total, error = pst.total, pst.total_error
+    return [
+        Angle(
+            angle_deg=float(angle),
+            direct=float(stray.direct[0, a]),
+            pst_cause=pst.value[:, :, a],
+            pst=[Measured(value=float(v), uncertainty=float(e)) for v, e in zip(total[:, a], error[:, a], strict=True)],
+            sun_e=total[:, a] * light.sun_e_per_s * exposure_s,
+            moon_e=total[:, a] * light.full_moon_e_per_s * exposure_s,
+            azimuth_deg=pst.azimuth_deg,
+        )
+        for a, angle in enumerate(pst.angle_deg)
+    ]
+
+
+# --- The Earth's limb
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limb:
+    """The limb of the Earth, in full light, at an angle from the boresight."""
+
+    limb_deg: float = col("Limb", "deg", "g")
+    earth_e: float = col("Earth", "e-", ".3g")
+
+
+def limb(config: Config, pst: PointSourceTransmittance, light: BandLight) -> list[Limb]:
+    """Electrons per pixel by the Earth for a sensor at an altitude."""
+    radius = math.asin(RADIUS_KM["earth"] / (RADIUS_KM["earth"] + config.earth_altitude_km))
+    scale = light.sun_e_per_s * config.instrument.exposure_s
+    return [
+        Limb(limb_deg=a, earth_e=scale * limb_pst(pst, direction(a + math.degrees(radius), 0.0), radius))
+        for a in LIMB_DEG
+    ]
+
+
+# --- Frames
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SunAngle:
+    """Frames with the Sun at an angle, mean over the attitudes."""
+
+    sun_deg: float = col("Sun", "deg", ".2f")
+    light_e: float = col("Stray light", "e-", ".3g")
+    found: Measured = col("Stars found", format=".1f", json="found_per_frame")
+    lost: Measured = col("Lost", "percent", ".1f", json="lost_percent")
+    false: Measured = col("False detections", format=".2f", json="false_per_frame")
+    saturated: float = col("Saturated pixels", "percent", ".1f", json="saturated_percent")
+    centroid_px: float = col("Centroid, RMS", "px", ".3f")
+    solved: float = col("Attitude found", "percent", ".0f", json="solved_percent")
+    cross_arcsec: float = col("Attitude across", "arcsec", ".2f", json="cross_arcsec_rms")
+    roll_arcsec: float = col("Roll", "arcsec", ".2f", json="roll_arcsec_rms")
+    frames: SunFrames
+    usable: bool
+
+
+def _mean(values: Any) -> Measured:
+    known = np.asarray(values, dtype=float)
+    error = float(known.std(ddof=1) / math.sqrt(len(known))) if len(known) > 1 else 0.0
+    return Measured(value=float(known.mean()), uncertainty=error, n=len(known))
+
+
+def at_sun(config: Config, bench: Bench, stray: Stray, scale_e: float, angle: float, before: SunFrames) -> SunAngle:
+    """Frames with the Sun at an angle."""
+    light = scale_e * light_map(stray, angle, bench.instrument.detector.shape)
+    seen = bench.look(light, "sky", before)
+    more = float(seen.false.mean() - before.false.mean())
+    full = bench.instrument.detector.full_well_e
+    return SunAngle(
+        sun_deg=angle,
+        light_e=float(light.mean()),
+        found=_mean(seen.found),
+        lost=_mean(100.0 * seen.lost),
+        false=_mean(seen.false),
+        saturated=float(100.0 * (light >= full).mean()),
+        centroid_px=rms(seen.error_px),
+        solved=float(100.0 * seen.solved.mean()),
+        cross_arcsec=rms(seen.error_arcsec[:, :2].ravel()),
+        roll_arcsec=rms(seen.error_arcsec[:, 2]),
+        frames=seen,
+        usable=more <= config.rates.false_per_frame and float(seen.lost.mean()) <= config.rates.lost_fraction,
+    )
+
+
+def sun_angles(pst: PointSourceTransmittance, scale_e: float, count: int, full_e: float) -> list[float]:
+    """Angles at even steps of the Sun's light, from a few electrons to a full well, and the last one of the table."""
+    log_angle = np.linspace(np.log(pst.angle_deg[0]), np.log(pst.angle_deg[-1]), 4000)
+    azimuth = float(pst.azimuth_deg[0])
+    light = scale_e * pst.at(np.stack([direction(float(np.exp(a)), azimuth) for a in log_angle]))
+    envelope = np.maximum.accumulate(light[::-1])[::-1]  # what is seen from an angle on
+    wanted = np.geomspace(max(2.0, envelope[-1] * 1.01), max(min(full_e, envelope[0]), 3.0), count - 1)
+    found = [float(np.exp(log_angle[np.flatnonzero(envelope >= one)[-1]])) for one in wanted if (envelope >= one).any()]
+    return sorted({*found, float(pst.angle_deg[-1])})
+
+
+# --- Exclusion angle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exclusion:
+    """Angles within which frames are not usable."""
+
+    sun_exclusion_deg: float = col("Exclusion angle of the Sun", "deg", ".2f")
+    moon_exclusion_deg: float = col("Exclusion angle of the full Moon", "deg", ".2f")
+    earth_exclusion_deg: float = col("Exclusion angle of the Earth's limb", "deg", ".1f")
+    critical_e: float = col("Stray light at which frames cease to be usable", "e-", ".3g")
+    nearest_usable_deg: float = col("Nearest angle of the Sun with usable frames", "deg", ".2f")
+    farthest_unusable_deg: float = col("Farthest angle of the Sun without", "deg", ".2f")
+    bounded: bool
+
+
+def exclusion(
+    config: Config, stray: Stray, light: BandLight, frames: list[SunAngle], look: Callable[[float], SunAngle]
+) -> tuple[Exclusion, list[SunAngle]]:
+    """The largest angle at which a rate is passed, narrowed down by more frames; its light tells Moon and Earth."""
+    rows = sorted(frames, key=lambda one: one.sun_deg)
+    bad = [one for one in rows if not one.usable]
+    if not bad:
+        top = max(one.light_e for one in rows)
+        return _of_light(config, stray, light, top, 0.0, rows[0].sun_deg, 0.0, bounded=False), rows
+    edge = rows.index(bad[-1])
+    if edge == len(rows) - 1:
+        low = min(one.light_e for one in rows)
+        return _of_light(config, stray, light, low, 180.0, math.nan, rows[-1].sun_deg, bounded=False), rows
+    low, high = rows[edge], rows[edge + 1]
+    for _ in range(REFINED):
+        middle = look(math.sqrt(low.sun_deg * high.sun_deg))
+        rows.append(middle)
+        low, high = (low, middle) if middle.usable else (middle, high)
+    critical = math.sqrt(max(low.light_e, 1e-3) * max(high.light_e, 1e-3))
+    angle = 0.5 * (low.sun_deg + high.sun_deg)
+    rows.sort(key=lambda one: one.sun_deg)
+    return _of_light(config, stray, light, critical, angle, high.sun_deg, low.sun_deg, bounded=True), rows
+
+
+REFINED = 3
+"""Halvings between the last angle that is not usable and the next one."""
+
+
+def _of_light(
+    config: Config, stray: Stray, light: BandLight, critical: float, angle: float, usable: float, unusable: float,
+    *, bounded: bool,
+) -> Exclusion:  # fmt: skip
+    return Exclusion(
+        sun_exclusion_deg=angle,
+        moon_exclusion_deg=angle_of(stray.pst, critical / (light.full_moon_e_per_s * config.instrument.exposure_s)),
+        earth_exclusion_deg=_limb_angle(config, stray.pst, light, critical),
+        critical_e=critical,
+        nearest_usable_deg=usable,
+        farthest_unusable_deg=unusable,
+        bounded=bounded,
+    )
+
+
+def angle_of(pst: PointSourceTransmittance, value: float) -> float:
+    """Largest angle at which PST exceeds a value; 0 where it never does."""
+    angles = np.geomspace(pst.angle_deg[0], pst.angle_deg[-1], 4000)
+    seen = pst.at(np.stack([direction(float(a), float(pst.azimuth_deg[0])) for a in angles]))
+    above = np.flatnonzero(seen > value)
+    return float(angles[above[-1]]) if len(above) else 0.0
+
+
+def _limb_angle(config: Config, pst: PointSourceTransmittance, light: BandLight, critical: float) -> float:
+    radius = math.asin(RADIUS_KM["earth"] / (RADIUS_KM["earth"] + config.earth_altitude_km))
+    scale = light.sun_e_per_s * config.instrument.exposure_s
+    angles = np.arange(0.0, 90.5, 0.5)
+    seen = np.array([scale * limb_pst(pst, direction(a + math.degrees(radius), 0.0), radius) for a in angles])
+    above = np.flatnonzero(seen > critical)
+    return float(angles[above[-1]]) if len(above) else 0.0
+
+
+# --- What if
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """One thing changed, everything else as it is."""
+
+    change: str = col("Change", json="")
+    outside_pst: float = col("PST 5 deg outside the shade", format=".2e")
+    outside_e: float = col("Sun there", "e-", ".3g")
+    inside_pst: float = col("PST 5 deg inside", format=".2e")
+    exclusion_deg: float = col("Exclusion angle of the Sun", "deg", ".1f")
+
+
+def changes(
+    config: Config, stray: Stray, light: BandLight, critical: float, advance: Callable[[], None]
+) -> list[Change]:
+    """Dust, coating and vanes; exclusion angles by the light at which frames cease to be usable."""
+    assert stray.lens is not None
+    angles = np.array(config.pst.angles_deg)
+    chosen = [int(a) for a in np.flatnonzero(angles >= stray.lens.field_deg)]
+    scale = light.sun_e_per_s * config.instrument.exposure_s
+    shade = stray.baffle.shade_deg if isinstance(stray.baffle, VanedBaffle) else 35.0
+    own, rows = config.baffle, []
+    variants: list[tuple[str, Any, str]] = [("as it is", own, "dust")]
+    variants += [(f"dust of level {key.split()[1]}", own, key) for key in stray.lens.value if key.startswith("dust ")]
+    if own.fitted and not own.mesh:
+        others = [name for name in ("z306", "black_anodised", "magic_black") if name != own.coating]
+        variants += [(f"coating {name}", own.model_copy(update={"coating": name}), "dust") for name in others]
+        variants.append(
+            ("edges twice as round", own.model_copy(update={"edge_radius_um": 2 * own.edge_radius_um}), "dust")
+        )
+        variants.append(("no vanes", own.model_copy(update={"vanes": 0}), "dust"))
+        variants.append(("no baffle", own.model_copy(update={"fitted": False}), "dust"))
+    for label, baffle, dust in variants:
+        pst = transmittance(config, stray.lens, baffle, dust=dust, angles=chosen[::2]).pst
+        outside, inside = (float(pst.at(direction(min(shade + by, 89.0), 0.0))) for by in (5.0, -5.0))
+        rows.append(
+            Change(
+                change=label,
+                outside_pst=outside,
+                outside_e=scale * outside,
+                inside_pst=inside,
+                exclusion_deg=angle_of(pst, critical / scale),
+            )
+        )
+        advance()
+    return rows
+
+
+# --- The run
+
+
+def run(config: Config, *, progress: Progress) -> dict[str, Any]:
+    """Transmittance, background, frames, exclusion angle, variants.
+
+    Raises
+    ------
+    StarbenchError
+        A lens without surfaces, a baffle that cuts the field, an open mesh, a table that cannot be read.
+    """
+    instrument = build_instrument(config.instrument)
+    light = band_light(instrument.detector, open_band(config.passband, instrument))
+    stray = _stray(config, instrument, progress)
+    scale = light.sun_e_per_s * config.instrument.exposure_s
+    with progress.stage("sky", total=config.frames.attitudes) as stage:
+        bench = Bench(config, instrument, stage.advance)
+    before = bench.look(0.0, "sky")
+    if not before.found.any():
+        raise DomainError("no star is found in frames without the Sun; lengthen the exposure or lower threshold_sigma")
+    angles = sun_angles(stray.pst, scale, config.frames.levels, instrument.detector.full_well_e)
+
+    def look(angle: float) -> SunAngle:
+        return at_sun(config, bench, stray, scale, angle, before)
+
+    rows = []
+    with progress.stage("frames", total=len(angles) + REFINED) as stage:
+        for angle in angles:
+            rows.append(look(angle))
+            stage.advance()
+        excluded, rows = exclusion(config, stray, light, rows, look)
+    found = None
+    if config.what_if and stray.lens is not None:
+        with progress.stage("what if", total=9) as stage:
+            found = changes(config, stray, light, excluded.critical_e, stage.advance)
+    required = judge(limits(config), numbers_of(excluded))
+    return {
+        "setup": _setup(config, instrument, stray, scale),
+        "requirements": required or None,
+        "pst": by_angle(stray, light, config.instrument.exposure_s),
+        "limb": limb(config, stray.pst, light),
+        "frames": rows,
+        "exclusion": excluded,
+        "changes": found,
+    }
+
+
+def _stray(config: Config, instrument: Instrument, progress: Progress) -> Stray:
+    if config.pst.file:
+        pst = read_pst(config.pst.file)
+        return Stray(pst=pst, direct=np.ones(pst.total.shape))
+    count = len(config.pst.angles_deg) * len(config.pst.azimuths_deg)
+    with progress.stage("lens", total=count) as stage:
+        lens = lens_part(config, instrument, stage.advance)
+    with progress.stage("baffle", total=count) as stage:
+        stray = transmittance(config, lens, config.baffle, advance=stage.advance)
+    return stray
+
+
+def _setup(config: Config, instrument: Instrument, stray: Stray, scale: float) -> Setup:
+    baffle, nothing = stray.baffle, math.nan
+    vaned = baffle if isinstance(baffle, VanedBaffle) else None
+    words = "none"
+    if vaned is not None:
+        words = f"tube of {vaned.length_mm:.1f} mm with {len(vaned.vane_z_mm)} vanes"
+    elif baffle is not None:
+        words = Path(config.baffle.mesh).name
+    elif config.pst.file:
+        words = "part of the table"
+    worst, worst_deg = None, nothing
+    if stray.scene is not None:
+        worst_deg = min(vaned.shade_deg + 5.0, 85.0) if vaned is not None else 45.0
+        worst = stray.scene.worst_paths(direction(worst_deg, 0.0), stray.weight)
+    coating = "" if stray.scene is None else f"{stray.scene.coating.name}: {stray.scene.coating.source}"
+    return Setup(
+        name=config.name or f"{instrument.camera.lens.name} on {instrument.detector.name}",
+        baffle=words,
+        coating=coating,
+        vanes=0 if vaned is None else len(vaned.vane_z_mm),
+        shade_deg=nothing if vaned is None else vaned.shade_deg,
+        length_mm=nothing if vaned is None else vaned.length_mm,
+        diameter_mm=nothing if vaned is None else 2.0 * vaned.tube_mm,
+        entrance_mm=nothing if stray.lens is None else stray.lens.entrance_mm,
+        field_deg=0.5 * math.hypot(*instrument.field_deg),
+        rays=stray.rays,
+        sun_e=scale,
+        walls_error_percent=_walls_error_percent(stray.pst),
+        walls_limit_percent=100.0 * config.pst.walls_error,
+        whole_baffle=config.baffle == BaffleConfig(),
+        stray=stray,
+        worst=worst,
+        worst_deg=worst_deg,
+        camera=instrument.camera,
+    )
+
+
+def _walls_error_percent(pst: PointSourceTransmittance) -> float:
+    """Where walls and vanes give light that matters; 0 without them."""
+    if "walls" not in pst.causes:
+        return 0.0
+    value, error = (one[pst.causes.index("walls")] for one in (pst.value, pst.error))
+    counted = error > SMALLEST
+    return float(100.0 * (error[counted] / value[counted]).max(initial=0.0))
+
+
+def save_table(result: dict[str, Any], folder: Path) -> None:
+    """``pst.ecsv``, for ``observe(stray_light=)`` and ``dataset``."""
+    write_pst(folder / "pst.ecsv", result["setup"].stray.pst)
+
+
+def _pst_axes(q: Quantities, found: Sequence[Angle]) -> None:
+    causes = len(found[0].pst_cause)
+    names = list(CAUSES) if causes == len(CAUSES) else [f"cause_{n}" for n in range(causes)]
+    q.axis("cause", np.array(names, dtype=object), "Cause", names=[LABELS.get(one, one) for one in names])
+    azimuth = found[0].azimuth_deg
+    q.axis("azimuth", azimuth, "Azimuth", unit="deg", format="g", names=[f"at {one:g}°" for one in azimuth])
+
+
+SECTIONS = {
+    "setup": Section(
+        record=Setup,
+        figures={"baffle": draw_baffle},
+        verdicts=[
+            below(
+                "walls_error_percent",
+                "walls_limit_percent",
+                title="light of walls and vanes: standard error",
+                advice="more passes than there may be are needed: a baffle whose light comes by rare paths",
+            )
+        ],
+    ),
+    "requirements": REQUIREMENTS,
+    "pst": Section(
+        record=Angle,
+        dim="angle",
+        along="angle_deg",
+        axes=_pst_axes,
+        prefix="at_",
+        place="angles[angle]",
+        table="transmittance",
+        across="azimuth",
+        columns="pst sun_e",
+        caption="Point-source transmittance against the angle of the source, and electrons per pixel by the Sun.",
+        figures={"causes": draw_causes},
+    ),
+    "limb": Section(
+        record=Limb,
+        dim="limb",
+        along="limb_deg",
+        place="limb[limb]",
+        prefix="limb_",
+        table="limb",
+        caption="Electrons per pixel by the Earth in full light.",
+    ),
+    "frames": Section(
+        record=SunAngle,
+        dim="sun",
+        along="sun_deg",
+        prefix="sun_",
+        place="frames[sun]",
+        table="frames",
+        caption="Frames of the real sky against the angle of the Sun, mean over the attitudes.",
+        figures={
+            "rates": curves("sun_light_e", points="sun_lost", log="x", y="Stars lost", aspect_ratio=0.8, width="half"),
+            "attitude": curves(
+                "sun_light_e",
+                lines="sun_cross_arcsec sun_roll_arcsec",
+                log="xy",
+                y="Attitude, RMS",
+                aspect_ratio=0.8,
+                width="half",
+            ),
+            "looks": draw_frames,
+        },
+    ),
+    "exclusion": Section(
+        record=Exclusion, table="exclusion", vertical=True, caption="Exclusion angles."
+    ),
+    "changes": Section(
+        record=Change,
+        dim="variant",
+        place="changes[variant]",
+        table="what_if",
+        rows="variant",
+        hidden="variant",
+        caption="One thing changed, everything else as it is.",
+    ),
+}  # fmt: skip

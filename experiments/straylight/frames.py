@@ -1,0 +1,239 @@
+"""Frames of the real sky under the light of the Sun: stars found, lost and false, centroids, attitude.
+
+The sky is rendered once per attitude; every angle of the Sun adds its light, and the frame is read out and measured
+again. The camera is calibrated without error (a model fitted to its traced map), the attitude roughly known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.star_attitude import identify_stars, solve_attitude
+from calib.cameras.fit import fit_camera
+from calib.records import NoiseModel
+from experiments.laboratory.catalogue import load_catalogue
+from experiments.laboratory.centroid_methods import needs_epsf
+from experiments.laboratory.filter_wheel import open_band
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.readout.frames import mean_dark_frame
+from experiments.laboratory.readout.psf_grid import render_psf_grid
+from experiments.laboratory.readout.reduction import MeasuredFrame, Reduction, measure_frame
+from experiments.straylight.settings import Config
+from experiments.straylight.transmittance import Stray
+from optics.arrays import FloatArray
+from optics.attitude import attitude_error_arcsec
+from render.detector.readout import expose
+from render.engine.random import Streams
+from render.forward import StarRenderer
+from render.sky.field import field_of_view
+from render.sky.sky import load_sky
+from render.sky.star_light import star_light
+
+__all__ = ["Bench", "SunFrames", "light_map"]
+
+MATCH_PX = 2.0
+ROUGH_PX = 5.0
+TYPICAL_K = 5800.0
+FLOOR = 1e-30
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Known:
+    id: NDArray[np.int64]
+    direction: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Sky:
+    """A field of stars without noise."""
+
+    truth: Rotation
+    rough: Rotation
+    electrons: NDArray[np.float32]
+    place_px: FloatArray  # (n, 2)
+    known: _Known
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SunFrames:
+    """Frames with one light; over the attitudes."""
+
+    found: NDArray[np.int64]  # (m,) Stars
+    false: NDArray[np.int64]  # (m,) Detections that are none
+    lost: FloatArray  # (m,) Share of the stars that are found without the Sun
+    error_px: FloatArray  # (k,) Centroids minus light of the stars that are fit, per axis
+    solved: NDArray[np.bool_]  # (m,)
+    error_arcsec: FloatArray  # (m, 3) Attitude, NaN where there is none
+    stars: tuple[NDArray[np.bool_], ...]  # Which are found
+    example_e: NDArray[np.float32]  # The first frame
+
+
+def light_map(stray: Stray, angle_deg: float, shape: tuple[int, int]) -> FloatArray:
+    """PST over the pixels (h, w) for a source at an angle and the first azimuth.
+
+    Scatter of the lens as it lies on the detector, everything else even.
+    """
+    from experiments.straylight.transmittance import direction
+
+    azimuth = float(stray.pst.azimuth_deg[0])
+    mean = float(stray.pst.at(direction(angle_deg, azimuth)))
+    if stray.lens is None:
+        return np.full(shape, mean)
+    angles = stray.pst.angle_deg
+    share = stray.direct[0] * sum(stray.lens.value[name][0] for name in ("polish", "dust"))
+    place = np.log(np.clip(angle_deg, angles[0], angles[-1]))
+
+    def between(values: FloatArray) -> FloatArray:
+        log = np.log(np.maximum(values, FLOOR)).reshape(len(angles), -1)
+        row = np.array([np.interp(place, np.log(angles), column) for column in log.T])
+        return np.exp(row).reshape(values.shape[1:])
+
+    own = between(np.asarray(share))
+    if own <= 10.0 * FLOOR:
+        return np.full(shape, mean)
+    pattern = between(sum(stray.lens.places[name][0] for name in ("polish", "dust")))
+    count = len(pattern)
+    knots = [(np.arange(count) + 0.5) / count * size - 0.5 for size in shape]
+    order = min(3, count - 1)
+    spline = RectBivariateSpline(*knots, np.log(np.maximum(pattern, FLOOR)), kx=order, ky=order)
+    rows, columns = (np.clip(np.arange(size), knot[0], knot[-1]) for size, knot in zip(shape, knots, strict=True))
+    image = np.exp(spline(rows, columns))
+    return np.asarray(max(mean - float(own), 0.0) + float(own) * image / image.mean())
+
+
+class Bench:
+    """Everything that all frames share."""
+
+    def __init__(self, config: Config, instrument: Instrument, advance: Callable[[], None] = lambda: None) -> None:
+        self.config, self.instrument = config, instrument
+        self.streams = Streams(config.seed).child("straylight")
+        camera, setting = instrument.camera, config.instrument
+        band = open_band(config.passband, instrument)
+        catalogue = load_catalogue(config.catalogue)
+        sky = load_sky(
+            catalogue, faintest_mag=config.frames.faintest_mag, epoch_year=config.catalogue.epoch_year,
+            temperature=config.catalogue.temperature,
+        )  # fmt: skip
+        light = star_light([band], nodes=6, magnitude_system=catalogue.magnitude_system)
+        renderer = StarRenderer(camera, exposure_s=setting.exposure_s)
+        view = field_of_view(camera, margin_px=16.0)
+        self.pixel_rad = math.radians(instrument.pixel_arcsec / 3600.0)
+        pixel = instrument.pixel_noise()
+        empty = float(pixel.temporal_e2(0.0, dark_frames=config.dark_frames))
+        detector = instrument.detector
+        psfs = None
+        if needs_epsf(config.centroid):
+            psfs = render_psf_grid(instrument, light, temperature_k=TYPICAL_K, window_px=config.window_px, long_side=7)
+        self.reduction = Reduction(
+            dark_dn=mean_dark_frame(instrument, config.dark_frames, streams=self.streams, label="dark"),
+            noise=NoiseModel(
+                read_noise_e=float(np.sqrt(max(empty - pixel.rounding_e2, 1e-6))),
+                gain_dn_per_e=detector.gain_dn_per_e,
+                offset_dn=detector.offset_dn,
+                quantised=True,
+            ),
+            centroid=config.centroid,
+            window_px=config.window_px,
+            threshold_sigma=config.threshold_sigma,
+            psfs=psfs,
+        )
+        self.model = fit_camera(instrument.pixel_map(band, temperature_k=TYPICAL_K)).camera
+        turned = Rotation.random(config.frames.attitudes, rng=self.streams.generator("attitudes"))
+        self.fields: list[_Sky] = []
+        for number, truth in enumerate(turned):
+            field = sky.field(view, truth)
+            image = renderer.render(sky.star_field(field, light), rotation_cam_from_world=field.rotation_cam_from_icrs)
+            assert image.truth is not None
+            place = np.column_stack([image.truth.photon_x_px[:, 0], image.truth.photon_y_px[:, 0]])
+            away = ROUGH_PX * self.pixel_rad * self.streams.generator("rough", number).standard_normal(3)
+            self.fields.append(
+                _Sky(
+                    truth=truth,
+                    rough=Rotation.from_rotvec(away) * truth,
+                    electrons=image.electrons[:, :, 0],
+                    place_px=place,
+                    known=_Known(id=np.asarray(field.stars.id), direction=np.asarray(field.direction)),
+                )
+            )
+            advance()
+
+    def look(self, light_e: FloatArray | float, label: str, before: SunFrames | None = None) -> SunFrames:
+        """Read all fields out under more light [e-] and measure them; ``before``: without it."""
+        config, shape = self.config, self.instrument.detector.shape
+        added = np.broadcast_to(np.asarray(light_e, dtype=np.float32), shape)
+        found, false, lost, solved, errors, centroids, which = [], [], [], [], [], [], []
+        example = None
+        for number, field in enumerate(self.fields):
+            frame = expose(
+                field.electrons + added,
+                self.instrument.detector,
+                streams=self.streams,
+                frame=number,
+                exposure_s=config.instrument.exposure_s,
+                temperature_c=config.instrument.chip_temperature_c,
+                background_e_per_s=config.background_e_per_s,
+                band=label,
+            )
+            measured = measure_frame(frame, self.reduction)
+            partner, wrong = _matched(measured, field.place_px, config.window_px)
+            seen = partner >= 0
+            base = seen if before is None else before.stars[number]
+            which.append(seen)
+            found.append(int(seen.sum()))
+            false.append(wrong)
+            lost.append(float((base & ~seen).sum() / max(base.sum(), 1)))
+            fit = seen.copy()
+            fit[seen] = measured.fit[partner[seen]]
+            centroids.append((measured.stars.pixel_px[partner[fit]] - field.place_px[fit]).ravel())
+            error = self._attitude(measured, field)
+            solved.append(bool(np.isfinite(error).all()))
+            errors.append(error)
+            if example is None:
+                example = ((frame.dn - self.reduction.dark_dn) / np.float32(frame.gain_dn_per_e)).astype(np.float32)
+        assert example is not None
+        return SunFrames(
+            found=np.array(found, np.int64),
+            false=np.array(false, np.int64),
+            lost=np.array(lost),
+            error_px=np.concatenate(centroids),
+            solved=np.array(solved),
+            error_arcsec=np.array(errors),
+            stars=tuple(which),
+            example_e=example,
+        )
+
+    def _attitude(self, measured: MeasuredFrame, field: _Sky) -> FloatArray:
+        found = identify_stars(measured.stars, self.model, field.known, near=field.rough, radius_px=4.0 * ROUGH_PX)
+        solution = solve_attitude(measured.stars, found, self.model, field.known)
+        if not solution.ok:
+            return np.full(3, np.nan)
+        return attitude_error_arcsec(solution.solution.rotation, field.truth)
+
+
+def _matched(measured: MeasuredFrame, place_px: FloatArray, near_px: float) -> tuple[NDArray[np.int64], int]:
+    """Detection of each star, -1 for none, and detections that are farther than ``near_px`` from all stars."""
+    partner = np.full(len(place_px), -1)
+    lit = np.flatnonzero(np.isfinite(place_px).all(axis=1))
+    detected = measured.detected_px
+    if not len(detected) or not len(lit):
+        return partner, int(np.count_nonzero(~measured.stars.sharp)) if len(detected) else 0
+    distance, nearest = cKDTree(detected).query(place_px[lit])
+    back_distance, back = cKDTree(place_px[lit]).query(detected)
+    mutual = (back[nearest] == np.arange(len(lit))) & (distance <= MATCH_PX)
+    partner[lit[mutual]] = nearest[mutual]
+    return partner, int(np.count_nonzero((back_distance > near_px) & ~measured.stars.sharp))
+
+
+def rms(values: Sequence[float] | FloatArray) -> float:
+    """Root mean square; NaN of nothing."""
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known)]
+    return float(np.sqrt((known**2).mean())) if known.size else math.nan

@@ -1,0 +1,114 @@
+"""Settings and declaration of the stray-light experiment."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, ClassVar
+
+from pydantic import Field, field_validator
+
+from experiments.harness.cli import command
+from experiments.harness.config import FileName, StrictModel
+from experiments.harness.experiment import Experiment
+from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig
+from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
+
+__all__ = ["Config", "FramesConfig", "PstConfig", "RatesConfig", "experiment", "main"]
+
+
+class PstConfig(StrictModel):
+    """Where the point-source transmittance is computed, and how well."""
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"walls_error"})
+
+    file: FileName = Field(
+        default="", description="table in place of all computation: CSV or ECSV with angle_deg and a column per cause"
+    )
+    angles_deg: tuple[Annotated[float, Field(gt=0, le=90)], ...] = Field(
+        default=(0.3, 1, 3, 6, 10, 13, 16, 18, 20, 23, 26, 29, 32, 34, 36, 40, 45, 50, 60, 70, 80, 90),
+        min_length=3,
+        description="angles of the source from the boresight, increasing",
+    )
+    azimuths_deg: tuple[Annotated[float, Field(ge=0, le=90)], ...] = Field(
+        default=(0.0, 45.0), min_length=1, description="its azimuths, from columns towards rows, increasing"
+    )
+    points: int = Field(default=4, ge=3, le=15, description="places along each side of the detector")
+    rings: int = Field(default=3, ge=1, le=32, description="of the pupil")
+    arms: int = Field(default=8, ge=4, le=128, description="of the pupil")
+    ghost_rings: int = Field(default=12, ge=4, le=200, description="of the rays over the first surface")
+    ghost_arms: int = Field(default=32, ge=8, le=512, description="of the rays over the first surface")
+    walls_error: float = Field(default=0.05, gt=0, lt=1, description="standard error of walls and vanes, relative")
+
+    @field_validator("angles_deg", "azimuths_deg")
+    @classmethod
+    def _increasing(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        if any(b <= a for a, b in pairwise(values)):
+            raise ValueError(f"{list(values)}; they must increase")
+        return values
+
+
+class FramesConfig(StrictModel):
+    """Frames of the real sky under the light of the Sun."""
+
+    attitudes: int = Field(default=6, ge=2, le=1000, description="attitudes, uniform over all rotations")
+    levels: int = Field(default=9, ge=4, le=60, description="angles of the Sun, at even steps of its light")
+    faintest_mag: float = Field(default=8.0, ge=3, le=12, description="faintest stars that are rendered")
+
+
+class RatesConfig(StrictModel):
+    """Beyond which a frame is not usable: the exclusion angle is the largest one at which either rate is passed."""
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset({"false_per_frame", "lost_fraction"})
+
+    false_per_frame: float = Field(default=1.0, ge=0, le=1e6, description="false detections more than without the Sun")
+    lost_fraction: float = Field(
+        default=0.1, ge=0, lt=1, description="of the stars found without the Sun, what is lost"
+    )
+
+
+class Config(SensorExperimentConfig, SensorConfig):
+    """A sensor file; left out: a tracker of 26 mm, F/2, on 1024 x 1024 px, 0.2 s, and a baffle of 35 deg."""
+
+    instrument: InstrumentConfig = InstrumentConfig(
+        lens="star_tracker_26mm", detector="cmv4000", width_px=1024, height_px=1024, exposure_s=0.2
+    )
+    window_px: int = Field(default=7, ge=5, le=63, description="window around a star, odd")
+    catalogue: CatalogueConfig = CatalogueConfig()
+    dark_frames: int = Field(default=12, ge=1, le=1000, description="frames without light in the mean dark")
+    background_e_per_s: float = Field(default=2.0, ge=0, le=1e6, description="sky light per pixel without stray light")
+    pst: PstConfig = PstConfig()
+    frames: FramesConfig = FramesConfig()
+    rates: RatesConfig = RatesConfig()
+    earth_altitude_km: float = Field(default=550.0, ge=150, le=1e6, description="of the sensor above the Earth")
+    what_if: bool = Field(default=True, description="change dust, coating and vanes one by one")
+
+
+experiment = Experiment(
+    name="straylight",
+    config=Config,
+    run="experiment:run",
+    sections="experiment:SECTIONS",
+    limits="experiment:limits",
+    takes="3 min (--quick: 30 s)",
+    examples={
+        "--sensor my.toml": "your own sensor, with its [baffle], [scatter], [contamination]",
+        "--set baffle.coating=magic_black --set contamination.level=500": "another coating, more dust",
+        "--set baffle.mesh=baffle.ply": "a baffle of your own, closed, in mm",
+        "--set pst.file=measured.csv": "a measured point-source transmittance",
+    },
+    show=("transmittance", "exclusion"),
+    files="experiment:save_table",
+    quick={
+        "pst.angles_deg": [0.3, 3, 10, 16, 20, 25, 30, 34, 36, 45, 60, 90],
+        "pst.azimuths_deg": [0.0],
+        "pst.points": 3,
+        "pst.rings": 2,
+        "pst.ghost_rings": 8,
+        "pst.ghost_arms": 24,
+        "frames.attitudes": 2,
+        "frames.levels": 5,
+        "dark_frames": 6,
+        "what_if": False,
+    },
+)
+main = command(experiment)

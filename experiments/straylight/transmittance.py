@@ -1,0 +1,267 @@
+"""Point-source transmittance of a configured sensor, by cause; from the lens to its baffle, and variants of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from experiments.harness.system import prompt_pool
+from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.stray_settings import BaffleConfig
+from experiments.straylight.settings import Config
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.glass.coating import QuarterWave
+from optics.lens.system import AMBIENT, LensSystem
+from optics.light.pst import PointSourceTransmittance
+from optics.light.scatter import Particles, polished, roughness_tis
+from optics.rays.stray import (
+    ScatterLaw,
+    entrance_radius_mm,
+    ghost_light,
+    imaging_rays,
+    lens_scatter_light,
+    scattering_surfaces,
+)
+from render.baffle.geometry import BlackCoating, Mesh, VanedBaffle, black_coating, vaned_baffle
+from render.baffle.light import BaffleScene, lens_weight, read_mesh
+
+__all__ = [
+    "CAUSES",
+    "SMALLEST",
+    "LensPart",
+    "Stray",
+    "baffle_of",
+    "coating_of",
+    "direction",
+    "lens_part",
+    "transmittance",
+]
+
+CAUSES = ("ghosts", "polish", "dust", "walls", "edges")
+DUSTIER = (100.0, 500.0, 1000.0)
+"""Cleanliness levels of the first surface that the dust of a variant may have."""
+SMALLEST = 1e-12
+"""PST whose error does not matter."""
+
+
+def direction(angle_deg: float, azimuth_deg: float) -> FloatArray:
+    """Unit vector in cam."""
+    a, p = np.radians([angle_deg, azimuth_deg])
+    return np.array([np.sin(a) * np.cos(p), np.sin(a) * np.sin(p), np.cos(a)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensPart:
+    """Light of the bare lens over z azimuths and a angles, and at p x p places of the detector."""
+
+    value: Mapping[str, FloatArray]  # "ghosts", "polish", "dust", "dust 500" ...: (z, a)
+    error: Mapping[str, FloatArray]
+    places: Mapping[str, FloatArray]  # "polish", "dust": (z, a, p, p), rows and columns
+    entrance_mm: float
+    field_deg: float  # To the corner
+    surface: FloatArray  # (k,) Numbers of the surfaces that scatter
+    share: FloatArray  # (k, a) Of each in the scatter, at the first azimuth
+
+
+def _laws(config: Config, lens: LensSystem) -> dict[str, dict[int, ScatterLaw]]:
+    wave, index = lens.design_wavelength_nm, lens.indices(lens.design_wavelength_nm)
+    scatter, dust = config.scatter, config.contamination
+    numbers = scattering_surfaces(lens)
+    laws: dict[str, dict[int, ScatterLaw]] = {"polish": {}, "dust": {}}
+    for number in numbers:
+        behind = -index[number] if lens.surfaces[number].mirror else index[number + 1]
+        tis = float(roughness_tis(scatter.roughness_nm, wave, index[number], behind))
+        if tis > 0.0:
+            laws["polish"][number] = polished(tis, scatter.shoulder, scatter.slope).bsdf
+        if AMBIENT in (lens.media[number][0], lens.media[number + 1][0]):
+            level = dust.level if number == numbers[0] else dust.inner_level
+            laws["dust"][number] = Particles(level=level, wavelength_nm=wave, forward=dust.forward_fraction).bsdf
+    for level in DUSTIER if config.what_if else ():
+        first = Particles(level=level, wavelength_nm=wave, forward=dust.forward_fraction).bsdf
+        laws[f"dust {level:g}"] = laws["dust"] | {numbers[0]: first}
+    return laws
+
+
+def lens_part(config: Config, instrument: Instrument, advance: Callable[[], None]) -> LensPart:
+    """Ghosts and scatter of the lens for all directions of the source."""
+    camera, setting = instrument.camera, config.pst
+    lens = camera.focused_lens
+    lens.check_surfaces()
+    coating = QuarterWave(design_wavelength_nm=config.instrument.coating_nm) if config.instrument.coating_nm else None
+    common: dict[str, Any] = {"coating": coating, "absorption": config.instrument.absorption}
+    half = 0.5 * np.array([camera.width_px, camera.height_px]) * camera.pixel_pitch_mm
+    across = (np.arange(setting.points) + 0.5) / setting.points * 2.0 - 1.0
+    x, y = np.meshgrid(across * camera.width_px / 2.0, across * camera.height_px / 2.0)
+    x0, y0 = camera.centre_px
+    places = camera.nominal_direction(x.ravel() + x0, y.ravel() + y0, instrument.focal_length_mm)
+    corner = camera.nominal_direction(
+        x0 + camera.width_px / 2.0, y0 + camera.height_px / 2.0, instrument.focal_length_mm
+    )
+    imaging = imaging_rays(lens, places, rings=setting.rings, arms=setting.arms, **common)
+    laws = _laws(config, lens)
+    shape = (len(setting.azimuths_deg), len(setting.angles_deg))
+    found = {name: np.zeros((*shape, setting.points, setting.points)) for name in laws}
+    ghosts, ghosts_error = np.zeros(shape), np.zeros(shape)
+    numbers = sorted({number for one in laws.values() for number in one})
+    share = np.zeros((len(numbers), shape[1]))
+
+    entrance, field_deg = entrance_radius_mm(lens), float(np.degrees(np.arccos(corner[2])))
+    round_from = _shade_deg(config.baffle, entrance, field_deg)
+
+    def one(at: tuple[int, int]) -> None:
+        angle = setting.angles_deg[at[1]]
+        # in the shade only the mean over azimuths counts, which weighs the light of the baffle
+        if angle < 90.0 and (at[0] == 0 or angle < round_from):
+            source = direction(angle, setting.azimuths_deg[at[0]])
+            light = lens_scatter_light(imaging, source, laws)
+            for name in laws:
+                found[name][at] = light.total(name).reshape(setting.points, setting.points)
+            if at[0] == 0:
+                each = sum(light.by_cause[name] for name in ("polish", "dust"))
+                share[:, at[1]] = np.asarray(each).mean(axis=0)
+            ghost = ghost_light(
+                lens, source, tuple(half.tolist()), rings=setting.ghost_rings, arms=setting.ghost_arms,
+                detector_reflectance=config.scatter.detector_reflectance, **common,
+            )  # fmt: skip
+            ghosts[at] = ghost.value.sum()
+            ghosts_error[at] = np.sqrt((ghost.error**2).sum())
+        advance()
+
+    with prompt_pool() as pool:
+        list(pool.map(one, np.ndindex(shape)))
+    dark = np.array(setting.angles_deg) >= round_from
+    for light in (ghosts, ghosts_error, *found.values()):
+        light[1:, dark] = light[:1, dark]
+    value = {"ghosts": ghosts} | {name: light.mean(axis=(2, 3)) for name, light in found.items()}
+    return LensPart(
+        value=value,
+        error={"ghosts": ghosts_error} | {name: 0.0 * light for name, light in value.items() if name != "ghosts"},
+        places={name: found[name] for name in ("polish", "dust")},
+        entrance_mm=entrance,
+        field_deg=field_deg,
+        surface=np.array(numbers, dtype=float),
+        share=share / np.maximum(share.sum(axis=0), 1e-300),
+    )
+
+
+def _shade_deg(config: BaffleConfig, entrance_mm: float, field_deg: float) -> float:
+    """Angle from which on no light of a source falls on the lens; 90 where that is not known beforehand."""
+    if config.mesh or not config.fitted:
+        return 90.0
+    parts = _vaned(config, entrance_mm, field_deg)
+    return parts.shade_deg
+
+
+def coating_of(config: BaffleConfig) -> BlackCoating:
+    """The black coating of a baffle."""
+    if config.coating != "own":
+        return black_coating(config.coating)
+    return BlackCoating(
+        name="own", diffuse=config.diffuse, specular=config.specular, roughness=config.roughness, source="settings"
+    )
+
+
+def baffle_of(config: BaffleConfig, lens: LensPart) -> VanedBaffle | Mesh | None:
+    """The baffle of a configuration; None for a bare lens."""
+    if not config.fitted:
+        return None
+    if config.mesh:
+        return read_mesh(config.mesh)
+    return _vaned(config, lens.entrance_mm, lens.field_deg)
+
+
+def _vaned(config: BaffleConfig, entrance_mm: float, field_deg: float) -> VanedBaffle:
+    try:
+        return vaned_baffle(
+            entrance_mm=entrance_mm,
+            field_deg=field_deg,
+            shade_deg=config.shade_deg if config.length_mm is None else None,
+            length_mm=config.length_mm,
+            depth_mm=config.vane_depth_mm,
+            vanes=config.vanes,
+            clearance_mm=config.clearance_mm,
+            edge_mm=1e-3 * config.edge_radius_um,
+        )
+    except DomainError as error:
+        raise DomainError(f"baffle: {error}") from None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stray:
+    """Stray light of lens and baffle."""
+
+    pst: PointSourceTransmittance
+    direct: FloatArray  # (z, a) Part of the entrance that the source shines on
+    lens: LensPart | None = None
+    scene: BaffleScene | None = None
+    rays: int = 0
+    weight: Any = field(default=None)  # PST of the bare lens against the angle [rad]
+
+    @cached_property
+    def baffle(self) -> VanedBaffle | Mesh | None:
+        """The baffle."""
+        return None if self.scene is None else (self.scene.baffle or self.scene.mesh)
+
+
+def transmittance(
+    config: Config,
+    lens: LensPart,
+    baffle: BaffleConfig,
+    *,
+    dust: str = "dust",
+    angles: Sequence[int] | None = None,
+    advance: Callable[[], None] = lambda: None,
+) -> Stray:
+    """All causes together: what the baffle lets through and what it throws into the lens.
+
+    ``dust`` names the dust of the lens; ``angles`` are the numbers of those that are wanted, all if left out.
+    """
+    setting = config.pst
+    chosen = np.arange(len(setting.angles_deg)) if angles is None else np.asarray(angles)
+    bare = {name: lens.value[key] for name, key in (("ghosts", "ghosts"), ("polish", "polish"), ("dust", dust))}
+    total = np.asarray(sum(bare.values())).mean(axis=0)
+    known = total > 0.0
+    parts = baffle_of(baffle, lens)
+    shape = (len(CAUSES), len(setting.azimuths_deg), len(chosen))
+    value, error, direct = np.zeros(shape), np.zeros(shape), np.ones(shape[1:])
+    scene, rays, weight = None, 0, None
+    if parts is not None:
+        try:
+            scene = BaffleScene(
+                parts, coating_of(baffle), entrance_mm=lens.entrance_mm, field_deg=lens.field_deg, seed=config.seed
+            )
+        except DomainError as fault:
+            raise DomainError(f"baffle: {fault}") from None
+        weight = lens_weight(np.array(setting.angles_deg)[known], total[known])
+        round_ = isinstance(parts, VanedBaffle)
+        for z, azimuth in enumerate(setting.azimuths_deg):
+            for a, at in enumerate(chosen):
+                if round_ and z:  # the same from all sides
+                    value[3:, z, a], error[3:, z, a], direct[z, a] = value[3:, 0, a], error[3:, 0, a], direct[0, a]
+                    advance()
+                    continue
+                source = direction(setting.angles_deg[at], azimuth)
+                light = scene.light(
+                    source, weight, error=setting.walls_error, number=1000 * z + int(at), least=SMALLEST
+                )
+                direct[z, a] = light.direct
+                value[3:, z, a], error[3:, z, a] = (light.walls, light.edges), (light.walls_error, light.edges_error)
+                rays += light.rays
+                advance()
+    for row, (name, light_) in enumerate(bare.items()):
+        value[row] = light_[:, chosen] * direct
+        error[row] = lens.error[dust if name == "dust" else name][:, chosen] * direct
+    pst = PointSourceTransmittance(
+        angle_deg=np.array(setting.angles_deg)[chosen],
+        azimuth_deg=np.array(setting.azimuths_deg),
+        causes=CAUSES,
+        value=value,
+        error=error,
+        source=f"starbench straylight, {config.name or 'as configured'}",
+    )
+    return Stray(pst=pst, direct=direct, lens=lens, scene=scene, rays=rays, weight=weight)
