@@ -232,8 +232,8 @@ class SkySimulator:
         of the sky sees them: the Earth needs one above it (`Observer.moved`). Those larger than a pixel are disks that
         hide stars and one another, the others points of light, left out where no magnitude is published.
     stray_light : path or PointSourceTransmittance, optional
-        Table of the camera (``pst.ecsv`` of experiment ``straylight``): Sun and Moon, and the Earth where ``bodies`` has
-        it, as the observer of the sky sees them, add even light to every pixel; their images are not drawn.
+        Table of the camera (``pst.ecsv`` of experiment ``straylight``): Sun and Moon, and the Earth where ``bodies``
+        has it, as the observer of the sky sees them, add even light to every pixel; their images are not drawn.
 
     Raises
     ------

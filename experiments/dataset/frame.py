@@ -200,6 +200,10 @@ class FrameMaker:
             diffuse *= np.float32(exposure_s)
             electrons += diffuse
             mean += float(diffuse.mean())
+        if scene.sky_light.stray is not None:
+            stray = exposure_s * sum(scene.sky_light.stray(plan.attitude).values())
+            electrons += np.float32(stray)
+            mean += stray
         return mean
 
     def _add_disks(self, electrons: NDArray[np.float32], plan: FramePlan) -> list[Disk]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,15 +28,18 @@ from experiments.laboratory.settings import CatalogueConfig
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.band import Band
+from optics.light.pst import read_pst
 from optics.records import freeze
 from optics.units import ARCSEC_RAD
 from render.bodies.solar_system import BODIES, SolarSystem, joined, planet_field, solar_system
+from render.bodies.stray_light import band_light, stray_electrons_per_s
 from render.camera import Camera
 from render.catalogue.index import SkyIndex, build_index
 from render.catalogue.motion import Observer
 from render.catalogue.record import StarCatalog
 from render.catalogue.temperature import star_temperature
 from render.detector.radiation import aged
+from render.detector.spec import Detector
 from render.fits.wcs import LensWcs, lens_wcs
 from render.records import StarField
 from render.sky.background import BackgroundMap, UniformSky, background_map, sky_background
@@ -133,7 +138,9 @@ def build_scene(config: Config) -> Scene:
         plan=plan,
         observer=observer,
         wcs=lens_wcs(instrument.camera, wavelength_nm=float(light.wavelength_nm.mean())),
-        sky_light=build_sky_light(config, instrument.camera, band, pixel_rad=pixel_rad, observer=observer),
+        sky_light=build_sky_light(
+            config, instrument.camera, band, pixel_rad=pixel_rad, observer=observer, detector=instrument.detector
+        ),
     )
     _check_light(scene)
     _check_stars(scene)
@@ -282,10 +289,11 @@ class SkyLight:
     disks: SolarSystem | None
     light: StarField | None  # The points, with their light
     bands: tuple[Band, ...]  # The pass band
+    stray: Callable[[Rotation], dict[str, float]] | None = None  # Stray light of each body in an attitude [e- s^-1]
 
 
 def build_sky_light(
-    config: Config, camera: Camera, band: Band, *, pixel_rad: float, observer: Observer | None
+    config: Config, camera: Camera, band: Band, *, pixel_rad: float, observer: Observer | None, detector: Detector
 ) -> SkyLight:
     """Prepare it."""
     background = config.background
@@ -301,7 +309,21 @@ def build_sky_light(
         disks, small = system.select(large), system.select(~large)
         points = small.select(np.isfinite(small.magnitude_v))  # the others stand beside the Sun
         light = planet_field(points, [band], nodes=config.nodes)
-    return SkyLight(config=background, diffuse=diffuse, points=points, disks=disks, light=light, bands=(band,))
+    stray = None
+    if background.stray_light:
+        if observer is None:
+            raise ConfigError("background.stray_light needs an observer; set catalogue.observer = earth")
+        stray = partial(
+            stray_electrons_per_s,
+            read_pst(background.stray_light),
+            band_light(detector, band),
+            observer=observer,
+            epoch_year=config.catalogue.epoch_year,
+            earth=background.earth_distance_km is not None,
+        )
+    return SkyLight(
+        config=background, diffuse=diffuse, points=points, disks=disks, light=light, bands=(band,), stray=stray
+    )
 
 
 def check_sun(plan: Plan, to_sun: FloatArray, view: FieldOfView, frames: int) -> None:

@@ -173,6 +173,11 @@ class BackgroundConfig(StrictModel):
     moon_planets: bool = Field(
         default=False, description="Moon and planets where they stand; needs catalogue.observer = earth"
     )
+    stray_light: FileName = Field(
+        default="",
+        description="table of point-source transmittance, pst.ecsv of straylight: even light of Sun and Moon, and "
+        "of the Earth with earth_distance_km; needs catalogue.observer = earth",
+    )
     earth_direction_deg: tuple[AngleDeg, DeclinationDeg] = Field(
         default=(0.0, 0.0), description="right ascension and declination at which the Earth's centre is seen"
     )
