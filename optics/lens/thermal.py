@@ -471,6 +471,7 @@ def _bent(thermal: _Field, lens: LensSystem) -> LensSystem:
             lens = replace(lens, image_position_mm=place, image_rotation=turn @ lens.image_rotation)
             continue
         tilts = np.zeros(body.last - body.first + 1)
+        along = float(np.sign(lens.poses[body.last][0][2] - lens.poses[body.first][0][2]))  # -1 behind a mirror
         if _is_glass(thermal.lens, body):
             grown, front, back = _wedge_of(thermal, body)
             tilts = np.concatenate([[0.0], np.cumsum(grown)]) - 0.5 * grown.sum()
@@ -480,7 +481,7 @@ def _bent(thermal: _Field, lens: LensSystem) -> LensSystem:
             surfaces[i] = replace(
                 old,
                 position_mm=turn @ (old.position_mm - middle) + middle_after,
-                rotation=turn @ _leaning(-float(tilt) * gradient) @ old.rotation,
+                rotation=turn @ _leaning(-along * float(tilt) * gradient) @ old.rotation,
             )
     return replace(lens, surfaces=tuple(surfaces))
 

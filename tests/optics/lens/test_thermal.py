@@ -12,7 +12,7 @@ from optics.glass.media import VACUUM
 from optics.lens.perturb import decentre, tilt
 from optics.lens.shapes.plane import Plane
 from optics.lens.shapes.sphere import Sphere
-from optics.lens.system import LensSystem, Surface
+from optics.lens.system import HALF_TURN, LensSystem, Surface
 from optics.lens.thermal import COMPONENTS, Housing, Mount, ThermalState, heated_lens, with_spacers
 from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points, plate_scale_mm
@@ -174,6 +174,26 @@ def test_a_plate_becomes_a_wedge():
     x, y = chief_ray_points(warm, 0.0, 0.0)
     assert float(x) == pytest.approx(200.0 * deviation, rel=1e-3)  # towards the thick, slow side
     assert float(y) == 0.0
+
+
+def test_a_plate_behind_a_mirror_is_the_same_wedge():
+    """Light that goes back through the plate is turned towards the warm side too."""
+    stop = Surface(shape=Plane(), position_mm=np.zeros(3), semi_diameter_mm=5.0, is_stop=True)
+    mirror = Surface(shape=Plane(), position_mm=np.array([0.0, 0.0, 50.0]), mirror=True, semi_diameter_mm=20.0)
+    plate = [
+        Surface(shape=Plane(), position_mm=np.array([0, 0, z]), rotation=HALF_TURN, medium=m, semi_diameter_mm=20.0)
+        for z, m in ((38.0, "g"), (30.0, "air"))
+    ]
+    lens = replace(
+        plate_and_lens(cte=7e-6, d0=3e-5),
+        surfaces=(stop, mirror, *plate),
+        image_position_mm=np.array([0.0, 0.0, -170.0]),
+        image_rotation=HALF_TURN,
+    )
+    warm = heated_lens(lens, ThermalState(transverse_x_k=2.0), Housing(expansion_per_k=0.0, diameter_mm=40.0))
+    out = trace(warm, Rays.create(x_mm=[0.0], y_mm=0.0, direction=[0.0, 0.0, 1.0], wavelength_nm=600.0))
+    deviation = 8.0 * (0.50027 * 7e-6 + dndt(3e-5)) * 2.0 / 40.0
+    assert float((HALF_TURN @ np.array([out.dx[0], out.dy[0], out.dz[0]]))[0]) == pytest.approx(deviation, rel=2e-3)
 
 
 def test_a_plate_becomes_a_lens():

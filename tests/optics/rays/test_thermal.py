@@ -86,4 +86,4 @@ def test_input_that_cannot_be(sensitivity):
     with pytest.raises(DomainError, match="at least 6"):
         thermal_sensitivity(LENS, HOUSING, count=3)
     with pytest.raises(ConvergenceError, match="take smaller ones"):
-        thermal_sensitivity(LENS, HOUSING, step_k=35.0)
+        thermal_sensitivity(LENS, HOUSING, step_k=60.0)
