@@ -141,9 +141,10 @@ def _far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
     mirrored = (-np.arange(2 * CELLS)) % (2 * CELLS)
     power[:, CELLS + 1 :] = half[mirrored][:, CELLS - 1 : 0 : -1]
     power = np.fft.fftshift(power / power.sum())
+    fall, spikes = _falls(power)
+    power *= 1.0 - math.sqrt(32.0) * fall / (0.5 * CELLS)  # what lies outside the square
     running = np.zeros((2 * CELLS + 1, 2 * CELLS + 1))
     np.cumsum(np.cumsum(power, axis=0), axis=1, out=running[1:, 1:])
-    fall, spikes = _falls(power)
     return FarImage(running, (abs(float(slope[0, 0])), abs(float(slope[1, 1]))), wavelength_nm, fall, spikes)
 
 
@@ -212,10 +213,15 @@ def add_far_images(
         left = float(sums.beyond[star, b])
         for place, weight_here in places:
             there, colours = (place, radius_px, end), (wave, share[s, b])
-            landed, on_image = _add(known, there, colours, left * weight_here, image[..., b], camera.sensitive_columns)
+            whole = float(sums.image[star, b] + sums.off_edge[star, b])
+            squares = whole**2 / float(sums.noise_area[star, b])
+            landed, on_image, more = _add(
+                known, there, colours, left * weight_here, image[..., b], camera.sensitive_columns
+            )
             sums.image[star, b] += on_image
             sums.off_edge[star, b] += landed - on_image
             sums.beyond[star, b] -= landed
+            sums.noise_area[star, b] = (whole + landed) ** 2 / (squares + more)
 
 
 def _add(
@@ -225,8 +231,8 @@ def _add(
     left_e: float,
     image: NDArray[np.float32],
     sensitive: NDArray[np.bool_] | None,
-) -> tuple[float, float]:
-    """Add one far image; its electrons, and those of them on the detector."""
+) -> tuple[float, float, float]:
+    """Add one far image; its electrons, those of them on the detector, and the sum of the squares of its pixels."""
     mean_px, radius_px, end_px = there
     reach, middle = math.ceil(end_px), np.rint(mean_px)
     edges = np.arange(-reach, reach + 2) - 0.5
@@ -246,4 +252,4 @@ def _add(
         image[row + rows.start : row + rows.stop, column + columns.start : column + columns.stop] += kept.astype(
             np.float32
         )
-    return float(pixels.sum()), float(kept.sum())
+    return float(pixels.sum()), float(kept.sum()), float((pixels**2).sum())

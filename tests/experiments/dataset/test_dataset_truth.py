@@ -102,7 +102,9 @@ def test_snr_is_that_of_optimal_weights_on_the_stars_own_pixels(maker):
             found = flux_snr(truth.electrons_image[0], truth.noise_area_px2[0], noise_e2=noise_e2)[0]
             assert found == pytest.approx(weighted, rel=0.05)  # spots that are no Gaussians: 3.5 % at most
             faint = np.sqrt((pixels**2).sum() / 1e12)
-            assert flux_snr(pixels.sum(), truth.noise_area_px2[0], noise_e2=1e12)[0] == pytest.approx(faint, rel=1e-4)
+            assert flux_snr(pixels.sum(), truth.noise_area_px2[0], noise_e2=1e12)[0] == pytest.approx(
+                faint, rel=2e-3
+            )  # edges cut far images
 
 
 def test_a_record_says_the_same_in_text_and_in_angles(maker, made):

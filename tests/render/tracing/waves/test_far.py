@@ -55,14 +55,12 @@ def test_light_beyond_a_radius_of_a_round_aperture() -> None:
     pixels = far.pixels(edges, edges, np.array([WAVE_NM]), np.ones(1))
     distance = np.hypot(*np.meshgrid(*[np.arange(-reach, reach + 1)] * 2))
     assert far.unit_px(WAVE_NM) == pytest.approx(UNIT_PX, rel=0.03)  # of the disk that holds the aperture
-    for radius in (20, 40, 80):
+    for radius, worst in ((20, 0.05), (40, 0.06), (80, 0.1)):
         inside = distance <= radius
         v = np.pi * np.sqrt(inside.sum() / np.pi) / UNIT_PX
         steps = np.linspace(-0.5, 0.5, 41)  # rings cross the ragged edge of the disk
         ring = np.mean([j0(v + 3.0 * s) ** 2 + j1(v + 3.0 * s) ** 2 for s in steps])
-        assert 1.0 - pixels[inside].sum() == pytest.approx(
-            ring, rel=0.06
-        )  # what lies beyond the grid's repeat is folded in
+        assert 1.0 - pixels[inside].sum() == pytest.approx(ring, rel=worst)
 
 
 def test_spike_of_a_vane() -> None:
