@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -130,10 +131,23 @@ def solve(
 ) -> Fit:
     """Minimise the loss of a problem from a start.
 
-    Shapes: returns (their variance is infinite, the message names them).
+    Shapes: returns (their variance is infinite, the message names them). Linear algebra runs on one thread meanwhile:
+    the matrices are small, and threads that wait for each other make a polynomial camera ten times as slow.
     """
-    chosen = get_loss(loss)
-    walk = _walk(problem, start, chosen, scale, (tolerance, max(slack, 1e-15)), max_iterations)
+    with _blas().limit(limits=1, user_api="blas"):
+        return _solve(problem, start, get_loss(loss), scale, (tolerance, max(slack, 1e-15)), max_iterations)
+
+
+@lru_cache(maxsize=1)
+def _blas() -> Any:
+    """The libraries of linear algebra that NumPy and SciPy have loaded."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+def _solve(problem: Problem, start: Any, chosen: Loss, scale: float, limits: tuple[float, float], most: int) -> Fit:
+    walk = _walk(problem, start, chosen, scale, limits, most)
     residual = walk.evaluation.residual
     inside = bool(np.all(np.isfinite(residual)))
     if not inside:
