@@ -74,7 +74,7 @@ def frame_stats(
     known: Prepared, number: int, image: SensorImage, fit: CameraFit, solve: Callable[[Detections], bool]
 ) -> FrameStats:
     """Reduce one frame with the camera that is believed."""
-    seen = detections(image)
+    seen = detections(image, noise=known.night.frames[number].seen.noise)
     frame = replace(known.night.frames[number], image=image, seen=seen)
     rows, stars = matched(seen, frame.direction, fit.attitudes[number], fit.camera, PAIR_PX)
     table = seen.stars

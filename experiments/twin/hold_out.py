@@ -3,7 +3,8 @@
 Shared by all twins, and therefore seen by all: detections and identification of the frames, the order of the camera
 model, the mask of hot pixels, and what the method itself does to widths and residuals of bright stars: a rendered set
 is measured like the real one, and what comes out differently is taken off (forward folding, by the other frames).
-The sky of a frame (its background) and its attitude are its own: they are no property of the camera.
+The sky of a frame (its background, the limit of detection that its noise sets) and its attitude are its own: they are
+no property of the camera.
 """
 
 from __future__ import annotations
@@ -196,7 +197,8 @@ def _scatter_of(fit: CameraFit, frame: int, airmass: FloatArray) -> float:
 def _bias(known: Prepared, whole: CameraFit, images: Sequence[SensorImage], black_level_dn: float | None) -> Bias:
     """Measure a rendered set like the real one."""
     frames = tuple(
-        replace(one, image=image, seen=detections(image)) for one, image in zip(known.night.frames, images, strict=True)
+        replace(one, image=image, seen=detections(image, noise=one.seen.noise))
+        for one, image in zip(known.night.frames, images, strict=True)
     )
     night = replace(known.night, frames=frames)
     again = prepare(night, whole.calibration, known.hot, attitudes=whole.attitudes)
@@ -221,7 +223,7 @@ def _light(known: Prepared, whole: CameraFit, images: Sequence[SensorImage]) -> 
     ratios = []
     for k, (frame, image) in enumerate(zip(known.night.frames, images, strict=True)):
         stars = field_stars(known.night, k, whole.camera, whole.attitudes[k])
-        real, twin = (star_heights(seen, stars) for seen in (frame.seen, detections(image)))
+        real, twin = (star_heights(seen, stars) for seen in (frame.seen, detections(image, noise=frame.seen.noise)))
         good = (stars.magnitude < known.limit_mag - 1.0) & (np.minimum(real, twin) > SURE_SIGMA)
         ratios.append(POGSON * np.log(real[good] / twin[good]))
     out = np.zeros(len(ratios))

@@ -30,6 +30,7 @@ CLIP_ROUNDS = 4
 FEWEST_OF_A_BLOCK = 0.4
 """Share of the pixels of a block that must be left for it to count."""
 QUANTISATION_DN2 = 1.0 / 12.0
+SURE_SIGMA = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,6 +96,7 @@ class NoiseFit:
     intercept_dn2: Measured  # Temporal variance extrapolated to the lowest black level
     dsnu_dn: Measured
     prnu_fraction: Measured
+    third_dn3: Measured  # Third moment of the pattern: warm pixels that no mask tells
     read_noise_e: tuple[float, float]  # For the lowest and the highest black level
     black_level_dn: tuple[float, float]  # That the frames allow
     levels_dn: FloatArray  # (k,) Photon transfer curve in bins of the mean
@@ -164,6 +166,7 @@ def fit_noise(frames: Sequence[Blocks], *, lowest_dn: float, black_level_dn: flo
         intercept_dn2=Measured(value=intercept, uncertainty=offset_error),
         dsnu_dn=_root(dsnu2),
         prnu_fraction=_root(prnu2),
+        third_dn3=_third(frames),
         read_noise_e=(read[0], read[1]),
         black_level_dn=black,
         levels_dn=np.array([level[one].mean() for one in bins]) + black[0],
@@ -235,6 +238,27 @@ def _pattern(frames: Sequence[Blocks]) -> tuple[Measured, Measured]:
         Measured(value=float(max(found[0], 0.0)), uncertainty=float(error[0])),
         Measured(value=float(max(found[1], 0.0)), uncertainty=float(error[1])),
     )
+
+
+def _third(frames: Sequence[Blocks]) -> Measured:
+    """Third moment of the pattern [DN^3], by products of three frames, in which noise averages out; 0 if not sure."""
+    if len(frames) < 3:
+        return Measured(value=0.0, uncertainty=0.0)
+    shape = frames[0].left_dn.shape
+    power, count = [np.zeros(shape) for _ in range(3)], np.zeros(shape)
+    for one in frames:
+        left, known = np.nan_to_num(one.left_dn), np.isfinite(one.left_dn)
+        count += known
+        for k in range(3):
+            power[k] += left ** (k + 1)
+    triples = count * (count - 1) * (count - 2)  # each of them six times, in either sum
+    product = power[0] ** 3 - 3.0 * power[0] * power[1] + 2.0 * power[2]
+    mean = _per_block(np.where(triples > 0, product / np.maximum(triples, 1.0), np.nan))
+    mean = mean[np.isfinite(mean)]
+    if len(mean) < 4:
+        return Measured(value=0.0, uncertainty=0.0)
+    value, error = float(mean.mean()), float(mean.std(ddof=1) / np.sqrt(len(mean)))
+    return Measured(value=value if value > SURE_SIGMA * error else 0.0, uncertainty=error)
 
 
 def _per_block(values: FloatArray, side: int = BLOCK_PX) -> FloatArray:

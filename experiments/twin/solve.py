@@ -20,7 +20,8 @@ from calib.cameras.base import CameraModel
 from calib.flags import StarFlag, has_flag
 from calib.measure.background import Background, estimate_background
 from calib.measure.centroid import get_centroider
-from calib.measure.detection import detect
+from calib.measure.detection import detect, detection_noise
+from calib.measure.filtered_noise import FilteredNoise
 from calib.measure.stamps import extract_stamps
 from calib.records import FLUX, SensorImage, StarTable
 from experiments.harness.progress import Progress
@@ -51,6 +52,7 @@ class Detections:
     significance: FloatArray  # (n,) Height of the filtered image over its noise
     sharp: NDArray[np.bool_]  # (n,) Hot pixels: sharper than a star, or in the mask
     seconds: float  # Time for it
+    noise: FilteredNoise  # In which stars were sought: it sets the limit
 
     @property
     def sane(self) -> NDArray[np.bool_]:
@@ -59,12 +61,13 @@ class Detections:
         return np.asarray((moved < 1.5) & (self.stars.flux_e > 0) & ~self.sharp & np.isfinite(self.significance))
 
 
-def detections(image: SensorImage, *, fwhm_px: float = 1.7) -> Detections:
-    """Stars of a frame; the same call for real and rendered frames."""
+def detections(image: SensorImage, *, fwhm_px: float = 1.7, noise: FilteredNoise | None = None) -> Detections:
+    """Stars of a frame; the same call for real and rendered frames, and for these the limit of the real one."""
     start = time.perf_counter()
     background = estimate_background(image, box_px=BOX_PX)
-    found = detect(image, background, threshold_sigma=THRESHOLD_SIGMA, fwhm_px=fwhm_px)
-    noise = np.sqrt(np.maximum(found.covariance[:, FLUX, FLUX] - found.flux_e, 1e-12))
+    limit = detection_noise(image, background, fwhm_px=fwhm_px) if noise is None else noise
+    found = detect(image, background, threshold_sigma=THRESHOLD_SIGMA, fwhm_px=fwhm_px, noise=limit)
+    flux_noise = np.sqrt(np.maximum(found.covariance[:, FLUX, FLUX] - found.flux_e, 1e-12))
     place = found.pixel_px
     stamps = extract_stamps(image, found.x_px, found.y_px, background=background, size_px=WINDOW_PX, flags=found.flags)
     stars = get_centroider("gaussian", fit_background=True).measure(stamps, image.noise)
@@ -72,9 +75,10 @@ def detections(image: SensorImage, *, fwhm_px: float = 1.7) -> Detections:
         background=background,
         stars=stars,
         start_px=place,
-        significance=found.flux_e / noise,
+        significance=found.flux_e / flux_noise,
         sharp=has_flag(found.flags, StarFlag.SPIKE | StarFlag.DEFECT),
         seconds=time.perf_counter() - start,
+        noise=limit,
     )
 
 

@@ -51,6 +51,8 @@ CORE_SLOPE, WIDTH_SLOPE = 3.0, 0.3
 HIGHEST_TRANSMISSION = 0.9
 NARROWEST_PX = 0.05
 NODES = 6
+WARM_PART = 0.95
+"""Of the pattern that is dark current where its skewness shows."""
 DETECTOR_KEYS = """
     name source chip_width_px chip_height_px prnu dark_current_e_per_s dark_reference_c dark_doubling_c
     dark_spread_e_per_s hot_fraction hot_dark_e_per_s dead_fraction full_well_e crosstalk_horizontal crosstalk_vertical
@@ -141,7 +143,7 @@ def build_twin(
     transmission = correction * area_mm2 / (0.25 * np.pi * aperture**2)
     width, height = fit.psf.size_px
     lens = _lens(fit, assumed, aperture, transmission, shape, name=name, source=source, taken=taken)
-    gain = fit.noise.gain_e_per_dn.value
+    gain, (dsnu_e, dark_e, warm_e) = fit.noise.gain_e_per_dn.value, _pattern_e(fit)
     detector = Detector(
         name=f"detector of {name}",
         source=f"{source}; quantum efficiency: {base.quantum_efficiency.name}, the difference is in the lens's file",
@@ -158,10 +160,10 @@ def build_twin(
             value=efficiency,
         ),
         prnu=fit.noise.prnu_fraction.value,
-        dark_current_e_per_s=0.0,
+        dark_current_e_per_s=dark_e / assumed.exposure_s,
         dark_reference_c=CHIP_C,
         dark_doubling_c=6.5,
-        dark_spread_e_per_s=0.0,
+        dark_spread_e_per_s=warm_e / assumed.exposure_s,
         hot_fraction=hot / (width * height),
         hot_dark_e_per_s=8.0
         * float(np.sqrt(fit.noise.variance_dn2(np.median(fit.noise.levels_dn))))
@@ -177,12 +179,29 @@ def build_twin(
         gain_dn_per_e=1.0 / gain,
         nonlinearity=(),
         offset_dn=fit.noise.black_level_dn[0],
-        dsnu_e=fit.noise.dsnu_dn.value * gain,
+        dsnu_e=dsnu_e,
         column_pattern_e=0.0,
         adc_bits=int(np.clip(np.ceil(np.log2(saturation_dn + 1.0)), 1, 16)),
         sensor_seed=1,
     )
     return Twin(lens=lens, detector=detector, exposure_s=assumed.exposure_s, response_mag=terms)
+
+
+def _pattern_e(fit: CameraFit) -> tuple[float, float, float]:
+    """DSNU [e-] as a normal distribution, or mean and spread [e-] of a dark current whose skewness was measured.
+
+    The current is lognormal: the lightest tail with the second and third moment of the pattern. Its mean is a part of
+    the sky, above which it cannot be.
+    """
+    noise, gain = fit.noise, fit.noise.gain_e_per_dn.value
+    dsnu, spread = noise.dsnu_dn.value, WARM_PART * noise.dsnu_dn.value
+    if noise.third_dn3.value > 0.0:
+        skewness = noise.third_dn3.value / spread**3
+        ratio = 2.0 * np.sinh(np.arcsinh(skewness / 2.0) / 3.0)  # c^3 + 3 c of spread over mean c
+        mean = spread / ratio
+        if mean < noise.levels_dn.min() - noise.black_level_dn[0]:
+            return float(np.sqrt(dsnu**2 - spread**2)) * gain, float(mean) * gain, spread * gain
+    return dsnu * gain, 0.0, 0.0
 
 
 def _lens(
@@ -372,6 +391,7 @@ class TwinRenderer:
         self.sensor = load_star_sensor(lens, twin.detector, coating_nm=0.0, absorption=False)
         self._renderer = StarRenderer(self.sensor.camera, exposure_s=twin.exposure_s)
         self._light = star_light([self.sensor.passband()], nodes=NODES, magnitude_system="G")
+        self._dark_e = twin.detector.dark_current_e_per_s * twin.exposure_s
         self._focal_px = twin.lens.focal_length_mm / twin.detector.pixel_pitch_mm
 
     def electrons(
@@ -408,7 +428,7 @@ class TwinRenderer:
         moved[:, :2] += motion_px / self._focal_px * rng.standard_normal((len(stars), 2)) * stars.direction[:, 2:]
         moved /= np.linalg.norm(moved, axis=1)[:, None]
         light = self._renderer.render(self._light.stars(moved, magnitude, stars.temperature_k))
-        return np.asarray(level_e + light.electrons[:, :, 0], float)
+        return np.asarray(np.maximum(level_e - self._dark_e, 0.0) + light.electrons[:, :, 0], float)
 
 
 def as_image(twin: Twin, electrons: FloatArray, streams: Streams, frame: int, noise: NoiseModel) -> SensorImage:

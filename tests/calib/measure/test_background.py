@@ -123,3 +123,12 @@ def test_whole_numbers_cut_off_at_zero(mean, sigma):
     sky = estimate_background(SensorImage(dn=dn, valid=everything, saturated=~everything, noise=noise))
     assert sky.sigma_e.mean() == pytest.approx(dn.std(), rel=0.025 + 4.0 / np.sqrt(2.0 * dn.size))
     assert sky.level_e.mean() == pytest.approx(dn.mean(), abs=0.05 * max(dn.std(), 0.5) + 0.08 * (sigma < 0.4))
+
+
+def test_a_slope_is_no_noise():
+    """Twilight that changes by 8 times the noise within a cell; what is left of it is a tenth of the noise."""
+    rng = np.random.default_rng(6)
+    slope = np.linspace(0.0, 1.0, 512)[None, :] * 4800.0 + np.linspace(0.0, 1.0, 512)[:, None] * 1500.0
+    found = estimate_background(image_of(rng.normal(3000.0, 75.0, (512, 512)) + slope))
+    inner = found.sigma_e[1:-1, 1:-1]
+    assert np.median(inner) == pytest.approx(75.0, rel=0.12)

@@ -7,12 +7,16 @@ from datetime import UTC, datetime
 import erfa
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from experiments.twin.camera import fit_refraction, fit_zenith, refracted, zenith_of
-from experiments.twin.noise import blocks_of, fit_noise
+from experiments.twin.noise import _third, blocks_of, fit_noise
 from experiments.twin.photometry import COLOUR_KNOTS, fit_photometry
 from experiments.twin.psf import PsfModel, StarSample, fit_psf
+from experiments.twin.twin import CLASS_K, PSF_WAVES_NM, WAVELENGTHS_NM, mixture
 from optics.errors import DomainError
+from optics.light.photometry import photon_rate
+from optics.light.spectrum import Blackbody
 
 GAIN_E_PER_DN, READ_E, DSNU_DN, PRNU = 2.5, 4.0, 1.2, 0.01
 
@@ -55,6 +59,18 @@ def test_pattern_left_in_would_make_the_gain_wrong():
     with_pattern = measured(sky_frames(levels)).gain_e_per_dn.value
     alone = [measured([one]).gain_e_per_dn.value for one in sky_frames(levels)[-2:]]  # one frame tells no pattern
     assert min(alone) < 0.97 * with_pattern or max(alone) < 0.97 * with_pattern
+
+
+def test_warm_pixels_show_in_the_third_moment_of_the_pattern():
+    """A gamma distribution of shape 4 [sigma 3 DN, third moment 27 DN^3 times skewness 1] in noise of 7 DN."""
+    rng = np.random.default_rng(8)
+    warm = 1.5 * (rng.gamma(4.0, size=(512, 512)) - 4.0)
+    frames = [200.0 + warm + 7.0 * rng.standard_normal((512, 512)) for _ in range(6)]
+    nothing = np.zeros((512, 512), bool)
+    for images, true in ((frames, 27.0), ([one - warm for one in frames], 0.0)):
+        found = _third([blocks_of(one, nothing) for one in images])
+        assert abs(found.value - true) < 4.0 * found.uncertainty + 0.15 * true  # clipping takes a part of the tail
+        assert found.uncertainty < 2.0
 
 
 def test_a_stated_black_level_makes_the_read_noise_a_number():
@@ -159,3 +175,30 @@ def test_the_least_chi_square_tells_the_amplitude():
     value, error = fit_refraction([20.0, 58.0, 90.0], [1000 + 0.1 * (x - 45.0) ** 2 for x in (20.0, 58.0, 90.0)], 1000)
     assert value == pytest.approx(45.0)
     assert error == pytest.approx(np.sqrt(1.0 / 0.1))
+
+
+def test_stars_of_each_colour_have_the_psf_of_their_class():
+    """The table over wavelength, summed over a spectrum, against the class: two nodes hold four classes to 3 %."""
+    value = np.zeros(18)
+    value[:6] = [-2.2, -1.65, np.log(0.12), np.log(0.60), np.log(0.68), np.log(2.2)]
+    value[12:15], value[15:18] = [-0.01, 0.015, 0.03], [0.35, -0.15, -0.3]
+    covariance = np.diag([0.05] * 18) ** 2
+    model = PsfModel(size_px=(801, 601), value=value, covariance=covariance, chi2=1.0, stars=400)
+    response = np.exp(-0.5 * ((WAVELENGTHS_NM - 600.0) / 130.0) ** 2)
+    table = mixture(model, 5e-3, response)
+    middle = np.array([[400.0, 300.0]])
+    row, column = len(table.y_mm) // 2, len(table.x_mm) // 2
+    for one, temperature in enumerate(CLASS_K):
+        star = Blackbody(temperature_k=temperature)
+        rate = photon_rate(star, 0.0, wavelength_nm=WAVELENGTHS_NM, system="G") * response
+        light = np.array([np.interp(WAVELENGTHS_NM, PSF_WAVES_NM, node) for node in np.eye(len(PSF_WAVES_NM))])
+        seen = np.zeros((7, 7))
+        for weight, at in zip(rate / rate.sum(), light.T, strict=True):
+            share = at @ table.share[:, row, column]
+            sigma = np.sqrt(at @ table.covariance_mm2[:, row, column, :, :2].reshape(len(at), -1)).reshape(3, 2) / 5e-3
+            edge = np.arange(8) - 3.5
+            for part, (sx, sy) in zip(share, sigma, strict=True):
+                seen += weight * part * np.outer(np.diff(ndtr(edge / sy)), np.diff(ndtr(edge / sx)))
+        expected = model.draw(np.zeros((1, 2)), middle, np.array([one]), 7)[0]
+        np.testing.assert_allclose(seen[3, 3], expected[3, 3], rtol=0.03)
+        np.testing.assert_allclose(seen[2:5, 2:5].sum(), expected[2:5, 2:5].sum(), rtol=0.015)
