@@ -171,7 +171,13 @@ def _conditions(config: Any, number: _Numbers, setup: Any) -> list[tuple[str, st
 
 def _arcsec(*values: float) -> str:
     """Across / about the boresight."""
-    return " / ".join(f"{value:.3g}″" if math.isfinite(value) else "none" for value in values)
+    return " / ".join(map(_angle, values))
+
+
+def _angle(value: float) -> str:
+    if not math.isfinite(value):
+        return "none"
+    return "< 0.001″" if 0.0 < value < 1e-3 else f"{value:.3g}″"
 
 
 def _percent(level: float) -> str:
@@ -184,7 +190,7 @@ def _attitude(number: _Numbers, across: FloatArray, roll: FloatArray, at: str) -
             clause="total",
             what="attitude",
             value=_arcsec(mixture_bound(across, level), mixture_bound(roll, level)),
-            statistic=f"AME, one axis, level {_percent(level)}, mixed interpretation",
+            statistic=f"AME, {_percent(level)}, mixed",
             conditions=at,
             derivation=ANALYSIS,
         )
@@ -193,7 +199,7 @@ def _attitude(number: _Numbers, across: FloatArray, roll: FloatArray, at: str) -
         clause="total",
         what="attitude, worst 1 % of the sky",
         value=_arcsec(*(factor * one for one in number.pair("_worst"))),
-        statistic="AME, one axis, level 99.7 % of a normal error, ensemble interpretation",
+        statistic="AME, 99.7 %, ensemble, normal error",
         conditions=at,
         derivation=ANALYSIS,
     )
@@ -201,7 +207,7 @@ def _attitude(number: _Numbers, across: FloatArray, roll: FloatArray, at: str) -
         clause="total",
         what="attitude, worst 1 % of the sky",
         value=_arcsec(*(factor * quantile_limit(one, 0.99, CONFIDENCE) for one in (across, roll))),
-        statistic=f"the same, upper limit at {_percent(CONFIDENCE)} confidence for this sample of the sky",
+        statistic=f"the same, upper limit at {_percent(CONFIDENCE)} confidence",
         conditions=at,
         derivation=ANALYSIS,
     )
@@ -209,7 +215,7 @@ def _attitude(number: _Numbers, across: FloatArray, roll: FloatArray, at: str) -
 
 def _terms(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
     factor = normal_factor(0.997)
-    sigma = "one axis, level 99.7 % of a normal error"
+    sigma = "99.7 %, normal error"
     for part, where in (("", "median of the sky"), ("_worst", "worst 1 % of the sky")):
         noise, total = number.pair(f"{part}_noise"), number.pair(part)
         spatial = [math.sqrt(max(t * t - n * n, 0.0)) for t, n in zip(total, noise, strict=True)]
@@ -217,7 +223,7 @@ def _terms(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
             clause="temporal_noise",
             what=f"attitude, {where}",
             value=_arcsec(*(factor * one for one in noise)),
-            statistic=f"RME, {sigma}, ensemble interpretation",
+            statistic=f"RME, {sigma}, ensemble",
             conditions=at,
             derivation=ANALYSIS,
         )
@@ -225,7 +231,7 @@ def _terms(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
             clause="pixel_spatial",
             what=f"attitude, {where}; with star colours (FOV spatial)",
             value=_arcsec(*(factor * one for one in spatial)),
-            statistic=f"{sigma}, ensemble interpretation",
+            statistic=f"{sigma}, ensemble",
             conditions=f"{at}; squares of quantiles subtracted",
             derivation=ANALYSIS,
         )
@@ -267,7 +273,7 @@ def _thermal(found: ThermalSensitivity, number: _Numbers) -> Iterator[Line]:
             clause="thermo_elastic",
             what=what,
             value=value,
-            statistic="derivative; times the temperatures of the mission",
+            statistic="derivative",
             conditions=where,
             derivation=ANALYSIS,
         )
@@ -279,7 +285,7 @@ def _aberration() -> Iterator[Line]:
         clause="aberration",
         what="uncorrected, orbit of the Earth about the Sun",
         value=_arcsec(size),
-        statistic="largest, one axis",
+        statistic="largest",
         conditions="speed of 29.785 km/s across the line of sight",
         derivation=ANALYSIS,
     )
@@ -371,16 +377,12 @@ def _flight(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
             values = [] if term.get(key) is None else _of(term[key])
             if name in CLAUSES and any(map(math.isfinite, values)):
                 spread = _spread(term[key])
-                known = (
-                    f"; ± {_arcsec(*spread)}, 1σ, by the length of the flight"
-                    if any(map(math.isfinite, spread))
-                    else ""
-                )
+                known = f" ± {_arcsec(*spread)} (1σ)" if any(map(math.isfinite, spread)) else ""
                 yield Line(
                     clause=name,
                     what="attitude over the flight",
                     value=_arcsec(*values),
-                    statistic=f"RMS, one axis{known}",
+                    statistic=f"RMS{known}",
                     conditions=where,
                     derivation=derivation,
                 )
@@ -389,7 +391,7 @@ def _flight(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
             clause="total",
             what=f"attitude over the flight, {life}",
             value=_arcsec(*_of(age.get("total_arcsec", {}))),
-            statistic="RMS, one axis, all terms",
+            statistic="RMS, all terms",
             conditions=f"{where}; {_number(age.get('dark_e')):.3g} e⁻ of dark charge in a pixel",
             derivation=ANALYSIS,
         )
