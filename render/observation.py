@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from optics.attitude import angles_from_attitude
@@ -23,12 +23,14 @@ from render.detector.readout import expose
 from render.engine.random import Streams
 from render.fits.wcs import lens_wcs, sky_grid
 from render.forward import StarRenderer
+from render.motion.trajectory import ConstantRate, Trajectory
 from render.records import ExpectedImage, Frame, Truth
 from render.sensor import StarSensor
 from render.sky.background import BackgroundMap, UniformSky, background_map, sky_background
-from render.sky.field import SkyField, field_of_view
+from render.sky.field import FieldOfView, SkyField, field_of_view
 from render.sky.sky import Sky, load_sky
 from render.sky.star_light import star_light
+from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -301,30 +303,43 @@ class SkySimulator:
             hidden = hiding_spheres(self._disks)
         self._renderer = StarRenderer(sensor.camera, exposure_s=exposure_s, contents=hidden)
 
-    def observe(self, attitude: Rotation, *, frame: int = 0) -> Observation:
+    def observe(
+        self,
+        attitude: Rotation | Trajectory,
+        *,
+        frame: int = 0,
+        rate_deg_per_s: ArrayLike | None = None,
+        start_s: float | None = None,
+    ) -> Observation:
         """Expose one frame.
 
         Parameters
         ----------
-        attitude : Rotation
-            cam from icrs (`optics.attitude_from_angles`), the same for the whole exposure.
+        attitude : Rotation or Trajectory
+            cam from icrs (`optics.attitude_from_angles`), the same for the whole exposure; or how the camera moves
+            (`render.motion.trajectory`, body axes those of cam). The observation has the
+            attitude of the middle of the exposure, which disks, diffuse light and planets are seen from.
         frame : int
             Number of the frame: another number, other noise.
+        rate_deg_per_s : (3,), optional
+            Angular velocity in cam axes, through an attitude in the middle of the exposure.
+        start_s : float, optional
+            When the exposure begins on a trajectory [s]; at its start if left out.
 
         Raises
         ------
         ConfigError
-            Not a single rotation.
+            Not a single rotation; a rate with a trajectory.
         DomainError
-            The Sun within 15 deg of a pixel, with zodiacal light.
+            The Sun within 15 deg of a pixel, with zodiacal light; a trajectory that ends before the exposure.
         """
-        if not isinstance(attitude, Rotation) or not attitude.single:
-            raise ConfigError(
-                "attitude must be one scipy Rotation, cam from icrs; optics.attitude_from_angles makes it"
-            )
-        field = self.sky.field(self.view, attitude)
+        attitude, motion = self._motion(attitude, rate_deg_per_s, start_s)
+        field = self.sky.field(self._view_of(motion), attitude)
         stars = self.sky.star_field(field, self.light)
-        expected = self._renderer.render(stars, rotation_cam_from_world=field.rotation_cam_from_icrs)
+        if motion is None:
+            expected = self._renderer.render(stars, rotation_cam_from_world=field.rotation_cam_from_icrs)
+        else:
+            expected = self._renderer.render(stars, motion=motion)
         if self.diffuse is not None:
             rate = sky_background(
                 self.diffuse,
@@ -359,6 +374,7 @@ class SkySimulator:
             bodies=bodies,
         )
 
+<<<<<<< HEAD
     def stray_e_per_s(self, attitude: Rotation) -> dict[str, float]:
         """Stray light of each body in an attitude [e- s^-1 per pixel]; empty without a table."""
         if self._pst is None or self._band_light is None:
@@ -371,6 +387,39 @@ class SkySimulator:
             epoch_year=self.sky.epoch_year,
             earth=self._earth,
         )
+=======
+    def _motion(
+        self, attitude: Rotation | Trajectory, rate_deg_per_s: ArrayLike | None, start_s: float | None
+    ) -> tuple[Rotation, ExposureMotion | None]:
+        """Attitude of the middle of the exposure, and the motion during it."""
+        if isinstance(attitude, Rotation):
+            if not attitude.single or start_s is not None:
+                raise ConfigError("attitude must be one scipy Rotation, cam from icrs; start_s is for a trajectory")
+            if rate_deg_per_s is None:
+                return attitude, None
+            turn = np.radians(np.asarray(rate_deg_per_s, float))
+            if turn.shape != (3,) or not np.isfinite(turn).all():
+                raise ConfigError(f"rate_deg_per_s = {rate_deg_per_s}: three finite numbers are needed, about x, y, z")
+            first = Rotation.from_rotvec(0.5 * self.exposure_s * turn) * attitude
+            path: Trajectory = ConstantRate(initial=first, rate_rad_per_s=turn, end_s=self.exposure_s)
+        elif not hasattr(attitude, "attitude") or rate_deg_per_s is not None:
+            raise ConfigError(
+                "attitude must be one scipy Rotation, cam from icrs (optics.attitude_from_angles makes it), with a "
+                "rate_deg_per_s or without, or a trajectory, which has its own rate"
+            )
+        else:
+            path = attitude
+        begin = path.start_s if start_s is None else start_s
+        motion = exposure_motion(path, start_s=begin, exposure_s=self.exposure_s, camera=self.sensor.camera)
+        return Rotation.from_matrix(motion.rotation_mid), motion
+
+    def _view_of(self, motion: ExposureMotion | None) -> FieldOfView:
+        """The field of view, wider where stars come in during an exposure."""
+        out_px = 0.0 if motion is None else 0.5 * motion.length_px
+        if out_px < 0.25 * MARGIN_PX:
+            return self.view
+        return field_of_view(self.sensor.camera, margin_px=MARGIN_PX + out_px)
+>>>>>>> bca48ef (camera: in motion, over life, update rate; crossings of a sweep by prediction; observe takes a rate or a trajectory)
 
     def _seen(self, attitude: Rotation) -> Iterator[tuple[str, ExpectedImage, tuple[float, float, float]]]:
         """Bodies that a frame shows: name, light, place and sum of that light."""
@@ -415,11 +464,12 @@ class SkySimulator:
 
 def observe(
     sensor: StarSensor,
-    attitude: Rotation,
+    attitude: Rotation | Trajectory,
     sky: Sky | None = None,
     *,
     exposure_s: float = 0.2,
     seed: int = 0,
+    rate_deg_per_s: ArrayLike | None = None,
     **settings: Any,
 ) -> Observation:
     """One frame of the sky; `SkySimulator` makes many of them.
@@ -428,14 +478,16 @@ def observe(
     ----------
     sensor : StarSensor
         Camera and detector (`load_star_sensor`).
-    attitude : Rotation
-        cam from icrs (`optics.attitude_from_angles`).
+    attitude : Rotation or Trajectory
+        cam from icrs (`optics.attitude_from_angles`), or how the camera moves, from its start on.
     sky : Sky, optional
         The stars (`load_sky`); the built-in sky to G = 8 if left out.
     exposure_s : float
         Exposure time.
     seed : int
         Of the noise.
+    rate_deg_per_s : (3,), optional
+        Angular velocity in cam axes.
     **settings
         Any other setting of `SkySimulator`: ``passband=``, ``temperature_c=``, ``zodiacal=``, ``bodies=`` ...
 
@@ -449,4 +501,5 @@ def observe(
     StarbenchError
         As `SkySimulator`.
     """
-    return SkySimulator(sensor, sky, exposure_s=exposure_s, seed=seed, **settings).observe(attitude)
+    simulator = SkySimulator(sensor, sky, exposure_s=exposure_s, seed=seed, **settings)
+    return simulator.observe(attitude, rate_deg_per_s=rate_deg_per_s)

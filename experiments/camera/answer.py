@@ -263,10 +263,17 @@ def _two(which: str, across: float, roll: float) -> str:
     return f"{which}: {' / '.join(words)}"
 
 
+ROOM = 60
+"""Characters of a line behind its name."""
+
+
 def _verdict(requirements: Sequence[Requirement]) -> str:
     if not requirements:
         return "none stated ([requirements] of the sensor file)"
     tight = sorted(requirements, key=lambda one: one.excess)
     missed = [one for one in tight if not one.met]
-    shown = ", ".join(f"{one.key} {one.margin}" for one in (missed or tight)[:3])
-    return f"{len(tight) - len(missed)} of {len(tight)} met; {'missed' if missed else 'least margin'}: {shown}"
+    words = f"{len(tight) - len(missed)} of {len(tight)} met; {'missed' if missed else 'least margin'}:"
+    for number, one in enumerate((missed or tight)[:3]):
+        more = f"{',' * bool(number)} {one.key} {one.margin}"
+        words += more if not number or len(words) + len(more) <= ROOM else ""
+    return words

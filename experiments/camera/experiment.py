@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from experiments.camera.answer import Swing, Temperatures, ThermalRange, limits
 from experiments.camera.frames import FRAMES, SOLVED
 from experiments.camera.manufacture import MANUFACTURED
+from experiments.camera.operation import LIFE, MOTION
 from experiments.camera.optical_state import OpticalState
 from experiments.camera.prediction import Accuracy, CameraPrediction, Optics, Sky, accuracy, optics, predict_camera, sky
 from experiments.camera.settings import Config
@@ -352,6 +353,8 @@ SECTIONS: Mapping[str, Section] = {
         caption="Relative change of the attitude error across, and change of the limiting magnitude, for every key.",
         figures={"what_to_change": bars("key", bars="swing_attitude_cross_arcsec", by="end", aspect_ratio=0.5)},
     ),
+    "motion": MOTION,
+    "life": LIFE,
     "manufactured": MANUFACTURED,
     "frames": FRAMES,
     "solved": SOLVED,

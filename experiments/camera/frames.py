@@ -23,7 +23,8 @@ from calib.attitude.solve import solve_wahba
 from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
-from experiments.camera.prediction import CameraPrediction, exposed_s
+from experiments.camera.operation import moving
+from experiments.camera.prediction import CameraPrediction, exposed_s, predict_camera
 from experiments.camera.settings import Config
 from experiments.harness.plotting import new_figure
 from experiments.harness.quantities import Outcome, Quantities
@@ -37,6 +38,7 @@ from experiments.laboratory.readout.psf_grid import render_psf_grid
 from experiments.laboratory.readout.reduction import MeasuredFrame, Reduction, measure_frame
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
+from optics.errors import StarbenchError
 from optics.figures import draw_image
 from render.camera import Camera
 from render.detector.readout import expose
@@ -54,6 +56,8 @@ FAINTER_MAG, BRIGHTER_MAG = 0.8, 1.2
 """Chart stars about the limiting magnitude."""
 ROUGH_PX = 5.0
 LONG_SIDE = 17
+TURNING = 0.5
+"""Slew rate of the chart in motion, of that at which trails fill the window."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +90,7 @@ class Rendered:
     """What the frames showed."""
 
     chart: ChartFrames  # Artificial stars
+    moving: tuple[CameraPrediction, ChartFrames] | None  # The same of the camera that turns
     sky: SkyFrames  # Real sky
     example_e: NDArray[np.float32]  # (h, w) First frame of the sky, electrons above the dark
     example_px: FloatArray  # (n, 2) Where its stars were measured
@@ -177,6 +182,7 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
     """Render, read out, measure."""
     bench = _Bench(prediction)
     chart = _chart(bench, advance)
+    turning = _turning(prediction, advance)
     found, useful, alarms, errors, status = [], [], [], [], []
     example: tuple[NDArray[np.float32], FloatArray] | None = None
     for number in range(prediction.config.frames.sky):
@@ -202,7 +208,19 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
         error_arcsec=np.array(errors),
         status=tuple(status),
     )
-    return Rendered(chart=chart, sky=sky, example_e=example[0], example_px=example[1])
+    return Rendered(chart=chart, moving=turning, sky=sky, example_e=example[0], example_px=example[1])
+
+
+def _turning(prediction: CameraPrediction, advance: Callable[[], None]) -> tuple[CameraPrediction, ChartFrames] | None:
+    """The chart at half of the slew rate at which trails fill the window; None where no motion is asked for."""
+    config = prediction.config
+    if not config.motion.points or config.slew.rate_deg_per_s or config.instrument.line_time_us:
+        return None
+    try:
+        turned = predict_camera(moving(config, TURNING))
+    except StarbenchError:
+        return None
+    return turned, _chart(_Bench(turned), advance)
 
 
 def _chart(bench: _Bench, advance: Callable[[], None]) -> ChartFrames:
@@ -376,7 +394,8 @@ def compare(prediction: CameraPrediction, rendered: Rendered) -> list[Compared]:
     """All comparisons of a run."""
     return [
         _electrons(prediction, rendered),
-        _noise(prediction, rendered),
+        _noise(prediction, rendered.chart),
+        *([] if rendered.moving is None else [_noise(*rendered.moving, key="nea_moving")]),
         _limit(prediction, rendered),
         _alarms(prediction, rendered),
         *_stars(prediction, rendered),
@@ -384,9 +403,8 @@ def compare(prediction: CameraPrediction, rendered: Rendered) -> list[Compared]:
     ]
 
 
-def bright_stars(prediction: CameraPrediction, rendered: Rendered) -> tuple[FloatArray, FloatArray, FloatArray]:
+def bright_stars(chart: ChartFrames) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Errors (k, n, 2) [px], electrons and distances (n,) of the chart's bright stars that are fit in all readouts."""
-    chart = rendered.chart
     good = (chart.magnitude == chart.bright_mag) & np.isfinite(chart.error_px).all(axis=(0, 2))
     return chart.error_px[:, good], chart.electrons[good], chart.radius_px[good]
 
@@ -409,9 +427,10 @@ def _electrons(prediction: CameraPrediction, rendered: Rendered) -> Compared:
     )
 
 
-def _noise(prediction: CameraPrediction, rendered: Rendered) -> Compared:
-    errors, electrons, radius = bright_stars(prediction, rendered)
+def _noise(prediction: CameraPrediction, chart: ChartFrames, key: str = "nea") -> Compared:
+    errors, electrons, radius = bright_stars(chart)
     readouts, stars = errors.shape[:2]
+    rate = prediction.config.slew.rate_deg_per_s
     scale, star = prediction.state.pixel_arcsec, prediction.stars
     seen = float(np.sqrt(errors.var(axis=0, ddof=1).mean())) * scale
     expected = float(np.sqrt((star.sigma_at(star.centroid.noise_px, electrons, radius) ** 2).mean())) * scale
@@ -421,8 +440,8 @@ def _noise(prediction: CameraPrediction, rendered: Rendered) -> Compared:
     under = max(4.0 * np.pi * (prediction.state.fwhm_px / 2.3548) ** 2 * stars, 1.0)
     chips = 0.5 * np.sqrt(pixel.floor_e4 / under) / pixel.floor_e2
     return compared(
-        comparison="nea",
-        label=f"NEA of a star of {rendered.chart.bright_mag:.2f} mag",
+        comparison=key,
+        label=f"NEA of a star of {chart.bright_mag:.2f} mag" + (f" at {rate:.3g} °/s" if rate else ""),
         unit="arcsec",
         measured=seen,
         predicted=expected,
@@ -542,6 +561,7 @@ def frames_drawn(outcome: Outcome) -> Figure:
 
 JUDGED = {
     "nea": "scatter of readouts against prediction",
+    "nea_moving": "scatter of readouts against prediction, camera turning",
     "limiting_magnitude": "share of chart stars found against prediction",
     "false_alarms": "counted against predicted",
     "stars": "counted against predicted",

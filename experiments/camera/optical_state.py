@@ -15,7 +15,7 @@ from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
 from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
-from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
+from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.band import Band
@@ -26,7 +26,7 @@ from render.records import EffectivePsf
 from render.sky.star_light import StarLight, star_light
 from render.tracing.psf import measured_psfs, ray_epsf, trailed, wave_images
 
-__all__ = ["NODES", "OpticalState", "optical_state"]
+__all__ = ["NODES", "OpticalState", "longest_trail_px", "optical_state"]
 
 
 NODES = 6
@@ -47,6 +47,8 @@ AIRY_SIGMA = 0.42
 """Standard deviation of the Gaussian nearest to an Airy pattern, in wavelengths times F-number (Zhang et al. 2007,
 Appl. Opt. 46, 1819, table 1: 0.21 wavelengths over the sine of the cone's half angle)."""
 _LAYERS = 64
+_FWHM = 2.0 * math.sqrt(2.0 * math.log(2.0))
+"""Of a Gaussian, in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,16 +109,37 @@ def optical_state(config: Config) -> OpticalState:
         }
     )
     chip = DetectorConfig(diffusion_sigma_um=config.detector.diffusion_sigma_um)
+    at_rest = _state(geometry, chip, config.passband, magnitude_system(config.catalogue), config.star.temperature_k)
     turn = math.radians(config.slew.rate_deg_per_s * config.instrument.exposure_s)
-    return _state(
-        geometry,
-        chip,
-        config.passband,
-        magnitude_system(config.catalogue),
-        config.star.temperature_k,
-        (turn, math.radians(config.slew.direction_deg)) if turn else (0.0, 0.0),
-        _window(config) if turn else None,
+    if not turn:
+        return at_rest
+    longest, setting, window_px = longest_trail_px(config, at_rest)
+    trail_px = turn * at_rest.performance.plate_scale_mm / at_rest.instrument.camera.pixel_pitch_mm
+    if trail_px > longest:
+        needed = int(np.ceil(trail_px - longest + window_px)) // 2 * 2 + 1
+        raise DomainError(
+            f"slew.rate_deg_per_s, instrument.exposure_s: stars trail over {trail_px:.3g} px, which is too much for "
+            f"{setting} {window_px} px (at least {needed}); lower rate or exposure, or choose another one"
+        )
+    return _moving(at_rest, trail_px, math.radians(config.slew.direction_deg))
+
+
+def longest_trail_px(config: Config, at_rest: OpticalState) -> tuple[float, str, int]:
+    """What the centroider's window holds; the setting that decides, and its pixels."""
+    setting, window_px = _window(config)
+    rms_mm = float(np.nanmax(at_rest.performance.white.rms_mm()))
+    return window_px - 4.0 * rms_mm / at_rest.instrument.camera.pixel_pitch_mm, setting, window_px
+
+
+@lru_cache(maxsize=_LAYERS)
+def _moving(state: OpticalState, length_px: float, towards_rad: float) -> OpticalState:
+    """The state with PSFs that are drawn out."""
+    trail_px = length_px * np.array([np.cos(towards_rad), np.sin(towards_rad)])
+    psfs, cold, hot = (
+        tuple(trailed(one, trail_px) for one in still) for still in (state.psfs, state.cold_psfs, state.hot_psfs)
     )
+    fwhm_px = _fwhm((state.fwhm_px / _FWHM) ** 2 + length_px**2 / 24.0)
+    return replace(state, trail_px=trail_px, fwhm_px=fwhm_px, psfs=psfs, cold_psfs=cold, hot_psfs=hot)
 
 
 def magnitude_system(config: CatalogueConfig) -> str:
@@ -133,8 +156,6 @@ def _state(
     passband: PassbandConfig,
     system: str,
     temperature_k: float,
-    turn_rad: tuple[float, float],
-    window: tuple[str, int] | None,
 ) -> OpticalState:
     instrument = build_instrument(config, detector=overridden(configured_detector(config), chip))
     try:
@@ -162,14 +183,11 @@ def _state(
     seen = trace_spots(lens, area_field_deg, np.zeros_like(area_field_deg), wave, order=AREA_RAYS)
     pitch, diffusion_px = camera.pixel_pitch_mm, camera.blur_px
     rms_px = performance.white.rms_mm() / pitch
-    trail_px = performance.plate_scale_mm / pitch * turn_rad[0] * np.array([np.cos(turn_rad[1]), np.sin(turn_rad[1])])
-    if window is not None:
-        _check_trail(float(np.hypot(*trail_px)), float(np.nanmax(rms_px)), *window)
     optics_px2 = float(np.nanmean(rms_px**2)) / 2.0 - camera.lens_blur_px**2
     reach_px = min(4.0 * float(np.nanmax(rms_px)), _farthest_mm(spots, performance.white_mm) / pitch + camera.blur_px)
-    half = int(np.clip(np.ceil(reach_px + 0.5 * np.abs(trail_px).max()) + 4, 8, 40))
+    half = int(np.clip(np.ceil(reach_px) + 4, 8, 40))
     psfs_of: Callable[[FloatArray], tuple[EffectivePsf, ...]] = _psfs_by_rays(spots, camera, half)
-    sigma2 = optics_px2 + diffusion_px**2 + 1.0 / 12.0 + float(trail_px @ trail_px) / 24.0
+    sigma2 = optics_px2 + diffusion_px**2 + 1.0 / 12.0
     if lens.measured is not None:
         turn = math.radians(AZIMUTH_DEG)
         along = np.tan(np.radians(field_deg))
@@ -189,9 +207,6 @@ def _state(
         psfs_of = images.psfs
         sigma2 += (AIRY_SIGMA * float(share @ wave) * 1e-6 * performance.f_number / pitch) ** 2
 
-    def psfs(one: FloatArray) -> tuple[EffectivePsf, ...]:
-        return tuple(trailed(psf, trail_px) if trail_px.any() else psf for psf in psfs_of(one))
-
     kelvin = np.exp(light.log_temperature[4:-4:4])
     shares = np.stack([_share(light, response, float(t)) for t in kelvin])
     area = np.nan_to_num(performance.area_mm2)
@@ -206,11 +221,11 @@ def _state(
         performance=performance,
         area_radius_px=area_radius_px,
         area_mm2=(seen.area_mm2.sum(-1) @ share) * np.cos(np.radians(area_field_deg)),
-        psfs=psfs(share),
-        cold_psfs=psfs(_share(light, response, COLD_K)),
-        hot_psfs=psfs(_share(light, response, HOT_K)),
-        fwhm_px=float(np.clip(2.3548 * np.sqrt(sigma2), 0.8, 20.0)),
-        trail_px=trail_px,
+        psfs=psfs_of(share),
+        cold_psfs=psfs_of(_share(light, response, COLD_K)),
+        hot_psfs=psfs_of(_share(light, response, HOT_K)),
+        fwhm_px=_fwhm(sigma2),
+        trail_px=np.zeros(2),
         colour_px=(means - performance.white_mm) / pitch,
         temperatures_k=kelvin,
     )
@@ -235,13 +250,8 @@ def _window(config: Config) -> tuple[str, int]:
     return "window_px =", config.window_px
 
 
-def _check_trail(trail_px: float, rms_px: float, setting: str, window_px: int) -> None:
-    needed = int(np.ceil(trail_px + 4.0 * rms_px)) // 2 * 2 + 1
-    if needed > window_px:
-        raise DomainError(
-            f"slew.rate_deg_per_s, instrument.exposure_s: stars trail over {trail_px:.3g} px, which is too much for "
-            f"{setting} {window_px} px (at least {needed}); lower rate or exposure, or choose another one"
-        )
+def _fwhm(sigma2: float) -> float:
+    return float(np.clip(_FWHM * np.sqrt(sigma2), 0.8, 20.0))
 
 
 def _share(light: StarLight, response: FloatArray, temperature_k: float) -> FloatArray:

@@ -444,7 +444,8 @@ class Sky:
     false_alarms_per_frame: float = col("False alarms per frame", "", ".3g")
     stars_mean_per_frame: float = col("Stars per frame, mean over the sky", "", ".1f")
     stars_worst_per_frame: float = col("Stars per frame, worst 1 % of the sky", "", ".1f")
-    update_rate_hz: float = col("Frames per second that the exposure allows", "Hz", ".3g")
+    update_rate_hz: float = col("Update rate", "Hz", ".3g")
+    latency_s: float = col("Age of an attitude when it is given out", "s", ".3g")
     attitude_cross_arcsec: float = col("Attitude across, median", "arcsec", ".3f")
     attitude_cross_worst_arcsec: float = col("Attitude across, worst 1 % of the sky", "arcsec", ".3f")
     attitude_roll_arcsec: float = col("Attitude roll, median", "arcsec", ".3f")
@@ -536,6 +537,7 @@ def sky(prediction: CameraPrediction) -> Sky:
                 value = float(np.quantile(one, level, method="inverted_cdf"))
                 attitudes[f"attitude_{name}{part}{kind}_arcsec"] = value
     full = max(prediction.peak_share(axis), 1e-9)
+    timing, exposure_s = config.timing, config.instrument.exposure_s
     return Sky(
         saturation_mag=config.star.magnitude_mag + 2.5 * float(np.log10(full)),
         limiting_magnitude_mag=prediction.limits_mag[0.5],
@@ -544,6 +546,7 @@ def sky(prediction: CameraPrediction) -> Sky:
         false_alarms_per_frame=processing.false_alarms,
         stars_mean_per_frame=float(forecast.stars.mean()),
         stars_worst_per_frame=float(np.quantile(forecast.stars, WORST)),
-        update_rate_hz=1.0 / config.instrument.exposure_s,
+        update_rate_hz=1.0 / timing.period_s(exposure_s),
+        latency_s=0.5 * exposure_s + timing.readout_s + timing.processing_s,
         **attitudes,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from experiments.camera.answer import Swing, ThermalRange, answer_lines, limits, parameters, swings, temperatures
+from experiments.camera.operation import RATE, in_motion, life_line, over_life
 from experiments.camera.prediction import accuracy, optics, predict_camera, sky
 from experiments.camera.settings import Config
 from experiments.harness.progress import Progress
@@ -22,9 +23,10 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     state = prediction.state
     if remark := focus_remark(state.instrument.camera, state.light.wavelength_nm[0], state.share):
         progress.note(remark)
-    required, thermal = limits(config), None
+    required, thermal, motion = limits(config), None, None
     numbers: list[Any] = [optics(prediction), accuracy(prediction), sky(prediction)]
-    late = required.keys() & ThermalRange.__dataclass_fields__.keys()
+    warm = required.keys() & ThermalRange.__dataclass_fields__.keys()
+    late = warm | (required.keys() & {RATE})
 
     def lines(found: list[Swing]) -> list[str]:
         return answer_lines(prediction, judge(required, numbers_of(*numbers)), found)
@@ -36,18 +38,28 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         keys = parameters(config, prediction)
         with progress.stage("what to change", total=1 + 2 * len(keys)) as stage:
             found = swings(config, prediction, advance=stage.advance)
-    if late:
+    if warm:
         with progress.stage("temperature"):
             over_temperature, thermal = temperatures(config)
         numbers.append(thermal)
+    if RATE in required:
+        with progress.stage("motion"):
+            motion = in_motion(prediction, required)
+        numbers += [motion] if motion is not None else []
     progress.answer("\n".join(lines(found)[first:]))
+    with progress.stage("motion and life"):
+        motion = in_motion(prediction, required) if motion is None else motion
+        life = over_life(prediction, required)
+    if life is not None:
+        progress.answer(life_line(life))
     if thermal is None:
         with progress.stage("temperature"):
             over_temperature, thermal = temperatures(config)
     from experiments.camera.experiment import predicted  # slow to import, as it draws
 
-    sections: dict[str, Any] = predicted(prediction, thermal)
+    sections: dict[str, Any] = predicted(prediction, thermal, *([motion] if motion is not None else []))
     sections |= {"temperatures": over_temperature, "thermal": thermal, "changes": found or None}
+    sections |= {"motion": motion, "life": life}
     if config.manufacture.lenses:
         from experiments.camera.manufacture import manufactured
 
@@ -56,7 +68,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     if not config.predict_only:
         from experiments.camera.frames import compare, render_frames, solved_frames
 
-        with progress.stage("frames", total=config.frames.readouts + config.frames.sky) as stage:
+        with progress.stage("frames", total=2 * config.frames.readouts + config.frames.sky) as stage:
             rendered = render_frames(prediction, advance=stage.advance)
         sections["frames"] = compare(prediction, rendered)
         sections["solved"] = solved_frames(prediction, rendered)

@@ -17,6 +17,7 @@ from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentCon
 __all__ = [
     "Config",
     "FramesConfig",
+    "MotionConfig",
     "Parameter",
     "SkyConfig",
     "SlewConfig",
@@ -59,6 +60,13 @@ class SlewConfig(StrictModel):
     direction_deg: float = Field(
         default=0.0, ge=-360, le=360, description="where stars trail to on the detector, from columns towards rows"
     )
+
+
+class MotionConfig(StrictModel):
+    """Slew rates of the curves, from rest to where a star no longer fits its window."""
+
+    points: int = Field(default=5, ge=0, le=41, description="rates; 0: none")
+    fastest_deg_per_s: float | None = Field(default=None, gt=0, le=100, description="last of them, in its place")
 
 
 class ThermalConfig(StrictModel):
@@ -113,10 +121,13 @@ class Config(SweptConfig, SensorExperimentConfig, SensorConfig):
             "requirements",
             "filters",
             "sky",
+            "lost",
+            "motion",
             "thermal",
             "frames",
             "tornado",
             "manufacture",
+            "life",
             "baffle",
             "scatter",
             "contamination",
@@ -137,6 +148,7 @@ class Config(SweptConfig, SensorExperimentConfig, SensorConfig):
     star: StarConfig = StarConfig()
     slew: SlewConfig = SlewConfig()
     sky: SkyConfig = SkyConfig()
+    motion: MotionConfig = MotionConfig()
     thermal: ThermalConfig = ThermalConfig()
     frames: FramesConfig = FramesConfig()
     tornado: TornadoConfig = TornadoConfig()
@@ -188,6 +200,7 @@ experiment = with_what_if(
         quick={
             "sky.attitudes": 200,
             "thermal.points": 3,
+            "motion.points": 3,
             "frames.sky": 4,
             "frames.chart_stars": 200,
             "frames.readouts": 5,

@@ -8,8 +8,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, make_dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,7 @@ __all__ = [
     "REQUIREMENTS",
     "Requirement",
     "comparison_sections",
+    "crossing",
     "judge",
     "missed_words",
     "run_comparison",
@@ -38,8 +40,11 @@ __all__ = [
 ]
 
 IN_TABLE = 5
-"""So many of the swept quantities stand in the table that fits a terminal; the ECSV file has all of them."""
+"""So many of the swept quantities stand in the table that fits a terminal, two fewer where there are requirements; the
+ECSV file has all of them."""
 PLACES = ("first", "second")
+FINE = 120
+"""Points along each side of a map that its lines are drawn with."""
 MISSED, NOW = "#d55e00", "#8a9099"
 
 
@@ -93,6 +98,19 @@ def _margin(excess: float, unit: str) -> str:
         return "–"
     sign = "+" if excess >= 0 else "\N{MINUS SIGN}"
     return f"{sign}{abs(excess):.2f} mag" if unit == "mag" else f"{sign}{100.0 * abs(excess):.0f} %"
+
+
+NEAR = 0.02
+"""A crossing is known to so much of its distance from the value that meets the requirements, or of itself."""
+
+
+def crossing(met: Callable[[float], bool], held: float, lost: float) -> float:
+    """Where between a value at which ``met`` and one at which not it ceases to be, by halving."""
+    start = held
+    while abs(lost - held) > NEAR * max(abs(lost - start), 1e-3 * abs(lost)):
+        middle = 0.5 * (held + lost)
+        held, lost = (middle, lost) if met(middle) else (held, middle)
+    return 0.5 * (held + lost)
 
 
 def missed_words(requirements: Sequence[Requirement]) -> str:
@@ -179,7 +197,7 @@ class Swept:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crossing:
-    """Where a requirement begins or ceases to be met, between two values of the swept key."""
+    """Where a requirement begins or ceases to be met, to `NEAR` of the step between two values of the swept key."""
 
     label: str = col("Requirement", json="")
     requirement: str = col("Key")
@@ -220,7 +238,11 @@ def run_sweep(declared: Experiment, config: Any, *, progress: Progress) -> dict[
         points=tuple(points),
         shown=tuple(dict.fromkeys((*(name for name in declared.swept if name in known.numbers), *required))),
     )  # fmt: skip
-    return {"swept": swept, "points": _rows(declared, swept, known.numbers), "crossings": _crossings(swept) or None}
+    if keys[1:]:
+        return {"swept": swept, "points": _rows(declared, swept, known.numbers), "crossings": None}
+    with progress.stage("crossings"):
+        crossings = _crossings(swept, partial(_point, declared, plain, [ranges[0].key]))
+    return {"swept": swept, "points": _rows(declared, swept, known.numbers), "crossings": crossings or None}
 
 
 def _point(declared: Experiment, config: Any, keys: Sequence[str], at: tuple[float, ...]) -> _Point:
@@ -278,7 +300,7 @@ def _answer(declared: Experiment, keys: Sequence[_Key], points: Sequence[_Point]
 
 def _rows(declared: Experiment, swept: Swept, numbers: Mapping[str, Quantity]) -> list[Any]:
     """Points as records whose fields are the swept keys and every number of the prediction."""
-    in_table = [name for name in declared.swept if name in numbers][:IN_TABLE]
+    in_table = [name for name in declared.swept if name in numbers][: IN_TABLE - 2 * bool(swept.required)]
     places = PLACES[: len(swept.keys)]
     fields: list[Any] = []
     for place, key in zip(places, swept.keys, strict=True):
@@ -287,8 +309,8 @@ def _rows(declared: Experiment, swept: Swept, numbers: Mapping[str, Quantity]) -
     for name in dict.fromkeys((*in_table, *numbers)):
         one = numbers[name]
         fields.append((name, float, col(one.label, one.unit, one.format, shown=name in in_table)))
-    fields.append(("meets", bool, col("Meets", shown=bool(swept.required))))
-    fields.append(("misses", str, col("Misses", shown=False)))
+    fields.append(("meets", bool, col("Meets", shown=False)))
+    fields.append(("misses", str, col("Misses", shown=bool(swept.required))))
     fields.append(("refusal", str, col("Refused", shown=False)))
     record = make_dataclass("SweepPoint", fields, frozen=True, kw_only=True)
     nothing = dict.fromkeys(numbers, math.nan)
@@ -301,21 +323,25 @@ def _rows(declared: Experiment, swept: Swept, numbers: Mapping[str, Quantity]) -
     return rows
 
 
-def _crossings(swept: Swept) -> list[Crossing]:
-    """Crossings of one swept key, by interpolation of the margin."""
-    if len(swept.keys) > 1:
-        return []
+def _crossings(swept: Swept, predict: Callable[[tuple[float]], _Point]) -> list[Crossing]:
+    """Crossings of one swept key between its values, each found by further predictions."""
     at, rows = swept.keys[0].values, []
+    whole = all(isinstance(value, int) for value in at)
     for name in swept.required:
         labels = [next((one for one in point.requirements if one.key == name), None) for point in swept.points]
-        excess = [math.nan if one is None else one.excess for one in labels]
         label = next(one.label for one in labels if one is not None)
-        for (x, a), (y, b) in itertools.pairwise(zip(at, excess, strict=True)):
-            if np.isfinite([a, b]).all() and (a >= 0.0) != (b >= 0.0):
-                part = a / (a - b)
-                where = x * (y / x) ** part if logarithmic(at) else x + (y - x) * part
-                side = "above" if (b >= 0.0) == (y > x) else "below"
-                rows.append(Crossing(label=label, requirement=name, at=float(where), met=side))
+
+        def met(value: float, name: str = name) -> bool:
+            return next((one.met for one in predict((value,)).requirements if one.key == name), False)
+
+        for (x, one), (y, other) in itertools.pairwise(zip(at, labels, strict=True)):
+            if one is None or other is None or one.met == other.met:
+                continue
+            held, lost = (x, y) if one.met else (y, x)
+            where = 0.5 * (x + y) if whole else crossing(met, held, lost)
+            rows.append(
+                Crossing(label=label, requirement=name, at=float(where), met="above" if held > lost else "below")
+            )
     return rows
 
 
@@ -345,9 +371,9 @@ def _curve(figure: Figure, panel: Any, outcome: Outcome, swept: Swept, name: str
     panel.plot(key.values, values, color=PALETTE[0], marker="o", markersize=3)
     if name in swept.required:
         _required(panel, *swept.required[name], values)
-    for crossing in outcome.result["crossings"] or ():
-        if crossing.requirement == name:
-            panel.axvline(crossing.at, color=MISSED, linewidth=0.9)
+    for one in outcome.result["crossings"] or ():
+        if one.requirement == name:
+            panel.axvline(one.at, color=MISSED, linewidth=0.9)
     if key.now is not None and min(key.values) <= key.now <= max(key.values):
         panel.axvline(key.now, color=NOW, linewidth=1.0, dashes=(1, 2))
     if np.isfinite(values).any() and np.nanmin(values) > 0 and name.endswith(("_arcsec", "_px")):
@@ -363,11 +389,25 @@ def _map(figure: Figure, panel: Any, outcome: Outcome, swept: Swept, name: str) 
     figure.colorbar(drawn, ax=panel, pad=0.02)
     required = swept.required.get(name, (math.nan, True))[0]
     if np.nanmin(values) < required < np.nanmax(values) and min(values.shape) > 1:
-        panel.contour(first, second, values, levels=[required], colors=MISSED, linewidths=1.4)
+        panel.contour(*_finer(first, second, values), levels=[required], colors=MISSED, linewidths=1.4)
     missed = np.array([one.at for one in swept.points])[~swept.met] if swept.required else np.empty((0, 2))
     for colour, thickness in ((INK, 2.2), ("white", 0.9)):  # visible on every ground
         panel.plot(*missed.T, "x", color=colour, markersize=3.5, markeredgewidth=thickness)
     panel.grid(visible=False)
+
+
+def _finer(first: FloatArray, second: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A map (second, first) on a fine grid, by cubic splines of logarithms; as it is where some points are refused."""
+    from scipy.interpolate import RectBivariateSpline
+
+    if not (np.isfinite(values).all() and (values > 0.0).all()):
+        return first, second, values
+    spread = [logarithmic(one.tolist()) for one in (first, second)]
+    axes = [np.log(one) if log else one for one, log in zip((first, second), spread, strict=True)]
+    fine = [np.linspace(one[0], one[-1], FINE) for one in axes]
+    x, y = (np.exp(one) if log else one for one, log in zip(fine, spread, strict=True))
+    degree = {"kx": min(3, len(second) - 1), "ky": min(3, len(first) - 1)}
+    return x, y, np.exp(RectBivariateSpline(axes[1], axes[0], np.log(values), **degree)(fine[1], fine[0]))
 
 
 def _required(panel: Any, required: float, at_least: bool, values: FloatArray) -> None:
@@ -403,7 +443,7 @@ def sweep_sections(result: Mapping[str, Any]) -> dict[str, Section]:
             table="crossings",
             rows="crossing",
             hidden="crossing",
-            caption="Where requirements begin or cease to be met, by interpolation between two points.",
+            caption="Where requirements begin or cease to be met.",
         ),
     }
 

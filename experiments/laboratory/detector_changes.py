@@ -39,6 +39,8 @@ class DetectorConfig(StrictModel):
     read_noise_spread: float | None = Field(default=None, ge=0, le=2, description="standard deviation of its logarithm")
     dsnu_e: float | None = Field(default=None, ge=0, le=1e5, description="spread of the offset over the pixels")
     column_pattern_e: float | None = Field(default=None, ge=0, le=1e5, description="spread of the offset over columns")
+    damage_centres_per_px: float | None = Field(default=None, ge=0, le=1000, description="radiation damage: centres")
+    damage_dark_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="mean dark current of each")
     adc_bits: int | None = Field(default=None, ge=1, le=16, description="resolution of the converter")
     sensor_seed: int | None = Field(default=None, ge=0, le=2**63, description="the individual")
 

@@ -13,6 +13,7 @@ AT_LEAST = frozenset(
         "field_deg",
         "field_diagonal_deg",
         "limiting_magnitude_mag",
+        "slew_rate_deg_per_s",
         "stars_mean_per_frame",
         "stars_worst_per_frame",
         "update_rate_hz",
@@ -42,7 +43,9 @@ class RequirementsConfig(StrictModel):
     attitude_cross_worst_arcsec: float | None = _asked("the same in the worst 1 % of the sky, at most")
     attitude_roll_arcsec: float | None = _asked("attitude error about the boresight, median over the sky, at most")
     attitude_roll_worst_arcsec: float | None = _asked("the same in the worst 1 % of the sky, at most")
-    update_rate_hz: float | None = _asked("frames per second that the exposure allows, at least")
+    update_rate_hz: float | None = _asked("attitudes per second that exposure and [timing] allow, at least")
+    latency_s: float | None = _asked("age of an attitude when it is given out, at most")
+    slew_rate_deg_per_s: float | None = _asked("slew rate to which there are attitudes, others kept, at least")
     spot_px: float | None = _asked("RMS radius of the white spot, largest over the field, at most")
     distortion_percent: float | None = _asked("largest distortion over the field, at most")
     lateral_colour_px: float | None = _asked("largest separation of wavelengths of the pass band, at most")

@@ -18,9 +18,11 @@ from optics.errors import StarbenchError
 from optics.validate import parse_model
 
 __all__ = [
+    "LifeConfig",
     "ManufactureConfig",
     "SensorConfig",
     "SensorExperimentConfig",
+    "TimingConfig",
     "in_best_focus",
     "read_sensor",
     "whole_sensor",
@@ -47,6 +49,46 @@ class ManufactureConfig(StrictModel):
     refocused: bool = Field(default=True, description="compensator: the focus is set for every lens")
 
 
+class TimingConfig(StrictModel):
+    """From the end of an exposure to the attitude."""
+
+    readout_s: float = Field(default=0.0, ge=0, le=1000, description="reading a frame")
+    processing_s: float = Field(default=0.0, ge=0, le=1000, description="from a frame to its attitude")
+    overlapped: bool = Field(default=True, description="the next frame is exposed while one is read, another processed")
+
+    def period_s(self, exposure_s: float) -> float:
+        """From one frame to the next."""
+        steps = exposure_s, self.readout_s, self.processing_s
+        return max(steps) if self.overlapped else sum(steps)
+
+
+class LifeConfig(StrictModel):
+    """What has changed by the end of life, growing evenly with age: `camera` predicts the sensor to that end."""
+
+    dimensionless: ClassVar[frozenset[str]] = frozenset(
+        {"years", "displacement_dose_tev_per_g", "depleted_volume_um3", "darkened_glass", "contamination"}
+    )
+
+    years: float = Field(default=0.0, ge=0, le=100, description="age at the end of life; 0: not predicted")
+    displacement_dose_tev_per_g: float = Field(
+        default=0.0, ge=0, le=1e5, description="displacement damage dose behind the shield [TeV/g]"
+    )
+    depleted_volume_um3: float | None = Field(
+        default=None, gt=0, le=1e5, description="depleted volume of a pixel, needed with that dose [um3]"
+    )
+    ionising_dark_e_per_s: float = Field(
+        default=0.0, ge=0, le=1e7, description="dark current that the ionising dose adds, at the detector's reference"
+    )
+    darkened_glass: float = Field(default=0.0, ge=0, lt=1, description="share of the light that darkened glass takes")
+    contamination: float = Field(default=0.0, ge=0, lt=1, description="share that films and particles take")
+
+    @model_validator(mode="after")
+    def _volume(self) -> LifeConfig:
+        if self.displacement_dose_tev_per_g and self.depleted_volume_um3 is None:
+            raise ValueError("depleted_volume_um3 is needed with displacement_dose_tev_per_g: area of a pixel x depth")
+        return self
+
+
 class SensorConfig(StrictModel):
     """A star sensor: what it is made of, how it is operated, its sky and its processing, what is asked of it."""
 
@@ -63,9 +105,14 @@ class SensorConfig(StrictModel):
     catalogue: CatalogueConfig = CatalogueConfig()
     requirements: RequirementsConfig = RequirementsConfig()
     manufacture: ManufactureConfig = ManufactureConfig()
+<<<<<<< HEAD
     baffle: BaffleConfig = BaffleConfig()
     scatter: ScatterConfig = ScatterConfig()
     contamination: ContaminationConfig = ContaminationConfig()
+=======
+    timing: TimingConfig = TimingConfig()
+    life: LifeConfig = LifeConfig()
+>>>>>>> bca48ef (camera: in motion, over life, update rate; crossings of a sweep by prediction; observe takes a rate or a trajectory)
 
     @field_validator("window_px")
     @classmethod

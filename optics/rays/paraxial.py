@@ -238,20 +238,24 @@ def refocused(lens: LensSystem, wavelength_nm: float | None = None) -> LensSyste
     return replace(lens, image_position_mm=focus)
 
 
+F_ROUNDING = 0.005
+
+
 def stopped_down(lens: LensSystem, f_number: float) -> LensSystem:
     """Copy of a lens whose stop is closed to an F-number at the design wavelength.
 
-    The paraxial entrance pupil is the image of the stop, so its diameter goes with the stop's.
+    The paraxial entrance pupil is the image of the stop, so its diameter goes with the stop's. The lens's own F-number
+    as it is printed, to `F_ROUNDING`, leaves it open.
     """
     lens.check_surfaces()
     own = axial_paraxial(lens, lens.design_wavelength_nm).f_number
     stop = lens.surfaces[lens.stop_index]
     darkest = own * stop.semi_diameter_mm / stop.inner_semi_diameter_mm if stop.inner_semi_diameter_mm else np.inf
-    if not own * (1.0 - 1e-9) <= f_number < darkest:
+    if not own - F_ROUNDING <= f_number < darkest:
         limit = f" and below F/{darkest:.3g}, its obscuration" if np.isfinite(darkest) else ""
         raise DomainError(
             f"f_number = {f_number:g}; lens {lens.name!r} is F/{own:.4g} fully open: at least F/{own:.4g}{limit} is "
             "possible"
         )
-    closed = replace(stop, semi_diameter_mm=stop.semi_diameter_mm * own / f_number)
+    closed = replace(stop, semi_diameter_mm=stop.semi_diameter_mm * min(own / f_number, 1.0))
     return lens.with_surfaces({lens.stop_index: closed})

@@ -123,14 +123,16 @@ def ray_epsf(
 def trailed(psf: EffectivePsf, trail_px: FloatArray) -> EffectivePsf:
     """Effective PSF of a star that moves evenly during the exposure, centred on the middle of its trail.
 
-    The transform of a straight trail is a sinc; the grid has to hold the light of the whole trail.
+    The transform of a straight trail is a sinc; the grid grows by the trail.
     """
     # trail_px (2,)
-    size = len(psf.values)
-    padded = 2 * size
+    more = math.ceil(0.5 * float(np.abs(trail_px).max())) * psf.oversampling
+    values = np.pad(psf.values, more)
+    size = len(values)
+    padded = size + 2 * more + 1  # what runs out on one side must not come in on the other
     frequency = np.fft.fftfreq(padded, 1.0 / psf.oversampling)  # cycles per pixel
-    along = frequency[None, : size + 1] * trail_px[0] + frequency[:, None] * trail_px[1]
-    values = np.fft.irfft2(np.fft.rfft2(psf.values, (padded, padded)) * np.sinc(along), (padded, padded))
+    along = frequency[None, : padded // 2 + 1] * trail_px[0] + frequency[:, None] * trail_px[1]
+    values = np.fft.irfft2(np.fft.rfft2(values, (padded, padded)) * np.sinc(along), (padded, padded))
     return EffectivePsf(values=values[:size, :size], oversampling=psf.oversampling)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord, get_body
 from astropy.time import Time
+from scipy.spatial.transform import Rotation
 
 from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError, DomainError
@@ -171,3 +172,66 @@ def test_its_page_holds_the_frame_the_truth_and_the_errors_of_what_was_measured(
     ra, dec = np.radians([star["right ascension"], star["declination"]])
     towards = [np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)]
     assert np.degrees(np.arccos(vectors[tuple(cell)] @ towards)) < 6 * observation.sensor.pixel_arcsec / 3600
+
+
+class Accelerating:
+    """About cam y from rest, evenly faster."""
+
+    start_s, end_s = 0.0, 1.0
+
+    def __init__(self, towards, rad_per_s2):
+        self.towards, self.rad_per_s2 = towards, rad_per_s2
+
+    def attitude(self, time_s):
+        angle = 0.5 * self.rad_per_s2 * np.asarray(time_s, float) ** 2
+        return Rotation.from_rotvec(angle[..., None] * np.array([0.0, 1.0, 0.0])) * self.towards
+
+    def rate(self, time_s):
+        return -self.rad_per_s2 * np.asarray(time_s, float)[..., None] * np.array([0.0, 1.0, 0.0])
+
+
+@pytest.mark.slow
+def test_motion_in_an_exposure_moves_the_light_as_mechanics_say(sky):
+    """A rate leaves the light in the middle of the exposure and spreads it by L^2 / 12; an acceleration a moves it by
+    a t^2 / 24: half of a times the variance of the time."""
+    sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=512, diffraction="rays")
+    simulator = SkySimulator(sensor, sky, exposure_s=0.2, seed=3)
+    towards = attitude_from_angles(ra_deg=ORION[0], dec_deg=ORION[1], roll_deg=30.0)
+    pixel_rad = np.radians(sensor.pixel_arcsec / 3600.0)
+    rest = simulator.observe(towards)
+    middle = np.hypot(*(np.array([rest.truth.photon_x_px[:, 0], rest.truth.photon_y_px[:, 0]]) - 255.5)) < 120.0
+    rate = 6.0 * pixel_rad / 0.2
+    moved = simulator.observe(towards, rate_deg_per_s=np.degrees([0.0, rate, 0.0]))
+    row = dict(zip(moved.field.row.tolist(), range(len(moved.field)), strict=True))
+    same = [row[one] for one in rest.field.row[middle].tolist()]
+    assert middle.sum() >= 3
+    for axis in ("photon_x_px", "photon_y_px"):
+        there = getattr(moved.truth, axis)[same, 0]
+        np.testing.assert_allclose(there, getattr(rest.truth, axis)[middle, 0], atol=0.02)
+    image, brightest = (
+        moved.expected.electrons[..., 0],
+        np.argmax(np.where(middle, rest.truth.electrons_image[:, 0], 0.0)),
+    )
+    x, y = (int(getattr(rest.truth, axis)[brightest, 0]) for axis in ("photon_x_px", "photon_y_px"))
+    spread = []
+    for picture in (image, rest.expected.electrons[..., 0]):
+        line = picture[y - 6 : y + 8, x - 12 : x + 14].sum(0)
+        place = np.arange(len(line))
+        spread.append(line @ (place - line @ place / line.sum()) ** 2 / line.sum())
+    assert spread[0] - spread[1] == pytest.approx(6.0**2 / 12.0, rel=0.05)
+
+    faster = 3.0 * pixel_rad * 24.0 / 0.2**2  # 3 px
+    path = Accelerating(towards, faster)
+    seen = simulator.observe(path)
+    still = simulator.observe(path.attitude(0.1))
+    row = dict(zip(seen.field.row.tolist(), range(len(seen.field)), strict=True))
+    common = [k for k, one in enumerate(still.field.row.tolist()) if one in row and middle_of(still, k)]
+    shift = [seen.truth.photon_x_px[row[still.field.row[k]], 0] - still.truth.photon_x_px[k, 0] for k in common]
+    assert len(shift) >= 3
+    # a positive turn about y takes a star at +z to +x
+    np.testing.assert_allclose(shift, 3.0, rtol=0.05)
+
+
+def middle_of(observation, star):
+    truth = observation.truth
+    return np.hypot(truth.photon_x_px[star, 0] - 255.5, truth.photon_y_px[star, 0] - 255.5) < 120.0
