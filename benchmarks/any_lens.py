@@ -4,6 +4,12 @@ A lens whose stop lies inside has beams whose outlines must be found, one whose 
 with kinks: neither may cost much. The detector is the same for all (cmv4000).
 
     python benchmarks/any_lens.py [--names hsfe budget] [--lenses star_tracker_26mm my.toml] [--rounds 3]
+
+With ``--sensors`` whole sensor files instead, unlike the built-in one in every respect: a triplet, a fisheye of 100
+deg, a fast lens, a mirror telescope, an ideal lens; for every experiment that takes a sensor whether its criteria hold,
+what is refused in one line, what fails otherwise, and the seconds.
+
+    python benchmarks/any_lens.py --sensors [--names camera skycal] [--lenses ideal fisheye]
 """
 
 from __future__ import annotations
@@ -33,6 +39,89 @@ OWN = {
 }  # a photographic lens, stopped down
 
 
+TAKE_SENSOR = (
+    "camera", "chromatic", "temporal", "hsfe", "distortion", "fisher", "turntable", "budget", "acf", "skycal", "dataset"
+)  # fmt: skip
+COMMON = """name = "{name}"
+[instrument]
+lens = {lens}
+detector = "cmv4000"
+width_px = {size}
+height_px = {size}
+exposure_s = {exposure_s}
+absorption = false
+{more}
+[passband]
+range_nm = {range_nm}
+[filters]
+centres_nm = {filters}
+reference_nm = {middle}
+"""
+FISHEYE = """name = "fisheye"
+source = "two menisci and a singlet, tests/optics/rays/test_aim.py, with glasses of Schott"
+design_wavelength_nm = 600.0
+max_field_deg = 55.0
+"""
+FISHEYE_SURFACES = (  # radius, thickness, medium behind, semi-diameter
+    (60.0, 2.0, "N-K5", 45.0),
+    (13.0, 11.0, "air", 12.9),
+    (90.0, 2.0, "N-K5", 14.0),
+    (9.0, 14.0, "air", 8.9),
+    (30.0, 6.0, "N-K5", 9.0),
+    (-16.0, 3.0, "air", 9.0),
+    ("inf", 3.0, "air", 1.0),
+    (15.0, 4.0, "N-K5", 6.0),
+    (-14.0, 18.0, "air", 6.0),
+)
+
+
+def write_sensors(folder: Path) -> dict[str, Path]:
+    """Sensor files by name."""
+    lens = FISHEYE
+    for number, (radius, thickness, medium, semi) in enumerate(FISHEYE_SURFACES):
+        lens += f'[[surface]]\nthickness_mm = {thickness}\nmedium = "{medium}"\nsemi_diameter_mm = {semi}\n'
+        lens += f"radius_mm = {radius}\n" * (radius != "inf") + "stop = true\n" * (number == 6)
+    (folder / "fisheye_lens.toml").write_text(lens, encoding="utf-8")
+    visible = {"range_nm": [500, 800], "filters": [550, 650, 750], "middle": 650}
+    ideal = '{ kind = "ideal", focal_length_mm = 35.0, f_number = 1.8, spot_um = 4.0, transmission = 0.8 }'
+    cases = {
+        "fisheye": {"lens": '"fisheye_lens.toml"', "size": 1200, "exposure_s": 0.5, "more": ""},
+        "fast": {
+            "lens": '"werfel_40mm"', "size": 1024, "exposure_s": 0.1, "more": 'f_number = 1.4\ndiffraction = "rays"'
+        },
+        "mirror": {"lens": '"maksutov_1300mm"', "size": 1024, "exposure_s": 1.0, "more": ""},
+        "ideal": {"lens": ideal, "size": 1200, "exposure_s": 0.1, "more": ""},
+    }  # fmt: skip
+    files = {"triplet": ROOT / "docs/examples/triplet_50mm/sensor.toml"}
+    for name, case in cases.items():
+        files[name] = folder / f"{name}.toml"
+        files[name].write_text(COMMON.format(name=name, **visible, **case), encoding="utf-8")
+    return files
+
+
+def verdict(name: str, sensor: Path, folder: Path) -> str:
+    """What a run with a sensor file came to, with its processor time; longer than `LONGEST_S` is a fault."""
+    out = Path(tempfile.mkdtemp(dir=folder)) / "out"
+    command = [sys.executable, "-m", f"experiments.{name}", "--quick", "--sensor", str(sensor), "--out", str(out)]
+    before = os.times()
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LONGEST_S)
+    except subprocess.TimeoutExpired:
+        return f"**no end** in {LONGEST_S} s"
+    after = os.times()
+    took = f"{after.children_user + after.children_system - before.children_user - before.children_system:.0f} s"
+    said = done.stderr.strip().splitlines() or ["no result"]
+    if "Traceback" in done.stderr:
+        return f"**fault**: {said[-1][:90]}"
+    if done.returncode == 2:
+        return f"refused: {said[-1].removeprefix('error: ')}"
+    failed = [line[5:] for line in done.stdout.splitlines() if line.startswith("NO ")]
+    return took if not failed else f"{took}, **not consistent**: {'; '.join(failed)}"
+
+
+LONGEST_S = 600
+
+
 def processor_seconds(name: str, lens: str, folder: Path) -> tuple[float, str]:
     """Processor time of a run [s], and what it ended with if that is no result."""
     out = Path(tempfile.mkdtemp(dir=folder)) / "out"
@@ -50,15 +139,24 @@ def processor_seconds(name: str, lens: str, folder: Path) -> tuple[float, str]:
 def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--names", nargs="+", default=list(NAMES))
-    parser.add_argument("--lenses", nargs="+", default=list(LENSES))
+    parser.add_argument("--names", nargs="+")
+    parser.add_argument("--lenses", nargs="+")
+    parser.add_argument("--sensors", action="store_true")
     parser.add_argument("--rounds", type=int, default=1)
     options = parser.parse_args()
-    lenses = [REFERENCE, *options.lenses]
+    if options.sensors:
+        with tempfile.TemporaryDirectory() as folder:
+            files = write_sensors(Path(folder))
+            files = {name: files[name] for name in options.lenses or files}
+            for name in options.names or TAKE_SENSOR:
+                for sensor, file in files.items():
+                    print(f"| {name} | {sensor} | {verdict(name, file, Path(folder))} |", flush=True)
+        return
+    lenses = [REFERENCE, *(options.lenses or LENSES)]
     print("| experiment | " + " | ".join(lens if "/" not in lens else Path(lens).parent.name for lens in lenses) + " |")
     print("|---" * (len(lenses) + 1) + "|")
     with tempfile.TemporaryDirectory() as folder:
-        for name in options.names:
+        for name in options.names or NAMES:
             found = [[processor_seconds(name, lens, Path(folder)) for lens in lenses] for _ in range(options.rounds)]
             seconds = np.median([[used for used, _ in row] for row in found], axis=0)
             cells = [

@@ -77,9 +77,9 @@ def _first_missed(at: Callable[[float], Config], limits: Limits, held: float, lo
 
     def met(value: float) -> bool:
         found = _predicted(at(value))
-        over = None if found is None else sorted(_judged(found, limits), key=lambda one: one.excess)[0]
-        missed[value] = "no prediction" if over is None else over.key
-        return over is not None and over.met
+        worst = sorted([] if found is None else _judged(found, limits), key=lambda one: one.excess)[:1]
+        missed[value] = "no prediction" if found is None else "".join(one.key for one in worst)
+        return found is not None and all(one.met for one in worst)
 
     if not met(lost):
         lost = crossing(met, held, lost)

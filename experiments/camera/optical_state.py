@@ -15,7 +15,7 @@ from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
 from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
-from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
+from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.band import Band
