@@ -167,7 +167,7 @@ def identify_stars(
         bright = usable[np.argsort(-flux, kind="stable")[:BRIGHTEST]]
         found = _near(stars.pixel_px, bright, model, known, near, radius_px=radius_px, tolerance_px=tolerance_px)
     else:
-        patterns = _database(round(_field_deg(model), 1)) if database is None else database
+        patterns = star_patterns(model) if database is None else database
         found = identify(pixel, model, patterns, flux=flux, catalogue=_ById(known))
         if found.status == "no_match":  # the catalogue may count its stars in another way than the patterns do
             found = identify(pixel, model, patterns, flux=flux)
@@ -300,6 +300,17 @@ def _field_deg(model: CameraModel) -> float:
     edge = np.array([model.geometry.width_px / 2, 0.0])
     left, right = model.unproject(np.stack([middle - edge, middle + edge]))
     return float(np.arccos(np.clip(left @ right, -1.0, 1.0)) * RAD_DEG)
+
+
+def star_patterns(model: CameraModel) -> Any:
+    """Patterns of the whole sky for the field of a camera, kept on disk; ``database`` of `identify_stars`.
+
+    Raises
+    ------
+    ConfigError
+        tetra3rs is needed and missing.
+    """
+    return _database(round(_field_deg(model), 1))
 
 
 @lru_cache(maxsize=4)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from experiments.camera.answer import Swing, Temperatures, ThermalRange, limits
 from experiments.camera.frames import FRAMES, SOLVED
+from experiments.camera.guides import COVERAGE, LOST, coverage
 from experiments.camera.manufacture import MANUFACTURED
 from experiments.camera.operation import LIFE, MOTION
 from experiments.camera.optical_state import OpticalState
@@ -287,7 +288,8 @@ def predict(config: Config, *, progress: Progress) -> dict[str, Any]:
 def predicted(prediction: CameraPrediction, *more: Any) -> dict[str, Any]:
     """Sections that a prediction fills; ``more`` records have further numbers that are required."""
     numbers = optics(prediction), accuracy(prediction), sky(prediction)
-    requirements = judge(limits(prediction.config), numbers_of(*numbers, *more))
+    covered = coverage(prediction)
+    requirements = judge(limits(prediction.config), numbers_of(*numbers, covered, *more))
     return {
         "setup": setup(prediction, requirements),
         "requirements": requirements,
@@ -295,6 +297,7 @@ def predicted(prediction: CameraPrediction, *more: Any) -> dict[str, Any]:
         "fields": fields(prediction),
         "magnitudes": magnitudes(prediction),
         "attitudes": attitudes(prediction),
+        "coverage": covered,
     }
 
 
@@ -353,6 +356,8 @@ SECTIONS: Mapping[str, Section] = {
         caption="Relative change of the attitude error across, and change of the limiting magnitude, for every key.",
         figures={"what_to_change": bars("key", bars="swing_attitude_cross_arcsec", by="end", aspect_ratio=0.5)},
     ),
+    "coverage": COVERAGE,
+    "lost": LOST,
     "motion": MOTION,
     "life": LIFE,
     "manufactured": MANUFACTURED,

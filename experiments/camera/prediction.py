@@ -139,6 +139,7 @@ class AttitudeForecast:
     noise_arcsec: FloatArray
     total_arcsec: FloatArray  # (f, 3) The same with patterns, pixel phase and star colours
     sigma_px: FloatArray  # (m,) Error of each sighting of the view, per axis, all terms
+    chance: FloatArray  # (m,) That it is found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -389,6 +390,7 @@ def _attitude(
         noise_arcsec=spread[0],
         total_arcsec=spread[1],
         sigma_px=np.sqrt(variance),
+        chance=seen,
     )
 
 

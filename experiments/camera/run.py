@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from experiments.camera.answer import Swing, ThermalRange, answer_lines, limits, parameters, swings, temperatures
+from experiments.camera.guides import coverage, lost_in_space
 from experiments.camera.operation import RATE, in_motion, life_line, over_life
-from experiments.camera.prediction import accuracy, optics, predict_camera, sky
+from experiments.camera.prediction import CameraPrediction, accuracy, optics, predict_camera, sky
 from experiments.camera.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import numbers_of
@@ -24,7 +25,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     if remark := focus_remark(state.instrument.camera, state.light.wavelength_nm[0], state.share):
         progress.note(remark)
     required, thermal, motion = limits(config), None, None
-    numbers: list[Any] = [optics(prediction), accuracy(prediction), sky(prediction)]
+    numbers: list[Any] = [optics(prediction), accuracy(prediction), sky(prediction), coverage(prediction)]
     warm = required.keys() & ThermalRange.__dataclass_fields__.keys()
     late = warm | (required.keys() & {RATE})
 
@@ -55,21 +56,27 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     if thermal is None:
         with progress.stage("temperature"):
             over_temperature, thermal = temperatures(config)
+    tried = {} if config.predict_only else _tried(prediction, progress)
     from experiments.camera.experiment import predicted  # slow to import, as it draws
 
-    sections: dict[str, Any] = predicted(prediction, thermal, *([motion] if motion is not None else []))
+    sections: dict[str, Any] = predicted(prediction, thermal, *(one for one in (motion, tried.get("lost")) if one))
     sections |= {"temperatures": over_temperature, "thermal": thermal, "changes": found or None}
-    sections |= {"motion": motion, "life": life}
+    sections |= {"motion": motion, "life": life, **tried}
     if config.manufacture.lenses:
         from experiments.camera.manufacture import manufactured
 
         with progress.stage("lenses as made", total=config.manufacture.lenses) as stage:
             sections["manufactured"] = manufactured(prediction, required, advance=stage.advance)
-    if not config.predict_only:
-        from experiments.camera.frames import compare, render_frames, solved_frames
-
-        with progress.stage("frames", total=2 * config.frames.readouts + config.frames.sky) as stage:
-            rendered = render_frames(prediction, advance=stage.advance)
-        sections["frames"] = compare(prediction, rendered)
-        sections["solved"] = solved_frames(prediction, rendered)
     return sections
+
+
+def _tried(prediction: CameraPrediction, progress: Progress) -> dict[str, Any]:
+    """Stars identified lost in space, and rendered frames."""
+    config = prediction.config
+    with progress.stage("lost in space", total=config.lost.attitudes) as stage:
+        lost = lost_in_space(prediction, advance=stage.advance)
+    from experiments.camera.frames import compare, render_frames, solved_frames
+
+    with progress.stage("frames", total=2 * config.frames.readouts + config.frames.sky) as stage:
+        rendered = render_frames(prediction, advance=stage.advance)
+    return {"lost": lost, "frames": compare(prediction, rendered), "solved": solved_frames(prediction, rendered)}

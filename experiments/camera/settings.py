@@ -17,6 +17,7 @@ from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentCon
 __all__ = [
     "Config",
     "FramesConfig",
+    "LostConfig",
     "MotionConfig",
     "Parameter",
     "SkyConfig",
@@ -81,6 +82,12 @@ class ThermalConfig(StrictModel):
         if self.lowest_c >= self.highest_c:
             raise ValueError(f"lowest_c = {self.lowest_c:g} is not below highest_c = {self.highest_c:g}")
         return self
+
+
+class LostConfig(StrictModel):
+    """Lost in space: lists of stars as predicted, identified with nothing known but the camera."""
+
+    attitudes: int = Field(default=200, ge=0, le=10_000, description="how many of those of [sky]; 0: none")
 
 
 class FramesConfig(StrictModel):
@@ -150,6 +157,7 @@ class Config(SweptConfig, SensorExperimentConfig, SensorConfig):
     sky: SkyConfig = SkyConfig()
     motion: MotionConfig = MotionConfig()
     thermal: ThermalConfig = ThermalConfig()
+    lost: LostConfig = LostConfig()
     frames: FramesConfig = FramesConfig()
     tornado: TornadoConfig = TornadoConfig()
     predict_only: bool = Field(default=False, description="no rendered frames: an answer in seconds")
@@ -201,6 +209,7 @@ experiment = with_what_if(
             "sky.attitudes": 200,
             "thermal.points": 3,
             "motion.points": 3,
+            "lost.attitudes": 60,
             "frames.sky": 4,
             "frames.chart_stars": 200,
             "frames.readouts": 5,

@@ -13,6 +13,8 @@ AT_LEAST = frozenset(
         "field_deg",
         "field_diagonal_deg",
         "limiting_magnitude_mag",
+        "lost_success_percent",
+        "sky_coverage_percent",
         "slew_rate_deg_per_s",
         "stars_mean_per_frame",
         "stars_worst_per_frame",
@@ -39,6 +41,8 @@ class RequirementsConfig(StrictModel):
     single_star_arcsec: float | None = _asked("error of the star of [star], one axis, noise and patterns, at most")
     stars_mean_per_frame: float | None = _asked("stars found per frame, mean over the sky, at least")
     stars_worst_per_frame: float | None = _asked("stars found per frame in the worst 1 % of the sky, at least")
+    sky_coverage_percent: float | None = _asked("share of the sky with 4 guide stars or more, at least")
+    lost_success_percent: float | None = _asked("share of the sky identified lost in space, at least")
     attitude_cross_arcsec: float | None = _asked("attitude error across the boresight, median over the sky, at most")
     attitude_cross_worst_arcsec: float | None = _asked("the same in the worst 1 % of the sky, at most")
     attitude_roll_arcsec: float | None = _asked("attitude error about the boresight, median over the sky, at most")

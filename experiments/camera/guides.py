@@ -1,0 +1,165 @@
+"""Guide stars, and lost in space: who is in the field, and how often the sky is known from stars alone.
+
+Guide stars stand alone in their window, do not saturate and are found nine times of ten; their magnitudes are those of
+the instrument: of a star of the quoted colour and the same electrons. Lost in space, lists of stars are drawn as the
+prediction has it (who is found, how far its centroid is off, false alarms among them) and identified by tetra3rs with
+the calibrated camera: thousands of times cheaper than frames, which `experiments.camera.frames` renders a few of.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.identify import identify
+from calib.attitude.star_attitude import star_patterns
+from calib.cameras.fit import fit_camera
+from experiments.camera.prediction import CameraPrediction
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, col
+from experiments.harness.summary import Measured
+from optics.arrays import FloatArray
+from optics.attitude import attitude_error_arcsec
+from optics.errors import StarbenchError
+from render.engine.random import Streams
+
+__all__ = ["COVERAGE", "LOST", "Coverage", "LostInSpace", "coverage", "lost_in_space"]
+
+LEAST = (2, 3, 4, 5, 6, 8, 10, 15, 20)
+NEEDED = 4
+"""Stars of a pattern."""
+WRONG_PX, WRONG_SIGMA = 3.0, 10.0
+"""An attitude that is off by more than either is a wrong identification."""
+NARROWEST_DEG = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coverage:
+    """Guide stars over the sky."""
+
+    guide_brightest_mag: float = col("Guide stars from", "mag", ".2f")
+    guide_faintest_mag: float = col("Guide stars to", "mag", ".2f")
+    guides_mean_per_frame: float = col("Guide stars per frame, mean over the sky", "", ".1f")
+    sky_coverage_percent: float = col(f"Sky with {NEEDED} guide stars or more", "percent", ".2f")
+    coverage_percent: FloatArray = col("Share of the sky", "percent", ".2f", "least")
+
+
+def coverage(prediction: CameraPrediction) -> Coverage:
+    """Guide stars in the attitudes of the prediction."""
+    view, state, config = prediction.view, prediction.state, prediction.config
+    size = np.array([state.instrument.camera.width_px, state.instrument.camera.height_px])
+    edge = config.window_px // 2 - 0.5
+    whole = ((view.sample.pixel_px > edge) & (view.sample.pixel_px < size - 1 - edge)).all(axis=1)
+    middle = np.zeros(len(view.magnitude))
+    own = state.electrons_per_s(view.magnitude, view.temperature_k, middle)
+    quoted = state.electrons_per_s(view.magnitude, np.full(len(middle), config.star.temperature_k), middle)
+    magnitude = view.magnitude - 2.5 * np.log10(own / quoted)
+    brightest, faintest = prediction.value("saturation_mag"), prediction.limits_mag[0.9]
+    guide = whole & ~np.isfinite(view.neighbour_mag) & (magnitude >= brightest) & (magnitude <= faintest)
+    count = view.sample.summed(guide.astype(float))
+    share = [100.0 * float(np.mean(count > least - 0.5)) for least in LEAST]
+    return Coverage(
+        guide_brightest_mag=brightest,
+        guide_faintest_mag=faintest,
+        guides_mean_per_frame=float(count.mean()),
+        sky_coverage_percent=share[LEAST.index(NEEDED)],
+        coverage_percent=np.array(share),
+    )
+
+
+def _least(q: Quantities, found: Coverage) -> None:
+    del found
+    q.axis("least", np.array(LEAST), "Guide stars, at least", key="least")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LostInSpace:
+    """Identifications of drawn lists of stars."""
+
+    lost_attitudes: int = col("Attitudes that were tried lost in space")
+    lost_success_percent: float = col("Lost in space: identified", "percent", ".1f")
+    lost_success: Measured | None = col("Share that is identified", json="", default=None)
+    lost_wrong_percent: float = col("Lost in space: wrongly identified", "percent", ".2f")
+    lost_time_s: float = col("Identification on this machine, median", "s", ".2g")
+    lost_refusal: str = col("Why nothing was identified", json="")
+
+
+def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> LostInSpace | None:
+    """Draw and identify; None where no attitudes are asked for."""
+    config, state, view = prediction.config, prediction.state, prediction.view
+    count = min(config.lost.attitudes, view.sample.frames)
+    if not count:
+        return None
+    try:
+        if prediction.value("field_diagonal_deg") < NARROWEST_DEG:
+            return _none(f"fields below {NARROWEST_DEG:g} deg are too narrow for patterns of the whole sky")
+        model = fit_camera(state.instrument.pixel_map(state.band, temperature_k=config.star.temperature_k)).camera
+        patterns = star_patterns(model)
+    except StarbenchError as error:  # such as tetra3rs, which is an extra
+        return _none(str(error).splitlines()[0])
+    streams, forecast = Streams(config.seed).child("camera"), prediction.attitude
+    electrons = state.electrons_per_s(view.magnitude, view.temperature_k, view.radius_px)
+    size = np.array([model.geometry.width_px, model.geometry.height_px])
+    pixel_arcsec, good, wrong, took = state.pixel_arcsec, 0, 0, []
+    order = np.argsort(view.sample.frame, kind="stable")
+    ends = np.searchsorted(view.sample.frame[order], np.arange(count + 1))
+    for number in range(count):
+        rng, rows = streams.generator("lost", number), order[ends[number] : ends[number + 1]]
+        rows = rows[rng.random(len(rows)) < forecast.chance[rows]]
+        place = model.project(view.sample.direction[rows])
+        place = place + forecast.sigma_px[rows, None] * rng.standard_normal(place.shape)
+        false = int(rng.poisson(min(prediction.value("false_alarms_per_frame"), 1e4)))
+        faint = np.full(false, 0.5 * electrons[rows].min(initial=1.0))
+        place = np.concatenate([place, rng.uniform(-0.5, size - 0.5, (false, 2))])
+        begun = time.perf_counter()
+        found = identify(place, model, patterns, flux=np.concatenate([electrons[rows], faint]))
+        took.append(time.perf_counter() - begun)
+        if found.ok and found.attitude is not None and found.attitude.rotation is not None:
+            off_arcsec = attitude_error_arcsec(found.attitude.rotation, _attitude(view.attitudes, number))
+            across = float(np.hypot(*off_arcsec[:2]))
+            limit = WRONG_PX * pixel_arcsec
+            expected = WRONG_SIGMA * float(np.hypot(*forecast.total_arcsec[number, :2]))
+            right = across <= max(limit, expected if math.isfinite(expected) else 0.0)
+            good, wrong = good + right, wrong + (not right)
+        advance()
+    share = good / count
+    return LostInSpace(
+        lost_attitudes=count,
+        lost_success_percent=100.0 * share,
+        lost_success=Measured(value=share, uncertainty=math.sqrt(max(share * (1 - share), 1 / count) / count), n=count),
+        lost_wrong_percent=100.0 * wrong / count,
+        lost_time_s=float(np.median(took)),
+        lost_refusal="",
+    )
+
+
+def _attitude(attitudes: Rotation, number: int) -> Rotation:
+    one: Rotation = attitudes[number]
+    return one
+
+
+def _none(why: str) -> LostInSpace:
+    nothing = math.nan
+    return LostInSpace(
+        lost_attitudes=0,
+        lost_success_percent=nothing,
+        lost_wrong_percent=nothing,
+        lost_time_s=nothing,
+        lost_refusal=why,
+    )
+
+
+COVERAGE = Section(
+    record=Coverage,
+    axes=_least,
+    table="coverage",
+    rows="least",
+    columns="coverage_percent",
+    caption="Share of the sky with so many guide stars in the field.",
+)
+LOST = Section(record=LostInSpace)
