@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from experiments.camera.answer import Swing, Temperatures, ThermalRange, limits
 from experiments.camera.frames import FRAMES, SOLVED
 from experiments.camera.guides import COVERAGE, LOST, coverage
-from experiments.camera.manufacture import MANUFACTURED
+from experiments.camera.manufacture import MANUFACTURED, RENDERED_LENSES
 from experiments.camera.operation import LIFE, MOTION
 from experiments.camera.optical_state import OpticalState
 from experiments.camera.prediction import Accuracy, CameraPrediction, Optics, Sky, accuracy, optics, predict_camera, sky
@@ -361,6 +361,7 @@ SECTIONS: Mapping[str, Section] = {
     "motion": MOTION,
     "life": LIFE,
     "manufactured": MANUFACTURED,
+    "rendered_lenses": RENDERED_LENSES,
     "frames": FRAMES,
     "solved": SOLVED,
 }  # fmt: skip

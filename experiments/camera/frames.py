@@ -23,6 +23,7 @@ from calib.attitude.solve import solve_wahba
 from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
+from experiments.camera.manufacture import CHOSEN, Manufactured, RenderedLens
 from experiments.camera.operation import moving
 from experiments.camera.prediction import CameraPrediction, exposed_s, predict_camera
 from experiments.camera.settings import Config
@@ -40,6 +41,7 @@ from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.errors import StarbenchError
 from optics.figures import draw_image
+from optics.lens.system import LensSystem
 from render.camera import Camera
 from render.detector.readout import expose
 from render.engine.random import Streams
@@ -48,7 +50,17 @@ from render.motion.trajectory import ConstantRate
 from render.records import Frame, StarField
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 
-__all__ = ["FRAMES", "SOLVED", "Compared", "Solved", "compare", "frames_drawn", "render_frames", "solved_frames"]
+__all__ = [
+    "FRAMES",
+    "SOLVED",
+    "Compared",
+    "Solved",
+    "compare",
+    "frames_drawn",
+    "render_frames",
+    "rendered_lenses",
+    "solved_frames",
+]
 
 MATCH_PX = 2.0
 """A detection this near to the light of a star is that star."""
@@ -107,11 +119,15 @@ class _Known:
 class _Bench:
     """Everything that all frames share."""
 
-    def __init__(self, prediction: CameraPrediction) -> None:
+    def __init__(self, prediction: CameraPrediction, lens: LensSystem | None = None) -> None:
+        """``lens``: another one, whose image plane is where the detector stands."""
         self.prediction, config = prediction, prediction.config
         setting = config.instrument
         detector = overridden(configured_detector(setting), config.detector)
         self.instrument: Instrument = build_instrument(setting, detector=detector)
+        if lens is not None:
+            camera = replace(self.instrument.camera, lens=lens, defocus_mm=0.0)
+            self.instrument = replace(self.instrument, camera=camera)
         self.streams = Streams(config.seed).child("camera")
         self.motion = _slew(config, self.instrument.camera)
         exposed = exposed_s(config) if self.motion is None else self.motion.exposure_s
@@ -221,6 +237,20 @@ def _turning(prediction: CameraPrediction, advance: Callable[[], None]) -> tuple
     except StarbenchError:
         return None
     return turned, _chart(_Bench(turned), advance)
+
+
+def rendered_lenses(
+    prediction: CameraPrediction, made: Manufactured, *, advance: Callable[[], None] = lambda: None
+) -> list[RenderedLens]:
+    """The chart through lenses as they were drawn; the PSFs of the centroider are their own."""
+    found = []
+    for share, (lens, ratio) in zip(CHOSEN, made.chosen, strict=True):
+        one = _noise(prediction, _chart(_Bench(prediction, lens), advance))
+        seen = Measured(value=one.measured, unit=one.unit, uncertainty=ratio * one.error, n=one.n)
+        found.append(
+            RenderedLens(share_percent=100.0 * share, measured_arcsec=seen, predicted_arcsec=ratio * one.predicted)
+        )
+    return found
 
 
 def _chart(bench: _Bench, advance: Callable[[], None]) -> ChartFrames:

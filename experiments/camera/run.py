@@ -16,6 +16,9 @@ from experiments.laboratory.checks import focus_remark
 
 __all__ = ["run"]
 
+MADE = ("lsfe_before_arcsec", "lsfe_after_arcsec")
+"""Requirements on lenses as made."""
+
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     """Predict and vary; say the answer; warm and cool, render."""
@@ -56,27 +59,40 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     if thermal is None:
         with progress.stage("temperature"):
             over_temperature, thermal = temperatures(config)
-    tried = {} if config.predict_only else _tried(prediction, progress)
+    lost = None
+    if not config.predict_only:
+        with progress.stage("lost in space", total=config.lost.attitudes) as stage:
+            lost = lost_in_space(prediction, advance=stage.advance)
     from experiments.camera.experiment import predicted  # slow to import, as it draws
 
-    sections: dict[str, Any] = predicted(prediction, thermal, *(one for one in (motion, tried.get("lost")) if one))
+    sections: dict[str, Any] = predicted(prediction, thermal, *(one for one in (motion, lost) if one))
     sections |= {"temperatures": over_temperature, "thermal": thermal, "changes": found or None}
-    sections |= {"motion": motion, "life": life, **tried}
+    sections |= {"motion": motion, "life": life, "lost": lost}
+    sections |= _made(prediction, required, progress)
+    judged = {one.key for one in sections["requirements"]}
+    judged |= set(MADE) if config.manufacture.lenses else set()
+    if left_out := sorted(required.keys() - judged):
+        progress.note(f"Not judged, as this run does not predict it: {', '.join(left_out)}.")
+    return sections
+
+
+def _made(prediction: CameraPrediction, required: dict[str, tuple[float, bool]], progress: Progress) -> dict[str, Any]:
+    """Lenses as made, and rendered frames."""
+    config, sections = prediction.config, dict[str, Any]()
     if config.manufacture.lenses:
         from experiments.camera.manufacture import manufactured
 
         with progress.stage("lenses as made", total=config.manufacture.lenses) as stage:
             sections["manufactured"] = manufactured(prediction, required, advance=stage.advance)
-    return sections
-
-
-def _tried(prediction: CameraPrediction, progress: Progress) -> dict[str, Any]:
-    """Stars identified lost in space, and rendered frames."""
-    config = prediction.config
-    with progress.stage("lost in space", total=config.lost.attitudes) as stage:
-        lost = lost_in_space(prediction, advance=stage.advance)
-    from experiments.camera.frames import compare, render_frames, solved_frames
+    if config.predict_only:
+        return sections
+    from experiments.camera.frames import compare, render_frames, rendered_lenses, solved_frames
 
     with progress.stage("frames", total=2 * config.frames.readouts + config.frames.sky) as stage:
         rendered = render_frames(prediction, advance=stage.advance)
-    return {"lost": lost, "frames": compare(prediction, rendered), "solved": solved_frames(prediction, rendered)}
+    sections |= {"frames": compare(prediction, rendered), "solved": solved_frames(prediction, rendered)}
+    if "manufactured" in sections:
+        with progress.stage("frames of lenses as made", total=3 * config.frames.readouts) as stage:
+            made = sections["manufactured"]
+            sections["rendered_lenses"] = rendered_lenses(prediction, made, advance=stage.advance)
+    return sections

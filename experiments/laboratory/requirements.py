@@ -52,6 +52,10 @@ class RequirementsConfig(StrictModel):
     slew_rate_deg_per_s: float | None = _asked("slew rate to which there are attitudes, others kept, at least")
     spot_px: float | None = _asked("RMS radius of the white spot, largest over the field, at most")
     distortion_percent: float | None = _asked("largest distortion over the field, at most")
+    lsfe_before_arcsec: float | None = _asked(
+        "distortion of a lens of [manufacture] against the design's, RMS, at most"
+    )
+    lsfe_after_arcsec: float | None = _asked("the same after calibration of each lens, at most")
     lateral_colour_px: float | None = _asked("largest separation of wavelengths of the pass band, at most")
     vignetting_percent: float | None = _asked("largest loss of light over the field against the axis, at most")
     focus_shift_um: float | None = _asked("change of the best focus over [thermal], largest, at most")

@@ -57,7 +57,7 @@ def drawn(prediction, rng, worse=1.0, fainter_mag=0.0):
         fit=forecast.stars,
         false_alarms=alarms[READOUTS:],
     )
-    return {one.comparison: one for one in compare(prediction, SimpleNamespace(chart=chart, sky=sky))}
+    return {one.comparison: one for one in compare(prediction, SimpleNamespace(moving=None, chart=chart, sky=sky))}
 
 
 @pytest.fixture(scope="module")
