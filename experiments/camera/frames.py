@@ -67,7 +67,8 @@ MATCH_PX = 2.0
 FAINTER_MAG, BRIGHTER_MAG = 0.8, 1.2
 """Chart stars about the limiting magnitude."""
 ROUGH_PX = 5.0
-LONG_SIDE = 17
+LONG_SIDE, FEWER = 17, 9
+"""PSFs along the longer side of the detector; fewer where the noise alone is looked at."""
 TURNING = 0.5
 """Slew rate of the chart in motion, of that at which trails fill the window."""
 
@@ -119,7 +120,9 @@ class _Known:
 class _Bench:
     """Everything that all frames share."""
 
-    def __init__(self, prediction: CameraPrediction, lens: LensSystem | None = None) -> None:
+    def __init__(
+        self, prediction: CameraPrediction, lens: LensSystem | None = None, *, long_side: int = LONG_SIDE
+    ) -> None:
         """``lens``: another one, whose image plane is where the detector stands."""
         self.prediction, config = prediction, prediction.config
         setting = config.instrument
@@ -141,7 +144,7 @@ class _Bench:
                 temperature_k=kelvin,
                 window_px=config.window_px,
                 trail_px=prediction.state.trail_px,
-                long_side=LONG_SIDE,
+                long_side=long_side,
             )
         processing = prediction.processing
         self.reduction = Reduction(
@@ -236,7 +239,7 @@ def _turning(prediction: CameraPrediction, advance: Callable[[], None]) -> tuple
         turned = predict_camera(moving(config, TURNING))
     except StarbenchError:
         return None
-    return turned, _chart(_Bench(turned), advance)
+    return turned, _chart(_Bench(turned, long_side=FEWER), advance)
 
 
 def rendered_lenses(
@@ -245,7 +248,7 @@ def rendered_lenses(
     """The chart through lenses as they were drawn; the PSFs of the centroider are their own."""
     found = []
     for share, (lens, ratio) in zip(CHOSEN, made.chosen, strict=True):
-        one = _noise(prediction, _chart(_Bench(prediction, lens), advance))
+        one = _noise(prediction, _chart(_Bench(prediction, lens, long_side=FEWER), advance))
         seen = Measured(value=one.measured, unit=one.unit, uncertainty=ratio * one.error, n=one.n)
         found.append(
             RenderedLens(share_percent=100.0 * share, measured_arcsec=seen, predicted_arcsec=ratio * one.predicted)

@@ -57,7 +57,8 @@ def drawn(prediction, rng, worse=1.0, fainter_mag=0.0):
         fit=forecast.stars,
         false_alarms=alarms[READOUTS:],
     )
-    return {one.comparison: one for one in compare(prediction, SimpleNamespace(moving=None, chart=chart, sky=sky))}
+    rendered = SimpleNamespace(chart=chart, sky=sky, moving=None)
+    return {one.comparison: one for one in compare(prediction, rendered)}
 
 
 @pytest.fixture(scope="module")

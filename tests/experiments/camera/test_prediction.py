@@ -6,8 +6,11 @@ import pytest
 from experiments.camera import predict
 from experiments.camera.answer import ThermalRange, answer_lines, limits, swings
 from experiments.camera.experiment import predicted
+from experiments.camera.guides import Coverage, LostInSpace
+from experiments.camera.operation import Motion
 from experiments.camera.optical_state import optical_state
 from experiments.camera.prediction import accuracy
+from experiments.camera.run import MADE
 from experiments.camera.settings import Config
 from experiments.harness.range import with_value
 from experiments.harness.sections import numbers_of
@@ -175,7 +178,10 @@ def test_focus_gains_what_the_best_focus_gives(config):
 
 
 def test_every_requirement_has_its_prediction(tracker):
-    names = set(tracker.numbers) | set(ThermalRange.__dataclass_fields__)
+    names = set(tracker.numbers).union(
+        *(one.__dataclass_fields__ for one in (ThermalRange, Coverage, LostInSpace, Motion))
+    )
+    names |= set(MADE)
     assert set(RequirementsConfig.model_fields) <= names
     assert limits(Config()) == {}
 
