@@ -374,7 +374,6 @@ class SkySimulator:
             bodies=bodies,
         )
 
-<<<<<<< HEAD
     def stray_e_per_s(self, attitude: Rotation) -> dict[str, float]:
         """Stray light of each body in an attitude [e- s^-1 per pixel]; empty without a table."""
         if self._pst is None or self._band_light is None:
@@ -387,7 +386,7 @@ class SkySimulator:
             epoch_year=self.sky.epoch_year,
             earth=self._earth,
         )
-=======
+
     def _motion(
         self, attitude: Rotation | Trajectory, rate_deg_per_s: ArrayLike | None, start_s: float | None
     ) -> tuple[Rotation, ExposureMotion | None]:
@@ -419,7 +418,6 @@ class SkySimulator:
         if out_px < 0.25 * MARGIN_PX:
             return self.view
         return field_of_view(self.sensor.camera, margin_px=MARGIN_PX + out_px)
->>>>>>> bca48ef (camera: in motion, over life, update rate; crossings of a sweep by prediction; observe takes a rate or a trajectory)
 
     def _seen(self, attitude: Rotation) -> Iterator[tuple[str, ExpectedImage, tuple[float, float, float]]]:
         """Bodies that a frame shows: name, light, place and sum of that light."""

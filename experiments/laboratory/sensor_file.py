@@ -105,14 +105,11 @@ class SensorConfig(StrictModel):
     catalogue: CatalogueConfig = CatalogueConfig()
     requirements: RequirementsConfig = RequirementsConfig()
     manufacture: ManufactureConfig = ManufactureConfig()
-<<<<<<< HEAD
     baffle: BaffleConfig = BaffleConfig()
     scatter: ScatterConfig = ScatterConfig()
     contamination: ContaminationConfig = ContaminationConfig()
-=======
     timing: TimingConfig = TimingConfig()
     life: LifeConfig = LifeConfig()
->>>>>>> bca48ef (camera: in motion, over life, update rate; crossings of a sweep by prediction; observe takes a rate or a trajectory)
 
     @field_validator("window_px")
     @classmethod

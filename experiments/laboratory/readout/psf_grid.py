@@ -55,13 +55,9 @@ def render_psf_grid(
     place = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) + camera.centre_px
     direction = camera.nominal_direction(place[:, 0], place[:, 1], instrument.focal_length_mm)
     stars = light.stars(direction, 5.0, temperature_k)
-<<<<<<< HEAD
-    tracer = epsf_tracer(camera, by_grid=by_grid)
-    rendered = render_epsf(tracer, stars, oversampling=OVERSAMPLING, half_size_px=window_px // 2 + 2)
-=======
     reach_px = window_px // 2 + 2 + (0 if trail_px is None else math.ceil(0.5 * float(np.abs(trail_px).max())))
-    rendered = render_epsf(epsf_tracer(camera), stars, oversampling=OVERSAMPLING, half_size_px=reach_px)
->>>>>>> bca48ef (camera: in motion, over life, update rate; crossings of a sweep by prediction; observe takes a rate or a trajectory)
+    tracer = epsf_tracer(camera, by_grid=by_grid)
+    rendered = render_epsf(tracer, stars, oversampling=OVERSAMPLING, half_size_px=reach_px)
     psfs = tuple(row[0] for row in rendered)
     if trail_px is not None and trail_px.any():
         psfs = tuple(trailed(psf, trail_px) for psf in psfs)
