@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from calib.calibration.observations import Observations
+from calib.measure.filtered_noise import FilteredNoise
 from calib.records import SensorImage
 from experiments.twin.camera import predicted_residuals
 from experiments.twin.measure import CameraFit, Prepared, attitude_of, star_fluxes
@@ -71,10 +72,15 @@ class FrameStats:
 
 
 def frame_stats(
-    known: Prepared, number: int, image: SensorImage, fit: CameraFit, solve: Callable[[Detections], bool]
+    known: Prepared,
+    number: int,
+    image: SensorImage,
+    fit: CameraFit,
+    solve: Callable[[Detections], bool],
+    noise: FilteredNoise | None = None,
 ) -> FrameStats:
-    """Reduce one frame with the camera that is believed."""
-    seen = detections(image, noise=known.night.frames[number].seen.noise)
+    """Reduce one frame with the camera that is believed; ``noise`` sets the limit of detection, if not the frame's."""
+    seen = detections(image, noise=noise)
     frame = replace(known.night.frames[number], image=image, seen=seen)
     rows, stars = matched(seen, frame.direction, fit.attitudes[number], fit.camera, PAIR_PX)
     table = seen.stars

@@ -15,6 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
+from calib.measure.detection import detection_noise
+from calib.measure.filtered_noise import FilteredNoise
 from calib.records import SensorImage
 from experiments.harness.progress import Progress
 from experiments.twin.compare import CLIP_PX, FrameStats, frame_stats, star_heights
@@ -22,7 +24,7 @@ from experiments.twin.measure import CameraFit, Prepared, field_airmass, measure
 from experiments.twin.night import field_stars
 from experiments.twin.noise import BLOCK_PX
 from experiments.twin.photometry import POGSON
-from experiments.twin.solve import Detections, detections
+from experiments.twin.solve import FWHM_PX, Detections, detections
 from experiments.twin.twin import Assumed, Twin, TwinRenderer, as_image, build_twin
 from optics.arrays import FloatArray
 from render.engine.random import Streams
@@ -93,6 +95,7 @@ def held_out(
     frames = len(known.night)
     mass = np.array([field_airmass(known, k, whole.camera, whole.attitudes) for k in range(frames)])
     sky = [_sky(known, k) for k in range(frames)]
+    limits = [detection_noise(one.image, one.seen.background, fwhm_px=FWHM_PX) for one in known.night.frames]
 
     def twin_of(fit: CameraFit) -> Twin:
         return build_twin(
@@ -119,12 +122,12 @@ def held_out(
         twin = twin_of(whole)
         renderer = TwinRenderer(twin)
         first = [rendered(whole, twin, renderer, k, None, streams.child("fold")) for k in range(frames)]
-        bias = _bias(known, whole, first, black_level_dn)
+        bias = _bias(known, whole, first, black_level_dn, limits)
         # with the right width the light is right in the filter of the detection
         twin = twin_of(bias.off(whole))
         renderer = TwinRenderer(twin)
         second = [rendered(whole, twin, renderer, k, None, streams.child("light")) for k in range(frames)]
-        bias = replace(bias, light_mag=_light(known, whole, second))
+        bias = replace(bias, light_mag=_light(known, whole, second, limits))
     fits: list[CameraFit] = []
     for k in progress.track(range(frames), "cameras without one frame", total=frames):
         used = [other for other in range(frames) if other != k] or [k]
@@ -144,7 +147,7 @@ def held_out(
                 image = rendered(fits[k], twins[k], renderers[k], k, float(bias.motion_px[k]), at)
                 if not number:
                     images.append(image)
-                out.append(frame_stats(known, k, image, fits[k], solve))
+                out.append(frame_stats(known, k, image, fits[k], solve, limits[k]))
                 stage.advance()
             sets.append(tuple(out))
     return HeldOut(
@@ -194,11 +197,17 @@ def _scatter_of(fit: CameraFit, frame: int, airmass: FloatArray) -> float:
     return float(np.mean(scatter))
 
 
-def _bias(known: Prepared, whole: CameraFit, images: Sequence[SensorImage], black_level_dn: float | None) -> Bias:
+def _bias(
+    known: Prepared,
+    whole: CameraFit,
+    images: Sequence[SensorImage],
+    black_level_dn: float | None,
+    limits: Sequence[FilteredNoise],
+) -> Bias:
     """Measure a rendered set like the real one."""
     frames = tuple(
-        replace(one, image=image, seen=detections(image, noise=one.seen.noise))
-        for one, image in zip(known.night.frames, images, strict=True)
+        replace(one, image=image, seen=detections(image, noise=limit))
+        for one, image, limit in zip(known.night.frames, images, limits, strict=True)
     )
     night = replace(known.night, frames=frames)
     again = prepare(night, whole.calibration, known.hot, attitudes=whole.attitudes)
@@ -215,7 +224,9 @@ def _bias(known: Prepared, whole: CameraFit, images: Sequence[SensorImage], blac
     )
 
 
-def _light(known: Prepared, whole: CameraFit, images: Sequence[SensorImage]) -> FloatArray:
+def _light(
+    known: Prepared, whole: CameraFit, images: Sequence[SensorImage], limits: Sequence[FilteredNoise]
+) -> FloatArray:
     """Median ratio [mag] of the significance of stars, real over rendered, in all frames but one (frames,).
 
     A PSF misses a little of what it is fitted to; the height in the filter by which stars are found must be right.
@@ -223,7 +234,7 @@ def _light(known: Prepared, whole: CameraFit, images: Sequence[SensorImage]) -> 
     ratios = []
     for k, (frame, image) in enumerate(zip(known.night.frames, images, strict=True)):
         stars = field_stars(known.night, k, whole.camera, whole.attitudes[k])
-        real, twin = (star_heights(seen, stars) for seen in (frame.seen, detections(image, noise=frame.seen.noise)))
+        real, twin = (star_heights(seen, stars) for seen in (frame.seen, detections(image, noise=limits[k])))
         good = (stars.magnitude < known.limit_mag - 1.0) & (np.minimum(real, twin) > SURE_SIGMA)
         ratios.append(POGSON * np.log(real[good] / twin[good]))
     out = np.zeros(len(ratios))

@@ -20,7 +20,7 @@ from calib.cameras.base import CameraModel
 from calib.flags import StarFlag, has_flag
 from calib.measure.background import Background, estimate_background
 from calib.measure.centroid import get_centroider
-from calib.measure.detection import detect, detection_noise
+from calib.measure.detection import detect
 from calib.measure.filtered_noise import FilteredNoise
 from calib.measure.stamps import extract_stamps
 from calib.records import FLUX, SensorImage, StarTable
@@ -28,9 +28,9 @@ from experiments.harness.progress import Progress
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 
-__all__ = ["FIELDS_DEG", "Detections", "Solved", "Solver", "detections", "matched", "solve_all"]
+__all__ = ["FIELDS_DEG", "FWHM_PX", "Detections", "Solved", "Solver", "detections", "matched", "solve_all"]
 
-THRESHOLD_SIGMA = 5.0
+THRESHOLD_SIGMA, FWHM_PX = 5.0, 1.7
 WINDOW_PX = 11
 BOX_PX = 64
 FIELDS_DEG = (11.0, 18.0, 7.0, 30.0, 4.5, 50.0, 2.9)
@@ -52,7 +52,6 @@ class Detections:
     significance: FloatArray  # (n,) Height of the filtered image over its noise
     sharp: NDArray[np.bool_]  # (n,) Hot pixels: sharper than a star, or in the mask
     seconds: float  # Time for it
-    noise: FilteredNoise  # In which stars were sought: it sets the limit
 
     @property
     def sane(self) -> NDArray[np.bool_]:
@@ -61,12 +60,11 @@ class Detections:
         return np.asarray((moved < 1.5) & (self.stars.flux_e > 0) & ~self.sharp & np.isfinite(self.significance))
 
 
-def detections(image: SensorImage, *, fwhm_px: float = 1.7, noise: FilteredNoise | None = None) -> Detections:
+def detections(image: SensorImage, *, fwhm_px: float = FWHM_PX, noise: FilteredNoise | None = None) -> Detections:
     """Stars of a frame; the same call for real and rendered frames, and for these the limit of the real one."""
     start = time.perf_counter()
     background = estimate_background(image, box_px=BOX_PX)
-    limit = detection_noise(image, background, fwhm_px=fwhm_px) if noise is None else noise
-    found = detect(image, background, threshold_sigma=THRESHOLD_SIGMA, fwhm_px=fwhm_px, noise=limit)
+    found = detect(image, background, threshold_sigma=THRESHOLD_SIGMA, fwhm_px=fwhm_px, noise=noise)
     flux_noise = np.sqrt(np.maximum(found.covariance[:, FLUX, FLUX] - found.flux_e, 1e-12))
     place = found.pixel_px
     stamps = extract_stamps(image, found.x_px, found.y_px, background=background, size_px=WINDOW_PX, flags=found.flags)
@@ -78,7 +76,6 @@ def detections(image: SensorImage, *, fwhm_px: float = 1.7, noise: FilteredNoise
         significance=found.flux_e / flux_noise,
         sharp=has_flag(found.flags, StarFlag.SPIKE | StarFlag.DEFECT),
         seconds=time.perf_counter() - start,
-        noise=limit,
     )
 
 
@@ -166,7 +163,7 @@ class Solver:
 
 
 def solve_all(
-    names: Sequence[str], images: Sequence[SensorImage], solver: Solver, progress: Progress, *, fwhm_px: float = 1.7
+    names: Sequence[str], images: Sequence[SensorImage], solver: Solver, progress: Progress, *, fwhm_px: float = FWHM_PX
 ) -> list[Solved]:
     """Detect and identify, one line per frame."""
     out = []
