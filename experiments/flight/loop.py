@@ -96,8 +96,15 @@ def by_budget(config: Config, *, budget: Budget | None = None) -> Sensor:
     reach = FIELD_PART * 2.0 * float(np.arccos(known.model.unproject(np.array([[-0.5, -0.5]]))[0, 2]))
     kept: list[tuple[Rotation, float, TrackedAttitude, FloatArray, FloatArray]] = []
 
+    def coarse(rate: FloatArray) -> FloatArray:
+        """Rate whose trail is a whole number of pixels, in steps of 45 deg: each other one costs a second."""
+        step = known.pixel_rad / config.instrument.exposure_s
+        size = np.rint(np.hypot(rate[0], rate[1]) / step) * step
+        towards = np.pi / 4.0 * np.rint(np.arctan2(rate[1], rate[0]) * 4.0 / np.pi)
+        return np.array([size * np.cos(towards), size * np.sin(towards), 0.0])
+
     def looked_up(attitude: Rotation, rate: FloatArray, time_s: float) -> None:
-        errors, found = known.errors_of(attitude, rate, time_s), np.full((3, 3), np.inf)
+        errors, found = known.errors_of(attitude, coarse(rate), time_s), np.full((3, 3), np.inf)
         root, shift = np.zeros((3, 3)), np.zeros(3)
         if errors.available:
             found = ARCSEC_RAD**2 * np.diag(errors.noise_arcsec2)

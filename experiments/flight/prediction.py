@@ -67,6 +67,8 @@ FEW_ATTITUDES = 60
 AZIMUTH_DEG = 22.5
 """Where the PSFs of the camera report lie from the middle of the detector."""
 SMALLEST_K = 0.1
+AT_REST_PX = 0.1
+"""A shorter trail is none."""
 BACKGROUND_STEP = 1.02
 """Predictions are kept for backgrounds this far apart."""
 
@@ -224,8 +226,15 @@ class Budget:
         level = 0.0
         if background_e_per_s > 1.0:
             level = BACKGROUND_STEP ** round(np.log(background_e_per_s) / np.log(BACKGROUND_STEP))
-        turn, towards = trail_of_rate(rate)
-        return _camera(self.config, throughput(self.config, self.old), level, round(turn, 6), round(towards, 3))
+        return _camera(self.config, throughput(self.config, self.old), level, *self._trail(rate))
+
+    def _trail(self, rate_rad_per_s: FloatArray) -> tuple[float, float]:
+        """Rate and direction that predictions are kept for: stars at rest, or to 2 digits and 5 deg."""
+        turn, towards = trail_of_rate(rate_rad_per_s)
+        pixel_rad = self.nominal.state.pixel_arcsec / RAD_ARCSEC if "nominal" in self.__dict__ else np.inf
+        if np.radians(turn) * self.config.instrument.exposure_s < AT_REST_PX * pixel_rad:
+            return 0.0, 0.0
+        return float(f"{turn:.2g}"), 5.0 * round(towards / 5.0)
 
     # --- Thermal and colour maps
 
@@ -268,8 +277,7 @@ class Budget:
         for kelvin in ends:
             warm = self.config.instrument.model_copy(update={"lens_temperature_c": at_c + float(kelvin)})
             config = self.config.model_copy(update={"instrument": warm})
-            turn, towards = trail_of_rate(self._usual_rate)
-            psfs.append(_camera(config, 1.0, 0.0, round(turn, 6), round(towards, 3)).state.psfs)
+            psfs.append(_camera(config, 1.0, 0.0, *self._trail(self._usual_rate)).state.psfs)
         return ends, *self._fit_bias(*psfs)
 
     @property
