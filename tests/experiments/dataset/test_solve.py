@@ -1,5 +1,7 @@
 """Frames solved blind by tetra3rs, on stars placed by a pinhole camera: error, predicted sigma, and what is refused."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,7 +10,7 @@ from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.flags import StarFlag
 from calib.records import StarTable
-from experiments.dataset.solve import SkyMap, attitudes, solve_frame
+from experiments.dataset.solve import BlindSolver, SkyMap, SolvedFrame, attitudes, solve_frame
 from experiments.laboratory.readout.reduction import MeasuredFrame
 from optics.units import RAD_ARCSEC
 from render.catalogue.gaia import load_gaia
@@ -134,3 +136,60 @@ def test_a_rough_attitude_takes_the_place_of_patterns(sky, model, off_px, solves
     assert one.solved is solves
     if solves:
         assert np.hypot(*one.error_arcsec[:2]) < 5 * NOISE_PX * PIXEL_ARCSEC / np.sqrt(one.used)
+
+
+def solved_as(error, sigma, status="identified", common=0.01):
+    return SolvedFrame(
+        frame=0, status=status, detected=20, fit=19, identified=18, used=17, message="", error_arcsec=error,
+        sigma_arcsec=sigma, equal_error_arcsec=2.0 * np.array(error), common_px=common,
+    )  # fmt: skip
+
+
+def test_statistics_of_drawn_attitudes():
+    """2000 frames, sigma 1, 1 and 30 arcsec: median length 1.177, 95 % below 2.448, roll 0.6745 of its sigma."""
+    rng, sigma = np.random.default_rng(3), np.array([1.0, 1.0, 30.0])
+    frames = [solved_as(sigma * e, sigma) for e in rng.standard_normal((2000, 3))]
+    nothing = np.full(3, np.nan)
+    frames += [solved_as(nothing, nothing, one, np.nan) for one in ("mirrored", "wrong", "unmatched")]
+    found = attitudes(tuple(frames))
+    assert (found.attempted, found.solved, found.mirrored, found.wrong, found.unsolved) == (2003, 2000, 1, 1, 3)
+    assert found.unsolved_limit == 10
+    # the median of n lengths: 1 / (2 f sqrt(n)) with the density f = 1.177 / 2 there
+    assert found.median_arcsec.value == pytest.approx(1.1774, abs=4.0 * 0.85 / np.sqrt(2000))
+    assert found.median_arcsec.uncertainty == pytest.approx(0.85 / np.sqrt(2000), rel=0.1)
+    assert found.equal_weights_median_arcsec == pytest.approx(2.0 * found.median_arcsec.value)
+    assert found.p95_arcsec == pytest.approx(2.4477, abs=0.2)
+    assert found.roll_median_arcsec == pytest.approx(30.0 * 0.6745, rel=0.1)
+    assert found.pull_rms == pytest.approx([1.0] * 3, abs=4.0 / np.sqrt(4000))
+    assert found.pull.value == pytest.approx(1.0, abs=4.0 / np.sqrt(12000))
+    assert found.pull.uncertainty == pytest.approx(1.0 / np.sqrt(12000), rel=0.15)
+    assert found.common_px == 0.01
+    assert np.isnan(attitudes((frames[-1],)).median_arcsec.value)
+
+
+def test_rows_that_are_read_later_are_turned_back(model):
+    """A camera that turns by 0.2 deg/s and reads a row in 10 us: where a star of the middle row would have been."""
+    attitude = Rotation.from_rotvec([0.02, -0.01, 0.5])
+    rate = np.array([0.1, -0.2, 0.05])
+    star = attitude.inv().apply(model.unproject(model.geometry.grid_px(5)))
+    still, later = model.project(attitude.apply(star)), model.project(attitude.apply(star))
+    for _ in range(5):  # the row tells the time, and the time the row
+        time_s = (later[:, 1] - (SIDE - 1) / 2.0) * 1e-5
+        seen = [
+            (Rotation.from_rotvec(-np.radians(rate) * t) * attitude).apply(s) for t, s in zip(time_s, star, strict=True)
+        ]
+        later = model.project(np.array(seen))
+    assert 0.05 < np.abs(later - still).max() < 2.0
+    setting = SimpleNamespace(line_time_us=10.0)
+    solver = object.__new__(BlindSolver)
+    solver.scene = SimpleNamespace(
+        config=SimpleNamespace(instrument=setting), instrument=SimpleNamespace(camera=SimpleNamespace(height_px=SIDE))
+    )
+    solver.calibration = SimpleNamespace(model=model, rotation=Rotation.identity())
+    lost = np.vstack([later, [np.nan, np.nan]])
+    given = SimpleNamespace(stars=SimpleNamespace(pixel_px=lost))
+    carried = solver.turned(SimpleNamespace(rate_deg_per_s=rate.tolist()), given)
+    np.testing.assert_allclose(carried[:-1], still, atol=1e-6)
+    assert np.isnan(carried[-1]).all()
+    setting.line_time_us = 0.0
+    assert solver.turned(SimpleNamespace(rate_deg_per_s=rate.tolist()), given) is lost
