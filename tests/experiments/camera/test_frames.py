@@ -157,6 +157,7 @@ def test_colour_distance_by_hand():
     assert colour_distance(np.array([5000.0]), 3500.0)[0] == pytest.approx((1 / 3500 - 1 / 5000) / (1 / 3500 - 1e-4))
 
 
+@pytest.mark.slow
 def test_width_of_a_trail_by_hand(tracker):
     """A uniform trail of length L adds L²/12 along it: L²/24 to the mean of both axes."""
     slewing = with_value(tracker.config, "slew.rate_deg_per_s", 0.2)

@@ -60,6 +60,7 @@ def test_statistics_of_the_field(shift):
     assert shift.most_different_rms_px == pytest.approx(shift.rms_px[0] + shift.rms_px[-1], rel=0.05)
 
 
+@pytest.mark.slow
 def test_decentred_element_shifts_all_stars_alike(engine, star_camera):
     """A prism moves red against blue everywhere by about the same: the mean over the field no longer vanishes."""
     camera = replace(star_camera.camera, lens=decentre(star_camera.camera.lens, "L2", 0.117))

@@ -56,6 +56,7 @@ def turn_face(laboratory, tilt_rad):
     place_cube(laboratory.scene, laboratory.geometry, pose)
 
 
+@pytest.mark.slow
 def test_profile_of_the_rendered_spot(laboratory):
     """Particles in 60 rings of equal area against two circles overlapping; 2^20 particles count a ring to 0.8 %."""
     of = laboratory.geometry

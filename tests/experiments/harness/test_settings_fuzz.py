@@ -95,6 +95,7 @@ def wrong(annotation: Any, value: Any) -> Iterator[Any]:
                 yield [*value[:-1], one]
 
 
+@pytest.mark.slow
 def test_wrong_values_are_refused() -> None:
     """A truth value for a number, an exposure of 1e308 s, a list for a number: `ConfigError` that names the setting."""
     faults = []

@@ -42,6 +42,7 @@ def left_by_roll_px(config):
     return np.sqrt((roll**2).mean()) * lever
 
 
+@pytest.mark.slow
 def test_a_run_by_rays_leaves_roll_and_scatters_as_predicted(engine, tmp_path):
     """A hexapod that rolls only: what turns is exact; the document's figure is within five standard deviations."""
     (tmp_path / "tiny.toml").write_text('base = "cmv4000"\nname = "tiny"\nchip_width_px = 288\nchip_height_px = 256\n')

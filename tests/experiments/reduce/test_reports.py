@@ -63,6 +63,7 @@ def reported(out):
     return results
 
 
+@pytest.mark.slow
 def test_one_command_for_all_methods_gives_what_the_experiment_gives(folder, capsys, tmp_path, engine):
     status, text = run("temporal", folder, TEXTS["temporal"], capsys, out=tmp_path / "a")
     assert status == 0, text

@@ -151,6 +151,7 @@ def test_cover_glass_and_detector() -> None:
     assert star.image_x_mm == pytest.approx(50.0 * np.tan(np.radians(2.0)), abs=2e-3)
 
 
+@pytest.mark.slow
 def test_no_light_is_lost_from_the_books() -> None:
     """Films and mirrors that absorb, rims, glass: what enters is found again to 1e-9."""
     lens = load_lens("star_camera_206mm")

@@ -177,6 +177,7 @@ def moments(image):
     return image.sum(), (image * column).sum() / image.sum(), (image * row).sum() / image.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", ["path", pytest.param("ptracer", marks=pytest.mark.slow)])
 def test_crop_is_a_part_of_the_film(mi, integrator):
     """Pixels of the crop against those of the whole film; light traced forwards against light traced backwards."""

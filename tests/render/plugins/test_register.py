@@ -58,6 +58,7 @@ def unit(x, y):
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
+@pytest.mark.slow
 def test_star_image_in_a_foreign_scene(mi):
     """The scene's lights add nothing to the star image, and bodies beside the beam take nothing from it."""
     rotation = {"rotation": mi.TensorXf64(np.eye(3)[None])}

@@ -43,6 +43,7 @@ def test_slopes_of_a_band_are_turned_stars(engine, bench, name):
         np.testing.assert_allclose(seen[:, band], means, atol=1e-9 if name == "star_camera_206mm" else 1e-4)
 
 
+@pytest.mark.slow
 def test_vergence_is_a_source_at_a_distance(engine, bench):
     """Through Mitsuba's plugins; the oracle traces straight lines from the point itself."""
     camera = bench.camera_of("star_camera_206mm", film=False)

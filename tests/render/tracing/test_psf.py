@@ -75,6 +75,7 @@ def test_light_is_conserved_and_centred(engine, bench):
             assert abs(offset @ psf.values.sum(1)) / psf.oversampling**2 < 1e-5
 
 
+@pytest.mark.slow
 def test_bad_requests(engine, bench):
     camera = bench.camera_of(film=False)
     tracer = epsf_tracer(camera)

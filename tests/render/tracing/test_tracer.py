@@ -260,6 +260,7 @@ def test_star_without_flux_has_a_place_but_no_light(engine, bench):
     assert traced.truth.electrons_in[0, 0] == 0
 
 
+@pytest.mark.slow
 def test_star_whose_rays_all_fail_is_flagged_in_its_truth(engine, bench):
     """Not an error: the light is accounted for as vignetted, positions are NaN, the other stars are untouched."""
     camera = bench.window(bench.camera_of(), 40, 500, 500)

@@ -42,6 +42,7 @@ def images_at(tracer, stars, trajectory, times):
     return np.stack([r.electrons[..., 0].astype(float) for r in renders]), renders[0].truth.electrons_in.max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "px"), [("star_tracker_26mm", 3.0), pytest.param("star_camera_206mm", 2.0, marks=pytest.mark.slow)]
 )

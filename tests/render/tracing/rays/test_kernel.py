@@ -36,7 +36,7 @@ def worst_pixel(bench, camera, stars, traced, rays=None, **dense):
     ("defocus_mm", "diffusion_px"),
     [
         (0.0, 0.18),
-        (-0.05, 0.3),
+        pytest.param(-0.05, 0.3, marks=pytest.mark.slow),
         pytest.param(0.0, 0.3, marks=pytest.mark.slow),
         pytest.param(0.02, 0.18, marks=pytest.mark.slow),
         pytest.param(0.02, 0.3, marks=pytest.mark.slow),

@@ -165,6 +165,7 @@ def test_a_hole_in_the_stop_makes_the_amplitude_of_the_disk_less_that_of_the_hol
     assert list(traced.sampling) == ["quadrature"]
 
 
+@pytest.mark.slow
 def test_effective_psf_is_what_the_renderer_puts_into_pixels(engine):
     camera = looking_at(camera_of("star_camera_206mm", 13, 13), 2.0, 1.0, 600.0, (6.0, 6.0))
     stars = stars_of(field_direction(2.0, 1.0), 600.0)
