@@ -131,12 +131,17 @@ def bounding_outline(
     return OutlinePoints(centre, azimuth, radius, radius**2, arm, ring, weight, shadow)
 
 
-def covered_points(order: tuple[int, int], nodes: int, parts: int) -> TablePoints:
-    """Middles of polar cells of equal area, rings x azimuths, or of parts x parts of each, the parts last."""
+def covered_points(order: tuple[int, int], nodes: int, lattice: tuple[int, int] = (1, 1)) -> TablePoints:
+    """Middles of polar cells of equal area, rings x azimuths, or a rank-1 lattice of points in each, these last.
+
+    ``lattice`` is their number and generator: Fibonacci numbers that follow each other spread them evenly (Niederreiter
+    1992, sec. 5). No two lie at the same radius or azimuth, so that an edge along either is met at as many places.
+    """
     rings, arms = order
-    part = (np.arange(parts) + 0.5) / parts
-    r2 = (np.arange(rings)[:, None, None, None] + part[:, None]) / rings
-    angle = 2.0 * np.pi * (np.arange(arms)[:, None, None] + part) / arms
+    i = np.arange(lattice[0])
+    part, turn = ((v % lattice[0] + 0.5) / lattice[0] for v in (i, i * lattice[1]))
+    r2 = (np.arange(rings)[:, None, None] + part) / rings
+    angle = 2.0 * np.pi * (np.arange(arms)[:, None] + turn) / arms
     r, angle = np.broadcast_arrays(np.sqrt(r2), angle)
     points = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
     return TablePoints(np.broadcast_to(points, (nodes, *points.shape)), np.full(len(points), 1.0 / len(points)))

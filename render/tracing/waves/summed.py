@@ -51,8 +51,8 @@ MOST_RAYS = 1 << 17
 LARGEST_RADIUS_PX = 100
 BATCH_LANES = 1 << 22
 COVERED_ORDER = (96, 384)
-SUBDIVISION = 4
-"""Parts of a cell along either axis that tell how much of it gets through."""
+CELL_LATTICE = (34, 21)
+"""Points of a cell that tell how much of it gets through, and their generator."""
 LIGHT = 1e-12
 """Share of a star's light below which none is lost inside an outline."""
 ROUNDING = 0.05
@@ -271,7 +271,7 @@ class SummedImages:
         if group.points is not None:
             return trace_waves(self.kernel, group.points(order, stars), self.wavelength_nm, self.index, which)
         nodes, disks = self.wavelength_nm.shape[1], self.planner.disks(self.still, self.wavelength_nm, stars)
-        cells, fine = (DiskPoints(covered_points(order, nodes, parts), *disks) for parts in (1, SUBDIVISION))
+        cells, fine = (DiskPoints(covered_points(order, nodes, one), *disks) for one in ((1, 1), CELL_LATTICE))
         arrived = self.kernel.land(fine, self.wavelength_nm, which)[2]
         if self.still.shade is not None:
             seen = DiskPoints(fine.points, disks[0][:, :1], disks[1][:, :1])  # the same disk in all bands

@@ -1,6 +1,9 @@
 """Diffraction images against the sums of plane waves on NumPy, whose rays, pupils and matrices are its own."""
 
+import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -290,3 +293,21 @@ def test_grid_is_made_where_it_pays():
     )
     assert (usual.pays(3), usual.pays(10), coarse.pays(10), coarse.pays(40)) == (False, True, False, True)
     assert 10.0 < coarse.image_s / usual.image_s < 50.0  # 61 and 2.9 ms were measured
+
+
+@pytest.mark.parametrize("angle_deg", [45.0, 12.3])
+def test_light_past_a_spider_is_that_of_its_area(engine, tmp_path, angle_deg):
+    """The telescope of the documentation: a disk, less a shadow in the middle, less four straight arms."""
+    text = (Path(__file__).parents[4] / "docs" / "lens_file.md").read_text(encoding="utf-8")
+    path = tmp_path / "telescope.toml"
+    toml = re.search(r"```toml\n(name = .Ritchey.*?)```", text, flags=re.DOTALL)[1]
+    path.write_text(toml.replace("angle_deg = 45.0", f"angle_deg = {angle_deg}"), encoding="utf-8")
+    stars = stars_of(np.array([0.0, 0.0, 1.0]), 600.0)
+    truth = Tracer(camera_of(load_lens(path))).render(stars, exposure_s=1.0).truth
+
+    def under_arc(radius, y=0.5):  # from -y to y
+        return y * math.sqrt(radius**2 - y**2) + radius**2 * math.asin(y / radius)
+
+    area_mm2 = math.pi * (25.0**2 - 10.0**2) - 4.0 * (under_arc(25.0) - under_arc(10.0))
+    through = float((truth.electrons_in - truth.electrons_vignetted)[0, 0])
+    assert through == pytest.approx(area_mm2, rel=1e-4)
