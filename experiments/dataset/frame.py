@@ -95,6 +95,7 @@ class FrameMaker:
         self._streams: Streams = scene.plan.streams.child("detector")
         self._axis_share = self._share_on_axis()
         self._lags = scene.instrument.detector.lag > 0.0 and scene.plan.path is not None
+        self._disks: tuple[bytes, list[Disk]] = b"", []  # of the last camera at rest, whose attitude may come again
         self._last: tuple[int, NDArray[np.float32]] | None = None
 
     def make(self, frame: int) -> MadeFrame:
@@ -211,14 +212,20 @@ class FrameMaker:
         scene = self.scene
         if self._bodies is None:
             return []
-        disks = resolved_light(
-            scene.sky_light,
-            self._bodies,
-            plan,
-            scene.config,
-            duration_s=scene.plan.duration_s,
-            full_well_e=scene.instrument.detector.full_well_e,
-        )
+        seen = plan.attitude.as_quat().tobytes() if plan.trajectory is None else b""
+        if not seen or self._disks[0] != seen:
+            self._disks = (
+                seen,
+                resolved_light(
+                    scene.sky_light,
+                    self._bodies,
+                    plan,
+                    scene.config,
+                    duration_s=scene.plan.duration_s,
+                    full_well_e=scene.instrument.detector.full_well_e,
+                ),
+            )
+        disks = self._disks[1]
         for disk in disks:
             electrons += disk.image.image.electrons[:, :, 0]
         return disks

@@ -261,6 +261,8 @@ PROBES = 6
 COMPONENT = 5e-6
 """Error that principal components may leave in images of the coarsest grid, as a share of the light; finer grids weigh
 their images with larger numbers of both signs."""
+TURNING = 4e-5
+"""The same of components that turn, whose centroids are held by themselves (`render.tracing.waves.polar`)."""
 PIXEL_BLUR_PX = 0.14
 """Standard deviation of a Gaussian that leaves at least as much of fine structure as a pixel does."""
 MOST_IMAGES = 1900
@@ -472,9 +474,7 @@ class _FieldImages:
         parts: list[_Components] = []
         orders: list[IntArray] = []
         for light in found.light:
-            shapes = turning_shapes(
-                light.reshape(-1, side, side), found.samples_px, found.field, blur_px, 2.0 * COMPONENT
-            )
+            shapes = turning_shapes(light.reshape(-1, side, side), found.samples_px, found.field, blur_px, TURNING)
             by_parity = np.argsort(shapes.order % 2, kind="stable")
             order, odd = shapes.order[by_parity], shapes.order[by_parity] % 2
             near_by = shapes.value[:, by_parity].reshape(len(place), most, -1)

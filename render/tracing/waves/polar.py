@@ -31,6 +31,8 @@ BATCH = 32
 """Images that are taken to rings at a time."""
 NOTHING = 0.3
 """Part of what may be left out that azimuthal orders without components may hold together."""
+CENTROID_PX, MOMENT = 6.5, 1.0
+"""Radius in which centroids are looked at, and the error of light [share] that an error of them [px] counts as."""
 TAPS = 6
 """Samples on either side that such a point takes."""
 
@@ -60,8 +62,11 @@ def turning_shapes(
     blurred = _series(to_rings, (blur.astype(np.float32) @ images) @ blur.astype(np.float32), count)
     # integral of g^2 over a ring of an order, by Chebyshev's rule
     area = 0.5 * np.pi * ring * (np.pi / (2 * count)) * reach * np.sqrt(1.0 - node**2) * 2.0
+    moment = (blurred[..., 1] * (ring <= CENTROID_PX)) @ (area * ring)
     blurred = blurred * np.sqrt(area)[:, None]
     blurred[..., 0] *= math.sqrt(2.0)
+    blurred = np.pad(blurred, ((0, 0), (0, 1), (0, 0)))  # an error of the centroid counts as one of the light
+    blurred[:, -1, 1] = MOMENT * moment
     bright = (blurred**2).sum(1).max(0)
     weak = np.argsort(bright)
     weak = weak[np.cumsum(bright[weak]) < (NOTHING * limit) ** 2]
