@@ -21,7 +21,7 @@ from optics.response import Response
 from optics.units import UM_MM
 from render.detector.spec import Detector
 
-__all__ = ["Camera", "Diffraction", "FarLight", "PathLosses", "build_camera", "launch_disk"]
+__all__ = ["FAR_NOISE", "Camera", "Diffraction", "FarLight", "PathLosses", "build_camera", "launch_disk"]
 
 
 RESPONSE_STEP_NM = 5.0

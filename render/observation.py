@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,8 @@ from optics.page import Marks, differences, save_frame_page
 from render.bodies.solar_system import SolarSystem, hiding_spheres, planet_field, solar_system
 from render.bodies.stray_light import band_light, stray_electrons_per_s
 from render.bodies.sunlit_body import added
+from render.camera import FAR_NOISE
+from render.detector.maps import sensor_maps
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.fits.wcs import lens_wcs, sky_grid
@@ -30,6 +33,7 @@ from render.sky.background import BackgroundMap, UniformSky, background_map, sky
 from render.sky.field import FieldOfView, SkyField, field_of_view
 from render.sky.sky import Sky, load_sky
 from render.sky.star_light import star_light
+from render.tracing.ghosts import GhostLight, GhostTruth
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 
 if TYPE_CHECKING:
@@ -63,6 +67,12 @@ class Observation:
         All stars that there are; what a star identifier may know.
     bodies : dict of str to (float, float, float)
         Column and row [px] of the middle of its light and electrons, of each of the simulator's bodies in the frame.
+    ghosts : GhostTruth or None
+        Ghosts in the frame, where the simulator renders them: their stars count in ``field``; planets' are not listed.
+    layers : dict of str to (h, w) float32, or None
+        Expected electrons of every source apart, where they were asked for: ``stars``, ``ghosts``, ``sky`` (zodiacal
+        and other light), ``stray`` (Sun, Moon, Earth beside the field) and ``bodies`` add up to ``expected``. ``dark``
+        is what the detector adds to them: dark current of every pixel and ``background_e_per_s``.
     """
 
     frame: Frame
@@ -72,6 +82,8 @@ class Observation:
     sensor: StarSensor
     sky: Sky
     bodies: dict[str, tuple[float, float, float]]
+    ghosts: GhostTruth | None = None
+    layers: dict[str, NDArray[np.float32]] | None = None
 
     def __repr__(self) -> str:
         ra, dec, roll = angles_from_attitude(self.attitude)
@@ -204,6 +216,26 @@ class Observation:
         )
 
 
+class _Layers:
+    """Light of an image source by source, from its sums."""
+
+    def __init__(self, stars: NDArray[np.float32], ghosts: NDArray[np.float32] | None) -> None:
+        self.sums = [("stars", stars if ghosts is None else stars - ghosts)]
+        if ghosts is not None:
+            self.put("ghosts", stars)
+
+    def put(self, name: str, whole: NDArray[np.float32]) -> None:
+        """The sum with one source more."""
+        self.sums.append((name, whole))
+
+    def light(self) -> dict[str, NDArray[np.float32]]:
+        """Light (h, w) of each source."""
+        found = {"stars": self.sums[0][1][..., 0]}
+        for (_, before), (name, whole) in pairwise(self.sums):
+            found[name] = np.maximum(whole - before, 0.0)[..., 0]
+        return found
+
+
 class SkySimulator:
     """Renders frames of the sky with one star sensor; prepared once, for many attitudes.
 
@@ -236,6 +268,9 @@ class SkySimulator:
     stray_light : path or PointSourceTransmittance, optional
         Table of the camera (``pst.ecsv`` of experiment ``straylight``): Sun and Moon, and the Earth where ``bodies``
         has it, as the observer of the sky sees them, add even light to every pixel; their images are not drawn.
+    ghosts : bool or GhostLight
+        Whether ghosts of bright stars are rendered: those whose brightest pixel holds a quarter of the read noise, with
+        a detector that reflects 20 %, or what a record says. Stars beside the frame have none.
 
     Raises
     ------
@@ -264,6 +299,7 @@ class SkySimulator:
         seed: int = 0,
         bodies: Sequence[str] = (),
         stray_light: str | Path | PointSourceTransmittance | None = None,
+        ghosts: bool | GhostLight = False,
     ) -> None:
         sensor.check_field()
         self.sensor, self.sky = sensor, load_sky() if sky is None else sky
@@ -301,7 +337,13 @@ class SkySimulator:
             self._point_light = planet_field(self._points, [band], nodes=nodes)
             self._bodies = BodyRenderer(sensor.camera, [band], view=self.view)
             hidden = hiding_spheres(self._disks)
-        self._renderer = StarRenderer(sensor.camera, exposure_s=exposure_s, contents=hidden)
+        faint = GhostLight(least_e=FAR_NOISE * max(sensor.detector.read_noise_e, 1.0))
+        self._renderer = StarRenderer(
+            sensor.camera,
+            exposure_s=exposure_s,
+            contents=hidden,
+            ghosts=ghosts if isinstance(ghosts, GhostLight) else faint if ghosts else None,
+        )
 
     def observe(
         self,
@@ -310,6 +352,7 @@ class SkySimulator:
         frame: int = 0,
         rate_deg_per_s: ArrayLike | None = None,
         start_s: float | None = None,
+        layers: bool = False,
     ) -> Observation:
         """Expose one frame.
 
@@ -325,6 +368,8 @@ class SkySimulator:
             Angular velocity in cam axes, through an attitude in the middle of the exposure.
         start_s : float, optional
             When the exposure begins on a trajectory [s]; at its start if left out.
+        layers : bool
+            Whether the light of every source is kept apart, too (`Observation.layers`).
 
         Raises
         ------
@@ -340,6 +385,7 @@ class SkySimulator:
             expected = self._renderer.render(stars, rotation_cam_from_world=field.rotation_cam_from_icrs)
         else:
             expected = self._renderer.render(stars, motion=motion)
+        ghosts, apart = self._renderer.ghost_truth, _Layers(expected.electrons, self._renderer.ghost_electrons)
         if self.diffuse is not None:
             rate = sky_background(
                 self.diffuse,
@@ -350,13 +396,17 @@ class SkySimulator:
                 uniform=self.uniform,
             )
             expected = replace(expected, electrons=expected.electrons + rate * np.float32(expected.exposure_s))
+            apart.put("sky", expected.electrons)
         stray = self.stray_e_per_s(attitude)
         if stray:
             light = np.float32(sum(stray.values()) * expected.exposure_s)
             expected = replace(expected, electrons=expected.electrons + light)
+            apart.put("stray", expected.electrons)
         bodies: dict[str, tuple[float, float, float]] = {}
         for name, image, place in self._seen(attitude):
             expected, bodies[name] = added(expected, image), place
+        if self._disks is not None:
+            apart.put("bodies", expected.electrons)
         return Observation(
             frame=expose(
                 expected,
@@ -372,7 +422,16 @@ class SkySimulator:
             sensor=self.sensor,
             sky=self.sky,
             bodies=bodies,
+            ghosts=ghosts,
+            layers={**apart.light(), "dark": self._dark_electrons()} if layers else None,
         )
+
+    def _dark_electrons(self) -> NDArray[np.float32]:
+        """Electrons (h, w) that an exposure adds to the light: dark current and background."""
+        detector = self.sensor.detector
+        kelvin = detector.dark_reference_c if self.temperature_c is None else self.temperature_c
+        dark = sensor_maps(detector).dark_current_e_per_s * detector.dark_factor(kelvin) + self.background_e_per_s
+        return np.asarray(dark * self.exposure_s, np.float32)
 
     def stray_e_per_s(self, attitude: Rotation) -> dict[str, float]:
         """Stray light of each body in an attitude [e- s^-1 per pixel]; empty without a table."""

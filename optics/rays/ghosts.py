@@ -28,7 +28,16 @@ from optics.lens.system import AMBIENT, HALF_TURN, LensSystem, Surface
 from optics.rays.pupil import EntrancePupil, PupilSamples, gauss_disk, launch_disks, star_rays
 from optics.rays.trace import OK, TOTAL_REFLECTION, Rays, trace
 
-__all__ = ["FluxLedger", "GhostRays", "Ghosts", "find_ghosts", "ghost_pairs", "trace_ghost", "with_cover_glass"]
+__all__ = [
+    "FluxLedger",
+    "GhostRays",
+    "Ghosts",
+    "entering_rays",
+    "find_ghosts",
+    "ghost_pairs",
+    "trace_ghost",
+    "with_cover_glass",
+]
 
 RINGS, ARMS = 24, 48
 """Points of the beam, and as many of the rest of the first surface."""
@@ -348,11 +357,14 @@ def trace_ghost(
     return _Path(lens, back, forward, coating, absorption).trace(rays, weight, detector_reflectance)
 
 
-def _entering(lens: LensSystem, star: FloatArray, wave: float) -> tuple[Rays, FloatArray]:
+def entering_rays(
+    lens: LensSystem, star: FloatArray, wave: float, order: tuple[int, int] = (RINGS, ARMS)
+) -> tuple[Rays, FloatArray]:
     """Rays over all of the first surface, closely where the beam of the image enters; weights sum to 1.
 
     Where the first surface has no rim they fill half as much again as the beam.
     """
+    count, arms = order
     disks, first, direction = launch_disks(lens, star[None, :], [wave]), lens.surfaces[0], light_direction(star)
     inner = float(disks.radius_mm.item())
     centre = np.array([disks.x_mm.item(), disks.y_mm.item()])
@@ -361,13 +373,13 @@ def _entering(lens: LensSystem, star: FloatArray, wave: float) -> tuple[Rays, Fl
         drift = direction[:2] / direction[2] * (float(disks.z_mm) - first.position_mm[2])
         away = float(np.linalg.norm(first.position_mm[:2] + drift - centre))
         outer = max(inner, away + first.semi_diameter_mm)
-    core, share = gauss_disk(RINGS, ARMS), (inner / outer) ** 2
-    node, weight = np.polynomial.legendre.leggauss(RINGS)
-    r, phi = np.sqrt(share + (1.0 - share) * 0.5 * (1.0 + node)), 2.0 * np.pi * (np.arange(ARMS) + 0.5) / ARMS
+    core, share = gauss_disk(count, arms), (inner / outer) ** 2
+    node, weight = np.polynomial.legendre.leggauss(count)
+    r, phi = np.sqrt(share + (1.0 - share) * 0.5 * (1.0 + node)), 2.0 * np.pi * (np.arange(arms) + 0.5) / arms
     points = PupilSamples(
         x=np.concatenate([core.x * inner / outer, np.outer(r, np.cos(phi)).ravel()]),
         y=np.concatenate([core.y * inner / outer, np.outer(r, np.sin(phi)).ravel()]),
-        weight=np.concatenate([core.weight * share, np.repeat(0.5 * weight / ARMS, ARMS) * (1.0 - share)]),
+        weight=np.concatenate([core.weight * share, np.repeat(0.5 * weight / arms, arms) * (1.0 - share)]),
     )
     disk = EntrancePupil(
         x_mm=float(centre[0]), y_mm=float(centre[1]), z_mm=float(disks.z_mm), radius_mm=outer, exact=False
@@ -383,6 +395,7 @@ def find_ghosts(
     coating: Coating | None = None,
     detector_reflectance: float = 0.2,
     absorption: bool = True,
+    order: tuple[int, int] = (RINGS, ARMS),
 ) -> Ghosts:
     """All ghosts of two reflections that a distant source makes, and where the rest of its light goes.
 
@@ -400,6 +413,8 @@ def find_ghosts(
         Share of the light that the detector reflects like a mirror; silicon 0.1 to 0.3.
     absorption : bool
         Whether glass absorbs; needs internal transmittances.
+    order : (int, int)
+        Rings and azimuths of the rays in the beam, and as many on the rest of the first surface.
 
     Returns
     -------
@@ -417,7 +432,7 @@ def find_ghosts(
         raise DomainError(f"detector_reflectance = {detector_reflectance:g}; it must lie in 0 ... 1")
     wave = lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
     star = np.asarray(v_cam, dtype=np.float64)
-    rays, entering = _entering(lens, star, wave)
+    rays, entering = entering_rays(lens, star, wave, order)
 
     def follow(back: int | None, forward: int | None) -> GhostRays:
         path = _Path(lens, back, forward, coating, absorption)

@@ -46,6 +46,23 @@ def observation(simulator):
     return simulator.observe(attitude_from_angles(*ORION, 90.0))
 
 
+def test_layers_add_up(sensor, sky):
+    """Sources apart: their sum is the image, the sky is even, dark current is that of the data sheet."""
+    simulator = SkySimulator(
+        sensor, sky, exposure_s=0.1, uniform=UniformSky(magnitude_per_arcsec2=20.0), background_e_per_s=30.0
+    )
+    seen = simulator.observe(attitude_from_angles(*ORION, 90.0), layers=True)
+    assert set(seen.layers) == {"stars", "sky", "dark"}
+    np.testing.assert_allclose(
+        seen.layers["stars"] + seen.layers["sky"], seen.expected.electrons[..., 0], rtol=1e-6, atol=1e-3
+    )
+    stars = float(seen.truth.electrons_image.sum())
+    assert float(seen.layers["stars"].sum(dtype=float)) == pytest.approx(stars, rel=1e-5)
+    assert np.ptp(seen.layers["sky"]) < 0.1 * seen.layers["sky"].mean()
+    dark = 0.1 * (sensor.detector.dark_current_e_per_s + 30.0)
+    assert float(np.median(seen.layers["dark"])) == pytest.approx(dark, rel=0.3)
+
+
 def test_the_belt_of_orion_is_where_astropy_puts_it(observation, sensor):
     """Tangent plane by astropy's offsets, roll 90 deg: up in the image is east, so a step north goes along +x."""
     table = observation.to_table()
