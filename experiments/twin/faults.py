@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
 
 from calib.records import SensorImage
 from experiments.twin.solve import Detections, Solved
@@ -94,7 +95,9 @@ def trail_of(image: SensorImage, seen: Detections) -> tuple[float, float, float]
             continue
         cut = image.dn[at[1] - HALF_PX : at[1] + HALF_PX + 1, at[0] - HALF_PX : at[0] + HALF_PX + 1]
         light = cut - np.median(cut)
-        light = np.where(light > 3.0 * noise_dn, light, 0.0)
+        parts, _ = label(light > 3.0 * noise_dn, np.ones((3, 3)))
+        mine = parts[HALF_PX, HALF_PX]
+        light = np.where((parts == mine) & (mine > 0), light, 0.0)  # neighbours and noise would make it wide
         if np.count_nonzero(light) < 6:
             continue
         share = light / light.sum()

@@ -72,6 +72,7 @@ def test_a_real_camera():
     config = Config(camera={"field_deg": 11.4, "pixel_pitch_um": 6.9}, orders=("pinhole", "radial_1"))
     reduced, _ = reduce_night(frames, config, Progress())
     assert len(reduced.rows) == 8
+    assert not [one for one in reduced.notes if "clouds" in one or "trailed" in one or "focus" in one]
     noise = reduced.whole.noise
     assert noise.gain_e_per_dn.value == pytest.approx(2.739, rel=0.03)
     assert reduced.whole.order == "radial_1"
