@@ -14,7 +14,7 @@ from calib.measure.image import sensor_image
 from experiments.harness.progress import Progress
 from experiments.twin.faults import clouded, trail_of, what_is_wrong
 from experiments.twin.folder import NightFrame
-from experiments.twin.road import reduce_night
+from experiments.twin.road import _pitch_mm, reduce_night
 from experiments.twin.settings import Config
 from experiments.twin.solve import Solver, solve_all
 from optics.errors import DomainError
@@ -122,6 +122,15 @@ def test_frames_of_two_cameras_and_clouds_are_notes_of_a_night():
     assert "f4: frames of two cameras: solved with 29" in words
     assert "f3: clouds or an obstacle over about" in words
     assert len(reduced.rows) == 4
+
+
+def test_a_pitch_that_the_stars_contradict_is_told():
+    solver, words = Solver(SIZE, SIZE), []
+    solver.focal_px = 5117.0
+    config = Config(camera={"pixel_pitch_um": 3.45, "focal_length_mm": 35.3})
+    assert _pitch_mm(config, solver, words) == pytest.approx(3.45e-3)
+    assert "pitch of 6.9 um, pixel_pitch_um = 3.45 is stated (binning?)" in words[0]
+    assert _pitch_mm(Config(camera={"focal_length_mm": 35.3}), solver, []) == pytest.approx(6.9e-3, rel=1e-3)
 
 
 def test_nothing_but_trails_is_refused_in_a_sentence():

@@ -9,6 +9,7 @@ import pytest
 
 from experiments.laboratory.instrument import build_instrument, configured_lens
 from experiments.laboratory.readout.psf_grid import render_psf_grid
+from experiments.laboratory.sensor_file import SensorConfig, whole_sensor
 from experiments.laboratory.settings import InstrumentConfig
 from experiments.twin.prescription import _as_calibrated, _widths, fit_lens_pose, pose_of_widths, write_prescription
 from optics.errors import DomainError
@@ -84,4 +85,6 @@ def test_the_written_lens_stands_where_the_frames_put_it(moved, tmp_path):
     assert again.image_position_mm[:2] == pytest.approx(moved.camera.lens.image_position_mm[:2], abs=0.01)
     ratio = _widths(render_psf_grid(back, light, temperature_k=5000.0, window_px=22, long_side=9)) / stars.width_px
     assert np.abs(ratio - 1.0).max() < 0.03
-    assert "glass.toml" in (tmp_path / "glass_sensor.toml").read_text()
+    written = SensorConfig.model_validate(whole_sensor(tmp_path / "glass_sensor.toml")).instrument
+    assert written.lens == str(tmp_path / "glass.toml")
+    assert written.defocus_mm == pytest.approx(DEFOCUS_MM, abs=2e-3)
