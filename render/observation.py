@@ -313,8 +313,9 @@ class SkySimulator:
             self.diffuse = background_map(sensor.camera, [band])
         self.temperature_c, self.background_e_per_s = temperature_c, background_e_per_s
         self.exposure_s, self._streams = exposure_s, Streams(seed)
-        known = stray_light is None or isinstance(stray_light, PointSourceTransmittance)
-        self._pst = stray_light if known else read_pst(stray_light)
+        self._pst: PointSourceTransmittance | None = None
+        if stray_light is not None:
+            self._pst = stray_light if isinstance(stray_light, PointSourceTransmittance) else read_pst(stray_light)
         self._earth, self._band_light = "earth" in bodies, None
         if self._pst is not None:
             if self.sky.observer is None:

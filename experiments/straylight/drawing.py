@@ -49,12 +49,12 @@ def draw_baffle(outcome: Outcome) -> Figure:
             at = side * float(start[:2] @ point[:2]) / max(height, 1e-9)
             panel.plot([z0 - point[2], z0], [side * height, at], color=WARM, linewidth=0.3 + 1.2 * share, alpha=0.6)
     if far:
-        left = z0 - 1.25 * far
-        length = 0.9 * far
+        left = z0 - 1.4 * far
+        length = 0.3 * far
         angle = np.radians(setup.worst_deg)
         panel.annotate(
             f"Sun, {setup.worst_deg:.0f}°", xy=(z0 - far, 0.0),
-            xytext=(z0 - far - length * np.cos(angle) * 0.4, length * np.sin(angle) * 0.6 + 0.3 * radius),
+            xytext=(z0 - far - length * np.cos(angle), length * np.sin(angle)), ha="center",
             arrowprops={"arrowstyle": "->", "color": "#f0a000"}, fontsize=8, color="#b07000",
         )  # fmt: skip
         right = panel.get_xlim()[1]
@@ -103,7 +103,12 @@ def draw_frames(outcome: Outcome) -> Figure:
     figure, axes = new_figure(1, len(chosen), aspect_ratio=0.36, squeeze=False)
     for panel, k in zip(axes[0], chosen, strict=True):
         draw_image(rows[k].frames.example_e, panel)
-        panel.set_title(f"Sun at {rows[k].sun_deg:.1f}°, {rows[k].light_e:.3g} e⁻", fontsize=8.5)
+        panel.set_title(f"Sun at {rows[k].sun_deg:.1f}°, {_light(rows[k].light_e)} e⁻", fontsize=8.5)
         panel.set(xticks=[], yticks=[], xlabel="", ylabel="")
         panel.grid(False)
     return figure
+
+
+def _light(electrons: float) -> str:
+    """Three digits of small numbers, whole thousands spaced apart."""
+    return f"{electrons:.3g}" if electrons < 1000.0 else f"{round(electrons, -2):,.0f}".replace(",", "\u2009")

@@ -223,15 +223,15 @@ def exclusion(
     if edge == len(rows) - 1:
         low = min(one.light_e for one in rows)
         return _of_light(config, stray, light, low, 180.0, math.nan, rows[-1].sun_deg, bounded=False), rows
-    low, high = rows[edge], rows[edge + 1]
+    inner, outer = rows[edge], rows[edge + 1]
     for _ in range(REFINED):
-        middle = look(math.sqrt(low.sun_deg * high.sun_deg))
+        middle = look(math.sqrt(inner.sun_deg * outer.sun_deg))
         rows.append(middle)
-        low, high = (low, middle) if middle.usable else (middle, high)
-    critical = math.sqrt(max(low.light_e, 1e-3) * max(high.light_e, 1e-3))
-    angle = 0.5 * (low.sun_deg + high.sun_deg)
+        inner, outer = (inner, middle) if middle.usable else (middle, outer)
+    critical = math.sqrt(max(inner.light_e, 1e-3) * max(outer.light_e, 1e-3))
+    angle = 0.5 * (inner.sun_deg + outer.sun_deg)
     rows.sort(key=lambda one: one.sun_deg)
-    return _of_light(config, stray, light, critical, angle, high.sun_deg, low.sun_deg, bounded=True), rows
+    return _of_light(config, stray, light, critical, angle, outer.sun_deg, inner.sun_deg, bounded=True), rows
 
 
 REFINED = 3

@@ -362,7 +362,7 @@ def _meet(
     span = np.linspace(-1.0, 1.0, START) * 1.1 * radius
     u, v = (w.ravel() for w in np.meshgrid(span, span))
     there = _at_surface(short, launched(u, v))
-    finite = np.isfinite(there.x + there.y)
+    finite = np.isfinite(there.x) & np.isfinite(there.y)
     seen = finite & ((there.status == OK) | ((there.status == TOTAL_REFLECTION) & (there.failed_at == number)))
     if not seen.any():
         return unlit[0], (unlit[1][0], 0.0 * nothing, np.zeros(count))

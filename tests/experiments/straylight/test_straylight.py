@@ -147,9 +147,22 @@ def test_causes_follow_what_they_are_caused_by(tmp_path) -> None:
 def test_a_table_of_ones_own_takes_the_place_of_all(tmp_path) -> None:
     """Frames under a given light: the exclusion angle is where the table says, whatever the lens."""
     (tmp_path / "my.csv").write_text("angle_deg,pst\n1,1e-3\n30,1e-7\n40,1e-9\n90,1e-10\n")
-    assert main(["--quick", "--set", f"pst.file={tmp_path / 'my.csv'}", "--out", str(tmp_path / "out")]) == 0
+    (tmp_path / "sensor.toml").write_text("[requirements]\nsun_exclusion_deg = 20.0\nnea_arcsec = 1.0\n")
+    arguments = ["--sensor", str(tmp_path / "sensor.toml"), "--set", f"pst.file={tmp_path / 'my.csv'}", "--quick"]
+    tracker = [
+        f"instrument.{key}" for key in ("lens=star_tracker_26mm", "detector=cmv4000", "width_px=512", "height_px=512")
+    ]
+    arguments += [one for key in (*tracker, "instrument.exposure_s=0.2") for one in ("--set", key)]
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 0
     results = json.loads((tmp_path / "out" / "summary.json").read_text())["results"]
     kept = read_pst(tmp_path / "out" / "pst.ecsv")
     critical = results["critical_e"] / results["sun_e"]
     assert results["sun_exclusion_deg"] == pytest.approx(angle_of(kept, critical), abs=1.0)
     assert 30.0 < results["sun_exclusion_deg"] < 45.0
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Exclusion angle of the Sun" in page
+    from astropy.table import Table
+
+    asked = Table.read(tmp_path / "out" / "requirements.ecsv")  # what is asked of other experiments is left out
+    assert [str(one) for one in asked["label"]] == ["Exclusion angle of the Sun"]
+    assert not asked["met"][0]
