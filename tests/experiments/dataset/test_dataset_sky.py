@@ -27,6 +27,7 @@ from experiments.dataset.truth import FLAGS, record_from_text
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from optics.errors import StarbenchError
 from render.bodies.solar_system import solar_system
+from render.bodies.stray_light import band_light
 from render.detector.cosmic_rays import cosmic_ray_hits
 from render.detector.maps import sensor_maps
 from render.engine import Engine
@@ -93,6 +94,34 @@ def test_zodiacal_light_and_uniform_sky(engine):
 
 
 @pytest.mark.slow
+def test_stray_light_of_the_sun(engine, tmp_path):
+    """40 deg from the Sun, behind a camera of known PST: its electrons in every pixel; 140 deg from it none."""
+    (tmp_path / "pst.csv").write_text("angle_deg,pst\n1,1e-7\n90,1e-7\n")
+    sun = get_sun(Time(EPOCH, format="jyear", scale="tdb")).transform_to(GCRS())
+    made = {}
+    for name, away, table in (("lit", 40.0, "pst.csv"), ("dark", 40.0, ""), ("behind", 140.0, "pst.csv")):
+        place = sun.directional_offset_by(0.0 * units.deg, away * units.deg)
+        cone = ConePointing(ra_deg=place.ra.deg, dec_deg=place.dec.deg, radius_deg=0.0, roll_deg=0.0)
+        config = Config(
+            instrument=CAMERA["instrument"].model_copy(update={"lens": "star_tracker_26mm"}),
+            nodes=3,
+            catalogue=CatalogueConfig(faintest_mag=10.0, epoch_year=EPOCH, observer="earth"),
+            pointing=cone,
+            background=BackgroundConfig(extra_e_per_s=1.0, stray_light=str(tmp_path / table) if table else ""),
+        )
+        scene = build_scene(config)
+        made[name] = FrameMaker(scene).make(0)
+    band = band_light(scene.instrument.detector, scene.sky_light.bands[0])
+    wanted = 0.2 * 1e-7 * band.sun_e_per_s
+    assert made["lit"].background_e - 0.2 == pytest.approx(wanted, rel=0.04)  # the Sun's distance changes by 1.7 %
+    assert made["behind"].background_e == pytest.approx(0.2, abs=0.01)
+    level = {name: np.median(one.frame.dn.astype(float)) for name, one in made.items()}
+    gained = wanted * made["lit"].frame.gain_dn_per_e
+    assert gained > 20
+    assert level["lit"] - level["dark"] == pytest.approx(gained, rel=0.05)
+
+
+@pytest.mark.slow
 def test_cosmic_rays_are_flagged(engine):
     settings = {
         **CAMERA,
@@ -134,6 +163,7 @@ def test_attitudes_keep_away_from_the_sun():
     ("settings", "said"),
     [
         ({"background": BackgroundConfig(moon_planets=True)}, "set catalogue.observer = earth"),
+        ({"background": BackgroundConfig(stray_light="pst.csv")}, "set catalogue.observer = earth"),
         ({"background": BackgroundConfig(zodiacal=True)}, "set pointing.sun_exclusion_deg to at least 16"),
         (
             {
