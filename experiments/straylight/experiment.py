@@ -23,7 +23,15 @@ from experiments.laboratory.stray_settings import BaffleConfig
 from experiments.straylight.drawing import draw_baffle, draw_causes, draw_frames
 from experiments.straylight.frames import Bench, SunFrames, light_map, rms
 from experiments.straylight.settings import Config
-from experiments.straylight.transmittance import CAUSES, SMALLEST, Stray, direction, lens_part, transmittance
+from experiments.straylight.transmittance import (
+    CAUSES,
+    SMALLEST,
+    Stray,
+    check_baffle,
+    direction,
+    lens_part,
+    transmittance,
+)
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.pst import PointSourceTransmittance, read_pst, write_pst
@@ -371,6 +379,7 @@ def _stray(config: Config, instrument: Instrument, progress: Progress) -> Stray:
     if config.pst.file:
         pst = read_pst(config.pst.file)
         return Stray(pst=pst, direct=np.ones(pst.total.shape))
+    check_baffle(config, instrument)
     count = len(config.pst.angles_deg) * len(config.pst.azimuths_deg)
     with progress.stage("lens", total=count) as stage:
         lens = lens_part(config, instrument, stage.advance)

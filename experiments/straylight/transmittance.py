@@ -36,6 +36,7 @@ __all__ = [
     "LensPart",
     "Stray",
     "baffle_of",
+    "check_baffle",
     "coating_of",
     "direction",
     "lens_part",
@@ -99,9 +100,6 @@ def lens_part(config: Config, instrument: Instrument, advance: Callable[[], None
     x, y = np.meshgrid(across * camera.width_px / 2.0, across * camera.height_px / 2.0)
     x0, y0 = camera.centre_px
     places = camera.nominal_direction(x.ravel() + x0, y.ravel() + y0, instrument.focal_length_mm)
-    corner = camera.nominal_direction(
-        x0 + camera.width_px / 2.0, y0 + camera.height_px / 2.0, instrument.focal_length_mm
-    )
     imaging = imaging_rays(lens, places, rings=setting.rings, arms=setting.arms, **common)
     laws = _laws(config, lens)
     shape = (len(setting.azimuths_deg), len(setting.angles_deg))
@@ -110,7 +108,7 @@ def lens_part(config: Config, instrument: Instrument, advance: Callable[[], None
     numbers = sorted({number for one in laws.values() for number in one})
     share = np.zeros((len(numbers), shape[1]))
 
-    entrance, field_deg = entrance_radius_mm(lens), float(np.degrees(np.arccos(corner[2])))
+    entrance, field_deg = entrance_radius_mm(lens), corner_deg(instrument)
     round_from = _shade_deg(config.baffle, entrance, field_deg)
 
     def one(at: tuple[int, int]) -> None:
@@ -157,6 +155,36 @@ def _shade_deg(config: BaffleConfig, entrance_mm: float, field_deg: float) -> fl
     return parts.shade_deg
 
 
+def corner_deg(instrument: Instrument) -> float:
+    """Half angle of the field to the corner of the detector."""
+    half = 0.5 * np.array([instrument.camera.width_px, instrument.camera.height_px])
+    x, y = instrument.camera.centre_px + half
+    return float(np.degrees(np.arccos(instrument.camera.nominal_direction(x, y, instrument.focal_length_mm)[2])))
+
+
+def check_baffle(config: Config, instrument: Instrument) -> None:
+    """Refuse early what cannot be: a lens without surfaces, an open mesh, vanes that cut the beam of the field."""
+    lens = instrument.camera.focused_lens
+    lens.check_surfaces()
+    if not scattering_surfaces(lens):
+        raise DomainError(
+            f"lens {lens.name!r} has no surfaces that reflect or scatter; take a lens file, or a table: pst.file"
+        )
+    entrance, field_deg = entrance_radius_mm(lens), corner_deg(instrument)
+    parts = baffle_of(config.baffle, entrance, field_deg)
+    if parts is not None:
+        _scene(config, config.baffle, parts, entrance, field_deg)
+
+
+def _scene(
+    config: Config, baffle: BaffleConfig, parts: VanedBaffle | Mesh, entrance_mm: float, field_deg: float
+) -> BaffleScene:
+    try:
+        return BaffleScene(parts, coating_of(baffle), entrance_mm=entrance_mm, field_deg=field_deg, seed=config.seed)
+    except DomainError as fault:
+        raise DomainError(f"baffle: {fault}") from None
+
+
 def coating_of(config: BaffleConfig) -> BlackCoating:
     """The black coating of a baffle."""
     if config.coating != "own":
@@ -166,13 +194,13 @@ def coating_of(config: BaffleConfig) -> BlackCoating:
     )
 
 
-def baffle_of(config: BaffleConfig, lens: LensPart) -> VanedBaffle | Mesh | None:
+def baffle_of(config: BaffleConfig, entrance_mm: float, field_deg: float) -> VanedBaffle | Mesh | None:
     """The baffle of a configuration; None for a bare lens."""
     if not config.fitted:
         return None
     if config.mesh:
         return read_mesh(config.mesh)
-    return _vaned(config, lens.entrance_mm, lens.field_deg)
+    return _vaned(config, entrance_mm, field_deg)
 
 
 def _vaned(config: BaffleConfig, entrance_mm: float, field_deg: float) -> VanedBaffle:
@@ -226,17 +254,12 @@ def transmittance(
     bare = {name: lens.value[key] for name, key in (("ghosts", "ghosts"), ("polish", "polish"), ("dust", dust))}
     total = np.asarray(sum(bare.values())).mean(axis=0)
     known = total > 0.0
-    parts = baffle_of(baffle, lens)
+    parts = baffle_of(baffle, lens.entrance_mm, lens.field_deg)
     shape = (len(CAUSES), len(setting.azimuths_deg), len(chosen))
     value, error, direct = np.zeros(shape), np.zeros(shape), np.ones(shape[1:])
     scene, rays, weight = None, 0, None
     if parts is not None:
-        try:
-            scene = BaffleScene(
-                parts, coating_of(baffle), entrance_mm=lens.entrance_mm, field_deg=lens.field_deg, seed=config.seed
-            )
-        except DomainError as fault:
-            raise DomainError(f"baffle: {fault}") from None
+        scene = _scene(config, baffle, parts, lens.entrance_mm, lens.field_deg)
         weight = lens_weight(np.array(setting.angles_deg)[known], total[known])
         round_ = isinstance(parts, VanedBaffle)
         for z, azimuth in enumerate(setting.azimuths_deg):
