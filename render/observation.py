@@ -528,6 +528,7 @@ def observe(
     exposure_s: float = 0.2,
     seed: int = 0,
     rate_deg_per_s: ArrayLike | None = None,
+    layers: bool = False,
     **settings: Any,
 ) -> Observation:
     """One frame of the sky; `SkySimulator` makes many of them.
@@ -546,6 +547,8 @@ def observe(
         Of the noise.
     rate_deg_per_s : (3,), optional
         Angular velocity in cam axes.
+    layers : bool
+        Whether the light of every source is kept apart, too.
     **settings
         Any other setting of `SkySimulator`: ``passband=``, ``temperature_c=``, ``zodiacal=``, ``bodies=`` ...
 
@@ -560,4 +563,4 @@ def observe(
         As `SkySimulator`.
     """
     simulator = SkySimulator(sensor, sky, exposure_s=exposure_s, seed=seed, **settings)
-    return simulator.observe(attitude, rate_deg_per_s=rate_deg_per_s)
+    return simulator.observe(attitude, rate_deg_per_s=rate_deg_per_s, layers=layers)
