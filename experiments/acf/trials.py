@@ -58,6 +58,7 @@ __all__ = [
     "Sky",
     "Task",
     "Trials",
+    "drawn_sights",
     "field_of",
     "gyro_error",
     "perform",
@@ -74,6 +75,8 @@ fully weighted."""
 LINKED = ("acc", "linked")
 GRID = 15
 """Field points along each side of the line-of-sight map and of the residual distortion."""
+DRAWN = 400
+"""Errors that are drawn of every sky for the scatter of a gain."""
 CHUNK = 25
 """Runs of a task at most; a part of a second to a few seconds of work."""
 Work = TypeVar("Work")
@@ -172,7 +175,7 @@ def work(task: Task) -> dict[str, FloatArray]:
                 judged = _judged(task, sky, observed, method, k or 0, rotation)
                 row |= {f"{method if k is None else f'{method}@{k}'}.{what}": v for what, v in judged.items()}
         if point.own_sky:
-            row |= _bounds(point, sky, grid.operator)
+            row |= _bounds(point, sky, grid.operator, streams.generator("expected gain", run))
         rows.append(row)
     return {key: np.stack([np.asarray(row[key], float) for row in rows]) for key in rows[0]}
 
@@ -294,20 +297,45 @@ def gyro_error(scene: Scene, pair: tuple[float, float]) -> GyroError:
     )
 
 
-def _bounds(point: Point, sky: Sky, operator: FloatArray) -> dict[str, FloatArray]:
-    """Predicted sigma of the camera's parameters and, last, of the line of sight [arcsec]."""
+def _bounds(point: Point, sky: Sky, operator: FloatArray, rng: np.random.Generator) -> dict[str, FloatArray]:
+    """Predicted sigma of the camera's parameters and, last, of the line of sight [arcsec]; drawn errors of the latter.
+
+    Drawn for free attitudes and for a gyro of stated noise on the same stars (`drawn_sights`).
+    """
     design = sky.calibrating
 
     def figures(covariance: FloatArray) -> FloatArray:
         count = len(sky.scene.camera.parameters)
         return np.append(np.sqrt(np.diag(covariance)[:count]), sight_arcsec(operator, covariance))
 
-    result = {"bound.free": figures(free(design, point.noise_px))}
+    alone = free(design, point.noise_px)
+    result = {"bound.free": figures(alone)}
     for k, pair in enumerate(point.gyro):
         error = gyro_error(sky.scene, pair)
         result[f"bound@{k}.acc"] = figures(correlated(design, point.noise_px, error))
-        result[f"bound@{k}.linked"] = figures(linked(design, point.noise_px, error))
+        weighted = linked(design, point.noise_px, error)
+        result[f"bound@{k}.linked"] = figures(weighted)
+        size = operator.shape[1]
+        drawn = drawn_sights(operator, weighted[:size, :size], alone[:size, :size], rng)
+        result |= {f"drawn@{k}.{name}": one for name, one in zip(("linked", "free"), drawn, strict=True)}
     return result
+
+
+def drawn_sights(
+    operator: FloatArray, better: FloatArray, worse: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """RMS errors (d,) of the line of sight [arcsec] of an efficient estimate and of a worse one from the same data.
+
+    What the worse one adds is independent of the efficient one's error (otherwise their mean would be better still).
+    """
+    scale = np.sqrt(np.diag(worse))
+    errors = []
+    for covariance in (better, worse - better):
+        size, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+        root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
+        errors.append(rng.standard_normal((DRAWN, len(scale))) @ root.T)
+    first, second = (one @ operator.T for one in (errors[0], errors[0] + errors[1]))
+    return np.sqrt(2.0 * (first**2).mean(axis=1)), np.sqrt(2.0 * (second**2).mean(axis=1))
 
 
 # --- All tasks

@@ -6,6 +6,7 @@ import pytest
 from experiments.acf import table2 as table2_module
 from experiments.acf import trials as monte_carlo
 from experiments.acf.gain import gains, sweep_points
+from experiments.acf.linear_model import sight_arcsec
 from experiments.acf.methods import fig5_points, largest_distortion, methods
 from experiments.acf.reprojection import (
     counts,
@@ -32,7 +33,18 @@ from experiments.acf.table2 import (
     sums,
     table2,
 )
-from experiments.acf.trials import COMPARED, Point, Task, Trials, field_of, perform, residual_distortion, sky_of, work
+from experiments.acf.trials import (
+    COMPARED,
+    Point,
+    Task,
+    Trials,
+    drawn_sights,
+    field_of,
+    perform,
+    residual_distortion,
+    sky_of,
+    work,
+)
 
 CONFIG = Config(
     frames=12,
@@ -139,6 +151,9 @@ def test_gains_by_hand():
                     point, method, k, sight_arcsec=[0.1, 2.0 * n, n], converged=[0, 1, 1], error=np.full((3, 8), 1.0)
                 )
                 values[f"bound@{k}.{method}"] = np.full((3, 9), 2.0 + 2.0 * k)
+            # medians 6 and 3, then 6 and 1.5: logarithms log 2 and log 4
+            values[f"drawn@{k}.free"] = np.array([[6.0, 6.0], [5.0, 9.0], [9.0, 1.0]])
+            values[f"drawn@{k}.linked"] = np.array([[3.0, 1.0], [2.0, 1.5], [9.0, 4.0]])
         trials[point.name] = Trials(point=point, values=values)
     few, many = gains(CONFIG, trials)
     assert (few.stars, many.stars) == (4, 12)
@@ -149,6 +164,23 @@ def test_gains_by_hand():
     assert few.point == pytest.approx([3.0, 3.0])
     assert few.point_bound == pytest.approx([6.0, 3.0])
     assert few.acc[0].uncertainty > 0.0
+    spread = np.log(2.0) / np.sqrt(2.0)
+    assert few.linked_z == pytest.approx([0.5 * np.log(2.0) / spread] * 2)
+    assert few.linked_whole == pytest.approx([1.0 / spread] * 2)
+
+
+def test_drawn_sights_have_both_covariances():
+    """20 draws of 400: mean squares of the efficient and of the worse estimate, and their product, within 4 sigma."""
+    rng, operator = np.random.default_rng(4), np.random.default_rng(1).standard_normal((30, 3))
+    better = np.diag([1.0, 4.0, 9.0]) * 1e-2
+    worse = better + np.outer([1.0, 2.0, -1.0], [1.0, 2.0, -1.0]) * 1e-2
+    drawn = [drawn_sights(operator, better, worse, rng) for _ in range(20)]
+    for found, covariance in zip(np.concatenate(drawn, axis=1), (better, worse), strict=True):
+        expected = sight_arcsec(operator, covariance) ** 2
+        square = found**2
+        assert square.mean() == pytest.approx(expected, abs=4.0 * square.std() / np.sqrt(square.size))
+    first, second = np.concatenate(drawn, axis=1)
+    assert np.corrcoef(first**2, second**2)[0, 1] > 0.3  # the same stars
 
 
 @pytest.fixture(scope="module")
