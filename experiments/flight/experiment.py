@@ -53,7 +53,7 @@ class Mission:
     star_error_arcsec: float = col("Error of a guide star besides noise", "arcsec", ".3g")
     available_percent: float = col("Availability over the orbit, predicted", "percent", ".1f")
     # None without frames
-    solved_percent: Measured | None = col("Frames with an attitude, of those not blinded", "percent", default=None)
+    solved_percent: Measured | None = col("Frames that are tracked, of those not blinded", "percent", default=None)
     acquired: Measured | None = col("Acquisitions lost in space that succeed", default=None)
     acquired_least: float | None = col("the same, lower limit at 90 % confidence", "", ".3f", default=None)
     acquisition_s: Measured | None = col("Time of an acquisition on this machine", "s", default=None)
@@ -416,7 +416,7 @@ SECTIONS = {
         caption="Sensor, guide catalogue, availability and acquisition.",
         verdicts=[
             below("wrong_attitudes", 0.0, title="wrong attitudes"),
-            above("solved_percent", 95.0, title="frames with an attitude, of those that no body blinds"),
+            above("solved_percent", 95.0, title="frames that are tracked, of those that no body blinds"),
         ],
     ),
     "terms": Section(

@@ -12,11 +12,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.attitude.patterns import kept_database
 from calib.attitude.tracker import StarTracker, TrackedAttitude
 from experiments.flight.prediction import Budget, heated, throughput
 from experiments.laboratory.centroid_methods import needs_epsf
@@ -43,6 +45,10 @@ __all__ = ["Camera", "FlightFrames", "Segment", "build_tracker", "render_flight"
 MARGIN_PX = 16.0
 BLENDED = 4
 """Steps between rendered PSFs of the tracker; those between are blended."""
+ROUGH_PX = 3.0
+"""Error of an attitude that is handed over, about each axis."""
+OBLONG = 1.5
+"""A longer field needs star patterns down to its shorter side."""
 STILL_PX = 0.02
 """Stars that trail by less in an exposure are rendered at rest."""
 
@@ -191,7 +197,16 @@ def build_tracker(camera: Camera) -> StarTracker:
         most=config.tracker.most,
         gate_px=config.tracker.gate_px,
         star_error_px=budget.star_error_px,
+        database=_patterns(budget),
     )
+
+
+def _patterns(budget: Budget) -> Any:
+    """Star patterns for an oblong field; None where those of a square one serve (`identify_stars`)."""
+    wide, high = (budget.nominal.value(f"field_{side}_deg") for side in ("width", "height"))
+    if max(wide, high) < OBLONG * min(wide, high):
+        return None
+    return kept_database(min_fov_deg=round(0.94 * min(wide, high), 1), max_fov_deg=round(1.06 * max(wide, high), 1))
 
 
 def render_flight(budget: Budget, *, advance: Callable[[], None] = lambda: None) -> FlightFrames:
@@ -228,6 +243,10 @@ def _segment(
         found = tracker(frame, at_s, velocity_km_per_s=known, rate_rad_per_s=flight.trajectory.rate(at_s))
         if k == 0:
             status, spent = found.status, time.perf_counter() - began
+            if not found.ok:  # lost in space it stays lost here: another head hands its attitude over
+                rough = _handed_over(camera, truth, number)
+                tracker.begin(at_s, rough)
+                found = tracker(frame, at_s, velocity_km_per_s=known, near=rough)
         second = tracker(
             camera.read(image, at_s, key, "second"), at_s, velocity_km_per_s=known, near=found.attitude or truth
         )
@@ -262,6 +281,11 @@ def _segment(
         ),
         example,
     )
+
+
+def _handed_over(camera: Camera, truth: Rotation, number: int) -> Rotation:
+    error = ROUGH_PX * camera.budget.pixel_rad * camera.streams.generator("rough", number).standard_normal(3)
+    return Rotation.from_rotvec(error) * truth
 
 
 def _switched(
