@@ -212,7 +212,7 @@ experiment = Experiment(
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",
-    takes="3 min (--quick: 40 s)",
+    takes="5 min (--quick: 1 min)",
     examples={
         "--quick": "a small run",
         "--sensor my.toml": "your own sensor",
