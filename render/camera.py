@@ -13,6 +13,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 from optics.glass.coating import Coating
 from optics.lens.system import LensSystem
+from optics.light.scatter import ABg, HarveyShack, Particles
 from optics.light.transmission import lens_transmission
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.pupil import EntrancePupil, entrance_pupil
@@ -21,7 +22,7 @@ from optics.response import Response
 from optics.units import UM_MM
 from render.detector.spec import Detector
 
-__all__ = ["FAR_NOISE", "Camera", "Diffraction", "FarLight", "PathLosses", "build_camera", "launch_disk"]
+__all__ = ["FAR_NOISE", "Camera", "Diffraction", "FarLight", "PathLosses", "ScatterLaw", "build_camera", "launch_disk"]
 
 
 RESPONSE_STEP_NM = 5.0
@@ -80,6 +81,11 @@ class FarLight:
         return min(self.saturated_e, 2e4 * self.ends_e)
 
 
+ScatterLaw = HarveyShack | ABg | Particles
+"""Angular law of light that is scattered."""
+MOST_SCATTERED = 0.5
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
     """A lens in front of a pixelated detector.
@@ -107,6 +113,9 @@ class Camera:
         holds; None: all rays lose alike.
     far : FarLight or None
         How far diffraction images of bright stars reach; None: all end at their stamps.
+    scatter : HarveyShack, ABg, Particles or None
+        Law of the light that all surfaces of the lens together scatter, over differences of sines from the star: halos
+        about stars, taken from their cores. None: nothing is scattered.
     blind_columns_px : tuple of (int, int)
         First and last columns of strips that take no light, such as the gaps between chips; stars lose it there as over
         the edge.
@@ -126,6 +135,7 @@ class Camera:
     response: Response | None = None
     losses: PathLosses | None = None
     far: FarLight | None = None
+    scatter: ScatterLaw | None = None
     blind_columns_px: tuple[tuple[int, int], ...] = ()
     diffraction: Diffraction = "waves"
 
@@ -154,6 +164,10 @@ class Camera:
                 "Camera.rotation_cam_from_world is not a proper rotation (a mirrored sky has determinant -1)"
             )
 
+        if self.scatter is not None and not self.scatter.tis < MOST_SCATTERED:
+            raise DomainError(
+                f"Camera.scatter takes {self.scatter.tis:.3g} of the light; at most {MOST_SCATTERED:g} is allowed"
+            )
         for first, last in self.blind_columns_px:
             if not 0 <= first <= last < self.width_px:
                 raise DomainError(

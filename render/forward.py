@@ -233,6 +233,11 @@ class StarRenderer:
         found: Tracer = self._scene.integrator().tracer(self._scene.sensors()[0], self.seed)
         return found
 
+    @property
+    def halo(self) -> NDArray[np.float32] | None:
+        """Scattered light (h, w, b) in the last image; None where the camera scatters none."""
+        return None if self.traced is None else self.traced.halo
+
     def save(self, path: str | Path) -> list[Path]:
         """Write the scene of the last image (`render.plugins.scene_files.save_scene`), for ``mi.load_file``.
 

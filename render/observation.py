@@ -70,9 +70,10 @@ class Observation:
     ghosts : GhostTruth or None
         Ghosts in the frame, where the simulator renders them: their stars count in ``field``; planets' are not listed.
     layers : dict of str to (h, w) float32, or None
-        Expected electrons of every source apart, where they were asked for: ``stars``, ``ghosts``, ``sky`` (zodiacal
-        and other light), ``stray`` (Sun, Moon, Earth beside the field) and ``bodies`` add up to ``expected``. ``dark``
-        is what the detector adds to them: dark current of every pixel and ``background_e_per_s``.
+        Expected electrons of every source apart, where they were asked for: ``stars``, ``scatter`` (their halos),
+        ``ghosts``, ``sky`` (zodiacal and other light), ``stray`` (Sun, Moon, Earth beside the field) and ``bodies`` add
+        up to ``expected``. ``dark`` is what the detector adds to them: dark current of every pixel and
+        ``background_e_per_s``.
     """
 
     frame: Frame
@@ -219,10 +220,15 @@ class Observation:
 class _Layers:
     """Light of an image source by source, from its sums."""
 
-    def __init__(self, stars: NDArray[np.float32], ghosts: NDArray[np.float32] | None) -> None:
-        self.sums = [("stars", stars if ghosts is None else stars - ghosts)]
+    def __init__(
+        self, whole: NDArray[np.float32], ghosts: NDArray[np.float32] | None, halo: NDArray[np.float32] | None
+    ) -> None:
+        rest = whole if ghosts is None else whole - ghosts
+        self.sums = [("stars", rest if halo is None else rest - halo)]
+        if halo is not None:
+            self.put("scatter", rest)
         if ghosts is not None:
-            self.put("ghosts", stars)
+            self.put("ghosts", whole)
 
     def put(self, name: str, whole: NDArray[np.float32]) -> None:
         """The sum with one source more."""
@@ -386,7 +392,10 @@ class SkySimulator:
             expected = self._renderer.render(stars, rotation_cam_from_world=field.rotation_cam_from_icrs)
         else:
             expected = self._renderer.render(stars, motion=motion)
-        ghosts, apart = self._renderer.ghost_truth, _Layers(expected.electrons, self._renderer.ghost_electrons)
+        ghosts, apart = (
+            self._renderer.ghost_truth,
+            _Layers(expected.electrons, self._renderer.ghost_electrons, self._renderer.halo),
+        )
         if self.diffuse is not None:
             rate = sky_background(
                 self.diffuse,

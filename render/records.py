@@ -124,6 +124,9 @@ class Truth:
     electrons_absorbed : (n, b), optional
         Light of rays that surfaces and glasses take on top of what they take along the axis (`Camera.losses`), part of
         the same sum; negative where they take less. 0 if left out.
+    electrons_scattered : (n, b), optional
+        Light that surfaces of the lens scatter out of the star's image (`Camera.scatter`), part of the same sum; what
+        of it is drawn as a halo is no part of ``electrons_image``. 0 if left out.
     noise_area_px2 : (n, b), optional
         Noise-equivalent area of the star's rendered image, cut by no edge of the detector: square of the sum of its
         pixels over the sum of their squares. NaN without light, and if left out.
@@ -148,6 +151,7 @@ class Truth:
     electrons_beyond: FloatArray | None = None
     noise_area_px2: FloatArray | None = None
     electrons_absorbed: FloatArray | None = None
+    electrons_scattered: FloatArray | None = None
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -155,6 +159,7 @@ class Truth:
             ("electrons_beyond", 0.0),
             ("noise_area_px2", np.nan),
             ("electrons_absorbed", 0.0),
+            ("electrons_scattered", 0.0),
         ):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full(np.shape(self.electrons_in), missing))

@@ -63,6 +63,7 @@ COLUMNS = (
     Column("electrons_off_edge", "float64", "electron", "expected electrons off the detector or between chips"),
     Column("electrons_hidden", "float64", "electron", "those that a body in front of the star takes away"),
     Column("electrons_absorbed", "float64", "electron", "those that surfaces and glasses take more than on the axis"),
+    Column("electrons_scattered", "float64", "electron", "those that the lens scatters into a halo"),
     Column("electrons_beyond", "float64", "electron", "those in the wings of the diffraction image that are left out"),
     Column("variance_x_px2", "float64", "pix2", "second central moment of the ray bundle along the columns"),
     Column("variance_y_px2", "float64", "pix2", "along the rows"),

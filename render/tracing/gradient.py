@@ -197,6 +197,8 @@ def star_image(
 ) -> Any:
     """Electrons of every pixel and band (h w b,) as an array with derivatives."""
     # vector (m,): values of ``numbers``, with derivatives where it moves (m,); rate (n b k,) with derivatives
+    if tracer.camera.scatter is not None:
+        raise ConfigError("derivatives of halos are not known; leave Camera.scatter out")
     if stars.collimation is not None:
         raise ConfigError("derivatives of stars behind a collimator are not known; leave collimation out")
     scene_of = partial(Scene, mi, tracer, numbers, vector, moves)

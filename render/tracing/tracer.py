@@ -23,6 +23,7 @@ from optics.rays.spots import spot_moments
 from render.camera import Camera
 from render.records import StarField, Truth
 from render.tracing.convergence import TOLERANCE
+from render.tracing.halo import add_halos, with_scattered
 from render.tracing.measured.images import MeasuredImages, MeasuredPlanner
 from render.tracing.motion.exposure import ExposureMotion, IdealLens
 from render.tracing.motion.paths import Light, StarPaths, at_rest, pick_times, star_paths
@@ -49,6 +50,7 @@ class TracedStars:
     electrons: NDArray[np.float32]
     truth: Truth
     sampling: Sampling
+    halo: NDArray[np.float32] | None = None  # What of the image is scattered light
 
 
 class ImageMaker(Protocol):
@@ -161,10 +163,16 @@ class Tracer:
             if rotation_cam_from_world is not None:
                 raise ConfigError("an attitude and a motion are given; leave one of them out")
             paths, length_px = self._moving(stars, motion, exposure_s), motion.length_px
-        light = self.light(stars, paths, exposure_s)
+        light, law = self.light(stars, paths, exposure_s), self.camera.scatter
+        if law is not None:
+            light = replace(light, electrons=light.electrons * (1.0 - law.tis))
         image = np.zeros((self.camera.height_px, self.camera.width_px, len(stars.band)), np.float32)
         sums, sampling = self._add(light, paths, image, length_px, shade)
-        return TracedStars(image, sums.truth(light.electrons), sampling)
+        truth = sums.truth(light.electrons)
+        if law is None:
+            return TracedStars(image, truth, sampling)
+        truth = with_scattered(truth, law.tis)
+        return TracedStars(image, truth, sampling, add_halos(self.camera, law, truth, image))
 
     def _add(
         self,

@@ -95,7 +95,7 @@ class FarImage:
 def far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
     """Far image of a planner's camera; None where no light of the axis arrives or pupil and image are turned askew."""
     camera = planner.camera
-    plain = replace(camera, rotation_cam_from_world=np.eye(3), response=None, far=None, losses=None)
+    plain = replace(camera, rotation_cam_from_world=np.eye(3), response=None, far=None, losses=None, scatter=None)
     key = pickle.dumps(plain)
     if key not in _kept:
         while len(_kept) >= MOST_KEPT:

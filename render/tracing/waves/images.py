@@ -184,7 +184,9 @@ class WaveImages:
     @cached_property
     def _camera_state(self) -> bytes:
         """What images depend on of a camera."""
-        return pickle.dumps(replace(self.camera, rotation_cam_from_world=np.eye(3), response=None, far=None))
+        return pickle.dumps(
+            replace(self.camera, rotation_cam_from_world=np.eye(3), response=None, far=None, scatter=None)
+        )
 
     def condensed(self, light: Light, exposure: Exposure) -> Light:
         """Light of as few wavelengths as tell the images of all, unless none may be interpolated."""

@@ -65,7 +65,9 @@ def test_light_is_where_the_truth_says(maker, made):
         sigma = np.sqrt(truth["electrons"][i] + part.size * 13.0**2)
         # fixed pattern of offsets (a few e-) and of the response (1 %) come on top of the noise
         assert abs(part.sum() - truth["electrons"][i]) < 5 * sigma + 0.05 * truth["electrons"][i]
-    kept = sum(truth[f"electrons{part}"] for part in ("", "_vignetted", "_off_edge", "_beyond", "_absorbed"))
+    kept = sum(
+        truth[f"electrons{part}"] for part in ("", "_vignetted", "_off_edge", "_beyond", "_absorbed", "_scattered")
+    )
     assert kept == pytest.approx(truth["electrons_in"], rel=1e-9)
 
 
