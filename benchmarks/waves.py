@@ -2,6 +2,7 @@
 
 python benchmarks/waves.py             # tables of docs/diffraction.md
 python benchmarks/waves.py --cost      # what images and grids cost here, beside what they are estimated to
+python benchmarks/waves.py --gradient  # what a gradient costs in forward renders
 python benchmarks/waves.py --speed     # frames per second, terms per second, beside batoid, optiland, prysm and GalSim
 """
 
@@ -272,12 +273,46 @@ def costs():
         print("| " + " | ".join((*cells, f"{grid_s:.1f}", f"{plan.grid_s:.1f}", str(pays))) + " |")
 
 
+def gradients():
+    """Processor time of a frame of two stars, and of its gradient by some hundred numbers."""
+    from render.engine import Engine
+    from render.engine.jit import dr
+    from render.forward import star_scene
+    from render.plugins.register import register_plugins
+
+    mi = Engine.start("llvm").mitsuba
+    register_plugins()
+    dr.set_thread_count(1)
+    camera = camera_of(64, defocus_mm=0.03, centre_px=np.array([-100.0, -80.0]))
+    stars = StarField(direction=camera.nominal_direction(np.array([18.3, 36.8]), np.array([17.7, 22.1]), FOCAL_MM),
+                      wavelength_nm=np.array([[500.0, 600.0, 700.0]]), photon_rate=np.full((2, 1, 3), 10.0),
+                      band=("b",))  # fmt: skip
+    scene = mi.load_dict(star_scene(camera, stars))
+    params = mi.traverse(scene)
+    names = ["camera.curvature_per_mm", "camera.thickness_mm", "camera.defocus_mm", "stars.direction"]
+
+    def gradient():
+        dr.enable_grad(*(params[name] for name in names))
+        image = mi.render(scene, params)
+        dr.backward(dr.sum(image * image, axis=None))
+        found = [dr.grad(params[name]).numpy() for name in names]
+        dr.disable_grad(*(params[name] for name in names))
+        return found
+
+    forward = timed(lambda: mi.render(scene).numpy(), 5)[1]
+    backward = timed(gradient, 5)[1]
+    print(f"image {1e3 * forward:.0f} ms, gradient {1e3 * backward:.0f} ms of a core: {backward / forward:.1f} images")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--speed", action="store_true", help="time it instead")
     parser.add_argument("--cost", action="store_true", help="measure the cost of images and grids")
+    parser.add_argument("--gradient", action="store_true", help="measure the cost of a gradient")
     arguments = parser.parse_args()
-    if arguments.cost:
+    if arguments.gradient:
+        gradients()
+    elif arguments.cost:
         costs()
     elif arguments.speed:
         frames()

@@ -7,9 +7,10 @@ The images differ little: some tens of principal components hold them all, and a
 spread and losses of a star's rays are interpolated alike, so that none is traced but the chief ray.
 
 Nothing is taken on trust: a grid is made finer until images and means of rays at places between its points, of light at
-either end of a band and of that which its wavelengths follow worst, differ from exact ones by less than `TOLERANCE`. A
-mixture of wavelengths is nearer still. Where the finest fails (apertures that start to cut the beam leave a kink in the
-field) there is none, and every star is summed by itself.
+either end of a band and of that which its wavelengths follow worst, differ from exact ones by less than `TOLERANCE`,
+and along a radius light and means of few rays at many places. A mixture of wavelengths is nearer still. Where the
+finest fails (apertures that start to cut the beam leave a kink in the field) there is none, and every star is summed by
+itself.
 """
 
 from __future__ import annotations
@@ -58,6 +59,15 @@ rays from the chief ray and times their mean squares; what apertures let through
 def chebyshev(count: int) -> FloatArray:
     """Chebyshev points of the first kind in (-1, 1)."""
     return -np.cos(np.pi * (np.arange(count) + 0.5) / count)
+
+
+def _along_radius(points: FloatArray, kink: float, at: FloatArray) -> FloatArray:
+    """Weights (n, p) of points along a radius for places on it, on either side of a kink."""
+    inner = points < kink
+    weight = np.zeros((len(at), len(points)))
+    for places, some in ((at < kink, inner), (at >= kink, ~inner)):
+        weight[np.ix_(places, some)] = lagrange(points[some], at[places])
+    return weight
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,10 +173,7 @@ class WaveGrid:
             weight = (row[:, :, None] * column[:, None, :]).reshape(len(place), -1)
         else:
             radius = np.hypot(*tangent.T)
-            part, inner = radius / self.reach, self.points < self.kink
-            weight = np.zeros((len(part), len(self.points)))
-            for stars, points in ((part < self.kink, inner), (part >= self.kink, ~inner)):
-                weight[np.ix_(stars, points)] = lagrange(self.points[points], part[stars])
+            weight = _along_radius(self.points, self.kink, radius / self.reach)
             off = radius > 0.0
             turn[off] = (tangent[off] @ np.array([1.0, 1j])) / radius[off]
         return weight, np.einsum("sbk,bkq->sbq", share, self.spectral), turn
@@ -248,6 +255,8 @@ FIRST_KINKED, CUT_STEPS = 2, 32
 """Which of them is the first where apertures cut beams; steps of the search for where they begin, twice."""
 GAIN = 4.0
 """By how much the next size lowers the error, at least; sizes that would not do are passed over."""
+LEAST_GAIN = 0.7
+"""Part of the error of a radial grid above which that of a finer one tells that none will do."""
 LEAST_STARS = 8
 """Stars on the detector below which no grid is made unasked."""
 PAYS = ((2.0, math.inf), (4.0, 5.0), (10.0, 1.0))
@@ -269,6 +278,8 @@ MOST_IMAGES = 1900
 """Images of a band that a grid is made of, whose matrix of products is still cheap."""
 WING_PX = 30.0
 """How far beside the detector a star may be for its image to be rendered; so far the grid reaches."""
+RADII = 64
+"""Places along a radius at which means of rays are judged."""
 CENTRED = 0.05
 """How far beside the axis the middle of the field may lie, in terms of its size, to be taken to be there."""
 SYMMETRIC_PX = 1e-6
@@ -326,19 +337,25 @@ def build_grid(
     """The coarsest grid that is good enough; None where there is none."""
     field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
     sizes: tuple[int, ...] = SIZES
-    made, at = field.grid, 0
+    made, at, least, last = field.grid, 0, 0, math.inf
+    if field.turned:  # images are nowhere nearer than means of rays, which cost little
+        enough = (i for i, size in enumerate(RADIAL_SIZES) if field.ray_error(size) < TOLERANCE)
+        least = next(enough, -1)
+        if least < 0:
+            return None
     if field.kink < 1.0:
-        sizes, made, at = RADIAL_SIZES, field.radial, FIRST_KINKED
+        sizes, made, at = RADIAL_SIZES, field.radial, max(FIRST_KINKED, least)
     while True:
         grid = made(sizes[at])
         if grid is None:
             return None
         error = max(grid.error, grid.error_px) / TOLERANCE
-        if error < 1.0 or at == len(sizes) - 1:
+        if error < 1.0 or at == len(sizes) - 1 or error > LEAST_GAIN * last:
             return grid if error < 1.0 else None
+        last = error if sizes is RADIAL_SIZES else math.inf
         if field.turned and sizes is SIZES:
             sizes, made, at = RADIAL_SIZES, field.radial, -1
-        at = min(len(sizes) - 1, at + math.ceil(math.log(max(error, 1.01)) / math.log(GAIN)))
+        at = min(len(sizes) - 1, max(least, at + math.ceil(math.log(max(error, 1.01)) / math.log(GAIN))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -459,12 +476,34 @@ class _FieldImages:
             parts, moment, origin = _unfolded(parts, moment, origin, size)
         return self._judged(self._made(found, points, moment, origin, parts), found.judges)
 
-    def radial(self, size: int) -> WaveGrid | None:
-        """The same for a lens of revolution, from half as many points along a radius."""
-        half = size // 2
+    def _radii(self, size: int) -> FloatArray:
+        """Points of a grid along a radius, on both sides of the axis and beyond the kink."""
         inner = self.kink * chebyshev(size)
         outer = self.kink + (1.0 - self.kink) * 0.5 * (1.0 + chebyshev(size))
-        points = np.concatenate([inner, outer]) if self.kink < 1.0 else inner
+        return np.concatenate([inner, outer]) if self.kink < 1.0 else inner
+
+    def ray_error(self, size: int) -> float:
+        """Largest error between the points of a radial grid, at `RADII` places: of means [px] and light of few rays.
+
+        Where apertures cut beams it lies near kinks, which few places do not meet.
+        """
+        points, half = self._radii(size), size // 2
+        at = np.concatenate([points[half:], (np.arange(RADII) + 0.5) / RADII])
+        place = np.stack([self.reach * at, np.zeros_like(at)], axis=-1)
+        images, groups, chief, _ = self.exact(place, np.ones((len(at), *self.wavelength_nm.shape)))
+        seen = np.full((len(at), 2, len(self.wavelength_nm)), np.nan)
+        for probe in (one for group in groups for one in images.probes(group)):
+            middle = self.wavelength_nm.shape[1] // 2
+            offset = probe.waves.mean[:, :, middle, 0] - chief[probe.stars, :, 0]
+            seen[probe.stars] = np.stack([offset, probe.waves.weight[:, :, middle].sum(-1)], axis=1)
+        known = seen[: len(points) - half]
+        known = np.concatenate([known[:half][::-1] * np.array([[-1.0], [1.0]]), known])
+        found = np.tensordot(_along_radius(points, self.kink, at[-RADII:]), known, axes=1)
+        return float(np.abs(found - seen[-RADII:]).max())
+
+    def radial(self, size: int) -> WaveGrid | None:
+        """The same for a lens of revolution, from half as many points along a radius."""
+        half, points = size // 2, self._radii(size)
         place = np.stack([self.reach * points[half:], np.zeros(len(points) - half)], axis=-1)
         found = self._summed(place, 1.0, len(place))
         if found is None:
@@ -490,7 +529,8 @@ class _FieldImages:
         moment, origin = (np.concatenate([v[:half][::-1], v]) for v in (found.moment, found.origin))
         moment[:half, ..., 2] *= -1.0
         origin[:half, ..., 0] *= -1.0
-        return self._judged(self._made(found, points, moment, origin, parts, tuple(orders)), found.judges)
+        grid = self._judged(self._made(found, points, moment, origin, parts, tuple(orders)), found.judges)
+        return None if grid is None else replace(grid, error_px=max(grid.error_px, self.ray_error(size)))
 
     def _summed(self, place: FloatArray, finer: float, points: int) -> _Summed | None:
         """Images at places of the field; None for a lens or field without a grid of so many points."""
