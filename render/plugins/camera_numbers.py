@@ -119,15 +119,18 @@ class CameraNumbers:
             if not dr.grad_enabled(self.tensors[name]):
                 continue
             for at in np.ndindex(value.shape):
-                if not self._free(values, name, at):
-                    continue
 
                 def moved(times: int, name: str = name, value: FloatArray = value, at: Any = at) -> FloatArray:
                     other = value.copy()
                     other[at] += times * steps[name][at]
                     return numbers_of(self.made({**values, name: other}))
 
-                ahead, back = moved(1), moved(-1)
+                try:
+                    ahead, back = moved(1), moved(-1)
+                except DomainError:
+                    if self._free(values, name, at):
+                        raise
+                    continue
                 total = 0.5 * (ahead - back)
                 if np.abs(ahead + back - 2.0 * known).max() > LINEAR * np.abs(total).max():
                     near = {1: ahead, -1: back}
