@@ -10,8 +10,10 @@ from astropy.table import Table
 from experiments.camera.settings import Config, experiment, main
 from experiments.harness.progress import Progress
 from experiments.harness.range import quantity_of
-from experiments.harness.what_if import run_sweep
+from experiments.harness.what_if import _finer, crossing, run_sweep
 from optics.errors import ConfigError, DomainError
+from optics.lens_file import load_lens
+from optics.rays.paraxial import axial_paraxial, stopped_down
 from optics.validate import parse_model
 
 TRACKER = {
@@ -152,3 +154,34 @@ def test_the_command_writes_all_of_it(sensor_file, tmp_path, capsys):
     assert "1 of 2 points meet the requirement" in page
     assert "focus_shift_um" in page  # asked, and said not to be judged
     assert "Meets" in capsys.readouterr().out
+
+
+def test_a_crossing_is_known_to_two_percent_of_its_step():
+    for true in (0.013, 0.5, 0.97):
+        assert crossing(lambda value, true=true: value < true, 0.0, 1.0) == pytest.approx(true, abs=0.01)
+        assert crossing(lambda value, true=true: value > 10.0 + true, 12.0, 10.0) == pytest.approx(
+            10.0 + true, abs=0.02
+        )
+
+
+def test_lines_of_a_map_stand_where_the_law_crosses():
+    """A noise of sqrt(a / t + b N^2 / t^2) on a coarse map: contour to 2 % of the exposure of the closed form."""
+    exposure, stop = np.geomspace(0.05, 0.8, 5), np.linspace(2.0, 6.0, 5)
+    values = np.sqrt(0.1 / exposure + 0.02 * stop[:, None] ** 2 / exposure**2)
+    x, y, fine = _finer(exposure, stop, values)
+    for row in range(0, len(y), 17):
+        found = np.interp(-1.5, -fine[row], x)
+        true = (0.1 + np.sqrt(0.01 + 4.0 * 2.25 * 0.02 * y[row] ** 2)) / (2.0 * 2.25)
+        if exposure[0] < true < exposure[-1]:
+            assert found == pytest.approx(true, rel=0.02)
+
+
+def test_the_f_number_that_a_report_prints_leaves_the_lens_open():
+    lens = load_lens("star_camera_206mm")
+    printed = round(axial_paraxial(lens, lens.design_wavelength_nm).f_number, 2)
+    for stop in (printed, printed - 0.004):
+        assert stopped_down(lens, stop).surfaces[lens.stop_index].semi_diameter_mm == pytest.approx(
+            lens.surfaces[lens.stop_index].semi_diameter_mm, rel=2e-3
+        )
+    with pytest.raises(DomainError, match="at least"):
+        stopped_down(lens, printed - 0.02)
