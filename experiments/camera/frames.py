@@ -62,8 +62,10 @@ __all__ = [
     "solved_frames",
 ]
 
-MATCH_PX = 2.0
-"""A detection this near to the light of a star is that star."""
+MATCH_PX, MATCH_WIDTHS = 2.0, 0.6
+"""A detection this near to the light of a star, or so many widths of the filter, is that star."""
+CROWDED = 0.02
+"""Share of the chart that stars take up in squares of four widths, above which bright and faint ones are apart."""
 FAINTER_MAG, BRIGHTER_MAG = 0.8, 1.2
 """Chart stars about the limiting magnitude."""
 ROUGH_PX = 5.0
@@ -84,7 +86,9 @@ class ChartFrames:
     electrons: FloatArray
     found: NDArray[np.bool_]  # (k, n) Whether a detection belongs to the star
     error_px: FloatArray  # (k, n, 2) Centroid minus mean of all light of the star; NaN where there is none
-    false_alarms: NDArray[np.int64]  # (k,) Detections without a star, those that are flagged as too sharp left out
+    false_alarms: NDArray[
+        np.int64
+    ]  # Of each frame: detections without a star, those that are flagged as too sharp left out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,6 +151,7 @@ class _Bench:
                 long_side=long_side,
             )
         processing = prediction.processing
+        self.match_px = max(MATCH_PX, MATCH_WIDTHS * processing.fwhm_px)
         self.reduction = Reduction(
             dark_dn=mean_dark_frame(self.instrument, config.dark_frames, streams=self.streams, label="dark"),
             noise=processing.noise,
@@ -206,7 +211,7 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
     example: tuple[NDArray[np.float32], FloatArray] | None = None
     for number in range(prediction.config.frames.sky):
         seen, frame, measured, place = _sky_frame(bench, number)
-        partner, false = _matched(measured, place, prediction.config.window_px)
+        partner, false = _matched(measured, place, prediction.config.window_px, bench.match_px)
         fit = partner >= 0
         found.append(int(np.count_nonzero(fit)))
         fit[fit] = measured.fit[partner[fit]]
@@ -267,20 +272,27 @@ def _chart(bench: _Bench, advance: Callable[[], None]) -> ChartFrames:
     faint = np.arange(len(place)) % 2 == 1
     magnitude[faint] = limit + rng.uniform(-BRIGHTER_MAG, FAINTER_MAG, np.count_nonzero(faint))
     direction = camera.nominal_direction(place[:, 0], place[:, 1], bench.instrument.focal_length_mm)
-    stars = prediction.state.light.stars(direction, magnitude, config.star.temperature_k)
-    image, light_px, electrons = bench.expected(stars)
+    # where wide spots of bright stars fill the frame, it takes their light for noise: the faint ones have their own
+    share = len(place) * (4.0 * prediction.processing.fwhm_px) ** 2 / (camera.width_px * camera.height_px)
+    groups = [np.flatnonzero(~faint), np.flatnonzero(faint)] if share > CROWDED else [np.arange(len(place))]
+    light_px, electrons, images = np.empty_like(place), np.empty(len(place)), []
+    for group in groups:
+        stars = prediction.state.light.stars(direction[group], magnitude[group], config.star.temperature_k)
+        image, light_px[group], electrons[group] = bench.expected(stars)
+        images.append(np.array(image))
     found, errors, alarms = [], [], []
     for number in range(config.frames.readouts):
-        measured = measure_frame(bench.read(image, number, "chart"), bench.reduction)
-        partner, false = _matched(measured, light_px, config.window_px)
-        error = np.full((len(place), 2), np.nan)
-        seen = partner >= 0
-        error[seen] = np.where(
-            measured.fit[partner[seen], None], measured.stars.pixel_px[partner[seen]] - light_px[seen], np.nan
-        )
+        seen, error = np.zeros(len(place), bool), np.full((len(place), 2), np.nan)
+        for k, (group, image) in enumerate(zip(groups, images, strict=True)):
+            frame = bench.read(image, number * len(groups) + k, "chart")
+            measured = measure_frame(frame, bench.reduction)
+            partner, false = _matched(measured, light_px[group], config.window_px, bench.match_px)
+            here = partner >= 0
+            away = measured.stars.pixel_px[partner[here]] - light_px[group][here]
+            seen[group], error[group[here]] = here, np.where(measured.fit[partner[here], None], away, np.nan)
+            alarms.append(false)
         found.append(seen)
         errors.append(error)
-        alarms.append(false)
         advance()
     return ChartFrames(
         bright_mag=bright,
@@ -304,7 +316,9 @@ def _scattered(width: int, height: int, count: int, window_px: int, rng: np.rand
     return np.asarray(middle + rng.uniform(-0.5, 0.5, middle.shape) * (cell - 2.0 * window_px))
 
 
-def _matched(measured: MeasuredFrame, light_px: FloatArray, near_px: float) -> tuple[NDArray[np.int64], int]:
+def _matched(
+    measured: MeasuredFrame, light_px: FloatArray, near_px: float, match_px: float = MATCH_PX
+) -> tuple[NDArray[np.int64], int]:
     """Detection of each star (n,), -1 for none, and how many detections are no star: farther than ``near_px`` from all.
 
     What is flagged as too sharp for a star is left out.
@@ -318,7 +332,7 @@ def _matched(measured: MeasuredFrame, light_px: FloatArray, near_px: float) -> t
         return partner, int(np.count_nonzero(~measured.stars.sharp))
     distance, nearest = cKDTree(detected).query(light_px[lit])
     back_distance, back = cKDTree(light_px[lit]).query(detected)
-    mutual = (back[nearest] == np.arange(len(lit))) & (distance <= MATCH_PX)
+    mutual = (back[nearest] == np.arange(len(lit))) & (distance <= match_px)
     partner[lit[mutual]] = nearest[mutual]
     return partner, int(np.count_nonzero((back_distance > near_px) & ~measured.stars.sharp))
 
