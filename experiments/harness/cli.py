@@ -161,7 +161,7 @@ def _show(run: ExperimentRun, shown: str) -> None:
 
     console = Console()
     for name in run.experiment.show:
-        if run.tables[name].rows:
+        if name in run.tables and run.tables[name].rows:
             console.print(to_rich(run.tables[name]))
     for line in criteria_lines(run.criteria):
         console.print(line, style="red" if line.startswith("NO ") else None, highlight=False, markup=False)
