@@ -7,6 +7,7 @@ by `measure` and `road`), every frame is held out in turn (`hold_out`), and the 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,8 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         hot=int(reduced.known.hot.sum()),
     )
     told = _told(reduced, compared)
+    # what is folded into the twin's light makes up for its PSF: the zero point is that of the stars
+    whole = replace(whole, photometry=reduced.whole.photometry)
     pose = None
     if config.prescription:
         with progress.stage("focus and tilt of the known lens"):
