@@ -292,15 +292,19 @@ class Change:
     exclusion_deg: float = col("Exclusion angle of the Sun", "deg", ".1f")
 
 
+NEAR_DEG = 7.0
+"""Variants are computed from so much inside the shade on."""
+
+
 def changes(
     config: Config, stray: Stray, light: BandLight, critical: float, advance: Callable[[], None]
 ) -> list[Change]:
     """Dust, coating and vanes; exclusion angles by the light at which frames cease to be usable."""
     assert stray.lens is not None
     angles = np.array(config.pst.angles_deg)
-    chosen = [int(a) for a in np.flatnonzero(angles >= stray.lens.field_deg)]
     scale = light.sun_e_per_s * config.instrument.exposure_s
     shade = stray.baffle.shade_deg if isinstance(stray.baffle, VanedBaffle) else 35.0
+    chosen = [int(a) for a in np.flatnonzero(angles >= shade - NEAR_DEG)]
     own, rows = config.baffle, []
     variants: list[tuple[str, Any, str]] = [("as it is", own, "dust")]
     variants += [(f"dust of level {key.split()[1]}", own, key) for key in stray.lens.value if key.startswith("dust ")]
@@ -313,7 +317,8 @@ def changes(
         variants.append(("no vanes", own.model_copy(update={"vanes": 0}), "dust"))
         variants.append(("no baffle", own.model_copy(update={"fitted": False}), "dust"))
     for label, baffle, dust in variants:
-        pst = transmittance(config, stray.lens, baffle, dust=dust, angles=chosen[::2]).pst
+        same = baffle is own and dust == "dust"
+        pst = stray.pst if same else transmittance(config, stray.lens, baffle, dust=dust, angles=chosen).pst
         outside, inside = (float(pst.at(direction(min(shade + by, 89.0), 0.0))) for by in (5.0, -5.0))
         rows.append(
             Change(
@@ -509,6 +514,7 @@ SECTIONS = {
     ),
     "changes": Section(
         record=Change,
+        note="Exclusion angle: where the Sun's light falls to what frames allow; at the end of the table, at no angle.",
         dim="variant",
         place="changes[variant]",
         table="what_if",
