@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from experiments.straylight.experiment import angle_of, exclusion, sun_angles
+from experiments.straylight.experiment import angle_of, changes, exclusion, sun_angles
 from experiments.straylight.settings import Config, main
 from experiments.straylight.transmittance import Stray, direction, lens_part, transmittance
 from optics.errors import DomainError
@@ -144,6 +144,28 @@ def test_causes_follow_what_they_are_caused_by(tmp_path) -> None:
     np.testing.assert_array_equal(bare.pst.value[3:], 0.0)
     with pytest.raises(DomainError, match="baffle: the baffle cuts the beam"):
         transmittance(config, one, config.baffle.model_copy(update={"clearance_mm": -2.0}))
+
+
+@pytest.mark.slow
+def test_what_is_changed_does_what_it_should() -> None:
+    """Order of variants: vanes and blacker coatings take light away, dust and rounder edges add it."""
+    from experiments.laboratory.instrument import build_instrument
+
+    settings = small().pst.model_dump() | {"angles_deg": [5.0, 30.0, 36.0, 41.0, 90.0]}
+    config = small(what_if=True, pst=settings)
+    lens = lens_part(config, build_instrument(config.instrument), lambda: None)
+    stray = transmittance(config, lens, config.baffle)
+    rows = changes(config, stray, LIGHT, 100.0, lambda: None)
+    outside = {one.change: one.outside_pst for one in rows}
+    now = outside["as it is"]
+    assert now == float(stray.pst.at(direction(40.0, 0.0)))
+    assert outside["coating magic_black"] < 0.5 * now
+    assert now < outside["edges twice as round"] < 2.0 * now
+    assert now < outside["dust of level 500"] < outside["dust of level 1000"]
+    assert 5.0 * now < outside["no vanes"] < outside["no baffle"]
+    inside = {one.change: one.inside_pst for one in rows}
+    assert inside["no baffle"] > inside["as it is"]
+    assert inside["coating magic_black"] == pytest.approx(inside["as it is"], rel=0.02)  # the lens itself leads there
 
 
 @pytest.mark.slow
