@@ -153,7 +153,10 @@ def test_the_command_writes_all_of_it(sensor_file, tmp_path, capsys):
     page = (out / "report.html").read_text()
     assert "1 of 2 points meet the requirement" in page
     assert "focus_shift_um" in page  # asked, and said not to be judged
-    assert "Meets" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "Misses" in shown
+    assert "update_rate" in shown  # what is missed, by name
+    assert max(map(len, shown.splitlines())) <= max(80, len(str(out)) + 24)
 
 
 def test_a_crossing_is_known_to_two_percent_of_its_step():
