@@ -64,7 +64,7 @@ class FarLight:
     ends_e : float
         Electrons of a pixel at which an image ends.
     saturated_e : float
-        Electrons of a star above which at most 1e-3 of its light lie beyond.
+        Electrons of a star's brightest pixel, the full well, above which at most 1e-3 of its light lie beyond.
     """
 
     ends_e: float

@@ -8,8 +8,8 @@ lambda N, the same for all wavelengths. Running sums of it tell the light of a p
 
 It begins where the stamp has ended and is scaled so that stamp and far image, followed to infinity, hold all light of
 the star. It ends where a pixel of its mean over a few degrees, the brightest ones, holds ``FarLight.ends_e``, and for
-stars above ``FarLight.saturated_e`` no nearer than where `BEYOND` of the light is left. Charge diffusion, which moves
-light by less than a pixel, and the change of the aperture over the field are left out.
+stars whose brightest pixel holds more than ``FarLight.saturated_e`` no nearer than where `BEYOND` of the light is left.
+Charge diffusion, which moves light by less than a pixel, and the change of the aperture over the field are left out.
 """
 
 from __future__ import annotations
@@ -200,7 +200,8 @@ def add_far_images(
         if known is None:
             return
         unit, light_e = known.unit_px(float(share[s, b] @ wave)), float(electrons[s, b])
-        end = known.radius_px(light_e, unit, far.ends_e, light_e > far.saturated_e)
+        brightest = float(stamps.pixels[s, b].max() * light.electrons[stars[s], b])
+        end = known.radius_px(light_e, unit, far.ends_e, brightest > far.saturated_e)
         if end < radius_px + 1.0:
             continue
         star = int(stars[s])
