@@ -28,11 +28,11 @@ from calib.attitude.star_attitude import identify_stars
 from calib.cameras.base import CameraModel
 from calib.flags import StarFlag
 from calib.measure.background import estimate_background
-from calib.measure.centroid import get_centroider
+from calib.measure.centroid import Centroider, get_centroider
 from calib.measure.find import find_stamps
 from calib.measure.image import image_from_frame, subtract_dark
 from calib.measure.stamps import ring_background, stamps_from_windows
-from calib.records import NoiseModel, StarTable
+from calib.records import NoiseModel, Stamps, StarTable
 from optics.arrays import FloatArray
 from optics.attitude import aberrated, quat_xyzw
 from optics.errors import DomainError
@@ -276,7 +276,8 @@ class StarTracker:
             raise DomainError(f"fewest = {fewest}, most = {most}: at least 3, and not more than the second, are needed")
         self.model, self.guides = model, guides
         self._dark, self._noise, self._window = dark_dn, noise, window_px
-        self._centroider = get_centroider(centroid, **({"epsf": tuple(psfs)} if len(psfs) else {}))
+        self._centroid, self._psfs = centroid, tuple(psfs)
+        self._centroider([])  # refuses an unknown name, or PSFs that are missing, now
         self._psf_place = np.zeros((1, 2)) if psf_place_px is None else np.asarray(psf_place_px, float)
         self._threshold, self._fwhm = threshold_sigma, fwhm_px
         self._fewest, self._most, self._gate, self._star_error = fewest, most, gate_px, star_error_px
@@ -425,7 +426,19 @@ class StarTracker:
             electrons = np.where(stamps.valid, electrons - dark, 0.0)
         level = ring_background(electrons, stamps.valid)
         stamps = replace(stamps, electrons=electrons, background_e=level)
-        return self._centroider.measure(stamps, noise if self._noise is None else self._noise)
+        return self._fitted(stamps, noise if self._noise is None else self._noise)
+
+    def _centroider(self, rows: Any) -> Centroider:
+        """The centroider, told some of the PSFs."""
+        some = tuple(self._psfs[row] for row in rows) or self._psfs[:1]
+        return get_centroider(self._centroid, **({"epsf": some} if some else {}))
+
+    def _fitted(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
+        """Centroids; each PSF that is near a star is prepared, no other."""
+        if not self._psfs:
+            return self._centroider([]).measure(stamps, noise)
+        rows, index = np.unique(stamps.psf_index, return_inverse=True)
+        return self._centroider(rows).measure(replace(stamps, psf_index=index), noise)
 
     def _nearest_psf(self, place: FloatArray) -> NDArray[np.int64]:
         return np.asarray(((place[:, None] - self._psf_place) ** 2).sum(-1).argmin(1))
@@ -465,7 +478,7 @@ class StarTracker:
         if not len(stamps):
             return _nothing(time_s, "acquisition", "few_stars")
         stamps = replace(stamps, psf_index=self._nearest_psf(stamps.start_px))
-        stars = self._centroider.measure(stamps, image.noise)
+        stars = self._fitted(stamps, image.noise)
         known = _Known(id=self.guides.id, direction=self._apparent(slice(None), velocity))
         found = identify_stars(stars, self.model, known, database=self._database)
         # bright stars in sharp focus look like hot pixels; then all that shines is asked, at last the brightest alone

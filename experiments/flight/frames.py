@@ -30,7 +30,6 @@ from optics.arrays import FloatArray
 from optics.attitude import aberrated, attitude_error_arcsec
 from optics.records import freeze
 from optics.units import ARCSEC_RAD
-from render.catalogue.index import build_index
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.forward import StarRenderer
@@ -106,7 +105,7 @@ class Camera:
         chip = self.nominal.detector
         self.streams = Streams(config.seed).child("flight", "old" if budget.old else "new")
         self.detector = chip
-        self.index = build_index(budget.stars)
+        self._cos_reach = np.cos(1.1 * field_of_view(self.nominal.camera, margin_px=MARGIN_PX).radius_rad)
         self._renderers: dict[bytes, StarRenderer] = {}
 
     def renderer(self, state_k: FloatArray) -> StarRenderer:
@@ -124,9 +123,7 @@ class Camera:
         """Noiseless electrons (h, w) of an exposure about a time."""
         path = self.flight.trajectory if trajectory is None else trajectory
         exposure, attitude = self.config.instrument.exposure_s, path.attitude(time_s)
-        view = field_of_view(self.nominal.camera, margin_px=MARGIN_PX)
-        reach = 1.1 * view.radius_rad
-        row = np.flatnonzero(self.budget.direction @ attitude.as_matrix()[2] > np.cos(reach))
+        row = np.flatnonzero(self.budget.direction @ attitude.as_matrix()[2] > self._cos_reach)
         seen = aberrated(self.budget.direction[row], self.flight.velocity_km_per_s(time_s))
         stars = self.budget.nominal.state.light.stars(
             seen, self.budget.stars.magnitude[row], self.budget.temperature_k[row]
