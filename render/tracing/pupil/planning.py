@@ -230,6 +230,7 @@ class PupilPlanner:
         self.program, self.theta = compile_lens(_open_stop(lens) if self.pupil.exact else lens, general=general)
         self._aim = aimed_lens(lens, self.program, self.theta)
         self._plans: dict[Any, tuple[Order, float] | None] = {}
+        self._transmissions: dict[bytes, PupilTransmission | None] = {}
 
     def kernel(
         self, direction: FloatArray, shear: FloatArray | None = None, collimation: Collimation | None = None
@@ -247,7 +248,10 @@ class PupilPlanner:
 
     def transmission(self, wavelength_nm: FloatArray) -> PupilTransmission | None:
         """Transmission of rays over that of the axis at wavelengths (b, k); None where it is 1."""
-        return fit_transmission(self.camera, self.pupil, wavelength_nm)
+        key = wavelength_nm.tobytes()
+        if key not in self._transmissions:
+            self._transmissions[key] = fit_transmission(self.camera, self.pupil, wavelength_nm)
+        return self._transmissions[key]
 
     def received(self, nodes: FloatArray) -> FloatArray:
         """Light (n, t) of stars in directions (n, t, 3) that the launch disk takes, relative to the axis."""

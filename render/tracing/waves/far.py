@@ -19,6 +19,7 @@ import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,7 @@ MOST_TIMES = 8
 """Places along a trail from which far images are added up."""
 
 _kept: dict[bytes, FarImage | None] = {}
+_of: WeakKeyDictionary[PupilPlanner, FarImage | None] = WeakKeyDictionary()
 MOST_KEPT = 4
 
 
@@ -94,6 +96,8 @@ class FarImage:
 
 def far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
     """Far image of a planner's camera; None where no light of the axis arrives or pupil and image are turned askew."""
+    if planner in _of:
+        return _of[planner]
     camera = planner.camera
     plain = replace(camera, rotation_cam_from_world=np.eye(3), response=None, far=None, losses=None, scatter=None)
     key = pickle.dumps(plain)
@@ -101,6 +105,7 @@ def far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
         while len(_kept) >= MOST_KEPT:
             _kept.pop(next(iter(_kept)))
         _kept[key] = _far_image(planner, wavelength_nm)
+    _of[planner] = _kept[key]
     return _kept[key]
 
 
