@@ -423,8 +423,8 @@ def page(found: Found) -> str:
             "Functions that ran on both sides of each comparison, traced in quick runs by",
             "`python benchmarks/independence.py`; records, checks of input, units, the harness and array backends are",
             "left out. An agreement says nothing about an equation that both sides use: that is for tests, which stand",
-            "in `tests/` under the name of the room; [random mutants](validation/evidence.md) show how many errors they "
-            "notice.",
+            "in `tests/` under the name of the room; [random mutants](validation/evidence.md) show how many errors "
+            "they notice.",
         ],
         overview(found),
         ["## What sharing can hide"],
