@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -272,43 +273,30 @@ def equation_svg(latex: str, *, prefix: str = "e") -> str:
         return figure_svg(figure, prefix=prefix)
 
 
-_LOBES = (
-    ((0.362, 442.0, 0.0624, 0.0374), (1.056, 599.8, 0.0264, 0.0323), (-0.065, 501.1, 0.0490, 0.0382)),
-    ((0.821, 568.8, 0.0213, 0.0247), (0.286, 530.9, 0.0613, 0.0322)),
-    ((1.217, 437.0, 0.0845, 0.0278), (0.681, 459.0, 0.0385, 0.0725)),
-)
-"""CIE 1931 2 degree colour-matching functions as Gaussians: height, centre [nm], steepness below and above it [1/nm]
-(Wyman, Sloan and Shirley 2013, J. Computer Graphics Techniques 2 (2), 1)."""
-_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
-"""Linear sRGB of CIE XYZ (IEC 61966-2-1)."""
-_WHITE = np.array([0.95047, 1.0, 1.08883])
-"""D65."""
+@lru_cache(maxsize=1)
+def _cie() -> tuple[np.ndarray, np.ndarray]:
+    """CIE 1931 2 degree colour-matching functions: wavelength (n,) [nm], xyz (n, 3); from colour-science."""
+    import colour
 
-
-def _cie(wavelength_nm: np.ndarray) -> np.ndarray:
-    """Colour-matching functions (n, 3) at wavelengths (n,)."""
-
-    def lobe(height: float, centre: float, below: float, above: float) -> np.ndarray:
-        away = wavelength_nm - centre
-        return np.asarray(height * np.exp(-0.5 * (away * np.where(away < 0.0, below, above)) ** 2))
-
-    return np.stack([np.sum([lobe(*one) for one in lobes], axis=0) for lobes in _LOBES], axis=-1)
+    functions = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    return np.asarray(functions.wavelengths, dtype=float), np.asarray(functions.values, dtype=float)
 
 
 def wavelength_colour(wavelength_nm: float, *, width_nm: float = 20.0, lightness: float = 55.0) -> str:
     """Colour of a band of light on a screen: the hue is the light's, the lightness is chosen so that it can be read."""
     if not (np.isfinite(wavelength_nm) and wavelength_nm > 0):
         raise DomainError(f"wavelength_nm = {wavelength_nm} nm; it must be positive")
-    half_nm = max(width_nm, 2.0) / 2.0
-    tristimulus = _cie(np.clip(wavelength_nm, 420.0, 640.0) + np.linspace(-half_nm, half_nm, 21)).mean(axis=0)
-    x, y, z = np.cbrt(tristimulus / tristimulus[1] * 0.3 / _WHITE)  # CIE L*a*b*, above its straight part
-    middle, less = (lightness + 16.0) / 116.0, np.linspace(1.0, 0.0, 201)
-    root = np.stack([middle + less * (x - y), np.full(201, middle), middle - less * (y - z)], axis=-1)
-    straight = 6.0 / 29.0
-    xyz = _WHITE * np.where(root > straight, root**3, 3.0 * straight**2 * (root - 4.0 / 29.0))
-    linear = xyz @ _SRGB.T
-    shown = np.where(linear > 0.0031308, 1.055 * np.maximum(linear, 0.0) ** (1 / 2.4) - 0.055, 12.92 * linear)
-    inside = ((shown >= -1e-4) & (shown <= 1.0 + 1e-4)).all(axis=1)
+    import colour
+
+    wavelengths, xyz = _cie()
+    centre = float(np.clip(wavelength_nm, 420.0, 690.0))
+    band = np.abs(wavelengths - centre) <= max(width_nm, 2.0) / 2.0
+    tristimulus = xyz[band].mean(axis=0)
+    white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+    _, a, b = colour.XYZ_to_Lab(tristimulus / tristimulus[1] * 0.3, white)
+    lab = np.array([lightness, a, b]) * np.linspace([1.0, 1.0, 1.0], [1.0, 0.0, 0.0], 201)
+    shown = colour.XYZ_to_sRGB(colour.Lab_to_XYZ(lab, white), white)
+    inside = ((shown >= -1e-6) & (shown <= 1.0 + 1e-6)).all(axis=1)
     shown = shown[inside.argmax() if inside.any() else -1]  # the least that is taken away
     return "#" + "".join(f"{round(255 * float(channel)):02x}" for channel in np.clip(shown, 0.0, 1.0))
 

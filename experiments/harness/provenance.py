@@ -37,6 +37,7 @@ _PACKAGES = (
     "numpy",
     "scipy",
     "astropy",
+    "colour-science",
     "scikit-image",
     "pydantic",
     "matplotlib",

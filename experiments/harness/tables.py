@@ -143,7 +143,8 @@ def to_astropy(table: Table) -> astropy.table.Table:
 def write_ecsv(table: Table | astropy.table.Table, path: Path) -> None:
     """Write an ECSV file, which astropy, TOPCAT and any CSV reader that skips ``#`` can read."""
     made = to_astropy(table) if isinstance(table, Table) else table
-    with np.printoptions(legacy=False):  # NumPy's 1.13 style, which a user's program may have set, has 12 digits
+    # Importing colour-science switches NumPy's printing to its 1.13 style, 12 digits, which astropy then writes.
+    with np.printoptions(legacy=False):
         made.write(path, format="ascii.ecsv", delimiter=",")
 
 
