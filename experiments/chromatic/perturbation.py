@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import brentq
@@ -19,12 +20,16 @@ from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.lens.perturb import decentre, tilt
 from optics.lens.system import LensSystem
+from render.camera import PathLosses
 from render.tracing.tracer import Tracer
 
 __all__ = ["ELEMENTS", "MOVEMENT", "Movement", "Solution", "choose", "perturbed", "solve", "solve_perturbation"]
 
 REACHED_PX = 1e-12
 """A mean shift that differs by no more from the wanted one needs no movement; mirrors have no other."""
+POLISHED_PX = 3e-7
+POLISHINGS = 5
+"""Difference from the wanted entry that is left, and how many corrections are made at most."""
 LIMIT = {"decentre": 3.0, "tilt": 3.0}
 """Largest movement that is tried [mm, deg]."""
 UNIT = {"decentre": 1e3, "tilt": 60.0}
@@ -127,16 +132,19 @@ def solve_perturbation(
     lens = instrument.camera.lens
     stars = point_field(bench, instrument, direction.reshape(-1, 3))
 
-    def means(amount: float) -> FloatArray:
-        camera = replace(instrument.camera, lens=perturbed(lens, element, kind, axis, amount))
+    def means(amount: float, losses: PathLosses | None) -> FloatArray:
+        camera = replace(instrument.camera, lens=perturbed(lens, element, kind, axis, amount), losses=losses)
         mean = Tracer(camera, general=True).bundle_means(stars, rings=4, arms=12)
         return mean.reshape(*direction.shape[:2], len(bench.filters), 2)
 
-    def excess(amount: float) -> float:
-        return float(table1(shifts(means(amount), bench.pairs)[pair])[axis]) - wanted_px
+    def excess(amount: float, losses: PathLosses | None = None) -> float:
+        return float(table1(shifts(means(amount, losses), bench.pairs)[pair])[axis]) - wanted_px
 
-    amount, rest = _root(excess, LIMIT[kind]), means(0.0)
-    there = means(amount) if np.isfinite(amount) else np.full_like(rest, np.nan)
+    weights = instrument.camera.losses
+    amount, rest = _root(excess, LIMIT[kind]), means(0.0, weights)
+    if np.isfinite(amount) and weights is not None:
+        amount = _polished(partial(excess, losses=weights), excess, amount)
+    there = means(amount, weights) if np.isfinite(amount) else np.full_like(rest, np.nan)
     entries = np.array([table1(shift) for shift in shifts(there, bench.pairs).values()])
     boresight = (there - rest)[:, :, bench.reference].mean((0, 1))
     shown = f"{amount * 1e3:+.0f} µm" if kind == "decentre" else f"{amount * 60.0:+.1f} arcmin"
@@ -152,6 +160,18 @@ def solve_perturbation(
         boresight_px=boresight,
         image_px=float(boresight[axis]),
     )
+
+
+def _polished(weighted: Callable[[float], float], plain: Callable[[float], float], amount: float) -> float:
+    """Root of the rays weighted by their transmission, from that of rays that weigh alike: 1 % away, one slope."""
+    step = 1e-2 * abs(amount) + 1e-6
+    slope = (plain(amount + step) - plain(amount - step)) / (2 * step)
+    for _ in range(POLISHINGS):
+        off = weighted(amount)
+        if abs(off) < POLISHED_PX:
+            return amount
+        amount -= off / slope
+    return amount
 
 
 def _root(excess: Callable[[float], float], limit: float) -> float:
