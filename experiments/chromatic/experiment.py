@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.chromatic.perturbation import ELEMENTS, MOVEMENT, Movement, choose, solve
+from experiments.chromatic.perturbation import ELEMENTS, MOVEMENT, Movement, choose, solve, solve_perturbation
 from experiments.chromatic.settings import Config
 from experiments.chromatic.stars import STARS, stars_of, stellar_shift
 from experiments.harness.drawings import curves
@@ -409,9 +409,11 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     band = open_band(config.passband, instrument, "full pass band")
     signal = signal_of(config, band, instrument, config.stars.reference_k)
     bench, direction = laboratory(config, instrument, signal.signal_e)
-    solutions = solve(config, bench, instrument, direction, progress)
-    chosen = choose(config, bench, instrument.camera.lens, solutions)
-    axis = "xy".index(config.decentre.axis)
+    solutions, axis = solve(config, bench, instrument, direction, progress), "xy".index(config.decentre.axis)
+    picked, wanted_px = choose(config, bench, instrument.camera.lens, solutions), config.decentre.wanted_px
+    move: dict[str, Any] = {"element": picked.element, "kind": picked.kind, "pair": config.pair, "axis": axis}
+    chosen = solve_perturbation(bench, instrument, direction, wanted_px=wanted_px, **move)
+    solutions = [chosen if solution is picked else solution for solution in solutions]
     moved = build_instrument(config.instrument, chosen.apply(instrument.camera.lens, axis))
     streams = Streams(config.seed).child("chromatic")
     lenses, stars = [], []

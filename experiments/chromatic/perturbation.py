@@ -69,7 +69,8 @@ ELEMENTS = Section(
     hidden="solution",
     across="pair",
     caption="Movement of each element that gives the wanted entry of Table 1, and what the other pairs then show.",
-    note="By ray trace. Empty: not within 3 mm or 3 deg. Tilts are about the element's first vertex. Decentres count "
+    note="By ray trace, rays weighted equally but for the rendered movement. "
+    "Empty: not within 3 mm or 3 deg. Tilts are about the element's first vertex. Decentres count "
     "along increasing column (x), against increasing row (y).",
 )
 
@@ -100,7 +101,7 @@ def perturbed(lens: LensSystem, element: str, kind: str, axis: int, amount: floa
 def solve(
     config: Config, bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress
 ) -> list[Solution]:
-    """Every element, decentred and tilted."""
+    """Every element, decentred and tilted; rays weigh alike, which changes a movement by some 1 %."""
     moves = [(element, kind) for kind in LIMIT for element in instrument.camera.lens.elements]
     return [
         solve_perturbation(
@@ -112,6 +113,7 @@ def solve(
             pair=config.pair,
             axis="xy".index(config.decentre.axis),
             wanted_px=config.decentre.wanted_px,
+            weighted=False,
         )
         for element, kind in progress.track(moves, "which element")
     ]
@@ -127,8 +129,12 @@ def solve_perturbation(
     pair: str,
     axis: int,
     wanted_px: float,
+    weighted: bool = True,
 ) -> Solution:
-    """How far one element has to move for the entry of one pair of bands to reach a value."""
+    """How far one element has to move for the entry of one pair of bands to reach a value.
+
+    ``weighted``: each ray counts by the transmission of its own path, which takes seconds in place of tenths.
+    """
     lens = instrument.camera.lens
     stars = point_field(bench, instrument, direction.reshape(-1, 3))
 
@@ -140,7 +146,7 @@ def solve_perturbation(
     def excess(amount: float, losses: PathLosses | None = None) -> float:
         return float(table1(shifts(means(amount, losses), bench.pairs)[pair])[axis]) - wanted_px
 
-    weights = instrument.camera.losses
+    weights = instrument.camera.losses if weighted else None
     amount, rest = _root(excess, LIMIT[kind]), means(0.0, weights)
     if np.isfinite(amount) and weights is not None:
         amount = _polished(partial(excess, losses=weights), excess, amount)
