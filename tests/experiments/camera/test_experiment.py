@@ -40,7 +40,7 @@ def test_frames_confirm_the_prediction(sensor, tmp_path, engine):
     """Every criterion of a healthy sensor holds, and all of them are there."""
     status, summary, page = run(sensor, tmp_path)
     assert status == 0
-    assert len(summary["criteria"]) == 6
+    assert len(summary["criteria"]) == 7
     frames = summary["results"]["frames"]
     assert frames["nea"]["measured"] == pytest.approx(frames["nea"]["predicted"], rel=0.15)
     assert "Frames against the prediction" in page
@@ -52,7 +52,7 @@ def test_frames_of_a_sensor_that_turns(sensor, tmp_path, engine):
     slew = ("--set", "slew.rate_deg_per_s=0.25", "--set", "slew.direction_deg=30", "--set", "window_px=13")
     status, summary, page = run(sensor, tmp_path, *slew, "--set", "tornado.parameters=[]")
     assert status == 0
-    assert len(summary["criteria"]) == 6
+    assert len(summary["criteria"]) == 7
     assert "trail" in page
 
 
