@@ -102,7 +102,15 @@ COMPONENTS = ("mean_k", "axial_k", "transverse_x_k", "transverse_y_k", "radial_k
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mount:
-    """Radii at which spacers touch the front and the back face of an element [mm]; 0: at the vertex."""
+    """Where spacers touch an element.
+
+    Attributes
+    ----------
+    front_radius_mm : float
+        Radius of contact on the front face [mm]; 0: at the vertex.
+    back_radius_mm : float
+        The same on the back face.
+    """
 
     front_radius_mm: float = 0.0
     back_radius_mm: float = 0.0
