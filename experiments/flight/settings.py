@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -122,6 +122,9 @@ class StraylightConfig(StrictModel):
     moon_exclusion_deg: float = Field(default=0.0, ge=0, le=180, description="nearer to the Moon")
 
 
+Alignment = Annotated[float, Field(ge=-36000, le=36000)]
+
+
 class TrackerConfig(StrictModel):
     """How the tracker works."""
 
@@ -131,7 +134,7 @@ class TrackerConfig(StrictModel):
     fewest: int = Field(default=4, ge=3, le=100, description="stars that an attitude needs")
     most: int = Field(default=30, ge=3, le=1000, description="stars that are tracked at most")
     gate_px: float = Field(default=2.0, gt=0, le=50, description="from its place after the common shift")
-    alignment_arcsec: tuple[float, float, float] = Field(
+    alignment_arcsec: tuple[Alignment, Alignment, Alignment] = Field(
         default=(0.01, -0.005, 0.2), description="error of the alignment on ground, about x, y, roll"
     )
     wrong_sigma: float = Field(default=20.0, gt=3, le=1e4, description="an error beyond so many sigma is wrong")

@@ -61,5 +61,6 @@ def test_positions_are_the_bundle_means(rendered):
     assert min(phases) > 0.5, "the stars must sit at different phases for this to say anything"
     assert np.abs(table.x_px - truth_x).max() < 2e-4
     assert np.abs(table.y_px - truth_y).max() < 2e-4
-    arrived = image.truth.electrons_image + image.truth.electrons_beyond  # the ePSF lacks what the image lacks
+    truth = image.truth  # the ePSF lacks what the image lacks: light beyond it, and of the far image off the edge
+    arrived = truth.electrons_image + truth.electrons_beyond + truth.electrons_off_edge
     assert table.flux_e == pytest.approx(arrived[:, 0], rel=1e-4)
