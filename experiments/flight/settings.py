@@ -215,7 +215,7 @@ experiment = Experiment(
     run="experiment:run",
     sections="experiment:SECTIONS",
     axes="experiment:axes",
-    takes="5 min (--quick: 1 min)",
+    takes="90 s (--quick: 40 s)",
     examples={
         "--quick": "a small run",
         "--sensor my.toml": "your own sensor",
