@@ -11,8 +11,6 @@ from click.shell_completion import get_completion_class
 from experiments.harness.interrupts import invoke
 from experiments.harness.registry import Commands, found, version_option
 
-__all__ = ["COMMANDS", "console", "main", "starbench"]
-
 COMMANDS = {
     "all": ("experiments.harness.together:run_all", "every experiment in turn, and a page that links their reports"),
     "completion": (f"{__name__}:completion", "completion of all this in bash, zsh or fish: completion bash"),

@@ -24,8 +24,6 @@ from experiments.harness.interrupts import invoke
 from experiments.harness.outputs import PROGRAM
 from experiments.harness.registry import version_of
 
-__all__ = ["KNOWN_LLVM", "Finding", "doctor", "findings", "probe"]
-
 KNOWN_LLVM = range(15, 20)
 OPTIONAL = ("solve", "online", "export", "loaders")
 """Extras that add abilities; the others serve tests and development."""

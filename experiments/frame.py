@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from calib.records import SensorImage
     from optics.page import Marks
 
-__all__ = ["frame"]
-
 CARDS = ("OBJECT", "DATE-OBS", "EXPTIME", "FILTER", "INSTRUME", "TELESCOP", "GAIN", "CCD-TEMP")
 NEAR_PX = 3.0
 HELP = """Frames as pages to zoom into: pixel values, stars, truth, catalogue. Any FITS image; no server, no network."""

@@ -39,8 +39,6 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, below, col
 from optics.errors import DomainError
 
-__all__ = ["SECTIONS", "axes", "check_design", "run"]
-
 METHOD_NAMES = {
     "acc": "ACC",
     "linked": "ACC, gyro weighted",

@@ -14,8 +14,6 @@ from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured
 from optics.arrays import FloatArray, IntArray
 
-__all__ = ["GAIN", "gains", "sweep_points"]
-
 RESAMPLES = 300
 
 Row = Sequence[Measured]

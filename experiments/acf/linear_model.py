@@ -31,19 +31,6 @@ if TYPE_CHECKING:
 
     from calib.cameras.base import CameraModel
 
-__all__ = [
-    "Design",
-    "GyroError",
-    "Reprojection",
-    "correlated",
-    "free",
-    "linked",
-    "reprojection",
-    "reprojections",
-    "sight_arcsec",
-    "sight_operator",
-]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Design:

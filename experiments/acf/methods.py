@@ -23,8 +23,6 @@ from experiments.harness.summary import Measured, measured
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
-__all__ = ["ERRORS", "METHODS", "RATIOS", "fig5_points", "methods"]
-
 ERRORS = ("x0", "y0", "f", "distortion", "line_of_sight")
 """By which Fig. 5 judges a method: three parameters, the largest residual distortion; and the line of sight."""
 RATIOS: dict[str, tuple[Method, Method]] = {

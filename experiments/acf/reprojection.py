@@ -21,21 +21,6 @@ from experiments.harness.sections import Section, col, ratio_near
 from experiments.harness.summary import Measured, measured
 from optics.arrays import FloatArray
 
-__all__ = [
-    "REPROJECTION",
-    "counts",
-    "counts_points",
-    "fig3",
-    "fig3_points",
-    "fig4",
-    "inferred_point",
-    "matching_stars",
-    "overall",
-    "root_mean_square",
-    "scatter",
-    "table2_point",
-]
-
 FIG4_RMS_PX = np.array([0.0132, 0.0123])
 """ACF17 Fig. 4: RMS reprojection error, x and y, for 0.1 px of star noise and the gyro of Table 1."""
 FIG4_LARGEST_PX = 0.04

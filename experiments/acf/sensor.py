@@ -17,9 +17,6 @@ from optics.lens.measured import MeasuredLens
 from optics.rays.chief import chief_ray_points
 from render.camera import Camera
 
-__all__ = ["camera_settings"]
-
-
 POINTS = 15
 """Along each side of the detector; seven would determine the four unknowns."""
 

@@ -16,8 +16,6 @@ from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentCon
 from experiments.laboratory.settings import InstrumentConfig
 from optics.validate import parse_model
 
-__all__ = ["CameraConfig", "Config", "GyroConfig", "SkyConfig", "StartConfig", "SweepConfig", "experiment", "main"]
-
 WIDEST_DEG = 120.0
 """Across the diagonal; a rectilinear image of more is all edge."""
 UNKNOWNS = 14

@@ -22,21 +22,6 @@ from optics.units import DEG_RAD
 from render.engine.random import Streams
 from render.motion.gyro import Gyro, simulate_gyro_runs
 
-__all__ = [
-    "HOUR_S",
-    "Scene",
-    "Stars",
-    "TurningAxis",
-    "build_camera",
-    "build_scene",
-    "choose_frames",
-    "draw_stars",
-    "gyro_rotations",
-    "observe",
-    "start_camera",
-]
-
-
 HOUR_S = 3600.0
 TILT = float(np.arctan(np.sqrt(0.5)))
 """Of the turning axis against its plane: each body axis then has the same mean square rate."""

@@ -24,8 +24,6 @@ from experiments.harness.summary import Measured
 from optics.arrays import FloatArray
 from optics.units import DEG_RAD
 
-__all__ = ["TABLE2", "UNKNOWNS", "Covariances", "covariances", "implied", "sums", "table2"]
-
 UNKNOWNS = ("x0", "y0", "f", "q1", "q2", "q3", "p1", "p2", "phi1", "phi2", "phi3", "theta1", "theta2", "theta3")
 UNITS = ("px", "px", "mm", "mm⁻²", "mm⁻⁴", "mm⁻⁶", "mm⁻¹", "mm⁻¹", *("deg",) * 6)
 # fmt: off

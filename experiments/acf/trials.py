@@ -50,24 +50,6 @@ from optics.errors import BackendError
 from optics.units import DEG_RAD
 from render.engine.random import Streams
 
-__all__ = [
-    "COMPARED",
-    "Field",
-    "Method",
-    "Point",
-    "Sky",
-    "Task",
-    "Trials",
-    "drawn_sights",
-    "field_of",
-    "gyro_error",
-    "perform",
-    "run_tasks",
-    "sky_of",
-    "table1_gyro",
-    "work",
-]
-
 Method = Literal["acc", "linked", "free", "iac", "iac_full"]
 COMPARED: tuple[Method, ...] = ("acc", "linked", "free", "iac", "iac_full")
 """The document's method (ACC), a gyro of stated noise, free attitudes, interstar angles (IAC) as published, and IAC

@@ -35,8 +35,6 @@ from optics.attitude import attitude_error_arcsec
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 
-__all__ = ["LAYOUTS", "READINGS", "SECTIONS", "StarErrors", "attitude_study", "solved_attitude"]
-
 READINGS = {
     "independent": "LSFE independent",
     "as it is": "chromatic common, distortion smooth",

@@ -24,17 +24,6 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = [
-    "TABLE1",
-    "ChromaticTerm",
-    "TracedTarget",
-    "measured_terms",
-    "predicted_terms",
-    "table1_of",
-    "trace_target",
-]
-
-
 ROUNDING_PX = 1e-6
 """Below this a traced mean is rounding, and the statistic is zero."""
 

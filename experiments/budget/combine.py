@@ -17,9 +17,6 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.records import freeze
 
-__all__ = ["ECSS", "FRAME_TERMS", "PRINTED", "SUMS", "TERMS", "Budget", "Value", "combine", "over_stars"]
-
-
 TERMS = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
 FRAME_TERMS = ("TE", "HSFE", "LSFE-S")
 """Terms that frames alone measure: C2 is the scatter of surveys, and C1 of a good lens is that seen once more."""

@@ -36,8 +36,6 @@ from experiments.laboratory.target import corner_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
-__all__ = ["SECTIONS", "axes", "compared", "predict", "pulls", "run"]
-
 EVERY = (*TERMS, *SUMS)
 TESTED = (*FRAME_TERMS, "LSFE-C1", "LSFE-C2")
 AIMED = ("TE", "HSFE", "LSFE-S", "total")

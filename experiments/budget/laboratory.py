@@ -34,21 +34,6 @@ from optics.units import UM_MM
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = [
-    "Laboratory",
-    "build_laboratory",
-    "check_laboratory",
-    "grid_streams",
-    "grid_target",
-    "marking",
-    "moved_lens",
-    "places_px",
-    "platform",
-    "psfs",
-    "rendered_once",
-    "step_plan",
-]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Laboratory:

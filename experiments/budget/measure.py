@@ -34,8 +34,6 @@ from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 
-__all__ = ["Measurement", "measure_terms", "steps_of"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:

@@ -39,8 +39,6 @@ from experiments.laboratory.temporal_error import predict_temporal, small_sample
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 
-__all__ = ["PredictedTerms", "coarse_terms", "predict_terms"]
-
 STEP_NOISE_DRAWS = 60
 """Noisy copies of each window of the step test: their mean is then good to an eighth of the noise of a frame."""
 

@@ -28,19 +28,6 @@ from experiments.laboratory.settings import (
     check_windows,
 )
 
-__all__ = [
-    "AttitudeConfig",
-    "Config",
-    "GridConfig",
-    "MovedConfig",
-    "StepConfig",
-    "ThermalConfig",
-    "ToleranceConfig",
-    "TornadoConfig",
-    "experiment",
-    "main",
-]
-
 
 class MovedConfig(StrictModel):
     """One element of the lens that is not where the design has it."""

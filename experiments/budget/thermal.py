@@ -35,8 +35,6 @@ from optics.lens.system import LensSystem
 from optics.rays.paraxial import axial_paraxial
 from render.engine.random import Streams
 
-__all__ = ["THERMAL", "Thermal", "field_directions", "thermal_term", "warmed"]
-
 METHOD = "cog"
 BRIGHT_E = 6000.0
 """Electrons per star and frame at least: a centre of gravity that drowns in read noise says nothing of the lens."""

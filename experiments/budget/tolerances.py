@@ -31,8 +31,6 @@ from optics.units import UM_MM
 from render.engine.random import Streams
 from render.tracing.tracer import Tracer
 
-__all__ = ["BUILT", "MOVES", "TOLERANCES", "Built", "cubic_basis", "tolerance_study"]
-
 MOVES = ("decentre x", "decentre y", "tilt x", "tilt y", "despace")
 GRID = (9, 5)
 """Field points of the distortion, columns x rows."""

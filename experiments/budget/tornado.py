@@ -17,8 +17,6 @@ from optics.arrays import FloatArray
 from optics.errors import StarbenchError
 from render.detector.spec import load_detector
 
-__all__ = ["TORNADO", "Swing", "parameters", "tornado"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Swing:

@@ -56,8 +56,6 @@ from render.engine.random import Streams
 from render.fits.files import write_frame
 from render.records import Frame
 
-__all__ = ["SECTIONS", "axes", "field_map", "files", "run"]
-
 PIXELS_ALARM = 1e-4
 """Of normal deviates; of 36 points, whose scatter is the standard deviation, it is Student's law and 1 in 1000."""
 

@@ -25,8 +25,6 @@ import numpy as np
 from experiments.reduce.series import SeriesFrames
 from optics.arrays import FloatArray
 
-__all__ = ["Parts", "exchanged", "parts_of_shift"]
-
 LIGHT_FLOOR, WIDTH_FLOOR = 0.03, 0.02
 """How far filters may differ from place to place: vignetting and aberrations that hang on the wavelength."""
 LEAST, LEFT = 25.0, 0.25

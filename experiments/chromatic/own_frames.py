@@ -22,8 +22,6 @@ from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 
-__all__ = ["FilterFrames", "filter_frames", "own_frames"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:

@@ -23,8 +23,6 @@ from optics.lens.system import LensSystem
 from render.camera import PathLosses
 from render.tracing.tracer import Tracer
 
-__all__ = ["ELEMENTS", "MOVEMENT", "Movement", "Solution", "choose", "perturbed", "solve", "solve_perturbation"]
-
 REACHED_PX = 1e-12
 """A mean shift that differs by no more from the wanted one needs no movement; mirrors have no other."""
 POLISHED_PX = 3e-7

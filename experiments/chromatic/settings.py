@@ -22,8 +22,6 @@ from experiments.laboratory.settings import (
     check_windows,
 )
 
-__all__ = ["Config", "DecentreConfig", "experiment", "main"]
-
 
 class DecentreConfig(StrictModel):
     """Which published number is to be reproduced by moving an element."""

@@ -17,8 +17,6 @@ from optics.light.spectrum import Blackbody
 from render.forward import StarRenderer
 from render.records import StarField
 
-__all__ = ["STARS", "Stars", "StellarShift", "stars_of", "stellar_shift"]
-
 NODES = 48
 """Wavelength nodes over the full pass band."""
 

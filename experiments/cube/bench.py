@@ -26,19 +26,6 @@ from render.detector.diffusion import diffuse
 from render.detector.spec import Detector, load_detector
 from render.engine.random import Streams
 
-__all__ = [
-    "FACE_ANGLES_DEG",
-    "Case",
-    "Laboratory",
-    "Truth",
-    "build_laboratory",
-    "check_landing",
-    "draw_truths",
-    "geometry_of",
-    "reflected_spot_mm",
-    "spot_profile",
-]
-
 DATA = Path(__file__).parents[1] / "data"
 FACE_ANGLES_DEG = {"+Z": (0.0, 180.0), "+X": (0.0, 90.0), "-X": (0.0, 270.0)}
 """Nominal (outer, inner) angles that turn a face to the light: the cube sits on the back of the sensor."""

@@ -49,20 +49,6 @@ from optics.units import ARCSEC_RAD, DEG_RAD, RAD_ARCSEC
 from render.bench.sensor import MaskSensor
 from render.engine.random import Streams
 
-__all__ = [
-    "BUDGET",
-    "PUBLISHED_ARCSEC",
-    "BudgetRow",
-    "beam_rates",
-    "build_budget",
-    "eq14_arcsec",
-    "lean_rates",
-    "play_trim",
-    "reading_term",
-    "sigma1_arcsec",
-    "stratified_variance_ratio",
-]
-
 PUBLISHED_ARCSEC = {"pixel": 2.34, "square": 2.0, "mounting": 2.0, "reading": 0.4, "all": 3.69}
 """CUBE09 as printed; its 2.34 comes from 65000 um for 650 mm and should be 2.38."""
 

@@ -52,8 +52,6 @@ from optics.units import DEG_RAD, RAD_ARCSEC, RAD_DEG
 from render.bench.scene import CubePose
 from render.bench.view import overview_scene, overview_sensor, render_overview
 
-__all__ = ["PUBLISHED_TRIMS", "SECTIONS", "axes", "run", "trim_tables"]
-
 VIEW_PX = (760, 440)
 BEAM = np.array([1.0, 0.58, 0.08])
 PAPER = np.array([1.0, 0.99, 0.965])

@@ -28,17 +28,6 @@ from experiments.laboratory.turntable import Turntable
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 
-__all__ = [
-    "CASES",
-    "BenchResult",
-    "CaseResult",
-    "SensorCache",
-    "measured_normal",
-    "reduce_bench",
-    "run_bench",
-    "run_cases",
-]
-
 CASES = (
     Case(name="pixel", label="one pixel (eq. 13)", aim_px=1.0),
     Case(name="trim", label="stop rule", coarse=True),

@@ -39,14 +39,6 @@ from render.bench.trace import OVERSCAN
 from render.detector.noise import PixelNoise
 from render.detector.spec import Detector
 
-__all__ = [
-    "PictureNoise",
-    "SensorNoise",
-    "picture_noise",
-    "sensor_noise",
-]
-
-
 NETS = 48
 """Scrambled nets whose sums give the particles' part: its standard deviation is known to 1 / sqrt(4 NETS) = 7 %."""
 SPOT_NETS = 4

@@ -33,9 +33,6 @@ from render.detector.readout import expose_windows
 from render.detector.spec import Detector
 from render.engine.random import Streams
 
-__all__ = ["SensorCalibration", "SensorRun", "calibrate_sensor", "field_angles", "fit_sensor", "observe_spots"]
-
-
 FREE = ("x0_px", "y0_px", "focal_length_mm")
 LEAN_NAME = "lean_rad"
 EXPOSURE_S = 0.01

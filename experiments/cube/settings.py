@@ -12,8 +12,6 @@ from experiments.harness.config import ExperimentConfig, FileName, StrictModel
 from experiments.harness.experiment import Experiment
 from optics.errors import ConfigError
 
-__all__ = ["Config", "FaceName", "TrimConfig", "experiment", "main"]
-
 FaceName = Literal["+Z", "+X", "-X", "+Y", "-Y", "-Z"]
 
 

@@ -42,20 +42,6 @@ from render.detector.diffusion import diffuse
 from render.detector.readout import expose
 from render.engine.random import Streams
 
-__all__ = [
-    "FaceTrim",
-    "Offset",
-    "Picture",
-    "TrimRow",
-    "exposed",
-    "measure_offset",
-    "spot_light",
-    "take_aperture",
-    "take_spot",
-    "trim_face",
-]
-
-
 RIM_LEVEL = 0.3
 """Contour of the spot, as part of the brightest rim."""
 

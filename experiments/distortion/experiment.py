@@ -40,9 +40,6 @@ from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams
 
-__all__ = ["SECTIONS", "axes", "run"]
-
-
 # --- Before the polynomial, after it, removed
 
 

@@ -26,8 +26,6 @@ from experiments.reduce.series import reduce_series
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["own_frames", "reduce"]
-
 PLACE = "distortion_arcsec_3sigma[method][reference]"
 DIMS = "method reference axis"
 HIGHEST = 9

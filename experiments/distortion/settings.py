@@ -14,8 +14,6 @@ from experiments.laboratory.own_frames import or_own_frames
 from experiments.laboratory.point_settings import PointConfig
 from experiments.laboratory.settings import GridTargetConfig, InstrumentConfig
 
-__all__ = ["Config", "WideConfig", "experiment", "main"]
-
 
 class WideConfig(StrictModel):
     """A camera whose distortion decides the document's numbers, and its target."""

@@ -31,8 +31,6 @@ from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams
 
-__all__ = ["WIDE", "WideField", "WideRun", "wide_field", "wide_run"]
-
 REFERENCE: Reference = "aligned"
 """Shift, roll and scale fitted: the residual is the distortion."""
 

@@ -82,8 +82,6 @@ from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.tracing.psf import epsf_tracer
 
-__all__ = ["SECTIONS", "axes", "check_config", "rendered"]
-
 ACQUISITIONS = ("static", "dynamic")
 CAUSES = {
     "centroids": "centroids",

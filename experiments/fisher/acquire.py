@@ -37,20 +37,6 @@ from render.records import EffectivePsf, StarField, WindowStack
 from render.tracing.psf import render_epsf
 from render.tracing.tracer import Tracer
 
-__all__ = [
-    "Acquisition",
-    "Motion",
-    "Places",
-    "acquire",
-    "merged_nodes",
-    "motion_of",
-    "place_psfs",
-    "smear_px",
-    "smeared_psfs",
-    "visit_once",
-]
-
-
 CHUNK = 32
 """Places whose response is found at once; bounds the memory."""
 FEWEST_SEEN = 0.9

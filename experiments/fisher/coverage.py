@@ -18,9 +18,6 @@ from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 
-__all__ = ["COVERAGE", "DISTRIBUTIONS", "LEVELS", "CoveragePoint", "coverage", "true_sigma"]
-
-
 LEVELS = (0.6827, 0.95)
 SIGMA_ARCSEC = 0.5
 ANISOTROPY = 3.0

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from experiments.fisher import accuracy
-from experiments.fisher.accuracy import axes, check_config, rendered
+from experiments.fisher.accuracy import check_config, rendered
 from experiments.fisher.coverage import COVERAGE, DISTRIBUTIONS, coverage
 from experiments.fisher.field_of_view import FIELDS, field_sweep
 from experiments.fisher.settings import Config
 from experiments.harness.progress import Progress
 from render.engine.random import Streams
-
-__all__ = ["SECTIONS", "axes", "run"]
 
 SECTIONS = {**accuracy.SECTIONS, "fields": FIELDS, "coverage": COVERAGE}
 

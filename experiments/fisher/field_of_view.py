@@ -39,18 +39,6 @@ from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 
-__all__ = [
-    "FIELDS",
-    "FieldPoint",
-    "baseline_over_sphere",
-    "closed_form",
-    "field_sweep",
-    "ideal_camera",
-    "pixel_noise_form",
-    "vectors_needed",
-]
-
-
 SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
 NODES = 64
 """Of the Gauss-Legendre rule over half a side."""

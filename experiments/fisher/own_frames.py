@@ -29,8 +29,6 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
 
-__all__ = ["own_frames"]
-
 FEWEST = 10
 """Star vectors below which an accuracy means little."""
 

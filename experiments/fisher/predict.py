@@ -32,20 +32,6 @@ from experiments.laboratory.single_star.derivatives import angle_effect, design,
 from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 
-__all__ = [
-    "Scatter",
-    "calibration_of_rows",
-    "covariance_of_rows",
-    "jitter_covariance_px2",
-    "on_the_sphere",
-    "predict_independent",
-    "predict_same_data",
-    "ratio_scatter",
-    "table_covariance_px2",
-    "tangent_maps",
-]
-
-
 STAR_COLUMNS = 2
 
 

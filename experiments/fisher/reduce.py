@@ -29,9 +29,6 @@ from optics.arrays import FloatArray
 from optics.records import freeze
 from optics.units import RAD_ARCSEC
 
-__all__ = ["CONFIDENCE", "Evaluation", "baseline_px", "evaluate", "expected_px"]
-
-
 CONFIDENCE = 0.95
 """Of the intervals that are reported."""
 

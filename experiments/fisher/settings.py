@@ -13,8 +13,6 @@ from experiments.laboratory.own_frames import or_own_frames
 from experiments.laboratory.settings import SignalConfig
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 
-__all__ = ["Config", "CoverageConfig", "DynamicConfig", "EvaluationConfig", "FieldConfig", "experiment", "main"]
-
 
 def _table() -> TableConfig:
     # FISHER23 calls its table one "of high precision" and gives no number. Better than CUBE09's (0.3 and 0.4 arcsec),
@@ -109,7 +107,7 @@ rendered = Experiment(
     config=Config,
     run="experiment:run",
     sections="experiment:SECTIONS",
-    axes="experiment:axes",
+    axes="accuracy:axes",
     takes="40 s (--quick: 20 s)",
     examples={
         "--quick": "a small run",

@@ -24,8 +24,6 @@ from experiments.harness.summary import Measured
 from experiments.harness.tables import Table
 from optics.errors import DomainError
 
-__all__ = ["Artist", "Equation", "Figure", "KeyNumber", "Row"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figure:

@@ -18,8 +18,6 @@ from experiments.harness.registry import version_option
 from experiments.harness.run import ExperimentRun, Options, configuration, perform
 from optics.errors import ConfigError
 
-__all__ = ["Main", "command"]
-
 
 class Main(click.Group):
     """An experiment as a command; a call runs it and gives the exit status. It may have subcommands."""

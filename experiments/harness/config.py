@@ -17,22 +17,6 @@ from pydantic.fields import FieldInfo
 from optics.errors import ConfigError
 from optics.validate import MOST_LEVELS, parse_model, read_toml, refuse_values, without_lax
 
-__all__ = [
-    "AngleDeg",
-    "ExperimentConfig",
-    "FileName",
-    "FolderName",
-    "PlacePx",
-    "StrictModel",
-    "WavelengthNm",
-    "absolute",
-    "alternatives",
-    "load_config",
-    "read_settings",
-    "unit_of",
-    "with_settings",
-]
-
 Model = TypeVar("Model", bound=BaseModel)
 
 

@@ -40,8 +40,6 @@ from experiments.harness.summary import CRITERIA_NOTE, Criterion, Measured, dump
 from experiments.harness.tables import Table, cell_text, significant
 from optics.errors import ConfigError, DomainError, unknown_name
 
-__all__ = ["render_document"]
-
 _MARK = re.compile("(?:<p>)?\ue000(\\d+)\ue001(?:</p>)?")
 _SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|~&])")
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from experiments.harness.quantities import Outcome
 
-__all__ = ["Drawing", "arrows", "bars", "cloud", "curves", "image", "maps", "scatter"]
-
 Drawing = Callable[["Outcome"], "Figure"]
 GREY, SHADE = "#8a9099", "#eef0f2"
 

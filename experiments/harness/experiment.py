@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from experiments.harness.summary import Criterion
     from experiments.harness.tables import Table
 
-__all__ = ["Experiment"]
-
 Part = str | Callable[..., Any]
 
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from markupsafe import Markup, escape
 
-__all__ = ["GLOSSARY", "Glossary", "Term"]
-
 
 @dataclass(frozen=True, slots=True)
 class Term:

@@ -16,17 +16,6 @@ import click
 
 from optics.errors import StarbenchError
 
-__all__ = [
-    "EXIT_BAD_INPUT",
-    "EXIT_BROKEN",
-    "EXIT_FAILED",
-    "EXIT_GOOD",
-    "EXIT_INTERRUPTED",
-    "NOTHING_WRITTEN",
-    "interrupts",
-    "invoke",
-]
-
 EXIT_GOOD, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_BROKEN, EXIT_INTERRUPTED = 0, 1, 2, 3, 130
 NOTHING_WRITTEN = "interrupted; nothing was written"
 

@@ -18,8 +18,6 @@ from experiments.harness.interrupts import NOTHING_WRITTEN
 from experiments.harness.system import signals_held
 from optics.errors import ConfigError
 
-__all__ = ["PROGRAM", "RECORD", "OutputFolder", "flat", "shown_value"]
-
 PROGRAM = "starbench"
 RECORD = "provenance.json"
 

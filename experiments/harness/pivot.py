@@ -13,8 +13,6 @@ from optics.errors import DomainError
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Pivot", "pivot"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pivot:

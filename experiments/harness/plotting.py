@@ -28,24 +28,6 @@ from matplotlib.font_manager import FontProperties  # noqa: E402
 from experiments.harness.range import logarithmic  # noqa: E402
 from optics.errors import DomainError  # noqa: E402
 
-__all__ = [
-    "INK",
-    "MARKERS",
-    "PALETTE",
-    "WIDTH_IN",
-    "band_colours",
-    "equation_svg",
-    "figure_png",
-    "figure_svg",
-    "house_style",
-    "log_ticks",
-    "narrow",
-    "new_figure",
-    "scale_bar",
-    "side_by_side",
-    "wavelength_colour",
-]
-
 # Okabe & Ito (2008), "Color Universal Design": told apart with every common colour-vision deficiency.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")

@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
 from typing import TextIO, TypeVar
 
-__all__ = ["LineProgress", "Progress", "Stage", "terminal_progress"]
-
 Item = TypeVar("Item")
 Show = Callable[[int], None]
 

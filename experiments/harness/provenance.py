@@ -21,15 +21,6 @@ from experiments.harness.outputs import PROGRAM
 from experiments.harness.registry import version_of
 from render.engine.llvm import llvm_version
 
-__all__ = [
-    "collect",
-    "count_memory_of_workers",
-    "file_digests",
-    "peak_memory_mb",
-    "process_seconds",
-    "without_paths",
-]
-
 _PACKAGES = (
     "starbench",
     "mitsuba",

@@ -24,8 +24,6 @@ from optics.errors import ConfigError, DomainError, unknown_name
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Outcome", "Quantities", "Quantity", "shown_unit", "to_results", "write_netcdf"]
-
 Places = str | Mapping[str, str | Sequence[str]]
 WHOLE = "*"
 _EXACT_INTEGERS = 2**53  # identifiers of stars are beyond what a float64 can tell apart

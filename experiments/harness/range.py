@@ -22,17 +22,6 @@ from experiments.harness.config import alternatives
 from optics.errors import ConfigError, unknown_name
 from optics.validate import allowed_range, parse_model
 
-__all__ = [
-    "SweepRange",
-    "check_range",
-    "leaf_keys",
-    "logarithmic",
-    "parse_sweep",
-    "quantity_of",
-    "value_at",
-    "with_value",
-]
-
 LARGEST = 200
 """Most points of a sweep."""
 _FORM = "KEY=LOW:HIGH:POINTS is needed, e.g. defocus_mm=-0.2:0.2:9; or KEY=LOW:HIGH:POINTS:log, or KEY=A,B,C"

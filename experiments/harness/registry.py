@@ -16,8 +16,6 @@ import experiments as home
 from experiments.harness.outputs import PROGRAM
 from optics.errors import ConfigError, unknown_name
 
-__all__ = ["GROUP", "Commands", "declaration_of", "declared", "found", "load", "version_of", "version_option"]
-
 GROUP = "starbench.experiments"
 """Entry points under which other distributions offer experiments: ``NAME = "package"``, laid out as ours."""
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from experiments.harness.quantities import Outcome
     from experiments.harness.tables import Table
 
-__all__ = ["ExperimentRun", "Options", "configuration", "configuration_file", "finished", "perform", "run_experiment"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:

@@ -42,22 +42,6 @@ from optics.errors import DomainError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Advice",
-    "Section",
-    "above",
-    "agree",
-    "below",
-    "col",
-    "described",
-    "judged",
-    "numbers_of",
-    "ratio_near",
-    "single_numbers",
-    "tabulated",
-    "two_sided_limit",
-]
-
 FALSE_ALARM = 0.001
 """Chance that a verdict fails by noise alone, unless it says another one."""
 PREDICTION_SIGMA = 3.0

@@ -14,8 +14,6 @@ from pydantic.fields import FieldInfo
 from experiments.harness.config import absolute, alternatives, unit_of
 from optics.validate import allowed_range
 
-__all__ = ["about", "toml_text", "toml_value"]
-
 _WIDTH = 110
 
 

@@ -17,21 +17,6 @@ from pydantic import BaseModel
 
 from optics.errors import DomainError
 
-__all__ = [
-    "CRITERIA_NOTE",
-    "NOTICED_PART",
-    "Criterion",
-    "Measured",
-    "criteria_lines",
-    "dumps",
-    "farthest_from_one",
-    "measured",
-    "percent",
-    "summary",
-    "to_json",
-    "verdict_line",
-]
-
 Relation = Literal["<=", "<", ">=", ">"]
 _RELATIONS = {"<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt}
 _NOISE = ("false_alarm", "chance", "notices")

@@ -18,8 +18,6 @@ from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
 from experiments.harness.range import SweepRange, check_range, leaf_keys, parse_sweep
 
-__all__ = ["SweptConfig", "with_what_if"]
-
 MOST_POINTS, MOST_SENSORS = 400, 7
 
 

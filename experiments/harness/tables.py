@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     import astropy.table
     import rich.table
 
-__all__ = ["Column", "Table", "cell_text", "significant", "to_astropy", "to_rich", "write_ecsv"]
-
 Cell = str | bool | int | float | Measured | None
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -17,8 +17,6 @@ from experiments.harness.registry import found
 from optics.errors import ConfigError, unknown_name
 from optics.textfile import write_text
 
-__all__ = ["read_entry", "run_all", "write_index"]
-
 INDEX = "index.html"
 MARK = '<meta name="generator" content="starbench">'
 

@@ -27,18 +27,6 @@ from optics.errors import DomainError, StarbenchError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "REQUIREMENTS",
-    "Requirement",
-    "comparison_sections",
-    "crossing",
-    "judge",
-    "missed_words",
-    "run_comparison",
-    "run_sweep",
-    "sweep_sections",
-]
-
 IN_TABLE = 5
 """So many of the swept quantities stand in the table that fits a terminal, two fewer where there are requirements; the
 ECSV file has all of them."""

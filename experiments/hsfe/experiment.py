@@ -43,8 +43,6 @@ from render.detector.maps import sensor_maps
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = ["SECTIONS", "axes", "run"]
-
 Axes = Sequence[Measured]
 MODEL_SLACK = 0.03
 """What the linear model may be off: a threshold smooths the S-curve under noise by about this much."""

@@ -27,8 +27,6 @@ from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["interval_text", "own_frames", "reduce"]
-
 FEWEST_POSITIONS = 5
 """Positions below which the fit of the commands follows two that are exchanged."""
 LEFT = 0.25

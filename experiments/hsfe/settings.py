@@ -12,8 +12,6 @@ from experiments.laboratory.own_frames import or_own_frames
 from experiments.laboratory.point_settings import StarTargetConfig
 from experiments.laboratory.settings import HexapodConfig, StepConfig
 
-__all__ = ["Config", "experiment", "main"]
-
 
 class Config(StarTargetConfig):
     """The published run: ACC18 gives 12 positions of 0.2 px along 45 deg, 25 stars, at least 30 frames."""

@@ -16,9 +16,6 @@ from optics.light.spectrum import Sed
 from optics.rays.spots import collecting_area_mm2
 from render.records import EffectivePsf, StarField
 
-__all__ = ["Bench", "band_pairs", "point_field"]
-
-
 NODES = 16
 """Wavelength nodes per filter."""
 

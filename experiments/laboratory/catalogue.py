@@ -9,8 +9,6 @@ from experiments.laboratory.settings import CatalogueConfig
 from optics.errors import ConfigError
 from render.catalogue.record import StarCatalog
 
-__all__ = ["load_catalogue"]
-
 
 def load_catalogue(config: CatalogueConfig) -> StarCatalog:
     """The configured catalogue."""

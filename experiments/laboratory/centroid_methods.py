@@ -23,18 +23,6 @@ if TYPE_CHECKING:
     from calib.measure.centroid import Centroider
     from render.records import EffectivePsf
 
-__all__ = [
-    "CentroiderName",
-    "MethodLabels",
-    "MethodName",
-    "ProcessingName",
-    "has_own_epsf",
-    "list_methods",
-    "method_centroiders",
-    "needs_epsf",
-    "needs_measured_epsf",
-]
-
 _REFERENCE, _MEASURED = "_reference", "_measured"
 
 

@@ -15,9 +15,6 @@ from optics.frames import field_angles_deg
 from optics.rays.spots import best_focus_shift_mm
 from render.camera import Camera
 
-__all__ = ["check_light", "focus_remark"]
-
-
 RADII = 4.0
 """Least width of a window in RMS radii of the spot."""
 WIDE_PX = 2.5

@@ -17,19 +17,6 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import ExpectedImage, WindowStack
 
-__all__ = [
-    "CALIBRATIONS",
-    "ChromaticMeasurement",
-    "after_calibration",
-    "measure_chromatic",
-    "rms",
-    "shift_sigma",
-    "shifts",
-    "table1",
-    "table1_sigma",
-]
-
-
 CALIBRATIONS = {"as found": [], "principal point": [0, 1], "focal length": [2], "both": [0, 1, 2]}
 """What a camera model may have of its own for a band -> its columns in the design of `after_calibration`."""
 

@@ -39,8 +39,6 @@ from render.motion.trajectory import ConstantRate
 from render.records import EffectivePsf
 from render.tracing.motion.exposure import ExposureMotion, gauss_times
 
-__all__ = ["Collimator", "build_collimator", "convolved_psf", "refracted_slope"]
-
 RINGS_PER_PX = 3.0
 """Radii of the quadrature over a pinhole, per pixel of its radius; the image has no detail below a third of a pixel."""
 STEPS_PER_CYCLE = 4.0

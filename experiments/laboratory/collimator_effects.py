@@ -36,16 +36,6 @@ from optics.glass.catalogue import get_glass
 from optics.rays.spots import SpotMoments, spot_moments
 from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM
 
-__all__ = [
-    "COLLIMATOR",
-    "PARTS",
-    "CollimatorShift",
-    "closed_motion_px",
-    "closed_spot_um",
-    "collimator_shift",
-    "sight_of",
-]
-
 PARTS = {"wedge": "wedge", "air": "air", "decollimation": "decollimation"}
 """What moves the image by an angle that depends on the wavelength."""
 KELVIN = 273.15

@@ -6,8 +6,6 @@ from pydantic import Field, model_validator
 
 from experiments.harness.config import StrictModel
 
-__all__ = ["CollimatorConfig", "FilteredCollimatorConfig"]
-
 
 class CollimatorConfig(StrictModel):
     """Errors of the collimator, its air and its mount; left out, it is perfect (a paraboloid, focused, at rest)."""

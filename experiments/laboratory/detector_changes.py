@@ -11,8 +11,6 @@ from experiments.harness.config import StrictModel
 from optics.units import UM_MM
 from render.detector.spec import Detector
 
-__all__ = ["DetectorConfig", "overridden"]
-
 _HIGHEST = 1e7
 _IN_UM = {"diffusion_sigma_um": "diffusion_sigma_mm"}
 

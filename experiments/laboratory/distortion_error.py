@@ -28,16 +28,6 @@ from optics.arrays import FloatArray
 from optics.records import freeze
 from render.engine.random import Streams
 
-__all__ = [
-    "DenseMap",
-    "DistortionMeasurement",
-    "camera_place",
-    "dense_map",
-    "grid_residual_px",
-    "measure_distortion",
-    "residual_px",
-]
-
 SESSIONS = ("earlier", "test")
 """The camera model of "calibrated" comes from the earlier session."""
 

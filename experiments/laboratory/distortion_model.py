@@ -54,16 +54,6 @@ from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = [
-    "DistortionPrediction",
-    "GridErrors",
-    "MapForecast",
-    "forecast_map",
-    "marking_errors",
-    "predict_distortion",
-    "predicted_numbers",
-]
-
 
 class Numbers(NamedTuple):
     """What the document's numbers should be (3, 2) [px]: sigma_d, sigma_Dd, sigma_C1 by axis.

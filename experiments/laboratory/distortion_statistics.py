@@ -38,21 +38,6 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = [
-    "LABELS",
-    "REFERENCES",
-    "DistortionStatistics",
-    "Reference",
-    "camera_terms",
-    "cross_validated",
-    "distortion_statistics",
-    "fit_camera",
-    "left_out",
-    "polynomial_fit",
-    "polynomial_terms",
-    "without_pointing",
-]
-
 Reference = Literal["nominal", "aligned", "calibrated"]
 
 REFERENCES: Mapping[Reference, str] = {

@@ -29,8 +29,6 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = ["epsf_session", "measured_epsf", "predicted_epsfs", "variance_of_another"]
-
 POSITIONS, STAMPS = 5, 20
 """Steps of a fifth of a pixel cover it along both axes; a PSF of four samples per pixel needs 16 stars at least."""
 

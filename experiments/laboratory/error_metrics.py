@@ -15,16 +15,6 @@ from scipy.special import bdtr, erf, ndtri
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = [
-    "Interpretation",
-    "level_of",
-    "metrics",
-    "mixture_bound",
-    "normal_factor",
-    "quantile_limit",
-    "runs_needed",
-]
-
 Interpretation = Literal["temporal", "ensemble", "mixed"]
 
 

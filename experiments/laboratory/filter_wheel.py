@@ -10,8 +10,6 @@ from optics.light.band import TabulatedBand, TopHat
 from optics.light.band_file import load_band
 from render.sensor import StarSensor
 
-__all__ = ["Filter", "MeasuredFilter", "interference_filters", "open_band"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredFilter(TabulatedBand):

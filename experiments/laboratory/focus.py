@@ -7,8 +7,6 @@ from typing import Any
 
 from optics.errors import StarbenchError
 
-__all__ = ["in_focus"]
-
 
 def in_focus(lens: Any) -> bool:
     """Whether a lens is in focus as it is: an ideal or a measured one."""

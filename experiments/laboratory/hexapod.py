@@ -17,8 +17,6 @@ from optics.errors import DomainError
 from optics.records import freeze
 from optics.units import ARCSEC_RAD, DEG_RAD
 
-__all__ = ["Hexapod", "HexapodPath", "step_path", "turned"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hexapod:

@@ -34,9 +34,6 @@ from optics.units import ARCSEC_RAD
 from render.detector.spec import Detector
 from render.engine.random import Streams
 
-__all__ = ["CAUSES", "SWITCHES", "HighFrequencyMeasurement", "StepPlan", "measure_high_frequency", "switched"]
-
-
 SWITCHES: Mapping[str, Mapping[str, float]] = {
     "prnu": {"prnu": 0.0},
     "pattern": {"dsnu_e": 0.0, "column_pattern_e": 0.0, "dark_spread_e_per_s": 0.0},

@@ -47,9 +47,6 @@ from render.detector.noise import PixelNoise
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = ["HighFrequencyPrediction", "MethodPrediction", "predict_high_frequency"]
-
-
 FIT_NOISE_PX = 0.03
 """Noise of a fit from which on its bias is drawn: below, it is less than some (0.03 px)^2 = 1e-3 px."""
 

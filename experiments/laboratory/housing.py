@@ -9,14 +9,6 @@ from pydantic import Field, field_validator
 from experiments.harness.config import StrictModel
 from optics.errors import unknown_name
 
-__all__ = [
-    "DEFAULT_HOUSING",
-    "EXPANSION_PPM_PER_K",
-    "LARGEST_PPM_PER_K",
-    "HousingConfig",
-    "expansion_per_k",
-]
-
 EXPANSION_PPM_PER_K = {
     "aluminium_6061": 23.6,
     "aluminium_7075": 23.6,

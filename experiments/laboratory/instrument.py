@@ -33,18 +33,6 @@ from render.detector.spec import Detector, load_detector
 from render.sensor import StarSensor, load_star_sensor
 from render.sky.star_light import star_light
 
-__all__ = [
-    "Instrument",
-    "best_defocus_mm",
-    "build_instrument",
-    "configured_detector",
-    "configured_lens",
-    "focus_of",
-    "housing_of",
-    "stated_defocus_mm",
-    "stated_lens",
-]
-
 PARTS = (0.0, 0.45, 0.7, 0.87, 1.0)
 """Fields, as parts of the distance from the middle to the corner of the detector."""
 NODES = 6

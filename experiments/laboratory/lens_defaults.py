@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
     from optics.lens_file import LensFile
 
-__all__ = ["lens_defaults", "lens_remarks"]
-
 STEP_PX = 4
 """Windows are so many pixels wide or a multiple."""
 

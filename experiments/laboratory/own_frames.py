@@ -12,8 +12,6 @@ from experiments.harness.config import FolderName
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.sensor_file import SensorExperimentConfig
 
-__all__ = ["OwnFramesConfig", "or_own_frames"]
-
 
 class OwnFramesConfig(SensorExperimentConfig):
     """Of an experiment that renders frames, or reduces those of a folder."""

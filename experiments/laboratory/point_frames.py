@@ -26,9 +26,6 @@ from render.detector.spec import Detector
 from render.engine.random import Streams
 from render.records import WindowStack
 
-__all__ = ["SUBTRACTIONS", "PointFrames", "Subtraction", "read_points"]
-
-
 Subtraction = Literal["dark", "raw"]
 
 SUBTRACTIONS: tuple[Subtraction, ...] = ("dark", "raw")

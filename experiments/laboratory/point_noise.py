@@ -36,17 +36,6 @@ from render.detector.noise import PixelNoise
 from render.detector.spec import Detector
 from render.records import EffectivePsf
 
-__all__ = [
-    "ExpectedWindows",
-    "Influence",
-    "bound_px",
-    "drawn_positions",
-    "expected_windows",
-    "influence",
-    "sampled_px",
-    "window_positions",
-]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedWindows:

@@ -8,8 +8,6 @@ from typing import Any
 from experiments.harness.quantities import Quantities
 from experiments.laboratory.centroid_methods import MethodLabels
 
-__all__ = ["point_quantities"]
-
 
 def point_quantities(methods: Sequence[Any]) -> Quantities:
     """Quantities with the dimensions ``method`` (centroiders) and ``axis`` (x along a row, y along a column)."""

@@ -27,17 +27,6 @@ from optics.records import freeze
 from render.engine.random import Streams
 from render.records import EffectivePsf
 
-__all__ = [
-    "PointLight",
-    "PointScene",
-    "one_filter",
-    "point_laboratory",
-    "point_scene",
-    "point_signal",
-    "prepared_scene",
-    "scene_of",
-]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointLight:

@@ -9,8 +9,6 @@ from experiments.laboratory.collimator_settings import CollimatorConfig
 from experiments.laboratory.own_frames import OwnFramesConfig
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, SignalConfig, TargetConfig
 
-__all__ = ["PointConfig", "SourceConfig", "StarTargetConfig"]
-
 
 class SourceConfig(SignalConfig):
     """Lamp and brightness; the light reaches the camera through its pass band."""

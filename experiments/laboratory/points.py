@@ -24,9 +24,6 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import ExpectedImage, WindowStack
 
-__all__ = ["PointMeasurement", "PointReadout", "nominal_px", "pattern_effect"]
-
-
 PATTERNS = 48
 """Independent fixed patterns from which their effect on the centroids is predicted."""
 

@@ -8,8 +8,6 @@ from pydantic import BaseModel
 
 from experiments.laboratory.settings import FilterConfig, InstrumentConfig, PassbandConfig
 
-__all__ = ["ACC18_ARCSEC", "ACC18_TABLE1_PX", "is_published_sensor"]
-
 ACC18_ARCSEC: Mapping[str, tuple[float, float]] = {
     "TE": (1.14, 1.23),
     "HSFE": (1.08, 1.01),

@@ -11,8 +11,6 @@ from optics.frames import field_angles_deg
 from optics.light.band import band_nodes
 from optics.rays.spots import SpotMoments, spot_moments
 
-__all__ = ["bundle_prediction", "expected_spots", "light_shares", "spots_of"]
-
 ORDER = (5, 12)
 """Rings and azimuths in the pupil."""
 PREDICTION_NODES = 11

@@ -6,8 +6,6 @@ from pydantic import Field
 
 from experiments.harness.config import StrictModel
 
-__all__ = ["AT_LEAST", "RequirementsConfig"]
-
 AT_LEAST = frozenset(
     {
         "field_deg",

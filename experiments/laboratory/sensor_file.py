@@ -17,17 +17,6 @@ from experiments.laboratory.stray_settings import BaffleConfig, ContaminationCon
 from optics.errors import StarbenchError
 from optics.validate import parse_model
 
-__all__ = [
-    "LifeConfig",
-    "ManufactureConfig",
-    "SensorConfig",
-    "SensorExperimentConfig",
-    "TimingConfig",
-    "in_best_focus",
-    "read_sensor",
-    "whole_sensor",
-]
-
 
 class ManufactureConfig(StrictModel):
     """Tolerances of the lens, as standard deviations: lenses drawn within them are traced by `camera`.

@@ -12,21 +12,6 @@ from experiments.harness.config import FileName, StrictModel, WavelengthNm
 from experiments.laboratory.focus import in_focus
 from experiments.laboratory.housing import HousingConfig
 
-__all__ = [
-    "CatalogueConfig",
-    "FilterConfig",
-    "GridTargetConfig",
-    "HexapodConfig",
-    "IdealLensConfig",
-    "InstrumentConfig",
-    "PassbandConfig",
-    "SignalConfig",
-    "StarsConfig",
-    "StepConfig",
-    "TargetConfig",
-    "check_windows",
-]
-
 
 class IdealLensConfig(StrictModel):
     """A lens before there is one: a thin lens without aberrations, in place of the name or file of a lens.

@@ -14,9 +14,6 @@ from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
 from optics.rays.spots import collecting_area_mm2
 
-__all__ = ["Signal", "electrons_of_star", "signal_of"]
-
-
 NODES = 48
 
 

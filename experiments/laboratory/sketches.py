@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 
 from experiments.harness.plotting import INK, PALETTE, new_figure
 
-__all__ = ["collimator_bench"]
-
 FILL, FAINT, LIGHT = "#eef0f2", "#8a9099", "#e6a817"
 
 

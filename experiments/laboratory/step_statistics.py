@@ -17,18 +17,6 @@ from experiments.harness.summary import Measured
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = [
-    "PositionError",
-    "common_removed",
-    "document_arcsec",
-    "document_rms_px",
-    "halved_px",
-    "jackknife_px",
-    "position_error",
-    "single_rms_px",
-    "step_residual_px",
-]
-
 MOTION_TERMS = 3
 """Of the motion of the image at a position: shift, and its two derivatives over the field (roll, scale, shear)."""
 

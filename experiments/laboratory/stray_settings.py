@@ -8,8 +8,6 @@ from pydantic import Field, model_validator
 
 from experiments.harness.config import FileName, StrictModel
 
-__all__ = ["BaffleConfig", "ContaminationConfig", "ScatterConfig"]
-
 
 class BaffleConfig(StrictModel):
     """What stands in front of the lens; stated nowhere, a vaned tube whose shade begins at 35 deg."""

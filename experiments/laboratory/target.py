@@ -10,9 +10,6 @@ from experiments.laboratory.settings import TargetConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["CORNERS", "corner_centres", "corner_directions", "target_directions"]
-
-
 CORNERS = ("upper left", "upper right", "lower left", "lower right")
 """Positions of the target in the order of ACC18 (Fig. 3); row 0 is the upper edge."""
 

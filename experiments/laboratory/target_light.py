@@ -20,8 +20,6 @@ from render.records import EffectivePsf, ExpectedImage
 from render.tracing.psf import epsf_tracer, render_epsf
 from render.tracing.tracer import Tracer
 
-__all__ = ["TargetLight", "frame_light", "seen_camera", "target_light"]
-
 
 @dataclass(frozen=True, slots=True)
 class TargetLight:

@@ -12,8 +12,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 
-__all__ = ["GridTarget", "grid_directions", "survey"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GridTarget:

@@ -32,17 +32,6 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf, WindowStack
 
-__all__ = [
-    "TemporalMeasurement",
-    "TemporalPrediction",
-    "measure_temporal",
-    "predict_temporal",
-    "scatter_interval",
-    "small_sample_factor",
-    "target_place",
-    "temporal_error_arcsec",
-]
-
 
 def small_sample_factor(frames: float) -> float:
     """Expectation of a standard deviation from ``frames`` normal samples (divisor N - 1) over the true one: c4(N)."""

@@ -10,8 +10,6 @@ import numpy as np
 from optics.errors import ConfigError
 from optics.page import Marks
 
-__all__ = ["truth_marks"]
-
 PLACES = (("photon_x_px", "photon_y_px"), ("x_px", "y_px"), ("x", "y"), ("xcentroid", "ycentroid"))
 BRIGHTNESS = ("electrons", "flux_e", "flux")
 SHOWN = {

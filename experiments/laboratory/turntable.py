@@ -28,9 +28,6 @@ from optics.records import freeze
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 
-__all__ = ["Turntable", "axis_directions", "build_turntable"]
-
-
 _LETTERS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _NAMES = {2: ("outer", "inner"), 3: ("outer", "middle", "inner")}
 _LARGEST_LEAN_ARCSEC = 36000.0

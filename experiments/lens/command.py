@@ -12,8 +12,6 @@ import numpy as np
 from optics.errors import ConfigError
 from optics.textfile import write_text
 
-__all__ = ["lens"]
-
 HELP = """Lens files of Zemax (.zmx), CODE V (.seq) and our own (.toml); zoom.zmx#2 is the second configuration."""
 
 

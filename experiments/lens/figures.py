@@ -15,19 +15,6 @@ from optics.figures import draw_lens
 from optics.rays.performance import white_focus
 from optics.waves.wavefront import Wavefront
 
-__all__ = [
-    "curvature",
-    "distortion",
-    "drawing",
-    "encircled",
-    "images",
-    "lateral",
-    "mtf",
-    "spots",
-    "through_focus",
-    "wavefronts",
-]
-
 LONG_SIDE = 0.2
 """Side of a triangle between rays of a pupil, in its radii, that spans an obscuration."""
 

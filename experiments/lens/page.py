@@ -16,8 +16,6 @@ from experiments.lens.study import study
 from experiments.lens.tables import tables
 from optics.lens_file import LensFile
 
-__all__ = ["page_of"]
-
 
 def page_of(file: LensFile, shown: str) -> str:
     """One self-contained HTML page."""

@@ -20,8 +20,6 @@ from optics.waves.image_quality import perfect_peak, strehl, transfer_function
 from optics.waves.pupil_field import PupilField, needed_order, trace_pupil
 from optics.waves.wavefront import Wavefront, wavefront
 
-__all__ = ["Images", "Study", "Waves", "airy_radius_mm", "study", "white_rms_mm"]
-
 FIELD_SHARES = (0.0, 0.35, 0.5, 0.7, 0.85, 1.0)
 SHOWN = (0, 3, 5)
 """Fields of spots and MTF among these."""

@@ -10,8 +10,6 @@ import numpy as np
 from experiments.harness.tables import Column, Table
 from experiments.lens.study import SHOWN, Study, white_rms_mm
 
-__all__ = ["tables"]
-
 _SHOWN_KEYS = {
     "kind", "radius_mm", "thickness_mm", "medium", "semi_diameter_mm", "conic", "inner_semi_diameter_mm", "stop",
 }  # fmt: skip

@@ -10,8 +10,6 @@ from optics.lens.system import LensSystem
 from optics.lens.thermal import COMPONENTS, Housing
 from optics.rays.thermal import Athermal, ThermalSensitivity, athermal_spacer, spacers_of, thermal_sensitivity
 
-__all__ = ["thermal_lines"]
-
 NAMES = dict(
     zip(
         COMPONENTS,

@@ -51,8 +51,6 @@ from experiments.reduce.sequence import (
 from experiments.reduce.series import SeriesFrames
 from optics.arrays import FloatArray
 
-__all__ = ["CHECKS", "MOTION_SHARE", "FrameChecks", "Motion", "check_frames", "photon_transfer"]
-
 GAIN_ALLOWANCE = 0.05
 """What photon transfer may be off: charge shared between pixels lowers the variance by some per cent."""
 NOISE_ALLOWANCE = 0.05

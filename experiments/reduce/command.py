@@ -10,8 +10,6 @@ import click
 from experiments.harness.interrupts import invoke
 from experiments.harness.registry import load
 
-__all__ = ["METHODS", "main", "reduce"]
-
 METHODS = {
     "temporal": "scatter of points at rest; a series is a brightness level",
     "hsfe": "error with the place on the pixels; a series is a position",

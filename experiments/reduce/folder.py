@@ -46,8 +46,6 @@ from optics.fits import image_header
 from optics.units import ARCSEC_RAD
 from render.records import WindowStack
 
-__all__ = ["FrameFolder", "FrameSeries", "read_folder"]
-
 _COLUMNS = (("x_px", "y_px"), ("tan_x", "tan_y"))
 
 

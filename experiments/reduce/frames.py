@@ -25,18 +25,6 @@ from optics.errors import ConfigError, DomainError
 from render.fits.files import read_frames
 from render.records import Frame
 
-__all__ = [
-    "Flat",
-    "FrameReader",
-    "MeanFrame",
-    "bad_pixels",
-    "find_files",
-    "mean_flat",
-    "mean_frame",
-    "refuse_shared",
-    "same",
-]
-
 SAME_EXPOSURE = 0.01
 """Exposure times that differ by less than this part of each other are the same."""
 

@@ -16,16 +16,6 @@ from experiments.laboratory.centroid_methods import CentroiderName
 from optics.errors import ConfigError
 from optics.validate import parse_model, read_toml
 
-__all__ = [
-    "SETTINGS_FILE",
-    "FolderSettings",
-    "Layout",
-    "SeriesSettings",
-    "TableSettings",
-    "read_settings",
-    "read_table",
-]
-
 Patterns = Annotated[tuple[str, ...], BeforeValidator(lambda value: (value,) if isinstance(value, str) else value)]
 """File names or patterns; a single one needs no list."""
 

@@ -34,8 +34,6 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError
 from optics.units import ARCSEC_RAD
 
-__all__ = ["FIT", "POSES", "PoseCalibration", "calibrate_poses", "fit_record", "pose_data"]
-
 POSES = Layout(needs=("outer_deg", "inner_deg"), same_scene="none", points=1, fewest=1)
 """What a folder of poses must say; a third axis has ``middle_deg`` too."""
 KEYS = {2: ("outer_deg", "inner_deg"), 3: ("outer_deg", "middle_deg", "inner_deg")}

@@ -27,8 +27,6 @@ from experiments.reduce.series import SeriesFrames
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 
-__all__ = ["POINTS", "POINTS_CAPTION", "FramesTest", "Point", "points_of"]
-
 Errors = Sequence[Sequence[Measured]]
 Reduced = tuple[Sequence[SeriesFrames], Mapping[str, Any]]
 

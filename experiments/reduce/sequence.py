@@ -24,19 +24,6 @@ from scipy.stats import t as student_t
 
 from optics.arrays import FloatArray
 
-__all__ = [
-    "FALSE_ALARM",
-    "Change",
-    "Lag",
-    "Shared",
-    "effective_frames",
-    "lag_one",
-    "largest_change",
-    "position_lags",
-    "shared_noise",
-    "without_modes",
-]
-
 FALSE_ALARM = 1e-3
 """Probability that a check objects to frames that are as they should be."""
 FEWEST = 4

@@ -19,8 +19,6 @@ from experiments.reduce.frames_toml import SeriesSettings
 from experiments.reduce.sequence import Lag, effective_frames, position_lags
 from optics.arrays import FloatArray
 
-__all__ = ["SeriesFrames", "reduce_series"]
-
 _SATURATED = (
     "lower the lamp or the exposure (saturated is what reaches saturation_dn, and what the bit SATURATE of a MASK says)"
 )

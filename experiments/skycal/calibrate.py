@@ -35,9 +35,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import RAD_ARCSEC
 
-__all__ = ["METHODS", "PARTS", "CalibratedCamera", "CalibratedMap", "Calibrator", "calibrate_camera", "rms"]
-
-
 METHODS = ("free", "acc", "linked", "acc_true")
 """Attitudes free; linked by the gyro taken as perfect; by the gyro of stated noise; by a truly perfect gyro."""
 LOSS = "tukey"

@@ -30,8 +30,6 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.fits.files import write_frame
 
-__all__ = ["SECTIONS", "axes", "files", "run"]
-
 DATA = {"measured": "as measured", "corrected": "star colours known"}
 """Centroids that cameras are calibrated with: of one PSF; of the star's own PSF, its colour shift taken off."""
 METHOD_NAMES = {

@@ -22,9 +22,6 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.records import concatenated, freeze
 
-__all__ = ["OUTCOMES", "Matched", "match_frames", "sheet_camera"]
-
-
 BRIGHTEST = 40
 """Detections and catalogue stars that the first matching looks at."""
 FIRST_TOLERANCE_PX = 12.0

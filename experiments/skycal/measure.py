@@ -28,9 +28,6 @@ from render.records import EffectivePsf, Frame, Truth
 from render.tracing.psf import TOLERANCE, render_epsf
 from render.tracing.tracer import Tracer
 
-__all__ = ["BankRenderer", "FrameStars", "PsfBank", "Recording", "record"]
-
-
 BACKGROUND_BOX_PX = 256
 BACKGROUND_STEP_PX = 4
 """The sky is flat over hundreds of pixels; every 16th pixel gives its level to 0.3 e-."""

@@ -12,8 +12,6 @@ from experiments.skycal.calibrate import CalibratedCamera
 from optics.arrays import FloatArray
 from optics.figures import draw_image
 
-__all__ = ["sky_frame"]
-
 STAR_COLOURS = (
     (3000.0, "#ff9d5c"),
     (4300.0, "#ffc48f"),

@@ -23,9 +23,6 @@ from optics.errors import DomainError
 from optics.records import freeze
 from render.tracing.tracer import Tracer
 
-__all__ = ["STEPS", "Chart", "colour_classes", "positions", "trace_chart", "trace_colour"]
-
-
 STEPS = ("reference", "light", "own", "measured")
 """Kinds of positions, one more error in each."""
 COLOURS = 5

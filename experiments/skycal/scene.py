@@ -27,9 +27,6 @@ from render.motion.trajectory import SampledAttitude, mounted
 from render.records import StarField
 from render.sky.field import StarLight, star_light
 
-__all__ = ["Scene", "Sky", "build_scene", "in_light", "load_sky", "random_sky"]
-
-
 STEPS_PER_FRAME = 20
 """Of the integration that makes the trajectory; a spline through the result is the truth."""
 AXIS_TURN_DEG = 180.0

@@ -18,20 +18,6 @@ from experiments.laboratory.lens_defaults import lens_remarks
 from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, in_best_focus, whole_sensor
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
 
-__all__ = [
-    "CAMERAS",
-    "CameraConfig",
-    "Config",
-    "GyroConfig",
-    "MotionConfig",
-    "SkyConfig",
-    "StartConfig",
-    "experiment",
-    "main",
-    "model_label",
-    "parse_model_name",
-]
-
 FEWEST_FRAMES = 4
 CAMERAS = ("narrow", "wide", "own")
 """Tables of settings that describe a camera."""

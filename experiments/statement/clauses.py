@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["CLAUSES", "NOT_COVERED", "STANDARD", "UNREAD", "Clause"]
-
 STANDARD = "ECSS-E-ST-60-20C Rev. 2 (15 May 2019)"
 UNREAD = "number not read"
 

@@ -9,8 +9,6 @@ import click
 from optics.errors import ConfigError
 from optics.textfile import write_text
 
-__all__ = ["statement"]
-
 
 @click.command("statement", context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--sensor", default=None, metavar="TOML", help="sensor file; the built-in tracker if left out")

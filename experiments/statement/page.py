@@ -15,8 +15,6 @@ from experiments.harness.tables import Table
 from experiments.statement.clauses import CLAUSES, NOT_COVERED
 from experiments.statement.study import Line, Statement
 
-__all__ = ["page_of", "tables"]
-
 
 def tables(made: Statement) -> dict[str, Table]:
     """Tables of the page."""

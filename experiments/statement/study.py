@@ -25,8 +25,6 @@ from optics.errors import ConfigError, StarbenchError
 from optics.rays.thermal import ThermalSensitivity, thermal_sensitivity
 from optics.units import RAD_ARCSEC
 
-__all__ = ["CONFIDENCE", "LEVELS", "Line", "Statement", "read_flight", "statement"]
-
 LEVELS = (0.683, 0.95, 0.997)
 OVER_TEMPERATURE = {"focus_shift_um", "spot_thermal_px", "scale_change_ppm"}
 """Requirements that need the sensor predicted at several temperatures."""

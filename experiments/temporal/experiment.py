@@ -32,8 +32,6 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import WindowStack
 
-__all__ = ["SECTIONS", "axes", "run"]
-
 Errors = Sequence[Sequence[Measured]]
 
 

@@ -19,9 +19,6 @@ from experiments.reduce.road import POINTS, POINTS_CAPTION, FramesTest, Reduced,
 from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 
-__all__ = ["own_frames", "reduce"]
-
-
 INTERVAL = "interval_arcsec_3sigma[series][method][axis]"
 
 

@@ -10,8 +10,6 @@ from experiments.harness.experiment import Experiment
 from experiments.laboratory.own_frames import or_own_frames
 from experiments.laboratory.point_settings import StarTargetConfig
 
-__all__ = ["BrightnessConfig", "Config", "experiment", "main"]
-
 
 class BrightnessConfig(StrictModel):
     """Levels of the brightness control, evenly spaced in the logarithm."""

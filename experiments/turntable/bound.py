@@ -18,9 +18,6 @@ from experiments.laboratory.single_star.derivatives import design, reading_covar
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["Bound", "bound", "knowledge", "noise_shares"]
-
-
 WORST_CONDITION = 1e14
 
 

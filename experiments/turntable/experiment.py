@@ -53,8 +53,6 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from render.engine.random import Streams
 
-__all__ = ["SECTIONS", "axes", "run"]
-
 TABLES = {"two_axis": "two-axis", "three_axis": "three-axis"}
 UNKNOWNS = {
     "x0_px": "x₀",

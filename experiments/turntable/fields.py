@@ -24,8 +24,6 @@ from experiments.turntable.bound import Bound, bound
 from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 
-__all__ = ["FIELDS", "SWEEP_SIDE", "FieldPoint", "field_sweep", "ideal_bound", "ideal_camera"]
-
 SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
 SWEEP_SIDE = 13
 """Cameras of the field sweep: pixels along each side, their pitch, places along each side."""

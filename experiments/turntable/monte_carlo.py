@@ -22,16 +22,6 @@ from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 
-__all__ = [
-    "READINGS",
-    "Coordinates",
-    "MonteCarlo",
-    "ReadingPoint",
-    "equal_reading_noise_arcsec",
-    "monte_carlo",
-    "reading_sweep",
-]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coordinates:

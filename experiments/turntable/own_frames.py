@@ -16,8 +16,6 @@ from experiments.reduce.poses import FIT, POSES, PoseCalibration, calibrate_pose
 from experiments.reduce.road import FramesTest, Reduced
 from optics.arrays import FloatArray
 
-__all__ = ["own_frames"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unknown:

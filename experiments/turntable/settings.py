@@ -15,8 +15,6 @@ from experiments.laboratory.single_star.settings import (
     TableConfig,
 )
 
-__all__ = ["Config", "ReductionConfig", "StudyConfig", "experiment", "main"]
-
 
 def _two_axes() -> TableConfig:
     # 0.3 and 0.4 arcsec: the table of CUBE09. FISHER23 does not give its table's errors.

@@ -19,9 +19,6 @@ from optics.records import freeze
 from optics.units import DEG_RAD
 from render.tracing.tracer import Tracer
 
-__all__ = ["Reduction", "TracedMap", "judge", "traced_map"]
-
-
 MAP_COLUMNS, MAP_ROWS = 33, 17
 """Points of the truth over the detector."""
 

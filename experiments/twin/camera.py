@@ -28,8 +28,6 @@ from optics.arrays import BoolArray, FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, RAD_DEG
 
-__all__ = ["ORDERS", "Order", "Zenith", "calibrated", "chosen_order", "cross_validated", "fit_zenith", "refracted"]
-
 PINHOLE = ("x0_px", "y0_px", "focal_length_mm")
 ORDERS: dict[str, tuple[str, ...] | int | None] = {
     "pinhole": PINHOLE,

@@ -19,8 +19,6 @@ from calib.records import SensorImage
 from experiments.twin.compare import FrameStats
 from optics.arrays import FloatArray
 
-__all__ = ["FEATURES", "Told", "tell_apart"]
-
 HALF_PX = 5
 RIDGE = 1.0
 RESAMPLED = 200

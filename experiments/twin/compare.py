@@ -28,17 +28,6 @@ from experiments.twin.solve import Detections, detections, matched
 from optics.arrays import FloatArray, IntArray
 from optics.attitude import attitude_error_arcsec
 
-__all__ = [
-    "FrameStats",
-    "Statistic",
-    "false_detections",
-    "frame_stats",
-    "half_magnitudes",
-    "limit_of",
-    "star_heights",
-    "statistics_of",
-]
-
 PAIR_PX = 1.5
 """A detection within this distance of a catalogue star is that star."""
 HIGH_SIGMA = 6.0

@@ -10,8 +10,6 @@ from calib.records import SensorImage
 from experiments.twin.solve import Detections, Solved
 from optics.arrays import FloatArray
 
-__all__ = ["clouded", "shape_words", "trail_of", "what_is_wrong"]
-
 FILLED = 0.5
 """Share of the converter's range from which a background is daylight."""
 FEWEST = 4

@@ -14,8 +14,6 @@ from calib.measure.image import read_image
 from calib.records import SensorImage
 from optics.errors import ConfigError, StarbenchError
 
-__all__ = ["NightFrame", "night_frames", "pointing_of", "time_of"]
-
 SUFFIXES = frozenset((".tif", ".tiff", ".png", ".jpg", ".jpeg", ".fits", ".fit", ".fts", ".npy", ".npz"))
 PACKED = frozenset((".gz", ".bz2", ".xz"))
 MOST_FRAMES = 500

@@ -29,8 +29,6 @@ from experiments.twin.twin import Assumed, Twin, TwinRenderer, as_image, build_t
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
-__all__ = ["Bias", "HeldOut", "held_out"]
-
 BRIGHTER_MAG = 1.5
 """Stars so much brighter than the limit tell the motion of single stars."""
 FEWEST = 8

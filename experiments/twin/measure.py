@@ -28,23 +28,6 @@ from experiments.twin.solve import matched, wahba
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 
-__all__ = [
-    "CameraFit",
-    "Centroids",
-    "Fluxes",
-    "Prepared",
-    "attitude_of",
-    "cross_validate",
-    "field_airmass",
-    "first_camera",
-    "measure_camera",
-    "noise_of",
-    "photometry_of",
-    "prepare",
-    "residuals",
-    "star_fluxes",
-]
-
 FIRST_RADII_PX = (5.0, 2.0, 1.2)
 MATCH_PX = 1.2
 FLOOR_PX = 0.03

@@ -21,8 +21,6 @@ from experiments.twin.solve import Detections
 from optics.arrays import FloatArray, IntArray
 from render.sky.sky import Sky
 
-__all__ = ["FieldStars", "Frame", "Night", "field_stars", "star_mask", "star_sample", "stars_about", "with_noise"]
-
 MARGIN_PX = 12.0
 MASK_RADII = ((9.8, 3.0), (8.0, 5.0), (6.5, 8.0), (4.5, 14.0), (2.5, 30.0))
 """Radius [px] of the disk masked about a star brighter than a magnitude, for stars of width 0.65 px."""

@@ -22,8 +22,6 @@ from experiments.harness.summary import Measured
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["BLOCK_PX", "Blocks", "NoiseFit", "blocks_of", "correlation_of", "fit_noise", "whiteness"]
-
 BLOCK_PX = 32
 CLIP_SIGMA = 3.5
 CLIP_ROUNDS = 4

@@ -21,8 +21,6 @@ from experiments.harness.summary import Measured
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 
-__all__ = ["COLOUR_KNOTS", "POGSON", "Photometry", "fit_photometry", "hats"]
-
 POGSON = 2.5 / np.log(10.0)
 COLOUR_KNOTS = np.array([0.40, 0.60, 0.80, 1.00, 1.25, 1.55, 1.90])
 REFERENCE_KNOT = 3

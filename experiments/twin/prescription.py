@@ -35,8 +35,6 @@ from optics.lens.perturb import tilt_image
 from optics.lens_file import read_lens_file
 from render.sky.star_light import star_light
 
-__all__ = ["LensPose", "fit_lens_pose", "has_prescription", "pose_of_widths", "write_prescription"]
-
 STAR_K = 5000.0
 STEPS = 9
 LONG_SIDE = 5

@@ -20,17 +20,6 @@ from optics.errors import DomainError
 from optics.records import freeze
 from render.records import EffectivePsf
 
-__all__ = [
-    "COLOUR_EDGES_K",
-    "COLOUR_NAMES",
-    "REFERENCE_CLASS",
-    "PsfModel",
-    "StarSample",
-    "colour_class",
-    "fit_psf",
-    "linear_fit",
-]
-
 COLOUR_EDGES_K = (4500.0, 5500.0, 7000.0)
 COLOUR_NAMES = ("below 4500 K", "4500 to 5500 K", "5500 to 7000 K", "above 7000 K")
 REFERENCE_CLASS = 1

@@ -35,8 +35,6 @@ from optics.arrays import FloatArray
 if TYPE_CHECKING:
     from experiments.twin.road import Reduced
 
-__all__ = ["SECTIONS", "Sections", "axes", "compared_words"]
-
 FALSE_ALARM = 0.01
 COMPLETENESS_LIMIT = 0.03
 FRAME_LIMIT, NOISE_LIMIT = 0.07, 0.01

@@ -36,8 +36,6 @@ from experiments.twin.synthetic import KnownNight
 from optics.errors import DomainError
 from render.sky.sky import Sky, load_sky
 
-__all__ = ["Reduced", "black_level", "reduce_night"]
-
 FEWEST_FOR_HOT = 3
 FEWEST_FOR_OTHER = 12
 """Detections from which a frame is tried as one of another camera."""

@@ -12,8 +12,6 @@ from experiments.harness.config import ExperimentConfig, FileName, FolderName, S
 from experiments.harness.experiment import Experiment
 from optics.validate import parse_model
 
-__all__ = ["CameraConfig", "Config", "NightConfig", "SiteConfig", "experiment", "main"]
-
 OrderName = Literal["pinhole", "radial_1", "radial_2", "brown_conrady", "polynomial_3"]
 
 
@@ -113,8 +111,8 @@ experiment = Experiment(
     name="twin",
     config=Config,
     run="experiment:run",
-    sections="experiment:SECTIONS",
-    axes="experiment:axes",
+    sections="report:SECTIONS",
+    axes="report:axes",
     takes="3 min (--quick: 40 s)",
     examples={
         "--frames my_night --set camera.pixel_pitch_um=6.9": "the twin of the camera that took these frames",

@@ -28,8 +28,6 @@ from experiments.harness.progress import Progress
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 
-__all__ = ["FIELDS_DEG", "FWHM_PX", "Detections", "Solved", "Solver", "detections", "matched", "solve_all"]
-
 THRESHOLD_SIGMA, FWHM_PX = 5.0, 1.7
 WINDOW_PX = 11
 BOX_PX = 64

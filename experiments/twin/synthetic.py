@@ -28,8 +28,6 @@ from render.observation import SkySimulator
 from render.sensor import load_star_sensor
 from render.sky.sky import Sky, load_sky
 
-__all__ = ["KnownNight", "render_night", "true_values"]
-
 FAINTEST_MAG = 10.0
 EDGE_PX = 12.0
 """Stars nearer to the edge lose light beside it."""

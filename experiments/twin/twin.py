@@ -33,8 +33,6 @@ from render.records import ExpectedImage
 from render.sensor import load_star_sensor
 from render.sky.star_light import star_light
 
-__all__ = ["Assumed", "Twin", "TwinRenderer", "as_image", "build_twin", "write_twin"]
-
 WAVELENGTHS_NM = np.arange(400.0, 1001.0, 25.0)
 CURVE_NM = np.array([400.0, 500.0, 600.0, 700.0, 800.0, 1000.0])
 """Knots of the curve that corrects the stated quantum efficiency until stars have the colours that were measured."""

@@ -18,18 +18,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import EffectivePsf
 
-__all__ = [
-    "centroiders",
-    "common_motion_px2",
-    "frame_statistics",
-    "measured_positions",
-    "motion_method",
-    "noiseless_positions",
-    "refuse_few_frames",
-    "session_centroiders",
-]
-
-
 FEWEST_FRAMES = 2
 """A scatter needs two."""
 

@@ -14,8 +14,6 @@ from render.detector.readout import expose
 from render.engine.random import Streams
 from render.records import Frame
 
-__all__ = ["dark_subtracted_frame", "empty_frame", "mean_dark_frame"]
-
 
 def empty_frame(instrument: Instrument, number: int, *, streams: Streams, sky_e: float = 0.0, label: str = "") -> Frame:
     """A frame of an even background [e-] without stars; ``label`` names the random streams."""

@@ -9,8 +9,6 @@ import numpy as np
 from calib.records import NoiseModel
 from experiments.laboratory.instrument import Instrument
 
-__all__ = ["nominal_noise", "true_noise"]
-
 
 def nominal_noise(instrument: Instrument) -> NoiseModel:
     """What the readout itself states: gain, offset, read noise of the median pixel (`render.records.Frame`)."""

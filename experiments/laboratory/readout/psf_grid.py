@@ -14,9 +14,6 @@ from render.records import EffectivePsf
 from render.sky.star_light import StarLight
 from render.tracing.psf import epsf_tracer, render_epsf, trailed
 
-__all__ = ["PsfGrid", "refined", "render_psf_grid"]
-
-
 LONG_SIDE = 9
 """PSFs along the longer side. Between neighbours a PSF changes its shape by so little that the nearest one serves."""
 OVERSAMPLING = 4

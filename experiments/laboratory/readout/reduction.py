@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from experiments.laboratory.readout.psf_grid import PsfGrid
     from render.records import Frame
 
-__all__ = ["SMEAR_PX", "MeasuredFrame", "Reduction", "measure_frame"]
-
-
 FWHM_PX = 1.8
 """Of the detection filter: a spot of sigma 0.7 px on the pixels."""
 SMEAR_PX = 0.25

@@ -15,9 +15,6 @@ from experiments.laboratory.readout.windows import WindowReader, cut_windows
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["SEARCH_MARGIN_PX", "SEARCH_PX", "common_shift", "find_points", "find_star", "match_points"]
-
-
 MATCH_PX = 4.0
 """A detection this close to a target point's nominal place is that point, whatever the lens."""
 DISTORTED_FRACTION = 0.03

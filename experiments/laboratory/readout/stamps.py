@@ -13,9 +13,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import WindowStack
 
-__all__ = ["centre_of_gravity", "dark_subtracted", "refuse_saturated", "ring_subtracted"]
-
-
 NEAR_PX = 3
 """Reach of the centre of gravity where fixed patterns are left in."""
 

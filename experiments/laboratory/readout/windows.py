@@ -15,8 +15,6 @@ from render.detector.readout import expose_windows
 from render.engine.random import Streams
 from render.records import WindowStack
 
-__all__ = ["WindowReader", "cut_windows", "window_corners"]
-
 
 @dataclass(frozen=True, slots=True)
 class WindowReader:

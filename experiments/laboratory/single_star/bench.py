@@ -19,9 +19,6 @@ from optics.errors import DomainError
 from optics.records import freeze
 from render.engine.random import Streams
 
-__all__ = ["Bench", "Visits", "aim", "visit"]
-
-
 AIM_STEPS = 60
 AIM_TOLERANCE_RAD = 1e-12
 LONGEST_STEP_RAD = 0.5

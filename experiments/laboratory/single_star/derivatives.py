@@ -14,8 +14,6 @@ from experiments.laboratory.single_star.star import star_angles_deg
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, DEG_RAD
 
-__all__ = ["angle_effect", "design", "lean_effect", "reading_covariance_px2"]
-
 
 def angle_effect(bench: Bench, angle_rad: FloatArray) -> FloatArray:
     """What an angle does to the direction in cam: (n, k, 3) per radian.

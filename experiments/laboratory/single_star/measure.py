@@ -21,8 +21,6 @@ from render.forward import StarRenderer
 from render.records import WindowStack
 from render.tracing.psf import epsf_tracer, render_epsf
 
-__all__ = ["Measurement", "measure", "window_strip_e"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:

@@ -23,17 +23,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 
-__all__ = [
-    "Data",
-    "calibrated_bench",
-    "check_count",
-    "check_fit",
-    "check_parity",
-    "reduce_data",
-    "start_model",
-]
-
-
 START_ROUNDING = 0.05
 """A start focal length is the paraxial one rounded to this part of it."""
 READING_FLOOR_ARCSEC = 1e-4

@@ -10,8 +10,6 @@ from experiments.harness.config import AngleDeg, PlacePx, StrictModel
 from experiments.laboratory.own_frames import OwnFramesConfig
 from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, SignalConfig
 
-__all__ = ["LARGEST_STAR_ANGLE_DEG", "GridConfig", "SingleStarConfig", "StarConfig", "TableConfig"]
-
 LARGEST_STAR_ANGLE_DEG = 60.0
 LARGEST_INSTALLATION_DEG = 30.0
 

@@ -21,18 +21,6 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.spectrum import Blackbody
 
-__all__ = [
-    "averaged",
-    "build_bench",
-    "build_star",
-    "build_table",
-    "camera_under_test",
-    "check_table",
-    "grid_px",
-    "star_signal",
-]
-
-
 LEAST_COVERAGE = 0.5
 """Of the width and of the height of the detector; below, a calibration says nothing about the rest of the field."""
 

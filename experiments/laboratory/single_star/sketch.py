@@ -10,8 +10,6 @@ from matplotlib.patches import Arc, Circle, FancyArrowPatch, FancyBboxPatch, Pol
 
 from experiments.harness.plotting import INK, PALETTE, new_figure
 
-__all__ = ["bench_sketch"]
-
 _STONE, _METAL, _DARK, _BEAM = "#d9dce0", "#b9c0c8", "#5b636d", "#ffe9a8"
 _BLUE, _RED, _GREEN = PALETTE[0], PALETTE[1], PALETTE[2]
 

@@ -16,9 +16,6 @@ from optics.rays.spots import collecting_area_mm2
 from optics.units import DEG_RAD, RAD_DEG
 from render.records import StarField
 
-__all__ = ["SingleStar", "star_angles_deg", "star_direction"]
-
-
 NODES = 16
 
 

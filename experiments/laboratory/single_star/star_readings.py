@@ -27,8 +27,6 @@ from optics.records import freeze
 from render.engine.random import Streams
 from render.records import EffectivePsf, ExpectedImage, WindowStack
 
-__all__ = ["StarReadings", "WindowPlan", "read_windows"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WindowPlan:
