@@ -195,7 +195,7 @@ COMPARISONS = (
     Comparison(
         experiment="camera",
         what="noise, detection, attitude",
-        predicted=("experiments.camera.prediction:predict_camera",),
+        predicted=("experiments.laboratory.sensor_prediction:predict_camera",),
         measured=("experiments.camera.frames:render_frames",),
     ),
     Comparison(

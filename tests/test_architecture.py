@@ -41,10 +41,6 @@ ORDER["experiments"] = f"harness < laboratory < reduce < doctor frame {' '.join(
 # Names that one room may take from another one in spite of the order, by the importing room.
 EXCEPTIONS: dict[str, set[str]] = {
     "experiments.harness": {"experiments"},  # where the registry looks for them
-    # the flight carries the camera report's prediction along an orbit
-    "experiments.flight": {
-        f"experiments.camera.prediction.{name}" for name in ("CameraPrediction", "colour_distance", "predict_camera")
-    },
 }
 # What an experiment may take of another one, whose inside it does not know: its declaration, to run it and read its
 # numbers, tables and figures by name.

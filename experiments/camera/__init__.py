@@ -8,14 +8,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from experiments.camera.prediction import CameraPrediction
     from experiments.camera.settings import Config
+    from experiments.laboratory.sensor_prediction import CameraPrediction
 
 __all__ = ["predict"]
 
 
 def predict(config: Config) -> CameraPrediction:
-    """What the sensor of a configuration will do; see `experiments.camera.prediction.predict_camera`."""
-    from experiments.camera.prediction import predict_camera
+    """What the sensor of a configuration will do; see `experiments.laboratory.sensor_prediction.predict_camera`."""
+    from experiments.laboratory.sensor_prediction import predict_camera
 
     return predict_camera(config)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.camera.prediction import CameraPrediction, accuracy, optics, predict_camera, sky
 from experiments.camera.settings import Config
 from experiments.harness.range import value_at, with_value
 from experiments.harness.sections import col
@@ -20,6 +19,7 @@ from experiments.harness.what_if import Requirement
 from experiments.laboratory.error_metrics import mixture_bound
 from experiments.laboratory.instrument import stated_lens
 from experiments.laboratory.requirements import AT_LEAST
+from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy, optics, predict_camera, sky
 from optics.arrays import FloatArray
 from optics.errors import DomainError, StarbenchError
 

@@ -14,8 +14,6 @@ from experiments.camera.frames import FRAMES, SOLVED
 from experiments.camera.guides import COVERAGE, LOST, coverage
 from experiments.camera.manufacture import MANUFACTURED, RENDERED_LENSES
 from experiments.camera.operation import LIFE, MOTION
-from experiments.camera.optical_state import OpticalState
-from experiments.camera.prediction import Accuracy, CameraPrediction, Optics, Sky, accuracy, optics, predict_camera, sky
 from experiments.camera.settings import Config
 from experiments.harness.drawings import bars, curves
 from experiments.harness.plotting import INK, PALETTE, band_colours, new_figure
@@ -23,6 +21,17 @@ from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.what_if import REQUIREMENTS, Requirement, judge, missed_words
+from experiments.laboratory.optical_state import OpticalState
+from experiments.laboratory.sensor_prediction import (
+    Accuracy,
+    CameraPrediction,
+    Optics,
+    Sky,
+    accuracy,
+    optics,
+    predict_camera,
+    sky,
+)
 from optics.arrays import FloatArray
 from optics.figures import draw_lens
 from optics.rays.spots import trace_spots

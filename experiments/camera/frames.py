@@ -25,7 +25,6 @@ from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
 from experiments.camera.manufacture import CHOSEN, Manufactured, RenderedLens
 from experiments.camera.operation import moving
-from experiments.camera.prediction import CameraPrediction, exposed_s, predict_camera
 from experiments.camera.settings import Config
 from experiments.harness.plotting import new_figure
 from experiments.harness.quantities import Outcome, Quantities
@@ -37,6 +36,7 @@ from experiments.laboratory.instrument import Instrument, build_instrument, conf
 from experiments.laboratory.readout.frames import mean_dark_frame
 from experiments.laboratory.readout.psf_grid import render_psf_grid
 from experiments.laboratory.readout.reduction import MeasuredFrame, Reduction, measure_frame
+from experiments.laboratory.sensor_prediction import CameraPrediction, exposed_s, predict_camera
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.errors import StarbenchError

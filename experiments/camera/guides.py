@@ -19,10 +19,10 @@ from scipy.spatial.transform import Rotation
 from calib.attitude.identify import identify
 from calib.attitude.star_attitude import star_patterns
 from calib.cameras.fit import fit_camera
-from experiments.camera.prediction import CameraPrediction
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
+from experiments.laboratory.sensor_prediction import CameraPrediction
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.errors import StarbenchError

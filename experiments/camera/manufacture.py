@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 
 from calib.measure.centroid_prediction import predict_centroids
-from experiments.camera.optical_state import AIRY_SIGMA
-from experiments.camera.prediction import CameraPrediction
 from experiments.camera.settings import Config
 from experiments.harness.drawings import bars
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
+from experiments.laboratory.optical_state import AIRY_SIGMA
 from experiments.laboratory.sensor_file import ManufactureConfig
+from experiments.laboratory.sensor_prediction import CameraPrediction
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.lens.perturb import change_index, change_shape, decentre, despace, tilt

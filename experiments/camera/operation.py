@@ -13,8 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from experiments.camera.optical_state import longest_trail_px, optical_state
-from experiments.camera.prediction import CameraPrediction, accuracy, optics, predict_camera, sky
 from experiments.camera.settings import Config
 from experiments.harness.drawings import curves
 from experiments.harness.quantities import Quantities
@@ -24,6 +22,8 @@ from experiments.harness.system import prompt_pool
 from experiments.harness.what_if import Requirement, crossing, judge
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.instrument import configured_detector
+from experiments.laboratory.optical_state import longest_trail_px, optical_state
+from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy, optics, predict_camera, sky
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError
 from render.detector.radiation import aged

@@ -7,12 +7,12 @@ from typing import Any
 from experiments.camera.answer import Swing, ThermalRange, answer_lines, limits, parameters, swings, temperatures
 from experiments.camera.guides import coverage, lost_in_space
 from experiments.camera.operation import RATE, in_motion, life_line, over_life
-from experiments.camera.prediction import CameraPrediction, accuracy, optics, predict_camera, sky
 from experiments.camera.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import numbers_of
 from experiments.harness.what_if import judge
 from experiments.laboratory.checks import focus_remark
+from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy, optics, predict_camera, sky
 
 __all__ = ["run"]
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import typing
 from typing import ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.harness.sweeps import SweptConfig, with_what_if
-from experiments.laboratory.detector_changes import DetectorConfig
-from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig
+from experiments.laboratory.prediction_settings import PredictedSensorConfig
 
 __all__ = [
     "Config",
@@ -20,47 +19,11 @@ __all__ = [
     "LostConfig",
     "MotionConfig",
     "Parameter",
-    "SkyConfig",
-    "SlewConfig",
-    "StarConfig",
     "ThermalConfig",
     "TornadoConfig",
     "experiment",
     "main",
 ]
-
-
-class StarConfig(StrictModel):
-    """The stars that numbers are quoted for."""
-
-    magnitude_mag: float = Field(default=6.0, ge=-2, le=20, description="star that the accuracy is quoted for")
-    temperature_k: float = Field(default=5800.0, ge=1000, le=60000, description="its colour, that of a black body")
-    colours_k: tuple[float, ...] = Field(
-        default=(3500.0, 5800.0, 10000.0), min_length=1, max_length=6, description="colours of the curves"
-    )
-
-    @field_validator("colours_k")
-    @classmethod
-    def _colours(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        for value in values:
-            if not 1000.0 <= value <= 60000.0:
-                raise ValueError(f"{value:g} K is outside 1000 ... 60000 K")
-        return values
-
-
-class SkyConfig(StrictModel):
-    """Attitudes, uniform over all rotations, for which the sky is looked up."""
-
-    attitudes: int = Field(default=600, ge=10, le=100_000, description="how many")
-
-
-class SlewConfig(StrictModel):
-    """How the sensor turns, evenly and across its line of sight, during every exposure; its processing knows."""
-
-    rate_deg_per_s: float = Field(default=0.0, ge=0, le=100, description="how fast")
-    direction_deg: float = Field(
-        default=0.0, ge=-360, le=360, description="where stars trail to on the detector, from columns towards rows"
-    )
 
 
 class MotionConfig(StrictModel):
@@ -120,7 +83,7 @@ class TornadoConfig(StrictModel):
     chip_k: float = Field(default=10.0, gt=0, le=50, description="temperature of the chip")
 
 
-class Config(SweptConfig, SensorExperimentConfig, SensorConfig):
+class Config(SweptConfig, PredictedSensorConfig):
     """A sensor file, and what is looked at; the defaults are the built-in star tracker."""
 
     NOT_SWEPT: ClassVar[frozenset[str]] = frozenset(
@@ -141,36 +104,12 @@ class Config(SweptConfig, SensorExperimentConfig, SensorConfig):
         }
     )
 
-    detector: DetectorConfig = DetectorConfig()
-    throughput_fraction: float = Field(
-        default=1.0, gt=0, le=1, description="light that is left after what lens, pass band and chip do not know of"
-    )
-    background_e_per_s: float = Field(default=0.0, ge=0, le=1e6, description="even light in every pixel: straylight")
-    false_alarms_per_frame: float | None = Field(
-        default=None, gt=0, le=1e4, description="sets the detection limit in place of threshold_sigma"
-    )
-    dark_frames: int = Field(
-        default=20, ge=1, le=1000, description="frames without light in the mean that is subtracted"
-    )
-    star: StarConfig = StarConfig()
-    slew: SlewConfig = SlewConfig()
-    sky: SkyConfig = SkyConfig()
     motion: MotionConfig = MotionConfig()
     thermal: ThermalConfig = ThermalConfig()
     lost: LostConfig = LostConfig()
     frames: FramesConfig = FramesConfig()
     tornado: TornadoConfig = TornadoConfig()
     predict_only: bool = Field(default=False, description="no rendered frames: an answer in seconds")
-
-    @model_validator(mode="after")
-    def _shutter(self) -> Config:
-        rate, line = self.slew.rate_deg_per_s, self.instrument.line_time_us
-        if rate and line:
-            raise ValueError(
-                f"slew.rate_deg_per_s = {rate:g} with instrument.line_time_us = {line:g}: trailing stars are predicted "
-                "for a global shutter; set one of them to 0 (the dataset renders both)"
-            )
-        return self
 
 
 experiment = with_what_if(

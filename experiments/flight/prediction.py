@@ -30,8 +30,6 @@ from calib.cameras.fit import fit_camera
 from calib.measure.centroid import centroider_class, get_centroider
 from calib.measure.centroid_prediction import phase_windows
 from calib.records import Stamps
-from experiments.camera.prediction import CameraPrediction, colour_distance, predict_camera
-from experiments.camera.settings import Config as CameraConfig
 from experiments.flight.scenario import STATES, Flight, trail_of_rate
 from experiments.flight.settings import Config
 from experiments.laboratory.catalogue import load_catalogue
@@ -43,6 +41,8 @@ from experiments.laboratory.instrument import (
     configured_lens,
     housing_of,
 )
+from experiments.laboratory.prediction_settings import PredictedSensorConfig
+from experiments.laboratory.sensor_prediction import CameraPrediction, colour_distance, predict_camera
 from optics.arrays import FloatArray
 from optics.attitude import aberrated
 from optics.errors import DomainError
@@ -468,7 +468,7 @@ def _cached(text: str, through: float, background: float, rate: float, towards: 
     config = Config.model_validate_json(text)
     shared = {name: value for name, value in config.model_dump().items() if name in _SHARED}
     return predict_camera(
-        CameraConfig.model_validate(
+        PredictedSensorConfig.model_validate(
             {
                 **shared,
                 "throughput_fraction": through,

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from experiments.camera.frames import MATCH_PX, _matched, _scattered
-from experiments.camera.prediction import _limits
+from experiments.laboratory.sensor_prediction import _limits
 
 
 @pytest.mark.parametrize(("width", "height", "count"), [(1024, 1024, 100), (4096, 2048, 300), (200, 150, 400)])
@@ -48,8 +48,8 @@ def test_detections_belong_to_the_nearest_star_once():
 
 def test_magnitude_limits_are_where_the_share_of_stars_passes(monkeypatch):
     """Found from 100 e- on in the middle, from 400 e- on at the edge: half at 100, nine tenths at 400 e-."""
-    monkeypatch.setattr("experiments.camera.prediction.detector_radii", lambda state: np.array([0.0, 1.0]))
-    monkeypatch.setattr("experiments.camera.prediction.exposed_s", lambda config: 0.5)
+    monkeypatch.setattr("experiments.laboratory.sensor_prediction.detector_radii", lambda state: np.array([0.0, 1.0]))
+    monkeypatch.setattr("experiments.laboratory.sensor_prediction.exposed_s", lambda config: 0.5)
     state = SimpleNamespace(electrons_per_s=lambda magnitude, temperature, radius: np.full(len(radius), 2e6))
     stars = SimpleNamespace(
         found_at=lambda electrons, radius: (electrons >= np.where(radius > 0.5, 400.0, 100.0)) * 1.0

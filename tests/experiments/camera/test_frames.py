@@ -9,10 +9,10 @@ from scipy.constants import c, h, k
 from experiments.camera import predict
 from experiments.camera.frames import compare
 from experiments.camera.manufacture import _Probe
-from experiments.camera.optical_state import COLD_K, HOT_K, optical_state
-from experiments.camera.prediction import colour_distance
 from experiments.camera.settings import Config
 from experiments.harness.range import with_value
+from experiments.laboratory.optical_state import COLD_K, HOT_K, optical_state
+from experiments.laboratory.sensor_prediction import colour_distance
 from optics.rays.spots import trace_spots
 
 READOUTS, STARS, FRAMES, DRAWS = 3, 24, 20, 200

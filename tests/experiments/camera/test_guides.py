@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.camera.guides import LEAST, coverage, lost_in_space
-from experiments.camera.prediction import predict_camera
 from experiments.camera.settings import Config
+from experiments.laboratory.sensor_prediction import predict_camera
 from optics.validate import parse_model
 
 TRACKER = {

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.camera.manufacture import built_lens, manufactured, moves_of
-from experiments.camera.prediction import predict_camera
 from experiments.camera.settings import Config
+from experiments.laboratory.sensor_prediction import predict_camera
 from optics.lens.perturb import decentre
 
 EXACT = dict.fromkeys(

@@ -8,14 +8,14 @@ from experiments.camera.answer import ThermalRange, answer_lines, limits, swings
 from experiments.camera.experiment import predicted
 from experiments.camera.guides import Coverage, LostInSpace
 from experiments.camera.operation import Motion
-from experiments.camera.optical_state import optical_state
-from experiments.camera.prediction import accuracy
 from experiments.camera.run import MADE
 from experiments.camera.settings import Config
 from experiments.harness.range import with_value
 from experiments.harness.sections import numbers_of
 from experiments.harness.what_if import judge, missed_words
+from experiments.laboratory.optical_state import optical_state
 from experiments.laboratory.requirements import RequirementsConfig
+from experiments.laboratory.sensor_prediction import accuracy
 from optics.errors import ConfigError, DomainError
 from optics.light.photometry import band_photon_rate
 from optics.light.spectrum import Blackbody

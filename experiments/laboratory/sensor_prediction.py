@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -31,13 +32,13 @@ from calib.measure.detection_statistics import (
     threshold_for_false_alarms,
 )
 from calib.records import NoiseModel
-from experiments.camera.optical_state import COLD_K, HOT_K, OpticalState, optical_state
-from experiments.camera.settings import Config
-from experiments.camera.sky import SkyView, sky_view
 from experiments.harness.sections import col
 from experiments.laboratory.checks import focus_remark
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.instrument import configured_detector
+from experiments.laboratory.optical_state import COLD_K, HOT_K, OpticalState, optical_state
+from experiments.laboratory.prediction_settings import PredictedSensorConfig
+from experiments.laboratory.sky_view import SkyView, sky_view
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import RAD_ARCSEC
@@ -146,7 +147,7 @@ class AttitudeForecast:
 class CameraPrediction:
     """Everything that was predicted."""
 
-    config: Config  # For which sensor
+    config: Any  # For which sensor: PredictedSensorConfig, or the configuration of an experiment with all its keys
     state: OpticalState  # Lens and light
     processing: Processing  # Detector and noise
     stars: StarErrors  # Errors against electrons
@@ -190,7 +191,7 @@ class CameraPrediction:
         return self.state.electrons_per_s(m, kelvin, radius) * exposed_s(self.config)
 
 
-def exposed_s(config: Config) -> float:
+def exposed_s(config: PredictedSensorConfig) -> float:
     """Exposure time, shortened by light that is lost where nobody knows."""
     return config.instrument.exposure_s * config.throughput_fraction
 
@@ -212,7 +213,7 @@ def colour_distance(temperature_k: FloatArray, reference_k: float) -> FloatArray
 # --- The prediction
 
 
-def predict_camera(config: Config) -> CameraPrediction:
+def predict_camera(config: PredictedSensorConfig) -> CameraPrediction:
     """Predict a sensor.
 
     What lens, pass band and detector do is kept from call to call, so that sweeps over exposure, noise or processing
@@ -235,7 +236,7 @@ def predict_camera(config: Config) -> CameraPrediction:
     )
 
 
-def _processing(config: Config, state: OpticalState) -> Processing:
+def _processing(config: PredictedSensorConfig, state: OpticalState) -> Processing:
     chip = state.instrument.detector
     detector = replace(
         overridden(configured_detector(config.instrument), config.detector),
@@ -275,7 +276,7 @@ def _processing(config: Config, state: OpticalState) -> Processing:
     )
 
 
-def _star_errors(config: Config, state: OpticalState, processing: Processing) -> StarErrors:
+def _star_errors(config: PredictedSensorConfig, state: OpticalState, processing: Processing) -> StarErrors:
     electrons = np.geomspace(FAINTEST_E, 30.0 * max(processing.top_e, FAINTEST_E), FLUX_KNOTS)
     pixel = processing.pixel
     noise = replace(processing.noise, read_noise_e=float(np.sqrt(pixel.floor_e2 - pixel.rounding_e2)))
@@ -339,7 +340,7 @@ def _response(state: OpticalState, centroid: str, window_px: int, noise: NoiseMo
     return CentroidResponse(centroid, state.psfs, (FAINTEST_E, BRIGHTEST_E), noise=noise, window_px=window_px, phases=3)
 
 
-def _limits(config: Config, state: OpticalState, stars: StarErrors) -> dict[float, float]:
+def _limits(config: PredictedSensorConfig, state: OpticalState, stars: StarErrors) -> dict[float, float]:
     """Magnitudes at which 90 % and 50 % of the stars all over the detector are found."""
     radius = detector_radii(state)
     zero = state.electrons_per_s(np.zeros(len(radius)), np.full(len(radius), config.star.temperature_k), radius)
@@ -350,7 +351,7 @@ def _limits(config: Config, state: OpticalState, stars: StarErrors) -> dict[floa
 
 
 def _attitude(
-    config: Config, state: OpticalState, processing: Processing, stars: StarErrors, view: SkyView
+    config: PredictedSensorConfig, state: OpticalState, processing: Processing, stars: StarErrors, view: SkyView
 ) -> AttitudeForecast:
     sample, r = view.sample, view.radius_px
     electrons = state.electrons_per_s(view.magnitude, view.temperature_k, r) * exposed_s(config)

@@ -10,11 +10,11 @@ from functools import lru_cache, partial
 import numpy as np
 
 from calib.measure.centroid import get_centroider
-from experiments.camera.settings import Config
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
 from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
+from experiments.laboratory.prediction_settings import PredictedSensorConfig
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -100,7 +100,7 @@ class OpticalState:
         return np.asarray(map_coordinates(self.colour_px, np.stack([t, r]), order=1, mode="nearest"))
 
 
-def optical_state(config: Config) -> OpticalState:
+def optical_state(config: PredictedSensorConfig) -> OpticalState:
     """State of a configuration; the last ones are kept."""
     geometry = config.instrument.model_copy(
         update={
@@ -124,7 +124,7 @@ def optical_state(config: Config) -> OpticalState:
     return _moving(at_rest, trail_px, math.radians(config.slew.direction_deg))
 
 
-def longest_trail_px(config: Config, at_rest: OpticalState) -> tuple[float, str, int]:
+def longest_trail_px(config: PredictedSensorConfig, at_rest: OpticalState) -> tuple[float, str, int]:
     """What the centroider's window holds; the setting that decides, and its pixels."""
     setting, window_px = _window(config)
     rms_mm = float(np.nanmax(at_rest.performance.white.rms_mm()))
@@ -242,7 +242,7 @@ def _farthest_mm(spots: Spots, middle_mm: FloatArray) -> float:
     return float(away[spots.area_mm2 > 0.0].max(initial=0.0))
 
 
-def _window(config: Config) -> tuple[str, int]:
+def _window(config: PredictedSensorConfig) -> tuple[str, int]:
     """Pixels that the centroider looks at, and the setting that says so."""
     half = None if needs_epsf(config.centroid) else getattr(get_centroider(config.centroid), "half_width_px", None)
     if half is not None and 2 * half + 1 < config.window_px:

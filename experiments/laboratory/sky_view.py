@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from experiments.camera.settings import Config
 from experiments.laboratory.catalogue import load_catalogue
 from experiments.laboratory.instrument import build_instrument
+from experiments.laboratory.prediction_settings import PredictedSensorConfig
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -47,7 +47,7 @@ class SkyView:
     depth_mag: float  # Faintest stars that were looked up
 
 
-def sky_view(config: Config, limit_mag: float) -> SkyView:
+def sky_view(config: PredictedSensorConfig, limit_mag: float) -> SkyView:
     """Stars to a magnitude or to where the catalogue ends, for the lens as designed; the last views are kept."""
     deep = DEPTH_STEP_MAG * float(np.ceil(limit_mag / DEPTH_STEP_MAG))
     kept = {name: getattr(config.instrument, name) for name in ("lens", "detector", "width_px", "height_px")}

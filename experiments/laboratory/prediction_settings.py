@@ -1,0 +1,73 @@
+"""Settings of a predicted star sensor: its file, and the light, motion and sky that it is predicted for."""
+
+from __future__ import annotations
+
+from pydantic import Field, field_validator, model_validator
+
+from experiments.harness.config import StrictModel
+from experiments.laboratory.detector_changes import DetectorConfig
+from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig
+
+__all__ = ["PredictedSensorConfig", "SkyConfig", "SlewConfig", "StarConfig"]
+
+
+class StarConfig(StrictModel):
+    """The stars that numbers are quoted for."""
+
+    magnitude_mag: float = Field(default=6.0, ge=-2, le=20, description="star that the accuracy is quoted for")
+    temperature_k: float = Field(default=5800.0, ge=1000, le=60000, description="its colour, that of a black body")
+    colours_k: tuple[float, ...] = Field(
+        default=(3500.0, 5800.0, 10000.0), min_length=1, max_length=6, description="colours of the curves"
+    )
+
+    @field_validator("colours_k")
+    @classmethod
+    def _colours(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        for value in values:
+            if not 1000.0 <= value <= 60000.0:
+                raise ValueError(f"{value:g} K is outside 1000 ... 60000 K")
+        return values
+
+
+class SkyConfig(StrictModel):
+    """Attitudes, uniform over all rotations, for which the sky is looked up."""
+
+    attitudes: int = Field(default=600, ge=10, le=100_000, description="how many")
+
+
+class SlewConfig(StrictModel):
+    """How the sensor turns, evenly and across its line of sight, during every exposure; its processing knows."""
+
+    rate_deg_per_s: float = Field(default=0.0, ge=0, le=100, description="how fast")
+    direction_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="where stars trail to on the detector, from columns towards rows"
+    )
+
+
+class PredictedSensorConfig(SensorExperimentConfig, SensorConfig):
+    """A sensor file, and what `experiments.laboratory.sensor_prediction.predict_camera` takes besides."""
+
+    detector: DetectorConfig = DetectorConfig()
+    throughput_fraction: float = Field(
+        default=1.0, gt=0, le=1, description="light that is left after what lens, pass band and chip do not know of"
+    )
+    background_e_per_s: float = Field(default=0.0, ge=0, le=1e6, description="even light in every pixel: straylight")
+    false_alarms_per_frame: float | None = Field(
+        default=None, gt=0, le=1e4, description="sets the detection limit in place of threshold_sigma"
+    )
+    dark_frames: int = Field(
+        default=20, ge=1, le=1000, description="frames without light in the mean that is subtracted"
+    )
+    star: StarConfig = StarConfig()
+    slew: SlewConfig = SlewConfig()
+    sky: SkyConfig = SkyConfig()
+
+    @model_validator(mode="after")
+    def _shutter(self) -> PredictedSensorConfig:
+        rate, line = self.slew.rate_deg_per_s, self.instrument.line_time_us
+        if rate and line:
+            raise ValueError(
+                f"slew.rate_deg_per_s = {rate:g} with instrument.line_time_us = {line:g}: trailing stars are predicted "
+                "for a global shutter; set one of them to 0 (the dataset renders both)"
+            )
+        return self
