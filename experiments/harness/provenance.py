@@ -28,7 +28,6 @@ _PACKAGES = (
     "numpy",
     "scipy",
     "astropy",
-    "colour-science",
     "scikit-image",
     "pydantic",
     "matplotlib",

@@ -362,7 +362,8 @@ def write_netcdf(data: xr.Dataset, path: Path) -> None:
         elif plain[name].dtype.kind in "iu":  # netCDF 3 has no 64-bit integers
             exact = np.abs(plain[name].values).max(initial=0) <= _EXACT_INTEGERS
             plain[name] = plain[name].astype(np.float64 if exact else str)
-    store = ScipyDataStore(str(path), mode="w", format="NETCDF3_64BIT")  # to_netcdf imports all of Dask's clusters
+    # to_netcdf, as a lock, imports all of Dask's clusters
+    store = ScipyDataStore(str(path), mode="w", format="NETCDF3_64BIT", lock=False)
     plain.dump_to_store(store)
     store.close()
 

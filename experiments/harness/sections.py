@@ -229,10 +229,15 @@ def described(sections: Mapping[str, Section], q: Quantities, result: Mapping[st
 
 def numbers_of(*records: Any) -> dict[str, Quantity]:
     """Single numbers of records, by name."""
-    q = Quantities()
+    known: dict[str, Quantity] = {}
     for one in records:
-        Section(record=type(one)).describe(q, one)
-    return single_numbers(q.dataset)
+        for name, metadata in Section(record=type(one)).columns_of().items():
+            said, value = metadata["col"], np.asarray(getattr(one, name))
+            if not said["dims"]:
+                known[name] = Quantity(
+                    name, said["label"] or name, said["unit"], said["format"], name, name, (), value, None, None
+                )
+    return {name: one for name, one in known.items() if one.values.dtype.kind in "if"}
 
 
 def single_numbers(data: Any) -> dict[str, Quantity]:
