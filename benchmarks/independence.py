@@ -83,7 +83,7 @@ WORDS: dict[str, tuple[str, str]] = {
     "optics/glass": (YES, "indices against the makers' printed values, opticalglass, SCHOTT's dn/dT; air against NIST"),
     "optics/lens": (
         YES,
-        "rays through three lenses against batoid, surfaces against their own sag; a lens against its patent",
+        "rays through three lenses against batoid, intersections against the sag; a lens against its patent",
     ),
     "optics/rays": (YES, "rays, path and pupils against batoid and optiland; foci against ABCD matrices"),
     "optics/light": (YES, "band integrals and black bodies against closed forms (Stefan-Boltzmann, zero points)"),
@@ -93,62 +93,61 @@ WORDS: dict[str, tuple[str, str]] = {
     "render/sensor": (YES, "angle of a pixel against focal length and pitch"),
     "render/forward": (NO, "passes arguments on"),
     "render/tracing": (
-        "yes, where the prediction takes its PSF from the renderer: charge that spreads too far passes hsfe",
+        "yes, where the prediction uses the renderer's PSF: hsfe does not notice too much charge diffusion",
         "pixels within 1e-5 of a NumPy trace with integrals by the error function; moments in closed form",
     ),
     "render/detector": (
-        "no: data sheet, and mean and variance of a pixel; the read-out chain runs on the measured side alone",
+        "no: only the data sheet and a pixel's mean and variance; the read-out chain runs on the measured side alone",
         "photon transfer of frames; each effect of the chain against its law",
     ),
-    "render/engine": (NO, "named random streams: both sides draw from streams of different names"),
+    "render/engine": (NO, "named random streams, of different names on the two sides"),
     "render/sky": (YES, "light of a star against one spectrum at a time; magnitudes against published zero points"),
-    "render/bench": (NO, "sizes of the bench, and where the mask's spot falls, against traced particles"),
+    "render/bench": (NO, "dimensions of the bench, and the position of the mask's spot, against traced particles"),
     "calib/measure": (
-        "yes: a biased centroider is biased on both sides; hsfe holds the centre of gravity against the light",
-        "every centroider against truth, bound and scatter on stars of other code; photutils, sep; known shifts put in",
+        "yes: a bias of the centroider is in both; only hsfe compares it (centre of gravity) with the light",
+        "every centroider against truth, bound and scatter on stars of other code; photutils, sep; injected shifts",
     ),
     "calib/cameras": (
         YES,
-        "projections against OpenCV, derivatives against differences, maps against drawn parameters",
+        "projections against OpenCV, derivatives against finite differences, maps against drawn parameters",
     ),
-    "calib/attitude": (YES, "matrices as printed in the documents; SciPy; scatter of 4000 frames"),
+    "calib/attitude": (YES, "matrices as printed in ACC18, ACF17, CUBE09; SciPy; scatter of 4000 frames"),
     "calib/calibration": (
-        "no: the budget predicts leaning axes with it, on exact positions",
+        "no: the budget uses it only to predict leaning axes from exact positions",
         "truth of simulated benches; scipy.optimize.least_squares; scatter over the bound",
     ),
     "calib/fitting": (NO, "NIST's certified fits; scipy.optimize.least_squares"),
-    "calib/directional": (NO, "a basis of the tangent plane; any will do"),
+    "calib/directional": (NO, "only the choice of a basis of the tangent plane, which is arbitrary"),
     "experiments/laboratory": (
-        "yes: the document's statistics (RMS of steps, polynomial, mean shift) and where the target stands",
-        "closed forms and written-out sums in the tests; known shifts and polynomials put into frames; criteria by "
-        "paths of their own",
+        "yes: the statistics of ACC18 (RMS of steps, polynomial, mean shift) and the position of the target",
+        "closed forms, written-out sums; injected shifts and polynomials; criteria computed independently",
     ),
     "experiments/budget": (
-        "yes: sums of the terms, where a single survey is made the marking error too",
-        "the document's printed terms give its printed sums",
+        "yes: the sum of the terms; with a single survey also the marking error",
+        "the printed terms of ACC18 give its printed sums",
     ),
     "experiments/acf": (
         "yes: stars, motion, and the derivatives of the linear model (which also bounds each run)",
-        "derivatives against differences, bound against calib.calibration, scatter against both",
+        "derivatives against finite differences, bound against calib.calibration, scatter against both",
     ),
     "experiments/camera": (
-        "no: the sky that both look at, and a star's light per square millimetre, which has tests of its own",
+        "no: only the sky, and a star's light per square millimetre, which other tests check",
         "catalogue against astropy; electrons by hand; pupil area against the renderer's own quadrature",
     ),
     "experiments/fisher": (
-        "no: the noise that centroiders are told of, and the sum of predicted variances",
-        "both pixel methods over the field against closed forms; the concentration against 60 digits",
+        "no: only the noise passed to the centroiders, and the sum of predicted variances",
+        "both pixel methods over the field against closed forms; the concentration against 60-digit arithmetic",
     ),
-    "optics/lens_file": ("no: it reads the lens that both sides are given", "round trips of lens files"),
-    "optics/files": ("no: it reads the lens that both sides are given", "focal lengths and traces against other codes"),
-    "optics/textfile": ("no: it reads the lens that both sides are given", "encodings in the tests of lens files"),
+    "optics/lens_file": ("no: it only reads the lens of both sides", "round trips of lens files"),
+    "optics/files": ("no: it only reads the lens of both sides", "focal lengths and traces against other codes"),
+    "optics/textfile": ("no: it only reads the lens of both sides", "encodings in the tests of lens files"),
     "experiments/cube": (
         "yes: geometry of faces and readings, and the reduction of perfect positions",
-        "CUBE09 eq. 7 written out; light really reflected; differences",
+        "CUBE09 eq. 7 written out; a traced reflection; finite differences",
     ),
     "experiments/skycal": (
         YES,
-        "the truth is traced by the tracer that renders: what covers `render/tracing` covers it",
+        "the truth comes from the renderer's own tracer: see `render/tracing`",
     ),
 }
 """Shared room -> whether an error in it can go unseen because both sides make it, and what would see it."""
@@ -171,7 +170,7 @@ COMPARISONS = (
     ),
     Comparison(
         experiment="distortion",
-        what="found, left and removed distortion",
+        what="distortion before and after the fit, and removed by it",
         predicted=(f"{LABORATORY}.distortion_model:predict_distortion",),
         measured=(
             f"{LABORATORY}.distortion_error:measure_distortion",
@@ -379,7 +378,7 @@ Found = Mapping[str, tuple[set[str], set[str]]]
 def overview(found: Found) -> list[str]:
     """A line for each comparison: how many functions each side runs, and how many of which room are shared."""
     lines = [
-        "| experiment | compared | predicted runs | measured runs | shared | of these |",
+        "| experiment | quantity compared | functions: prediction | measurement | shared | shared, by room |",
         "|---|---|---|---|---|---|",
     ]
     what = {one.experiment: one.what for one in COMPARISONS}
@@ -400,20 +399,6 @@ def in_words(rooms: Sequence[str]) -> list[str]:
     return lines + [f"| `{room}` | {WORDS[room][0]} | {WORDS[room][1]} |" for room in rooms]
 
 
-def functions(found: Found) -> list[str]:
-    """A line for each module: its shared functions, and the experiments that share any of them."""
-    modules: defaultdict[str, dict[str, set[str]]] = defaultdict(dict)
-    for experiment, (predicted, measured) in found.items():
-        for function in predicted & measured:
-            module, _, name = function.partition(":")
-            modules[module].setdefault(name, set()).add(experiment)
-    lines = ["| module | shared functions | by |", "|---|---|---|"]
-    for module, names in sorted(modules.items()):
-        by = ", ".join(name for name in found if any(name in experiments for experiments in names.values()))
-        lines.append(f"| `{module}` | {', '.join(f'`{name}`' for name in sorted(names))} | {by} |")
-    return lines
-
-
 def page(found: Found) -> str:
     """The page of the documents."""
     rooms = sorted({room_of(name) for predicted, measured in found.values() for name in predicted & measured})
@@ -421,16 +406,14 @@ def page(found: Found) -> str:
         ["# What predictions and measurements share"],
         [
             "Functions that ran on both sides of each comparison, traced in quick runs by",
-            "`python benchmarks/independence.py`; records, checks of input, units, the harness and array backends are",
-            "left out. An agreement says nothing about an equation that both sides use: that is for tests, which stand",
-            "in `tests/` under the name of the room; [random mutants](validation/evidence.md) show how many errors "
-            "they notice.",
+            "`python benchmarks/independence.py` (`--only NAME` lists the functions of an experiment); records, input",
+            "checks, units, the harness and array backends are not counted. An agreement says nothing about an",
+            "equation that both sides use. Such equations are tested separately;",
+            "[random mutants](validation/evidence.md) measure how many errors these tests notice.",
         ],
         overview(found),
         ["## What sharing can hide"],
         in_words(rooms),
-        ["## The functions"],
-        functions(found),
     ]
     return "\n\n".join("\n".join(part) for part in parts) + "\n"
 
