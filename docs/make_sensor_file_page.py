@@ -5,7 +5,6 @@ python docs/make_sensor_file_page.py
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Iterator
 from importlib import import_module
@@ -36,29 +35,29 @@ One TOML file describes a star sensor, and every experiment takes it:
     python -m experiments.camera --sensor my.toml      # what this sensor can do: start here
     python -m experiments.chromatic --sensor my.toml
 
-`--defaults` prints a complete sensor file with comments, after the changes that the other options make;
+`--defaults` prints a complete, commented sensor file that includes the values of the other options;
 `--defaults all` prints all settings of an experiment, for `--config`:
 
     python -m experiments.camera --set instrument.f_number=4 --defaults > my.toml
 
 [An example](examples/triplet_50mm/sensor.toml) includes a lens file and measured filter curves.
 
-* Paths are relative to the file. A name without suffix and folder is something built in.
-* A key that is left out of a table has the default below, in every experiment; `centroid`, `window_px` and
-  `threshold_sigma` that are left out are the experiment's own.
-* A later layer wins, key by key: defaults < `--quick` < `--sensor` < `--config` < `--set` < `--seed`.
+* Paths are relative to the file. A name without suffix or folder is a built-in lens or detector.
+* A missing key has the default below, in every experiment; the defaults of `centroid`, `window_px` and
+  `threshold_sigma` depend on the experiment.
+* Later layers override earlier ones, key by key: defaults < `--quick` < `--sensor` < `--config` < `--set` < `--seed`.
 * An unknown key is an error that names the nearest one.
-* A rolling shutter (`line_time_us`) shows where the image moves during a frame, in `dataset`; `skycal` and `fisher`
-  take every frame as exposed at once, targets of the laboratory stand still.
-* A curve is a CSV file of wavelength [nm] and transmission as a fraction, with or without a header line; a column that
-  is called `transmission_percent` is converted. Tails below a thousandth of the peak are left out.
+* A rolling shutter (`line_time_us`) has an effect in `dataset` only, where the image moves during a frame; `skycal` and
+  `fisher` expose all rows at once, laboratory targets are at rest, and `flight` refuses it.
+* A curve is a CSV file of wavelength [nm] and transmission as a fraction (or a column `transmission_percent`), with or
+  without a header line. Tails below a thousandth of the peak are left out.
 """
 
-LABORATORY = """## Not the sensor's: [collimator]
+LABORATORY = """## [collimator], in a run's settings
 
-The laboratory's collimator stands in the settings of `chromatic`, `budget`, `temporal`, `hsfe` and `distortion`, not in
-the sensor file (`--set collimator.pinhole_um=10`, or a table of a file for `--config`). It comes without errors. Wedges
-are for experiments with filters, `chromatic` and `budget`. A refractive collimator, an achromat of 1 m:
+The laboratory's collimator is not part of the sensor file but of the settings of `chromatic`, `budget`, `temporal`,
+`hsfe` and `distortion` (`--set collimator.pinhole_um=10`, or a table of a `--config` file). By default it has no
+errors. Only `chromatic` and `budget` have filters, and so wedges. Example: a refractive collimator, an achromat of 1 m:
 
     [collimator]
     focal_length_mm = 1000.0
@@ -73,8 +72,8 @@ are for experiments with filters, `chromatic` and `budget`. A refractive collima
 """
 
 MEASURED = """
-Any number of it can be swept before there is a lens: `--sensor ideal.toml --sweep instrument.lens.f_number=1.4:4:6`.
-Coatings, absorption and `defocus_mm` (0 unless it is set) of `[instrument]` change nothing, or the focus alone.
+Each of its numbers can be swept: `--sensor ideal.toml --sweep instrument.lens.f_number=1.4:4:6`. Of `[instrument]`,
+coatings and absorption have no effect, and `defocus_mm` is 0 unless it is set.
 
 A lens that was **measured** is a file, `lens = "camera.lens.toml"`, with `kind = "measured"`, name, source and date, and:
 
@@ -87,24 +86,24 @@ A lens that was **measured** is a file, `lens = "camera.lens.toml"`, with `kind 
 | `[vignetting]` | `radius_mm`, `relative_light` |
 | `[throughput]` | `aperture_mm`, `wavelength_nm`, `transmission` |
 
-A complete one stands at the head of `optics/lens/measured.py`; `optics.export.write.write_measured_lens` writes one from
-a record. It is used as it was measured: another focus, F-number, temperature or wavefront is refused, and so is what
-needs surfaces.
+`optics/lens/measured.py` contains a complete example; `optics.export.write.write_measured_lens` writes a file from a
+record. A measured lens cannot be changed: another focus, F-number, temperature or wavefront is an error, as is any use
+that needs surfaces.
 
 | | ideal | measured |
 |---|---|---|
 | acf, camera, dataset, distortion, fisher, hsfe, skycal, temporal, turntable; `observe`, `SkySimulator` | yes | yes |
-| budget | yes | no: its terms come from elements that move and warm |
+| budget | yes | no: tolerances and temperature need the elements |
 | chromatic, pages of lens files | no: no glass | no |
-| scenes of Mitsuba | all | stars by `star_tracer`, without derivatives; not what traces surfaces (`path`, `ptracer`) |
+| Mitsuba scenes | yes | stars by `star_tracer`, without derivatives; no integrator that traces surfaces (`path`, `ptracer`) |
 | collimator with errors | yes | no |
 """  # noqa: E501  # rows of a table of the page are one line each
 
 
 OWN_WAYS = {
     "acf": "focal length, distortion and detector of `[instrument]`, as a Brown-Conrady model fitted to its rays",
-    "twin": "pixel pitch of the detector and exposure time of `[instrument]`: what is known before the frames are read",
-    "skycal": "runs it as the camera `own`, to the magnitude of `[catalogue]`",
+    "twin": "pixel pitch of the detector and exposure time of `[instrument]`; the frames give the rest",
+    "skycal": "`[instrument]` as the camera `own`, `[catalogue]` for the faintest magnitude",
 }
 
 
@@ -141,7 +140,7 @@ def takers() -> Iterator[str]:
         takes = ", ".join(f"`[{key}]`" if key in whole else f"`{key}`" for key in common)
         if name in OWN_WAYS:
             takes = OWN_WAYS[name] + (f"; {takes}" if takes else "")
-        yield f"| {name} | {takes or 'nothing: it measures no star sensor'} |"
+        yield f"| {name} | {takes or 'no sensor file'} |"
 
 
 def page() -> str:
@@ -192,18 +191,18 @@ source = "curve of the sheet, read off"
 file = "qe.csv"                # or two lists: wavelength_nm = [400, ...], value = [0.28, ...]
 ```
 
-* A misspelt key is an error with the nearest name; required keys that are missing are named.
-* `base = "cmv4000"` at the head takes from another detector what the file does not say.
-* **Nothing is inherited silently**: what came from the base, was left out, or is `assumed` stands in every report; of a
-  file of your own also on the terminal. `load_detector(...).remarks()` in Python.
-* A converter that saturates below half the full well is listed there too: `gain_dn_per_e` is too high for `adc_bits`.
+* A misspelt key is an error with the nearest name; a missing required key is an error that names it.
+* `base = "cmv4000"` at the head: keys missing in the file have the values of that detector.
+* **Nothing is inherited silently**: every report lists the keys that came from the base, have a default, or are
+  `assumed`, and a converter that saturates below half the full well (`gain_dn_per_e` too high for `adc_bits`). For a
+  file of your own the list is also on the terminal; in Python it is `load_detector(...).remarks()`.
 * Curves are CSV files, named relative to the detector file, with or without a header line:
   `wavelength_nm, quantum_efficiency` (or `quantum_efficiency_percent`), `temperature_c, e_per_s`.
   Quantum efficiencies include the fill factor. From a responsivity in A/W:
   QE = R h c / (e wavelength) = 1239.84 R / wavelength in nm.
-* Dark current over temperature is `dark_current_e_per_s` at `dark_reference_c`, doubling every `dark_doubling_c`; or a
-  table `[dark_current]` in the place of the first and last: its logarithm is linear in 1/T between the points, and
-  temperatures outside it are refused. In nA/cm2: e-/s = 62.4 x nA/cm2 x (pitch in um)^2.
+* Dark current is `dark_current_e_per_s` at `dark_reference_c` and doubles every `dark_doubling_c`. A table
+  `[dark_current]` replaces the first and the last key: its logarithm is interpolated linearly in 1/T, and
+  temperatures outside it are refused. From nA/cm2: e-/s = 62.4 x nA/cm2 x (pitch in um)^2.
 
 ## Keys
 
@@ -215,13 +214,13 @@ SHEET = {
     "base": "",
     "name": "",
     "source": "data sheet, issue, page",
-    "assumed": "what it does not give",
+    "assumed": "keys that the sheet does not state",
     "chip_width_px": "active (not total) pixels",
     "chip_height_px": "active (not total) pixels",
     "chips": "",
-    "gap_px": "mosaics: spacing of the active areas over the pitch, less their size",
+    "gap_px": "mosaics: gap between the active areas / pixel pitch",
     "pixel_pitch_um": "pixel size",
-    "full_well_e": "full well charge; EMVA: saturation capacity; volts over conversion gain in uV/e-",
+    "full_well_e": "full well charge; EMVA: saturation capacity; saturation voltage / conversion gain in uV/e-",
     "read_noise_e": "temporal (dark) noise at the gain that is used",
     "read_noise_spread": "rarely given; CMOS about 0.1 to 0.3 (noise histogram)",
     "gain_dn_per_e": "conversion gain in LSB/e-, of the same bits as `adc_bits`; EMVA's K; 1 over e-/DN",
@@ -229,24 +228,24 @@ SHEET = {
     "offset_dn": "a register; black level",
     "nonlinearity": "EMVA: linearity error",
     "dark_current_e_per_s": "dark current, typical, beginning of life",
-    "dark_reference_c": "temperature it holds at: of the die, not the ambient",
+    "dark_reference_c": "temperature of the die, not the ambient, at which the dark current is stated",
     "dark_doubling_c": "doubling temperature; 5 to 8 K for silicon, 6.5 in the CMV sheets",
-    "dark_spread_e_per_s": "DSNU in e-/s or LSB/s over the gain",
-    "hot_fraction": "grade of defects: hot pixels over all",
-    "hot_dark_e_per_s": "their limit",
-    "dead_fraction": "grade of defects: dead pixels over all",
+    "dark_spread_e_per_s": "DSNU in e-/s, or LSB/s / gain",
+    "hot_fraction": "defect grade: hot pixels / all pixels",
+    "hot_dark_e_per_s": "limit that defines a hot pixel",
+    "dead_fraction": "defect grade: dead pixels / all pixels",
     "prnu": "PRNU as a standard deviation, not peak to peak",
     "dsnu_e": "fixed pattern noise in e-, rms; EMVA: DSNU_1288",
     "column_pattern_e": "column fixed pattern noise",
-    "diffusion_sigma_um": "from the MTF at Nyquist over 2/pi: exp(-2 pi^2 sigma^2 f^2)",
+    "diffusion_sigma_um": "MTF at Nyquist divided by 2/pi (pixel) = exp(-2 pi^2 sigma^2 f^2)",
     "crosstalk_horizontal": "crosstalk",
     "crosstalk_vertical": "crosstalk",
     "crosstalk_diagonal": "crosstalk",
     "blooming": "1 without, 0 with anti-blooming drain",
     "lag": "image lag",
     "transfer_line_us": "frame-transfer CCD: vertical clock period",
-    "damage_centres_per_px": "tests of radiation",
-    "damage_dark_e_per_s": "tests of radiation",
+    "damage_centres_per_px": "radiation test report",
+    "damage_dark_e_per_s": "radiation test report",
     "damage_known_e_per_s": "",
     "sensor_seed": "",
 }
@@ -260,8 +259,7 @@ def detector_page() -> str:
     for name, field in DetectorFile.model_fields.items():
         if name not in models:
             default = "" if field.is_required() or field.default is None else f"`{toml_value(field.default)}`"
-            words = re.sub(r" \[[^]]*\](?= \[)", "", about(name, field))  # the unit, which the range repeats
-            lines.append(f"| `{name}` | {default} | {words} | {SHEET[name]} |")
+            lines.append(f"| `{name}` | {default} | {about(name, field)} | {SHEET[name]} |")
     for name, model in models.items():
         rows = fields(model)
         lines += ["", f"## [{name}]", "", (model.__doc__ or "").strip(), "", *rows, "| `file` |  | CSV file |"]
@@ -283,10 +281,9 @@ def built_in() -> Iterator[str]:
         )
     yield ""
     yield (
-        "A maker's sheet may be newer. The sheets of CCD42-40, GSENSE400BSI, IMX174 and IMX250 and the paper on the\n"
-        "IMX455 were read as others quote them, CMV2000 and CMV12000 by their main figures: compare with your issue.\n"
-        "HAS2, FaintStar2, STAR1000, CCD47-20, IMX249, IMX264 and IMX265 are not among them: no sheet of theirs could\n"
-        "be read, and numbers of their siblings are not theirs."
+        "Compare with your issue of the data sheet. Values of CCD42-40, GSENSE400BSI, IMX174, IMX250 and IMX455 are\n"
+        "second-hand quotations of the sheet or paper; of CMV2000 and CMV12000 only the main figures were read. HAS2,\n"
+        "FaintStar2, STAR1000, CCD47-20, IMX249, IMX264 and IMX265 are missing, because no data sheet was available."
     )
 
 

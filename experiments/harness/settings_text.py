@@ -43,9 +43,12 @@ def toml_value(value: Any) -> str:
 
 def about(name: str, field: FieldInfo) -> str:
     """What a key means, with unit and allowed values as far as its name, type and constraints tell."""
+    text, unit = field.description or "", ""
+    if text.endswith("]"):
+        text, _, unit = text[:-1].rpartition(" [")
     choices = " or ".join(map(toml_value, _choices(field.annotation)))
-    told = ", ".join(fact for fact in (unit_of(name), choices, allowed_range(field)) if fact)
-    return f"{field.description or ''}{f' [{told}]' if told else ''}".strip()
+    told = ", ".join(fact for fact in (unit or unit_of(name), choices, allowed_range(field)) if fact)
+    return f"{text}{f' [{told}]' if told else ''}".strip()
 
 
 def _choices(annotation: Any) -> list[Any]:

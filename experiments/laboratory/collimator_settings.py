@@ -8,32 +8,41 @@ from experiments.harness.config import StrictModel
 
 
 class CollimatorConfig(StrictModel):
-    """Errors of the collimator, its air and its mount; left out, it is perfect (a paraboloid, focused, at rest)."""
+    """Errors of the collimator, its air and its mount; the defaults are a perfect paraboloid, focused, at rest."""
 
-    focal_length_mm: float = Field(default=1000.0, ge=10, le=1e5, description="of the collimator")
+    focal_length_mm: float = Field(default=1000.0, ge=10, le=1e5, description="focal length")
     decollimation_um: float = Field(
         default=0.0, ge=-1e4, le=1e4, description="target behind the focus (away from the collimator)"
     )
     focus_wavelength_nm: tuple[float, ...] = Field(
-        default=(), description="at least two, increasing: where focus_um is known; none: a reflective collimator"
+        default=(), description="wavelengths of focus_um, at least two, increasing; empty: a reflective collimator"
     )
     focus_um: tuple[float, ...] = Field(
-        default=(), description="focus against its nominal place, away from the collimator; monotone cubics in between"
+        default=(),
+        description="focus shift away from the collimator at these wavelengths; monotone cubic interpolation",
     )
     offset_mm: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="pupil of the camera beside the axis of the beam, along columns and rows"
+        default=(0.0, 0.0), description="offset of the camera's pupil from the axis of the beam, along columns and rows"
     )
-    pinhole_um: float = Field(default=0.0, ge=0, le=1000, description="diameter of a point of the target; 0: a point")
-    air_path_m: float = Field(default=2.0, ge=0, le=100, description="way through the air")
+    pinhole_um: float = Field(
+        default=0.0, ge=0, le=1000, description="diameter of a target's pinhole; 0: a point source"
+    )
+    air_path_m: float = Field(default=2.0, ge=0, le=100, description="length of the path through air")
     air_gradient_k_per_m: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="temperature of the air, growing along columns and rows of the image"
+        default=(0.0, 0.0), description="temperature gradient of the air along columns and rows of the image"
     )
     seeing_arcsec: float = Field(
-        default=0.0, ge=0, le=60, description="angle of arrival from exposure to exposure, RMS per axis (turbulence)"
+        default=0.0,
+        ge=0,
+        le=60,
+        description="turbulence: RMS per axis of the angle of arrival, independent for each exposure",
     )
-    vibration_hz: tuple[float, ...] = Field(default=(), description="at least two, increasing; none: at rest")
+    vibration_hz: tuple[float, ...] = Field(
+        default=(), description="frequencies of the spectrum, at least two, increasing; empty: at rest"
+    )
     vibration_arcsec2_per_hz: tuple[float, ...] = Field(
-        default=(), description="spectrum of the line of sight per axis, one-sided; power laws in between"
+        default=(),
+        description="one-sided power spectral density of the line of sight per axis; power laws between frequencies",
     )
 
     @model_validator(mode="after")
@@ -55,17 +64,21 @@ class CollimatorConfig(StrictModel):
 
 
 class FilteredCollimatorConfig(CollimatorConfig):
-    """The same with a filter wheel: every filter is a little prism of its own."""
+    """A collimator with a filter wheel, whose filters may have wedges."""
 
     wedge_arcsec: tuple[float, ...] = Field(
-        default=(), description="angle between the faces of each filter, in the order of filters.centres_nm; none: flat"
+        default=(), description="wedge angle of each filter, in the order of filters.centres_nm; empty: none"
     )
     wedge_direction_deg: tuple[float, ...] = Field(
-        default=(), description="where the image moves (to the thin edge), from column towards row; none: along columns"
+        default=(),
+        description="direction of the thin edge and of the image shift, from column towards row; empty: columns",
     )
     wedge_glass: str = Field(default="N-BK7", description="glass of the filters")
     filter_distance_mm: float | None = Field(
-        default=None, gt=0, le=1e5, description="from target to filter; left out: in the collimated beam"
+        default=None,
+        gt=0,
+        le=1e5,
+        description="distance from target to filter; default: filters in the collimated beam",
     )
 
     @model_validator(mode="after")

@@ -42,9 +42,9 @@ def expansion_per_k(housing: str | float) -> float:
 
 
 class HousingConfig(StrictModel):
-    """Barrel of the lens, spacers, where they touch the elements; ``housing = "invar_36"`` is a material alone.
+    """Barrel and spacers of the lens; ``housing = "invar_36"`` states only the barrel's material.
 
-    Spacers are named by the element behind them, ``detector`` or ``stop``. What is not named is of the barrel's
+    A spacer is named by the element behind it, ``detector`` or ``stop``. A spacer that is not named has the barrel's
     material and reaches from vertex to vertex.
     """
 
@@ -58,17 +58,17 @@ class HousingConfig(StrictModel):
         default=0.0,
         ge=0,
         le=1e4,
-        description="over which gradients across the housing are stated; 0: the widest clear aperture",
+        description="distance across which transverse gradients are stated; 0: the widest clear aperture",
     )
     mounted_z_mm: float | None = Field(
         default=None,
         ge=-1e5,
         le=1e5,
-        description="plane that stays when the housing bends, from the first surface; left out: the image plane",
+        description="mounting plane, fixed when the housing bends; from the first surface; default: the image plane",
     )
-    spacers: dict[str, str | float] = Field(default={}, description="materials of single spacers")
+    spacers: dict[str, str | float] = Field(default={}, description="materials of named spacers")
     rims_mm: dict[str, tuple[float, float]] = Field(
-        default={}, description="by element: radii where spacers touch its front and its back face; 0: the vertex"
+        default={}, description="per element: contact radii of the spacers on its front and back face; 0: the vertex"
     )
     poisson_ratio: float = Field(default=0.25, ge=0, le=0.5, description="Poisson's ratio of the glasses")
 

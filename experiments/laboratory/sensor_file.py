@@ -19,23 +19,31 @@ from optics.validate import parse_model
 
 
 class ManufactureConfig(StrictModel):
-    """Tolerances of the lens, as standard deviations: lenses drawn within them are traced by `camera`.
+    """Manufacturing tolerances (standard deviations), from which `camera` draws and traces lenses.
 
-    Elements are those of the lens file; what is 0 is exact.
+    Elements are named as in the lens file; a tolerance of 0 is exact.
     """
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"index"})
 
-    lenses: int = Field(default=0, ge=0, le=100_000, description="how many are drawn; 0: none")
-    distribution: Literal["normal", "uniform"] = Field(default="normal", description="uniform: to sqrt(3) times these")
+    lenses: int = Field(default=0, ge=0, le=100_000, description="number of lenses drawn")
+    distribution: Literal["normal", "uniform"] = Field(
+        default="normal", description="uniform: within sqrt(3) times the tolerance"
+    )
     decentre_um: float = Field(default=10.0, ge=0, le=1000, description="of every element, along each axis")
     tilt_arcmin: float = Field(default=0.5, ge=0, le=60, description="of every element, about each axis")
     wedge_arcmin: float = Field(default=0.3, ge=0, le=60, description="of every element of glass: its last surface")
-    thickness_um: float = Field(default=10.0, ge=0, le=1000, description="of every element, what follows goes along")
+    thickness_um: float = Field(
+        default=10.0, ge=0, le=1000, description="of every element; all surfaces behind move along"
+    )
     radius_percent: float = Field(default=0.05, ge=0, le=10, description="of every curved surface")
-    index: float = Field(default=1e-4, ge=0, le=0.1, description="of every glass, alike at all wavelengths")
-    focus_um: float = Field(default=5.0, ge=0, le=1000, description="of the detector, after the focus was set")
-    refocused: bool = Field(default=True, description="compensator: the focus is set for every lens")
+    index: float = Field(
+        default=1e-4, ge=0, le=0.1, description="refractive index of every glass, the same error at all wavelengths"
+    )
+    focus_um: float = Field(
+        default=5.0, ge=0, le=1000, description="position of the detector along the axis, after focusing"
+    )
+    refocused: bool = Field(default=True, description="every lens is focused individually (compensator)")
 
 
 class TimingConfig(StrictModel):
@@ -43,7 +51,7 @@ class TimingConfig(StrictModel):
 
     readout_s: float = Field(default=0.0, ge=0, le=1000, description="reading a frame")
     processing_s: float = Field(default=0.0, ge=0, le=1000, description="from a frame to its attitude")
-    overlapped: bool = Field(default=True, description="the next frame is exposed while one is read, another processed")
+    overlapped: bool = Field(default=True, description="exposure, read-out and processing of successive frames overlap")
 
     def period_s(self, exposure_s: float) -> float:
         """From one frame to the next."""
@@ -52,7 +60,7 @@ class TimingConfig(StrictModel):
 
 
 class LifeConfig(StrictModel):
-    """What has changed by the end of life, growing evenly with age: `camera` predicts the sensor to that end."""
+    """Degradation at the end of life, linear in age; `camera` predicts the performance up to then."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset(
         {"years", "displacement_dose_tev_per_g", "depleted_volume_um3", "darkened_glass", "contamination"}
@@ -63,13 +71,15 @@ class LifeConfig(StrictModel):
         default=0.0, ge=0, le=1e5, description="displacement damage dose behind the shield [TeV/g]"
     )
     depleted_volume_um3: float | None = Field(
-        default=None, gt=0, le=1e5, description="depleted volume of a pixel, needed with that dose [um3]"
+        default=None, gt=0, le=1e5, description="depleted volume of a pixel, required with a displacement dose [um3]"
     )
     ionising_dark_e_per_s: float = Field(
-        default=0.0, ge=0, le=1e7, description="dark current that the ionising dose adds, at the detector's reference"
+        default=0.0, ge=0, le=1e7, description="dark current added by the ionising dose, at dark_reference_c"
     )
-    darkened_glass: float = Field(default=0.0, ge=0, lt=1, description="share of the light that darkened glass takes")
-    contamination: float = Field(default=0.0, ge=0, lt=1, description="share that films and particles take")
+    darkened_glass: float = Field(default=0.0, ge=0, lt=1, description="fraction of the light lost in darkened glass")
+    contamination: float = Field(
+        default=0.0, ge=0, lt=1, description="fraction of the light lost by films and particles"
+    )
 
     @model_validator(mode="after")
     def _volume(self) -> LifeConfig:
@@ -79,14 +89,16 @@ class LifeConfig(StrictModel):
 
 
 class SensorConfig(StrictModel):
-    """A star sensor: what it is made of, how it is operated, its sky and its processing, what is asked of it."""
+    """A star sensor: hardware, operation, star catalogue, processing and requirements."""
 
-    name: str = Field(default="", description="what reports call the sensor; left out: lens and detector")
+    name: str = Field(default="", description="name of the sensor in reports; default: lens and detector")
     centroid: CentroiderName = Field(default="epsf", description="centroider")
-    window_px: int = Field(default=13, ge=5, le=63, description="window around a star, odd")
-    threshold_sigma: float = Field(default=5.0, gt=0, le=1000, description="detection limit, in standard deviations")
+    window_px: int = Field(default=13, ge=5, le=63, description="side of the centroid window, odd")
+    threshold_sigma: float = Field(
+        default=5.0, gt=0, le=1000, description="detection threshold, in standard deviations of the filtered noise"
+    )
     compared: tuple[str, ...] = Field(
-        default=(), description="how close rendered frames are to those of the real sensor; dataset's card shows it"
+        default=(), description="lines of text: agreement of rendered with real frames, copied to a dataset's data card"
     )
     instrument: InstrumentConfig = InstrumentConfig()
     passband: PassbandConfig = PassbandConfig()

@@ -14,15 +14,17 @@ from experiments.laboratory.housing import HousingConfig
 
 
 class IdealLensConfig(StrictModel):
-    """A lens before there is one: a thin lens without aberrations, in place of the name or file of a lens.
+    """Ideal thin lens without aberrations, in place of the name or file of a lens.
 
-    It images by f tan(field), in focus for all colours; diffraction is that of its round stop, blurred by the Gaussian
-    that is stated. A lens that was measured is a file: ``kind = "measured"`` stands in it (`optics.lens.measured`).
+    Images by f tan(field), in focus at all wavelengths; the PSF is the Airy pattern of a round stop, blurred by a
+    Gaussian. A measured lens is a file with ``kind = "measured"`` (`optics.lens.measured`).
     """
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"f_number", "transmission"})
 
-    kind: Literal["ideal"] = Field(default="ideal", description="a lens that was measured is a file with its own kind")
+    kind: Literal["ideal"] = Field(
+        default="ideal", description="the only kind of this table; a measured lens is a file"
+    )
     focal_length_mm: float = Field(gt=0, le=1e5, description="focal length in the air or vacuum around it")
     f_number: float = Field(gt=0.5, le=1000, description="focal length over the diameter of the stop")
     spot_um: float = Field(
@@ -74,14 +76,14 @@ class InstrumentConfig(StrictModel):
     height_px: int = Field(default=0, ge=0, le=32768, description="rows read out in the middle of the detector; 0: all")
     defocus_mm: Annotated[float, Field(strict=True, ge=-10, le=10)] | Literal["best"] = Field(
         default=0.010,
-        description="detector shift away from the lens; best: where the mean square spot of the pass band is least",
+        description="detector shift away from the lens; best: smallest RMS spot over the pass band",
     )
     f_number: float | None = Field(
         default=None, gt=0, le=1000, description="stop closed to this F-number; left out: the lens's own"
     )
     exposure_s: float = Field(default=0.1, gt=0, le=1e4, description="exposure time")
     line_time_us: float = Field(
-        default=0.0, ge=0, le=1e4, description="rolling shutter: how much later each row is exposed; 0: global shutter"
+        default=0.0, ge=0, le=1e4, description="rolling shutter: delay from row to row; 0: global shutter"
     )
     gain_dn_per_e: float | None = Field(
         default=None, gt=0, le=1e5, description="system gain; left out: the detector's own"
@@ -91,7 +93,7 @@ class InstrumentConfig(StrictModel):
         default=None,
         ge=-150,
         le=150,
-        description="temperature of lens and housing, focused at the one of the prescription; left out: that one",
+        description="temperature of lens and housing; default: the prescription's, at which the lens is focused",
     )
     housing: HousingConfig = HousingConfig()
     wavefront_zernike_nm: tuple[Annotated[float, Field(ge=-1e5, le=1e5)], ...] = Field(
@@ -102,13 +104,13 @@ class InstrumentConfig(StrictModel):
     )
     wavefront_map: FileName = Field(
         default="",
-        description="the same as a map in nm over the square of the pupil, .npy or text, rows along +y; in its place",
+        description="instead of coefficients: map [nm] over the square around the pupil, .npy or text, rows along +y",
     )
     absorption: bool = Field(
-        default=True, description="count absorption in the glass; needs the internal transmittance of every glass"
+        default=True, description="include absorption in glass; every glass then needs an internal transmittance"
     )
     diffraction: Literal["rays", "waves", "exact_waves"] = Field(
-        default="waves", description="how stars are rendered: as rays land, or as diffraction images of the wavefront"
+        default="waves", description="how stars are rendered: as ray densities, or as diffraction images"
     )
     coating_nm: float = Field(
         default=550.0, ge=0, le=2000, description="design wavelength of the MgF2 quarter-wave coatings; 0: bare glass"
@@ -145,9 +147,9 @@ class PassbandConfig(StrictModel):
 
     range_nm: tuple[WavelengthNm, WavelengthNm] = Field(
         default=(450.0, 900.0),
-        description="where half of it passes; [0, 0]: all that lens and detector are known for",
+        description="half-maximum wavelengths; [0, 0]: the whole range of the lens and detector data",
     )
-    edge_nm: float = Field(default=20.0, ge=0, le=400, description="length of each edge, 0 to 100 %")
+    edge_nm: float = Field(default=20.0, ge=0, le=400, description="width of each edge, from 0 to 100 %")
     file: FileName = Field(
         default="", description="CSV file with wavelength_nm, transmission in place of range_nm and edge_nm"
     )
@@ -169,7 +171,7 @@ class PassbandConfig(StrictModel):
 
 
 class SignalConfig(StrictModel):
-    """How bright a target is: electrons, or the magnitude of the star that gives as many."""
+    """Brightness of a target point: electrons, or the V magnitude of a star of the same signal."""
 
     default_signal_e: ClassVar[float] = 6000.0
 
@@ -180,7 +182,7 @@ class SignalConfig(StrictModel):
         default=None,
         ge=-10,
         le=25,
-        description="V magnitude of a star that gives them, in place of signal_e",
+        description="in place of signal_e: V magnitude of a star of the same signal",
     )
 
     @model_validator(mode="after")
@@ -194,7 +196,7 @@ class SignalConfig(StrictModel):
 
 
 class CatalogueConfig(StrictModel):
-    """Which stars there are."""
+    """Star catalogue."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"epoch_year"})
 
@@ -203,9 +205,11 @@ class CatalogueConfig(StrictModel):
         default="plain", description="columns of the file"
     )
     magnitude_system: Literal["preset", "V", "G"] = Field(
-        default="preset", description="scale of the magnitudes of a file; preset: what the preset says"
+        default="preset", description="system of a file's magnitudes; preset: the preset's own"
     )
-    faintest_mag: float = Field(default=8.0, ge=-2, le=30, description="faintest stars rendered")
+    faintest_mag: float = Field(
+        default=8.0, ge=-2, le=30, description="faintest stars rendered, in the catalogue's system (gaia: G)"
+    )
     epoch_year: float = Field(default=2016.0, ge=1900, le=2100, description="Julian year of the exposures")
     observer: Literal["none", "earth"] = Field(
         default="none", description="earth: parallax, deflection by the Sun and aberration as seen from the Earth"
@@ -236,20 +240,22 @@ class GridTargetConfig(StrictModel):
     )
     jitter_px: float = Field(default=5.0, ge=0, le=100, description="spread of the points about the regular grid")
     marking_error_arcsec: float = Field(
-        default=0.5 / 3.0, ge=0, le=60, description="error of a measured place, 1 sigma"
+        default=0.5 / 3.0, ge=0, le=60, description="survey error of a point per axis, 1 sigma"
     )
-    roll_arcmin: float = Field(default=3.0, ge=-600, le=600, description="target against detector")
+    roll_arcmin: float = Field(
+        default=3.0, ge=-600, le=600, description="rotation of the target relative to the detector"
+    )
 
 
 class FilterConfig(StrictModel):
-    """Interference filters; ``reference_nm`` is the one that the others are compared with."""
+    """Interference filters; shifts are measured relative to the filter at ``reference_nm``."""
 
     centres_nm: tuple[WavelengthNm, ...] = Field(
         default=(500.0, 600.0, 800.0), min_length=2, description="band centres"
     )
     reference_nm: float = Field(default=600.0, description="centre of the reference band; one of centres_nm")
     width_nm: float = Field(default=100.0, gt=0, le=400, description="full width at half maximum")
-    edge_nm: float = Field(default=10.0, ge=0, le=100, description="length of each edge, 0 to 100 %")
+    edge_nm: float = Field(default=10.0, ge=0, le=100, description="width of each edge, from 0 to 100 %")
     files: tuple[FileName, ...] = Field(
         default=(),
         description="CSV files with wavelength_nm, transmission, one for each of centres_nm; none: trapezoids",
@@ -280,17 +286,19 @@ class FilterConfig(StrictModel):
 
 
 class HexapodConfig(StrictModel):
-    """Errors of the hexapod, standard deviations; ACC18 names a PI H-840 but no figures, these are of its class."""
+    """Standard deviations of the hexapod's errors; ACC18 states none, the defaults are typical of its PI H-840."""
 
-    step_error_arcsec: float = Field(default=0.4, ge=0, le=60, description="pitch and yaw reached against commanded")
-    roll_error_arcsec: float = Field(default=1.0, ge=0, le=60, description="roll reached against commanded")
-    reading_error_arcsec: float = Field(default=0.2, ge=0, le=60, description="pose reported against reached")
+    step_error_arcsec: float = Field(default=0.4, ge=0, le=60, description="pitch and yaw, reached minus commanded")
+    roll_error_arcsec: float = Field(default=1.0, ge=0, le=60, description="roll, reached minus commanded")
+    reading_error_arcsec: float = Field(default=0.2, ge=0, le=60, description="pose, reported minus reached")
 
 
 class StepConfig(StrictModel):
     """Positions along a line over the detector."""
 
-    positions: int = Field(default=12, ge=2, le=200, description="M; ACC18 counts 0, 0.2 ... 2.0 px as 12, which is 11")
+    positions: int = Field(
+        default=12, ge=2, le=200, description="number M; ACC18 states 12 for 0, 0.2 ... 2.0 px, which are 11"
+    )
     step_px: float = Field(default=0.2, gt=0, le=1e5, description="length of a step of the image")
     direction_deg: float = Field(default=45.0, ge=-360, le=360, description="of the motion, from column towards row")
 
@@ -303,7 +311,7 @@ class StarsConfig(StrictModel):
         min_length=2,
         description="effective temperatures",
     )
-    reference_k: float = Field(default=5800.0, ge=1000, le=1e5, description="star that the others are compared with")
+    reference_k: float = Field(default=5800.0, ge=1000, le=1e5, description="temperature of the reference star")
     grid: int = Field(default=5, ge=2, le=20, description="field points along each side")
 
     @field_validator("temperatures_k")

@@ -10,24 +10,32 @@ from experiments.harness.config import FileName, StrictModel
 
 
 class BaffleConfig(StrictModel):
-    """What stands in front of the lens; stated nowhere, a vaned tube whose shade begins at 35 deg."""
+    """Baffle in front of the lens; the default is a vaned tube that shades the lens from 35 deg on."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"vanes", "diffuse", "specular", "roughness"})
 
-    fitted: bool = Field(default=True, description="false: a bare lens")
+    fitted: bool = Field(default=True, description="false: lens without baffle")
     mesh: FileName = Field(
         default="",
-        description="closed mesh in mm in place of vanes, .ply, .obj or .glb: +z to the sky, 0 at the first surface",
+        description="instead of the tube: closed mesh [mm], .ply, .obj or .glb, +z to the sky, 0 at the first surface",
     )
     shade_deg: float = Field(
-        default=35.0, gt=0, lt=90, description="angle of the Sun from which on the lens is in the shade; sets length"
+        default=35.0,
+        gt=0,
+        lt=90,
+        description="smallest Sun angle at which the lens is fully shaded; determines the length",
     )
-    length_mm: float | None = Field(default=None, gt=0, le=1e4, description="length in its place")
+    length_mm: float | None = Field(default=None, gt=0, le=1e4, description="length, in place of shade_deg")
     vane_depth_mm: float = Field(default=8.0, gt=0, le=1e3, description="how far the front vane reaches into the tube")
     vanes: int | None = Field(
-        default=None, ge=0, le=60, description="number that sets the depth; 0: plain tube; left out: by construction"
+        default=None,
+        ge=0,
+        le=60,
+        description="number of vanes, which then sets their depth; 0: plain tube; default: from vane_depth_mm",
     )
-    clearance_mm: float = Field(default=0.5, ge=-100, le=100, description="between beams of the field and vanes")
+    clearance_mm: float = Field(
+        default=0.5, ge=-100, le=100, description="gap between the beams of the field and the vanes"
+    )
     edge_radius_um: float = Field(default=20.0, ge=0, le=1000, description="radius of the edges of the vanes")
     coating: Literal["z306", "black_anodised", "magic_black", "own"] = Field(
         default="z306", description="black coating; own: the three numbers below"
@@ -47,14 +55,14 @@ class BaffleConfig(StrictModel):
 
 
 class ScatterConfig(StrictModel):
-    """Polish of the lens surfaces, all alike, and what the detector reflects: typical figures, assumed."""
+    """Scatter of the lens surfaces (the same for all) and reflectance of the detector; defaults are typical values."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"shoulder", "slope", "detector_reflectance"})
 
     roughness_nm: float = Field(default=1.5, ge=0, le=50, description="RMS roughness in the band that scatters")
     shoulder: float = Field(default=0.01, gt=0, le=1, description="Harvey-Shack l: sine where the BSDF begins to fall")
-    slope: float = Field(default=-1.5, ge=-6, lt=0, description="Harvey-Shack s: power of its fall")
-    detector_reflectance: float = Field(default=0.2, ge=0, le=1, description="of the detector, as a mirror")
+    slope: float = Field(default=-1.5, ge=-6, lt=0, description="Harvey-Shack s: exponent of the fall")
+    detector_reflectance: float = Field(default=0.2, ge=0, le=1, description="specular reflectance of the detector")
 
 
 class ContaminationConfig(StrictModel):
@@ -65,5 +73,8 @@ class ContaminationConfig(StrictModel):
     level: float = Field(default=300.0, ge=1, le=5000, description="cleanliness level of the first surface")
     inner_level: float = Field(default=100.0, ge=1, le=5000, description="of all other surfaces next to air")
     forward_fraction: float = Field(
-        default=0.5, ge=0, le=1, description="of the light that dust intercepts, what goes on, spread evenly: assumed"
+        default=0.5,
+        ge=0,
+        le=1,
+        description="fraction of the light intercepted by dust that is scattered forwards, uniformly (assumed)",
     )

@@ -324,7 +324,7 @@ class ResponseTable(BaseModel):
     """Quantum efficiency, fill factor included: two lists, or a CSV file in their place."""
 
     model_config = ConfigDict(extra="forbid", strict=False)
-    source: str = Field(min_length=1, description="where the numbers come from")
+    source: str = Field(min_length=1, description="source of the curve")
     wavelength_nm: list[float] = Field(min_length=2, description="increasing wavelengths [nm]")
     value: list[float] = Field(min_length=2, description="quantum efficiency, 0 to 1")
 
@@ -352,10 +352,10 @@ class DetectorFile(BaseModel):
     """A detector's data file; see `Detector` for the definitions. ``base`` names a detector to start from."""
 
     model_config = ConfigDict(extra="forbid")
-    base: str | None = Field(default=None, description="detector whose values hold where this file gives none")
-    name: str = Field(min_length=1, description="what it is")
-    source: str = Field(min_length=1, description="where its numbers come from")
-    assumed: list[str] = Field(default=[], description="keys whose value the source does not give")
+    base: str | None = Field(default=None, description="detector that supplies the keys left out here")
+    name: str = Field(min_length=1, description="name of the detector")
+    source: str = Field(min_length=1, description="source of the values")
+    assumed: list[str] = Field(default=[], description="keys whose values are assumed")
     quantum_efficiency: ResponseTable
     dark_current: DarkTable | None = None
     chip_width_px: int = _in_range("chip_width_px", "columns of a chip")
@@ -365,22 +365,30 @@ class DetectorFile(BaseModel):
     pixel_pitch_um: float = _in_range("pixel_pitch_um", "pixel pitch")
     full_well_e: float = _in_range("full_well_e", "saturation capacity")
     read_noise_e: float = _in_range("read_noise_e", "median temporal dark noise")
-    read_noise_spread: float = _in_range("read_noise_spread", "standard deviation of its logarithm", default=0.0)
+    read_noise_spread: float = _in_range(
+        "read_noise_spread", "standard deviation over the pixels of the logarithm of the read noise", default=0.0
+    )
     gain_dn_per_e: float = _in_range("gain_dn_per_e", "system gain K")
     adc_bits: int = _in_range("adc_bits", "resolution of the converter")
-    offset_dn: float | None = _in_range("offset_dn", "mean offset; left out: ten times the read noise", default=None)
+    offset_dn: float | None = _in_range("offset_dn", "mean offset; default: ten times the read noise", default=None)
     nonlinearity: tuple[float, ...] = Field(default=(), max_length=8, description="c_1, c_2 ..., each -0.5 to 0.5")
     dark_current_e_per_s: float = _in_range("dark_current_e_per_s", "mean dark current at the reference")
     dark_reference_c: float = _in_range("dark_reference_c", "reference temperature")
     dark_doubling_c: float = _in_range("dark_doubling_c", "warming that doubles the dark current", default=6.5)
-    dark_spread_e_per_s: float = _in_range("dark_spread_e_per_s", "spread of the dark current", default=0.0)
+    dark_spread_e_per_s: float = _in_range(
+        "dark_spread_e_per_s", "standard deviation of the dark current over the pixels", default=0.0
+    )
     hot_fraction: float = _in_range("hot_fraction", "fraction of hot pixels", default=0.0)
     hot_dark_e_per_s: float = _in_range("hot_dark_e_per_s", "mean extra dark current of hot pixels", default=0.0)
     dead_fraction: float = _in_range("dead_fraction", "fraction of dead pixels", default=0.0)
     prnu: float = _in_range("prnu", "response non-uniformity", default=0.0)
-    dsnu_e: float = _in_range("dsnu_e", "spread of the offset over the pixels", default=0.0)
-    column_pattern_e: float = _in_range("column_pattern_e", "spread of the offset over the columns", default=0.0)
-    diffusion_sigma_um: float = _in_range("diffusion_sigma_um", "charge diffusion", default=0.0)
+    dsnu_e: float = _in_range("dsnu_e", "standard deviation of the offset over the pixels", default=0.0)
+    column_pattern_e: float = _in_range(
+        "column_pattern_e", "standard deviation of the offset over the columns", default=0.0
+    )
+    diffusion_sigma_um: float = _in_range(
+        "diffusion_sigma_um", "charge diffusion, standard deviation of a Gaussian", default=0.0
+    )
     crosstalk_horizontal: float = _in_range(
         "crosstalk_horizontal", "charge share of a left or right neighbour", default=0.0
     )
@@ -388,15 +396,23 @@ class DetectorFile(BaseModel):
         "crosstalk_vertical", "charge share of an upper or lower neighbour", default=0.0
     )
     crosstalk_diagonal: float = _in_range("crosstalk_diagonal", "charge share of a diagonal neighbour", default=0.0)
-    blooming: float = _in_range("blooming", "share of the excess over the full well that runs on", default=0.0)
-    lag: float = _in_range("lag", "share of a frame's charge that is read with the next", default=0.0)
-    transfer_line_us: float = _in_range("transfer_line_us", "time per row of a frame transfer under light", default=0.0)
-    damage_centres_per_px: float = _in_range("damage_centres_per_px", "radiation damage: centres", default=0.0)
-    damage_dark_e_per_s: float = _in_range("damage_dark_e_per_s", "mean dark current of a centre", default=0.0)
-    damage_known_e_per_s: float = _in_range(
-        "damage_known_e_per_s", "dark current by centres that makes a known defect", default=_HIGHEST
+    blooming: float = _in_range(
+        "blooming", "share of the charge above the full well that blooms along the column", default=0.0
     )
-    sensor_seed: int = _in_range("sensor_seed", "seed of the individual", default=1)
+    lag: float = _in_range("lag", "fraction of a frame's charge that is read with the next frame", default=0.0)
+    transfer_line_us: float = _in_range("transfer_line_us", "frame transfer under light: time per row", default=0.0)
+    damage_centres_per_px: float = _in_range(
+        "damage_centres_per_px", "radiation damage: mean number of damage centres per pixel", default=0.0
+    )
+    damage_dark_e_per_s: float = _in_range("damage_dark_e_per_s", "mean dark current of a damage centre", default=0.0)
+    damage_known_e_per_s: float = _in_range(
+        "damage_known_e_per_s",
+        "dark current by damage centres above which a pixel is a listed defect",
+        default=_HIGHEST,
+    )
+    sensor_seed: int = _in_range(
+        "sensor_seed", "seed of the individual detector's fixed patterns and defects", default=1
+    )
 
     @model_validator(mode="after")
     def _assumed(self) -> DetectorFile:
