@@ -31,7 +31,6 @@ def has_workers(process):
 @pytest.mark.parametrize(
     ("name", "settings", "ready", "after_s"),
     [
-        ("chromatic", ["--set", "frames=200"], catches_sigterm, 0.0),
         ("chromatic", ["--set", "frames=200"], catches_sigterm, 6.0),
         ("acf", [], has_workers, 1.0),
     ],

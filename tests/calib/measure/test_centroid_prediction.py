@@ -23,7 +23,7 @@ def gaussian_psf(sigma_px, oversampling=8, half_px=9):
     return EffectivePsf(values=np.outer(share, share), oversampling=oversampling)
 
 
-@pytest.mark.parametrize("name", ["epsf", pytest.param("windowed", marks=pytest.mark.slow), "cog"])
+@pytest.mark.parametrize("name", ["epsf", "cog"])
 def test_noise_and_patterns_of_drawn_windows(name):
     """600 draws on 16 windows of two stars: a variance is known to sqrt(2 / (2 16 600)) = 1 %; four of that, 3 % for
     what is not linear at a signal-to-noise ratio of 30."""

@@ -16,29 +16,6 @@ def _spot(x: float, y: float, size: int, flux_e: float) -> np.ndarray:
     return flux_e * shape / shape.sum()
 
 
-def test_response_of_the_centre_of_gravity_is_its_formula() -> None:
-    """d x / d I_p = (p - x) / F for a centre of gravity without background."""
-    light = _spot(4.3, 3.8, 9, 5000.0)[None]
-    stamps = Stamps(
-        electrons=light,
-        valid=np.ones_like(light, bool),
-        corner_px=np.array([[100, 200]]),
-        background_e=np.zeros(1),
-        start_px=np.array([[104.3, 203.8]]),
-        flags=np.zeros(1, np.uint32),
-        psf_index=np.zeros(1, np.int64),
-    )
-    gain = linear_response(get_centroider("cog", half_width_px=None), stamps, NoiseModel(read_noise_e=1.0), light)
-    grid, flux = np.arange(9), light.sum()
-    mean = (light[0].sum(0) @ grid / flux, light[0].sum(1) @ grid / flux)
-    np.testing.assert_allclose(
-        gain[0, 0], np.broadcast_to((grid - mean[0])[None, :] / flux, (9, 9)), rtol=3e-3, atol=1e-7
-    )
-    np.testing.assert_allclose(
-        gain[0, 1], np.broadcast_to((grid - mean[1])[:, None] / flux, (9, 9)), rtol=3e-3, atol=1e-7
-    )
-
-
 @pytest.mark.parametrize("method", ["cog", "windowed", "gaussian"])
 def test_covariance_of_noisy_windows(method: str) -> None:
     """20000 noisy copies of a window, the noise of a pixel growing to one corner: x and y are correlated.

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import io
 import json
-import sys
 import tarfile
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from experiments.dataset.card import preview
-from experiments.dataset.exports import check_webdataset, export_coco, export_shards
+from experiments.dataset.exports import export_coco, export_shards
 from experiments.dataset.folder import StorageError
 from experiments.dataset.job import Job, make_frame
 from experiments.dataset.labels import CLASSES
 from experiments.dataset.settings import ConePointing, Config, VerifyConfig
 from experiments.dataset.truth_files import read_table
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
-from optics.errors import ConfigError
 from render.fits.files import read_frame
 
 ABOUT = {"title": "", "version": "", "licence": "", "licence_url": "", "citation": ""}
@@ -101,20 +98,3 @@ def test_a_full_disk_leaves_no_half_shard(dataset, monkeypatch):
     with pytest.raises(StorageError, match="the disk is full"):
         export_shards(folder, records, done=lambda: None)
     assert not list(folder.rglob("*.partial"))
-
-
-def test_missing_library_is_said(monkeypatch):
-    monkeypatch.setitem(sys.modules, "webdataset", None)
-    with pytest.raises(ConfigError, match="pip install"):
-        check_webdataset()
-
-
-def test_preview_keeps_single_bright_pixels(dataset):
-    folder, records = dataset
-    frame = read_frame(folder / records[0].file)
-    picture = preview(frame, size_px=64)
-    assert picture.shape == (42, 64)
-    brightest = np.unravel_index(np.argmax(frame.dn), frame.dn.shape)
-    row, column = (int(place) // 3 for place in brightest)
-    assert picture[row, column] > 200
-    assert np.median(picture) < 30

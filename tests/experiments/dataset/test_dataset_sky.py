@@ -198,18 +198,19 @@ def test_venus_behind_the_moon_gives_no_light():
             "instrument": {
                 "lens": "star_tracker_26mm",
                 "detector": "cmv4000",
-                "width_px": 1024,
-                "height_px": 1024,
-                "exposure_s": 2e-4,
+                "width_px": 256,
+                "height_px": 256,
+                "exposure_s": 1e-6,
             },
-            "pointing": {"kind": "body", "body": "moon"},
+            "nodes": 3,
+            "pointing": {"kind": "body", "body": "moon", "offset_deg": 0.5},
         }
     )
     truth = FrameMaker(build_scene(config)).make(0).truth
     venus = np.flatnonzero(truth["star_id"] == -1000299)
     assert len(venus) == 1
     assert truth["electrons"][venus[0]] == 0.0
-    assert truth["electrons_hidden"][venus[0]] > 1e4
+    assert truth["electrons_hidden"][venus[0]] > 50.0
     assert truth["flags"][venus[0]] & (FLAGS["hidden"][0] | FLAGS["no_light"][0]) == 192
 
 
@@ -340,9 +341,9 @@ def test_the_moon_behind_the_earth():
 def test_a_field_with_the_moon_has_its_disk_where_the_label_says():
     Engine.start("llvm")
     config = Config(
-        instrument=SMALL.model_copy(update={"exposure_s": 1e-4, "width_px": 1024, "height_px": 1024}),
+        instrument=SMALL.model_copy(update={"exposure_s": 2e-5, "width_px": 512, "height_px": 512}),
         nodes=3,
-        pointing=BodyPointing(body="moon", offset_deg=3.0),
+        pointing=BodyPointing(body="moon", offset_deg=2.0),
         verify=VerifyConfig(frames=0),
     )
     assert config.catalogue.observer == "earth"

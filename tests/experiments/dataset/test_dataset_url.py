@@ -111,9 +111,10 @@ def objects(url):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("url", ["file"], indirect=True)
 def test_at_a_url_as_in_a_folder(url, engine, tmp_path, capsys):
     """Oracle: the dataset in a folder. Then two files are damaged, and the same command mends them."""
-    folder, workers = tmp_path / "here", ["--workers", "1" if url.startswith("memory") else "2"]
+    folder, workers = tmp_path / "here", ["--workers", "2"]
     assert main([*RUN, "--workers", "1", "--out", str(folder)], own_process=False) == 0
     assert main([*RUN, *workers, "--out", url], own_process=False) == 0
     here = {file.relative_to(folder).as_posix(): file.read_bytes() for file in folder.rglob("*") if file.is_file()}

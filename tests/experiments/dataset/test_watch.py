@@ -79,13 +79,6 @@ def test_a_worker_that_sees_another_folder_or_has_other_software(tmp_path, monke
         making.make_frame(job(tmp_path, mitsuba="2.0"), 0)
 
 
-def test_an_error_is_told_with_the_first_of_its_causes():
-    error = RuntimeError("Nanny failed to start.")
-    error.__cause__ = RuntimeError("no worker")
-    error.__cause__.__context__ = OSError(24, "Too many open files")
-    assert workers._reason(error) == "Nanny failed to start: [Errno 24] Too many open files"
-
-
 def test_a_setting_refused_in_a_worker_is_an_error_of_the_caller(monkeypatch):
     """Dask replaces an exception whose traceback is large: its class, and with it the exit status, is lost."""
 

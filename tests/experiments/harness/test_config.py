@@ -7,7 +7,7 @@ from typing import Literal
 import pytest
 from pydantic import Field, model_validator
 
-from experiments.harness.config import ExperimentConfig, StrictModel, load_config, with_settings
+from experiments.harness.config import ExperimentConfig, StrictModel, load_config
 from optics.errors import ConfigError
 
 
@@ -89,13 +89,6 @@ def test_plain_choice_called_kind_keeps_its_neighbours(tmp_path):
     assert load_config(Config, file=file).move == Move(kind="tilt", range_um=50.0)
     settings = ["move.range_um=7", "move.kind=tilt"]
     assert load_config(Config, settings=settings).move == Move(kind="tilt", range_um=7.0)
-
-
-def test_settings_do_not_change_their_input():
-    values = Config().model_dump()
-    before = Config().model_dump()
-    with_settings(Config, values, ["filters.0.name=z", "lens.defocus_um=1", "magnitudes_mag.1=2"])
-    assert values == before
 
 
 @pytest.mark.parametrize(

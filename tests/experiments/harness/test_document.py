@@ -122,14 +122,6 @@ def test_markup_in_a_template_is_text_too(page):
     assert "<script" not in page("<script>alert(1)</script>")
 
 
-def test_numbers_are_set_as_in_tables(page):
-    html = page(
-        "{{ value('te', axis='y') }}; {{ value('count') }}; {{ 1e-7 }}; {{ 0.5 | cell('.3f') }}; {{ 6000.0 | g }}; "
-        "{{ 1845.3 | digits }}; {{ 0.0302 | digits(2) }}; {{ value('te', axis='y') | digits(1) }}"
-    )
-    assert "−2.000 ± 0.034; 12\u2009345; 1.000×10⁻⁷; 0.500; 6000; 1845; 0.030; −2" in html
-
-
 def test_criteria_stand_where_the_template_says(page):
     both = [criterion(True), criterion(False)]
     sections = "Words.\n\n## One\n\n{{ figure('plot') }}\n\n## Two\n\nMore."
@@ -171,12 +163,6 @@ def test_some_rows_of_a_table(page):
     assert re.findall(r"<td>(\w)</td>", html) == ["a", "c"]
     with pytest.raises(ConfigError, match="Kind"):
         page("{{ table('long', Kin=['a']) }}")
-
-
-def test_equation_is_drawn_and_told(page):
-    html = page(r"""{{ equation("\\sigma^2 < \\lambda", "eq. 1") }}""")
-    assert "<svg" in html
-    assert r'aria-label="\sigma^2 &lt; \lambda"' in html
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from experiments.harness.pivot import Pivot, pivot
 from experiments.harness.quantities import Quantities
 from experiments.harness.summary import Measured
-from experiments.harness.tables import Column, to_astropy
+from experiments.harness.tables import to_astropy
 from optics.errors import DomainError
 
 
@@ -44,32 +44,11 @@ def test_a_dimension_spread_over_columns(data):
     assert table.rows[2] == (3, 4.0, 5.0, 9.0)
 
 
-def test_two_dimensions_spread_over_columns(data):
-    table = pivot(data, Pivot(across="method axis", columns="te bound", plain="te"))
-    assert [head.key for head in table.heads[1:4]] == ["te_arcsec_cog_y", "te_arcsec_epsf_x", "te_arcsec_epsf_y"]
-    assert [head.name for head in table.heads[3:]] == ["Error ePSF fit y", "Bound x", "Bound y"]
-    assert table.rows == ((1.0, 2.0, 3.0, 4.0, 0.5, 0.6),)
-
-
-def test_hidden_dimensions_and_a_single_row(data):
-    assert pivot(data, Pivot(rows="method axis", hidden="axis", columns="te")).rows[0][0] == "centre of gravity"
-    assert len(pivot(data, Pivot(columns="bound", across="axis")).rows) == 1
-
-
 def test_some_rows_only_and_values_without_their_uncertainty(data):
     table = pivot(data, Pivot(rows="method axis", columns="te", plain="te", where={"method": ["epsf"]}))
     assert table.rows == (("ePSF fit", "x", 3.0), ("ePSF fit", "y", 4.0))
     of_one = pivot(data, Pivot(rows="axis", columns="te", plain="te", where={"method": "cog"}))
     assert of_one.rows == (("x", 1.0), ("y", 2.0))
-
-
-def test_heads_of_a_table_of_its_own(data):
-    heads = {"te_arcsec_x": Column(name="Largest", key="largest_arcsec")}
-    table = pivot(data, Pivot(rows="method", across="axis", columns="te", heads=heads))
-    assert [(head.name, head.unit, head.key) for head in table.heads[1:]] == [
-        ("Largest", "″", "largest_arcsec"),
-        ("Error y", "″", "te_arcsec_y"),
-    ]
 
 
 def test_a_dimension_that_is_forgotten_is_told(data):

@@ -72,49 +72,6 @@ def test_nested_records_and_an_uncertainty_that_stands_apart():
     }
 
 
-def test_parts_with_places_of_their_own():
-    q = Quantities()
-    q.axis("lens", ["centred", "moved"])
-    places = {"centred": "found", "moved": "other.found"}
-    errors = {"centred": "sigma", "moved": "other.sigma"}
-    q.add("a", [1.0, 2.0], dims="lens", error=[0.1, 0.2], json=places, json_error=errors)
-    q.add("b", [[1, 2], [3, 4]], dims="lens star", json={"moved": "other.stars"})
-    assert to_results(q.dataset) == {
-        "found": 1.0,
-        "sigma": 0.1,
-        "other": {"found": 2.0, "sigma": 0.2, "stars": [3, 4]},
-    }
-    q.add("c", [1.0, 2.0], dims="lens", json={"tilted": "found"})
-    with pytest.raises(ConfigError, match="lens of quantity 'c'"):
-        to_results(q.dataset)
-
-
-def test_the_whole_and_a_part_with_several_places():
-    q = Quantities()
-    q.axis("method", ["free", "linked"])
-    q.add("a", [[1, 2], [3, 4]], dims="method star", json={"*": "methods[method].a", "free": ["headline.a", "again"]})
-    assert to_results(q.dataset) == {
-        "methods": {"free": {"a": [1, 2]}, "linked": {"a": [3, 4]}},
-        "headline": {"a": [1, 2]},
-        "again": [1, 2],
-    }
-
-
-def test_records_at_the_top():
-    q = Quantities()
-    q.axis("lens", ["centred", "moved"])
-    q.axis("level", [1.0, 2.0])
-    q.add("a", [[1, 2], [3, 4]], dims="lens level", json="[lens].found.a")
-    q.add("b", [5, 6], dims="lens", json="[lens].b")
-    assert to_results(q.dataset) == {
-        "centred": {"found": {"a": [1, 2]}, "b": 5},
-        "moved": {"found": {"a": [3, 4]}, "b": 6},
-    }
-    q.add("c", [7, 8], dims="level", json="[level].c")
-    with pytest.raises(ConfigError, match="stands for no records"):
-        to_results(q.dataset)
-
-
 def test_uncertainty_and_samples_travel_with_the_value(q):
     cell = to_results(q.dataset)["te_arcsec"][1]["epsf"]["y"]
     assert cell == Measured(value=7.0, unit="arcsec", uncertainty=0.5, n=30)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from experiments.harness.config import ExperimentConfig
-from experiments.harness.summary import Criterion, Measured, criteria_lines, dumps, summary, to_json
+from experiments.harness.summary import Criterion, Measured, dumps, summary
 from optics.errors import DomainError
 
 
@@ -70,20 +70,6 @@ def test_every_type_and_no_nan():
 def test_doubles_survive_to_the_last_bit():
     numbers = np.random.default_rng(3).normal(size=200) * 10.0 ** np.arange(-100, 100)
     assert json.loads(dumps(numbers)) == numbers.tolist()
-
-
-def test_criteria_fit_a_terminal():
-    wordy = Criterion(name="word " * 40, value=-1.5, limit=2.0, unit="px", false_alarm=0.001, notices=0.12)
-    lines = criteria_lines([wordy])
-    assert max(map(len, lines)) <= 80
-    assert "-1.5 (≤ 2) px" in "".join(lines)
-    assert "false alarm 0.1 %, notices 12 %" in "".join(lines)
-
-
-@pytest.mark.parametrize("value", [1j, np.array([1j]), object(), b"bytes"])
-def test_what_json_cannot_hold_is_refused(value):
-    with pytest.raises(TypeError):
-        to_json(value)
 
 
 @pytest.mark.parametrize(

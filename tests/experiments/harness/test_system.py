@@ -31,12 +31,6 @@ def test_one_process_at_a_time_holds_a_folder(tmp_path):
     assert not any((tmp_path / "a").iterdir())  # nothing lies in a user's folder
 
 
-def test_processors_without_affinity(monkeypatch):
-    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
-    monkeypatch.setattr(os, "cpu_count", lambda: 6)
-    assert system.processors() == 6
-
-
 def test_a_signal_that_is_held_comes_afterwards(monkeypatch):
     done = []
 

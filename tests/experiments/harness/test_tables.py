@@ -10,7 +10,7 @@ import pytest
 from astropy.table import Table as AstropyTable
 
 from experiments.harness.summary import Measured
-from experiments.harness.tables import Column, Table, cell_text, to_astropy, to_rich, write_ecsv
+from experiments.harness.tables import Column, Table, cell_text, to_rich, write_ecsv
 from optics.errors import DomainError
 
 
@@ -78,16 +78,6 @@ def test_ecsv_round_trip(table, tmp_path, style):
     assert back.meta["note"] == "N = 30 frames"
 
 
-def test_empty_table_keeps_its_columns():
-    empty = Table(columns=["a", Column(name="b", unit="px")], rows=[])
-    assert to_astropy(empty).colnames == ["a", "b_px"]
-    assert len(to_rich(empty).columns) == 2
-
-
-def test_which_columns_are_numbers(table):
-    assert [table.numeric(index) for index in range(4)] == [False, True, True, True]
-
-
 def test_row_of_the_wrong_length_is_refused():
     with pytest.raises(DomainError, match="row 1 has 1 cells where 2 are needed"):
         Table(columns=["a", "b"], rows=[(1, 2), (3,)])
@@ -101,11 +91,3 @@ def test_terminal_table_shows_brackets_and_markup_as_they_are():
     text = console.export_text()
     assert "x [px]" in text
     assert "[red]5[/red]" in text
-
-
-def test_a_table_of_more_than_a_telephone_shows_folds_and_no_other():
-    few = Table(columns=["Axis", Column(name="Error", unit="px")], rows=[("x", 0.12), ("y", 0.34)])
-    words = Table(columns=["What", "Why"], rows=[("several short words " * 9, "and others " * 9)])
-    numbers = [Column(name=f"Number {n}", unit="px", format=".5f") for n in range(6)]
-    many = Table(columns=["Axis", *numbers], rows=[("x", *[0.1] * 6)])
-    assert [few.wide, words.wide, many.wide] == [False, False, True]

@@ -21,7 +21,6 @@ from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.points import nominal_px, pattern_effect
 from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.readout.search import common_shift
-from experiments.laboratory.target import corner_directions
 from optics.lens.perturb import decentre
 from render.engine.random import Streams
 
@@ -103,14 +102,6 @@ def test_calibration_leaves_the_cubic(field):
     assert left.sum((0, 1)) == pytest.approx([0, 0], abs=1e-11)
 
 
-def test_calibration_leaves_its_inputs_alone(field):
-    shift, place = 1e-4 * field, field.copy()
-    before = shift.copy()
-    after_calibration(shift, place)["as found"][:] = 7.0
-    assert np.array_equal(place, field)
-    assert np.array_equal(shift, before)
-
-
 def test_common_shift_is_what_most_detections_agree_on():
     rng = np.random.default_rng(1)
     offset = np.concatenate([rng.normal([31.0, -12.0], 0.5, (25, 2)), rng.uniform(-80, 80, (60, 2))])
@@ -129,18 +120,6 @@ def with_sensor(instrument, sensor_seed, **changes):
 @pytest.fixture(scope="module")
 def measured(engine, bench_of, small_camera):
     return quick_measure(bench_of(rows=1, columns=2, frames=2, dark_frames=2), small_camera, 1)
-
-
-def test_inputs_unchanged(measured, bench_of, small_camera):
-    bench = bench_of(rows=1, columns=2, frames=2, dark_frames=2)
-    direction = corner_directions(bench.target, small_camera)
-    before, mean = direction.copy(), measured.mean_px["epsf"].copy()
-    bundle_prediction(bench, small_camera, direction)
-    shift_sigma(measured, bench.pairs, "epsf")
-    table1_sigma(measured, bench.pairs, "epsf")
-    assert np.array_equal(direction, before)
-    assert np.array_equal(measured.mean_px["epsf"], mean)
-    assert np.array_equal(measured.direction, direction)
 
 
 @pytest.mark.slow
@@ -164,16 +143,6 @@ def test_a_wedge_in_one_filter_shows_as_half_of_its_motion(measured, bench_of, s
 
 
 @pytest.mark.slow
-def test_same_seed_same_numbers_another_seed_others(engine, measured, bench_of, small_camera):
-    bench = bench_of(rows=1, columns=2, frames=2, dark_frames=2)
-    one = measured.mean_px["epsf"]
-    same, other = (quick_measure(bench, small_camera, seed).mean_px["epsf"] for seed in (1, 2))
-    assert np.array_equal(one, same)
-    assert not np.any(one == other)
-    assert np.abs(one - other).max() < 0.1
-
-
-@pytest.mark.slow
 def test_moved_image_is_found_again(engine, bench_of, small_camera):
     """The target is looked for where the lens puts it, up to 80 px away; its comatic spots are not given up."""
     bench = bench_of(frames=2, dark_frames=2)
@@ -184,15 +153,15 @@ def test_moved_image_is_found_again(engine, bench_of, small_camera):
     assert np.abs(measured.mean_px["epsf"] - expected).max() < 0.1
 
 
-RUNS = 40
+RUNS = 16
 
 
 @pytest.mark.slow
 def test_uncertainties_of_table_1_are_as_stated(engine, bench_of, small_camera, traced_once):
-    """40 cameras (fixed patterns) and noise seeds: the entries scatter about the truth as their sigma says.
+    """16 cameras (fixed patterns) and noise seeds: the entries scatter about the truth as their sigma says.
 
     Two pairs share the 600 nm band (correlation 1/2, so 1/4 between their squares) and the two axes are independent:
-    the variance of the mean of 160 squared pulls is 2.5/160, and four standard deviations are allowed.
+    the variance of the mean of 64 squared pulls is 2.5/64, and four standard deviations are allowed.
     """
     bench = bench_of()
     pulls = []
@@ -205,19 +174,19 @@ def test_uncertainties_of_table_1_are_as_stated(engine, bench_of, small_camera, 
     pulls = np.array(pulls)
     spread = np.sqrt(2.5 / pulls.size)
     assert abs((pulls**2).mean() - 1) < 4 * spread
-    # no bias: the mean of 40 independent pulls per entry, the largest of four
+    # no bias: the mean of 16 independent pulls per entry, the largest of four
     assert np.abs(pulls.mean(0)).max() * np.sqrt(RUNS) < 4
 
 
-SENSORS = 40
+SENSORS = 16
 
 
 @pytest.mark.slow
 def test_effect_of_the_fixed_pattern_is_predicted(engine, bench_of, small_camera, traced_once):
-    """The prediction draws response patterns; here 40 sensors are made, and their mean centroids scatter.
+    """The prediction draws response patterns; here 16 sensors are made, and their mean centroids scatter.
 
-    16 points x 2 axes x 40 sensors, against 48 predicted patterns for each of those: the relative standard deviation of
-    their variances is sqrt(2 / 1280) and sqrt(2 / 61440), together 4.0 %; four of them are allowed. The filters do not
+    16 points x 2 axes x 16 sensors, against 48 predicted patterns for each of those: the relative standard deviation of
+    their variances is sqrt(2 / 512) and sqrt(2 / 24576), together 6.3 %; four of them are allowed. The filters do not
     count, the pattern is common to them. The temporal part is taken off.
     """
     bench = bench_of(frames=40, dark_frames=100)
@@ -233,7 +202,7 @@ def test_effect_of_the_fixed_pattern_is_predicted(engine, bench_of, small_camera
     spread = np.sqrt(2 / (32 * SENSORS) + 2 / (32 * 48 * SENSORS))
     assert found.mean() > 10 * np.mean(temporal)
     assert abs(found.mean() / np.mean(predicted) - 1) < 4 * spread
-    # the noise of every point, of 40 x 39 differences
+    # the noise of every point, of 16 x 39 differences
     assert np.abs(np.mean(noise, axis=0) - 1.0).max() < 4.5 * np.sqrt(2.0 / (SENSORS * 39))
 
 

@@ -20,7 +20,6 @@ from experiments.laboratory.readout.psf_grid import PsfGrid
 from experiments.laboratory.readout.reduction import Reduction, measure_frame
 from experiments.laboratory.readout.search import SEARCH_PX, find_star
 from experiments.laboratory.readout.stamps import ring_subtracted
-from experiments.laboratory.single_star.measure import window_strip_e
 from experiments.laboratory.single_star.star import SingleStar
 from experiments.laboratory.temporal_error import (
     TemporalPrediction,
@@ -94,18 +93,6 @@ def test_surveys_average_what_one_chip_does_not_freeze():
         np.testing.assert_allclose(
             prediction.of_surveys_px("cog", "nominal", surveys), np.sqrt(9.0 + 16.0 / surveys), rtol=1e-12
         )
-
-
-def test_windows_of_a_strip_stand_in_its_middle_a_pixel_apart():
-    dn = 100.0 + 0.5 * np.arange(27.0).reshape(1, 3, 3, 3)
-    defect = np.zeros((3, 3, 3), bool)
-    defect[2, 1, 1] = True
-    stack = SimpleNamespace(dn=dn, offset_dn=100.0, gain_dn_per_e=0.5, defect=defect)
-    strip = window_strip_e(stack, np.array([2, 0]), 5)
-    assert strip.shape == (6, 12)
-    np.testing.assert_array_equal(strip[1:4, 1:4], [[18, 19, 20], [21, np.nan, 23], [24, 25, 26]])
-    np.testing.assert_array_equal(strip[1:4, 7:10], np.arange(9).reshape(3, 3))
-    assert np.isfinite(strip).sum() == 17
 
 
 def test_a_star_has_the_colour_of_its_lamp_behind_its_band(star_camera):

@@ -17,7 +17,6 @@ from experiments.turntable.monte_carlo import (
     Coordinates,
     ReadingPoint,
     equal_reading_noise_arcsec,
-    monte_carlo,
     reading_sweep,
 )
 from experiments.turntable.settings import Config, main
@@ -78,19 +77,6 @@ def test_sweep_of_the_reading_noise_lies_on_its_bound() -> None:
     assert points[1].bound_arcsec > 5.0 * points[0].bound_arcsec
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("axes", ["xy", "xyz"])
-def test_covariance_is_honest(axes: str) -> None:
-    """N = 200: the RMS of a pull is known to 1 / sqrt(2 N) = 5 %; the worst of 15 stays within four of those."""
-    setup = _setup(axes)
-    found = monte_carlo(setup, MAP, Streams(5), 200)
-    assert found.lost == 0
-    assert np.abs(found.pull_std - 1).max() < 4 / np.sqrt(400)
-    assert np.abs(found.pull.mean(0)).max() < 4 / np.sqrt(200)
-    assert found.map_arcsec.value == pytest.approx(setup.map_bound_arcsec(MAP), rel=0.1)
-    assert found.reduced_chi2.mean() == pytest.approx(1.0, abs=4 * found.reduced_chi2.std() / np.sqrt(200))
-
-
 def test_what_a_square_table_is_taken_for_does_not_fit() -> None:
     setup = _setup("xy", reading_arcsec=0.01, lean_arcsec=60.0)
     data = setup.draw(Streams(1), 0)
@@ -136,6 +122,7 @@ def test_reading_noise_that_counts_like_the_centroids(slope: float, equal: float
 
 
 TINY = [
+    "instrument.diffraction=rays",
     "grid.columns=7",
     "grid.rows=5",
     "study.runs=20",
@@ -193,10 +180,7 @@ def test_a_rendered_run_is_as_good_as_predicted(table: str, tiny) -> None:
     [
         (["two_axis.axes=x"], "2 axes are needed"),
         (["grid.columns=2", "grid.rows=2", "grid.edge_px=400"], "4 places give 8 measurements"),
-        (["two_axis.setting_noise_arcsec=2000"], "field of 3.5 deg"),
         (["reduction.axes=x-y"], "mirrored"),
-        (["star.signal_e=50"], "not seen"),
-        (["star.signal_e=200000"], "saturated"),
     ],
 )
 def test_mistakes_end_in_one_line(settings: list[str], words: str, refused_by) -> None:

@@ -148,10 +148,9 @@ def number(value) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"])
-@pytest.mark.parametrize("wavelength", [500.0, 600.0, 800.0])
-def test_focal_lengths_agree_with_optiland(name, wavelength):
+def test_focal_lengths_agree_with_optiland(name):
     pytest.importorskip("optiland")
-    lens = load_lens(name)
+    lens, wavelength = load_lens(name), 800.0
     optic, ours = optiland_optic(lens, wavelength), paraxial(lens, wavelength)
     last_z = float(lens.surfaces[-1].position_mm[2])
     assert number(optic.paraxial.f2()) == pytest.approx(ours.efl_mm, rel=1e-9)

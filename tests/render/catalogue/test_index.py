@@ -51,12 +51,6 @@ def test_star_without_magnitude():
     assert 3 not in index.within([1.0, 0, 0], np.pi, magnitude_limit=99.0)
 
 
-def test_nothing_there(index):
-    rows = index.within([0.0, 0.0, 1.0], 1e-9)
-    assert rows.shape == (0,)
-    assert rows.dtype == np.int64
-
-
 def test_tiny_cones_hold_their_star(index):
     # 1e-9 rad, 0.2 mas: a cosine would not tell it from 0
     for row in range(20):

@@ -9,7 +9,7 @@ import pytest
 
 from optics.errors import BackendError
 from render.engine import Engine
-from render.engine.llvm import check_llvm, find_llvm, install_advice, packaged, searched_folders
+from render.engine.llvm import check_llvm, find_llvm, packaged
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = """
@@ -197,16 +197,3 @@ def test_names_of_the_library_on_other_systems(tmp_path, monkeypatch, system, th
         (tmp_path / name).touch()
     library = find_llvm([(tmp_path / name).parent for name in there])
     assert (library is None) if found is None else library.relative_to(tmp_path).as_posix().startswith(found)
-
-
-@pytest.mark.parametrize(
-    ("system", "variable", "folder", "said"),
-    [("darwin", "DYLD_LIBRARY_PATH", "/opt/homebrew/opt/llvm@*/lib", "brew"), ("win32", "PATH", "LLVM/bin", "winget")],
-)
-def test_where_other_systems_keep_it_and_what_installs_it(monkeypatch, system, variable, folder, said):
-    monkeypatch.setattr(sys, "platform", system)
-    monkeypatch.setenv(variable, os.pathsep.join(["/mine", "/yours"]))
-    folders = searched_folders()
-    assert folders[:2] == ["/mine", "/yours"]
-    assert any(name.endswith(folder) for name in folders)
-    assert said in install_advice()

@@ -154,13 +154,6 @@ def check(mi, scene, steps):
 
 
 @pytest.mark.slow
-def test_rates_backwards(mi):
-    """The image is linear in them: the derivative is the image of a unit rate."""
-    scene = scene_of(mi, "star_camera_206mm")
-    check(mi, scene, [("stars.photon_rate", (0, 0, 1), 1.0), ("stars.photon_rate", (1, 0, 2), 1.0)])
-
-
-@pytest.mark.slow
 def test_stars_and_attitude(mi):
     """Directions, rates, and attitude of stars and camera; forward mode tells the same."""
     import drjit as dr
@@ -169,6 +162,7 @@ def test_stars_and_attitude(mi):
     steps = [
         ("stars.direction", (0, 0), 3e-7),
         ("stars.direction", (1, 1), 3e-7),
+        ("stars.photon_rate", (1, 0, 2), 1.0),
         ("camera.attitude_rad", 0, 3e-7),
         ("camera.attitude_rad", 1, 3e-7),
         ("camera.attitude_rad", 2, 1e-4),
@@ -260,8 +254,7 @@ TRAILS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moving", [False, True], ids=["at rest", "moving"])
-@pytest.mark.parametrize("lens", WAVES)
+@pytest.mark.parametrize(("lens", "moving"), [("star_camera_206mm", False), ("star_tracker_26mm", True)])
 def test_diffraction_images(mi, by_direct_sums, lens, moving):
     """Every kind of parameter by waves, in reverse and in forward mode: a stop in front, and one inside."""
     import drjit as dr

@@ -36,8 +36,8 @@ def over_the_field(bench, name):
     ("name", "diffusion_px"),
     [
         (LENSES[0], 0.18),
-        pytest.param(LENSES[0], 0.0, marks=pytest.mark.slow),
-        *(pytest.param(name, px, marks=pytest.mark.slow) for name in LENSES[1:] for px in (0.0, 0.18)),
+        pytest.param(LENSES[1], 0.18, marks=pytest.mark.slow),
+        pytest.param(LENSES[2], 0.0, marks=pytest.mark.slow),
     ],
 )
 def test_photon_centroid_is_the_bundle_mean(engine, bench, name, diffusion_px):
@@ -49,7 +49,7 @@ def test_photon_centroid_is_the_bundle_mean(engine, bench, name, diffusion_px):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [LENSES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in LENSES[1:])])
+@pytest.mark.parametrize("name", LENSES[:2])
 def test_image_on_finer_pixels_has_the_same_centroid(engine, bench, name):
     """The image itself, not the strips: 4 times finer pixels sample the diffused light without aliasing."""
     x, y = over_the_field(bench, name)
@@ -70,7 +70,7 @@ def test_image_on_finer_pixels_has_the_same_centroid(engine, bench, name):
     assert worst < 1e-5  # demanded: 1e-4 px
 
 
-@pytest.mark.parametrize("name", [LENSES[0], *(pytest.param(one, marks=pytest.mark.slow) for one in LENSES[1:])])
+@pytest.mark.parametrize("name", [LENSES[0], pytest.param(LENSES[2], marks=pytest.mark.slow)])
 def test_truth_against_a_dense_numpy_bundle(engine, bench, name):
     """Bundle means, variances and vignetting; where apertures cut the bundle, as good as 2^16 Sobol rays are."""
     camera = bench.camera_of(name, film=False)
@@ -109,7 +109,7 @@ def test_light_that_enters_is_what_the_stop_alone_would_pass(engine, bench):
     assert free.electrons_vignetted[0, 0] < 1e-12 * free.electrons_in[0, 0]
 
 
-@pytest.mark.parametrize("name", [*LENSES[:2], pytest.param(LENSES[2], marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", LENSES[:2])
 def test_chief_rays_go_through_the_centre_of_the_stop(engine, bench, name):
     camera = bench.camera_of(name, film=False)
     stars = bench.stars_at(camera, *over_the_field(bench, name), bands=((650.0, 0.0),))
@@ -129,7 +129,7 @@ def test_every_electron_is_accounted_for(engine, bench):
     x = [2000.3, -0.5, 4095.5, 1500.2, 2500.7, -0.9, 4095.9, 4000.0, -40.0]
     y = [1000.4, 700.1, 900.9, -0.5, 2047.5, -0.2, 2047.7, 2000.0, 300.0]
     for system in (lens, cut, moved):
-        for defocus_mm in (0.0, 0.1) if system is lens else (0.02,):
+        for defocus_mm in (0.1,) if system is lens else (0.02,):
             camera = bench.camera_of(system, defocus_mm=defocus_mm)
             traced = rendered(camera, bench.stars_at(camera, x, y, bands=BANDS[:2]), sobol_log2_rays=12)
             truth = traced.truth
@@ -218,12 +218,11 @@ def test_narrow_band_becomes_a_line(engine, bench):
     assert np.abs(band.electrons - line.electrons).max() < 3e-5 * line.truth.electrons_in.max()
 
 
-@pytest.mark.parametrize("name", [LENSES[0], pytest.param(LENSES[1], marks=pytest.mark.slow)])
-def test_same_seed_same_bytes_whatever_the_threads(engine, bench, name):
+def test_same_seed_same_bytes_whatever_the_threads(engine, bench):
     import drjit as dr
 
-    camera = replace(bench.camera_of(name), width_px=900, height_px=900)
-    stars = bench.stars_at(camera, *over_the_field(bench, name))
+    camera = replace(bench.camera_of(), width_px=900, height_px=900)
+    stars = bench.stars_at(camera, *over_the_field(bench, LENSES[0]))
     threads = dr.thread_count()
     try:
         images = []

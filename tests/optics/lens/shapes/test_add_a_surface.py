@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -64,15 +63,6 @@ def program(tmp_path_factory):
     (folder / "lens.toml").write_text(re.search(r"```toml\n(.*?)```", PAGE, re.S)[1], encoding="utf-8")
     (folder / "script.py").write_text(script, encoding="utf-8")
     return folder
-
-
-@pytest.mark.slow
-def test_the_new_kind_keeps_what_every_kind_promises(program):
-    said = run(
-        program, "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", str(KINDS), "-k", "normalised_asphere or every"
-    )
-    assert re.search(r"^1[3-9] passed", said, re.M), said
-    assert "skipped" not in said or find_spec("drjit") is None
 
 
 @pytest.mark.slow

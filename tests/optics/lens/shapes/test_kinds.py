@@ -8,7 +8,6 @@ import pytest
 
 from optics.arrays import NUMPY
 from optics.errors import ConfigError, DomainError
-from optics.figures import draw_lens
 from optics.lens.perturb import change_shape, change_temperature, decentre, tilt
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.biconic import Biconic
@@ -207,15 +206,6 @@ def test_its_numbers_change_one_at_a_time_and_by_temperature(shape, tmp_path):
     warm = change_temperature(lens, 45.0, housing_cte_per_k=23.6e-6).surfaces[1].shape
     growth = math.exp(lens.glasses["N-BK7"].cte_per_k * (45.0 - lens.environment.temperature_c))
     assert warm == shape.scaled(growth)
-
-
-@every_kind
-def test_it_is_drawn(shape, tmp_path):
-    lens = lens_with(shape, tmp_path)
-    faces = [patch.get_xy() for patch in draw_lens(lens, fields_deg=[0.0]).axes[0].patches if len(patch.get_xy()) > 10]
-    z, y = faces[0].T
-    section = shape.sag(np.zeros_like(y), y)
-    assert np.isclose(z, section, atol=1e-9).sum() > 60
 
 
 @every_kind
