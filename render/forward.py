@@ -21,7 +21,6 @@ from render.plugins.scene_files import save_scene
 from render.plugins.star_field import share_collimation
 from render.records import ExpectedImage, StarField, checked_exposure
 from render.tracing.convergence import TOLERANCE
-from render.tracing.ghosts import Ghosting, GhostLight, GhostTruth
 from render.tracing.motion.exposure import ExposureMotion
 from render.tracing.tracer import TracedStars, Tracer
 
@@ -106,15 +105,11 @@ class StarRenderer:
         By waves: few stars too are taken from a grid of images over the field, which pays where many fields follow.
     contents : mapping, optional
         Further entries of the scene (`star_scene`): bodies that hide stars.
-    ghosts : GhostLight, optional
-        `render` adds the ghosts of bright stars (`render.tracing.ghosts`); left out: none. `trace` leaves them out.
 
     Attributes
     ----------
     traced : TracedStars or None
         What the last image was made of, including how the pupil was sampled.
-    ghost_truth : GhostTruth or None
-        Ghosts that `render` added to the last image, and in ``ghost_electrons`` (h, w, b) their light alone.
     label : str
         Name of the next image's scene file where `SCENES` asks for one; numbered where it is empty.
 
@@ -134,7 +129,6 @@ class StarRenderer:
         tolerance: float = TOLERANCE,
         by_grid: bool = False,
         contents: Mapping[str, Any] | None = None,
-        ghosts: GhostLight | None = None,
     ) -> None:
         self.exposure_s = checked_exposure(exposure_s)
         register_plugins()
@@ -142,9 +136,6 @@ class StarRenderer:
         self.camera, self.seed = camera, int(seed)
         self.traced: TracedStars | None = None
         self.label = ""
-        self._ghosting = None if ghosts is None else Ghosting(camera, ghosts)
-        self.ghost_truth: GhostTruth | None = None
-        self.ghost_electrons: NDArray[np.float32] | None = None
         self._settings: dict[str, Any] = {
             "exposure_s": self.exposure_s,
             "sobol_log2_rays": sobol_log2_rays,
@@ -166,17 +157,8 @@ class StarRenderer:
     ) -> ExpectedImage:
         """Noiseless image with truth; parameters and errors as `trace`."""
         traced = self.trace(stars, rotation_cam_from_world=rotation_cam_from_world, motion=motion)
-        electrons = traced.electrons
-        if self._ghosting is not None:
-            rotation = self.camera.rotation_cam_from_world if motion is None else motion.rotation_mid
-            rotation = rotation if rotation_cam_from_world is None else rotation_cam_from_world
-            self.ghost_electrons = np.zeros_like(electrons)
-            self.ghost_truth = self._ghosting.add(
-                self.ghost_electrons, stars.direction @ rotation.T, stars.wavelength_nm, traced.truth
-            )
-            electrons = electrons + self.ghost_electrons
         return ExpectedImage(
-            electrons=electrons,
+            electrons=traced.electrons,
             band=stars.band,
             exposure_s=self.exposure_s,
             diffused=True,
@@ -232,11 +214,6 @@ class StarRenderer:
             return None
         found: Tracer = self._scene.integrator().tracer(self._scene.sensors()[0], self.seed)
         return found
-
-    @property
-    def halo(self) -> NDArray[np.float32] | None:
-        """Scattered light (h, w, b) in the last image; None where the camera scatters none."""
-        return None if self.traced is None else self.traced.halo
 
     def save(self, path: str | Path) -> list[Path]:
         """Write the scene of the last image (`render.plugins.scene_files.save_scene`), for ``mi.load_file``.

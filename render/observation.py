@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +14,12 @@ from scipy.spatial.transform import Rotation
 from optics.attitude import angles_from_attitude
 from optics.errors import ConfigError
 from optics.light.band import Band
-from optics.light.pst import PointSourceTransmittance, read_pst
+from optics.light.pst import PointSourceTransmittance
 from optics.page import Marks, differences, save_frame_page
+from render.bodies.ghost_sources import GhostSources
 from render.bodies.solar_system import SolarSystem, hiding_spheres, planet_field, solar_system
-from render.bodies.stray_light import band_light, stray_electrons_per_s
-from render.bodies.sunlit_body import added
+from render.bodies.stray_light import StrayLight
+from render.bodies.stray_light import stray_light as stray_table
 from render.camera import FAR_NOISE
 from render.detector.maps import sensor_maps
 from render.detector.readout import expose
@@ -33,7 +33,7 @@ from render.sky.background import BackgroundMap, UniformSky, background_map, sky
 from render.sky.field import FieldOfView, SkyField, field_of_view
 from render.sky.sky import Sky, load_sky
 from render.sky.star_light import star_light
-from render.tracing.ghosts import GhostLight, GhostTruth
+from render.tracing.ghosts import Ghosting, GhostLight, GhostTruth
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 
 if TYPE_CHECKING:
@@ -68,7 +68,10 @@ class Observation:
     bodies : dict of str to (float, float, float)
         Column and row [px] of the middle of its light and electrons, of each of the simulator's bodies in the frame.
     ghosts : GhostTruth or None
-        Ghosts in the frame, where the simulator renders them: their stars count in ``field``; planets' are not listed.
+        Ghosts in the frame, where the simulator renders them: their stars count in ``field``, from ``len(field)`` on
+        in ``beside``.
+    beside : tuple of str
+        Sources of ghosts that are no stars of the field: ids of bright stars anywhere in front of the lens, bodies.
     layers : dict of str to (h, w) float32, or None
         Expected electrons of every source apart, where they were asked for: ``stars``, ``scatter`` (their halos),
         ``ghosts``, ``sky`` (zodiacal and other light), ``stray`` (Sun, Moon, Earth beside the field) and ``bodies`` add
@@ -84,6 +87,7 @@ class Observation:
     sky: Sky
     bodies: dict[str, tuple[float, float, float]]
     ghosts: GhostTruth | None = None
+    beside: tuple[str, ...] = ()
     layers: dict[str, NDArray[np.float32]] | None = None
 
     def __repr__(self) -> str:
@@ -217,31 +221,6 @@ class Observation:
         )
 
 
-class _Layers:
-    """Light of an image source by source, from its sums."""
-
-    def __init__(
-        self, whole: NDArray[np.float32], ghosts: NDArray[np.float32] | None, halo: NDArray[np.float32] | None
-    ) -> None:
-        rest = whole if ghosts is None else whole - ghosts
-        self.sums = [("stars", rest if halo is None else rest - halo)]
-        if halo is not None:
-            self.put("scatter", rest)
-        if ghosts is not None:
-            self.put("ghosts", whole)
-
-    def put(self, name: str, whole: NDArray[np.float32]) -> None:
-        """The sum with one source more."""
-        self.sums.append((name, whole))
-
-    def light(self) -> dict[str, NDArray[np.float32]]:
-        """Light (h, w) of each source."""
-        found = {"stars": self.sums[0][1][..., 0]}
-        for (_, before), (name, whole) in pairwise(self.sums):
-            found[name] = np.maximum(whole - before, 0.0)[..., 0]
-        return found
-
-
 class SkySimulator:
     """Renders frames of the sky with one star sensor; prepared once, for many attitudes.
 
@@ -275,8 +254,10 @@ class SkySimulator:
         Table of the camera (``pst.ecsv`` of experiment ``straylight``): Sun and Moon, and the Earth where ``bodies``
         has it, as the observer of the sky sees them, add even light to every pixel; their images are not drawn.
     ghosts : bool or GhostLight
-        Whether ghosts of bright stars are rendered: those whose brightest pixel holds a quarter of the read noise, with
-        a detector that reflects 20 %, or what a record says. Stars beside the frame have none.
+        Whether ghosts are rendered: those whose brightest pixel holds a quarter of the read noise, with a detector that
+        reflects 20 %, or what a record says; of stars in the frame and beside it, of Moon and planets in ``bodies``,
+        and of Sun and Moon with a table ``stray_light`` that has the cause ``ghosts``: its mean of them, where they
+        fall; the rest of the table is even light.
 
     Raises
     ------
@@ -319,14 +300,14 @@ class SkySimulator:
             self.diffuse = background_map(sensor.camera, [band])
         self.temperature_c, self.background_e_per_s = temperature_c, background_e_per_s
         self.exposure_s, self._streams = exposure_s, Streams(seed)
-        self._pst: PointSourceTransmittance | None = None
+        self._stray: StrayLight | None = None
         if stray_light is not None:
-            self._pst = stray_light if isinstance(stray_light, PointSourceTransmittance) else read_pst(stray_light)
-        self._earth, self._band_light = "earth" in bodies, None
-        if self._pst is not None:
             if self.sky.observer is None:
                 raise ConfigError("stray_light: the sky needs an observer, load_sky(observer='earth')")
-            self._band_light = band_light(sensor.detector, band)
+            self._stray = stray_table(
+                stray_light, sensor.detector, band, observer=self.sky.observer, epoch_year=self.sky.epoch_year,
+                earth="earth" in bodies, ghosts=bool(ghosts),
+            )  # fmt: skip
         self._disks: SolarSystem | None = None
         self._points: SolarSystem | None = None
         hidden = None
@@ -344,13 +325,21 @@ class SkySimulator:
             self._point_light = planet_field(self._points, [band], nodes=nodes)
             self._bodies = BodyRenderer(sensor.camera, [band], view=self.view)
             hidden = hiding_spheres(self._disks)
-        faint = GhostLight(least_e=FAR_NOISE * max(sensor.detector.read_noise_e, 1.0))
-        self._renderer = StarRenderer(
-            sensor.camera,
-            exposure_s=exposure_s,
-            contents=hidden,
-            ghosts=ghosts if isinstance(ghosts, GhostLight) else faint if ghosts else None,
-        )
+        self._renderer = StarRenderer(sensor.camera, exposure_s=exposure_s, contents=hidden)
+        self._ghosts = None
+        if ghosts:
+            faint = GhostLight(least_e=FAR_NOISE * max(sensor.detector.read_noise_e, 1.0))
+            self._ghosts = GhostSources(
+                Ghosting(sensor.camera, ghosts if isinstance(ghosts, GhostLight) else faint),
+                self.light.stars(self.sky.direction, self.sky.magnitude, self.sky.temperature_k),
+                self.sky.id,
+                exposure_s=exposure_s,
+                bands=[band],
+                observer=self.sky.observer,
+                epoch_year=self.sky.epoch_year,
+                bodies=bodies,
+                stray=self._stray,
+            )
 
     def observe(
         self,
@@ -392,10 +381,13 @@ class SkySimulator:
             expected = self._renderer.render(stars, rotation_cam_from_world=field.rotation_cam_from_icrs)
         else:
             expected = self._renderer.render(stars, motion=motion)
-        ghosts, apart = (
-            self._renderer.ghost_truth,
-            _Layers(expected.electrons, self._renderer.ghost_electrons, self._renderer.halo),
-        )
+        assert self._renderer.traced is not None
+        light = self._renderer.traced.layers()
+        ghosts, beside = None, ()
+        if self._ghosts is not None:
+            light["ghosts"] = np.zeros_like(expected.electrons)
+            assert expected.truth is not None
+            ghosts, beside = self._ghosts.add(light["ghosts"], attitude, stars, field.stars.id, expected.truth)
         if self.diffuse is not None:
             rate = sky_background(
                 self.diffuse,
@@ -405,18 +397,16 @@ class SkySimulator:
                 zodiacal=self.zodiacal,
                 uniform=self.uniform,
             )
-            expected = replace(expected, electrons=expected.electrons + rate * np.float32(expected.exposure_s))
-            apart.put("sky", expected.electrons)
-        stray = self.stray_e_per_s(attitude)
-        if stray:
-            light = np.float32(sum(stray.values()) * expected.exposure_s)
-            expected = replace(expected, electrons=expected.electrons + light)
-            apart.put("stray", expected.electrons)
+            light["sky"] = rate * np.float32(expected.exposure_s)
+        if stray := self.stray_e_per_s(attitude):
+            light["stray"] = np.full_like(expected.electrons, sum(stray.values()) * expected.exposure_s)
         bodies: dict[str, tuple[float, float, float]] = {}
-        for name, image, place in self._seen(attitude):
-            expected, bodies[name] = added(expected, image), place
         if self._disks is not None:
-            apart.put("bodies", expected.electrons)
+            light["bodies"] = np.zeros_like(expected.electrons)
+        for name, image, place in self._seen(attitude):
+            light["bodies"] += image.electrons
+            bodies[name] = place
+        expected = replace(expected, electrons=sum(light.values()))
         return Observation(
             frame=expose(
                 expected,
@@ -433,7 +423,10 @@ class SkySimulator:
             sky=self.sky,
             bodies=bodies,
             ghosts=ghosts,
-            layers={**apart.light(), "dark": self._dark_electrons()} if layers else None,
+            beside=beside,
+            layers={**{name: one[..., 0] for name, one in light.items()}, "dark": self._dark_electrons()}
+            if layers
+            else None,
         )
 
     def _dark_electrons(self) -> NDArray[np.float32]:
@@ -445,16 +438,7 @@ class SkySimulator:
 
     def stray_e_per_s(self, attitude: Rotation) -> dict[str, float]:
         """Stray light of each body in an attitude [e- s^-1 per pixel]; empty without a table."""
-        if self._pst is None or self._band_light is None:
-            return {}
-        return stray_electrons_per_s(
-            self._pst,
-            self._band_light,
-            attitude,
-            observer=self.sky.observer,
-            epoch_year=self.sky.epoch_year,
-            earth=self._earth,
-        )
+        return {} if self._stray is None else self._stray.even(attitude)
 
     def _motion(
         self, attitude: Rotation | Trajectory, rate_deg_per_s: ArrayLike | None, start_s: float | None

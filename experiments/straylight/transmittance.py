@@ -19,9 +19,9 @@ from optics.glass.coating import QuarterWave
 from optics.lens.system import AMBIENT, LensSystem
 from optics.light.pst import PointSourceTransmittance
 from optics.light.scatter import Particles, polished, roughness_tis
+from optics.rays.ghosts import entrance_radius_mm
 from optics.rays.stray import (
     ScatterLaw,
-    entrance_radius_mm,
     ghost_light,
     imaging_rays,
     lens_scatter_light,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +66,11 @@ class PointSourceTransmittance:
             one = freeze(self, name, shape=("c", "z", "a"), sizes=sizes)
             if (one < 0.0).any():
                 raise DomainError(f"PST: {name} of {one.min():g}; it must not be negative")
+
+    def only(self, cause: str) -> PointSourceTransmittance:
+        """The table of one cause."""
+        row = [self.causes.index(cause)]
+        return replace(self, causes=(cause,), value=self.value[row], error=self.error[row])
 
     @property
     def total(self) -> FloatArray:

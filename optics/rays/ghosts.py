@@ -13,10 +13,11 @@ reflected a third time is counted and not followed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
@@ -25,22 +26,28 @@ from optics.glass.catalogue import get_glass
 from optics.glass.coating import BARE, Coating
 from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, HALF_TURN, LensSystem, Surface
-from optics.rays.pupil import EntrancePupil, PupilSamples, gauss_disk, launch_disks, star_rays
+from optics.rays.pupil import EntrancePupil, PupilSamples, entrance_pupil, gauss_disk, launch_disks, star_rays
 from optics.rays.trace import OK, TOTAL_REFLECTION, Rays, trace
 
 __all__ = [
     "FluxLedger",
+    "GhostPath",
     "GhostRays",
     "Ghosts",
     "entering_rays",
+    "entrance_radius_mm",
     "find_ghosts",
+    "front_rays",
     "ghost_pairs",
+    "reflects",
     "trace_ghost",
     "with_cover_glass",
 ]
 
 RINGS, ARMS = 24, 48
 """Points of the beam, and as many of the rest of the first surface."""
+SLACK = 1.25
+"""Where a first surface has no rim, light falls on so much more than the entrance pupil."""
 SHARP_MM = 0.02
 """RMS radius of a ghost below which it looks like a star [mm]."""
 
@@ -181,7 +188,7 @@ def _right_handed(axes: FloatArray) -> FloatArray:
     return np.asarray(axes * [np.sign(np.linalg.det(axes)), 1.0, 1.0])
 
 
-def _reflects(lens: LensSystem, number: int) -> bool:
+def reflects(lens: LensSystem, number: int) -> bool:
     """Whether a surface is one between two media; the detector counts."""
     if number == len(lens.surfaces):
         return True
@@ -191,7 +198,7 @@ def _reflects(lens: LensSystem, number: int) -> bool:
 
 def ghost_pairs(lens: LensSystem) -> list[tuple[int, int]]:
     """All pairs (back, forward) of surfaces that make a ghost; ``len(lens.surfaces)`` is the detector."""
-    reflecting = [number for number in range(len(lens.surfaces) + 1) if _reflects(lens, number)]
+    reflecting = [number for number in range(len(lens.surfaces) + 1) if reflects(lens, number)]
     return [(j, i) for j in reflecting for i in reflecting if i < j]
 
 
@@ -204,11 +211,24 @@ class _Meeting:
     beyond: int  # Number of the medium on its other side
 
 
-class _Path:
-    """A way through the lens: its surfaces in the order light meets them, and what they do to its light."""
+class GhostPath:
+    """A way through the lens: its surfaces in the order light meets them, and what they do to its light.
+
+    Parameters
+    ----------
+    lens, coating, absorption
+        As `find_ghosts`.
+    back, forward : int or None
+        As `ghost_pairs`; both None: the image itself; the second None: light that leaves through the front.
+    """
 
     def __init__(
-        self, lens: LensSystem, back: int | None, forward: int | None, coating: Coating | None, absorption: bool
+        self,
+        lens: LensSystem,
+        back: int | None,
+        forward: int | None,
+        coating: Coating | None = None,
+        absorption: bool = True,
     ) -> None:
         self.lens, self.default, self.absorption = lens, coating, absorption
         end = len(lens.surfaces)
@@ -255,8 +275,19 @@ class _Path:
         self.surfaces.append(replace(surface, medium=name, index_offset=offset, mirror=True, coating=None))
         self.meetings.append(_Meeting(number, True, number + 1 if away else number))
 
-    def trace(self, rays: Rays, weight: FloatArray, detector: float) -> GhostRays:
-        """Follow rays and their weights."""
+    def trace(
+        self,
+        rays: Rays,
+        weight: FloatArray,
+        detector: float = 0.0,
+        seen: Callable[[int, Rays, FloatArray, FloatArray, FloatArray], None] | None = None,
+    ) -> GhostRays:
+        """Follow n rays of one wavelength in the lens frame, and the light (n,) that each carries.
+
+        ``seen`` gets the number of every meeting, the rays there, directions (3, n) before and after it, and what is
+        left of their light behind it.
+        """
+        rays = replace(rays, **{one.name: np.ravel(getattr(rays, one.name)) for one in fields(rays)})
         lens, wave = self.lens, rays.wavelength_nm.flat[0]
         index = lens.indices(wave)
         relative = index / index[0]
@@ -289,6 +320,8 @@ class _Path:
                 lost["reflected"] += float((share * other).sum())
                 lost["coatings"] += float((share * (1.0 - kept - other)).sum())
             share = np.where(now.status == OK, share * kept, 0.0)
+            if seen is not None:
+                seen(number, now, direction, turned, share)
             if not one.turns:
                 before = one.beyond if not lens.surfaces[one.surface].mirror else before
             status, direction, path = now.status, turned, now.opl_mm
@@ -315,7 +348,7 @@ class _Path:
                 cosine = 0.5 * np.linalg.norm(leaving - arriving, axis=0)
                 mirror = surface.coating.split(wave, relative[before], relative[before], cosine).reflectance
             return np.where(on, mirror, 0.0), nothing
-        if not _reflects(self.lens, one.surface):
+        if not reflects(self.lens, one.surface):
             return nothing + 1.0, nothing
         # Snell's law in vector form: n2 d2 - n1 d1 lies along the normal
         n1, n2 = relative[before], relative[one.beyond]
@@ -337,24 +370,15 @@ def trace_ghost(
     detector_reflectance: float = 0.0,
     absorption: bool = True,
 ) -> GhostRays:
-    """Rays of one ghost with their shares of the light, on the image plane.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens.
-    pair : (int, int) or None
-        As `ghost_pairs`; None: the image itself.
-    rays : Rays
-        In the lens frame, n in all, of one wavelength.
-    weight : (n,)
-        Light that each carries.
-    coating, detector_reflectance, absorption
-        As `find_ghosts`.
-    """
+    """Rays of one ghost with their shares of the light, on the image plane; None: of the image (`GhostPath.trace`)."""
     back, forward = (None, None) if pair is None else pair
-    rays = replace(rays, **{one.name: np.ravel(getattr(rays, one.name)) for one in fields(rays)})
-    return _Path(lens, back, forward, coating, absorption).trace(rays, weight, detector_reflectance)
+    return GhostPath(lens, back, forward, coating, absorption).trace(rays, weight, detector_reflectance)
+
+
+def entrance_radius_mm(lens: LensSystem) -> float:
+    """Radius of the first surface that light falls on: its clear aperture, or more than the entrance pupil."""
+    rim = lens.surfaces[0].semi_diameter_mm
+    return float(rim) if np.isfinite(rim) else SLACK * entrance_pupil(lens).radius_mm
 
 
 def entering_rays(
@@ -385,6 +409,28 @@ def entering_rays(
         x_mm=float(centre[0]), y_mm=float(centre[1]), z_mm=float(disks.z_mm), radius_mm=outer, exact=False
     )
     return star_rays(disk, points, star, wave, ambient_index=lens.indices(wave)[0]), points.weight
+
+
+def front_rays(lens: LensSystem, v_source: ArrayLike, wave: float, order: tuple[int, int]) -> tuple[Rays, FloatArray]:
+    """Rays of a distant source anywhere in front over all of the first surface, and areas [mm^2] that face it.
+
+    Raises
+    ------
+    DomainError
+        A source beside or behind the lens.
+    """
+    source = np.asarray(v_source, dtype=np.float64)
+    if not source[2] > 0.0:
+        raise DomainError("a source at 90 deg or more from the boresight does not shine into the lens")
+    direction, first, radius = light_direction(source), lens.surfaces[0], entrance_radius_mm(lens)
+    rim = np.array([0.0, radius])
+    sag = float(np.nanmax(np.abs(np.nan_to_num(first.shape.sag(rim, 0.0 * rim)))))
+    wide = radius + sag * float(np.hypot(*direction[:2]) / direction[2])
+    samples, (x, y, z) = gauss_disk(*order), first.position_mm - direction / direction[2] * (sag + 1.0)
+    rays = Rays.create(
+        x_mm=x + wide * samples.x, y_mm=y + wide * samples.y, z_mm=z, direction=direction, wavelength_nm=wave
+    )
+    return rays, samples.weight * np.pi * wide**2 * source[2]
 
 
 def find_ghosts(
@@ -435,14 +481,13 @@ def find_ghosts(
     rays, entering = entering_rays(lens, star, wave, order)
 
     def follow(back: int | None, forward: int | None) -> GhostRays:
-        path = _Path(lens, back, forward, coating, absorption)
-        return path.trace(rays, entering, detector_reflectance)
+        return GhostPath(lens, back, forward, coating, absorption).trace(rays, entering, detector_reflectance)
 
     image, pairs = follow(None, None), ghost_pairs(lens)
     direct = float(image.weight.sum())
     if direct <= 0.0:
         raise DomainError(f"lens {lens.name!r}: no light of this source reaches the image plane")
-    once = [follow(back, None) for back in range(len(lens.surfaces) + 1) if _reflects(lens, back)]
+    once = [follow(back, None) for back in range(len(lens.surfaces) + 1) if reflects(lens, back)]
     twice = [follow(*pair) for pair in pairs]
     light = [float(one.weight.sum()) for one in twice]
     rows = [

@@ -28,11 +28,10 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.frames import light_direction
-from optics.glass.coating import BARE, Coating
-from optics.lens.system import AMBIENT, LensSystem
+from optics.glass.coating import Coating
+from optics.lens.system import LensSystem
 from optics.rays.beam import find_beams
-from optics.rays.ghosts import ghost_pairs, trace_ghost
-from optics.rays.pupil import entrance_pupil, gauss_disk
+from optics.rays.ghosts import GhostPath, entrance_radius_mm, front_rays, ghost_pairs, reflects, trace_ghost
 from optics.rays.trace import OK, TOTAL_REFLECTION, Rays, trace
 
 __all__ = [
@@ -40,7 +39,6 @@ __all__ = [
     "ImagingRays",
     "LensScatter",
     "ScatterLaw",
-    "entrance_radius_mm",
     "ghost_light",
     "imaging_rays",
     "lens_scatter_light",
@@ -57,24 +55,11 @@ START = 15
 """Rays along each side of the grid that the search starts from."""
 FIELD_STEP = 1e-4
 """Of direction cosines, for the scale of the image."""
-SLACK = 1.25
-"""Where a first surface has no rim, light falls on so much more than the entrance pupil."""
-
-
-def entrance_radius_mm(lens: LensSystem) -> float:
-    """Radius of the first surface that light falls on: its clear aperture, or more than the entrance pupil."""
-    rim = lens.surfaces[0].semi_diameter_mm
-    return float(rim) if np.isfinite(rim) else SLACK * entrance_pupil(lens).radius_mm
 
 
 def scattering_surfaces(lens: LensSystem) -> list[int]:
     """Numbers of the surfaces between two media, and of mirrors."""
-    media = lens.media
-    return [
-        number
-        for number, surface in enumerate(lens.surfaces)
-        if surface.mirror or (not surface.shape.redirects and media[number] != media[number + 1])
-    ]
+    return [number for number, surface in enumerate(lens.surfaces) if surface.mirror or reflects(lens, number)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +70,7 @@ class _Crossing:
     y: FloatArray
     before: FloatArray  # (3, n)
     after: FloatArray  # (3, n)
-    share: FloatArray  # Light that is left behind the surface, whatever apertures do
+    share: FloatArray  # Light that is left behind the surface
     arrived: np.typing.NDArray[np.bool_]  # Whether the ray gets to the surface and through its aperture
 
 
@@ -94,50 +79,18 @@ class _Light:
 
     def __init__(self, lens: LensSystem, wave: float, coating: Coating | None, absorption: bool) -> None:
         self.lens, self.wave, self.coating, self.absorption = lens, wave, coating, absorption
-        self.index = lens.indices(wave)
-        self.relative = self.index / self.index[0]
+        self.relative = lens.indices(wave) / lens.indices(wave)[0]
 
     def follow(self, rays: Rays) -> tuple[list[_Crossing], Rays]:
         """All crossings up to the image."""
-        lens, found = self.lens, list[_Crossing]()
-        before, opl = np.stack([rays.dx, rays.dy, rays.dz]), rays.opl_mm
-        share = np.ones(np.shape(rays.x))
+        found = list[_Crossing]()
 
-        def visit(number: int, now: Rays) -> None:
-            nonlocal before, opl, share
-            if number >= len(lens.surfaces):
-                return
-            after = lens.poses[number][1] @ np.stack([now.dx, now.dy, now.dz])
-            share = share * self._passed(number, before, after, now.opl_mm - opl)
+        def seen(number: int, now: Rays, before: FloatArray, after: FloatArray, share: FloatArray) -> None:
             got = (now.status == OK) | ((now.status == TOTAL_REFLECTION) & (now.failed_at == number))
             found.append(_Crossing(now.x, now.y, before, after, share, np.asarray(got)))
-            before, opl = after, now.opl_mm
 
-        return found, trace(lens, rays, visit)
-
-    def _passed(self, number: int, before: FloatArray, after: FloatArray, path: FloatArray) -> FloatArray:
-        lens, surface = self.lens, self.lens.surfaces[number]
-        left = np.ones(path.shape)
-        glass = lens.glasses.get(lens.media[number][0])
-        if glass is not None and self.absorption:
-            length = np.nan_to_num(np.maximum(path / self.index[number], 0.0))
-            left = left * glass.internal_transmittance(self.wave, length)
-        n1, n2 = self.relative[number], self.relative[number + 1]
-        if surface.mirror:
-            if surface.coating is None:
-                return left
-            cosine = 0.5 * np.linalg.norm(after - before, axis=0)
-            return np.asarray(left * surface.coating.split(self.wave, n1, n1, np.nan_to_num(cosine)).reflectance)
-        if lens.media[number] == lens.media[number + 1] or surface.shape.redirects:
-            return left
-        coating = surface.coating
-        if coating is None and AMBIENT in (lens.media[number][0], lens.media[number + 1][0]):
-            coating = self.coating
-        across = n2 * after - n1 * before
-        length = np.linalg.norm(across, axis=0)
-        cosine = np.abs((across * before).sum(axis=0)) / np.where(length > 0.0, length, 1.0)
-        cosine = np.clip(np.nan_to_num(cosine, nan=1.0), 1e-6, 1.0)
-        return np.asarray(left * (coating or BARE).split(self.wave, n1, n2, cosine).transmittance)
+        path = GhostPath(self.lens, None, None, self.coating, self.absorption)
+        return found, path.trace(rays, np.ones(np.shape(rays.x)), seen=seen).rays
 
 
 def _at_surface(lens: LensSystem, rays: Rays) -> Rays:
@@ -428,23 +381,8 @@ def ghost_light(
     if not 0.0 <= detector_reflectance <= 1.0:
         raise DomainError(f"detector_reflectance = {detector_reflectance:g}; it must lie in 0 ... 1")
     wave = lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
-    source = np.asarray(v_source, dtype=np.float64)
-    if not source[2] > 0.0:
-        raise DomainError("a source at 90 deg or more from the boresight does not shine into the lens")
-    direction, first, radius = light_direction(source), lens.surfaces[0], entrance_radius_mm(lens)
-    rim = np.array([0.0, radius])
-    sag = float(np.nanmax(np.abs(np.nan_to_num(first.shape.sag(rim, 0.0 * rim)))))
-    slope = float(np.hypot(*direction[:2]) / direction[2])
-    wide, samples = radius + sag * slope, gauss_disk(rings, arms)
-    back = direction / direction[2] * (sag + 1.0)
-    rays = Rays.create(
-        x_mm=first.position_mm[0] - back[0] + wide * samples.x,
-        y_mm=first.position_mm[1] - back[1] + wide * samples.y,
-        z_mm=first.position_mm[2] - back[2],
-        direction=direction,
-        wavelength_nm=wave,
-    )
-    weight = samples.weight * np.pi * wide**2 * source[2] / (4.0 * half_mm[0] * half_mm[1])
+    rays, area = front_rays(lens, v_source, wave, (rings, arms))
+    weight = area / (4.0 * half_mm[0] * half_mm[1])
     pairs = tuple(ghost_pairs(lens))
     value, error = np.zeros(len(pairs)), np.zeros(len(pairs))
     for at, pair in enumerate(pairs):

@@ -7,8 +7,10 @@ sphere in full light, a sum of points: PST adds up over a source that is extende
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,14 +20,23 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError
 from optics.light.band import Band, band_nodes
 from optics.light.photometry import band_photon_rate
-from optics.light.pst import PointSourceTransmittance
+from optics.light.pst import PointSourceTransmittance, read_pst
 from render.bodies.brightness import planet_spectrum
 from render.bodies.solar_system import RADIUS_KM, solar_system
 from render.catalogue.motion import Observer
 from render.detector.spec import Detector
 from render.sky.sunlight import sunlight
 
-__all__ = ["FULL_MOON_V", "BandLight", "band_light", "earth_points", "limb_pst", "stray_electrons_per_s"]
+__all__ = [
+    "FULL_MOON_V",
+    "BandLight",
+    "StrayLight",
+    "band_light",
+    "earth_points",
+    "limb_pst",
+    "stray_electrons_per_s",
+    "stray_light",
+]
 
 FULL_MOON_V = -12.74
 """Mean full Moon (C. W. Allen, Astrophysical Quantities)."""
@@ -92,9 +103,9 @@ def limb_pst(pst: PointSourceTransmittance, towards_centre: ArrayLike, radius_ra
 
 def stray_electrons_per_s(
     pst: PointSourceTransmittance,
-    light: BandLight,
     attitude: Rotation,
     *,
+    light: BandLight,
     observer: Observer | None,
     epoch_year: float,
     earth: bool = False,
@@ -105,10 +116,10 @@ def stray_electrons_per_s(
     ----------
     pst : PointSourceTransmittance
         Of the camera.
-    light : BandLight
-        Of its pass band.
     attitude : Rotation
         cam from icrs.
+    light : BandLight
+        Of its pass band.
     observer : Observer
         Where the camera is (that of the sky).
     epoch_year : float
@@ -136,6 +147,45 @@ def stray_electrons_per_s(
         radius = math.asin(min(1.0, RADIUS_KM["earth"] / _distance_km(bodies.to_observer_au[1])))
         found["earth"] = sun * limb_pst(pst, towards[1], radius)
     return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StrayLight:
+    """Stray light of each body in an attitude [e- s^-1 per pixel]; made by `stray_light`."""
+
+    whole: Callable[[Rotation], dict[str, float]]
+    ghosts: Callable[[Rotation], dict[str, float]] | None  # What of it are ghosts that are drawn, of Sun and Moon
+
+    def even(self, attitude: Rotation) -> dict[str, float]:
+        """What lies evenly on the detector."""
+        drawn = {} if self.ghosts is None else self.ghosts(attitude)
+        return {name: max(light - drawn.get(name, 0.0), 0.0) for name, light in self.whole(attitude).items()}
+
+
+def stray_light(
+    table: str | Path | PointSourceTransmittance,
+    detector: Detector,
+    band: Band,
+    *,
+    observer: Observer | None,
+    epoch_year: float,
+    earth: bool = False,
+    ghosts: bool = False,
+) -> StrayLight:
+    """Stray light by a table; ``ghosts``: its cause of that name is drawn apart. Others as `stray_electrons_per_s`.
+
+    Raises
+    ------
+    ConfigError
+        A table that cannot be read.
+    """
+    pst = table if isinstance(table, PointSourceTransmittance) else read_pst(table)
+    known = {"light": band_light(detector, band), "observer": observer, "epoch_year": epoch_year}
+    drawn = pst.only("ghosts") if ghosts and "ghosts" in pst.causes else None
+    return StrayLight(
+        whole=partial(stray_electrons_per_s, pst, earth=earth, **known),
+        ghosts=None if drawn is None else partial(stray_electrons_per_s, drawn, **known),
+    )
 
 
 def _distance_km(vector_au: FloatArray) -> float:

@@ -28,10 +28,9 @@ from render.bodies.lunar_map import HIGHLAND, MARE, lunar_map, moon_rotation
 from render.bodies.solar_system import SolarSystem
 from render.bodies.sphere_image import Light
 from render.plugins.lunar_surface import lommel_seeliger_phase
-from render.records import ExpectedImage
 from render.sky.sunlight import sun_spectrum, sunlight
 
-__all__ = ["SunlitBody", "added", "covers", "map_factor", "planet_body", "sphere_photons"]
+__all__ = ["SunlitBody", "covers", "map_factor", "planet_body", "sphere_photons"]
 
 
 SCALED_AT_NM = 550.0
@@ -272,18 +271,3 @@ def _earthlight(moon: SolarSystem, body: SunlitBody) -> Light | None:
 def covers(body: SunlitBody, direction: ArrayLike) -> NDArray[np.bool_]:
     """Which directions (n, 3) along icrs lie behind the body's sphere: stars to leave out."""
     return np.asarray(np.asarray(direction, float) @ body.direction > math.cos(body.angular_radius_rad))
-
-
-def added(image: ExpectedImage, *others: ExpectedImage) -> ExpectedImage:
-    """Sum of images of one exposure; the truth of the first stays."""
-    for other in others:
-        same = (image.band, image.electrons.shape, image.exposure_s, image.diffused)
-        if (other.band, other.electrons.shape, other.exposure_s, other.diffused) != same:
-            raise ConfigError(
-                f"images of {other.electrons.shape} in {', '.join(other.band)}, {other.exposure_s:g} s, and of "
-                f"{image.electrons.shape} in {', '.join(image.band)}, {image.exposure_s:g} s, do not add up"
-            )
-    total = image.electrons.copy()
-    for other in others:
-        total += other.electrons
-    return replace(image, electrons=total)

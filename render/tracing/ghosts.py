@@ -1,9 +1,10 @@
-"""Ghosts of bright stars as images: the enumerated paths of two reflections (`optics.rays.ghosts`), each as it lands.
+"""Ghosts as images: the enumerated paths of two reflections (`optics.rays.ghosts`), each as it lands.
 
-Which paths can be seen of a star is told by the ghosts of a few fields, found once per camera; those are traced for the
-star, at the mean wavelength of each band. A path's rays, each a Gaussian as wide as rays lie apart (and no narrower
-than charge diffusion), make its image; ghosts wider than `WIDEST_PX` are uniform disks of the same RMS radius. A ghost
-is light that the response of the camera counts as reflected: it comes on top of what is a star's own.
+Which paths can be seen of a source is told by coarse rays at angles on both sides of its own, found once per camera;
+those are traced at the mean wavelength of each band. A path's rays, each a Gaussian as wide as rays lie apart (and no
+narrower than charge diffusion), make its image. Over the disk of an extended source the place of every ray is linear in
+the direction, and its light that of the middle. A ghost is light that the response of the camera counts as reflected:
+it comes on top of what is a star's own.
 """
 
 from __future__ import annotations
@@ -14,25 +15,30 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
+from scipy.ndimage import gaussian_filter
 
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
-from optics.frames import field_direction
-from optics.rays.ghosts import SHARP_MM, entering_rays, find_ghosts, trace_ghost
+from optics.frames import light_direction
+from optics.rays.ghosts import SHARP_MM, GhostPath, entering_rays, entrance_radius_mm, front_rays, ghost_pairs
+from optics.rays.pupil import gauss_disk
+from optics.rays.trace import OK, Rays
 from optics.records import freeze
-from render.camera import Camera
-from render.records import Truth
+from render.camera import Camera, PathLosses
+from render.records import StarField, Truth
 
 __all__ = ["GhostLight", "GhostTruth", "Ghosting"]
 
-FIELDS, ORDER = (0.1, 0.7), (6, 12)
-"""Parts of the field whose ghosts tell which can be seen, by so many rays."""
+ANGLES, ORDER = (0.1, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 16.0), (6, 12)
+"""Angles, in parts of the field, whose ghosts tell which can be seen, by so many rays."""
 ROOM = 5.0
-"""By how much brighter those of other fields are taken to be, at most."""
-WIDEST_PX = 150.0
-REACH = 4.0
-"""Standard deviations to which the light of a ray reaches."""
+"""By how much brighter those of other angles are taken to be, at most."""
+DIMMEST = 1e3
+"""Electrons on the first surface, in parts of ``least_e``, below which a star beside the frame makes no ghost."""
+FRONT, DISK = (24, 48), (4, 16)
+"""Rays of a source beside the frame, and points of the disk of an extended one."""
+REACH, SMOOTH = 4.0, 3.0
+"""Standard deviations to which the light of a ray reaches, and steps of the grid to one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +72,7 @@ class GhostTruth:
     Attributes
     ----------
     star, band : (g,) int
-        Row of the star in the truth, and number of the band.
+        Row of the star in the truth, and number of the band. Sources beside the frame follow behind the stars.
     back, forward : (g,) int
         Surfaces that turn the light back, then forward again; the number of surfaces is the detector.
     x_px, y_px : (g,)
@@ -104,7 +110,7 @@ class GhostTruth:
 
 
 class Ghosting:
-    """Adds ghosts of the stars of one camera.
+    """Adds ghosts of the sources of one camera.
 
     Parameters
     ----------
@@ -122,10 +128,9 @@ class Ghosting:
     def __init__(self, camera: Camera, light: GhostLight) -> None:
         camera.lens.check_surfaces()
         self.camera, self.light, self.lens = camera, light, camera.focused_lens
-        losses = camera.losses
-        self.coating = None if losses is None else losses.coating
-        self.absorption = losses is not None and losses.absorption
-        self._seen: dict[float, dict[tuple[int, int], float]] = {}
+        self._losses = camera.losses or PathLosses(absorption=False)
+        self._paths: dict[tuple[int, int] | None, GhostPath] = {}
+        self._seen: dict[tuple[float, float], dict[tuple[int, int], float]] = {}
 
     def add(
         self, image: NDArray[np.float32], direction: FloatArray, wavelength_nm: FloatArray, truth: Truth
@@ -133,108 +138,187 @@ class Ghosting:
         """Add ghosts of stars in directions (n, 3) in cam, whose truth is known, to an image (h, w, b)."""
         assert truth.electrons_absorbed is not None
         through = truth.electrons_in - truth.electrons_vignetted - truth.electrons_hidden - truth.electrons_absorbed
+        area = math.pi * entrance_radius_mm(self.lens) ** 2
         rows: list[tuple[Any, ...]] = []
         for band, nm in enumerate(wavelength_nm.mean(1).tolist()):
-            shares = self._shares(nm)
-            brightest = ROOM * max(shares.values(), default=0.0)
-            for star in np.flatnonzero(through[:, band] * brightest > self.light.least_e).tolist():
+            for star in np.flatnonzero(through[:, band] > self.light.least_e).tolist():
                 electrons = float(through[star, band])
-                pairs = [pair for pair, share in shares.items() if ROOM * share * electrons > self.light.least_e]
-                rows += [
-                    (star, band, *one) for one in self._star(image[..., band], direction[star], nm, electrons, pairs)
-                ]
-        names = list(GhostTruth.__dataclass_fields__)
-        columns = zip(*rows, strict=True) if rows else ([] for _ in names)
-        return GhostTruth(**{name: np.array(values) for name, values in zip(names, columns, strict=True)})
-
-    def _shares(self, nm: float) -> dict[tuple[int, int], float]:
-        """Light in the brightest pixel of every path as a share of the image, the most of some fields."""
-        if nm not in self._seen:
-            found: dict[tuple[int, int], float] = {}
-            for part in FIELDS:
-                star = field_direction(math.degrees(part * self.camera.field_reach_rad), 0.0)
-                try:
-                    ghosts = find_ghosts(
-                        self.lens,
-                        star,
-                        wavelength_nm=nm,
-                        coating=self.coating,
-                        detector_reflectance=self.light.detector_reflectance,
-                        absorption=self.absorption,
-                        order=ORDER,
-                    )
-                except DomainError:  # the lens images no star there
+                pairs = self._pairs(direction[star], nm, electrons / area)
+                if not pairs:
                     continue
-                shares = ghosts.pixel_share(self.camera.pixel_pitch_mm)
-                for pair, share in zip(zip(ghosts.back, ghosts.forward, strict=True), shares, strict=True):
-                    key = int(pair[0]), int(pair[1])
-                    found[key] = max(found.get(key, 0.0), float(share))
-            self._seen[nm] = found
-        return self._seen[nm]
+                rays, entering = entering_rays(self.lens, direction[star], nm)
+                direct = float(self._path(None).trace(rays, entering).weight.sum())
+                if direct > 0.0:
+                    beam = rays, entering * (electrons / direct)
+                    rows += self._rows(image[..., band], (star, band), pairs, beam)
+        return _truth(rows)
 
-    def _star(
-        self, image: NDArray[np.float32], star: FloatArray, nm: float, electrons: float, pairs: list[tuple[int, int]]
-    ) -> list[tuple[Any, ...]]:
-        """Add ghosts of one star in one band; their rows of the truth."""
-        rays, entering = entering_rays(self.lens, star, nm)
-        more: dict[str, Any] = {
-            "coating": self.coating,
-            "detector_reflectance": self.light.detector_reflectance,
-            "absorption": self.absorption,
-        }
-        direct = float(trace_ghost(self.lens, None, rays, entering, **more).weight.sum())
-        found: list[tuple[Any, ...]] = []
-        for back, forward in pairs if direct > 0.0 else []:
-            one = trace_ghost(self.lens, (back, forward), rays, entering, **more)
-            lit = one.weight > 0.0
-            if not lit.any():
-                continue
-            x, y = self.camera.to_pixel(one.rays.x[lit], one.rays.y[lit])
-            light = one.weight[lit] * (electrons / direct)
-            total = float(light.sum())
-            middle = float(light @ x) / total, float(light @ y) / total
-            square = float(light @ ((x - middle[0]) ** 2 + (y - middle[1]) ** 2)) / total
-            radius = math.sqrt(2.0 * square)
-            peak = total / max(math.pi * radius**2, 1.0)
-            if peak < self.light.least_e:
-                continue
-            on_image = self._draw(image, x, y, light, middle, radius)
-            sharp = math.sqrt(square) * self.camera.pixel_pitch_mm < SHARP_MM
-            found.append((back, forward, *middle, radius, total, on_image, peak, sharp))
-        return found
-
-    def _draw(
+    def add_beside(
         self,
         image: NDArray[np.float32],
-        x: FloatArray,
-        y: FloatArray,
-        light: FloatArray,
-        middle: tuple[float, float],
-        radius: float,
-    ) -> float:
-        """Add the rays of one ghost, or its disk; electrons on the image."""
-        sigma = max(self.camera.blur_px, 1.5 * radius / math.sqrt(len(x)), 0.05)
-        wide = radius > WIDEST_PX
-        ends = [(m - radius - 1.0, m + radius + 1.0) for m in middle] if wide else [
-            (float(v.min()) - REACH * sigma, float(v.max()) + REACH * sigma) for v in (x, y)
-        ]  # fmt: skip
-        (left, right), (top, bottom) = (
-            (max(0, math.floor(low)), min(size, math.ceil(high) + 1))
-            for (low, high), size in zip(ends, image.shape[::-1], strict=True)
-        )
-        if left >= right or top >= bottom:
-            return 0.0
-        if wide:
-            columns, rows = np.arange(left, right) - middle[0], np.arange(top, bottom) - middle[1]
-            part = np.clip(radius + 0.5 - np.hypot(columns, rows[:, None]), 0.0, 1.0)
-            pixels = part * (light.sum() / (math.pi * radius**2))
-        else:
-            along_x, along_y = (
-                0.5 * np.diff(erf((np.arange(low, high + 1) - 0.5 - v[:, None]) / (math.sqrt(2.0) * sigma)), axis=1)
-                for v, low, high in ((x, left, right), (y, top, bottom))
-            )
-            pixels = (along_y * light[:, None]).T @ along_x
+        stars: StarField,
+        *,
+        exposure_s: float,
+        radius_rad: FloatArray | float = 0.0,
+        first: int = 0,
+    ) -> GhostTruth:
+        """Add ghosts of sources anywhere in front of the lens, in cam, whose images are drawn elsewhere or nowhere.
+
+        Parameters
+        ----------
+        image : (h, w, b)
+            Electrons.
+        stars : StarField
+            Their directions in cam, and their light.
+        exposure_s : float
+            Exposure time.
+        radius_rad : (n,) or float
+            Of the even disks that they are; 0 for points.
+        first : int
+            Number of the first source in the truth.
+        """
+        facing_e, area = self._facing(stars, exposure_s), math.pi * entrance_radius_mm(self.lens) ** 2
+        radius = np.broadcast_to(radius_rad, len(stars))
+        rows: list[tuple[Any, ...]] = []
+        for source, band in np.argwhere(facing_e > DIMMEST * self.light.least_e).tolist():
+            towards, light = stars.direction[source], float(facing_e[source, band]) / area
+            nm = float(stars.wavelength_nm[band].mean())
+            if not towards[2] > 0.0:
+                continue
+            pairs = ghost_pairs(self.lens) if radius[source] else self._pairs(towards, nm, light)
+            rays, facing = front_rays(self.lens, towards, nm, FRONT)
+            beam = rays, facing * light
+            rows += self._rows(image[..., band], (first + source, band), pairs, beam, towards, float(radius[source]))
+        return _truth(rows)
+
+    def bright(self, stars: StarField, exposure_s: float) -> NDArray[np.bool_]:
+        """Which of n stars may make ghosts that are rendered, wherever they stand in front of the lens."""
+        return np.asarray((self._facing(stars, exposure_s) > DIMMEST * self.light.least_e).any(1))
+
+    def _facing(self, stars: StarField, exposure_s: float) -> FloatArray:
+        """Electrons (n, b) that the light on the first surface would be worth, if none of it were lost."""
+        wave, area = stars.wavelength_nm, math.pi * entrance_radius_mm(self.lens) ** 2
+        through = np.reshape(self._losses.along_axis(self.lens, wave.ravel()), wave.shape)
+        return np.asarray((stars.photon_rate * self.camera.response_at(wave) / through).sum(2) * (exposure_s * area))
+
+    def _path(self, pair: tuple[int, int] | None) -> GhostPath:
+        if pair not in self._paths:
+            back, forward = pair or (None, None)
+            self._paths[pair] = GhostPath(self.lens, back, forward, self._losses.coating, self._losses.absorption)
+        return self._paths[pair]
+
+    def _pairs(self, towards: FloatArray, nm: float, density: float) -> list[tuple[int, int]]:
+        """Paths whose brightest pixel may hold enough of a source of some electrons per mm^2."""
+        angles = np.minimum(np.array(ANGLES) * self.camera.field_reach_rad, 1.4)
+        at = int(np.searchsorted(angles, math.acos(min(float(towards[2]), 1.0))))
+        found: dict[tuple[int, int], float] = {}
+        for angle in {float(angles[max(at - 1, 0)]), float(angles[min(at, len(angles) - 1)])}:
+            for pair, area in self._areas(angle, nm).items():
+                found[pair] = max(found.get(pair, 0.0), area)
+        return [pair for pair, area in found.items() if ROOM * area * density > self.light.least_e]
+
+    def _areas(self, angle: float, nm: float) -> dict[tuple[int, int], float]:
+        """Area [mm^2] in front of the lens whose light the brightest pixel of every path holds."""
+        if (angle, nm) not in self._seen:
+            self._seen[angle, nm] = found = {}
+            rays, facing = front_rays(self.lens, [math.sin(angle), 0.0, math.cos(angle)], nm, ORDER)
+            for pair in ghost_pairs(self.lens):
+                one = self._path(pair).trace(rays, facing, self.light.detector_reflectance)
+                if (lit := one.weight > 0.0).any():
+                    place = np.stack(self.camera.to_pixel(one.rays.x[lit], one.rays.y[lit]))
+                    found[pair] = float(one.weight.sum()) / _moments(place, one.weight[lit])[3]
+        return self._seen[angle, nm]
+
+    def _rows(
+        self,
+        image: NDArray[np.float32],
+        whose: tuple[int, int],
+        pairs: list[tuple[int, int]],
+        beam: tuple[Rays, FloatArray],
+        towards: FloatArray | None = None,
+        radius_rad: float = 0.0,
+    ) -> list[tuple[Any, ...]]:
+        """Add ghosts of one source in one band; their rows of the truth."""
+        (rays, light), count, disk = beam, beam[1].size, gauss_disk(*DISK)
+        extended = towards is not None and radius_rad > 0.0
+        if extended:
+            rays, light = _beside(rays, towards, radius_rad), np.tile(light, 3)
+        found: list[tuple[Any, ...]] = []
+        for pair in pairs:
+            one = self._path(pair).trace(rays, light, self.light.detector_reflectance)
+            lit = np.flatnonzero(one.weight[:count] > 0.0)
+            if not len(lit):
+                continue
+            weight, every = one.weight[lit], np.stack(self.camera.to_pixel(one.rays.x, one.rays.y))
+            place = every[:, lit]
+            sigma = max(self.camera.blur_px, 1.5 * _moments(place, weight)[2] / math.sqrt(len(lit)), 0.05)
+            if extended:
+                ends = lit + count * np.array([[1], [2]])
+                known = one.rays.status[ends] == OK
+                first, second = (np.where(k, every[:, e] - place, 0.0) for k, e in zip(known, ends, strict=True))
+                place = (place[..., None] + first[..., None] * disk.x + second[..., None] * disk.y).reshape(2, -1)
+                weight = np.outer(weight, disk.weight).ravel()
+                wide = math.sqrt(float((first**2 + second**2).sum()) / (2.0 * len(lit)))
+                sigma = math.hypot(sigma, 1.5 * wide / math.sqrt(len(disk.x)))
+            x, y, radius, area = _moments(place, weight)
+            total = float(weight.sum())
+            if total / area < self.light.least_e:
+                continue
+            on_image = self._draw(image, place, weight, sigma)
+            sharp = radius * self.camera.pixel_pitch_mm < math.sqrt(2.0) * SHARP_MM
+            found.append((*whose, *pair, x, y, radius, total, on_image, total / area, sharp))
+        return found
+
+    def _draw(self, image: NDArray[np.float32], place: FloatArray, light: FloatArray, sigma: float) -> float:
+        """Add light at places (2, m), each a Gaussian; electrons on the image.
+
+        It is shared out over a grid of a part of the Gaussian, smoothed there, and interpolated.
+        """
+        step, room = max(1.0, sigma / SMOOTH), math.ceil(REACH * sigma) + 1
+        span, part, hats, inside = [], [], [], np.ones(len(light), np.bool_)
+        for v, size in zip(place, image.shape[::-1], strict=True):
+            low, high = max(0, math.floor(v.min()) - room), min(size, math.ceil(v.max()) + room + 1)
+            if low >= high:
+                return 0.0
+            node = np.arange(low - room, high + room + step, step)
+            span.append(slice(low, high))
+            part.append((v - node[0]) / step)
+            inside &= (part[-1] >= 0.0) & (part[-1] < len(node) - 1)
+            hats.append(np.maximum(1.0 - np.abs(np.arange(low, high)[:, None] - node) / step, 0.0))
+        grid = np.zeros((hats[1].shape[1], hats[0].shape[1]))
+        (column, right), (row, down) = ((v[inside].astype(np.int64), v[inside] % 1.0) for v in part)
+        for below, share in ((0, 1.0 - down), (1, down)):
+            for beside, portion in ((0, 1.0 - right), (1, right)):
+                np.add.at(grid, (row + below, column + beside), light[inside] * share * portion)
+        width = math.sqrt(max(sigma**2 - step**2 / 12.0, 0.0)) / step  # the sharing widens it, too
+        grid = gaussian_filter(grid, width, mode="constant", truncate=REACH)
+        pixels = hats[1] @ grid @ hats[0].T / step**2
         if self.camera.sensitive_columns is not None:
-            pixels = pixels * self.camera.sensitive_columns[left:right]
-        image[top:bottom, left:right] += pixels.astype(np.float32)
+            pixels = pixels * self.camera.sensitive_columns[span[0]]
+        image[span[1], span[0]] += pixels.astype(np.float32)
         return float(pixels.sum())
+
+
+def _beside(rays: Rays, towards: FloatArray, radius_rad: float) -> Rays:
+    """Rays (n,) of a source, followed by those of two points of its rim, at right angles, from the same places."""
+    side = np.cross(towards, [1.0, 0.0, 0.0] if abs(towards[0]) < 0.7 else [0.0, 1.0, 0.0])
+    side = math.tan(radius_rad) * side / np.linalg.norm(side)
+    rim = np.stack([towards, towards + side, towards + np.cross(towards, side)])
+    light = np.repeat(light_direction(rim / np.linalg.norm(rim, axis=1, keepdims=True)), rays.x.size, axis=0)
+    x, y, z, wave = (
+        np.tile(np.broadcast_to(v, rays.x.shape).ravel(), 3) for v in (rays.x, rays.y, rays.z, rays.wavelength_nm)
+    )
+    return Rays.create(x_mm=x, y_mm=y, z_mm=z, direction=light, wavelength_nm=wave)
+
+
+def _moments(place: FloatArray, weight: FloatArray) -> tuple[float, float, float, float]:
+    """Centroid, radius of the even disk of the same RMS radius, and its area, no less than a pixel's."""
+    x, y = (float(v) for v in place @ weight / weight.sum())
+    square = float(weight @ ((place[0] - x) ** 2 + (place[1] - y) ** 2) / weight.sum())
+    return x, y, math.sqrt(2.0 * square), max(2.0 * math.pi * square, 1.0)
+
+
+def _truth(rows: list[tuple[Any, ...]]) -> GhostTruth:
+    names = list(GhostTruth.__dataclass_fields__)
+    columns = zip(*rows, strict=True) if rows else ([] for _ in names)
+    return GhostTruth(**{name: np.array(values) for name, values in zip(names, columns, strict=True)})

@@ -52,6 +52,12 @@ class TracedStars:
     sampling: Sampling
     halo: NDArray[np.float32] | None = None  # What of the image is scattered light
 
+    def layers(self) -> dict[str, NDArray[np.float32]]:
+        """Light (h, w, b) of the ``stars`` and of their halos (``scatter``), which add up to the image."""
+        return {"stars": self.electrons} if self.halo is None else {
+            "stars": self.electrons - self.halo, "scatter": self.halo
+        }  # fmt: skip
+
 
 class ImageMaker(Protocol):
     """Makes images of the stars of one camera."""

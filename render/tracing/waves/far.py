@@ -35,12 +35,12 @@ from render.tracing.waves.summed import Trail
 
 __all__ = ["FarImage", "add_far_images", "far_image"]
 
-CELLS = 1024
-"""Across the aperture."""
+CELLS = (1024, 1536)
+"""Across the aperture; the second where spikes hold more than `BEYOND` of the light beyond the reach of the first."""
 PARTS = 55
 """Points of a cell at its edge, a Fibonacci lattice: edges along the axes are found to 1 / 55 of a cell."""
-LAST = 400.0
-"""Distance [lambda N] at which the grid of cells ends what is known."""
+LAST = 0.39
+"""Distance [lambda N] at which the grid of cells ends what is known, per cell."""
 ANNULUS = (60.0, 160.0)
 """Distances [lambda N] at which the fall of the image is measured, as 1 / r^3, in `SECTORS` sectors."""
 SECTORS = 72
@@ -65,6 +65,12 @@ class FarImage:
     wavelength_nm: float
     fall: float  # Mean light per (lambda N)^2 at a distance r [lambda N], times r^3
     spikes: float  # The same of the brightest sector
+    last: float  # Largest distance at which it is known [lambda N]
+
+    @property
+    def saturated(self) -> float:
+        """Distance [lambda N] beyond which `BEYOND` of the light lies."""
+        return 2.0 * math.pi * self.fall / BEYOND
 
     def unit_px(self, wavelength_nm: FloatArray | float) -> Any:
         """lambda N [px]."""
@@ -90,8 +96,8 @@ class FarImage:
         """Where the image of a star ends."""
         radius = float(np.cbrt(electrons * self.spikes * unit_px / ends_e))
         if saturated:
-            radius = max(radius, 2.0 * math.pi * self.fall * unit_px / BEYOND)
-        return min(radius, LAST * unit_px)
+            radius = max(radius, self.saturated * unit_px)
+        return min(radius, self.last * unit_px)
 
 
 def far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
@@ -104,12 +110,15 @@ def far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
     if key not in _kept:
         while len(_kept) >= MOST_KEPT:
             _kept.pop(next(iter(_kept)))
-        _kept[key] = _far_image(planner, wavelength_nm)
+        for cells in CELLS:
+            _kept[key] = found = _far_image(planner, wavelength_nm, cells)
+            if found is None or found.saturated < found.last:
+                break
     _of[planner] = _kept[key]
     return _kept[key]
 
 
-def _far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
+def _far_image(planner: PupilPlanner, wavelength_nm: float, cells: int) -> FarImage | None:
     wave = np.array([[wavelength_nm]])
     exposure = planner.exposure(at_rest(np.array([[0.0, 0.0, 1.0]])), wave)
     (centre,), (radius,) = (v[:, 0] for v in planner.disks(exposure, wave, np.zeros(1, np.int64)))
@@ -123,9 +132,9 @@ def _far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
         found[inside] = exposure.mid.land(table(points[inside]), wave, star)[2].ravel()
         return found
 
-    middle = (np.arange(CELLS) + 0.5) * (2.0 / CELLS) - 1.0
+    middle = (np.arange(cells) + 0.5) * (2.0 / cells) - 1.0
     x, y = (v.ravel() for v in np.meshgrid(middle, middle))
-    mask = _aperture(arrives, x, y)
+    mask = _aperture(arrives, x, y, cells)
     if not mask.any():
         return None
     lit = np.flatnonzero(mask > 0.5)
@@ -138,24 +147,25 @@ def _far_image(planner: PupilPlanner, wavelength_nm: float) -> FarImage | None:
         return None
     if slope[0, 0] * slope[1, 1] < 0.0:  # the square of the transform is the same from both sides of the middle
         mask = mask[:, ::-1]
-    half = np.abs(rfft2(mask.astype(np.float32), s=(2 * CELLS, 2 * CELLS))) ** 2
-    cell = np.sinc(np.fft.fftfreq(2 * CELLS)) ** 2  # what cells are damped by
-    half /= cell[:, None] * cell[: CELLS + 1]
-    power = np.empty((2 * CELLS, 2 * CELLS))
-    power[:, : CELLS + 1] = half
-    mirrored = (-np.arange(2 * CELLS)) % (2 * CELLS)
-    power[:, CELLS + 1 :] = half[mirrored][:, CELLS - 1 : 0 : -1]
+    half = np.abs(rfft2(mask.astype(np.float32), s=(2 * cells, 2 * cells))) ** 2
+    cell = np.sinc(np.fft.fftfreq(2 * cells)) ** 2  # what cells are damped by
+    half /= cell[:, None] * cell[: cells + 1]
+    power = np.empty((2 * cells, 2 * cells))
+    power[:, : cells + 1] = half
+    mirrored = (-np.arange(2 * cells)) % (2 * cells)
+    power[:, cells + 1 :] = half[mirrored][:, cells - 1 : 0 : -1]
     power = np.fft.fftshift(power / power.sum())
     fall, spikes = _falls(power)
-    power *= 1.0 - math.sqrt(32.0) * fall / (0.5 * CELLS)  # what lies outside the square
-    running = np.zeros((2 * CELLS + 1, 2 * CELLS + 1))
+    power *= 1.0 - math.sqrt(32.0) * fall / (0.5 * cells)  # what lies outside the square
+    running = np.zeros((2 * cells + 1, 2 * cells + 1))
     np.cumsum(np.cumsum(power, axis=0), axis=1, out=running[1:, 1:])
-    return FarImage(running, (abs(float(slope[0, 0])), abs(float(slope[1, 1]))), wavelength_nm, fall, spikes)
+    per_px = abs(float(slope[0, 0])), abs(float(slope[1, 1]))
+    return FarImage(running, per_px, wavelength_nm, fall, spikes, LAST * cells)
 
 
-def _aperture(arrives: Callable[[FloatArray], FloatArray], x: FloatArray, y: FloatArray) -> FloatArray:
+def _aperture(arrives: Callable[[FloatArray], FloatArray], x: FloatArray, y: FloatArray, cells: int) -> FloatArray:
     """Part of every cell (n, n) about its middle x, y that light passes; those at edges are divided."""
-    mask = arrives(np.stack([x, y], axis=-1)).reshape(CELLS, CELLS)
+    mask = arrives(np.stack([x, y], axis=-1)).reshape(cells, cells)
     edge = np.zeros(mask.shape, np.bool_)
     for axis in (0, 1):
         changes = np.diff(mask, axis=axis) != 0.0
@@ -164,7 +174,7 @@ def _aperture(arrives: Callable[[FloatArray], FloatArray], x: FloatArray, y: Flo
     few = np.flatnonzero(edge)
     if len(few):
         number = np.arange(PARTS)
-        dx, dy = (((v + 0.5) / PARTS - 0.5) * (2.0 / CELLS) for v in (number, number * 34 % PARTS))
+        dx, dy = (((v + 0.5) / PARTS - 0.5) * (2.0 / cells) for v in (number, number * 34 % PARTS))
         inner = np.stack([(x[few, None] + dx).ravel(), (y[few, None] + dy).ravel()], axis=-1)
         mask.ravel()[few] = arrives(inner).reshape(len(few), -1).mean(1)
     return mask

@@ -11,9 +11,9 @@ from optics.glass.coating import TabulatedCoating
 from optics.lens.prescription import lens_from_table
 from optics.lens_file import load_lens
 from optics.light.scatter import polished
+from optics.rays.ghosts import entrance_radius_mm
 from optics.rays.pupil import launch_disks
 from optics.rays.stray import (
-    entrance_radius_mm,
     ghost_light,
     imaging_rays,
     lens_scatter_light,

@@ -53,12 +53,12 @@ def test_the_sun_gives_its_photons_times_pst_and_efficiency() -> None:
     observer = earth_observer(2020.0)
     to_sun = -observer.from_sun_au / np.linalg.norm(observer.from_sun_au)
     towards, _ = Rotation.align_vectors([[np.sin(0.5), 0.0, np.cos(0.5)]], [to_sun])
-    found = stray_electrons_per_s(flat(), light, towards, observer=observer, epoch_year=2020.0)
+    found = stray_electrons_per_s(flat(), towards, light=light, observer=observer, epoch_year=2020.0)
     assert found["sun"] == pytest.approx(1e-6 * light.sun_e_per_s / (observer.from_sun_au**2).sum(), rel=1e-9)
     behind, _ = Rotation.align_vectors([[0.0, 0.0, -1.0]], [to_sun])
-    assert stray_electrons_per_s(flat(), light, behind, observer=observer, epoch_year=2020.0)["sun"] == 0.0
+    assert stray_electrons_per_s(flat(), behind, light=light, observer=observer, epoch_year=2020.0)["sun"] == 0.0
     with pytest.raises(ConfigError, match="observer"):
-        stray_electrons_per_s(flat(), light, towards, observer=None, epoch_year=2020.0)
+        stray_electrons_per_s(flat(), towards, light=light, observer=None, epoch_year=2020.0)
 
 
 @pytest.mark.slow

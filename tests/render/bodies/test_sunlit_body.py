@@ -11,7 +11,7 @@ from optics.lens_file import load_lens
 from optics.light.band import TopHat
 from render.bodies.body_image import render_body
 from render.bodies.solar_system import planet_field, solar_system
-from render.bodies.sunlit_body import SunlitBody, added, covers, planet_body, sphere_photons
+from render.bodies.sunlit_body import SunlitBody, covers, planet_body, sphere_photons
 from render.camera import Camera
 from render.forward import render_stars
 from render.motion.trajectory import ConstantRate
@@ -168,10 +168,6 @@ def test_planet_is_as_bright_as_its_star(engine):
     side = (turn.as_matrix() @ body.to_sun)[:2]
     side = side / np.linalg.norm(side)
     assert np.array([x - truth.photon_x_px[0, 0], y - truth.photon_y_px[0, 0]]) @ side > 2.0
-    both = added(star, disk.image)
-    assert both.truth is star.truth
-    each = (star.electrons.sum(dtype=float), disk.image.electrons.sum(dtype=float))
-    assert both.electrons.sum(dtype=float) == pytest.approx(sum(each), rel=1e-6)
     assert covers(body, np.stack([system.direction[0], np.roll(system.direction[0], 1)])).tolist() == [True, False]
 
 
@@ -244,7 +240,5 @@ def test_out_of_sight_and_refusals(engine, tmp_path):
         ball(5.0, 0.0, direction=[0.0, 0.0, 2.0])
     with pytest.raises(ConfigError, match="no such file"):
         ball(5.0, 0.0, mesh=tmp_path / "nothing.ply")
-    with pytest.raises(ConfigError, match="add up"):
-        added(beside.image, replace(behind.image, exposure_s=2.0))
     with pytest.raises(DomainError, match="exposure"):
         render_body(camera, ball(5.0, 0.0), BAND, exposure_s=0.0)

@@ -13,10 +13,11 @@ from optics.glass.coating import QuarterWave
 from optics.lens.without_glass import ideal_lens
 from optics.lens_file import load_lens
 from optics.rays.ghosts import find_ghosts, with_cover_glass
+from optics.rays.pupil import gauss_disk
 from render.camera import Camera, PathLosses
 from render.forward import StarRenderer
-from render.records import StarField
-from render.tracing.ghosts import GhostLight
+from render.records import StarField, Truth
+from render.tracing.ghosts import Ghosting, GhostLight, GhostTruth
 
 WAVE_NM = np.array([[600.0]])
 STAR = field_direction(0.55, 0.3)
@@ -40,14 +41,19 @@ def stars(rate: float, direction: np.ndarray = STAR) -> StarField:
     )
 
 
+def ghosts_of(camera: Camera, least_e: float, field: StarField) -> tuple[GhostTruth, np.ndarray, Truth]:
+    """Ghosts of stars, their light, and the truth of the stars."""
+    truth = StarRenderer(camera).render(field).truth
+    light = np.zeros((camera.height_px, camera.width_px, 1), np.float32)
+    return Ghosting(camera, GhostLight(least_e=least_e)).add(light, field.direction, WAVE_NM, truth), light, truth
+
+
 def test_ghosts_lie_where_paths_land_with_their_light(engine, camera):
     """The images of two ghosts, one in a window of its own: centroid, light, width; truth equal to `find_ghosts`."""
-    renderer = StarRenderer(camera, ghosts=GhostLight(least_e=0.2))
-    renderer.render(stars(2e3))
-    truth, light = renderer.ghost_truth, renderer.ghost_electrons[..., 0]
+    truth, light, whole = ghosts_of(camera, 0.2, stars(2e3))
+    light = light[..., 0]
     known = find_ghosts(camera.focused_lens, STAR, wavelength_nm=600.0, coating=camera.losses.coating)
     assert len(truth) >= 2
-    whole = renderer.traced.truth
     electrons = float((whole.electrons_image + whole.electrons_off_edge + whole.electrons_beyond)[0, 0])
     for g in range(len(truth)):
         row = np.flatnonzero((known.back == truth.back[g]) & (known.forward == truth.forward[g]))[0]
@@ -66,28 +72,59 @@ def test_ghosts_lie_where_paths_land_with_their_light(engine, camera):
 
 @pytest.mark.slow
 def test_faint_stars_have_none_and_light_scales(engine, camera):
-    renderer = StarRenderer(camera, ghosts=GhostLight(least_e=0.2))
-    renderer.render(stars(1e-2))
-    assert len(renderer.ghost_truth) == 0
-    assert not renderer.ghost_electrons.any()
-    bright, without = renderer.render(stars(2e3)), StarRenderer(camera).render(stars(2e3))
-    once = renderer.ghost_electrons
-    np.testing.assert_allclose(bright.electrons, without.electrons + once, rtol=1e-6)
-    same = StarRenderer(camera, ghosts=GhostLight(least_e=0.4))
-    same.render(stars(4e3))
-    np.testing.assert_allclose(same.ghost_electrons, 2.0 * once, rtol=1e-4, atol=1e-7)
+    none, dark, _ = ghosts_of(camera, 0.2, stars(1e-2))
+    assert len(none) == 0
+    assert not dark.any()
+    once, twice = ghosts_of(camera, 0.2, stars(2e3))[1], ghosts_of(camera, 0.4, stars(4e3))[1]
+    np.testing.assert_allclose(twice, 2.0 * once, rtol=1e-4, atol=1e-7)
 
 
 @pytest.mark.slow
 def test_wide_ghosts_are_disks_with_all_their_light(engine, camera):
     """Pixels of a quarter of the pitch: ghosts wider than 150 px."""
     fine = replace(camera, pixel_pitch_mm=0.001, width_px=3000, height_px=3000, centre_px=np.full(2, np.nan))
-    renderer = StarRenderer(fine, ghosts=GhostLight(least_e=0.05))
-    renderer.render(stars(1e4, field_direction(0.05, 0.0)))
-    truth = renderer.ghost_truth
+    truth, _, _ = ghosts_of(fine, 0.05, stars(1e4, field_direction(0.05, 0.0)))
     wide = (truth.radius_px > 150.0) & (truth.radius_px < 1000.0)
     assert wide.any()
     assert truth.electrons_image[wide] == pytest.approx(truth.electrons[wide], rel=1e-3)
+
+
+def beside(camera: Camera, field: StarField, least_e: float = 0.2, **more) -> tuple[GhostTruth, np.ndarray]:
+    """Ghosts by the light on the first surface."""
+    light = np.zeros((camera.height_px, camera.width_px, 1), np.float32)
+    truth = Ghosting(camera, GhostLight(least_e=least_e)).add_beside(light, field, exposure_s=1.0, **more)
+    return truth, light[..., 0]
+
+
+@pytest.mark.parametrize("radius_rad", [0.0, 0.004])
+def test_a_source_beside_the_frame_is_its_points(engine, camera, radius_rad):
+    """A point: the same ghosts as by its own image, which rays of the beam alone make. A disk: those of its points."""
+    middle, rate = field_direction(0.4, 0.3), 1e5
+    alone, light = beside(camera, stars(rate, middle), 0.01, radius_rad=radius_rad)
+    if not radius_rad:
+        other, drawn, _ = ghosts_of(camera, 0.01, stars(rate, middle))
+        drawn = drawn[..., 0]
+        keys = [list(zip(one.back, one.forward, strict=True)) for one in (alone, other)]
+        rows = [[keys[0].index(key), keys[1].index(key)] for key in keys[1] if key in keys[0]]
+        here, there = np.array(rows).T
+        bright = other.electrons[there] > 0.05 * other.electrons.max()
+        assert bright.sum() >= 2
+        np.testing.assert_allclose(alone.electrons[here][bright], other.electrons[there][bright], rtol=0.03)
+        apart = np.hypot(alone.x_px[here] - other.x_px[there], alone.y_px[here] - other.y_px[there])
+        assert (apart[bright] < 0.02 * other.radius_px[there][bright] + 0.2).all()
+    else:
+        points = gauss_disk(3, 6)
+        towards = middle + radius_rad * np.column_stack([points.x, points.y, 0.0 * points.x])
+        rates = (rate * points.weight)[:, None, None]
+        field = StarField(
+            direction=towards / np.linalg.norm(towards, axis=1, keepdims=True), wavelength_nm=WAVE_NM,
+            photon_rate=rates, band=("v",),
+        )  # fmt: skip
+        drawn = beside(camera, field, 1e-4)[1]
+    assert light.sum(dtype=float) == pytest.approx(drawn.sum(dtype=float), rel=0.03)
+    for axis in (0, 1):
+        first, second = (one.sum(axis=axis, dtype=float).cumsum() / one.sum(dtype=float) for one in (light, drawn))
+        np.testing.assert_allclose(first, second, atol=0.03)
 
 
 def test_bad_settings():

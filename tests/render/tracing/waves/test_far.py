@@ -92,11 +92,8 @@ def test_spike_of_a_vane() -> None:
     assert far.spikes > 3.0 * far.fall
 
 
-@pytest.mark.parametrize(
-    ("stop", "most_beyond"),  # spikes of vanes of 0.5 mm reach beyond 400 lambda N, where the far image ends
-    [({}, 1e-3), pytest.param(BLACK, 1.4e-3, marks=pytest.mark.slow)],
-)
-def test_bright_star_ends_far_out_and_light_balances(stop, most_beyond) -> None:
+@pytest.mark.parametrize("stop", [{}, pytest.param(BLACK, marks=pytest.mark.slow)])
+def test_bright_star_ends_far_out_and_light_balances(stop) -> None:
     far = FarLight(ends_e=2.0, saturated_e=1e5)
     bright, plain = star(camera_of(far, **stop), 4e6), star(camera_of(**stop), 4e6)
     for one in (bright, plain):
@@ -105,7 +102,7 @@ def test_bright_star_ends_far_out_and_light_balances(stop, most_beyond) -> None:
         assert sum(float(p[0, 0]) for p in parts) == pytest.approx(float(t.electrons_in[0, 0]), rel=1e-9)
         assert float(t.electrons_image[0, 0]) == pytest.approx(float(one.electrons.sum(dtype=float)), rel=1e-6)
     through = bright.truth.electrons_image + bright.truth.electrons_off_edge + bright.truth.electrons_beyond
-    assert bright.truth.electrons_beyond[0, 0] < most_beyond * through[0, 0] < plain.truth.electrons_beyond[0, 0]
+    assert bright.truth.electrons_beyond[0, 0] < 1e-3 * through[0, 0] < plain.truth.electrons_beyond[0, 0]
     core = plain.electrons > 0.0
     assert np.array_equal(bright.electrons[core], plain.electrons[core])
     twice = star(camera_of(far, **stop), 8e6)

@@ -1,0 +1,140 @@
+"""Ghosts of all that shines into a lens: stars in the frame and beside it, Sun, Moon and planets wherever they stand.
+
+Of Sun and Moon a table of point-source transmittance (`optics.light.pst`) tells how much ghost light gets past the
+baffle, the traced paths where it falls: their image is scaled to the mean of the table. Without a table the lens is
+bare. Both are even disks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import constants
+from scipy.spatial.transform import Rotation
+
+from optics.arrays import FloatArray, IntArray
+from optics.light.band import Band, band_nodes
+from render.bodies.solar_system import planet_field, solar_system
+from render.bodies.stray_light import StrayLight
+from render.catalogue.motion import Observer
+from render.records import StarField, Truth
+from render.sky.sunlight import SUN_RADIUS_KM, sunlight
+from render.tracing.ghosts import Ghosting, GhostTruth
+
+__all__ = ["GhostSources", "sun_field"]
+
+
+def sun_field(from_sun_au: FloatArray, bands: Sequence[Band], *, nodes: int = 5) -> tuple[StarField, float]:
+    """The Sun, seen from a place along icrs [au], as a point of light; and the radius of its disk [rad]."""
+    rule, far = band_nodes(bands, nodes), float(np.linalg.norm(from_sun_au))
+    rate = sunlight(rule.wavelength_nm, distance_au=far) * rule.weight_nm * rule.transmission
+    sun = StarField(
+        direction=-from_sun_au[None] / far, wavelength_nm=rule.wavelength_nm, photon_rate=rate[None], band=rule.name
+    )
+    return sun, math.asin(SUN_RADIUS_KM * 1e3 / constants.au / far)
+
+
+class GhostSources:
+    """Adds the ghosts of a sky to images.
+
+    Parameters
+    ----------
+    ghosting : Ghosting
+        Of the camera.
+    stars : StarField
+        All stars of the sky, along icrs.
+    star_id : (n,)
+        Who they are.
+    exposure_s : float
+        Exposure time.
+    bands : sequence of Band
+        Pass bands of the frames.
+    observer, epoch_year : Observer or None, float
+        Where and when the sky is seen; without an observer there are stars alone.
+    bodies : sequence of str
+        Moon and planets; those without a magnitude, and the Earth, make no ghosts.
+    stray : StrayLight, optional
+        With ghosts of Sun and Moon: how much light they hold. A table that does not tell them apart holds them evenly.
+    """
+
+    def __init__(
+        self,
+        ghosting: Ghosting,
+        stars: StarField,
+        star_id: IntArray,
+        *,
+        exposure_s: float,
+        bands: Sequence[Band],
+        observer: Observer | None,
+        epoch_year: float,
+        bodies: Sequence[str] = (),
+        stray: StrayLight | None = None,
+    ) -> None:
+        self.ghosting, self.exposure_s = ghosting, exposure_s
+        self._mean = None if stray is None else stray.ghosts
+        bright, nodes = ghosting.bright(stars, exposure_s), stars.wavelength_nm.shape[1]
+        self._id = star_id[bright]
+        self._stars = replace(stars, direction=stars.direction[bright], photon_rate=stars.photon_rate[bright])
+        self._bodies: list[tuple[str, StarField, float]] = []
+        if observer is None:
+            return
+        named = {*bodies} - {"earth"} if stray is None else {*bodies} - {"earth", "moon"}
+        if self._mean is not None and observer.from_sun_au is not None:
+            named.add("moon")
+            self._bodies.append(("sun", *sun_field(observer.from_sun_au, bands, nodes=nodes)))
+        known = solar_system(epoch_year, observer=observer, bodies=sorted(named))
+        for row in np.flatnonzero(np.isfinite(known.magnitude_v)):
+            body = known.select([row])
+            radius = 0.5 * float(body.angular_diameter_rad[0]) if body.name[0] == "moon" else 0.0
+            self._bodies.append((body.name[0], planet_field(body, bands, nodes=nodes), radius))
+
+    def add(
+        self, image: NDArray[np.float32], attitude: Rotation, stars: StarField, star_id: IntArray, truth: Truth
+    ) -> tuple[GhostTruth, tuple[str, ...]]:
+        """Add ghosts to an image (h, w, b).
+
+        Parameters
+        ----------
+        image : (h, w, b)
+            Electrons.
+        attitude : Rotation
+            cam from icrs.
+        stars : StarField
+            Stars that the frame shows, along icrs, with their truth; ``star_id`` (n,): who they are.
+
+        Returns
+        -------
+        GhostTruth
+            Rows from ``len(stars)`` on are sources beside them.
+        tuple of str
+            Their names: ids of stars, then bodies.
+        """
+        turn = attitude.as_matrix().T
+        found = [self.ghosting.add(image, stars.direction @ turn, stars.wavelength_nm, truth)]
+        direction = self._stars.direction @ turn
+        beside = (direction[:, 2] > 0.0) & ~np.isin(self._id, star_id)
+        names = [str(one) for one in self._id[beside]]
+        others = replace(self._stars, direction=direction[beside], photon_rate=self._stars.photon_rate[beside])
+        first, seconds = len(stars), self.exposure_s
+        found.append(self.ghosting.add_beside(image, others, exposure_s=seconds, first=first))
+        mean = {} if self._mean is None else self._mean(attitude)
+        for name, light, radius in self._bodies:
+            own, number = np.zeros_like(image), first + len(names)
+            inside = replace(light, direction=light.direction @ turn)
+            one = self.ghosting.add_beside(own, inside, exposure_s=seconds, radius_rad=radius, first=number)
+            if name in mean and own.any():
+                scale = seconds * mean[name] / float(own.mean(dtype=float))
+                own *= np.float32(scale)
+                light_e = {key: scale * getattr(one, key) for key in ("electrons", "electrons_image", "peak_e")}
+                one = replace(one, **light_e)
+            elif name in mean:
+                own += np.float32(seconds * mean[name])
+            image += own
+            found.append(one)
+            names.append(name)
+        parts = {f.name: np.concatenate([getattr(one, f.name) for one in found]) for f in fields(GhostTruth)}
+        return GhostTruth(**parts), tuple(names)
