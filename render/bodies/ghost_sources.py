@@ -117,7 +117,7 @@ class GhostSources:
         found = [self.ghosting.add(image, stars.direction @ turn, stars.wavelength_nm, truth)]
         direction = self._stars.direction @ turn
         beside = (direction[:, 2] > 0.0) & ~np.isin(self._id, star_id)
-        names = [str(one) for one in self._id[beside]]
+        names = [str(one) for one in self._id[beside].tolist()]
         others = replace(self._stars, direction=direction[beside], photon_rate=self._stars.photon_rate[beside])
         first, seconds = len(stars), self.exposure_s
         found.append(self.ghosting.add_beside(image, others, exposure_s=seconds, first=first))
@@ -129,12 +129,15 @@ class GhostSources:
             if name in mean and own.any():
                 scale = seconds * mean[name] / float(own.mean(dtype=float))
                 own *= np.float32(scale)
-                light_e = {key: scale * getattr(one, key) for key in ("electrons", "electrons_image", "peak_e")}
-                one = replace(one, **light_e)
+                scaled = {key: scale * getattr(one, key) for key in ("electrons", "electrons_image", "peak_e")}
+                one = replace(one, **scaled)
             elif name in mean:
                 own += np.float32(seconds * mean[name])
             image += own
             found.append(one)
             names.append(name)
         parts = {f.name: np.concatenate([getattr(one, f.name) for one in found]) for f in fields(GhostTruth)}
-        return GhostTruth(**parts), tuple(names)
+        rows = parts["star"] >= first
+        kept, places = np.unique(parts["star"][rows], return_inverse=True)
+        parts["star"][rows] = first + places
+        return GhostTruth(**parts), tuple(names[k - first] for k in kept)

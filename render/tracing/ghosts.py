@@ -21,7 +21,7 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.frames import light_direction
 from optics.rays.ghosts import SHARP_MM, GhostPath, entering_rays, entrance_radius_mm, front_rays, ghost_pairs
-from optics.rays.pupil import gauss_disk
+from optics.rays.pupil import entrance_pupil, gauss_disk
 from optics.rays.trace import OK, Rays
 from optics.records import freeze
 from render.camera import Camera, PathLosses
@@ -33,8 +33,6 @@ ANGLES, ORDER = (0.1, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 16.0), (6, 12)
 """Angles, in parts of the field, whose ghosts tell which can be seen, by so many rays."""
 ROOM = 5.0
 """By how much brighter those of other angles are taken to be, at most."""
-DIMMEST = 1e3
-"""Electrons on the first surface, in parts of ``least_e``, below which a star beside the frame makes no ghost."""
 FRONT, DISK = (24, 48), (4, 16)
 """Rays of a source beside the frame, and points of the disk of an extended one."""
 REACH, SMOOTH = 4.0, 3.0
@@ -130,7 +128,8 @@ class Ghosting:
         self.camera, self.light, self.lens = camera, light, camera.focused_lens
         self._losses = camera.losses or PathLosses(absorption=False)
         self._paths: dict[tuple[int, int] | None, GhostPath] = {}
-        self._seen: dict[tuple[float, float], dict[tuple[int, int], float]] = {}
+        self._pairs, self._seen = ghost_pairs(self.lens), dict[float, FloatArray]()
+        self._angles = np.minimum(np.array(ANGLES) * camera.field_reach_rad, 1.4)
 
     def add(
         self, image: NDArray[np.float32], direction: FloatArray, wavelength_nm: FloatArray, truth: Truth
@@ -138,14 +137,12 @@ class Ghosting:
         """Add ghosts of stars in directions (n, 3) in cam, whose truth is known, to an image (h, w, b)."""
         assert truth.electrons_absorbed is not None
         through = truth.electrons_in - truth.electrons_vignetted - truth.electrons_hidden - truth.electrons_absorbed
-        area = math.pi * entrance_radius_mm(self.lens) ** 2
+        area = entrance_pupil(self.lens).area_mm2
         rows: list[tuple[Any, ...]] = []
         for band, nm in enumerate(wavelength_nm.mean(1).tolist()):
-            for star in np.flatnonzero(through[:, band] > self.light.least_e).tolist():
-                electrons = float(through[star, band])
-                pairs = self._pairs(direction[star], nm, electrons / area)
-                if not pairs:
-                    continue
+            visible = self._visible(direction, nm, through[:, band] / area)
+            for star in np.flatnonzero(visible.any(1)).tolist():
+                electrons, pairs = float(through[star, band]), self._chosen(visible[star])
                 rays, entering = entering_rays(self.lens, direction[star], nm)
                 direct = float(self._path(None).trace(rays, entering).weight.sum())
                 if direct > 0.0:
@@ -180,20 +177,21 @@ class Ghosting:
         facing_e, area = self._facing(stars, exposure_s), math.pi * entrance_radius_mm(self.lens) ** 2
         radius = np.broadcast_to(radius_rad, len(stars))
         rows: list[tuple[Any, ...]] = []
-        for source, band in np.argwhere(facing_e > DIMMEST * self.light.least_e).tolist():
-            towards, light = stars.direction[source], float(facing_e[source, band]) / area
-            nm = float(stars.wavelength_nm[band].mean())
-            if not towards[2] > 0.0:
-                continue
-            pairs = ghost_pairs(self.lens) if radius[source] else self._pairs(towards, nm, light)
-            rays, facing = front_rays(self.lens, towards, nm, FRONT)
-            beam = rays, facing * light
-            rows += self._rows(image[..., band], (first + source, band), pairs, beam, towards, float(radius[source]))
+        for band, nm in enumerate(stars.wavelength_nm.mean(1).tolist()):
+            light = np.where(stars.direction[:, 2] > 0.0, facing_e[:, band] / area, 0.0)
+            visible = self._visible(stars.direction, nm, light) | ((radius > 0.0) & (light > 0.0))[:, None]
+            for source in np.flatnonzero(visible.any(1)).tolist():
+                towards, wide, whose = stars.direction[source], float(radius[source]), (first + source, band)
+                rays, facing = front_rays(self.lens, towards, nm, FRONT)
+                beam = rays, facing * light[source]
+                rows += self._rows(image[..., band], whose, self._chosen(visible[source]), beam, towards, wide)
         return _truth(rows)
 
     def bright(self, stars: StarField, exposure_s: float) -> NDArray[np.bool_]:
         """Which of n stars may make ghosts that are rendered, wherever they stand in front of the lens."""
-        return np.asarray((self._facing(stars, exposure_s) > DIMMEST * self.light.least_e).any(1))
+        area = math.pi * entrance_radius_mm(self.lens) ** 2 * self.light.least_e / ROOM
+        most = [float(self._areas(nm).max()) for nm in stars.wavelength_nm.mean(1).tolist()]
+        return np.asarray((self._facing(stars, exposure_s) * most > area).any(1))
 
     def _facing(self, stars: StarField, exposure_s: float) -> FloatArray:
         """Electrons (n, b) that the light on the first surface would be worth, if none of it were lost."""
@@ -201,33 +199,43 @@ class Ghosting:
         through = np.reshape(self._losses.along_axis(self.lens, wave.ravel()), wave.shape)
         return np.asarray((stars.photon_rate * self.camera.response_at(wave) / through).sum(2) * (exposure_s * area))
 
+    def _chosen(self, visible: NDArray[np.bool_]) -> list[tuple[int, int]]:
+        return [self._pairs[p] for p in np.flatnonzero(visible)]
+
     def _path(self, pair: tuple[int, int] | None) -> GhostPath:
         if pair not in self._paths:
             back, forward = pair or (None, None)
             self._paths[pair] = GhostPath(self.lens, back, forward, self._losses.coating, self._losses.absorption)
         return self._paths[pair]
 
-    def _pairs(self, towards: FloatArray, nm: float, density: float) -> list[tuple[int, int]]:
-        """Paths whose brightest pixel may hold enough of a source of some electrons per mm^2."""
-        angles = np.minimum(np.array(ANGLES) * self.camera.field_reach_rad, 1.4)
-        at = int(np.searchsorted(angles, math.acos(min(float(towards[2]), 1.0))))
-        found: dict[tuple[int, int], float] = {}
-        for angle in {float(angles[max(at - 1, 0)]), float(angles[min(at, len(angles) - 1)])}:
-            for pair, area in self._areas(angle, nm).items():
-                found[pair] = max(found.get(pair, 0.0), area)
-        return [pair for pair, area in found.items() if ROOM * area * density > self.light.least_e]
+    def _visible(self, towards: FloatArray, nm: float, density: FloatArray) -> NDArray[np.bool_]:
+        """Whether each of p paths of sources in directions (n, 3) may be seen, of some electrons (n,) per mm^2."""
+        area, nodes = self._areas(nm), self._angles
+        at = np.searchsorted(nodes, np.arccos(np.clip(towards[:, 2], 0.0, 1.0)))
+        most = np.maximum(area[np.maximum(at - 1, 0)], area[np.minimum(at, len(nodes) - 1)])
+        return np.asarray(ROOM * most * density[:, None] > self.light.least_e)
 
-    def _areas(self, angle: float, nm: float) -> dict[tuple[int, int], float]:
-        """Area [mm^2] in front of the lens whose light the brightest pixel of every path holds."""
-        if (angle, nm) not in self._seen:
-            self._seen[angle, nm] = found = {}
-            rays, facing = front_rays(self.lens, [math.sin(angle), 0.0, math.cos(angle)], nm, ORDER)
-            for pair in ghost_pairs(self.lens):
+    def _areas(self, nm: float) -> FloatArray:
+        """Area (a, p) [mm^2] in front of the lens whose light the brightest pixel of every path holds."""
+        if nm not in self._seen:
+            source = np.stack([np.sin(self._angles), 0.0 * self._angles, np.cos(self._angles)], axis=-1)
+            parts = [front_rays(self.lens, one, nm, ORDER) for one in source]
+            x, y, z, facing = (
+                np.concatenate([np.broadcast_to(v, area.shape) for v, area in zip(column, areas, strict=True)])
+                for areas in [[area for _, area in parts]]
+                for column in (*([getattr(r, axis) for r, _ in parts] for axis in "xyz"), areas)
+            )
+            along = np.repeat(light_direction(source), len(x) // len(source), axis=0)
+            rays = Rays.create(x_mm=x, y_mm=y, z_mm=z, direction=along, wavelength_nm=nm)
+            self._seen[nm] = found = np.zeros((len(source), len(self._pairs)))
+            for p, pair in enumerate(self._pairs):
                 one = self._path(pair).trace(rays, facing, self.light.detector_reflectance)
-                if (lit := one.weight > 0.0).any():
-                    place = np.stack(self.camera.to_pixel(one.rays.x[lit], one.rays.y[lit]))
-                    found[pair] = float(one.weight.sum()) / _moments(place, one.weight[lit])[3]
-        return self._seen[angle, nm]
+                weight = one.weight.reshape(len(source), -1)
+                place = np.stack(self.camera.to_pixel(one.rays.x, one.rays.y)).reshape(2, *weight.shape)
+                for a, lit in enumerate(weight > 0.0):
+                    if lit.any():
+                        found[a, p] = weight[a].sum() / _moments(place[:, a, lit], weight[a, lit])[3]
+        return self._seen[nm]
 
     def _rows(
         self,
