@@ -13,7 +13,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 from optics.glass.coating import Coating
 from optics.lens.system import LensSystem
-from optics.light.scatter import ABg, HarveyShack, Particles
+from optics.light.scatter import ABg, HarveyShack, Particles, Together
 from optics.light.transmission import lens_transmission
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.pupil import EntrancePupil, entrance_pupil
@@ -81,7 +81,7 @@ class FarLight:
         return min(self.saturated_e, 2e4 * self.ends_e)
 
 
-ScatterLaw = HarveyShack | ABg | Particles
+ScatterLaw = HarveyShack | ABg | Particles | Together
 """Angular law of light that is scattered."""
 MOST_SCATTERED = 0.5
 
@@ -113,7 +113,7 @@ class Camera:
         holds; None: all rays lose alike.
     far : FarLight or None
         How far diffraction images of bright stars reach; None: all end at their stamps.
-    scatter : HarveyShack, ABg, Particles or None
+    scatter : HarveyShack, ABg, Particles, Together or None
         Law of the light that all surfaces of the lens together scatter, over differences of sines from the star: halos
         about stars, taken from their cores. None: nothing is scattered.
     blind_columns_px : tuple of (int, int)

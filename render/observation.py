@@ -21,7 +21,7 @@ from render.bodies.solar_system import SolarSystem, hiding_spheres, planet_field
 from render.bodies.stray_light import StrayLight
 from render.bodies.stray_light import stray_light as stray_table
 from render.camera import FAR_NOISE
-from render.detector.maps import sensor_maps
+from render.detector.maps import dark_electrons
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.fits.wcs import lens_wcs, sky_grid
@@ -383,7 +383,8 @@ class SkySimulator:
             expected = self._renderer.render(stars, motion=motion)
         assert self._renderer.traced is not None
         light = self._renderer.traced.layers()
-        ghosts, beside = None, ()
+        ghosts: GhostTruth | None = None
+        beside: tuple[str, ...] = ()
         if self._ghosts is not None:
             light["ghosts"] = np.zeros_like(expected.electrons)
             assert expected.truth is not None
@@ -406,7 +407,10 @@ class SkySimulator:
         for name, image, place in self._seen(attitude):
             light["bodies"] += image.electrons
             bodies[name] = place
-        expected = replace(expected, electrons=sum(light.values()))
+        expected = replace(expected, electrons=np.asarray(sum(light.values()), np.float32))
+        detector, extra = self.sensor.detector, self.background_e_per_s
+        if layers:
+            dark = dark_electrons(detector, self.exposure_s, temperature_c=self.temperature_c, background_e_per_s=extra)
         return Observation(
             frame=expose(
                 expected,
@@ -424,17 +428,8 @@ class SkySimulator:
             bodies=bodies,
             ghosts=ghosts,
             beside=beside,
-            layers={**{name: one[..., 0] for name, one in light.items()}, "dark": self._dark_electrons()}
-            if layers
-            else None,
+            layers={name: image[..., 0] for name, image in light.items()} | {"dark": dark} if layers else None,
         )
-
-    def _dark_electrons(self) -> NDArray[np.float32]:
-        """Electrons (h, w) that an exposure adds to the light: dark current and background."""
-        detector = self.sensor.detector
-        kelvin = detector.dark_reference_c if self.temperature_c is None else self.temperature_c
-        dark = sensor_maps(detector).dark_current_e_per_s * detector.dark_factor(kelvin) + self.background_e_per_s
-        return np.asarray(dark * self.exposure_s, np.float32)
 
     def stray_e_per_s(self, attitude: Rotation) -> dict[str, float]:
         """Stray light of each body in an attitude [e- s^-1 per pixel]; empty without a table."""

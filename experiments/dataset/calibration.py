@@ -8,6 +8,7 @@ standard error as extension ``ERR``; and ``defect_map``, the detector's own list
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from astropy.io import fits
+from astropy.io.fits.verify import VerifyWarning
 from numpy.typing import NDArray
 
 from experiments.dataset.folder import storage_error, write_whole
@@ -23,7 +25,7 @@ from experiments.dataset.frame import instrument_cards
 if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
 
-__all__ = ["FOLDER", "write_calibration"]
+__all__ = ["FOLDER", "fits_bytes", "write_calibration"]
 
 FOLDER = "calibration"
 SHORTEST_S = 1e-6
@@ -133,10 +135,16 @@ def _write(path: Path, header: fits.Header, image: NDArray[Any], error: NDArray[
     if error is not None:
         beside = fits.Header([("EXTNAME", "ERR", "standard error"), ("BUNIT", header["BUNIT"], "")])
         units.append(fits.ImageHDU(error, beside))
-    content = fits.HDUList(units)
-    content.update_extend()
-    for one in content:
-        one.add_checksum(when=" ")  # no time in it: the same dataset has the same bytes
-    held = io.BytesIO()
-    content.writeto(held)
-    write_whole(path, held.getvalue())
+    write_whole(path, fits_bytes(units))
+
+
+def fits_bytes(units: list[Any]) -> bytes:
+    """FITS file of header units, with checksums; the same input gives the same bytes."""
+    content, held = fits.HDUList(units), io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", VerifyWarning)  # comments behind long names are cut off
+        content.update_extend()
+        for one in content:
+            one.add_checksum(when=" ")  # no time in it: the same dataset has the same bytes
+        content.writeto(held)
+    return held.getvalue()

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from experiments.dataset.folder import IDENTITY, file_digest, identity
+from experiments.dataset.frame import LAYER_WORDS
 from experiments.dataset.labels import CLASSES
 from experiments.dataset.splits import GAP, SPLITS, leakage
 from experiments.dataset.truth import COLUMNS, FLAGS, Column, FrameRecord
@@ -123,6 +124,7 @@ def data_card(
         index_columns=INDEX_COLUMNS,
         flags=FLAGS,
         classes=CLASSES,
+        layer_words=LAYER_WORDS,
         settings=flat(identity(scene.config)),
     )
 

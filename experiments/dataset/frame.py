@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import datetime, timedelta
 from functools import lru_cache
 from importlib import metadata
@@ -13,21 +13,36 @@ from numpy.typing import NDArray
 
 from experiments.dataset.plan import FramePlan, plan_frame
 from experiments.dataset.scene import Disk, PointSources, Scene, diffuse_light, point_sources, resolved_light, smear_px
-from experiments.dataset.truth import FLAGS, StarLightOnChip, pixel_flags, star_rows
+from experiments.dataset.truth import FLAGS, FrameGhost, StarLightOnChip, pixel_flags, star_rows
 from experiments.laboratory.instrument import Instrument
 from optics.attitude import angles_from_attitude, quat_xyzw
 from optics.units import RAD_DEG
-from render.bodies.solar_system import hiding_spheres
+from render.bodies.ghost_sources import GhostSources
+from render.bodies.solar_system import BODIES, hiding_spheres
+from render.camera import FAR_NOISE
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_hits
+from render.detector.maps import dark_electrons
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.fits.headers import Card
 from render.forward import StarRenderer
 from render.records import Frame
+from render.tracing.ghosts import Ghosting, GhostLight, GhostTruth
 from render.tracing.tracer import TracedStars
 
-__all__ = ["FrameMaker", "MadeFrame", "header_cards", "instrument_cards"]
+__all__ = ["LAYER_WORDS", "FrameMaker", "MadeFrame", "header_cards", "instrument_cards"]
+
+LAYER_WORDS = {
+    "stars": "stars and planets smaller than a pixel",
+    "scatter": "halos of stars: polish and dust of the lens",
+    "ghosts": "light that surfaces reflect twice",
+    "sky": "zodiacal light, uniform sky",
+    "stray": "Sun, Moon and Earth beside the field, even",
+    "bodies": "Moon and planets larger than a pixel",
+    "dark": "dark current and uniform light of background.extra_e_per_s",
+}
+"""Layers of a frame; all but ``dark`` add up to the light on the detector."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +57,8 @@ class MadeFrame:
     disks: tuple[Disk, ...] = ()  # Bodies that are larger than a pixel
     # (h, w) Pixels in which cosmic rays left at least an electron; None where none are asked for
     struck: NDArray[np.bool_] | None = None
+    layers: dict[str, NDArray[np.float32]] | None = None  # Expected electrons of every source, where asked for
+    ghosts: tuple[FrameGhost, ...] = ()
 
     @property
     def stars(self) -> int:
@@ -61,8 +78,10 @@ class _Expected:
     plan: FramePlan
     sources: PointSources
     traced: TracedStars
-    electrons: NDArray[np.float32]
+    layers: dict[str, NDArray[np.float32]]  # Expected electrons of every source
+    electrons: NDArray[np.float32]  # Their sum
     sky_e: float
+    ghosts: tuple[FrameGhost, ...]
     disks: list[Disk]
     hits: CosmicRayHits | None
 
@@ -87,6 +106,7 @@ class FrameMaker:
             by_grid=True,
             contents=None if disks is None else hiding_spheres(disks),
         )
+        self._ghosts = _ghost_sources(scene) if scene.config.background.ghosts else None
         self._bodies = None
         if disks is not None:
             from render.bodies.body_image import BodyRenderer
@@ -141,7 +161,18 @@ class FrameMaker:
             saturated_px=int(np.count_nonzero(read.saturated)),
             disks=tuple(expected.disks),
             struck=struck,
+            layers=self._apart(expected) if config.files.layers else None,
+            ghosts=expected.ghosts,
         )
+
+    def _apart(self, expected: _Expected) -> dict[str, NDArray[np.float32]]:
+        """Layers, and what the detector adds to them."""
+        config, detector = self.scene.config, self.scene.instrument.detector
+        seconds, celsius, more = (
+            config.instrument.exposure_s, config.instrument.chip_temperature_c, config.background.extra_e_per_s
+        )  # fmt: skip
+        dark = dark_electrons(detector, seconds, temperature_c=celsius, background_e_per_s=more)
+        return {**expected.layers, "dark": dark}
 
     def _expected(self, frame: int) -> _Expected:
         """Stars, sky, disks and cosmic rays of a frame."""
@@ -149,12 +180,32 @@ class FrameMaker:
         sources = point_sources(self.scene, plan)
         self._renderer.label = f"frame_{frame:06d}"
         traced = self._traced(sources, plan)
-        electrons = traced.electrons[:, :, 0].copy()
-        sky_e = self._add_sky(electrons, plan)
-        disks = self._add_disks(electrons, plan)
-        hits = self.hits(frame)
+        layers = {name: light[:, :, 0] for name, light in traced.layers().items()}
+        ghosts: tuple[FrameGhost, ...] = ()
+        if self._ghosts is not None:
+            light = np.zeros_like(traced.electrons)
+            ghosts = _named(
+                sources, *self._ghosts.add(light, plan.attitude, sources.light, sources.star_id, traced.truth)
+            )
+            layers["ghosts"] = light[:, :, 0]
+        layers |= self._sky(plan)
+        background_e = self.scene.config.background.extra_e_per_s * self.scene.config.instrument.exposure_s
+        sky_e = background_e + sum(float(layers[name].mean()) for name in ("sky", "stray") if name in layers)
+        disks = self._seen_disks(plan)
+        if self._bodies is not None:
+            layers["bodies"] = np.zeros_like(layers["stars"])
+            for disk in disks:
+                layers["bodies"] += disk.image.image.electrons[:, :, 0]
         return _Expected(
-            plan=plan, sources=sources, traced=traced, electrons=electrons, sky_e=sky_e, disks=disks, hits=hits
+            plan=plan,
+            sources=sources,
+            traced=traced,
+            layers=layers,
+            electrons=np.asarray(sum(layers.values()), np.float32),
+            sky_e=sky_e,
+            ghosts=ghosts,
+            disks=disks,
+            hits=self.hits(frame),
         )
 
     def _before(self, frame: int) -> NDArray[np.float32] | None:
@@ -191,24 +242,19 @@ class FrameMaker:
         )
         return self._renderer.trace(sources.light, motion=motion)
 
-    def _add_sky(self, electrons: NDArray[np.float32], plan: FramePlan) -> float:
-        """Add the light of the sky to the stars', except what is the same everywhere; mean of all sky light [e-]."""
-        scene, config = self.scene, self.scene.config
-        exposure_s = config.instrument.exposure_s
-        mean = config.background.extra_e_per_s * exposure_s
-        diffuse = diffuse_light(scene.sky_light, plan.attitude, config)
-        if diffuse is not None:
-            diffuse *= np.float32(exposure_s)
-            electrons += diffuse
-            mean += float(diffuse.mean())
+    def _sky(self, plan: FramePlan) -> dict[str, NDArray[np.float32]]:
+        """Light of the sky, except what is the same everywhere, and stray light."""
+        scene, found = self.scene, dict[str, NDArray[np.float32]]()
+        seconds = np.float32(scene.config.instrument.exposure_s)
+        if (diffuse := diffuse_light(scene.sky_light, plan.attitude, scene.config)) is not None:
+            found["sky"] = diffuse * seconds
         if scene.sky_light.stray is not None:
-            stray = exposure_s * sum(scene.sky_light.stray(plan.attitude).values())
-            electrons += np.float32(stray)
-            mean += stray
-        return mean
+            stray = sum(scene.sky_light.stray.even(plan.attitude).values())
+            found["stray"] = np.full(scene.instrument.detector.shape, stray * seconds, np.float32)
+        return found
 
-    def _add_disks(self, electrons: NDArray[np.float32], plan: FramePlan) -> list[Disk]:
-        """Add the light of the Moon and planets that are larger than a pixel; what is true of them."""
+    def _seen_disks(self, plan: FramePlan) -> list[Disk]:
+        """The Moon and planets that are larger than a pixel, with their light."""
         scene = self.scene
         if self._bodies is None:
             return []
@@ -225,10 +271,7 @@ class FrameMaker:
                     full_well_e=scene.instrument.detector.full_well_e,
                 ),
             )
-        disks = self._disks[1]
-        for disk in disks:
-            electrons += disk.image.image.electrons[:, :, 0]
-        return disks
+        return self._disks[1]
 
     def hits(self, frame: int) -> CosmicRayHits | None:
         """What cosmic rays leave in a frame; None without them."""
@@ -243,6 +286,36 @@ class FrameMaker:
             exposure_s=self.scene.config.instrument.exposure_s,
             depth_um=radiation.depth_um,
         )
+
+
+def _ghost_sources(scene: Scene) -> GhostSources:
+    """All that may make ghosts in frames of a dataset."""
+    config, stars, sky = scene.config, scene.catalogue.catalog, scene.sky_light
+    least_e = FAR_NOISE * max(scene.instrument.detector.read_noise_e, 1.0)
+    which = GhostLight(least_e=least_e, detector_reflectance=config.scatter.detector_reflectance)
+    return GhostSources(
+        Ghosting(scene.instrument.camera, which),
+        scene.light.stars(stars.direction, stars.magnitude, scene.temperature_k),
+        stars.id,
+        exposure_s=config.instrument.exposure_s,
+        bands=sky.bands,
+        observer=scene.observer,
+        epoch_year=config.catalogue.epoch_year,
+        bodies=BODIES if config.background.moon_planets else (),
+        stray=sky.stray,
+    )
+
+
+def _named(sources: PointSources, ghosts: GhostTruth, beside: tuple[str, ...]) -> tuple[FrameGhost, ...]:
+    """Ghosts as the record of a frame lists them."""
+    names = [*map(str, sources.star_id.tolist()), *beside]
+    columns = {
+        field.name: getattr(ghosts, field.name).tolist() for field in fields(FrameGhost) if field.name != "source"
+    }
+    return tuple(
+        FrameGhost(source=names[star], **dict(zip(columns, row, strict=True)))
+        for star, *row in zip(ghosts.star.tolist(), *columns.values(), strict=True)
+    )
 
 
 def _struck(hits: CosmicRayHits) -> NDArray[np.bool_]:

@@ -6,15 +6,17 @@ import hashlib
 import json
 import tempfile
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.dataset.calibration import fits_bytes
 from experiments.dataset.folder import (
     FRAMES,
+    LAYERS,
     TRUTH,
     checked_frame,
     frame_files,
@@ -23,7 +25,7 @@ from experiments.dataset.folder import (
     storage_error,
     write_whole,
 )
-from experiments.dataset.frame import FrameMaker, MadeFrame, header_cards
+from experiments.dataset.frame import LAYER_WORDS, FrameMaker, MadeFrame, header_cards
 from experiments.dataset.labels import body_labels, disk_truth
 from experiments.dataset.remote import Store
 from experiments.dataset.scene import Scene, build_scene
@@ -117,7 +119,8 @@ def _write_to_url(maker: FrameMaker, of_dataset: str, url: str, frame: int) -> F
         for name in (FRAMES, TRUTH):
             (folder / name).mkdir()
         record = _write(maker, of_dataset, folder, frame)
-        for name in (record.file, record.truth):
+        *_, layers = frame_files(frame, maker.scene.config.files.truth)
+        for name in (*((layers,) if (folder / layers).exists() else ()), record.file, record.truth):
             store.write(name, (folder / name).read_bytes())
     return record
 
@@ -125,7 +128,11 @@ def _write_to_url(maker: FrameMaker, of_dataset: str, url: str, frame: int) -> F
 def _write(maker: FrameMaker, of_dataset: str, folder: Path, frame: int) -> FrameRecord:
     made = maker.make(frame)
     config = maker.scene.config
-    frame_name, truth_name = frame_files(frame, config.files.truth)
+    frame_name, truth_name, layers_name = frame_files(frame, config.files.truth)
+    layers = b"" if made.layers is None else _layers(maker.scene, made)
+    if layers:
+        (folder / LAYERS).mkdir(exist_ok=True)
+        write_whole(folder / layers_name, layers)
     path = folder / frame_name
     _write_fits(maker, made, path)
     try:
@@ -133,6 +140,7 @@ def _write(maker: FrameMaker, of_dataset: str, folder: Path, frame: int) -> Fram
     except OSError as error:
         raise storage_error(path, error) from None
     record = _record(made, maker.scene, frame_name, truth_name, content)
+    record = replace(record, layers_sha256=hashlib.sha256(layers).hexdigest()) if layers else record
     write_whole(folder / truth_name, truth_bytes(made.truth, record, config.files.truth, of_dataset))
     return record
 
@@ -157,6 +165,21 @@ def _write_fits(maker: FrameMaker, made: MadeFrame, path: Path) -> None:
         raise
     except OSError as error:
         raise storage_error(path, error) from None
+
+
+def _layers(scene: Scene, made: MadeFrame) -> bytes:
+    """File of the layers of a frame: an extension of float32 for each, behind the header of the frame."""
+    from astropy.io import fits
+
+    assert made.layers is not None
+    plain = scene.config.files.compression == "none"
+    head = [("IMAGETYP", "layers", "expected electrons, source by source"), *header_cards(scene, made)]
+    units: list[Any] = [fits.PrimaryHDU(header=fits.Header(head))]
+    for name, image in made.layers.items():
+        cards = fits.Header([("EXTNAME", name.upper(), LAYER_WORDS[name]), ("BUNIT", "electron", "without noise")])
+        gzip = {"compression_type": "GZIP_2", "quantize_level": 0.0}
+        units.append(fits.ImageHDU(image, cards) if plain else fits.CompImageHDU(image, cards, **gzip))
+    return fits_bytes(units)
 
 
 def pixel_marks(scene: Scene, made: MadeFrame) -> dict[str, NDArray[np.bool_]]:
@@ -193,4 +216,5 @@ def _record(made: MadeFrame, scene: Scene, frame_name: str, truth_name: str, con
         frame_bytes=len(content),
         sha256=hashlib.sha256(content).hexdigest(),
         disks=disk_truth(scene, made.plan, made.disks),
+        ghosts=made.ghosts,
     )

@@ -22,6 +22,7 @@ from typing import Any
 from experiments.dataset.folder import (
     FRAMES,
     IDENTITY,
+    LAYERS,
     OWN_FOLDERS,
     SUMS,
     TRUTH,
@@ -161,7 +162,7 @@ class RemoteDataset(DatasetFolder):
             )
         folder = Path(tempfile.mkdtemp(prefix="starbench-"))
         self._clean_up = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        parts = (f"{FRAMES}/", SUMS)  # frames are large, and looked at only where they are needed
+        parts = (f"{FRAMES}/", f"{LAYERS}/", SUMS)  # frames are large, and looked at only where they are needed
         _fetch(self.store, (name for name in self._there if not name.startswith(parts)), folder)
         super().__init__(folder, config=config, frames=frames, truth=truth, shown=url)
         self._stale: set[str] = set()
@@ -208,7 +209,8 @@ class RemoteDataset(DatasetFolder):
         with super().writing() as staging:
             yield staging
         files = [file.relative_to(self.path).as_posix() for file in self.path.rglob("*") if file.is_file()]
-        mine = [name for name in files if not name.startswith((f"{FRAMES}/", f"{TRUTH}/", ".")) and name != SUMS]
+        made = tuple(f"{folder}/" for folder in (FRAMES, LAYERS, TRUTH))
+        mine = [name for name in files if not name.startswith((*made, ".")) and name != SUMS]
         with ThreadPoolExecutor(AT_ONCE) as pool:
             list(pool.map(self._push, mine))
         self._push(SUMS)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,15 +22,15 @@ from experiments.dataset.settings import BackgroundConfig, Config, SkyPointing
 from experiments.laboratory.catalogue import load_catalogue
 from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument, build_instrument
+from experiments.laboratory.scatter_laws import with_halos
 from experiments.laboratory.settings import CatalogueConfig
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.band import Band
-from optics.light.pst import read_pst
 from optics.records import freeze
 from optics.units import ARCSEC_RAD
 from render.bodies.solar_system import BODIES, SolarSystem, joined, planet_field, solar_system
-from render.bodies.stray_light import band_light, stray_electrons_per_s
+from render.bodies.stray_light import StrayLight, stray_light
 from render.camera import Camera
 from render.catalogue.index import SkyIndex, build_index
 from render.catalogue.motion import Observer
@@ -117,6 +115,7 @@ def build_scene(config: Config) -> Scene:
     except DomainError as error:
         raise DomainError(f"instrument.width_px, instrument.height_px: {error}") from None
     instrument = _aged(instrument, config)
+    instrument = replace(instrument, camera=with_halos(instrument.camera, config.scatter, config.contamination))
     band = open_band(config.passband, instrument)
     plan = build_plan(config, instrument.detector.height_px, _diagonal_deg(instrument))
     whole = load_catalogue(config.catalogue)
@@ -289,7 +288,7 @@ class SkyLight:
     disks: SolarSystem | None
     light: StarField | None  # The points, with their light
     bands: tuple[Band, ...]  # The pass band
-    stray: Callable[[Rotation], dict[str, float]] | None = None  # Stray light of each body in an attitude [e- s^-1]
+    stray: StrayLight | None = None  # Of Sun, Moon and Earth
 
 
 def build_sky_light(
@@ -313,13 +312,14 @@ def build_sky_light(
     if background.stray_light:
         if observer is None:
             raise ConfigError("background.stray_light needs an observer; set catalogue.observer = earth")
-        stray = partial(
-            stray_electrons_per_s,
-            read_pst(background.stray_light),
-            band_light(detector, band),
+        stray = stray_light(
+            background.stray_light,
+            detector,
+            band,
             observer=observer,
             epoch_year=config.catalogue.epoch_year,
             earth=background.earth_distance_km is not None,
+            ghosts=background.ghosts,
         )
     return SkyLight(
         config=background, diffuse=diffuse, points=points, disks=disks, light=light, bands=(band,), stray=stray

@@ -16,6 +16,7 @@ from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, interrupts
 from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.sensor_file import SensorExperimentConfig
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
+from experiments.laboratory.stray_settings import ContaminationConfig, ScatterConfig
 
 __all__ = [
     "BackgroundConfig",
@@ -178,6 +179,11 @@ class BackgroundConfig(StrictModel):
         description="table of point-source transmittance, pst.ecsv of straylight: even light of Sun and Moon, and "
         "of the Earth with earth_distance_km; needs catalogue.observer = earth",
     )
+    ghosts: bool = Field(
+        default=False,
+        description="ghosts of stars in and beside the frame, of Moon and planets, and of Sun and Moon by a table of "
+        "stray_light with the cause ghosts",
+    )
     earth_direction_deg: tuple[AngleDeg, DeclinationDeg] = Field(
         default=(0.0, 0.0), description="right ascension and declination at which the Earth's centre is seen"
     )
@@ -236,6 +242,9 @@ class FilesConfig(StrictModel):
     mask: Literal["always", "saturated", "never"] = Field(
         default="saturated", description="frames with a mask of saturated and defective pixels"
     )
+    layers: bool = Field(
+        default=False, description="expected electrons of stars, ghosts, sky ... apart, 4 bytes a pixel each"
+    )
 
 
 class CardConfig(StrictModel):
@@ -284,6 +293,8 @@ class Config(SensorExperimentConfig):
     rate: Rate = Field(default=FixedRate(), discriminator="kind", description="how it turns during the exposure")
     jitter: JitterConfig = JitterConfig()
     background: BackgroundConfig = BackgroundConfig()
+    scatter: ScatterConfig = ScatterConfig()
+    contamination: ContaminationConfig = ContaminationConfig()
     radiation: RadiationConfig = RadiationConfig()
     splits: SplitsConfig = SplitsConfig()
     files: FilesConfig = FilesConfig()

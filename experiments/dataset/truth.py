@@ -22,6 +22,7 @@ __all__ = [
     "FLAGS",
     "Column",
     "DiskTruth",
+    "FrameGhost",
     "FrameRecord",
     "StarLightOnChip",
     "flux_snr",
@@ -250,6 +251,21 @@ class DiskTruth:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FrameGhost:
+    """A ghost: light of a source that two surfaces reflect, the number of surfaces being the detector."""
+
+    source: str  # Identifier of a star, or name of a body
+    back: int  # Surfaces that turn the light back, and forward again
+    forward: int
+    x_px: float  # Its centroid, on the detector or beside it, and the radius of an even disk of its RMS radius
+    y_px: float
+    radius_px: float
+    electrons: float  # All of its light; in the brightest pixel
+    peak_e: float
+    sharp: bool  # Small enough to be taken for a star
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FrameRecord:
     """One frame, in the units and conventions of files."""
 
@@ -271,14 +287,15 @@ class FrameRecord:
     background_e: float  # Mean expected electrons per pixel of sky light
     frame_bytes: int  # Size of the frame's file
     sha256: str  # Its digest
-    disks: tuple[DiskTruth, ...] = ()  # Bodies that it shows as disks; left out of the text where there are none
+    # What the text leaves out where there is nothing: bodies that are disks, ghosts, digest of the layers' file
+    disks: tuple[DiskTruth, ...] = ()
+    ghosts: tuple[FrameGhost, ...] = ()
+    layers_sha256: str = ""
 
     def to_text(self) -> str:
         """JSON on one line, keys in their order."""
-        values = asdict(self)
-        if not self.disks:
-            del values["disks"]
-        return json.dumps(values)
+        empty = {name for name in ("disks", "ghosts", "layers_sha256") if not getattr(self, name)}
+        return json.dumps({name: value for name, value in asdict(self).items() if name not in empty})
 
 
 def record_from_text(text: str) -> FrameRecord:
@@ -287,4 +304,5 @@ def record_from_text(text: str) -> FrameRecord:
     for name in ("quat_xyzw", "rate_deg_per_s"):
         values[name] = tuple(values[name])
     values["disks"] = tuple(DiskTruth(**disk) for disk in values.get("disks", ()))
+    values["ghosts"] = tuple(FrameGhost(**ghost) for ghost in values.get("ghosts", ()))
     return FrameRecord(**values)

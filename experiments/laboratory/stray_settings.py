@@ -63,6 +63,7 @@ class ScatterConfig(StrictModel):
     shoulder: float = Field(default=0.01, gt=0, le=1, description="Harvey-Shack l: sine where the BSDF begins to fall")
     slope: float = Field(default=-1.5, ge=-6, lt=0, description="Harvey-Shack s: exponent of the fall")
     detector_reflectance: float = Field(default=0.2, ge=0, le=1, description="specular reflectance of the detector")
+    halos: bool = Field(default=False, description="halos of stars, from polish and dust, in frames of dataset")
 
 
 class ContaminationConfig(StrictModel):

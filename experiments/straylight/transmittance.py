@@ -11,14 +11,14 @@ import numpy as np
 
 from experiments.harness.system import prompt_pool
 from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.scatter_laws import dust_law, surface_laws
 from experiments.laboratory.stray_settings import BaffleConfig
 from experiments.straylight.settings import Config
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.glass.coating import QuarterWave
-from optics.lens.system import AMBIENT, LensSystem
+from optics.lens.system import LensSystem
 from optics.light.pst import PointSourceTransmittance
-from optics.light.scatter import Particles, polished, roughness_tis
 from optics.rays.ghosts import entrance_radius_mm
 from optics.rays.stray import (
     ScatterLaw,
@@ -70,21 +70,13 @@ class LensPart:
 
 
 def _laws(config: Config, lens: LensSystem) -> dict[str, dict[int, ScatterLaw]]:
-    wave, index = lens.design_wavelength_nm, lens.indices(lens.design_wavelength_nm)
-    scatter, dust = config.scatter, config.contamination
-    numbers = scattering_surfaces(lens)
-    laws: dict[str, dict[int, ScatterLaw]] = {"polish": {}, "dust": {}}
-    for number in numbers:
-        behind = -index[number] if lens.surfaces[number].mirror else index[number + 1]
-        tis = float(roughness_tis(scatter.roughness_nm, wave, index[number], behind))
-        if tis > 0.0:
-            laws["polish"][number] = polished(tis, scatter.shoulder, scatter.slope).bsdf
-        if AMBIENT in (lens.media[number][0], lens.media[number + 1][0]):
-            level = dust.level if number == numbers[0] else dust.inner_level
-            laws["dust"][number] = Particles(level=level, wavelength_nm=wave, forward=dust.forward_fraction).bsdf
+    known = surface_laws(lens, config.scatter, config.contamination)
+    laws: dict[str, dict[int, ScatterLaw]] = {
+        name: {number: law.bsdf for number, law in own.items()} for name, own in known.items()
+    }
+    first = scattering_surfaces(lens)[0]
     for level in DUSTIER if config.what_if else ():
-        first = Particles(level=level, wavelength_nm=wave, forward=dust.forward_fraction).bsdf
-        laws[f"dust {level:g}"] = laws["dust"] | {numbers[0]: first}
+        laws[f"dust {level:g}"] = laws["dust"] | {first: dust_law(lens, level, config.contamination).bsdf}
     return laws
 
 
@@ -92,7 +84,6 @@ def lens_part(config: Config, instrument: Instrument, advance: Callable[[], None
     """Ghosts and scatter of the lens for all directions of the source."""
     camera, setting = instrument.camera, config.pst
     lens = camera.focused_lens
-    lens.check_surfaces()
     coating = QuarterWave(design_wavelength_nm=config.instrument.coating_nm) if config.instrument.coating_nm else None
     common: dict[str, Any] = {"coating": coating, "absorption": config.instrument.absorption}
     half = 0.5 * np.array([camera.width_px, camera.height_px]) * camera.pixel_pitch_mm

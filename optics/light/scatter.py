@@ -29,6 +29,7 @@ __all__ = [
     "ABg",
     "HarveyShack",
     "Particles",
+    "Together",
     "area_coverage",
     "lens_scatter",
     "particles_per_mm2",
@@ -257,3 +258,19 @@ class Particles:
     def tis(self) -> float:
         """Scattered in all, (1 + g) C; as much as is covered, C, is lost from the beam besides what is diffracted."""
         return (1.0 + self.forward) * self._area
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Together:
+    """Laws of many surfaces, one after the other: what little each scatters adds up."""
+
+    laws: tuple[HarveyShack | ABg | Particles, ...]
+
+    def bsdf(self, sine_difference: ArrayLike) -> FloatArray:
+        """BSDF [1/sr] at differences of sines."""
+        return np.asarray(sum(law.bsdf(sine_difference) for law in self.laws))
+
+    @property
+    def tis(self) -> float:
+        """Scattered by all."""
+        return sum(law.tis for law in self.laws)

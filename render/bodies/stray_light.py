@@ -180,11 +180,11 @@ def stray_light(
         A table that cannot be read.
     """
     pst = table if isinstance(table, PointSourceTransmittance) else read_pst(table)
-    known = {"light": band_light(detector, band), "observer": observer, "epoch_year": epoch_year}
+    at = partial(stray_electrons_per_s, light=band_light(detector, band), observer=observer, epoch_year=epoch_year)
     drawn = pst.only("ghosts") if ghosts and "ghosts" in pst.causes else None
     return StrayLight(
-        whole=partial(stray_electrons_per_s, pst, earth=earth, **known),
-        ghosts=None if drawn is None else partial(stray_electrons_per_s, drawn, **known),
+        whole=partial(at, pst, earth=earth),
+        ghosts=None if drawn is None else partial(at, drawn),
     )
 
 

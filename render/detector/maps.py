@@ -19,7 +19,7 @@ from render.detector.spec import Detector
 from render.engine import Engine
 from render.engine.random import Streams
 
-__all__ = ["SensorMaps", "sensor_maps"]
+__all__ = ["SensorMaps", "dark_electrons", "sensor_maps"]
 
 DISPLACEMENTS = tuple((dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dx or dy)
 _WHOLE = ("width_px", "height_px", "chip_width_px", "gap_px")
@@ -107,6 +107,15 @@ def sensor_maps(detector: Detector) -> SensorMaps:
     return SensorMaps(
         response=held[0], dark_current_e_per_s=held[1], read_noise_e=held[2], offset_dn=held[3], defect=held[4]
     )
+
+
+def dark_electrons(
+    detector: Detector, exposure_s: float, *, temperature_c: float | None = None, background_e_per_s: float = 0.0
+) -> NDArray[np.float32]:
+    """Electrons (h, w) that an exposure adds to the light: dark current of every pixel, and background."""
+    kelvin = detector.dark_reference_c if temperature_c is None else temperature_c
+    rate = sensor_maps(detector).dark_current_e_per_s * detector.dark_factor(kelvin) + background_e_per_s
+    return np.asarray(rate * exposure_s, np.float32)
 
 
 def full_maps(detector: Detector, types: Any) -> PixelMaps:

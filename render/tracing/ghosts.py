@@ -183,8 +183,8 @@ class Ghosting:
             for source in np.flatnonzero(visible.any(1)).tolist():
                 towards, wide, whose = stars.direction[source], float(radius[source]), (first + source, band)
                 rays, facing = front_rays(self.lens, towards, nm, FRONT)
-                beam = rays, facing * light[source]
-                rows += self._rows(image[..., band], whose, self._chosen(visible[source]), beam, towards, wide)
+                beam = _beside(rays, towards, wide) if wide else rays, facing * light[source]
+                rows += self._rows(image[..., band], whose, self._chosen(visible[source]), beam)
         return _truth(rows)
 
     def bright(self, stars: StarField, exposure_s: float) -> NDArray[np.bool_]:
@@ -243,14 +243,11 @@ class Ghosting:
         whose: tuple[int, int],
         pairs: list[tuple[int, int]],
         beam: tuple[Rays, FloatArray],
-        towards: FloatArray | None = None,
-        radius_rad: float = 0.0,
     ) -> list[tuple[Any, ...]]:
-        """Add ghosts of one source in one band; their rows of the truth."""
+        """Add ghosts of one source in one band, of a disk by three times as many rays; their rows of the truth."""
         (rays, light), count, disk = beam, beam[1].size, gauss_disk(*DISK)
-        extended = towards is not None and radius_rad > 0.0
-        if extended:
-            rays, light = _beside(rays, towards, radius_rad), np.tile(light, 3)
+        extended = rays.x.size > count
+        light = np.tile(light, rays.x.size // count)
         found: list[tuple[Any, ...]] = []
         for pair in pairs:
             one = self._path(pair).trace(rays, light, self.light.detector_reflectance)

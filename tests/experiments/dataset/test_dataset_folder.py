@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from astropy.io import fits
 from astropy.table import Table
 
 from experiments.dataset import folder as storage
 from experiments.dataset.folder import DatasetFolder, check
-from experiments.dataset.job import Job, make_frame
+from experiments.dataset.job import Job, make_frame, prepare
 from experiments.dataset.settings import Config, main
 from experiments.dataset.truth_files import read_record, truth_bytes
 from experiments.harness.progress import Progress
@@ -51,10 +52,14 @@ def dataset(tmp_path_factory):
 @pytest.fixture(scope="module")
 def job(dataset):
     """The same dataset as a worker sees it."""
-    settings = json.loads((dataset / "dataset.json").read_text())["config"]
     return lambda folder: Job(
-        config=Config.model_validate(settings).model_dump_json(), folder=str(folder), backend="llvm"
+        config=Config.model_validate(settings_of(dataset)).model_dump_json(), folder=str(folder), backend="llvm"
     )
+
+
+def settings_of(folder):
+    """Configuration of a dataset."""
+    return json.loads((folder / "dataset.json").read_text())["config"]
 
 
 def test_everything_is_there(dataset, monkeypatch):
@@ -74,6 +79,44 @@ def test_everything_is_there(dataset, monkeypatch):
     bright = int(np.argmax(found["stars"]["electrons"]))
     row, column = (round(found["stars"][f"photon_{axis}_px"][bright]) for axis in "yx")
     assert found["dn"][row, column] > 0.95 * found["dn"].max()  # it saturates
+
+
+@pytest.mark.slow
+def test_layers_are_files_that_add_up_to_the_light(tmp_path):
+    """Sirius, ghosts, halos, a bright sky: layers in a file that is vouched for as the frame is, made again if gone."""
+    settings = (
+        "files.layers=true background.ghosts=true background.uniform_mag_per_arcsec2=18 scatter.halos=true "
+        "scatter.roughness_nm=10 scatter.shoulder=5e-4 scatter.slope=-3 instrument.exposure_s=1000 "
+        "instrument.lens=star_tracker_26mm calibration_frames=0 pointing.ra_deg=101.29 pointing.dec_deg=-16.72"
+    )
+    more = [word for setting in settings.split() for word in ("--set", setting)]
+    assert run(tmp_path / "one", *more, frames=1) == 0
+    with fits.open(tmp_path / "one" / "layers" / "frame_000000.fits", checksum=True) as content:
+        found = {unit.name: np.array(unit.data) for unit in content[1:]}
+        assert "QUAT_W" in content[0].header
+    assert set(found) == {"STARS", "SCATTER", "GHOSTS", "SKY", "DARK"}
+    truth = pq.read_table(tmp_path / "one" / "truth" / "frame_000000.parquet").to_pandas()
+    record = read_record(tmp_path / "one" / "truth" / "frame_000000.parquet")
+    assert found["STARS"].sum(dtype=float) == pytest.approx(truth["electrons"].sum(), rel=1e-4)
+    assert 0.1 < found["SCATTER"].sum(dtype=float) / truth["electrons_scattered"].sum() < 1.0
+    ghosts = found["GHOSTS"].sum(dtype=float)
+    assert 0.0 < ghosts < 1.01 * sum(ghost.electrons for ghost in record.ghosts)
+    assert {ghost.source for ghost in record.ghosts} <= {str(one) for one in truth["star_id"]}
+    text = Config.model_validate(settings_of(tmp_path / "one")).model_dump_json()
+    job = Job(config=text, folder=str(tmp_path / "one"), backend="llvm")
+    light = prepare(job)[0]._expected(0).electrons
+    parts = sum(image for name, image in found.items() if name != "DARK")
+    np.testing.assert_allclose(parts, light, rtol=1e-5)
+    assert "  layers/frame_000000.fits\n" in (tmp_path / "one" / "SHA256SUMS").read_text()
+    assert "`GHOSTS`" in (tmp_path / "one" / "README.md").read_text()
+    layers = tmp_path / "one" / "layers" / "frame_000000.fits"
+    kept, written = data(tmp_path / "one"), layers.read_bytes()
+    layers.unlink()
+    state = check(tmp_path / "one", Progress())
+    assert (state.missing, state.frames) == (("layers/frame_000000.fits",), (0,))
+    make_frame(job, 0)
+    assert data(tmp_path / "one") == kept
+    assert layers.read_bytes() == written
 
 
 def test_a_frame_made_alone_in_another_order_is_the_same(dataset, job, tmp_path):
