@@ -25,7 +25,6 @@ from experiments.dataset.frame import instrument_cards
 if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
 
-__all__ = ["FOLDER", "fits_bytes", "write_calibration"]
 
 FOLDER = "calibration"
 SHORTEST_S = 1e-6

@@ -31,18 +31,6 @@ if TYPE_CHECKING:
     from render.catalogue.record import StarCatalog
     from render.records import Frame
 
-__all__ = [
-    "about",
-    "chosen",
-    "contact_sheet",
-    "croissant",
-    "data_card",
-    "plain_text",
-    "preview",
-    "stretched",
-    "write_closing_files",
-]
-
 
 def write_closing_files(
     scene: Scene,

@@ -39,19 +39,6 @@ if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
     from experiments.laboratory.readout.psf_grid import PsfGrid
 
-__all__ = [
-    "SECTIONS",
-    "CentroidBound",
-    "Example",
-    "FoundStars",
-    "centroid_bound",
-    "compare_frame",
-    "dataset_bound",
-    "detection",
-    "joined",
-    "mean_ratio",
-    "wcs_misses_px",
-]
 
 # --- Which star a detection belongs to
 

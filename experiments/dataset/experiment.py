@@ -43,8 +43,6 @@ from optics.errors import ConfigError
 from render.engine import Engine
 from render.fits.files import read_frame
 
-__all__ = ["SECTIONS", "extra", "files", "run"]
-
 EXPORTS = (COCO, WEBDATASET)
 """Their names are those of their folders."""
 EMPTY = "empty"

@@ -36,8 +36,6 @@ from optics.errors import ConfigError
 from optics.frames import pixel_to_mitsuba
 from render.fits.files import read_frame
 
-__all__ = ["check_webdataset", "export_coco", "export_shards"]
-
 COCO, WEBDATASET = "coco", "webdataset"
 FRAMES_PER_SHARD = 1000
 """Numbers of frames, over all splits, in the shards of one number: more frames leave whole shards as they are."""

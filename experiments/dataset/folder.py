@@ -37,29 +37,6 @@ from optics.errors import ConfigError
 if TYPE_CHECKING:
     from experiments.harness.progress import Progress
 
-__all__ = [
-    "FRAMES",
-    "IDENTITY",
-    "LAYERS",
-    "SUMS",
-    "TRUTH",
-    "Checked",
-    "DatasetFolder",
-    "StorageError",
-    "check",
-    "checked_frame",
-    "file_digest",
-    "for_workers",
-    "frame_files",
-    "held_identity",
-    "identity",
-    "in_words",
-    "numbers",
-    "origin",
-    "software",
-    "storage_error",
-    "write_whole",
-]
 
 IDENTITY, FRAMES, LAYERS, TRUTH, SUMS = "dataset.json", "frames", "layers", "truth", "SHA256SUMS"
 OWN_FOLDERS = (FRAMES, LAYERS, TRUTH, "calibration", "coco", "webdataset")

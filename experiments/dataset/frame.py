@@ -31,8 +31,6 @@ from render.records import Frame
 from render.tracing.ghosts import Ghosting, GhostLight, GhostTruth
 from render.tracing.tracer import TracedStars
 
-__all__ = ["LAYER_WORDS", "FrameMaker", "MadeFrame", "header_cards", "instrument_cards"]
-
 LAYER_WORDS = {
     "stars": "stars and planets smaller than a pixel",
     "scatter": "halos of stars: polish and dust of the lens",

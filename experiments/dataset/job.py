@@ -37,8 +37,6 @@ from optics.errors import ConfigError
 from optics.units import RAD_DEG
 from render.engine import Engine
 
-__all__ = ["Job", "check_worker", "make_frame", "pixel_marks", "prepare"]
-
 _MAKERS: dict[tuple[str, str], tuple[FrameMaker, str]] = {}
 _CHECKED: set[str] = set()
 """Tokens of the jobs for which this process was checked."""

@@ -19,9 +19,6 @@ from optics.units import ARCSEC_RAD
 from render.detector.cosmic_rays import CosmicRayHits
 from render.detector.maps import sensor_maps
 
-__all__ = ["CLASSES", "Label", "LabelMaker", "body_labels", "disk_truth", "pixel_of", "pixels_of_ellipse"]
-
-
 IntArray = NDArray[np.int64]
 
 Class = Literal["star", "planet", "moon", "hot_pixel", "cosmic_ray"]

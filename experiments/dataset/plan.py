@@ -31,18 +31,6 @@ from render.engine.random import Streams
 from render.motion.jitter import JitterSpectrum, jittered
 from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory
 
-__all__ = [
-    "FramePlan",
-    "Plan",
-    "build_plan",
-    "fastest_rad_per_s",
-    "plan_frame",
-    "read_attitudes",
-    "read_motion",
-    "sun_direction",
-]
-
-
 RATE_SAMPLES = 1000
 
 

@@ -40,8 +40,6 @@ from experiments.dataset.truth import FrameRecord
 from experiments.harness.progress import terminal_progress
 from optics.errors import ConfigError
 
-__all__ = ["RemoteDataset", "Store", "check_at", "dataset_at", "working_copy"]
-
 AT_ONCE = 8
 BUCKETS = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss"})
 """Stores without folders: to make one would make a bucket, of whatever name was misspelt."""

@@ -47,23 +47,6 @@ from render.sky.zodiacal import CLOSEST_DEG
 if TYPE_CHECKING:
     from render.bodies.body_image import BodyImage, BodyRenderer
 
-__all__ = [
-    "PLANET_IDS",
-    "Disk",
-    "PointSources",
-    "Scene",
-    "SkyLight",
-    "build_scene",
-    "build_sky_light",
-    "check_sun",
-    "diffuse_light",
-    "point_sources",
-    "resolved_light",
-    "seen_at",
-    "smear_px",
-    "stars_of",
-]
-
 
 MARGIN_PX = 16.0
 SEARCHED_FRAMES = 10_000

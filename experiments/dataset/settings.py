@@ -18,28 +18,6 @@ from experiments.laboratory.sensor_file import SensorExperimentConfig
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
 from experiments.laboratory.stray_settings import ContaminationConfig, ScatterConfig
 
-__all__ = [
-    "BackgroundConfig",
-    "BodyPointing",
-    "CardConfig",
-    "ConePointing",
-    "Config",
-    "FilesConfig",
-    "FixedRate",
-    "JitterConfig",
-    "ListPointing",
-    "Pointing",
-    "RadiationConfig",
-    "RandomRate",
-    "Rate",
-    "ScanPointing",
-    "SkyPointing",
-    "SplitsConfig",
-    "VerifyConfig",
-    "experiment",
-    "main",
-]
-
 DeclinationDeg = Annotated[float, Field(ge=-90, le=90)]
 RateDegPerS = Annotated[float, Field(ge=-360, le=360)]
 SpectralDensity = Annotated[float, Field(ge=0, le=1e12)]

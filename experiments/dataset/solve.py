@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
     from experiments.dataset.truth import FrameRecord
 
-__all__ = ["SECTIONS", "BlindSolver", "SkyMap", "SolvedFrame", "attitudes", "solve_frame", "star_patterns"]
 
 NARROWEST_BLIND_DEG = 2.0
 """Of 40 random attitudes with stars to 9.5 mag, 40 were solved blind at 2 deg and 36 at 1.5 deg."""

@@ -28,8 +28,6 @@ from optics.errors import DomainError
 from optics.units import DEG_RAD, RAD_DEG
 from render.engine.random import Streams
 
-__all__ = ["GAP", "SPLITS", "Leak", "Splits", "build_splits", "leakage"]
-
 SPLITS = ("train", "validation", "test")
 GAP = "gap"
 BLOCK = 100

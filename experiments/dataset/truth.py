@@ -17,21 +17,6 @@ if TYPE_CHECKING:
     from experiments.dataset.scene import PointSources
     from render.records import Truth
 
-__all__ = [
-    "COLUMNS",
-    "FLAGS",
-    "Column",
-    "DiskTruth",
-    "FrameGhost",
-    "FrameRecord",
-    "StarLightOnChip",
-    "flux_snr",
-    "footprint_px",
-    "pixel_flags",
-    "record_from_text",
-    "star_rows",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Column:

@@ -22,7 +22,6 @@ from optics.errors import ConfigError
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["INDEX_COLUMNS", "index_bytes", "read_origin", "read_record", "read_table", "truth_bytes"]
 
 Format = Literal["parquet", "ecsv"]
 

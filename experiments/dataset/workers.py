@@ -29,8 +29,6 @@ from experiments.harness.provenance import count_memory_of_workers, peak_memory_
 from experiments.harness.system import THREADS, processors, signals_held
 from optics.errors import BackendError, ConfigError, StarbenchError
 
-__all__ = ["Done", "make_frames"]
-
 Done = Callable[[Sequence[FrameRecord]], None]
 
 AHEAD = 3

@@ -10,8 +10,6 @@ from optics.light.scatter import HarveyShack, Particles, Together, polished, rou
 from optics.rays.stray import scattering_surfaces
 from render.camera import Camera
 
-__all__ = ["dust_law", "surface_laws", "with_halos"]
-
 
 def dust_law(lens: LensSystem, level: float, dust: ContaminationConfig) -> Particles:
     """Dust of a cleanliness level."""

@@ -12,8 +12,6 @@ from experiments.harness.quantities import Outcome
 from optics.figures import draw_image, draw_lens
 from render.baffle.geometry import VanedBaffle
 
-__all__ = ["draw_baffle", "draw_causes", "draw_frames"]
-
 WARM = "#d55e00"
 
 

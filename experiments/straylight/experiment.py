@@ -40,8 +40,6 @@ from render.baffle.light import WorstPaths
 from render.bodies.solar_system import RADIUS_KM
 from render.bodies.stray_light import BandLight, band_light, limb_pst
 
-__all__ = ["SECTIONS", "limits", "run", "save_table"]
-
 LABELS = {
     "ghosts": "Ghosts",
     "polish": "Polished surfaces",

@@ -37,8 +37,6 @@ from render.sky.field import field_of_view
 from render.sky.sky import load_sky
 from render.sky.star_light import star_light
 
-__all__ = ["Bench", "SunFrames", "light_map"]
-
 MATCH_PX = 2.0
 ROUGH_PX = 5.0
 TYPICAL_K = 5800.0

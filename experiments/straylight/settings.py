@@ -13,8 +13,6 @@ from experiments.harness.experiment import Experiment
 from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 
-__all__ = ["Config", "FramesConfig", "PstConfig", "RatesConfig", "experiment", "main"]
-
 
 class PstConfig(StrictModel):
     """Where the point-source transmittance is computed, and how well."""

@@ -30,19 +30,6 @@ from optics.rays.stray import (
 from render.baffle.geometry import BlackCoating, Mesh, VanedBaffle, black_coating, vaned_baffle
 from render.baffle.light import BaffleScene, lens_weight, read_mesh
 
-__all__ = [
-    "CAUSES",
-    "SMALLEST",
-    "LensPart",
-    "Stray",
-    "baffle_of",
-    "check_baffle",
-    "coating_of",
-    "direction",
-    "lens_part",
-    "transmittance",
-]
-
 CAUSES = ("ghosts", "polish", "dust", "walls", "edges")
 DUSTIER = (100.0, 500.0, 1000.0)
 """Cleanliness levels of the first surface that the dust of a variant may have."""
