@@ -16,7 +16,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.solve import solve_wahba
@@ -211,7 +210,7 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
     example: tuple[NDArray[np.float32], FloatArray] | None = None
     for number in range(prediction.config.frames.sky):
         seen, frame, measured, place = _sky_frame(bench, number)
-        partner, false = _matched(measured, place, prediction.config.window_px, bench.match_px)
+        partner, false = measured.matched(place, prediction.config.window_px, bench.match_px)
         fit = partner >= 0
         found.append(int(np.count_nonzero(fit)))
         fit[fit] = measured.fit[partner[fit]]
@@ -286,7 +285,7 @@ def _chart(bench: _Bench, advance: Callable[[], None]) -> ChartFrames:
         for k, (group, image) in enumerate(zip(groups, images, strict=True)):
             frame = bench.read(image, number * len(groups) + k, "chart")
             measured = measure_frame(frame, bench.reduction)
-            partner, false = _matched(measured, light_px[group], config.window_px, bench.match_px)
+            partner, false = measured.matched(light_px[group], config.window_px, bench.match_px)
             here = partner >= 0
             away = measured.stars.pixel_px[partner[here]] - light_px[group][here]
             seen[group], error[group[here]] = here, np.where(measured.fit[partner[here], None], away, np.nan)
@@ -314,27 +313,6 @@ def _scattered(width: int, height: int, count: int, window_px: int, rng: np.rand
     x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
     middle = np.column_stack([x.ravel(), y.ravel()]) * cell - 0.5
     return np.asarray(middle + rng.uniform(-0.5, 0.5, middle.shape) * (cell - 2.0 * window_px))
-
-
-def _matched(
-    measured: MeasuredFrame, light_px: FloatArray, near_px: float, match_px: float = MATCH_PX
-) -> tuple[NDArray[np.int64], int]:
-    """Detection of each star (n,), -1 for none, and how many detections are no star: farther than ``near_px`` from all.
-
-    What is flagged as too sharp for a star is left out.
-    """
-    partner = np.full(len(light_px), -1)
-    lit = np.flatnonzero(np.isfinite(light_px).all(axis=1))
-    detected = measured.detected_px
-    if not len(detected):
-        return partner, 0
-    if not len(lit):
-        return partner, int(np.count_nonzero(~measured.stars.sharp))
-    distance, nearest = cKDTree(detected).query(light_px[lit])
-    back_distance, back = cKDTree(light_px[lit]).query(detected)
-    mutual = (back[nearest] == np.arange(len(lit))) & (distance <= match_px)
-    partner[lit[mutual]] = nearest[mutual]
-    return partner, int(np.count_nonzero((back_distance > near_px) & ~measured.stars.sharp))
 
 
 def _sky_frame(bench: _Bench, number: int) -> tuple[NDArray[np.bool_], Frame, MeasuredFrame, FloatArray]:

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.star_attitude import identify_stars, solve_attitude
@@ -32,32 +32,13 @@ from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from render.detector.readout import expose
 from render.engine.random import Streams
-from render.forward import StarRenderer
-from render.sky.field import field_of_view
+from render.observation import Observation, SkySimulator
 from render.sky.sky import load_sky
-from render.sky.star_light import star_light
 
 MATCH_PX = 2.0
 ROUGH_PX = 5.0
 TYPICAL_K = 5800.0
 FLOOR = 1e-30
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Known:
-    id: NDArray[np.int64]
-    direction: FloatArray
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Sky:
-    """A field of stars without noise."""
-
-    truth: Rotation
-    rough: Rotation
-    electrons: NDArray[np.float32]
-    place_px: FloatArray  # (n, 2)
-    known: _Known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -113,23 +94,23 @@ class Bench:
     def __init__(self, config: Config, instrument: Instrument, advance: Callable[[], None] = lambda: None) -> None:
         self.config, self.instrument = config, instrument
         self.streams = Streams(config.seed).child("straylight")
-        camera, setting = instrument.camera, config.instrument
+        setting = config.instrument
         band = open_band(config.passband, instrument)
         catalogue = load_catalogue(config.catalogue)
         sky = load_sky(
             catalogue, faintest_mag=config.frames.faintest_mag, epoch_year=config.catalogue.epoch_year,
             temperature=config.catalogue.temperature,
         )  # fmt: skip
-        light = star_light([band], nodes=6, magnitude_system=catalogue.magnitude_system)
-        renderer = StarRenderer(camera, exposure_s=setting.exposure_s)
-        view = field_of_view(camera, margin_px=16.0)
+        simulator = SkySimulator(instrument, sky, exposure_s=setting.exposure_s, passband=band)
         self.pixel_rad = math.radians(instrument.pixel_arcsec / 3600.0)
         pixel = instrument.pixel_noise()
         empty = float(pixel.temporal_e2(0.0, dark_frames=config.dark_frames))
         detector = instrument.detector
         psfs = None
         if needs_epsf(config.centroid):
-            psfs = render_psf_grid(instrument, light, temperature_k=TYPICAL_K, window_px=config.window_px, long_side=7)
+            psfs = render_psf_grid(
+                instrument, simulator.light, temperature_k=TYPICAL_K, window_px=config.window_px, long_side=7
+            )
         self.reduction = Reduction(
             dark_dn=mean_dark_frame(instrument, config.dark_frames, streams=self.streams, label="dark"),
             noise=NoiseModel(
@@ -145,22 +126,10 @@ class Bench:
         )
         self.model = fit_camera(instrument.pixel_map(band, temperature_k=TYPICAL_K)).camera
         turned = Rotation.random(config.frames.attitudes, rng=self.streams.generator("attitudes"))
-        self.fields: list[_Sky] = []
+        self.fields: list[tuple[Observation, Rotation]] = []
         for number, truth in enumerate(turned):
-            field = sky.field(view, truth)
-            image = renderer.render(sky.star_field(field, light), rotation_cam_from_world=field.rotation_cam_from_icrs)
-            assert image.truth is not None
-            place = np.column_stack([image.truth.photon_x_px[:, 0], image.truth.photon_y_px[:, 0]])
             away = ROUGH_PX * self.pixel_rad * self.streams.generator("rough", number).standard_normal(3)
-            self.fields.append(
-                _Sky(
-                    truth=truth,
-                    rough=Rotation.from_rotvec(away) * truth,
-                    electrons=image.electrons[:, :, 0],
-                    place_px=place,
-                    known=_Known(id=np.asarray(field.stars.id), direction=np.asarray(field.direction)),
-                )
-            )
+            self.fields.append((simulator.observe(truth), Rotation.from_rotvec(away) * truth))
             advance()
 
     def look(self, light_e: FloatArray | float, label: str, before: SunFrames | None = None) -> SunFrames:
@@ -169,9 +138,11 @@ class Bench:
         added = np.broadcast_to(np.asarray(light_e, dtype=np.float32), shape)
         found, false, lost, solved, errors, centroids, which = [], [], [], [], [], [], []
         example = None
-        for number, field in enumerate(self.fields):
+        for number, (sky, rough) in enumerate(self.fields):
+            truth = sky.truth
+            place_px = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
             frame = expose(
-                field.electrons + added,
+                sky.expected.electrons[:, :, 0] + added,
                 self.instrument.detector,
                 streams=self.streams,
                 frame=number,
@@ -181,7 +152,7 @@ class Bench:
                 band=label,
             )
             measured = measure_frame(frame, self.reduction)
-            partner, wrong = _matched(measured, field.place_px, config.window_px)
+            partner, wrong = measured.matched(place_px, config.window_px, MATCH_PX)
             seen = partner >= 0
             base = seen if before is None else before.stars[number]
             which.append(seen)
@@ -190,8 +161,8 @@ class Bench:
             lost.append(float((base & ~seen).sum() / max(base.sum(), 1)))
             fit = seen.copy()
             fit[seen] = measured.fit[partner[seen]]
-            centroids.append((measured.stars.pixel_px[partner[fit]] - field.place_px[fit]).ravel())
-            error = self._attitude(measured, field)
+            centroids.append((measured.stars.pixel_px[partner[fit]] - place_px[fit]).ravel())
+            error = self._attitude(measured, sky, rough)
             solved.append(bool(np.isfinite(error).all()))
             errors.append(error)
             if example is None:
@@ -208,26 +179,11 @@ class Bench:
             example_e=example,
         )
 
-    def _attitude(self, measured: MeasuredFrame, field: _Sky) -> FloatArray:
-        found = identify_stars(measured.stars, self.model, field.known, near=field.rough, radius_px=4.0 * ROUGH_PX)
-        solution = solve_attitude(measured.stars, found, self.model, field.known)
-        if not solution.ok:
-            return np.full(3, np.nan)
-        return attitude_error_arcsec(solution.solution.rotation, field.truth)
-
-
-def _matched(measured: MeasuredFrame, place_px: FloatArray, near_px: float) -> tuple[NDArray[np.int64], int]:
-    """Detection of each star, -1 for none, and detections that are farther than ``near_px`` from all stars."""
-    partner = np.full(len(place_px), -1)
-    lit = np.flatnonzero(np.isfinite(place_px).all(axis=1))
-    detected = measured.detected_px
-    if not len(detected) or not len(lit):
-        return partner, int(np.count_nonzero(~measured.stars.sharp)) if len(detected) else 0
-    distance, nearest = cKDTree(detected).query(place_px[lit])
-    back_distance, back = cKDTree(place_px[lit]).query(detected)
-    mutual = (back[nearest] == np.arange(len(lit))) & (distance <= MATCH_PX)
-    partner[lit[mutual]] = nearest[mutual]
-    return partner, int(np.count_nonzero((back_distance > near_px) & ~measured.stars.sharp))
+    def _attitude(self, measured: MeasuredFrame, sky: Observation, rough: Rotation) -> FloatArray:
+        known = SimpleNamespace(id=np.asarray(sky.field.stars.id), direction=np.asarray(sky.field.direction))
+        found = identify_stars(measured.stars, self.model, known, near=rough, radius_px=4.0 * ROUGH_PX)
+        solution = solve_attitude(measured.stars, found, self.model, known)
+        return attitude_error_arcsec(solution.solution.rotation, sky.attitude) if solution.ok else np.full(3, np.nan)
 
 
 def rms(values: Sequence[float] | FloatArray) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
@@ -55,6 +56,20 @@ class MeasuredFrame:
     stars: StarTable  # All detections with their centroids, brightest first
     fit: NDArray[np.bool_]  # (n,) Whether a star may count in an attitude: no flag against it
     detected_px: FloatArray  # (n, 2) Where they were detected, before the centroid
+
+    def matched(self, place_px: FloatArray, near_px: float, match_px: float) -> tuple[NDArray[np.int64], int]:
+        """Detection of each star (n,), -1 for none, and how many detections are no star: beyond ``near_px`` from all.
+
+        What is flagged as too sharp for a star is left out.
+        """
+        partner, lit = np.full(len(place_px), -1), np.flatnonzero(np.isfinite(place_px).all(axis=1))
+        if not len(self.detected_px) or not len(lit):
+            return partner, int(np.count_nonzero(~self.stars.sharp))
+        distance, nearest = cKDTree(self.detected_px).query(place_px[lit])
+        back_distance, back = cKDTree(place_px[lit]).query(self.detected_px)
+        mutual = (back[nearest] == np.arange(len(lit))) & (distance <= match_px)
+        partner[lit[mutual]] = nearest[mutual]
+        return partner, int(np.count_nonzero((back_distance > near_px) & ~self.stars.sharp))
 
     def at_once(self, pixel_px: FloatArray) -> MeasuredFrame:
         """The same stars at other positions (n, 2)."""
