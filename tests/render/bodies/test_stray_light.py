@@ -1,5 +1,7 @@
 """Stray light of Sun, Moon and Earth in electrons: closed forms, and the road into a frame."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -76,3 +78,21 @@ def test_a_frame_holds_the_stray_light(tmp_path) -> None:
     assert apart.mean() > 100.0
     with pytest.raises(ConfigError, match="observer"):
         SkySimulator(sensor, load_sky(faintest_mag=5.0), stray_light=table)
+
+
+@pytest.mark.slow
+def test_ghosts_of_the_sun_fall_where_paths_lead_with_the_light_of_the_table() -> None:
+    sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=512)
+    sky = load_sky(observer="earth", faintest_mag=5.0)
+    to_sun = -sky.observer.from_sun_au / np.linalg.norm(sky.observer.from_sun_au)
+    ra, dec = np.degrees(np.arctan2(to_sun[1], to_sun[0])), np.degrees(np.arcsin(to_sun[2]))
+    attitude, part = attitude_from_angles(ra, dec + 15.0), flat(5e-8)
+    value, error = (np.repeat(v, 2, axis=0) for v in (part.value, part.error))
+    both = replace(part, causes=("ghosts", "polish"), value=value, error=error)
+    seen = SkySimulator(sensor, sky, stray_light=both, ghosts=True).observe(attitude, layers=True)
+    wanted = 0.1 * sum(SkySimulator(sensor, sky, stray_light=both).stray_e_per_s(attitude).values())
+    assert seen.layers["ghosts"].mean(dtype=float) == pytest.approx(wanted, rel=1e-3)
+    assert seen.layers["stray"] == pytest.approx(wanted, rel=1e-3)
+    assert np.ptp(seen.layers["ghosts"]) > 0.1 * wanted
+    assert "sun" in seen.beside
+    assert {seen.beside[row - len(seen.field)] for row in seen.ghosts.star if row >= len(seen.field)} == {*seen.beside}
