@@ -73,7 +73,7 @@ def test_criteria_fail_on_a_wrong_prediction(sensor, tmp_path, engine, monkeypat
     """Read noise half of what the frames have: noise, false alarms and attitudes are noticed."""
     from dataclasses import replace
 
-    from experiments.camera import prediction
+    from experiments.laboratory import sensor_prediction as prediction
 
     true = prediction._processing
 
