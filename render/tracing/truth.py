@@ -23,22 +23,21 @@ def add_stamps(
     electrons: FloatArray,
     sensitive: NDArray[np.bool_] | None = None,
 ) -> FloatArray:
-    """Add stamps to the image, in the order of the stars."""
+    """Add stamps, which are nowhere negative, to the image, in the order of the stars."""
     # image (h, w, b), pixels (s, b, m, m), corner_px (s, b, 2), electrons (s, b) [e-], sensitive (w,) -> (s, b)
-    _, bands, size, _ = pixels.shape
     height, width, _ = image.shape
-    column = np.rint(corner_px[..., 0] + 0.5).astype(np.int64)[..., None] + np.arange(size)
-    row = np.rint(corner_px[..., 1] + 0.5).astype(np.int64)[..., None] + np.arange(size)
-    on_row, on_column = (row >= 0) & (row < height), (column >= 0) & (column < width)
-    if sensitive is not None and width:
-        on_column &= sensitive[np.clip(column, 0, width - 1)]
-    lit = (on_row[..., :, None] & on_column[..., None, :]) & (pixels > 0)
-    star, band, r, c = np.nonzero(lit)
-    share = pixels[star, band, r, c]
-    flat = (row[star, band, r] * width + column[star, band, c]) * bands + band
-    np.add.at(image.reshape(-1), flat, (share * electrons[star, band]).astype(image.dtype))
-    kept = np.asarray(np.bincount(star * bands + band, weights=share, minlength=pixels.shape[0] * bands), float)
-    return kept.reshape(pixels.shape[:2])
+    kept = np.zeros(pixels.shape[:2])
+    first = np.rint(corner_px + 0.5).astype(np.int64)
+    size = pixels.shape[-1]
+    low, high = np.maximum(first, 0), np.minimum(first + size, [width, height])
+    for s, b in np.argwhere((low < high).all(2)).tolist():
+        (x0, y0), (x1, y1), (column, row) = low[s, b].tolist(), high[s, b].tolist(), first[s, b].tolist()
+        share = pixels[s, b, y0 - row : y1 - row, x0 - column : x1 - column]
+        if sensitive is not None:
+            share = share * sensitive[x0:x1]
+        kept[s, b] = share.sum(dtype=np.float64)
+        image[y0:y1, x0:x1, b] += (share * electrons[s, b]).astype(image.dtype)
+    return kept
 
 
 Sampling = dict[str, tuple[int, int]]

@@ -312,11 +312,12 @@ def _gauss_tables(sizes: IntArray) -> tuple[FloatArray, FloatArray]:
 def _rule(start: FloatArray, length: FloatArray, arms: int, alike: bool) -> tuple[FloatArray, FloatArray]:
     """Azimuths and weights (s, b, k, arms), sum 1: as many on every arc as its length asks for, two at least.
 
-    ``alike``: the same for all nodes of a star, which all have as many arcs, so that they can be interpolated.
+    ``alike``: the same for all nodes of a star, which all have as many arcs, so that they can be interpolated; an arc
+    has as many as it needs where it is longest.
     """
     real = length > 0.0
-    typical = np.broadcast_to(length.mean(2, keepdims=True), length.shape) if alike else length
-    quota = (arms - LEAST_IN_ARC * real.sum(-1, keepdims=True)) * typical / (2.0 * np.pi)
+    most = np.broadcast_to(length.max(2, keepdims=True), length.shape) if alike else length
+    quota = (arms - LEAST_IN_ARC * real.sum(-1, keepdims=True)) * most / most.sum(-1, keepdims=True)
     count = np.where(real, LEAST_IN_ARC + np.floor(quota), 0).astype(int)
     rank = np.argsort(np.argsort(-np.where(real, quota - np.floor(quota), -1.0), axis=-1, kind="stable"), axis=-1)
     count += rank < (arms - count.sum(-1, keepdims=True))

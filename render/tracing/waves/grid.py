@@ -8,16 +8,16 @@ spread and losses of a star's rays are interpolated alike, so that none is trace
 
 Nothing is taken on trust: a grid is made finer until images and means of rays at places between its points, of light at
 either end of a band and of that which its wavelengths follow worst, differ from exact ones by less than `TOLERANCE`,
-and along a radius light and means of few rays at many places. A mixture of wavelengths is nearer still. Where the
-finest fails (apertures that start to cut the beam leave a kink in the field) there is none, and every star is summed by
-itself.
+and along a radius light and means of few rays of all wavelengths at many places. A mixture of wavelengths is nearer
+still. Where an aperture begins to cut the beams the field has a kink, and a polynomial of its own begins there. Where
+the finest grid fails there is none, and every star is summed by itself.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from optics.rays.pupil import gauss_disk
 from render.camera import Camera
 from render.tracing.motion.exposure import IdealLens
 from render.tracing.motion.paths import at_rest
+from render.tracing.pupil.outlines import Arcs
 from render.tracing.pupil.planning import Group, PupilPlanner
 from render.tracing.pupil.points import TablePoints
 from render.tracing.truth import RayMoments, WaveStamps
@@ -61,11 +62,11 @@ def chebyshev(count: int) -> FloatArray:
     return -np.cos(np.pi * (np.arange(count) + 0.5) / count)
 
 
-def _along_radius(points: FloatArray, kink: float, at: FloatArray) -> FloatArray:
-    """Weights (n, p) of points along a radius for places on it, on either side of a kink."""
-    inner = points < kink
+def _along_radius(points: FloatArray, cuts: tuple[float, ...], at: FloatArray) -> FloatArray:
+    """Weights (n, p) of points along a radius for places on it: polynomials between cuts."""
     weight = np.zeros((len(at), len(points)))
-    for places, some in ((at < kink, inner), (at >= kink, ~inner)):
+    for low, high in pairwise((-math.inf, *cuts, math.inf)):
+        places, some = ((low <= v) & (v < high) for v in (at, points))
         weight[np.ix_(places, some)] = lagrange(points[some], at[places])
     return weight
 
@@ -95,7 +96,7 @@ class WaveGrid:
     # (`render.tracing.waves.polar`). The f = p points then lie along a radius, in parts of that of the farthest
     # corner; images, means and moments are those of stars on the column axis
     order: tuple[IntArray, ...] | None = None
-    kink: float = 1.0  # Part of that radius from which apertures cut the beam; no polynomial reaches across it
+    cuts: tuple[float, ...] = ()  # Parts of that radius where apertures begin to cut the beam, ascending
     # error, error_px: Largest error found between the points, of a pixel and of a centroid
     error: float = math.nan
     error_px: float = math.nan
@@ -173,7 +174,7 @@ class WaveGrid:
             weight = (row[:, :, None] * column[:, None, :]).reshape(len(place), -1)
         else:
             radius = np.hypot(*tangent.T)
-            weight = _along_radius(self.points, self.kink, radius / self.reach)
+            weight = _along_radius(self.points, self.cuts, radius / self.reach)
             off = radius > 0.0
             turn[off] = (tangent[off] @ np.array([1.0, 1j])) / radius[off]
         return weight, np.einsum("sbk,bkq->sbq", share, self.spectral), turn
@@ -249,10 +250,15 @@ TOLERANCE = 1e-4
 """Largest error of a pixel [share of the light], and of the centroid in a window of 13 x 13 px [px]."""
 SIZES = (5, 7, 9, 11, 13, 15)
 """Points along either side that are tried."""
-RADIAL_SIZES = (10, 14, 18, 22, 26, 32, 40)
-"""The same along a diameter of the field of a lens of revolution, and on what apertures leave of a radius beyond."""
-FIRST_KINKED, CUT_STEPS = 2, 32
-"""Which of them is the first where apertures cut beams; steps of the search for where they begin, twice."""
+RADIAL_SIZES = (5, 7, 9, 11, 13, 16, 20)
+"""The same along a radius of the field of a lens of revolution, as far as no aperture cuts the beam."""
+BETWEEN_CUTS, MOST_BETWEEN = 4, 40
+"""Points between two cuts, at least, and most."""
+MOST_CUTS, CUT_STEPS, APART = 4, (128, 16), 0.01
+"""Places where apertures begin to cut that are kept, the innermost; steps of the search for them, and of a second one
+in each of the steps found; their least distance, in parts of the radius."""
+CUT_PLACES = 45
+"""Points that such a grid is expected to need."""
 GAIN = 4.0
 """By how much the next size lowers the error, at least; sizes that would not do are passed over."""
 LEAST_GAIN = 0.7
@@ -278,8 +284,8 @@ MOST_IMAGES = 1900
 """Images of a band that a grid is made of, whose matrix of products is still cheap."""
 WING_PX = 30.0
 """How far beside the detector a star may be for its image to be rendered; so far the grid reaches."""
-RADII = 64
-"""Places along a radius at which means of rays are judged."""
+RADII = 24
+"""Places along each part of a radius at which light and means of rays are judged."""
 CENTRED = 0.05
 """How far beside the axis the middle of the field may lie, in terms of its size, to be taken to be there."""
 SYMMETRIC_PX = 1e-6
@@ -321,9 +327,9 @@ def plan_grid(
     first, judged = 25.0, 2 * PROBES * 3 * len(wavelength_nm)
     if field.mirrored:
         first = 9.0
-    more = (0.5 * RADIAL_SIZES[1] if field.turned else 1.8 * (25.0 if field.mirrored else 81.0)) * field.colours
-    if field.kink < 1.0:
-        first, more = 0.0, 4.0 * RADIAL_SIZES[FIRST_KINKED] * field.colours
+    more = (RADIAL_SIZES[1] if field.turned else 1.8 * (25.0 if field.mirrored else 81.0)) * field.colours
+    if field.cuts:
+        first, more = 0.0, CUT_PLACES * field.colours
     count = first * field.colours + more + judged
     return GridPlan(field, image_s, count * image_s + (RINGS_S if field.turned else 0.0))
 
@@ -336,26 +342,21 @@ def build_grid(
 ) -> WaveGrid | None:
     """The coarsest grid that is good enough; None where there is none."""
     field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
-    sizes: tuple[int, ...] = SIZES
-    made, at, least, last = field.grid, 0, 0, math.inf
-    if field.turned:  # images are nowhere nearer than means of rays, which cost little
-        enough = (i for i, size in enumerate(RADIAL_SIZES) if field.ray_error(size) < TOLERANCE)
-        least = next(enough, -1)
-        if least < 0:
-            return None
-    if field.kink < 1.0:
-        sizes, made, at = RADIAL_SIZES, field.radial, max(FIRST_KINKED, least)
+    at, radial, last = (1, True, math.inf) if field.cuts else (0, False, math.inf)
     while True:
-        grid = made(sizes[at])
+        sizes = RADIAL_SIZES if radial else SIZES
+        grid = field.radial(sizes[at]) if radial else field.grid(sizes[at])
         if grid is None:
             return None
         error = max(grid.error, grid.error_px) / TOLERANCE
-        if error < 1.0 or at == len(sizes) - 1 or error > LEAST_GAIN * last:
+        if error < 1.0 or at == len(sizes) - 1 or (radial and error > LEAST_GAIN * last):
             return grid if error < 1.0 else None
-        last = error if sizes is RADIAL_SIZES else math.inf
-        if field.turned and sizes is SIZES:
-            sizes, made, at = RADIAL_SIZES, field.radial, -1
-        at = min(len(sizes) - 1, max(least, at + math.ceil(math.log(max(error, 1.01)) / math.log(GAIN))))
+        last = error if radial else math.inf
+        if field.turned and not radial:
+            radial, at = True, -1
+        at = min(
+            len(RADIAL_SIZES if radial else SIZES) - 1, at + math.ceil(math.log(max(error, 1.01)) / math.log(GAIN))
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -391,7 +392,7 @@ class _FieldImages:
         self.middle, self.half = self._extent()
         self.reach = float(np.hypot(*(np.abs(self.middle) + self.half)))
         self.mirrored, self.turned = self._symmetry()
-        self.kink = self._first_cut() if self.turned else 1.0
+        self.cuts = self._cuts() if self.turned else ()
 
     @property
     def colours(self) -> int:
@@ -433,27 +434,40 @@ class _FieldImages:
         mirrored = not np.abs(self.middle).max() > 0.0 and _alike(weight[:4], x[:4], y[:4])
         return mirrored, _alike(weight, cos * x + sin * y, cos * y - sin * x)
 
-    def _first_cut(self) -> float:
-        """Part of the radius of the farthest corner beyond which apertures cut the beams of stars; 1 if none do."""
-        low, high = 0.0, 1.0
-        for _ in range(2):
-            steps = np.linspace(low, high, CUT_STEPS + 1)
-            paths = at_rest(self._direction(self.reach * np.stack([steps, np.zeros_like(steps)], axis=-1)))
-            exposure = self.planner.exposure(paths, self.wavelength_nm)
-            cut = np.ones(len(steps), np.bool_)
-            for group in self.planner.sampled_by_waves(exposure, np.arange(len(steps))).groups:
-                if group.mode == "quadrature":
-                    cut[group.members] = False
-            first = int(np.argmax(cut))
-            if not cut.any() or first == 0:
-                return 1.0
-            low, high = float(steps[first - 1]), float(steps[first])
-        return low if low > 0.0 else 1.0
+    def _cuts(self) -> tuple[float, ...]:
+        """Parts of the radius of the farthest corner where an aperture begins or ceases to cut beams.
 
-    def exact(self, place: FloatArray, share: FloatArray) -> tuple[SummedImages, list[Group], FloatArray, FloatArray]:
+        There the number of arcs of the outlines changes, at either end of a band.
+        """
+        arcs, steps = self._arcs(np.linspace(0.0, 1.0, CUT_STEPS[0] + 1)), CUT_STEPS[1]
+        cuts: list[float] = []
+        for first in np.flatnonzero((arcs[1:] != arcs[:-1]).any((1, 2))).tolist():
+            finer = (first + np.arange(steps + 1) / steps) / CUT_STEPS[0]
+            some = self._arcs(finer)
+            cut = float(finer[int(np.argmax((some[1:] != some[:-1]).any((1, 2))))])
+            if len(cuts) < MOST_CUTS and cut - (cuts[-1] if cuts else 0.0) > APART and cut < 1.0 - APART:
+                cuts.append(cut)
+        return tuple(cuts)
+
+    def _arcs(self, part: FloatArray) -> IntArray:
+        """Arcs (n, b, 2) of outlines at parts of the radius, at either end of the bands; 0 where there is none."""
+        place = self.reach * np.stack([part, np.zeros_like(part)], axis=-1)
+        exposure = self.planner.exposure(at_rest(self._direction(place)), self.wavelength_nm)
+        arcs = np.zeros((len(part), len(self.wavelength_nm), 2), np.int64)
+        for group in self.planner.sampled_by_waves(exposure, np.arange(len(part))).groups:
+            if isinstance(group.outlines, Arcs):
+                at = np.searchsorted(group.outlines.stars, group.members)
+                arcs[group.members] = (group.outlines.length[at][:, :, [0, -1]] > 0.0).sum(-1)
+            elif group.mode == "quadrature":
+                arcs[group.members] = 1
+        return arcs
+
+    def exact(
+        self, place: FloatArray, share: FloatArray, wavelength_nm: FloatArray | None = None
+    ) -> tuple[SummedImages, list[Group], FloatArray, FloatArray]:
         """Images of stars whose directions have these tangents (n, 2), their groups, chief rays and entrances."""
         paths = replace(at_rest(self._direction(place)), collimation=self.collimation)
-        exposure = self.planner.exposure(paths, self.wavelength_nm)
+        exposure = self.planner.exposure(paths, self.wavelength_nm if wavelength_nm is None else wavelength_nm)
         sampled = self.planner.sampled_by_waves(exposure, np.arange(len(place)))
         chief = np.where(exposure.chiefs.blocked[..., None], np.nan, exposure.chiefs.place_px)
         entrance = np.where(np.isnan(sampled.entrance), 1.0, sampled.entrance)
@@ -476,34 +490,51 @@ class _FieldImages:
             parts, moment, origin = _unfolded(parts, moment, origin, size)
         return self._judged(self._made(found, points, moment, origin, parts), found.judges)
 
-    def _radii(self, size: int) -> FloatArray:
-        """Points of a grid along a radius, on both sides of the axis and beyond the kink."""
-        inner = self.kink * chebyshev(size)
-        outer = self.kink + (1.0 - self.kink) * 0.5 * (1.0 + chebyshev(size))
-        return np.concatenate([inner, outer]) if self.kink < 1.0 else inner
+    def _radii(self, counts: IntArray) -> FloatArray:
+        """Points of a grid along a radius: so many from the axis on, and mirrored ones before; between cuts."""
+        ends = (*self.cuts, 1.0)
+        parts = [ends[0] * chebyshev(2 * int(counts[0]))]
+        for (low, high), count in zip(pairwise(ends), counts[1:].tolist(), strict=True):
+            parts.append(low + (high - low) * 0.5 * (1.0 + chebyshev(count)))
+        return np.concatenate(parts)
 
-    def ray_error(self, size: int) -> float:
-        """Largest error between the points of a radial grid, at `RADII` places: of means [px] and light of few rays.
+    def _counts(self, size: int) -> tuple[IntArray, float]:
+        """Points that light and means [px] of rays need between the cuts, ``size`` within the first; their error."""
+        counts = np.array([size, *[max(BETWEEN_CUTS, size // 2)] * len(self.cuts)])
+        while True:
+            error = self._ray_errors(counts)
+            bad = error > TOLERANCE
+            if not bad.any() or counts.max() > MOST_BETWEEN:
+                return counts, float(error.max())
+            counts[bad] += np.maximum(1, np.where(error > 3.0 * TOLERANCE, 0.4, 0.15)[bad] * counts[bad]).astype(int)
 
-        Where apertures cut beams it lies near kinks, which few places do not meet.
+    def _ray_errors(self, counts: IntArray) -> FloatArray:
+        """Largest errors between the cuts, at `RADII` places, of means [px] and light of few rays.
+
+        Of the middle wavelength of every band and of either end.
         """
-        points, half = self._radii(size), size // 2
-        at = np.concatenate([points[half:], (np.arange(RADII) + 0.5) / RADII])
+        points, first = self._radii(counts), int(counts[0])
+        ends = (0.0, *self.cuts, 1.0)
+        judged = np.concatenate([a + (b - a) * (np.arange(RADII) + 0.5) / RADII for a, b in pairwise(ends)])
+        at = np.concatenate([points[first:], judged])
         place = np.stack([self.reach * at, np.zeros_like(at)], axis=-1)
-        images, groups, chief, _ = self.exact(place, np.ones((len(at), *self.wavelength_nm.shape)))
-        seen = np.full((len(at), 2, len(self.wavelength_nm)), np.nan)
+        waves = np.ascontiguousarray(self.wavelength_nm[:, [0, self.wavelength_nm.shape[1] // 2, -1]])
+        images, groups, chief, _ = self.exact(place, np.ones((len(at), *waves.shape)), waves)
+        seen = np.full((len(at), 2, *waves.shape), np.nan)
         for probe in (one for group in groups for one in images.probes(group)):
-            middle = self.wavelength_nm.shape[1] // 2
-            offset = probe.waves.mean[:, :, middle, 0] - chief[probe.stars, :, 0]
-            seen[probe.stars] = np.stack([offset, probe.waves.weight[:, :, middle].sum(-1)], axis=1)
-        known = seen[: len(points) - half]
-        known = np.concatenate([known[:half][::-1] * np.array([[-1.0], [1.0]]), known])
-        found = np.tensordot(_along_radius(points, self.kink, at[-RADII:]), known, axes=1)
-        return float(np.abs(found - seen[-RADII:]).max())
+            offset = probe.waves.mean[..., 0] - chief[probe.stars, :, :1]
+            seen[probe.stars] = np.stack([offset, probe.waves.weight.sum(-1)], axis=1)
+        known, expected = seen[: len(points) - first], seen[-len(judged) :]
+        known = np.concatenate([known[:first][::-1] * np.array([-1.0, 1.0])[:, None, None], known])
+        error = np.abs(np.tensordot(_along_radius(points, self.cuts, judged), known, axes=1) - expected)
+        return np.asarray(np.where(np.isnan(error), np.inf, error).reshape(len(counts), -1).max(1))
 
     def radial(self, size: int) -> WaveGrid | None:
-        """The same for a lens of revolution, from half as many points along a radius."""
-        half, points = size // 2, self._radii(size)
+        """The same for a lens of revolution, from points along a radius, ``size`` as far as no aperture cuts."""
+        counts, ray_error = self._counts(size)
+        if ray_error > TOLERANCE:
+            return None  # images are nowhere nearer than means of rays
+        half, points = size, self._radii(counts)
         place = np.stack([self.reach * points[half:], np.zeros(len(points) - half)], axis=-1)
         found = self._summed(place, 1.0, len(place))
         if found is None:
@@ -530,7 +561,7 @@ class _FieldImages:
         moment[:half, ..., 2] *= -1.0
         origin[:half, ..., 0] *= -1.0
         grid = self._judged(self._made(found, points, moment, origin, parts, tuple(orders)), found.judges)
-        return None if grid is None else replace(grid, error_px=max(grid.error_px, self.ray_error(size)))
+        return None if grid is None else replace(grid, error_px=max(grid.error_px, ray_error))
 
     def _summed(self, place: FloatArray, finer: float, points: int) -> _Summed | None:
         """Images at places of the field; None for a lens or field without a grid of so many points."""
@@ -596,7 +627,7 @@ class _FieldImages:
             component=tuple(part.shape for part in parts),
             parity=tuple(part.parity for part in parts),
             order=order,
-            kink=self.kink,
+            cuts=self.cuts,
         )
 
     def _judged(self, grid: WaveGrid, judges: list[IntArray]) -> WaveGrid | None:

@@ -62,16 +62,16 @@ def turning_shapes(
     blurred = _series(to_rings, (blur.astype(np.float32) @ images) @ blur.astype(np.float32), count)
     # integral of g^2 over a ring of an order, by Chebyshev's rule
     area = 0.5 * np.pi * ring * (np.pi / (2 * count)) * reach * np.sqrt(1.0 - node**2) * 2.0
-    moment = (blurred[..., 1] * (ring <= CENTROID_PX)) @ (area * ring)
-    blurred = blurred * np.sqrt(area)[:, None]
-    blurred[..., 0] *= math.sqrt(2.0)
-    blurred = np.pad(blurred, ((0, 0), (0, 1), (0, 0)))  # an error of the centroid counts as one of the light
-    blurred[:, -1, 1] = MOMENT * moment
-    bright = (blurred**2).sum(1).max(0)
+    moment = (area * ring * (ring <= CENTROID_PX)) @ blurred[:, 1]
+    blurred = blurred * np.sqrt(area)[:, None, None]
+    blurred[:, 0] *= math.sqrt(2.0)
+    blurred = np.pad(blurred, ((0, 1), (0, 0), (0, 0)))  # an error of the centroid counts as one of the light
+    blurred[-1, 1] = MOMENT * moment
+    bright = (blurred**2).sum(0).max(1)
     weak = np.argsort(bright)
     weak = weak[np.cumsum(bright[weak]) < (NOTHING * limit) ** 2]
     orders = np.setdiff1d(np.arange(count), weak)
-    part = np.stack([_principal(blurred[..., m]) for m in orders], axis=-1)  # (n, j, m)
+    part = np.stack([_principal(blurred[:, m].T) for m in orders], axis=-1)  # (n, j, m)
     energy = part**2
     order = np.argsort(energy.max(0), axis=None)
     lost = np.cumsum(energy.reshape(len(images), -1)[:, order], axis=1).max(0) + bright[weak].sum()
@@ -80,14 +80,14 @@ def turning_shapes(
     j, m = j[by_order], m[by_order]
     value = (part[:, j, m] / np.linalg.norm(part[:, j, m], axis=0)).astype(np.float32)
     m = orders[m]
-    radial = np.einsum("nc,nrc->rc", value, series[..., m])
+    radial = np.concatenate([series[:, order] @ value[:, m == order] for order in np.unique(m)], axis=1)
     return TurningShapes(m, value, _on_samples(samples_px, reach, node, radial, m))
 
 
 def _to_rings(
     samples_px: FloatArray, field: FieldSampling, ring: FloatArray, angle: FloatArray
-) -> tuple[NDArray[np.float32], csr_array]:
-    """What makes finer samples of samples (f, i), and points of rings (r, a) of those."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32], csr_array]:
+    """What makes rows, from the axis on, and columns of finer samples (f, i) of samples; points of rings of those."""
     step = field.light_step / FINER
     fine = np.arange(FINER * (len(samples_px) - 1) + 1) * step + samples_px[0]
     rate = 1.0 / field.light_step
@@ -102,28 +102,33 @@ def _to_rings(
         index.append(at)
         one = near(at * step + fine[0] - place[:, None])
         weight.append((one / one.sum(1, keepdims=True)).astype(np.float32))
-    flat = index[1][:, :, None] * np.int32(len(fine)) + index[0][:, None, :]
+    upper = index[1].min()
+    flat = (index[1] - upper)[:, :, None] * np.int32(len(fine)) + index[0][:, None, :]
     value = weight[1][:, :, None] * weight[0][:, None, :]
     rows = np.arange(0, flat.size + 1, len(taps) ** 2, dtype=np.int32)
-    matrix = csr_array((value.ravel(), flat.ravel(), rows), shape=(x.size, len(fine) ** 2))
-    return finer, matrix
+    matrix = csr_array((value.ravel(), flat.ravel(), rows), shape=(x.size, len(fine) * (len(fine) - upper)))
+    return finer[upper:], finer.T.copy(), matrix
 
 
-def _series(to_rings: tuple[NDArray[np.float32], csr_array], images: NDArray[np.float32], count: int) -> FloatArray:
-    """Cosine series (n, r, m) of images on rings."""
-    finer, matrix = to_rings
+def _series(
+    to_rings: tuple[NDArray[np.float32], NDArray[np.float32], csr_array], images: NDArray[np.float32], count: int
+) -> NDArray[np.float32]:
+    """Cosine series (r, m, n) of images on rings."""
+    row, column, matrix = to_rings
     angle = np.pi * (np.arange(count) + 0.5) / count
-    cosine = np.cos(np.outer(angle, np.arange(count))) * (2.0 / count)
-    cosine[:, 0] *= 0.5
-    result = np.empty((len(images), count, count))
+    cosine = np.cos(np.outer(np.arange(count), angle)) * (2.0 / count)
+    cosine[0] *= 0.5
+    cosine = cosine.astype(np.float32)
+    result = np.empty((count, count, len(images)), np.float32)
     for part in (slice(i, i + BATCH) for i in range(0, len(images), BATCH)):
-        fine = np.stack([(finer @ image @ finer.T).ravel() for image in images[part]], axis=1)
-        result[part] = (matrix @ fine).T.reshape(-1, count, count) @ cosine
+        fine = np.stack([(row @ image @ column).ravel() for image in images[part]], axis=1)
+        result[..., part] = cosine @ (matrix @ fine).reshape(count, count, -1)
     return result
 
 
-def _principal(values: FloatArray) -> FloatArray:
+def _principal(single: NDArray[np.float32]) -> FloatArray:
     """Left singular vectors times singular values (n, j) of values (n, r): what of each is in principal components."""
+    values = single.astype(np.float64)
     if len(values) > values.shape[1]:
         return np.asarray(values @ np.linalg.eigh(values.T @ values)[1])
     square, left = np.linalg.eigh(values @ values.T)

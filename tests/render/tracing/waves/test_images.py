@@ -92,6 +92,22 @@ def test_pixels_are_the_integrals_of_the_plane_wave_sum(engine, name, field, sig
     assert expected.max() > 0.1
 
 
+@pytest.mark.slow
+def test_arcs_of_an_outline_have_rays_enough_at_every_wavelength(engine):
+    """The shortest of twelve wavelengths, whose arcs are not as long as the others', as if it were the only one."""
+    wave, camera = np.linspace(448.5, 901.8, 12), camera_of("star_tracker_26mm", 33, 33, diffraction="exact_waves")
+    field = np.degrees(np.arctan(0.2553)), 0.0
+    camera = looking_at(camera, *field, wave[:1], (16.2, 15.7))
+    many, alone = (
+        Tracer(camera).render(
+            stars_of(field_direction(*field), waves, [1.0] + [0.0] * (len(waves) - 1)), exposure_s=1.0
+        )
+        for waves in (wave, wave[:1])
+    )
+    assert list(many.sampling) == ["arcs"]
+    assert np.abs(many.electrons - alone.electrons).max() < 2e-6 * alone.truth.electrons_in.min()
+
+
 def test_every_electron_is_accounted_for_and_the_rest_is_what_the_rings_hold(engine):
     camera = camera_of("star_camera_206mm", 31, 31)
     traced = Tracer(camera).render(stars_of(field_direction(0.0, 0.0), 600.0), exposure_s=2.0)
