@@ -518,7 +518,8 @@ class _FieldImages:
         judged = np.concatenate([a + (b - a) * (np.arange(RADII) + 0.5) / RADII for a, b in pairwise(ends)])
         at = np.concatenate([points[first:], judged])
         place = np.stack([self.reach * at, np.zeros_like(at)], axis=-1)
-        waves = np.ascontiguousarray(self.wavelength_nm[:, [0, self.wavelength_nm.shape[1] // 2, -1]])
+        last = self.wavelength_nm.shape[1] - 1
+        waves = np.ascontiguousarray(self.wavelength_nm[:, np.unique([0, (last + 1) // 2, last])])
         images, groups, chief, _ = self.exact(place, np.ones((len(at), *waves.shape)), waves)
         seen = np.full((len(at), 2, *waves.shape), np.nan)
         for probe in (one for group in groups for one in images.probes(group)):
