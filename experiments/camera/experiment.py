@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.camera.answer import Swing, Temperatures, ThermalRange, limits
-from experiments.camera.frames import FRAMES, SOLVED
+from experiments.camera.comparison import FRAMES, SOLVED
 from experiments.camera.guides import COVERAGE, LOST, coverage
 from experiments.camera.manufacture import MANUFACTURED, RENDERED_LENSES
 from experiments.camera.operation import LIFE, MOTION

@@ -10,24 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.solve import solve_wahba
 from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
+from experiments.camera.comparison import ChartFrames, Rendered, SkyFrames, noise_of_chart
 from experiments.camera.manufacture import CHOSEN, Manufactured, RenderedLens
 from experiments.camera.operation import moving
 from experiments.camera.settings import Config
-from experiments.harness.plotting import new_figure
-from experiments.harness.quantities import Outcome, Quantities
-from experiments.harness.sections import Section, agree, below, col, ratio_near
 from experiments.harness.summary import Measured
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import overridden
@@ -39,7 +34,6 @@ from experiments.laboratory.sensor_prediction import CameraPrediction, exposed_s
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.errors import StarbenchError
-from optics.figures import draw_image
 from optics.lens.system import LensSystem
 from render.camera import Camera
 from render.detector.readout import expose
@@ -48,18 +42,6 @@ from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate
 from render.records import Frame, StarField
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
-
-__all__ = [
-    "FRAMES",
-    "SOLVED",
-    "Compared",
-    "Solved",
-    "compare",
-    "frames_drawn",
-    "render_frames",
-    "rendered_lenses",
-    "solved_frames",
-]
 
 MATCH_PX, MATCH_WIDTHS = 2.0, 0.6
 """A detection this near to the light of a star, or so many widths of the filter, is that star."""
@@ -72,44 +54,6 @@ LONG_SIDE, FEWER = 17, 9
 """PSFs along the longer side of the detector; fewer where the noise alone is looked at."""
 TURNING = 0.5
 """Slew rate of the chart in motion, of that at which trails fill the window."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChartFrames:
-    """n artificial stars in k readouts."""
-
-    bright_mag: float  # Magnitude of the stars whose scatter is measured
-    # (n,) Of the stars; electrons that reach the detector, those beyond the stamps of diffraction images too
-    magnitude: FloatArray
-    radius_px: FloatArray
-    electrons: FloatArray
-    found: NDArray[np.bool_]  # (k, n) Whether a detection belongs to the star
-    error_px: FloatArray  # (k, n, 2) Centroid minus mean of all light of the star; NaN where there is none
-    false_alarms: NDArray[
-        np.int64
-    ]  # Of each frame: detections without a star, those that are flagged as too sharp left out
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SkyFrames:
-    """m frames of the real sky; frame k has attitude k of the prediction."""
-
-    found: NDArray[np.int64]  # (m,) Stars that are found, and those of them that are fit for an attitude
-    fit: NDArray[np.int64]  # (m,)
-    false_alarms: NDArray[np.int64]  # (m,) As for the chart
-    error_arcsec: FloatArray  # (m, 3) Attitude minus truth about x, y (across) and z (roll); NaN where there is none
-    status: tuple[str, ...]  # Of the identification
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rendered:
-    """What the frames showed."""
-
-    chart: ChartFrames  # Artificial stars
-    moving: tuple[CameraPrediction, ChartFrames] | None  # The same of the camera that turns
-    sky: SkyFrames  # Real sky
-    example_e: NDArray[np.float32]  # (h, w) First frame of the sky, electrons above the dark
-    example_px: FloatArray  # (n, 2) Where its stars were measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,7 +196,7 @@ def rendered_lenses(
     """The chart through lenses as they were drawn; the PSFs of the centroider are their own."""
     found = []
     for share, (lens, ratio) in zip(CHOSEN, made.chosen, strict=True):
-        one = _noise(prediction, _chart(_Bench(prediction, lens, long_side=FEWER), advance))
+        one = noise_of_chart(prediction, _chart(_Bench(prediction, lens, long_side=FEWER), advance))
         seen = Measured(value=one.measured, unit=one.unit, uncertainty=ratio * one.error, n=one.n)
         found.append(
             RenderedLens(share_percent=100.0 * share, measured_arcsec=seen, predicted_arcsec=ratio * one.predicted)
@@ -346,286 +290,3 @@ def _attitude_error(
         bench.model.unproject(pixel), known.direction[solved.catalogue], sigma_rad=pixel_rad * sigma_px
     )
     return attitude_error_arcsec(weighted.rotation, truth), "solved"
-
-
-# --- Measured against predicted
-
-
-WIDEST_MAG = 3.0
-UNFIT_SHARE = 0.05
-"""Stars whose fit does not converge, or that look too sharp: known to so much of their number."""
-MODEL_SHARE, MODEL_MAG = 0.03, 0.05
-"""What the prediction leaves out (fields between five, PSFs in cells, a linear response), three standard deviations."""
-FEWEST_STARS = 8
-"""Fewer are not always told from chance."""
-MAG = 2.5 / math.log(10.0)
-"""Magnitudes that stand for a relative error of the light."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Compared:
-    """One quantity, measured in frames and predicted for the same stars and attitudes."""
-
-    comparison: str = col("Quantity")
-    label: str = col("Quantity", json="")
-    measured: float = col("Measured", format=".4g")
-    predicted: float = col("Predicted", format=".4g")
-    unit: str = col("Unit", json="")
-    error: float = col("Standard deviation", format=".2g")
-    n: int = col("Samples", json="")
-    pull: Measured = col("Difference", "sigma", ".1f", json="")
-    # In standard deviations what an error of the whole would be
-    whole: float = col("Predicted over its standard deviation", "sigma", json="", shown=False)
-
-
-def compared(**given: Any) -> Compared:
-    """A comparison with its difference in standard deviations."""
-    error = given["error"]
-    pull = (given["measured"] - given["predicted"]) / error if error > 0 else math.nan
-    whole = abs(MAG if given["unit"] == "mag" else given["predicted"]) / error if error > 0 else math.nan
-    return Compared(pull=Measured(value=pull, unit="sigma", uncertainty=1.0), whole=whole, **given)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Solved:
-    """Frames of the sky, and their attitudes."""
-
-    chart_stars: int = col("Chart stars", json="")
-    frames_unsolved: int = col(f"Frames with {FEWEST_STARS} stars or more that are not solved")
-    # None where no frame was solved
-    attitude_ratio: Measured | None = col("Attitude errors over predicted ones, RMS of three axes", default=None)
-    rendered: Rendered
-
-
-def solved_frames(prediction: CameraPrediction, rendered: Rendered) -> Solved:
-    """What became of the frames of the sky."""
-    error = rendered.sky.error_arcsec
-    enough = prediction.attitude.stars[: len(error)] >= FEWEST_STARS
-    known = np.isfinite(error).all(axis=1)
-    pull = error[known] / prediction.attitude.total_arcsec[: len(error)][known]
-    ratio = None
-    if pull.size:
-        rms, spread = float(np.sqrt((pull**2).mean())), float(1.0 / np.sqrt(2.0 * pull.size))
-        ratio = Measured(value=rms, uncertainty=spread, n=pull.size)
-    return Solved(
-        chart_stars=len(rendered.chart.magnitude),
-        frames_unsolved=int(np.count_nonzero(enough & ~known)),
-        attitude_ratio=ratio,
-        rendered=rendered,
-    )
-
-
-def compare(prediction: CameraPrediction, rendered: Rendered) -> list[Compared]:
-    """All comparisons of a run."""
-    return [
-        _electrons(prediction, rendered),
-        _noise(prediction, rendered.chart),
-        *([] if rendered.moving is None else [_noise(*rendered.moving, key="nea_moving")]),
-        _limit(prediction, rendered),
-        _alarms(prediction, rendered),
-        *_stars(prediction, rendered),
-        *_attitude(prediction, rendered),
-    ]
-
-
-def bright_stars(chart: ChartFrames) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Errors (k, n, 2) [px], electrons and distances (n,) of the chart's bright stars that are fit in all readouts."""
-    good = (chart.magnitude == chart.bright_mag) & np.isfinite(chart.error_px).all(axis=(0, 2))
-    return chart.error_px[:, good], chart.electrons[good], chart.radius_px[good]
-
-
-def _electrons(prediction: CameraPrediction, rendered: Rendered) -> Compared:
-    """Light of the renderer, beside lens area times throughput by another trace with other rays."""
-    chart = rendered.chart
-    whole = chart.magnitude == chart.bright_mag
-    kelvin = prediction.config.star.temperature_k
-    expected = prediction.electrons(chart.magnitude[whole], kelvin, chart.radius_px[whole])
-    # both are quadratures of the pupil: a part in a thousand is what they promise
-    return compared(
-        comparison="electrons",
-        label=f"Electrons of a star of {chart.bright_mag:.2f} mag",
-        unit="e-",
-        measured=float(chart.electrons[whole].mean()),
-        predicted=float(expected.mean()),
-        error=1e-3 * float(expected.mean()),
-        n=int(whole.sum()),
-    )
-
-
-def _noise(prediction: CameraPrediction, chart: ChartFrames, key: str = "nea") -> Compared:
-    errors, electrons, radius = bright_stars(chart)
-    readouts, stars = errors.shape[:2]
-    rate = prediction.config.slew.rate_deg_per_s
-    scale, star = prediction.state.pixel_arcsec, prediction.stars
-    seen = float(np.sqrt(errors.var(axis=0, ddof=1).mean())) * scale
-    expected = float(np.sqrt((star.sigma_at(star.centroid.noise_px, electrons, radius) ** 2).mean())) * scale
-    samples = 2 * stars * (readouts - 1)
-    # pixels differ in read noise: of the some 4 pi s^2 under a star each has its own
-    pixel = prediction.processing.pixel
-    under = max(4.0 * np.pi * (prediction.state.fwhm_px / 2.3548) ** 2 * stars, 1.0)
-    chips = 0.5 * np.sqrt(pixel.floor_e4 / under) / pixel.floor_e2
-    return compared(
-        comparison=key,
-        label=f"NEA of a star of {chart.bright_mag:.2f} mag" + (f" at {rate:.3g} °/s" if rate else ""),
-        unit="arcsec",
-        measured=seen,
-        predicted=expected,
-        error=expected * math.hypot(1.0 / math.sqrt(2.0 * samples), chips, MODEL_SHARE / 3.0),
-        n=samples,
-    )
-
-
-def _limit(prediction: CameraPrediction, rendered: Rendered) -> Compared:
-    """Shift of the predicted completeness curve that makes the chart's faint stars found as often as they were."""
-    chart, star = rendered.chart, prediction.stars
-    faint = chart.magnitude != chart.bright_mag
-    electrons, radius, seen = chart.electrons[faint], chart.radius_px[faint], chart.found[:, faint].mean(axis=0)
-
-    def share(shift_mag: float) -> FloatArray:
-        return star.found_at(electrons * 10.0 ** (0.4 * shift_mag), radius)
-
-    def excess(shift_mag: float) -> float:
-        return float(share(shift_mag).mean() - seen.mean())
-
-    limit = prediction.value("limiting_magnitude_mag")
-    inside = excess(-WIDEST_MAG) < 0.0 < excess(WIDEST_MAG)
-    shift = float(brentq(excess, -WIDEST_MAG, WIDEST_MAG)) if inside else float("nan")
-    slope = (excess(0.02) - excess(-0.02)) / 0.04
-    spread = (seen - share(0.0)).std(ddof=1) / np.sqrt(len(seen))  # stars differ; readouts of one star share its place
-    return compared(
-        comparison="limiting_magnitude",
-        label="Limiting magnitude, half are found",
-        unit="mag",
-        measured=limit + shift,
-        predicted=limit,
-        error=math.hypot(spread / slope, MODEL_MAG / 3.0),
-        n=int(seen.size * len(chart.found)),
-    )
-
-
-def _alarms(prediction: CameraPrediction, rendered: Rendered) -> Compared:
-    counts = np.concatenate([rendered.chart.false_alarms, rendered.sky.false_alarms])
-    expected = prediction.value("false_alarms_per_frame") * len(counts)
-    # Poisson, and the mean dark frame is the same in all frames: its noise repeats
-    repeated = 1.0 + len(counts) / (1.0 + prediction.config.dark_frames)
-    return compared(
-        comparison="false_alarms",
-        label=f"False alarms in {len(counts)} frames",
-        unit="",
-        measured=float(counts.sum()),
-        predicted=expected,
-        error=float(np.sqrt(expected * repeated + 1.0 + (0.1 * expected) ** 2)),
-        n=int(counts.sum()),
-    )
-
-
-def _stars(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compared, ...]:
-    forecast, frames = prediction.attitude, len(rendered.sky.found)
-    variance = float(forecast.found_variance[:frames].sum())
-    return tuple(
-        compared(
-            comparison=name,
-            label=words,
-            unit="",
-            measured=float(seen.sum()),
-            predicted=float(expected[:frames].sum()),
-            error=float(np.sqrt(variance + 1.0 + (share * expected[:frames].sum()) ** 2)),
-            n=frames,
-        )
-        for name, words, seen, expected, share in (
-            ("stars", f"Stars found in {frames} frames of the sky", rendered.sky.found, forecast.found, 0.0),
-            ("fit_stars", "Stars fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_SHARE),
-        )
-    )
-
-
-def _attitude(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compared, ...]:
-    """Root mean square of the errors, beside that of the standard deviations predicted for the same attitudes."""
-    error = rendered.sky.error_arcsec
-    solved = np.isfinite(error).all(axis=1)
-    sigma = prediction.attitude.total_arcsec[: len(error)][solved]
-    found: list[Compared] = []
-    if not solved.any():
-        return ()
-    for name, columns, words in (("cross", slice(0, 2), "across"), ("roll", slice(2, 3), "roll")):
-        seen, expected = error[solved][:, columns], sigma[:, columns]
-        typical = float(np.sqrt((expected**2).mean()))
-        # the mean square of normal errors of different sigma
-        spread = float(np.sqrt(2.0 * (expected**4).sum())) / expected.size / (2.0 * typical)
-        found.append(
-            compared(
-                comparison=f"attitude_{name}",
-                label=f"Attitude {words}, RMS of {int(solved.sum())} frames",
-                unit="arcsec",
-                measured=float(np.sqrt((seen**2).mean())),
-                predicted=typical,
-                error=spread,
-                n=int(seen.size),
-            )
-        )
-    return tuple(found)
-
-
-def _comparisons(q: Quantities, compared: list[Compared]) -> None:
-    keys = np.array([one.comparison for one in compared], dtype=object)
-    q.axis("comparison", keys, "Quantity", names=[one.label for one in compared])
-
-
-def frames_drawn(outcome: Outcome) -> Figure:
-    """The first frame of the sky, with what was detected in it."""
-    rendered: Rendered = outcome.result["solved"].rendered
-    height, width = rendered.example_e.shape
-    figure, panel = new_figure(aspect_ratio=min(1.05, 0.92 * height / width + 0.05))
-    draw_image(rendered.example_e, panel)
-    ring = {"markersize": 9, "markerfacecolor": "none", "markeredgecolor": "#f0b000", "markeredgewidth": 0.8}
-    panel.plot(*rendered.example_px.T, "o", **ring)
-    panel.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="column [px]", ylabel="row [px]")
-    panel.grid(False)
-    return figure
-
-
-JUDGED = {
-    "nea": "scatter of readouts against prediction",
-    "nea_moving": "scatter of readouts against prediction, camera turning",
-    "limiting_magnitude": "share of chart stars found against prediction",
-    "false_alarms": "counted against predicted",
-    "stars": "counted against predicted",
-}
-ADVICE = {"nea": "the centroider does not follow its linear response: too faint a star, too small a window"}
-FRAMES = Section(
-    record=Compared,
-    dim="comparison",
-    axes=_comparisons,
-    prefix="compared_",
-    place="frames[comparison]",
-    table="frames",
-    hidden="comparison",
-    rows="comparison",
-    columns="label measured predicted unit error n pull",
-    caption="Rendered frames against the prediction for the same stars and attitudes.",
-    note="Standard deviation: of measured minus predicted, as predicted; the difference is in units of it.",
-    verdicts=[
-        agree(
-            "compared_pull",
-            0.0,
-            at={"comparison": key},
-            title=title,
-            of="compared_whole",
-            advice=ADVICE.get(key, ""),
-        )
-        for key, title in JUDGED.items()
-    ],
-)
-SOLVED = Section(
-    record=Solved,
-    figures={"frame": frames_drawn},
-    verdicts=[
-        ratio_near(
-            "attitude_ratio",
-            within=0.05,
-            title="attitudes across and roll: errors of solved frames over predicted ones, RMS",
-            advice="centroids are worse than predicted, or the camera model of the solver is not that of the lens",
-        ),
-        below("frames_unsolved", 0.0, title=f"frames of the sky with {FEWEST_STARS} stars or more, not solved"),
-    ],
-)

@@ -86,7 +86,8 @@ def _made(prediction: CameraPrediction, required: dict[str, tuple[float, bool]],
             sections["manufactured"] = manufactured(prediction, required, advance=stage.advance)
     if config.predict_only:
         return sections
-    from experiments.camera.frames import compare, render_frames, rendered_lenses, solved_frames
+    from experiments.camera.comparison import compare, solved_frames
+    from experiments.camera.frames import render_frames, rendered_lenses
 
     with progress.stage("frames", total=2 * config.frames.readouts + config.frames.sky) as stage:
         rendered = render_frames(prediction, advance=stage.advance)

@@ -7,7 +7,7 @@ import pytest
 from scipy.constants import c, h, k
 
 from experiments.camera import predict
-from experiments.camera.frames import compare
+from experiments.camera.comparison import compare
 from experiments.camera.manufacture import _Probe
 from experiments.camera.settings import Config
 from experiments.harness.range import with_value
