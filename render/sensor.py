@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_angles_deg
 from optics.glass.coating import QuarterWave
@@ -22,6 +23,7 @@ from render.camera import Camera, Diffraction, build_camera
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.spec import Detector, load_detector
 from render.records import PixelMap
+from render.sky.field import chief_px
 
 __all__ = ["StarSensor", "load_star_sensor"]
 
@@ -33,6 +35,7 @@ _MAP_REACH = 0.985
 """Share of the detector's half-width that the map spans: the rays of its outermost stars stay on the detector."""
 _REACH = 1.02
 """The corner of a detector may lie this much outside the field that the lens was made for."""
+_NEAR, _STEPS = 0.01, 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,6 +172,27 @@ class StarSensor:
             camera=replace(camera, width_px=width_px, height_px=height_px, centre_px=np.full(2, np.nan)),
         )
 
+    def direction_at(self, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
+        """Unit vectors (n, 3) in the camera frame of stars that land near (column, row), n each, distortion and all.
+
+        Chief rays at the design wavelength meet the places to `_NEAR` of the half diagonal. A lens that cannot be
+        traced so far gives `render.camera.Camera.nominal_direction`.
+        """
+        camera, scale = self.camera, self.camera.pixel_pitch_mm / self.focal_length_mm
+        wanted = np.stack([x_px, y_px], axis=-1)
+        near = _NEAR * 0.5 * math.hypot(camera.width_px, camera.height_px)
+        told = wanted
+        try:
+            for _ in range(_STEPS if camera.lens.measured is None else 0):
+                tangent = (told - camera.centre_px) * scale
+                off = wanted - chief_px(camera, tangent[:, 0], tangent[:, 1])
+                if np.hypot(off[:, 0], off[:, 1]).max(initial=0.0) <= near:
+                    break
+                told = told + off
+        except ConvergenceError:
+            told = wanted
+        return camera.nominal_direction(told[:, 0], told[:, 1], self.focal_length_mm)
+
     def pixel_map(self, band: Band | None = None, *, temperature_k: float = TYPICAL_TEMPERATURE_K) -> PixelMap:
         """Where the camera puts stars of one colour: photon-weighted means of traced rays on a grid over the detector.
 
@@ -187,9 +211,7 @@ class StarSensor:
         camera = self.camera
         half = _MAP_REACH * np.array([camera.width_px, camera.height_px]) / 2
         x, y = np.meshgrid(*(np.linspace(-h, h, _MAP_GRID) for h in half))
-        direction = camera.nominal_direction(
-            (x + camera.centre_px[0]).ravel(), (y + camera.centre_px[1]).ravel(), self.focal_length_mm
-        )
+        direction = self.direction_at((x + camera.centre_px[0]).ravel(), (y + camera.centre_px[1]).ravel())
         nodes = band_nodes([self.passband() if band is None else band], _MAP_NODES)
         wave = nodes.wavelength_nm[0]
         spectrum = Blackbody(temperature_k=temperature_k).photon_density(wave) * camera.response_at(wave)

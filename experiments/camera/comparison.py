@@ -167,6 +167,12 @@ def noise_of_chart(prediction: CameraPrediction, chart: ChartFrames, key: str = 
     seen = float(np.sqrt(errors.var(axis=0, ddof=1).mean())) * scale
     expected = float(np.sqrt((star.sigma_at(star.centroid.noise_px, electrons, radius) ** 2).mean())) * scale
     samples = 2 * stars * (readouts - 1)
+    # between two fields that are traced, the noise is known to a quarter of its change
+    knots = np.log(
+        star.sigma_at(star.centroid.noise_px, np.full_like(star.radius_px, electrons.mean()), star.radius_px)
+    )
+    gap = np.clip(np.searchsorted(star.radius_px, radius) - 1, 0, len(knots) - 2)
+    model = max(MODEL_SHARE, 0.25 * float(np.sqrt((np.diff(knots)[gap] ** 2).mean())))
     # pixels differ in read noise: of the some 4 pi s^2 under a star each has its own
     pixel = prediction.processing.pixel
     under = max(4.0 * np.pi * (prediction.state.fwhm_px / 2.3548) ** 2 * stars, 1.0)
@@ -177,7 +183,7 @@ def noise_of_chart(prediction: CameraPrediction, chart: ChartFrames, key: str = 
         unit="arcsec",
         measured=seen,
         predicted=expected,
-        error=expected * math.hypot(1.0 / math.sqrt(2.0 * samples), chips, MODEL_SHARE / 3.0),
+        error=expected * math.hypot(1.0 / math.sqrt(2.0 * samples), chips, model / 3.0),
         n=samples,
     )
 

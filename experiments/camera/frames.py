@@ -214,7 +214,7 @@ def _chart(bench: _Bench, advance: Callable[[], None]) -> ChartFrames:
     magnitude = np.full(len(place), bright)
     faint = np.arange(len(place)) % 2 == 1
     magnitude[faint] = limit + rng.uniform(-BRIGHTER_MAG, FAINTER_MAG, np.count_nonzero(faint))
-    direction = camera.nominal_direction(place[:, 0], place[:, 1], bench.instrument.focal_length_mm)
+    direction = bench.instrument.direction_at(place[:, 0], place[:, 1])
     # where wide spots of bright stars fill the frame, it takes their light for noise: the faint ones have their own
     share = len(place) * (4.0 * prediction.processing.fwhm_px) ** 2 / (camera.width_px * camera.height_px)
     groups = [np.flatnonzero(~faint), np.flatnonzero(faint)] if share > CROWDED else [np.arange(len(place))]

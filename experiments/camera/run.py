@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from experiments.camera.answer import Swing, ThermalRange, answer_lines, limits, parameters, swings, temperatures
@@ -12,9 +13,8 @@ from experiments.harness.progress import Progress
 from experiments.harness.sections import numbers_of
 from experiments.harness.what_if import judge
 from experiments.laboratory.checks import focus_remark
+from experiments.laboratory.optical_state import longest_trail_px
 from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy, optics, predict_camera, sky
-
-__all__ = ["run"]
 
 MADE = ("lsfe_before_arcsec", "lsfe_after_arcsec")
 """Requirements on lenses as made."""
@@ -24,8 +24,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     """Predict and vary; say the answer; warm and cool, render."""
     with progress.stage("predict"):
         prediction = predict_camera(config)
-    state = prediction.state
-    if remark := focus_remark(state.instrument.camera, state.light.wavelength_nm[0], state.share):
+    for remark in _remarks(prediction):
         progress.note(remark)
     required, thermal, motion = limits(config), None, None
     numbers: list[Any] = [optics(prediction), accuracy(prediction), sky(prediction), coverage(prediction)]
@@ -74,6 +73,15 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     if left_out := sorted(required.keys() - judged):
         progress.note(f"Not judged, as this run does not predict it: {', '.join(left_out)}.")
     return sections
+
+
+def _remarks(prediction: CameraPrediction) -> list[str]:
+    """What does not fit: focus, and spots that the centroider cuts."""
+    state = prediction.state
+    remark = focus_remark(state.instrument.camera, state.light.wavelength_nm[0], state.share)
+    room_px, setting, window_px = longest_trail_px(prediction.config, state)
+    cut = f"{setting} {window_px} px cuts the spots: they need {math.ceil(window_px - room_px) // 2 * 2 + 1} px."
+    return [*([remark] if remark else []), *([cut] if room_px < 0.0 else [])]
 
 
 def _made(prediction: CameraPrediction, required: dict[str, tuple[float, bool]], progress: Progress) -> dict[str, Any]:

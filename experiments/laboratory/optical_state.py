@@ -64,6 +64,7 @@ class OpticalState:
     performance: LensPerformance  # Of the focused lens at these fields
     # (a,) Distance from the middle of the detector; collecting area of the lens there for the star that is quoted
     area_radius_px: FloatArray
+    area_field_deg: FloatArray  # (a,) Field angles there
     area_mm2: FloatArray
     psfs: tuple[EffectivePsf, ...]  # Of these fields, for the star that is quoted
     cold_psfs: tuple[EffectivePsf, ...]  # The same of stars of 3500 and 10 000 K
@@ -171,8 +172,10 @@ def _state(
     corner_px = 0.5 * float(np.hypot(camera.width_px, camera.height_px))
     radius_px, area_radius_px = (corner_px * np.array(parts) for parts in (PARTS, AREA_PARTS))
     field_deg, area_field_deg = (
-        np.degrees(np.arctan(radius * camera.pixel_pitch_mm / instrument.focal_length_mm))
-        for radius in (radius_px, area_radius_px)
+        np.degrees(
+            np.arctan2(*instrument.direction_at(camera.centre_px[0] + r, camera.centre_px[1] + 0.0 * r).T[[0, 2]])
+        )
+        for r in (radius_px, area_radius_px)
     )
     spots = trace_spots(lens, field_deg, np.zeros_like(field_deg), wave, order=RAYS)
     performance = lens_performance(lens, field_deg, wave, share, spots=spots)
@@ -220,6 +223,7 @@ def _state(
         radius_px=radius_px,
         performance=performance,
         area_radius_px=area_radius_px,
+        area_field_deg=area_field_deg,
         area_mm2=(seen.area_mm2.sum(-1) @ share) * np.cos(np.radians(area_field_deg)),
         psfs=psfs_of(share),
         cold_psfs=psfs_of(_share(light, response, COLD_K)),

@@ -466,8 +466,9 @@ def optics(prediction: CameraPrediction) -> Optics:
     state, lens = prediction.state, prediction.state.performance
     camera = state.instrument.camera
     pitch, rms = camera.pixel_pitch_mm, lens.white.rms_mm()
-    half = np.array([camera.width_px, camera.height_px]) * pitch / 2.0 / lens.plate_scale_mm
-    wide, high = 2.0 * np.degrees(np.arctan(half))
+    size = np.array([camera.width_px, camera.height_px, np.hypot(camera.width_px, camera.height_px)])
+    tangent = np.interp(size / 2.0, state.area_radius_px, np.tan(np.radians(state.area_field_deg)))
+    wide, high, diagonal = 2.0 * np.degrees(np.arctan(tangent))
     first, last = (int(np.abs(np.log(state.temperatures_k / t)).argmin()) for t in (COLD_K, HOT_K))
     return Optics(
         focal_length_mm=state.instrument.focal_length_mm,
@@ -478,7 +479,7 @@ def optics(prediction: CameraPrediction) -> Optics:
         field_width_deg=float(wide),
         field_height_deg=float(high),
         field_deg=float(min(wide, high)),
-        field_diagonal_deg=2.0 * float(np.degrees(np.arctan(np.hypot(*half)))),
+        field_diagonal_deg=float(diagonal),
         spot_axis_um=1e3 * float(rms[0]),
         spot_um=1e3 * float(rms.max()),
         spot_px=float(rms.max()) / pitch,

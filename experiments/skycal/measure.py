@@ -242,7 +242,7 @@ class BankRenderer:
             for size, count in ((camera.width_px, self._columns), (camera.height_px, self._rows))
         )
         grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        self._place = camera.nominal_direction(grid[:, 0], grid[:, 1], scene.instrument.focal_length_mm)
+        self._place = scene.instrument.direction_at(grid[:, 0], grid[:, 1])
         self._tracer = Tracer(camera, tolerance=TOLERANCE, sobol_log2_rays=scene.config.sobol_log2_rays)
 
     def render(self, temperature_k: float) -> PsfBank:

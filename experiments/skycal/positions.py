@@ -77,7 +77,7 @@ def trace_chart(scene: Scene, config: Config) -> Chart:
     x, y = np.meshgrid(
         np.linspace(edge, camera.width_px - 1 - edge, columns), np.linspace(edge, camera.height_px - 1 - edge, rows)
     )
-    direction = camera.nominal_direction(x.ravel(), y.ravel(), scene.instrument.focal_length_mm)
+    direction = scene.instrument.direction_at(x.ravel(), y.ravel())
     pixel = trace_colour(scene, direction, config.sky.reference_k, more_log2_rays=CHART_LOG2_RAYS)
     if not np.isfinite(pixel).all():
         dark = int((~np.isfinite(pixel).all(axis=1)).sum())

@@ -50,7 +50,7 @@ def render_psf_grid(
     columns, rows = np.maximum(3, np.rint(long_side * size / size.max()).astype(int) // 2 * 2 + 1)
     x, y = (INSET * n / 2 * np.linspace(-1.0, 1.0, count) for n, count in zip(size, (columns, rows), strict=True))
     place = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) + camera.centre_px
-    direction = camera.nominal_direction(place[:, 0], place[:, 1], instrument.focal_length_mm)
+    direction = instrument.direction_at(place[:, 0], place[:, 1])
     stars = light.stars(direction, 5.0, temperature_k)
     reach_px = window_px // 2 + 2 + (0 if trail_px is None else math.ceil(0.5 * float(np.abs(trail_px).max())))
     tracer = epsf_tracer(camera, by_grid=by_grid)
