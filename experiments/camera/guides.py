@@ -1,9 +1,8 @@
 """Guide stars, and lost in space: who is in the field, and how often the sky is known from stars alone.
 
-Guide stars stand alone in their window, do not saturate and are found nine times of ten; their magnitudes are those of
-the instrument: of a star of the quoted colour and the same electrons. Lost in space, lists of stars are drawn as the
-prediction has it (who is found, how far its centroid is off, false alarms among them) and identified by tetra3rs with
-the calibrated camera: thousands of times cheaper than frames, which `experiments.camera.frames` renders a few of.
+Guide stars (`experiments.laboratory.guide_stars`) do not saturate and are found nine times of ten. Lost in space, lists
+of stars are drawn as the prediction has it (who is found, how far its centroid is off, false alarms among them) and
+identified by tetra3rs with the calibrated camera: thousands of times cheaper than frames (`experiments.camera.frames`).
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from calib.cameras.fit import fit_camera
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
+from experiments.laboratory.catalogue import load_catalogue
+from experiments.laboratory.guide_stars import guide_stars
 from experiments.laboratory.sensor_prediction import CameraPrediction
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
-from optics.errors import StarbenchError
+from optics.errors import DomainError, StarbenchError
 from render.engine.random import Streams
-
-__all__ = ["COVERAGE", "LOST", "Coverage", "LostInSpace", "coverage", "lost_in_space"]
 
 LEAST = (2, 3, 4, 5, 6, 8, 10, 15, 20)
 NEEDED = 4
@@ -55,12 +54,14 @@ def coverage(prediction: CameraPrediction) -> Coverage:
     size = np.array([state.instrument.camera.width_px, state.instrument.camera.height_px])
     edge = config.window_px // 2 - 0.5
     whole = ((view.sample.pixel_px > edge) & (view.sample.pixel_px < size - 1 - edge)).all(axis=1)
-    middle = np.zeros(len(view.magnitude))
-    own = state.electrons_per_s(view.magnitude, view.temperature_k, middle)
-    quoted = state.electrons_per_s(view.magnitude, np.full(len(middle), config.star.temperature_k), middle)
-    magnitude = view.magnitude - 2.5 * np.log10(own / quoted)
     brightest, faintest = prediction.value("saturation_mag"), prediction.limits_mag[0.9]
-    guide = whole & ~np.isfinite(view.neighbour_mag) & (magnitude >= brightest) & (magnitude <= faintest)
+    known = load_catalogue(config.catalogue)
+    stars = known.select(np.flatnonzero(known.magnitude <= view.depth_mag))
+    try:
+        guides = guide_stars(prediction, stars, stars.direction, brightest_mag=brightest, faintest_mag=faintest).row
+    except DomainError:  # none is left
+        guides = np.empty(0, np.int64)
+    guide = whole & np.isin(view.sample.row, guides)
     count = view.sample.summed(guide.astype(float))
     share = [100.0 * float(np.mean(count > least - 0.5)) for least in LEAST]
     return Coverage(

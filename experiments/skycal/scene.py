@@ -17,6 +17,7 @@ from experiments.skycal.settings import CameraConfig, Config, MotionConfig, SkyC
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import DomainError, StarbenchError
+from optics.rays.paraxial import axial_paraxial
 from optics.records import freeze
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.catalogue.gaia import load_gaia
@@ -216,12 +217,14 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
     attitude, of_body = path.attitude(time_s), body.attitude(time_s)
     error = streams.generator("told attitude").normal(size=(config.frames, 3))  # another name, other numbers
     error *= config.motion.attitude_error_arcmin * 60.0 * ARCSEC_RAD
+    light = star_light([band], nodes=config.sky.nodes, magnitude_system="G")
+    faintest_mag = min(chosen.faintest_mag, _detectable_mag(instrument, light, chosen, config))
     scene = Scene(
         name=name,
         config=chosen,
         instrument=instrument,
-        sky=load_sky(config.sky, chosen.faintest_mag, streams.generator("random sky")),
-        light=star_light([band], nodes=config.sky.nodes, magnitude_system="G"),
+        sky=load_sky(config.sky, faintest_mag, streams.generator("random sky")),
+        light=light,
         time_s=time_s,
         attitude=attitude,
         prior_attitude=Rotation.from_rotvec(error) * attitude,
@@ -231,6 +234,18 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
     )
     _check_stars(scene)
     return scene
+
+
+def _detectable_mag(instrument: Instrument, light: StarLight, chosen: CameraConfig, config: Config) -> float:
+    """Magnitude (G) of stars that would not be detected if all their light fell on one pixel; rounded towards faint."""
+    camera, exposure_s = instrument.camera, instrument.config.exposure_s
+    axis = axial_paraxial(camera.lens, camera.lens.design_wavelength_nm)
+    pupil_mm2 = 0.25 * np.pi * (axis.efl_mm / axis.f_number) ** 2
+    kelvin = np.array(TEMPERATURE_RANGE_K)
+    rate = light.photon_rate(np.zeros(2), kelvin)[:, 0] @ camera.response_at(light.wavelength_nm[0])
+    noise_e2 = float(instrument.pixel_noise().temporal_e2(chosen.background_e_per_s * exposure_s))
+    limit_e = config.threshold_sigma * np.sqrt(noise_e2)
+    return 0.5 * float(np.ceil(5.0 * np.log10(rate.max() * pupil_mm2 * exposure_s / limit_e)))
 
 
 def _trajectory(sky: SkyConfig, motion: MotionConfig, frames: int) -> SampledAttitude:

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from experiments.camera.guides import LEAST, coverage, lost_in_space
 from experiments.camera.settings import Config
+from experiments.laboratory.catalogue import load_catalogue
 from experiments.laboratory.sensor_prediction import predict_camera
 from optics.validate import parse_model
+from render.catalogue.temperature import star_temperature
 
 TRACKER = {
     "instrument": {
@@ -26,18 +29,18 @@ def tracker():
 
 def test_guide_stars_are_counted_one_by_one(tracker):
     """Frame by frame: inside the detector by half a window, nobody near, not too bright and not too faint."""
-    found, view = coverage(tracker), tracker.view
-    zero = tracker.electrons(np.array([0.0]), tracker.config.star.temperature_k)[0]
+    found, view, config = coverage(tracker), tracker.view, tracker.config
+    every = load_catalogue(config.catalogue)
+    stars = every.select(np.flatnonzero(every.magnitude <= view.depth_mag))
+    rate = tracker.state.electrons_per_s(stars.magnitude, star_temperature(stars), np.zeros(len(stars)))
+    magnitude = -2.5 * np.log10(rate * config.instrument.exposure_s / tracker.electrons(np.array([0.0]), 5800.0)[0])
+    window_rad, tree = 13.0 * 0.0055 / 25.0, cKDTree(stars.direction)
     counts = np.zeros(60)
-    for star, frame in enumerate(view.sample.frame):
-        x, y = view.sample.pixel_px[star]
-        light = tracker.state.electrons_per_s(
-            view.magnitude[[star]], view.temperature_k[[star]], np.zeros(1)
-        )[0] * tracker.config.instrument.exposure_s  # fmt: skip
-        magnitude = -2.5 * np.log10(light / zero)
+    for star, frame, (x, y) in zip(view.sample.row, view.sample.frame, view.sample.pixel_px, strict=True):
+        near = tree.query_ball_point(stars.direction[star], window_rad)
+        alone = np.count_nonzero(magnitude[near] < magnitude[star] + 3.0) == 1
         inside = min(x, y) > 5.5 and max(x, y) < 793.5
-        alone = view.neighbour_mag[star] == np.inf
-        counts[frame] += inside and alone and found.guide_brightest_mag <= magnitude <= found.guide_faintest_mag
+        counts[frame] += inside and alone and found.guide_brightest_mag <= magnitude[star] <= found.guide_faintest_mag
     assert found.guides_mean_per_frame == pytest.approx(counts.mean())
     shares = [100.0 * np.mean(counts >= least) for least in LEAST]
     assert found.coverage_percent == pytest.approx(shares)
