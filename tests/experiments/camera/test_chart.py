@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from experiments.camera.frames import MATCH_PX, _matched, _scattered
+from experiments.camera.frames import MATCH_PX, _scattered
+from experiments.laboratory.readout.reduction import MeasuredFrame
 from experiments.laboratory.sensor_prediction import _limits
 
 
@@ -36,14 +37,14 @@ def found(places, sharp=()):
 def test_detections_belong_to_the_nearest_star_once():
     stars = np.array([[10.0, 10.0], [30.0, 10.0], [50.0, 10.0], [np.nan, np.nan], [52.0, 10.0]])
     seen = found([[30.4, 10.3], [10.0, 10.0 + 0.9 * MATCH_PX], [51.2, 10.0], [90.0, 90.0], [80.0, 80.0]], sharp=(4,))
-    partner, false = _matched(seen, stars, 13.0)
+    partner, false = MeasuredFrame.matched(seen, stars, 13.0, MATCH_PX)
     assert partner.tolist() == [1, 0, -1, -1, 2]  # of two stars that merge, the nearer has it
     assert false == 1  # the other is too sharp for a star
     far = found([[10.0, 10.0 + 1.1 * MATCH_PX]])
-    assert _matched(far, stars, 13.0)[0].max() == -1
-    assert _matched(far, stars, 13.0)[1] == (1 if 1.1 * MATCH_PX > 13.0 else 0)
-    assert _matched(found([]), stars, 13.0)[1] == 0
-    assert _matched(seen, np.full((2, 2), np.nan), 13.0)[1] == 4
+    assert MeasuredFrame.matched(far, stars, 13.0, MATCH_PX)[0].max() == -1
+    assert MeasuredFrame.matched(far, stars, 13.0, MATCH_PX)[1] == (1 if 1.1 * MATCH_PX > 13.0 else 0)
+    assert MeasuredFrame.matched(found([]), stars, 13.0, MATCH_PX)[1] == 0
+    assert MeasuredFrame.matched(seen, np.full((2, 2), np.nan), 13.0, MATCH_PX)[1] == 4
 
 
 def test_magnitude_limits_are_where_the_share_of_stars_passes(monkeypatch):
