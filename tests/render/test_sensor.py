@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from optics.errors import DomainError
+from optics.frames import field_angles_deg
 from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points
 from render.detector.spec import load_detector
@@ -68,3 +69,45 @@ def test_the_map_of_a_camera_is_where_the_renderer_puts_the_light(lens, window_p
     stars = star_light([sensor.passband()], nodes=12).stars(some, 5.0, 4000.0)
     camera = replace(sensor.camera, losses=None)  # the map weighs rays equally: 2.6e-3 px in the corner of 1862 px
     np.testing.assert_allclose(Tracer(camera).bundle_means(stars)[:, 0], known.pixel_px[::17], atol=3e-4)
+
+
+BARREL = """name = "barrel"
+source = "plano-convex singlet behind its stop"
+design_wavelength_nm = 600.0
+max_field_deg = 40.0
+[[surface]]
+thickness_mm = 5.0
+medium = "air"
+semi_diameter_mm = 0.5
+stop = true
+[[surface]]
+thickness_mm = 6.0
+medium = "N-BK7"
+semi_diameter_mm = 7.5
+[[surface]]
+radius_mm = -8.0
+thickness_mm = 14.0
+medium = "air"
+semi_diameter_mm = 7.5
+"""
+
+
+def test_directions_of_places_through_a_lens_that_distorts(tmp_path):
+    """The chief rays of the directions, traced, land where they were asked to; those of the ideal lens do not."""
+    (tmp_path / "barrel.toml").write_text(BARREL)
+    wide = load_star_sensor(tmp_path / "barrel.toml", "cmv4000", window_px=1400)
+    x, y = (v.ravel() for v in np.meshgrid([0.0, 699.5, 1399.0], [0.0, 650.0, 1399.0]))
+    nominal = wide.camera.nominal_direction(x, y, wide.focal_length_mm)
+    off_px = []
+    for v in (nominal, wide.direction_at(x, y)):
+        place = wide.camera.to_pixel(*chief_ray_points(wide.camera.focused_lens, *field_angles_deg(v)))
+        off_px.append(np.hypot(place[0] - x, place[1] - y).max())
+    assert off_px[0] > 30.0
+    assert off_px[1] < 0.01 * 700.0 * np.sqrt(2.0)
+
+
+def test_a_lens_that_hardly_distorts_keeps_its_nominal_directions(sensor):
+    x, y = np.array([0.0, 1023.0]), np.array([0.0, 511.0])
+    np.testing.assert_array_equal(
+        sensor.direction_at(x, y), sensor.camera.nominal_direction(x, y, sensor.focal_length_mm)
+    )
