@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
+from optics.frames import field_angles_deg
 from optics.glass.coating import Coating
 from optics.lens.system import LensSystem
 from optics.light.scatter import ABg, HarveyShack, Particles, Together
 from optics.light.transmission import lens_transmission
+from optics.rays.chief import chief_ray_points
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.pupil import EntrancePupil, entrance_pupil
 from optics.records import freeze
@@ -220,6 +222,11 @@ class Camera:
     def to_pixel(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Image-plane coordinates [mm, lens axes] to (column, row) [px]."""
         return self.centre_px[0] + x_mm / self.pixel_pitch_mm, self.centre_px[1] - y_mm / self.pixel_pitch_mm
+
+    def chief_px(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of chief rays at the design wavelength for stars at X/Z = x, Y/Z = y in cam, beyond rims too."""
+        fx, fy = field_angles_deg(np.stack([x, y, np.ones_like(x)], axis=-1))
+        return np.stack(self.to_pixel(*chief_ray_points(self.focused_lens, fx, fy, blocked="follow")), axis=-1)
 
     def response_at(self, wavelength_nm: FloatArray) -> FloatArray:
         """Electrons per photon at each wavelength."""

@@ -23,7 +23,6 @@ from render.camera import Camera, Diffraction, build_camera
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.spec import Detector, load_detector
 from render.records import PixelMap
-from render.sky.field import chief_px
 
 __all__ = ["StarSensor", "load_star_sensor"]
 
@@ -185,7 +184,7 @@ class StarSensor:
         try:
             for _ in range(_STEPS if camera.lens.measured is None else 0):
                 tangent = (told - camera.centre_px) * scale
-                off = wanted - chief_px(camera, tangent[:, 0], tangent[:, 1])
+                off = wanted - camera.chief_px(tangent[:, 0], tangent[:, 1])
                 if np.hypot(off[:, 0], off[:, 1]).max(initial=0.0) <= near:
                     break
                 told = told + off

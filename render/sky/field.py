@@ -18,8 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
-from optics.frames import field_angles_deg
-from optics.rays.chief import chief_ray_points
 from optics.rays.paraxial import axial_paraxial
 from optics.records import freeze
 from render.camera import Camera
@@ -158,7 +156,7 @@ def field_of_view(camera: Camera, *, margin_px: float = 16.0) -> FieldOfView:
     half = wanted * camera.pixel_pitch_mm / focal
     for _ in range(_WIDENINGS):  # until the edge of the grid images to the edge of the margin or beyond
         x, y = np.array([half[0], 0.0, half[0]]), np.array([0.0, half[1], half[1]])
-        edge = np.abs(chief_px(camera, x, y) - camera.centre_px)
+        edge = np.abs(camera.chief_px(x, y) - camera.centre_px)
         short = wanted / [edge[[0, 2], 0].min(), edge[[1, 2], 1].min()]
         if short.max() <= 1.0:
             break
@@ -180,13 +178,7 @@ def field_of_view(camera: Camera, *, margin_px: float = 16.0) -> FieldOfView:
 def _grid_px(camera: Camera, half: FloatArray, nodes: FloatArray) -> FloatArray:
     """Pixels (n, n, 2) of chief rays on a grid of X/Z and Y/Z, in units of ``half``."""
     x, y = np.meshgrid(half[0] * nodes, half[1] * nodes, indexing="ij")
-    return chief_px(camera, x.ravel(), y.ravel()).reshape(len(nodes), len(nodes), 2)
-
-
-def chief_px(camera: Camera, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Pixels (n, 2) of chief rays at X/Z = x, Y/Z = y."""
-    fx, fy = field_angles_deg(np.stack([x, y, np.ones_like(x)], axis=-1))
-    return np.stack(camera.to_pixel(*chief_ray_points(camera.focused_lens, fx, fy, blocked="follow")), axis=-1)
+    return camera.chief_px(x.ravel(), y.ravel()).reshape(len(nodes), len(nodes), 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
