@@ -224,7 +224,7 @@ class Camera:
         return self.centre_px[0] + x_mm / self.pixel_pitch_mm, self.centre_px[1] - y_mm / self.pixel_pitch_mm
 
     def chief_px(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of chief rays at the design wavelength for stars at X/Z = x, Y/Z = y in cam, beyond rims too."""
+        """Pixels (n, 2) of chief rays at the design wavelength of stars at X/Z = x, Y/Z = y in cam; rims stop none."""
         fx, fy = field_angles_deg(np.stack([x, y, np.ones_like(x)], axis=-1))
         return np.stack(self.to_pixel(*chief_ray_points(self.focused_lens, fx, fy, blocked="follow")), axis=-1)
 
