@@ -130,13 +130,13 @@ class Limb:
     earth_e: float = col("Earth", "e-", ".3g")
 
 
-def limb(config: Config, pst: PointSourceTransmittance, light: BandLight) -> list[Limb]:
+def limb(config: Config, pst: PointSourceTransmittance, light: BandLight, angles: Sequence[float]) -> list[Limb]:
     """Electrons per pixel by the Earth for a sensor at an altitude."""
     radius = math.asin(RADIUS_KM["earth"] / (RADIUS_KM["earth"] + config.earth_altitude_km))
     scale = light.sun_e_per_s * config.instrument.exposure_s
     return [
         Limb(limb_deg=a, earth_e=scale * limb_pst(pst, direction(a + math.degrees(radius), 0.0), radius))
-        for a in LIMB_DEG
+        for a in angles
     ]
 
 
@@ -221,42 +221,33 @@ def exclusion(
 ) -> tuple[Exclusion, list[SunAngle]]:
     """The largest angle at which a rate is passed, narrowed down by more frames; its light tells Moon and Earth."""
     rows = sorted(frames, key=lambda one: one.sun_deg)
-    bad = [one for one in rows if not one.usable]
-    if not bad:
-        top = max(one.light_e for one in rows)
-        return _of_light(config, stray, light, top, 0.0, rows[0].sun_deg, 0.0, bounded=False), rows
-    edge = rows.index(bad[-1])
-    if edge == len(rows) - 1:
-        low = min(one.light_e for one in rows)
-        return _of_light(config, stray, light, low, 180.0, math.nan, rows[-1].sun_deg, bounded=False), rows
-    inner, outer = rows[edge], rows[edge + 1]
-    for _ in range(REFINED):
-        middle = look(math.sqrt(inner.sun_deg * outer.sun_deg))
-        rows.append(middle)
-        inner, outer = (inner, middle) if middle.usable else (middle, outer)
-    critical = math.sqrt(max(inner.light_e, 1e-3) * max(outer.light_e, 1e-3))
-    angle = 0.5 * (inner.sun_deg + outer.sun_deg)
-    rows.sort(key=lambda one: one.sun_deg)
-    return _of_light(config, stray, light, critical, angle, outer.sun_deg, inner.sun_deg, bounded=True), rows
-
-
-REFINED = 3
-"""Halvings between the last angle that is not usable and the next one."""
-
-
-def _of_light(
-    config: Config, stray: Stray, light: BandLight, critical: float, angle: float, usable: float, unusable: float,
-    *, bounded: bool,
-) -> Exclusion:  # fmt: skip
+    bad = [k for k, one in enumerate(rows) if not one.usable]
+    bounded = bool(bad) and bad[-1] < len(rows) - 1
+    if bounded:
+        inner, outer = rows[bad[-1]], rows[bad[-1] + 1]
+        for _ in range(REFINED):
+            rows.append(middle := look(math.sqrt(inner.sun_deg * outer.sun_deg)))
+            inner, outer = (inner, middle) if middle.usable else (middle, outer)
+        critical = math.sqrt(max(inner.light_e, 1e-3) * max(outer.light_e, 1e-3))
+        angle, usable, unusable = 0.5 * (inner.sun_deg + outer.sun_deg), outer.sun_deg, inner.sun_deg
+    elif bad:
+        critical, angle, usable, unusable = min(one.light_e for one in rows), 180.0, math.nan, rows[-1].sun_deg
+    else:
+        critical, angle, usable, unusable = max(one.light_e for one in rows), 0.0, rows[0].sun_deg, 0.0
+    earth = limb(config, stray.pst, light, [0.5 * k for k in range(181)])
     return Exclusion(
         sun_exclusion_deg=angle,
         moon_exclusion_deg=angle_of(stray.pst, critical / (light.full_moon_e_per_s * config.instrument.exposure_s)),
-        earth_exclusion_deg=_limb_angle(config, stray.pst, light, critical),
+        earth_exclusion_deg=max((one.limb_deg for one in earth if one.earth_e > critical), default=0.0),
         critical_e=critical,
         nearest_usable_deg=usable,
         farthest_unusable_deg=unusable,
         bounded=bounded,
-    )
+    ), sorted(rows, key=lambda one: one.sun_deg)
+
+
+REFINED = 3
+"""Halvings between the last angle that is not usable and the next one."""
 
 
 def angle_of(pst: PointSourceTransmittance, value: float) -> float:
@@ -264,15 +255,6 @@ def angle_of(pst: PointSourceTransmittance, value: float) -> float:
     angles = np.geomspace(pst.angle_deg[0], pst.angle_deg[-1], 4000)
     seen = pst.at(np.stack([direction(float(a), float(pst.azimuth_deg[0])) for a in angles]))
     above = np.flatnonzero(seen > value)
-    return float(angles[above[-1]]) if len(above) else 0.0
-
-
-def _limb_angle(config: Config, pst: PointSourceTransmittance, light: BandLight, critical: float) -> float:
-    radius = math.asin(RADIUS_KM["earth"] / (RADIUS_KM["earth"] + config.earth_altitude_km))
-    scale = light.sun_e_per_s * config.instrument.exposure_s
-    angles = np.arange(0.0, 90.5, 0.5)
-    seen = np.array([scale * limb_pst(pst, direction(a + math.degrees(radius), 0.0), radius) for a in angles])
-    above = np.flatnonzero(seen > critical)
     return float(angles[above[-1]]) if len(above) else 0.0
 
 
@@ -371,7 +353,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         "setup": _setup(config, instrument, stray, scale),
         "requirements": required or None,
         "pst": by_angle(stray, light, config.instrument.exposure_s),
-        "limb": limb(config, stray.pst, light),
+        "limb": limb(config, stray.pst, light, LIMB_DEG),
         "frames": rows,
         "exclusion": excluded,
         "changes": found,

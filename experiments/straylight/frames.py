@@ -18,12 +18,12 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.fit import fit_camera
-from calib.records import NoiseModel
 from experiments.laboratory.catalogue import load_catalogue
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.filter_wheel import open_band
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.readout.frames import mean_dark_frame
+from experiments.laboratory.readout.noise_model import true_noise
 from experiments.laboratory.readout.psf_grid import render_psf_grid
 from experiments.laboratory.readout.reduction import MeasuredFrame, Reduction, measure_frame
 from experiments.straylight.settings import Config
@@ -103,9 +103,6 @@ class Bench:
         )  # fmt: skip
         simulator = SkySimulator(instrument, sky, exposure_s=setting.exposure_s, passband=band)
         self.pixel_rad = math.radians(instrument.pixel_arcsec / 3600.0)
-        pixel = instrument.pixel_noise()
-        empty = float(pixel.temporal_e2(0.0, dark_frames=config.dark_frames))
-        detector = instrument.detector
         psfs = None
         if needs_epsf(config.centroid):
             psfs = render_psf_grid(
@@ -113,12 +110,7 @@ class Bench:
             )
         self.reduction = Reduction(
             dark_dn=mean_dark_frame(instrument, config.dark_frames, streams=self.streams, label="dark"),
-            noise=NoiseModel(
-                read_noise_e=float(np.sqrt(max(empty - pixel.rounding_e2, 1e-6))),
-                gain_dn_per_e=detector.gain_dn_per_e,
-                offset_dn=detector.offset_dn,
-                quantised=True,
-            ),
+            noise=true_noise(instrument, dark_frames=config.dark_frames),
             centroid=config.centroid,
             window_px=config.window_px,
             threshold_sigma=config.threshold_sigma,

@@ -52,8 +52,6 @@ class LensPart:
     places: Mapping[str, FloatArray]  # "polish", "dust": (z, a, p, p), rows and columns
     entrance_mm: float
     field_deg: float  # To the corner
-    surface: FloatArray  # (k,) Numbers of the surfaces that scatter
-    share: FloatArray  # (k, a) Of each in the scatter, at the first azimuth
 
 
 def _laws(config: Config, lens: LensSystem) -> dict[str, dict[int, ScatterLaw]]:
@@ -83,11 +81,10 @@ def lens_part(config: Config, instrument: Instrument, advance: Callable[[], None
     shape = (len(setting.azimuths_deg), len(setting.angles_deg))
     found = {name: np.zeros((*shape, setting.points, setting.points)) for name in laws}
     ghosts, ghosts_error = np.zeros(shape), np.zeros(shape)
-    numbers = sorted({number for one in laws.values() for number in one})
-    share = np.zeros((len(numbers), shape[1]))
 
     entrance, field_deg = entrance_radius_mm(lens), corner_deg(instrument)
-    round_from = _shade_deg(config.baffle, entrance, field_deg)
+    fitted = baffle_of(config.baffle, entrance, field_deg)  # a mesh may be lit from anywhere
+    round_from = fitted.shade_deg if isinstance(fitted, VanedBaffle) else 90.0
 
     def one(at: tuple[int, int]) -> None:
         angle = setting.angles_deg[at[1]]
@@ -96,10 +93,7 @@ def lens_part(config: Config, instrument: Instrument, advance: Callable[[], None
             source = direction(angle, setting.azimuths_deg[at[0]])
             light = lens_scatter_light(imaging, source, laws)
             for name in laws:
-                found[name][at] = light.total(name).reshape(setting.points, setting.points)
-            if at[0] == 0:
-                each = sum(light.by_cause[name] for name in ("polish", "dust"))
-                share[:, at[1]] = np.asarray(each).mean(axis=0)
+                found[name][at] = light[name].sum(axis=1).reshape(setting.points, setting.points)
             ghost = ghost_light(
                 lens, source, tuple(half.tolist()), rings=setting.ghost_rings, arms=setting.ghost_arms,
                 detector_reflectance=config.scatter.detector_reflectance, **common,
@@ -120,17 +114,7 @@ def lens_part(config: Config, instrument: Instrument, advance: Callable[[], None
         places={name: found[name] for name in ("polish", "dust")},
         entrance_mm=entrance,
         field_deg=field_deg,
-        surface=np.array(numbers, dtype=float),
-        share=share / np.maximum(share.sum(axis=0), 1e-300),
     )
-
-
-def _shade_deg(config: BaffleConfig, entrance_mm: float, field_deg: float) -> float:
-    """Angle from which on no light of a source falls on the lens; 90 where that is not known beforehand."""
-    if config.mesh or not config.fitted:
-        return 90.0
-    parts = _vaned(config, entrance_mm, field_deg)
-    return parts.shade_deg
 
 
 def corner_deg(instrument: Instrument) -> float:
@@ -178,10 +162,6 @@ def baffle_of(config: BaffleConfig, entrance_mm: float, field_deg: float) -> Van
         return None
     if config.mesh:
         return read_mesh(config.mesh)
-    return _vaned(config, entrance_mm, field_deg)
-
-
-def _vaned(config: BaffleConfig, entrance_mm: float, field_deg: float) -> VanedBaffle:
     try:
         return vaned_baffle(
             entrance_mm=entrance_mm,

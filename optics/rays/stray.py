@@ -37,7 +37,6 @@ from optics.rays.trace import OK, TOTAL_REFLECTION, Rays, trace
 __all__ = [
     "GhostLight",
     "ImagingRays",
-    "LensScatter",
     "ScatterLaw",
     "ghost_light",
     "imaging_rays",
@@ -208,23 +207,9 @@ def imaging_rays(
 # --- Scatter
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LensScatter:
-    """Light that surfaces scatter onto p points of the detector, over that of the source at the entrance."""
-
-    surface: tuple[int, ...]  # Numbers of the k surfaces
-    # Name of each cause -> (p, k) irradiance over that of the source through a plane that faces it
-    by_cause: Mapping[str, FloatArray]
-    lost: FloatArray  # (k,) Share of the rays for which no ray of the source was found though the surface is lit
-
-    def total(self, cause: str) -> FloatArray:
-        """Of all surfaces (p,)."""
-        return np.asarray(self.by_cause[cause].sum(axis=1))
-
-
 def lens_scatter_light(
     imaging: ImagingRays, v_source: ArrayLike, laws: Mapping[str, Mapping[int, ScatterLaw]]
-) -> LensScatter:
+) -> dict[str, FloatArray]:
     """Scatter of a distant point source by all surfaces of a lens.
 
     Parameters
@@ -235,6 +220,11 @@ def lens_scatter_light(
         Unit vector towards the source in cam, in front of the lens.
     laws : mapping
         Cause -> number of a surface -> its law.
+
+    Returns
+    -------
+    dict of str to (p, k)
+        Cause -> irradiance on the points, over that of the source through a plane that faces it, by each surface.
 
     Raises
     ------
@@ -250,16 +240,15 @@ def lens_scatter_light(
         raise DomainError(f"{imaging.lens.label(number)} lies between equal media and does not scatter")
     shape = imaging.throughput.shape
     found = {cause: np.zeros((shape[0], len(numbers))) for cause in laws}
-    lost = np.zeros(len(numbers))
     for at, number in enumerate(numbers):
-        delta, flux, lost[at] = _scattered(imaging, source, number)
+        delta, flux = _scattered(imaging, source, number)
         for cause, own in laws.items():
             if number in own:
                 found[cause][:, at] = (flux * own[number](delta)).reshape(shape).sum(axis=1)
-    return LensScatter(surface=numbers, by_cause=found, lost=lost)
+    return found
 
 
-def _scattered(imaging: ImagingRays, source: FloatArray, number: int) -> tuple[FloatArray, FloatArray, float]:
+def _scattered(imaging: ImagingRays, source: FloatArray, number: int) -> tuple[FloatArray, FloatArray]:
     """Difference of n sine, and what a BSDF of 1 / sr would scatter, for all rays (p j,) at a surface."""
     light, lens, own = imaging.light, imaging.lens, imaging.crossings[number]
     n1, n2 = light.relative[number], light.relative[number + 1]
@@ -276,11 +265,7 @@ def _scattered(imaging: ImagingRays, source: FloatArray, number: int) -> tuple[F
     own_share = own.share if number == 0 else own.share / np.maximum(imaging.crossings[number - 1].share, 1e-300)
     flux = imaging.throughput.ravel() * behind * own_share * share * source[2] * jacobian * tilt
     good = lit & used
-    return (
-        np.where(good, np.linalg.norm(apart, axis=0), 0.0),
-        np.where(good, flux, 0.0),
-        float((used & ~np.isfinite(jacobian)).sum() / max(used.sum(), 1)),
-    )
+    return np.where(good, np.linalg.norm(apart, axis=0), 0.0), np.where(good, flux, 0.0)
 
 
 def _meet(

@@ -93,12 +93,10 @@ def test_usable_again_nearer_by_does_not_count() -> None:
     ("arguments", "words"),
     [
         (["--set", "baffle.coating=own", "--set", "baffle.diffuse=-0.1"], "diffuse"),
-        (["--set", "baffle.diffuse=0.5", "--set", "baffle.specular=0.03"], "grazing"),
         (["--set", "baffle.shade_deg=5"], "outside the field"),
         (["--set", "baffle.clearance_mm=-2"], "cuts the beam of the field"),
         (["--set", "baffle.mesh=none.ply"], "there is no such mesh"),
         (["--set", "instrument.lens={focal_length_mm=30.0, f_number=2.0}"], "surfaces"),
-        (["--set", "pst.angles_deg=[10,5,1]"], "must increase"),
         (["--set", "pst.file=none.csv"], "none.csv"),
     ],
 )

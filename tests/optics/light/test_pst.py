@@ -49,16 +49,6 @@ def test_power_laws_are_met_between_the_angles() -> None:
     np.testing.assert_allclose(pst.at(np.stack([towards(5.0, 80.0), towards(100.0, 0.0)])), [4.0 / 25.0, 0.0])
 
 
-def test_errors_of_causes_are_independent() -> None:
-    one = example()
-    both = PointSourceTransmittance(
-        angle_deg=one.angle_deg, azimuth_deg=one.azimuth_deg, causes=("a", "b"),
-        value=np.ones((2, 2, 3)), error=np.stack([np.full((2, 3), 3.0), np.full((2, 3), 4.0)]),
-    )  # fmt: skip
-    np.testing.assert_allclose(both.total_error, 5.0)
-    np.testing.assert_allclose(both.total, 2.0)
-
-
 def test_a_plain_table_of_two_columns(tmp_path) -> None:
     (tmp_path / "my.csv").write_text("# measured\nangle_deg,pst\n30,1e-8\n10,1e-6\n")
     pst = read_pst(tmp_path / "my.csv")

@@ -207,19 +207,6 @@ def test_thin_cylinders() -> None:
     np.testing.assert_allclose(found, 0.7 / np.pi * 0.3 * 2.0 * np.pi * (lit * seen).mean(axis=1), rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.slow
-def test_edges_grow_with_their_radius_and_need_both_sun_and_lens() -> None:
-    weight = lens_weight([1.0, 90.0], [1e-5, 1e-5])
-    found = {}
-    for edge in (0.02, 0.04):
-        baffle = vaned_baffle(entrance_mm=9.0, field_deg=12.0, shade_deg=30.0, edge_mm=edge)
-        scene = BaffleScene(baffle, matt(0.05), entrance_mm=9.0, field_deg=12.0)
-        found[edge] = scene.light(towards(45.0), weight)
-    assert found[0.04].edges == pytest.approx(2.0 * found[0.02].edges, rel=0.02)
-    assert found[0.02].edges > 0.0
-    assert scene.light(towards(100.0), weight).direct == 0.0
-
-
 def test_baffles_that_cut_the_field_are_refused() -> None:
     cutting = vaned_baffle(entrance_mm=9.0, field_deg=12.0, shade_deg=30.0, clearance_mm=-1.0)
     with pytest.raises(DomainError, match="cuts the beam of the field"):
