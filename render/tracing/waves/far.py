@@ -83,9 +83,12 @@ class FarImage:
         for nm, part in zip(wavelength_nm, share, strict=True):
             if part == 0.0:
                 continue
-            below = self.running
-            for edges, per_px in ((y_px, self.per_px[1]), (x_px, self.per_px[0])):
-                at = np.clip(4.0 * edges * per_px * self.wavelength_nm / nm + 0.5 * count + 0.5, 0.0, count - 1e-9)
+            row, column = (
+                np.clip(4.0 * edges * per_px * self.wavelength_nm / nm + 0.5 * count + 0.5, 0.0, count - 1e-9)
+                for edges, per_px in ((y_px, self.per_px[1]), (x_px, self.per_px[0]))
+            )
+            below = self.running[:, int(column[0]) : int(column[-1]) + 2]
+            for at in (row, column - int(column[0])):
                 low = at.astype(np.int64)
                 up = (at - low)[:, None]
                 below = (below[low] * (1.0 - up) + below[low + 1] * up).T  # twice: rows first again
