@@ -30,6 +30,7 @@ from render.bodies.earth_air import Air
 from render.bodies.pixel_maps import PixelMaps, TileMap, powers
 from render.engine import Engine
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 
 __all__ = ["Cover", "Exposed", "Light", "Sphere", "sphere_image"]
 
@@ -202,10 +203,10 @@ class _Kernel:
         types = Engine.active().types
         self.F, self.U, self.B = types.Float64, types.UInt32, types.Bool
         self.rays, self.sphere, self.exposed = rays, sphere, exposed
-        self.coefficient = self.F(rays.coefficient.ravel())
-        self.air = None if rays.air is None else [self.F(v) for v in rays.air]
-        self.albedo = None if sphere.albedo_map is None else self.F(sphere.albedo_map.astype(float).ravel())
-        self.attitude = [self.F(np.ascontiguousarray(v)) for v in exposed.attitudes.T]
+        self.coefficient = uploaded(self.F, rays.coefficient)
+        self.air = None if rays.air is None else [uploaded(self.F, v) for v in rays.air]
+        self.albedo = None if sphere.albedo_map is None else uploaded(self.F, sphere.albedo_map.astype(float))
+        self.attitude = [uploaded(self.F, v) for v in exposed.attitudes.T]
         steps = rays.coefficient[:, :2, 1:3].mean(0) / rays.half_px[::-1]
         self.pixel_rad = float(np.sqrt(abs(np.linalg.det(steps))))
         self.times = 1 if len(exposed.attitudes) == 1 else max(1, math.ceil(exposed.path_px / TURN_PX))
@@ -223,9 +224,9 @@ class _Kernel:
     ) -> FloatArray:
         """Electrons of pixels (p,); ``flat``: of a disk that is lit evenly."""
         F, U = self.F, self.U
-        rows, half = F(row.astype(float)), self.vector(self.rays.half_px)
+        rows, half = uploaded(F, row.astype(float)), self.vector(self.rays.half_px)
         centre = self.vector(self.rays.centre_px)
-        x, y = (F(column.astype(float)) - centre[0]) / half[0], (rows - centre[1]) / half[1]
+        x, y = (uploaded(F, column.astype(float)) - centre[0]) / half[0], (rows - centre[1]) / half[1]
         look, cell, times = self._look(), self._cell(flat), self.number(self.times)
         side, sides = self.number(1.0 / cells), dr.opaque(U, cells)
         count, every = dr.opaque(U, self.rays.count), dr.opaque(U, self.rays.count * self.times)

@@ -53,9 +53,11 @@ def window_deposit(
 
 def _scattered(types: Any, size: int, place: NDArray[np.int64], charge: NDArray[np.float64]) -> Any:
     from render.engine.jit import dr
+    from render.engine.upload import uploaded
 
     deposit = dr.zeros(types.Float32, size)
-    dr.scatter(deposit, types.Float32(charge.astype(np.float32)), types.UInt32(place.astype(np.uint32)))
+    to = uploaded(types.UInt32, place.astype(np.uint32))
+    dr.scatter(deposit, uploaded(types.Float32, charge.astype(np.float32)), to)
     return deposit
 
 

@@ -18,6 +18,7 @@ from optics.records import freeze
 from render.detector.spec import Detector
 from render.engine import Engine
 from render.engine.random import Streams
+from render.engine.upload import uploaded
 
 __all__ = ["SensorMaps", "dark_electrons", "sensor_maps"]
 
@@ -129,7 +130,7 @@ def window_maps(detector: Detector, types: Any, column: NDArray[np.int64], row: 
     row = np.clip(row, 0, detector.height_px - 1).astype(np.uint32)
     shape = (len(column), row.shape[1], column.shape[1])
     columns, rows = (np.broadcast_to(part, shape).ravel() for part in (column[:, None, :], row[:, :, None]))
-    return _maps(_recipe(detector), types, types.UInt32(columns), types.UInt32(rows))
+    return _maps(_recipe(detector), types, uploaded(types.UInt32, columns), uploaded(types.UInt32, rows))
 
 
 def neighbour_bits(detector: Detector, column: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.uint32]:
@@ -225,7 +226,7 @@ def _damage(types: Any, p: SimpleNamespace, pixel: Any, centres_key: tuple[Any, 
 def _full_neighbours(layout: _Layout, types: Any) -> Any:
     width = layout.chips * layout.chip_width_px + (layout.chips - 1) * layout.gap_px
     bits = _neighbour_bits(layout, np.arange(width)[None], np.arange(layout.height_px)[None])
-    return types.UInt32(bits.ravel())
+    return uploaded(types.UInt32, bits)
 
 
 def _layout(detector: Detector) -> _Layout:

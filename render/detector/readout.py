@@ -40,6 +40,7 @@ from render.detector.spec import Detector
 from render.detector.strong_light import bloomed, column_effects, with_lag, with_smear
 from render.engine import Engine
 from render.engine.random import Streams
+from render.engine.upload import uploaded
 from render.records import ExpectedImage, Frame, WindowStack, checked_exposure
 
 __all__ = ["expose", "expose_windows"]
@@ -135,7 +136,7 @@ def expose(
         electrons=electrons,
     )
     deposit = None if hits is None else frame_deposit(types, hits, detector)
-    flat = types.Float32(electrons.ravel())
+    flat = uploaded(types.Float32, electrons)
     packed = digitise(
         types, flat, maps=maps, neighbours=neighbours, detector=detector, exposure=exposure, deposit=deposit
     )
@@ -235,9 +236,9 @@ def expose_windows(
         maps = window_maps(detector, types, column, row)
         neighbours = None
         if _has_crosstalk(detector):
-            neighbours = Neighbours(types.UInt32(neighbour_bits(detector, column, row).ravel()), width)
+            neighbours = Neighbours(uploaded(types.UInt32, neighbour_bits(detector, column, row)), width)
         deposit = None if hits is None else window_deposit(types, hits, detector, column, row)
-        flat = types.Float32(electrons.ravel())
+        flat = uploaded(types.Float32, electrons)
         packed = digitise(
             types, flat, maps=maps, neighbours=neighbours, detector=detector, exposure=exposure, deposit=deposit
         )

@@ -6,10 +6,9 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 from weakref import ref
 
-import numpy as np
-
 from optics.arrays import FloatArray
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 
 __all__ = ["DrJitArrays"]
 
@@ -54,7 +53,7 @@ class DrJitArrays:
         """The constants, flat; uploaded once for as long as they live."""
         held = self._tables.get(id(values))
         if held is None or held[0]() is not values:
-            flat, key = self.float_type(np.ascontiguousarray(values.ravel())), id(values)
+            flat, key = uploaded(self.float_type, values), id(values)
             self._tables[key] = held = (ref(values, lambda _: self._tables.pop(key, None)), flat)
         return held[1]
 

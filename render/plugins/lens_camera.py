@@ -77,6 +77,7 @@ from optics.rays.trace import OK, Rays, trace, trace_program
 from render.camera import Camera, launch_disk
 from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 from render.plugins.camera_numbers import ALUMINIUM_PER_K, CameraNumbers
 from render.plugins.camera_properties import camera_of, exposure_motion_of, motion_of, moved
 from render.tracing.motion.exposure import ExposureMotion
@@ -302,7 +303,7 @@ def define(mi: Any) -> type:
                 return backward.rotation
             F, motion = mi.Float64, self._motion
             if self._turns is None:
-                columns = tuple(F(np.ascontiguousarray(motion.quaternion[:, k])) for k in range(4))
+                columns = tuple(uploaded(F, motion.quaternion[:, k]) for k in range(4))
                 last = len(motion.quaternion) - 1
                 first_row = motion.first_row + self._window()[1]
                 values = (self._opened_s, last / motion.duration_s, motion.line_time_s, float(last), first_row)

@@ -19,6 +19,7 @@ from optics.rays.pupil import EntrancePupil
 from optics.rays.trace import Rays
 from render.engine import Engine
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 
 __all__ = ["SceneShade"]
 
@@ -37,7 +38,7 @@ class SceneShade:
         self.scene, self.direction, self.scene_unit_mm = scene, direction, scene_unit_mm
         self.position = np.array(position, float)
         F, xp = Engine.active().types.Float64, Engine.active().arrays
-        self._toward = [F(np.ascontiguousarray(direction[:, axis])) for axis in range(3)]
+        self._toward = [uploaded(F, direction[:, axis]) for axis in range(3)]
         self._turn = xp.parameters(rotation.ravel() / scene_unit_mm)
         self._from = xp.parameters(self.position)
         self._bodies = [self._bounds(shape) for shape in scene.shapes()]

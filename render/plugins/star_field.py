@@ -49,6 +49,7 @@ from optics.errors import ConfigError
 from optics.light.collimation import Collimation
 from render.engine import Engine
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 from render.plugins.handles import Handles, resolved, rotation_of
 from render.records import StarField
 
@@ -130,15 +131,15 @@ class _Light:
     def __init__(self, mi: Any, stars: StarField, rotation: FloatArray | None) -> None:
         self.mi, self.bands = mi, stars.wavelength_nm.size
         toward = stars.direction if rotation is None else stars.direction @ rotation.T
-        self.toward = [mi.Float(np.ascontiguousarray(toward[:, axis])) for axis in range(3)]
+        self.toward = [uploaded(mi.Float, toward[:, axis]) for axis in range(3)]
         photons = stars.photon_rate.reshape(len(stars), -1)
         self.total = mi.Float(photons.sum(1))
         self.pick = mi.DiscreteDistribution(self.total)
         cells = _cells(stars.wavelength_nm).reshape(-1, 2)
         with np.errstate(divide="ignore", invalid="ignore"):
             density = np.nan_to_num(photons / (cells[:, 1] - cells[:, 0]), posinf=0.0)
-        self.low, self.high = (mi.Float(np.ascontiguousarray(cells[:, side])) for side in (0, 1))
-        self.density = mi.Float(density.ravel())
+        self.low, self.high = (uploaded(mi.Float, cells[:, side]) for side in (0, 1))
+        self.density = uploaded(mi.Float, density)
 
     def direction(self, star: Any, active: Any) -> Any:
         """Towards a star."""

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 from render.plugins.camera_numbers import plain
 from render.tracing.gradient import AttachedPaths, lens_numbers, star_image
 from render.tracing.motion.paths import at_rest, star_paths
@@ -26,11 +27,11 @@ def attached_image(mi: Any, tracer: Tracer, camera: Any, field: Any) -> Any:
     paths = _paths(mi, tracer, camera, field)
     optics, slopes = numbers.derivatives(lambda other: lens_numbers(other, tracer.pupil).values)
     known = lens_numbers(optics, tracer.pupil)
-    vector, moves = F(known.values), np.zeros(len(known.values), np.bool_)
+    vector, moves = uploaded(F, known.values), np.zeros(len(known.values), np.bool_)
     for name, at, slope in slopes:
         moves |= slope != 0.0
         number = dr.gather(F, numbers.tensors[name].array, mi.UInt32(at))
-        vector = vector + F(np.ascontiguousarray(slope)) * (number - dr.detach(number))
+        vector = vector + uploaded(F, slope) * (number - dr.detach(number))
     image = star_image(
         mi,
         tracer,
@@ -73,7 +74,7 @@ def _paths(mi: Any, tracer: Tracer, camera: Any, field: Any) -> AttachedPaths:
     turned = [dr.gather(F, component, lane // times) for component in turned]
 
     def entry(i: int, j: int) -> Any:
-        numbers_of = [F(np.ascontiguousarray(v[:, i, j])) for v in (value, *np.moveaxis(slope, -1, 0))]
+        numbers_of = [uploaded(F, v[:, i, j]) for v in (value, *np.moveaxis(slope, -1, 0))]
         first, *more = (dr.gather(F, v, time) for v in numbers_of)
         return sum((by * change for by, change in zip(more, rate, strict=True)), first)
 

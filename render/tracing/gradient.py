@@ -32,6 +32,7 @@ from optics.rays.trace import Rays, trace_program
 from render.camera import Camera
 from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 from render.records import StarField
 from render.tracing.motion.paths import Light, StarPaths, at_rest, pick_times
 from render.tracing.pupil.outlines import ARMS, Arcs, Outlines, outline_series
@@ -129,7 +130,7 @@ class Scene:
         self.xp = DrJitArrays(self.F)
         self.camera, self.numbers, self.vector = tracer.camera, numbers, vector
         self.middle, self.light = ([x, -y, z] for x, y, z in (paths.middle, paths.nodes))
-        self.times, self.weight = paths.plain.weight.shape[1], self.F(np.ravel(paths.plain.weight))
+        self.times, self.weight = paths.plain.weight.shape[1], uploaded(self.F, paths.plain.weight)
         self.picked, self.factors = _picked(self, paths.plain)
 
     def bundle(self, width: int) -> _Bundle:
@@ -169,7 +170,7 @@ def _picked(scene: Scene, plain: StarPaths) -> tuple[list[Any], list[Any]]:
     farthest = np.linalg.norm(plain.nodes - plain.mid[:, None], axis=2).argmax(1) + times * np.arange(len(plain.mid))
     star = dr.arange(U, len(plain.mid) * times) // times
     offset = [a - dr.gather(F, m, star) for a, m in zip(scene.light, scene.middle, strict=True)]
-    reach = [dr.gather(F, a, U(farthest.astype(np.uint32))) for a in offset]
+    reach = [dr.gather(F, a, uploaded(U, farthest.astype(np.uint32))) for a in offset]
     size = dr.gather(F, sum(a * a for a in reach), star)
     c = sum(a * dr.gather(F, b, star) for a, b in zip(offset, reach, strict=True)) / size
     lane = dr.arange(U, len(plain.mid) * count)
@@ -216,7 +217,7 @@ def _ray_image(
     scene = scene_of(paths)
     F, camera, planner = scene.F, tracer.camera, tracer.planner
     exposure = planner.exposure(paths.plain, stars.wavelength_nm, paths.length_px)
-    response = F(np.ascontiguousarray(camera.response_at(stars.wavelength_nm).ravel()))
+    response = uploaded(F, camera.response_at(stars.wavelength_nm))
     bands, nodes = stars.wavelength_nm.shape
     image = dr.zeros(F, camera.height_px * camera.width_px * bands)
     for group in planner.sampled_by_rays(exposure).groups:
@@ -292,15 +293,15 @@ def _outline_points(
     band, star = slot % bands, dr.gather(U, U(part.astype(np.uint32)), slot // bands)
     radius = dr.zeros(F, 1)
     for j in range(picked):
-        factors = F(np.ascontiguousarray(outlines.picks.colours[:, :, j].ravel()))
+        factors = uploaded(F, outlines.picks.colours[:, :, j])
         colour = dr.gather(F, factors, band * colours + node % colours)
         for m in range(ARMS):
-            factor = dr.gather(F, F(np.ascontiguousarray(matrix[:, :, m].ravel())), node * arms + arm)
+            factor = dr.gather(F, uploaded(F, matrix[:, :, m]), node * arms + arm)
             for p, by_time in enumerate(scene.factors):
                 seen = dr.gather(F, by_time, star * scene.times + node // colours)
                 at = ((slot * len(scene.factors) + p) * picked + j) * ARMS + m
                 radius = radius + seen * colour * factor * dr.gather(F, few, at)
-    along = [F(np.ascontiguousarray(v.ravel())) for v in (np.cos(points.azimuth), np.sin(points.azimuth))]
+    along = [uploaded(F, v) for v in (np.cos(points.azimuth), np.sin(points.azimuth))]
     weight = F(points.ring_weight)
     part_of_turn = float((points.share / points.radius**2).flat[0])  # the same for every azimuth
     ring, which = F(points.ring), U(points.arm)
@@ -322,7 +323,7 @@ def _attached_chiefs(scene: Scene, chief: FloatArray, part: IntArray, wavelength
     lane = dr.arange(U, len(part) * bands)
     star = dr.gather(U, U(part.astype(np.uint32)), lane // bands)
     wave = dr.gather(F, F(wavelength_nm), lane % bands)
-    start = [F(np.ascontiguousarray(chief[part][..., axis].ravel())) for axis in (0, 1)]
+    start = [uploaded(F, chief[part][..., axis]) for axis in (0, 1)]
     bundle = scene.bundle(len(part) * bands)
 
     def at_stop(px: Any, py: Any) -> tuple[Any, Any]:
@@ -353,10 +354,10 @@ def _rims(scene: Scene, outlines: Outlines, part: IntArray, centre: list[Any]) -
     arm, pick, node = lane % ARMS, lane // ARMS % picked, lane // (ARMS * picked)
     slot = node // times
     star = dr.gather(U, U(part.astype(np.uint32)), slot // bands) * times + node % times
-    wave = dr.gather(F, F(picks.wavelength_nm.ravel()), slot % bands * picked + pick)
+    wave = dr.gather(F, uploaded(F, picks.wavelength_nm), slot % bands * picked + pick)
     sine, cosine = dr.sincos(F(arm) * (2.0 * np.pi / ARMS))
     x, y = (dr.gather(F, component, slot) for component in centre)
-    start = F(np.ascontiguousarray(outlines.radius[part].ravel()))
+    start = uploaded(F, outlines.radius[part])
     bundle = scene.bundle(len(part) * bands * times * picked * ARMS)
 
     def height(radius: Any) -> Any:
@@ -389,7 +390,7 @@ def _splat(
     point, node, slot = lane % count, lane // count % nodes, lane // (count * nodes)
     star, colour = dr.gather(U, U(part.astype(np.uint32)), slot // bands), slot % bands * colours + node % colours
     seen = star * scene.times + node // colours
-    wave = dr.gather(F, F(wavelength_nm.ravel()), colour)
+    wave = dr.gather(F, uploaded(F, wavelength_nm), colour)
     bundle = scene.bundle(total)
     px, py, share = sample(slot, node, point)
     rays = scene.trace(bundle, scene.light, seen, px, py, wave)
@@ -491,7 +492,7 @@ def _energy(scene: Scene, part: IntArray, rate: Any, mixed: FloatArray) -> Any:
     band, star = lane // few % bands, dr.gather(U, U(part.astype(np.uint32)), lane // (few * bands))
     total = dr.zeros(F, 1)
     for k in range(colours):
-        factor = dr.gather(F, F(np.ascontiguousarray(mixed[:, k].ravel())), band * few + lane % few)
+        factor = dr.gather(F, uploaded(F, mixed[:, k]), band * few + lane % few)
         total = total + factor * dr.gather(F, rate, (star * bands + band) * colours + k)
     return total * dr.square(scene.bundle(len(part) * bands * few).disk[3])
 
@@ -525,7 +526,7 @@ def _plane_waves(
     F, U, program = scene.F, scene.U, scene.numbers.program
     bands, colours = wavelength_nm.shape
     total = len(part) * bands * colours * points.count
-    members, waves = U(part.astype(np.uint32)), F(np.ascontiguousarray(wavelength_nm.ravel()))
+    members, waves = U(part.astype(np.uint32)), uploaded(F, wavelength_nm)
 
     def numbered(lane: Any) -> tuple[Any, ...]:
         """Slot, node and point of a lane; its star and wavelength."""
@@ -557,8 +558,8 @@ def _plane_waves(
     dx, dy = (dr.gather(F, component, star) for component in scene.light[:2])
     path = opl_mm + before * bundle.disk[3] * (px * dx + py * dy)
     middle = np.stack([one.mean_px for one in windows])
-    x = float(cx) + x * (1.0 / pitch) - dr.gather(F, F(np.ascontiguousarray(middle[:, 0])), slot)
-    y = float(cy) - y * (1.0 / pitch) - dr.gather(F, F(np.ascontiguousarray(middle[:, 1])), slot)
+    x = float(cx) + x * (1.0 / pitch) - dr.gather(F, uploaded(F, middle[:, 0]), slot)
+    y = float(cy) - y * (1.0 / pitch) - dr.gather(F, uploaded(F, middle[:, 1]), slot)
     fx, fy = ox * per_px, -oy * per_px
     return WaveLanes(path * (1e6 / wave) - fx * x - fy * y, fx, fy, share * dr.sqrt(jacobian) * per_px)
 

@@ -24,6 +24,7 @@ from optics.rays.program import LensProgram
 from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
 from render.engine import Engine
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 from render.tracing.rays.kernel import StarKernel
 
 __all__ = ["AimedLens", "Beams", "Chiefs", "Rims", "aimed_lens", "find_chiefs"]
@@ -123,7 +124,7 @@ def find_chiefs(
     error = kernel.error_of(dr.arange(kernel.U, len(star)), dr.opaque(kernel.U, 0), wavelength_nm[:, None])
     if points is None:
         points = _aimed(lens, kernel, wavelength_nm)
-    px, py = (F(np.ascontiguousarray(points[..., axis].ravel())) for axis in (0, 1))
+    px, py = (uploaded(F, points[..., axis]) for axis in (0, 1))
     x, y, free = kernel.launch(star, px, py, wavelength, error, without_apertures(lens.full))
     status = kernel.launch(star, px, py, wavelength, error, without_holes(lens.full))[2]
     dr.eval(x, y, free, status)
@@ -208,9 +209,9 @@ class Beams:
         arm, node, slot = kernel.numbered(int(np.prod(self.shape)), nodes, arms)
         which = None if stars is None else stars.astype(np.uint32)
         self.star, self.wavelength = kernel.light_of(slot, node, wavelength_nm, which)
-        self.cx, self.cy = (dr.gather(F, F(np.ascontiguousarray(chief[..., i].ravel())), slot) for i in (0, 1))
+        self.cx, self.cy = (dr.gather(F, uploaded(F, chief[..., i]), slot) for i in (0, 1))
         at = dr.arange(U, len(arm)) if azimuth.ndim == 4 else node * dr.opaque(U, arms) + arm
-        self.sine, self.cosine = dr.sincos(dr.gather(F, F(np.ascontiguousarray(azimuth.ravel())), at))
+        self.sine, self.cosine = dr.sincos(dr.gather(F, uploaded(F, azimuth), at))
 
     def _heights(self, radius: Any, program: LensProgram, numbers: tuple[int, ...]) -> tuple[Rays, list[Any]]:
         """Rays at a radius, and their heights on surfaces in units of the apertures."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray, IntArray
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 
 __all__ = ["DiskPoints", "OutlinePoints", "PupilPoints", "SobolPoints", "TablePoints", "bounding_outline"]
 
@@ -58,7 +59,7 @@ class TablePoints:
         """Look the point up."""
         F, U = types.Float64, types.UInt32
         at = node * dr.opaque(U, self.count) + point
-        x, y = (F(np.ascontiguousarray(self.points[..., axis].ravel())) for axis in (0, 1))
+        x, y = (uploaded(F, self.points[..., axis]) for axis in (0, 1))
         return dr.gather(F, x, at), dr.gather(F, y, at), dr.gather(F, F(self.weight), point)
 
 
@@ -105,16 +106,15 @@ class OutlinePoints:
         if self.shadow is None:
             length = self.radius
         else:
-            length, dark = np.ones_like(self.radius), dr.gather(F, F((self.shadow**2).ravel()), at)
-            lit = dr.gather(F, F((self.radius**2 - self.shadow**2).ravel()), at)
+            length, dark = np.ones_like(self.radius), dr.gather(F, uploaded(F, self.shadow**2), at)
+            lit = dr.gather(F, uploaded(F, self.radius**2 - self.shadow**2), at)
             ring = dr.sqrt(dark + ring * ring * lit)
         along = [length * np.cos(self.azimuth), length * np.sin(self.azimuth)]
         px, py = (
-            dr.gather(F, F(np.ascontiguousarray(self.centre[..., axis].ravel())), slot)
-            + ring * dr.gather(F, F(along[axis].ravel()), at)
+            dr.gather(F, uploaded(F, self.centre[..., axis]), slot) + ring * dr.gather(F, uploaded(F, along[axis]), at)
             for axis in (0, 1)
         )
-        return px, py, dr.gather(F, F(self.share.ravel()), at) * dr.gather(F, F(self.ring_weight), point)
+        return px, py, dr.gather(F, uploaded(F, self.share), at) * dr.gather(F, F(self.ring_weight), point)
 
 
 def bounding_outline(
@@ -207,8 +207,7 @@ class DiskPoints:
         F = types.Float64
         x, y, weight = self.points.sample(types, slot, node, point)
         radius, cx, cy = (
-            dr.gather(F, F(np.ascontiguousarray(v.ravel())), slot)
-            for v in (self.radius, self.centre[..., 0], self.centre[..., 1])
+            dr.gather(F, uploaded(F, v), slot) for v in (self.radius, self.centre[..., 0], self.centre[..., 1])
         )
         return cx + radius * x, cy + radius * y, weight * radius * radius
 

@@ -29,6 +29,7 @@ from optics.rays.pupil import EntrancePupil
 from optics.rays.trace import OK, Rays, trace_program
 from render.engine import Engine
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 from render.tracing.pupil.points import OutlinePoints, PupilPoints
 from render.tracing.pupil.transmission import PupilTransmission
 
@@ -169,10 +170,10 @@ class StarKernel:
         self.count, self.times = self.direction.shape[:2]
         self.collimation, self.transmission = collimation, transmission
         light = light_direction(self.direction).reshape(-1, 3)
-        self.light = [self.F(np.ascontiguousarray(light[:, i])) for i in range(3)]
+        self.light = [uploaded(self.F, light[:, i]) for i in range(3)]
         self.shear = None
         if shear is not None:
-            self.shear = [self.F(np.ascontiguousarray(shear[..., i].ravel())) for i in range(3)]
+            self.shear = [uploaded(self.F, shear[..., i]) for i in range(3)]
 
     def rays(self, star: Any, px: Any, py: Any, wavelength_nm: Any, error: Any = None) -> Rays:
         """Rays of stars through points of the launch disk; ``error`` as `optics.light.collimation.bent_light`."""
@@ -258,8 +259,8 @@ class StarKernel:
         bands, colours, terms = (dr.opaque(U, size) for size in (*wavelength_nm.shape, table.shape[2]))
         position = slot // bands
         at = (slot * colours + node % colours) * terms
-        flat = F(np.ascontiguousarray(table.ravel()))
-        dx, dy = (dr.gather(F, F(np.ascontiguousarray(light[:, i])), position) for i in (0, 1))
+        flat = uploaded(F, table)
+        dx, dy = (dr.gather(F, uploaded(F, light[:, i]), position) for i in (0, 1))
         return found.value(
             [dr.gather(F, flat, at + q) for q in range(table.shape[2])], *found.coordinates(px, py, dx, dy)
         )
@@ -284,7 +285,7 @@ class StarKernel:
         position, time = slot // bands, node // colours
         colour = (slot - position * bands) * colours + (node - time * colours)
         star = position if stars is None else dr.gather(U, U(stars), position)
-        return star * dr.opaque(U, self.times) + time, dr.gather(F, F(wavelength_nm.ravel()), colour)
+        return star * dr.opaque(U, self.times) + time, dr.gather(F, uploaded(F, wavelength_nm), colour)
 
     def error_of(self, slot: Any, node: Any, wavelength_nm: FloatArray) -> tuple[Any, ...] | None:
         """Error of the collimation of a slot's node; None for the light of stars."""
@@ -293,7 +294,7 @@ class StarKernel:
         bands, colours = (dr.opaque(self.U, size) for size in wavelength_nm.shape)
         colour = (slot % bands) * colours + node % colours
         table = self.collimation.at(wavelength_nm).reshape(-1, 3)
-        return tuple(dr.gather(self.F, self.F(np.ascontiguousarray(table[:, i])), colour) for i in range(3))
+        return tuple(dr.gather(self.F, uploaded(self.F, table[:, i]), colour) for i in range(3))
 
     def _shares(self, position_px: Any, per_pixel: int, reach: float) -> tuple[Any, list[Any]]:
         """First cell and share of each along one axis, for ``per_pixel`` cells per pixel from the stamp's corner."""
@@ -343,7 +344,7 @@ class StarKernel:
         bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
         point, node, slot = self.numbered(len(stars) * bands * nodes * pupil.count, nodes, pupil.count)
         px, py, weight = pupil.sample(self.types, slot, node, point)
-        weight = weight * dr.gather(F, F(node_share.ravel()), slot * dr.opaque(U, nodes) + node) * _SCALE
+        weight = weight * dr.gather(F, uploaded(F, node_share), slot * dr.opaque(U, nodes) + node) * _SCALE
         through = self.through(px, py, slot, node, wavelength_nm, stars)
         star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
         error = self.error_of(slot, node, wavelength_nm)
@@ -351,8 +352,8 @@ class StarKernel:
         ok, hidden = status == OK, None
         if shade is not None:
             hidden = ok & shade.hides(self.rays(star, px, py, wavelength, error), star // self.times)
-        x = x - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 0].ravel())), slot)
-        y = y - dr.gather(F, F(np.ascontiguousarray(corner_px[..., 1].ravel())), slot)
+        x = x - dr.gather(F, uploaded(F, corner_px[..., 0]), slot)
+        y = y - dr.gather(F, uploaded(F, corner_px[..., 1]), slot)
         strips = cells_per_px == 1 and self.times == 1 and not isinstance(pupil, OutlinePoints)
         shape = (len(stars), bands)
         return self._collect(x, y, ok, hidden, weight, through, slot, shape, stamp_px, cells_per_px, strips)

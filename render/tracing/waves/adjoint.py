@@ -22,6 +22,7 @@ from scipy.sparse import csr_array
 
 from optics.arrays import FloatArray
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 from render.tracing.waves.windows import BandLimited, FieldSampling, window_samples
 
 __all__ = ["WaveLanes", "Window", "summed_waves"]
@@ -206,18 +207,18 @@ def summed_waves(
             self.stamps = _Stamps(windows, [np.array(a.numpy()) for a in arrays])
             if not values:
                 return dr.zeros(F, sum(window.stamp_px**2 for window in windows))
-            return F(self.stamps.pixels().ravel())
+            return uploaded(F, self.stamps.pixels())
 
         def forward(self) -> None:
             arrays: list[Any] = [self.grad_in(name) for name in ARRAYS]
             changes = [np.array(a.numpy()) for a in arrays]
-            self.set_grad_out(F(self.stamps.changed(changes).ravel()))
+            self.set_grad_out(uploaded(F, self.stamps.changed(changes)))
 
         def backward(self) -> None:
             gradient_out: Any = self.grad_out()
             gradients = self.stamps.adjoint(np.array(gradient_out.numpy()))
             for name, gradient in zip(ARRAYS, gradients, strict=True):
-                self.set_grad_in(name, F(np.ascontiguousarray(gradient.ravel())))
+                self.set_grad_in(name, uploaded(F, gradient))
 
         def name(self) -> str:
             return "sum of plane waves"

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.rays.trace import OK, VIGNETTED, trace_program
 from render.engine.jit import dr
+from render.engine.upload import uploaded
 from render.tracing.pupil.outlines import rings
 from render.tracing.pupil.points import PupilPoints
 from render.tracing.rays.kernel import Shade, StarKernel
@@ -113,7 +114,7 @@ def trace_waves(
     star, wavelength = kernel.light_of(slot, node, wavelength_nm, stars)
     px, py, weight = pupil.sample(kernel.types, slot, node, point)
     steps = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]) * DIFFERENCE
-    px, py = (p + dr.gather(F, F(np.ascontiguousarray(steps[:, i])), variant) for i, p in enumerate((px, py)))
+    px, py = (p + dr.gather(F, uploaded(F, steps[:, i]), variant) for i, p in enumerate((px, py)))
     error = kernel.error_of(slot, node, wavelength_nm)
     start = kernel.rays(star, px, py, wavelength, error)
     through = kernel.through(px, py, slot, node, wavelength_nm, stars)

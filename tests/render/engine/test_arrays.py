@@ -1,5 +1,9 @@
 """The one ray trace on Dr.Jit arrays against the same source on NumPy arrays."""
 
+import ctypes
+import mmap
+import os
+
 import numpy as np
 import pytest
 
@@ -9,6 +13,7 @@ from optics.lens.perturb import decentre, tilt
 from optics.lens_file import load_lens
 from optics.rays.program import compile_lens
 from optics.rays.trace import Rays, trace, trace_program
+from render.engine.upload import uploaded
 
 LENSES = ("star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm")
 OTHERS = [(LENSES[0], True), (LENSES[1], False), (LENSES[2], False), (LENSES[2], True)]
@@ -21,6 +26,17 @@ def test_elementary_functions_agree_with_numpy(engine):
     assert np.array_equal(xp.sqrt(engine.types.Float64(values**2)).numpy(), NUMPY.sqrt(values**2))
     assert np.array_equal(xp.maximum(arrays, 0.25).numpy(), NUMPY.maximum(values, 0.25))
     assert np.array_equal(xp.where(arrays > 0, arrays, 7.0).numpy(), NUMPY.where(values > 0, values, 7.0))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="mprotect")
+def test_kernels_do_not_read_beyond_what_is_uploaded(engine):
+    """Before a page that must not be read: Dr.Jit's own arrays of these 13 numbers end the process."""
+    size, memory = mmap.PAGESIZE, mmap.mmap(-1, 2 * mmap.PAGESIZE)
+    second = ctypes.addressof(ctypes.c_char.from_buffer(memory)) + size
+    assert ctypes.CDLL(None).mprotect(ctypes.c_void_p(second), ctypes.c_size_t(size), 0) == 0
+    values = np.frombuffer(memory, count=13, offset=size - 13 * 8)
+    values[:] = np.arange(13.0)
+    assert ((uploaded(engine.types.Float64, values) + 1.0).numpy() == np.arange(1.0, 14.0)).all()
 
 
 def test_parameters_keep_double_precision_and_stay_out_of_the_kernel(engine):
