@@ -29,7 +29,8 @@ from render.camera import Camera
 from render.catalogue.gaia import load_gaia
 from render.catalogue.index import SkyIndex, build_index
 from render.catalogue.motion import directions_at, earth_observer, propagate
-from render.sky.field import field_of, field_of_view, star_field, star_light
+from render.sky.field import field_of, field_of_view, star_field
+from render.sky.star_light import star_light
 
 RADIUS_RAD = float(np.radians(8.5))
 EPOCH_YEAR = 2026.5

@@ -42,7 +42,8 @@ from render.engine import Engine
 from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.sky.background import background_map, sky_background
-from render.sky.field import field_of, field_of_view, star_field, star_light
+from render.sky.field import field_of, field_of_view, star_field
+from render.sky.star_light import star_light
 
 TARGET = Path(__file__).with_name("pictures") / "orion.png"
 CENTRE_DEG = (83.6, 0.3)

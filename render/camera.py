@@ -24,9 +24,6 @@ from optics.response import Response
 from optics.units import UM_MM
 from render.detector.spec import Detector
 
-__all__ = ["FAR_NOISE", "Camera", "Diffraction", "FarLight", "PathLosses", "ScatterLaw", "build_camera", "launch_disk"]
-
-
 RESPONSE_STEP_NM = 5.0
 
 Diffraction = Literal["rays", "waves", "exact_waves"]

@@ -24,8 +24,6 @@ from render.tracing.convergence import TOLERANCE
 from render.tracing.motion.exposure import ExposureMotion
 from render.tracing.tracer import TracedStars, Tracer
 
-__all__ = ["StarRenderer", "render_stars", "star_scene"]
-
 SCENES = "STARBENCH_SCENES"
 """Environment variable that names a folder: the scene of every image of stars is saved there."""
 _number = itertools.count()

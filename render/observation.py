@@ -39,8 +39,6 @@ from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Observation", "SkySimulator", "observe"]
-
 
 NODES = 6
 MARGIN_PX = 16.0

@@ -12,17 +12,6 @@ from optics.errors import DomainError
 from optics.light.collimation import Collimation
 from optics.records import freeze
 
-__all__ = [
-    "EffectivePsf",
-    "ExpectedImage",
-    "Frame",
-    "PixelMap",
-    "StarField",
-    "Truth",
-    "WindowStack",
-    "checked_exposure",
-]
-
 LONGEST_EXPOSURE_S = 1e7
 """Four months; far beyond it, numbers of electrons leave what the arithmetic of a detector can hold."""
 

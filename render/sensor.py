@@ -24,9 +24,6 @@ from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.spec import Detector, load_detector
 from render.records import PixelMap
 
-__all__ = ["StarSensor", "load_star_sensor"]
-
-
 _ROUNDING = 1e-12
 _MAP_GRID, _MAP_NODES, _MAP_ORDER = 15, 8, (5, 12)
 """Places along each side of the map of a camera, wavelengths, rings and azimuths of the pupil."""

@@ -41,7 +41,8 @@ from render.detector.spec import Detector
 from render.fits.wcs import LensWcs, lens_wcs
 from render.records import StarField
 from render.sky.background import BackgroundMap, UniformSky, background_map, sky_background
-from render.sky.field import FieldOfView, SkyField, StarLight, field_of, field_of_view, star_light
+from render.sky.field import FieldOfView, SkyField, field_of, field_of_view
+from render.sky.star_light import StarLight, star_light
 from render.sky.zodiacal import CLOSEST_DEG
 
 if TYPE_CHECKING:

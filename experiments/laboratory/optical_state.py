@@ -24,7 +24,8 @@ from optics.rays.spots import Spots, trace_spots
 from render.camera import Camera
 from render.records import EffectivePsf
 from render.sky.star_light import StarLight, star_light
-from render.tracing.psf import measured_psfs, ray_epsf, trailed, wave_images
+from render.tracing.measured.images import measured_psfs
+from render.tracing.psf import ray_epsf, trailed, wave_images
 
 __all__ = ["NODES", "OpticalState", "longest_trail_px", "optical_state"]
 

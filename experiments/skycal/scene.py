@@ -26,7 +26,7 @@ from render.engine.random import Streams
 from render.motion.gyro import Gyro, simulate_gyro
 from render.motion.trajectory import SampledAttitude, mounted
 from render.records import StarField
-from render.sky.field import StarLight, star_light
+from render.sky.star_light import StarLight, star_light
 
 STEPS_PER_FRAME = 20
 """Of the integration that makes the trajectory; a spline through the result is the truth."""

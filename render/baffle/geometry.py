@@ -23,18 +23,6 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.records import freeze
 
-__all__ = [
-    "COATINGS",
-    "BlackCoating",
-    "Mesh",
-    "VanedBaffle",
-    "black_coating",
-    "check_closed",
-    "read_glb",
-    "vaned_baffle",
-    "vaned_mesh",
-]
-
 NORMAL_LOBE = 0.04
 """Reflectance of the lobe's Fresnel law, index 1.5, at normal incidence."""
 MOST_VANES = 60

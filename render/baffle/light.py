@@ -31,8 +31,6 @@ from optics.rays.pupil import gauss_disk
 from render.baffle.geometry import BlackCoating, Mesh, VanedBaffle, check_closed, read_glb, vaned_mesh
 from render.engine import Engine
 
-__all__ = ["BaffleLight", "BaffleScene", "WorstPaths", "cylinder_intensity", "lens_weight", "read_mesh"]
-
 BOUNCES = 8
 """Surfaces that light meets at most."""
 LOG2_PASS, MOST_PASSES, FEWEST_PASSES = 15, 64, 4

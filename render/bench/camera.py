@@ -19,8 +19,6 @@ from optics.errors import DomainError
 from optics.records import freeze, locked
 from render.engine import Engine
 
-__all__ = ["BenchCamera"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchCamera:

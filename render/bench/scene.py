@@ -22,9 +22,6 @@ from optics.errors import DomainError
 from optics.records import freeze
 from render.engine import Engine
 
-__all__ = ["FACES", "BenchGeometry", "CubePose", "bench_scene", "place_cube", "plate_mesh"]
-
-
 FACES: dict[str, tuple[int, int]] = {
     "+X": (0, 1),
     "-X": (0, -1),

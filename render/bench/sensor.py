@@ -26,9 +26,6 @@ from render.bench.trace import OVERSCAN, from_fixed, phase_points, to_fixed
 from render.engine import Engine
 from render.engine.jit import dr
 
-__all__ = ["MaskSensor", "mask_scene", "trace_mask"]
-
-
 PLATE_MM = 12.0
 
 

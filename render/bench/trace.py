@@ -27,9 +27,6 @@ from render.bench.scene import BenchGeometry
 from render.engine import Engine
 from render.engine.jit import dr
 
-__all__ = ["Landing", "land", "trace_screen"]
-
-
 OVERSCAN = 1.03
 SEGMENTS = 2  # simulator to face (or sheet), face to screen
 FIXED = 2.0**40

@@ -19,9 +19,6 @@ from render.bench.trace import continued, start_rays
 from render.engine import Engine
 from render.engine.jit import dr
 
-__all__ = ["beam_in_dust", "overview_scene", "overview_sensor", "render_overview"]
-
-
 DUST_LOG2 = 21
 
 

@@ -29,9 +29,6 @@ from render.records import ExpectedImage, checked_exposure
 from render.sky.field import FieldOfView, field_of_view
 from render.sky.sunlight import sun_spectrum, sunlight
 
-__all__ = ["NOISE_SHARE", "BodyImage", "BodyRenderer", "render_body"]
-
-
 NOISE_SHARE = 0.03
 """Square of the image's error over the variance of its photons: what frames show is photon noise."""
 CEILING_E = 1e5

@@ -32,9 +32,6 @@ from optics.light.spectrum import TabulatedSed
 from render.bodies.lunar_irradiance import moon_reflectance
 from render.sky.sunlight import sun_spectrum
 
-__all__ = ["ALBEDO", "ALBEDO_NM", "planet_spectrum", "planet_v"]
-
-
 ALBEDO_NM = (360.0, 436.0, 549.0, 641.0, 700.0, 798.0, 900.0)  # U, B, V, Rc, R, Ic, I
 ALBEDO = {
     "mercury": (0.087, 0.105, 0.142, 0.158, 0.172, 0.180, 0.208),

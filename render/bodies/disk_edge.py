@@ -7,8 +7,6 @@ from typing import Any
 
 from render.engine.jit import dr
 
-__all__ = ["Edge", "apart"]
-
 
 @dataclass(frozen=True, slots=True)
 class Edge:

@@ -26,8 +26,6 @@ from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
 
-__all__ = ["BOND_ALBEDO", "HEIGHT_KM", "Air", "earth_air", "rayleigh_thickness"]
-
 BOND_ALBEDO = 0.297
 HEIGHT_KM, EARTH_KM = 7.0, 6371.0084
 

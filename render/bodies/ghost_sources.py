@@ -25,8 +25,6 @@ from render.records import StarField, Truth
 from render.sky.sunlight import SUN_RADIUS_KM, sunlight
 from render.tracing.ghosts import Ghosting, GhostTruth
 
-__all__ = ["GhostSources", "sun_field"]
-
 
 def sun_field(from_sun_au: FloatArray, bands: Sequence[Band], *, nodes: int = 5) -> tuple[StarField, float]:
     """The Sun, seen from a place along icrs [au], as a point of light; and the radius of its disk [rad]."""

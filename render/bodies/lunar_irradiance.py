@@ -30,8 +30,6 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from render.bodies.lunar_map import moon_rotation
 
-__all__ = ["KNOWN_DEG", "moon_reflectance"]
-
 LIBRATION_DEG = 8.0
 """Its largest, about; beyond it the terms of libration stay as they are."""
 FITTED_DEG, KNOWN_DEG = 97.0, 150.0

@@ -18,8 +18,6 @@ from scipy.spatial.transform import Rotation
 from optics.arrays import FloatArray
 from optics.records import locked
 
-__all__ = ["HIGHLAND", "MARE", "MARIA", "RAYED", "lunar_map", "moon_rotation"]
-
 MARE, HIGHLAND = 0.07, 0.135
 MOON_KM = 1737.4
 # longitude east, latitude [deg], radius [km]

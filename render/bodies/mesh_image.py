@@ -27,8 +27,6 @@ from render.engine import Engine
 from render.plugins.camera_properties import lens_camera_properties
 from render.plugins.register import register_plugins
 
-__all__ = ["mesh_image"]
-
 PASS_SAMPLES, PASSES, MOST_PASSES = 64, 8, 128
 """Rays per pixel, node and pass; passes that are made in any case; most of them."""
 

@@ -25,8 +25,6 @@ from optics.rays.paraxial import axial_paraxial
 from optics.rays.spots import trace_spots
 from render.camera import Camera
 
-__all__ = ["PixelMaps", "Tile", "TileMap"]
-
 DEGREE, GRID = 5, 7
 """Total degree of the polynomials; directions along each side of a tile."""
 TILE_PX, SMALLEST_PX = 256, 64

@@ -29,9 +29,6 @@ from render.bodies.brightness import planet_spectrum, planet_v
 from render.catalogue.motion import Observer, aberrated, earth_observer
 from render.records import StarField
 
-__all__ = ["BODIES", "RADIUS_KM", "SolarSystem", "hiding_spheres", "joined", "planet_field", "solar_system"]
-
-
 RADIUS_KM = {
     "mercury": 2439.4, "venus": 6051.8, "earth": 6371.0084, "moon": 1737.4, "mars": 3389.50,
     "jupiter": 69911.0, "saturn": 58232.0, "uranus": 25362.0, "neptune": 24622.0,

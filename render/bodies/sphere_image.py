@@ -32,8 +32,6 @@ from render.engine import Engine
 from render.engine.jit import dr
 from render.engine.upload import uploaded
 
-__all__ = ["Cover", "Exposed", "Light", "Sphere", "sphere_image"]
-
 CELLS = (1, 2, 4, 8, 16, 32, 64)
 """Cells along each side of a pixel; the next number for the pixels that need it."""
 ACROSS = 2.0

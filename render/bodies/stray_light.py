@@ -27,17 +27,6 @@ from render.catalogue.motion import Observer
 from render.detector.spec import Detector
 from render.sky.sunlight import sunlight
 
-__all__ = [
-    "FULL_MOON_V",
-    "BandLight",
-    "StrayLight",
-    "band_light",
-    "earth_points",
-    "limb_pst",
-    "stray_electrons_per_s",
-    "stray_light",
-]
-
 FULL_MOON_V = -12.74
 """Mean full Moon (C. W. Allen, Astrophysical Quantities)."""
 EARTH_ALBEDO = 0.3

@@ -30,9 +30,6 @@ from render.bodies.sphere_image import Light
 from render.plugins.lunar_surface import lommel_seeliger_phase
 from render.sky.sunlight import sun_spectrum, sunlight
 
-__all__ = ["SunlitBody", "covers", "map_factor", "planet_body", "sphere_photons"]
-
-
 SCALED_AT_NM = 550.0
 """Where spectra of bodies are tied to their magnitude V."""
 DISK_RINGS, DISK_ARMS = 96, 384

@@ -33,9 +33,6 @@ from render.catalogue.motion import propagate
 from render.catalogue.record import MAS_RAD, StarCatalog, direction_from_angles
 from render.catalogue.temperature import effective_temperature
 
-__all__ = ["ATTRIBUTION", "gaia_extent", "load_gaia"]
-
-
 ATTRIBUTION = (
     "This work has made use of data from the European Space Agency (ESA) mission Gaia "
     "(https://www.cosmos.esa.int/gaia), processed by the Gaia Data Processing and Analysis Consortium (DPAC), under "

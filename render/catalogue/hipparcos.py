@@ -25,8 +25,6 @@ from optics.units import ARCSEC_RAD
 from render.catalogue.motion import propagate
 from render.catalogue.record import MAS_RAD, StarCatalog, direction_from_angles
 
-__all__ = ["read_hip2", "with_motions"]
-
 EPOCH_YEAR = 1991.25
 _ROW = 277  # bytes with the end of the line; columns of I/311 hip2.dat below, counted from 0
 _COLUMNS = {

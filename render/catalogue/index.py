@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from optics.errors import DomainError
 from render.catalogue.record import StarCatalog
 
-__all__ = ["SkyIndex", "build_index"]
-
 # Leaves of 64 without balancing cost the same to search as scipy's defaults and half as much to build.
 _LEAF_SIZE = 64
 

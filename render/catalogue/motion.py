@@ -29,9 +29,6 @@ from optics.errors import DomainError
 from optics.records import freeze
 from render.catalogue.record import StarCatalog
 
-__all__ = ["Observer", "aberrated", "deflected", "directions_at", "earth_observer", "propagate"]
-
-
 _AU_PER_YEAR_KM_PER_S = constants.au / (365.25 * 86400.0) / 1e3
 _LIGHT_KM_PER_S = constants.c / 1e3
 _LIGHT_YEAR_PER_AU = constants.au / constants.c / (365.25 * 86400.0)

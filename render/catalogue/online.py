@@ -15,8 +15,6 @@ from render.catalogue.presets import get_preset
 from render.catalogue.read import catalog_from_table
 from render.catalogue.record import StarCatalog
 
-__all__ = ["download_gaia", "download_vizier"]
-
 _VIZIER = {
     "hipparcos": ("I/239/hip_main", "Vmag", ["HIP", "RAICRS", "DEICRS", "pmRA", "pmDE", "Plx", "Vmag", "B-V"]),
     "bright_star": (

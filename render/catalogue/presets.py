@@ -9,8 +9,6 @@ from typing import Any, Literal
 
 from optics.errors import ConfigError, unknown_name
 
-__all__ = ["MEANINGS", "ColumnPreset", "get_preset", "preset_names"]
-
 MEANINGS: Mapping[str, str] = {
     "id": "",
     "ra": "rad",

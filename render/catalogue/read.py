@@ -27,9 +27,6 @@ from render.catalogue.presets import MEANINGS, ColumnPreset, get_preset
 from render.catalogue.record import StarCatalog, direction_from_angles
 from render.catalogue.temperature import effective_temperature
 
-__all__ = ["catalog_from_table", "read_catalog"]
-
-
 _FORMATS = {
     ".fits": "fits", ".fit": "fits", ".vot": "votable", ".votable": "votable", ".xml": "votable", ".ecsv": "ascii.ecsv",
     ".csv": "ascii.csv", ".mrt": "ascii.mrt",

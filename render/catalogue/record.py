@@ -14,9 +14,6 @@ from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 from optics.units import ARCSEC_RAD, RAD_ARCSEC, RAD_DEG
 
-__all__ = ["MAS_RAD", "StarCatalog", "direction_from_angles"]
-
-
 MAS_RAD = ARCSEC_RAD * 1e-3
 _COLUMNS = (
     "parallax_rad",

@@ -41,15 +41,6 @@ from optics.errors import ConfigError
 if TYPE_CHECKING:
     from render.catalogue.record import StarCatalog
 
-__all__ = [
-    "B_V_RANGE_MAG",
-    "COLOUR_TEMPERATURE_RANGE_K",
-    "TYPICAL_TEMPERATURE_K",
-    "colour_temperature",
-    "effective_temperature",
-    "star_temperature",
-]
-
 
 # Teff [K], B-V, BP-RP of dwarfs from O3 to M7; BP-RP is not tabulated before B9
 _SEQUENCE = np.array(

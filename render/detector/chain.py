@@ -18,8 +18,6 @@ from render.engine.philox import normal, split_key
 from render.engine.poisson import INVERSION_LIMIT, poisson
 from render.engine.random import Streams
 
-__all__ = ["Exposure", "Neighbours", "digitise"]
-
 _FRAME_AXIS_LIMIT = 1 << 24
 
 

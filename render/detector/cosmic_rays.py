@@ -27,15 +27,6 @@ from render.detector.ionisation import PAIR_ENERGY_EV, draw_collisions, knock_on
 from render.detector.spec import Detector
 from render.engine.random import Streams
 
-__all__ = [
-    "CosmicRayEnvironment",
-    "CosmicRayHits",
-    "cosmic_ray_environment",
-    "cosmic_ray_hits",
-    "list_environments",
-]
-
-
 _DEPTH_UM = (1.0, 500.0)
 _LARGEST_HITS = 1e6
 _CHUNK = 1 << 18

@@ -12,8 +12,6 @@ from optics.errors import DomainError
 from render.detector.cosmic_rays import CosmicRayHits
 from render.detector.spec import Detector
 
-__all__ = ["frame_deposit", "window_deposit"]
-
 
 def frame_deposit(types: Any, hits: CosmicRayHits, detector: Detector) -> Any:
     """Charge in every pixel of the detector (h w,) [e-], or None without hits."""

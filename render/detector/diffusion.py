@@ -11,8 +11,6 @@ from scipy.special import ive
 
 from optics.errors import DomainError
 
-__all__ = ["diffuse", "diffusion_kernel"]
-
 
 def diffusion_kernel(sigma_px: float) -> NDArray[np.float64]:
     """Discrete Gaussian, T(k) = exp(-t) I_k(t) with t = sigma^2 (Lindeberg 1990, IEEE PAMI 12, 234).

@@ -21,9 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from optics.arrays import FloatArray
 
-__all__ = ["PAIR_ENERGY_EV", "Collisions", "draw_collisions", "knock_on_limit_ev", "restricted_loss_ev_per_um"]
-
-
 PAIR_ENERGY_EV = 3.65
 """Energy per electron-hole pair in silicon at room temperature (Fraser et al. 1994, Nucl. Instr. Meth. A 350, 368)."""
 

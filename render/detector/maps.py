@@ -20,8 +20,6 @@ from render.engine import Engine
 from render.engine.random import Streams
 from render.engine.upload import uploaded
 
-__all__ = ["SensorMaps", "dark_electrons", "sensor_maps"]
-
 DISPLACEMENTS = tuple((dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dx or dy)
 _WHOLE = ("width_px", "height_px", "chip_width_px", "gap_px")
 

@@ -24,8 +24,6 @@ from scipy.special import gammainc, gammaln, xlogy
 from optics.arrays import FloatArray
 from render.detector.spec import Detector
 
-__all__ = ["PixelNoise", "damage_moments"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PixelNoise:

@@ -22,8 +22,6 @@ from scipy import constants
 from optics.errors import DomainError
 from render.detector.spec import Detector
 
-__all__ = ["aged", "damage_factor"]
-
 GAMMA_PER_UM3 = 0.097179425484859 / 4100.0
 """Centres per um^3 and TeV/g (Belloir et al. 2016, as their authors hold it in Pyxel's ``dark_current_induced``)."""
 

@@ -43,8 +43,6 @@ from render.engine.random import Streams
 from render.engine.upload import uploaded
 from render.records import ExpectedImage, Frame, WindowStack, checked_exposure
 
-__all__ = ["expose", "expose_windows"]
-
 _INFINITY = np.float32(np.inf).view(np.uint32)
 _EVERY = 8  # of the rows and columns that tell how bright an image is
 

@@ -25,8 +25,6 @@ from optics.textfile import read_text
 from optics.units import UM_MM
 from optics.validate import MOST_MISSING, parse_model, read_toml
 
-__all__ = ["Detector", "DetectorFile", "list_detectors", "load_detector"]
-
 _DATA = Path(__file__).parents[1] / "data" / "detectors"
 _HIGHEST = 1e7
 _SIDE = 32768

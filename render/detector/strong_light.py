@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from render.detector.spec import Detector
 
-__all__ = ["bloomed", "column_effects", "with_lag", "with_smear"]
-
 SURELY_FULL_SIGMA = 6.0
 """A full well is expected to hold so many standard deviations more: it is full in every draw."""
 

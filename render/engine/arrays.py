@@ -10,8 +10,6 @@ from optics.arrays import FloatArray
 from render.engine.jit import dr
 from render.engine.upload import uploaded
 
-__all__ = ["DrJitArrays"]
-
 
 class DrJitArrays:
     """Dr.Jit arrays of one float type.

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from optics.errors import BackendError
 
-__all__ = ["home_with_cache"]
-
 
 @contextmanager
 def home_with_cache() -> Iterator[None]:

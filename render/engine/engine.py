@@ -18,7 +18,6 @@ from render.engine.llvm import check_llvm
 if TYPE_CHECKING:
     from render.engine.arrays import DrJitArrays
 
-__all__ = ["BACKENDS", "Engine"]
 
 BACKENDS = ("auto", "llvm", "cuda")
 _SUFFIX = "ad_mono"

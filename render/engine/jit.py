@@ -20,8 +20,6 @@ from optics.errors import BackendError
 from render.engine.cache import home_with_cache
 from render.engine.llvm import point_to_llvm
 
-__all__ = ["SAID", "dr"]
-
 
 def _loaded() -> tuple[Any, str]:
     """Dr.Jit, and what it printed while loading."""

@@ -13,16 +13,6 @@ from pathlib import Path
 
 from optics.errors import BackendError
 
-__all__ = [
-    "check_llvm",
-    "find_llvm",
-    "install_advice",
-    "llvm_version",
-    "packaged",
-    "point_to_llvm",
-    "searched_folders",
-]
-
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _OLDEST_LLVM = 15
 # Measured: drjit 1.5.0 (mitsuba 3.9.1) emits fmaximum/fminimum, which LLVM 15 and 16 cannot select for x86-64; LLVM

@@ -12,8 +12,6 @@ from typing import Any
 
 from render.engine.jit import dr
 
-__all__ = ["normal", "philox4x32", "split_key", "uniform", "uniform64"]
-
 _MULTIPLIER_0, _MULTIPLIER_1 = 0xD2511F53, 0xCD9E8D57
 _WEYL_0, _WEYL_1 = 0x9E3779B9, 0xBB67AE85
 _ROUNDS = 10

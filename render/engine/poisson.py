@@ -21,8 +21,6 @@ from typing import Any
 from render.engine.jit import dr
 from render.engine.philox import philox4x32, uniform64
 
-__all__ = ["INVERSION_LIMIT", "poisson"]
-
 INVERSION_LIMIT = 30.0
 # Reached with a probability of 1e-80 at the largest mean of the branch; ends the loop if rounding leaves a rest.
 _INVERSION_STEPS = 200.0

@@ -16,8 +16,6 @@ import numpy as np
 
 from optics.errors import DomainError
 
-__all__ = ["Streams"]
-
 
 @dataclass(frozen=True, slots=True)
 class Streams:

@@ -32,8 +32,6 @@ from optics.fits import located, open_fits
 from render.fits.headers import BLOCK, SUMS, Card, block, checked_cards, summed
 from render.records import Frame
 
-__all__ = ["read_frame", "read_frames", "write_frame"]
-
 _SATURATED, _DEFECT = 1, 2
 _BESIDE = ("MASK", "DQ", "BPM", "ERR", "UNCERT", "WEIGHT")  # extensions that go with a frame and are none
 _PIXEL_OFFSET: Card = ("PIXOFF", 1, "add to array indices for FITS pixels")

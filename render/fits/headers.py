@@ -17,8 +17,6 @@ from astropy.io import fits
 
 from optics.errors import ConfigError
 
-__all__ = ["BLOCK", "SUMS", "Card", "block", "checked_cards", "summed"]
-
 Card = tuple[str, Any, str]
 """Keyword, value, comment."""
 

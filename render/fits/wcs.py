@@ -37,8 +37,6 @@ from optics.units import RAD_DEG
 from render.camera import Camera
 from render.fits.headers import Card
 
-__all__ = ["LensWcs", "lens_wcs", "sky_grid"]
-
 HIGHEST_ORDER = 9
 """Highest order of a SIP polynomial that astropy and ds9 read (Shupe et al. 2005)."""
 

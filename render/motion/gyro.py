@@ -30,8 +30,6 @@ from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 from render.motion.trajectory import Trajectory
 
-__all__ = ["Gyro", "GyroRecord", "simulate_gyro", "simulate_gyro_runs", "true_rates"]
-
 HOUR_S = 3600.0
 # Gauss-Legendre nodes in a step: exact for a rate that is a polynomial of degree 7 over the step.
 NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(4)

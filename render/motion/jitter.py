@@ -25,9 +25,6 @@ from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 from render.motion.trajectory import Trajectory
 
-__all__ = ["JitterSpectrum", "Jittered", "jittered"]
-
-
 CELLS = 512
 """Cells of equal ratio between the lowest and the highest frequency."""
 _AXES = ("x", "y", "z")

@@ -26,8 +26,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["ConstantRate", "Mounted", "SampledAttitude", "Slew", "Trajectory", "mounted"]
-
 SLACK_S = 1e-9  # a time this far outside still counts as the end: sums of steps do not land on it exactly
 
 

@@ -17,8 +17,6 @@ from render.engine.jit import dr
 from render.motion.trajectory import ConstantRate
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 
-__all__ = ["ALUMINIUM_PER_K", "CameraNumbers"]
-
 ALUMINIUM_PER_K = 23.6e-6
 """Expansion of aluminium 6061."""
 FOCUS_STEP_MM = 1e-3

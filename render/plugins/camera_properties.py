@@ -17,19 +17,6 @@ from render.engine import Engine
 from render.plugins.handles import Handles, rotation_of
 from render.tracing.motion.exposure import ExposureMotion
 
-__all__ = [
-    "CameraMotion",
-    "camera_of",
-    "exposure_motion_of",
-    "find_camera",
-    "find_motion",
-    "lens_camera_properties",
-    "motion_of",
-    "moved",
-    "share_camera",
-    "share_motion",
-]
-
 _MITSUBA_FROM_CAM = np.diag([-1.0, -1.0, 1.0])
 """Mitsuba's local frame has +X to the left and +Y up in the image; cam has +X to the right and +Y down."""
 

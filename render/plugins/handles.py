@@ -10,8 +10,6 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, unknown_name
 from optics.record_files import read_record
 
-__all__ = ["Handles", "resolved", "rotation_of"]
-
 _Record = TypeVar("_Record")
 KEPT = 64
 """Records that are kept alive; of any more, the first ones are let go."""

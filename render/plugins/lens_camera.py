@@ -83,8 +83,6 @@ from render.plugins.camera_properties import camera_of, exposure_motion_of, moti
 from render.tracing.motion.exposure import ExposureMotion
 from render.tracing.pupil.sampling import probe_fields
 
-__all__ = ["define", "exit_disk"]
-
 EXIT_PUPIL_MARGIN = 1.03
 """The disk that backward rays aim at, in radii of what forward rays fill: room for what lies between those."""
 EXIT_PUPIL_RAYS = 400

@@ -16,8 +16,6 @@ from typing import Any
 
 from render.engine.jit import dr
 
-__all__ = ["define", "lommel_seeliger_phase"]
-
 
 def lommel_seeliger_phase(phase_rad: float) -> float:
     """Light of a Lommel-Seeliger sphere at a phase angle over that at full phase."""

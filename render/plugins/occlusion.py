@@ -21,9 +21,6 @@ from render.engine import Engine
 from render.engine.jit import dr
 from render.engine.upload import uploaded
 
-__all__ = ["SceneShade"]
-
-
 MOST = 3e38
 CLOSE = 20.0
 """Bodies farther away than so many times their size have a part of the ray to themselves."""

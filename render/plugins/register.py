@@ -5,8 +5,6 @@ from __future__ import annotations
 from render.engine import Engine
 from render.plugins import lens_camera, lunar_surface, star_field, star_tracer
 
-__all__ = ["register_plugins"]
-
 _registered: dict[str, tuple[type, type, type]] = {}
 
 

@@ -21,9 +21,6 @@ from render.plugins.register import register_plugins
 from render.plugins.star_field import find_collimation, save_star_field
 from render.records import StarField
 
-__all__ = ["save_scene"]
-
-
 HANDLES: tuple[tuple[str, str, Callable[[str], Any]], ...] = (
     ("lens_camera", "camera", find_camera),
     ("lens_camera", "exposure_motion", find_motion),

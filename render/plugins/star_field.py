@@ -53,8 +53,6 @@ from render.engine.upload import uploaded
 from render.plugins.handles import Handles, resolved, rotation_of
 from render.records import StarField
 
-__all__ = ["NEVER", "define", "find_collimation", "save_star_field", "share_collimation"]
-
 NEVER = 1e-30
 """Sampling weight that any other emitter's outweighs; of 0 alone Mitsuba makes no distribution."""
 NO_RADIUS = "ptracer starts rays around the scene; give scene_centre and scene_radius of a sphere that holds it"

@@ -15,8 +15,6 @@ from render.tracing.gradient import AttachedPaths, lens_numbers, star_image
 from render.tracing.motion.paths import at_rest, star_paths
 from render.tracing.tracer import Tracer
 
-__all__ = ["attached_image"]
-
 Matrix = list[list[Any]]
 
 

@@ -45,8 +45,6 @@ from render.plugins.star_gradient import attached_image
 from render.tracing.convergence import TOLERANCE
 from render.tracing.tracer import TracedStars, Tracer
 
-__all__ = ["define"]
-
 KEPT = 8
 """Cameras (with a seed each) whose compiled lens is kept for the next image."""
 

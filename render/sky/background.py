@@ -38,9 +38,6 @@ from render.sky.field import FieldOfView, field_of_view
 from render.sky.sunlight import sun_spectrum, sunlight
 from render.sky.zodiacal import zodiacal_radiance
 
-__all__ = ["BackgroundMap", "UniformSky", "background_map", "sky_background"]
-
-
 SQUARE_ARCSEC_SR = (math.pi / 180.0 / 3600.0) ** 2
 TRACED_NODES = 13
 """Places per axis at which the etendue is traced; a spline runs between them."""

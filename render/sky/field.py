@@ -26,10 +26,7 @@ from render.catalogue.motion import Observer, directions_at
 from render.catalogue.record import StarCatalog
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K, star_temperature
 from render.records import StarField
-from render.sky.star_light import StarLight, star_light
-
-__all__ = ["FieldOfView", "SkyField", "StarLight", "field_of", "field_of_view", "star_field", "star_light"]
-
+from render.sky.star_light import StarLight
 
 _DEGREE = 9
 _GRID = 14

@@ -14,8 +14,6 @@ from optics.records import freeze
 from render.catalogue.index import SkyIndex
 from render.sky.field import FieldOfView
 
-__all__ = ["SkySample", "sample_sky"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SkySample:

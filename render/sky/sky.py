@@ -21,9 +21,6 @@ from render.records import StarField
 from render.sky.field import FieldOfView, SkyField, field_of
 from render.sky.star_light import StarLight
 
-__all__ = ["Sky", "load_sky"]
-
-
 FAINTEST_MAG = 8.0
 EPOCH_YEAR = 2016.0
 

@@ -18,9 +18,6 @@ from optics.light.spectrum import Blackbody, Sed
 from optics.records import freeze
 from render.records import StarField
 
-__all__ = ["StarLight", "star_light"]
-
-
 TEMPERATURE_KNOTS = 96
 COLDEST_K, HOTTEST_K = 900.0, 70000.0
 

@@ -17,8 +17,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.spectrum import TabulatedSed
 
-__all__ = ["SUN_RADIUS_KM", "sun_spectrum", "sunlight"]
-
 SUN_RADIUS_KM = 695_700.0
 """Nominal solar radius, IAU 2015 resolution B3."""
 

@@ -27,9 +27,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.sky.sunlight import sun_spectrum, sunlight
 
-__all__ = ["CLOSEST_DEG", "ecliptic_from_icrs", "zodiacal_radiance"]
-
-
 CLOSEST_DEG = 15.0
 """Angle from the Sun at which the table ends."""
 

@@ -9,9 +9,6 @@ import numpy as np
 
 from optics.arrays import FloatArray
 
-__all__ = ["HIGHEST_FREQUENCY", "MOTION_TOLERANCE", "TOLERANCE", "damped_frequencies", "frequencies_up_to", "transfer"]
-
-
 TOLERANCE = 3e-5
 """Largest error of a pixel that counts as converged, in the light of its star."""
 MOTION_TOLERANCE = 1e-4

@@ -27,8 +27,6 @@ from optics.records import freeze
 from render.camera import Camera, PathLosses
 from render.records import StarField, Truth
 
-__all__ = ["GhostLight", "GhostTruth", "Ghosting"]
-
 ANGLES, ORDER = (0.1, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 16.0), (6, 12)
 """Angles, in parts of the field, whose ghosts tell which can be seen, by so many rays."""
 ROOM = 5.0

@@ -46,9 +46,6 @@ from render.tracing.waves.plane_waves import DIFFERENCE
 from render.tracing.waves.summed import Probe, SummedImages
 from render.tracing.waves.windows import FieldSampling
 
-__all__ = ["AttachedPaths", "LensNumbers", "lens_numbers", "star_image"]
-
-
 AIM, RIM = 1e-4, 1e-5
 """Differences by which the slopes of Newton's last step are taken, in radii of the launch disk."""
 PASS_RAYS, WAVE_PASS_RAYS = 1 << 22, 1 << 19

@@ -18,8 +18,6 @@ from render.camera import Camera, ScatterLaw
 from render.records import Truth
 from render.tracing.motion.exposure import IdealLens
 
-__all__ = ["add_halos", "with_scattered"]
-
 LEAST_E = 0.1
 """Electrons of a pixel at which halos end where the camera does not tell."""
 NEAR_PX, PARTS = 12, 12

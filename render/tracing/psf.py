@@ -21,20 +21,8 @@ from optics.waves.even_pupil import even_pupil
 from optics.waves.pupil_field import PupilField, trace_pupil
 from render.camera import Camera
 from render.records import EffectivePsf, StarField
-from render.tracing.measured.images import measured_psfs, pixel_shares
+from render.tracing.measured.images import pixel_shares
 from render.tracing.tracer import Tracer
-
-__all__ = [
-    "WaveImages",
-    "epsf_tracer",
-    "measured_psfs",
-    "pixel_shares",
-    "ray_epsf",
-    "render_epsf",
-    "trailed",
-    "wave_images",
-]
-
 
 TOLERANCE = 2e-4
 """Of the pupil quadrature: an error of this size at half a cycle per pixel and beyond moves a fit by some 1e-5 px."""

@@ -36,9 +36,6 @@ from render.tracing.rays.kernel import Shade, StarKernel
 from render.tracing.truth import Sampling, TruthSums
 from render.tracing.waves.images import WaveImages
 
-__all__ = ["TracedStars", "Tracer"]
-
-
 SHORTEST_PX = 1e-3
 """Path along which the lens's scale is not measured."""
 

@@ -13,8 +13,6 @@ from optics.errors import DomainError
 from render.records import Truth
 from render.tracing.rays.kernel import ARRIVED, CLEAR, FIRST, HIDDEN, LOST, OUTSIDE, SECOND, STRIPS, StampSums
 
-__all__ = ["RayMoments", "Sampling", "TruthSums", "WaveStamps", "add_stamps", "check_lit"]
-
 
 def add_stamps(
     image: NDArray[Any],

@@ -36,8 +36,6 @@ from render.tracing.pupil.points import DiskPoints, SobolPoints
 from render.tracing.rays.kernel import StarKernel
 from render.tracing.truth import Sampling, TruthSums, add_stamps, check_lit
 
-__all__ = ["MeasuredImages", "MeasuredPlanner", "line_nodes", "measured_psfs", "pixel_shares"]
-
 REACH = 6.5
 """Standard deviations of a Gaussian along each axis that a stamp holds."""
 LINE_ERROR = 1e-6

@@ -33,9 +33,6 @@ from render.tracing.convergence import (
     transfer,
 )
 
-__all__ = ["NODE_LADDER", "ExposureMotion", "IdealLens", "exposure_motion", "gauss_times"]
-
-
 PANEL = 24
 """Nodes of each of the rules that large numbers of nodes are made of."""
 NODE_LADDER = (

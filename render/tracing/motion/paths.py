@@ -29,9 +29,6 @@ from optics.light.collimation import Collimation
 from render.camera import Camera
 from render.tracing.motion.exposure import ExposureMotion, IdealLens, gauss_times
 
-__all__ = ["Light", "StarPaths", "at_rest", "pick_times", "star_paths", "uniform_paths"]
-
-
 FASTEST_SHEAR = 0.2
 """Rows per line time beyond which the image outruns a rolling shutter."""
 STILL_RAD, SHORT_RAD = 1e-9, 2e-3

@@ -27,9 +27,6 @@ from render.engine.jit import dr
 from render.engine.upload import uploaded
 from render.tracing.rays.kernel import StarKernel
 
-__all__ = ["AimedLens", "Beams", "Chiefs", "Rims", "aimed_lens", "find_chiefs"]
-
-
 AIM_STEPS, AIM_TOLERANCE, AIM_DIFFERENCE = 6, 1e-11, 1e-5
 """Newton steps, residual and difference of the slopes, both in radii of the launch disk."""
 WIDE_RAD = np.radians(15.0)

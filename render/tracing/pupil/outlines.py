@@ -29,9 +29,6 @@ from render.tracing.pupil.aim import AimedLens, Beams, Chiefs, Rims
 from render.tracing.pupil.points import OutlinePoints, bounding_outline
 from render.tracing.rays.kernel import StarKernel
 
-__all__ = ["ARC_LADDER", "ARMS", "Arcs", "NodePicks", "Outlines", "find_arcs", "find_outlines", "node_picks", "rings"]
-
-
 GOLDEN = 0.6180339887498949
 PLASTIC = 1.324717957244746
 ARMS = 10

@@ -52,8 +52,6 @@ from render.tracing.pupil.sampling import (
 from render.tracing.pupil.transmission import PupilTransmission, fit_transmission
 from render.tracing.rays.kernel import Geometry, Shade, StarKernel, reach_px
 
-__all__ = ["Bounds", "Exposure", "Group", "PupilPlanner", "Sampled"]
-
 Order = tuple[int, int]
 """Rings and azimuths."""
 Points = Callable[[IntArray], PupilPoints]

@@ -19,9 +19,6 @@ from optics.arrays import FloatArray, IntArray
 from render.engine.jit import dr
 from render.engine.upload import uploaded
 
-__all__ = ["DiskPoints", "OutlinePoints", "PupilPoints", "SobolPoints", "TablePoints", "bounding_outline"]
-
-
 BOUNDING_RINGS = (1.0 - 1e-6, 0.8, 0.5, 0.2)
 
 

@@ -28,18 +28,6 @@ from render.tracing.pupil.outlines import node_turns
 from render.tracing.pupil.points import SobolPoints, TablePoints
 from render.tracing.rays.kernel import ARRIVED, FIRST, LOST, StampSums
 
-__all__ = [
-    "LADDER",
-    "OUTLINE_LADDER",
-    "Landed",
-    "Trial",
-    "converged_order",
-    "lowest_order",
-    "probe_fields",
-    "staggered",
-]
-
-
 LADDER = tuple(
     zip((4, 6, 8, 10, 12, 15, 19, 24, 30, 38, 48, 60), (8, 10, 14, 18, 22, 28, 36, 46, 58, 74, 94, 120), strict=True)
 )

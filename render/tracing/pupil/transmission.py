@@ -29,8 +29,6 @@ from optics.rays.pupil import EntrancePupil, gauss_disk, launch_disks
 from optics.rays.trace import OK, Rays
 from render.camera import Camera
 
-__all__ = ["PupilTransmission", "fit_transmission"]
-
 TOLERANCE = 2e-5
 """Largest error of a transmission at which no higher order is tried."""
 ENOUGH = 1e-4

@@ -26,9 +26,6 @@ from render.tracing.rays.kernel import (
 )
 from render.tracing.truth import Sampling, TruthSums, add_stamps, check_lit
 
-__all__ = ["RayImages"]
-
-
 PASS_BYTES = 48 << 20
 """Memory of the stamps of one pass; the number of rays does not count."""
 PASS_RAYS = 1 << 27

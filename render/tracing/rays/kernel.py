@@ -33,9 +33,6 @@ from render.engine.upload import uploaded
 from render.tracing.pupil.points import OutlinePoints, PupilPoints
 from render.tracing.pupil.transmission import PupilTransmission
 
-__all__ = ["Geometry", "Shade", "StampSums", "StarKernel", "gaussian_shares", "reach_px", "strips_per_pixel"]
-
-
 PIXEL_REACH, STRIP_REACH = 5.0, 4.0
 """Half-width of the diffusion kernel in standard deviations, at least; what lies beyond (6e-7 of the light, 6e-5 for
 the strips, in equal parts left and right) goes to the outermost pixel or strip."""

@@ -25,9 +25,6 @@ from render.engine.jit import dr
 from render.engine.upload import uploaded
 from render.tracing.waves.windows import BandLimited, FieldSampling, window_samples
 
-__all__ = ["WaveLanes", "Window", "summed_waves"]
-
-
 SPREAD, OVERSAMPLING = 9, 2
 """Points of the grid of frequencies that a ray is spread to, along an axis, and how fine it is: errors of 1e-9."""
 BETA = math.pi * math.sqrt((SPREAD * (1.0 - 0.5 / OVERSAMPLING)) ** 2 - 0.8)

@@ -33,8 +33,6 @@ from render.tracing.truth import TruthSums, WaveStamps
 from render.tracing.waves.plane_waves import trace_waves
 from render.tracing.waves.summed import Trail
 
-__all__ = ["FarImage", "add_far_images", "far_image"]
-
 CELLS = (1024, 1536)
 """Across the aperture; the second where spikes hold more than `BEYOND` of the light beyond the reach of the first."""
 PARTS = 55

@@ -39,19 +39,6 @@ from render.tracing.waves.spectrum import lagrange, picked_wavelengths
 from render.tracing.waves.summed import LARGEST_RADIUS_PX, SummedImages, Trail
 from render.tracing.waves.windows import COARSE_REACH_PX, FieldSampling, PixelTable, coarser, window_samples
 
-__all__ = [
-    "LEAST_STARS",
-    "MOMENTS",
-    "TOLERANCE",
-    "WING_PX",
-    "GridPlan",
-    "WaveGrid",
-    "build_grid",
-    "chebyshev",
-    "plan_grid",
-]
-
-
 MOMENTS = 7
 """Light of a wavelength that gets through the lens, and that enters it; the former times the mean (column, row) of its
 rays from the chief ray and times their mean squares; what apertures let through."""

@@ -25,9 +25,6 @@ from render.tracing.waves.grid import LEAST_STARS, WING_PX, GridPlan, WaveGrid, 
 from render.tracing.waves.spectrum import condensed_light
 from render.tracing.waves.summed import KeptLight, SummedImages, Trail
 
-__all__ = ["WaveImages"]
-
-
 GRIDS, GRID_BATCH = 4, 256
 """Grids of images (of other cameras or wavelengths) that are kept; stars that are interpolated at a time."""
 SPREAD = 0.25

@@ -30,9 +30,6 @@ from render.tracing.pupil.outlines import rings
 from render.tracing.pupil.points import PupilPoints
 from render.tracing.rays.kernel import Shade, StarKernel
 
-__all__ = ["PlaneWaves", "RayArrays", "WaveSeries", "hidden_points", "phase_changes", "trace_waves"]
-
-
 DIFFERENCE = 1e-6
 """Distance of the rays whose directions give the Jacobian, in radii of the launch disk."""
 

@@ -20,9 +20,6 @@ from scipy.sparse import csr_array
 from optics.arrays import FloatArray, IntArray
 from render.tracing.waves.windows import BandLimited, FieldSampling
 
-__all__ = ["TurningShapes", "turning_shapes"]
-
-
 FINER = 2
 """How much finer than the samples those are between which points of rings are interpolated."""
 ROOM = 1.6

@@ -8,9 +8,6 @@ import numpy as np
 
 from optics.arrays import FloatArray, IntArray
 
-__all__ = ["condensed_light", "lagrange", "picked_wavelengths"]
-
-
 RINGS = 44.0
 """Wavelengths per relative half width of a band: as many as the change of the rings' scale asks for, on pixels."""
 

@@ -34,9 +34,6 @@ from render.tracing.waves.plane_waves import (
 )
 from render.tracing.waves.windows import FieldSampling, image_s, window_light, window_samples, window_terms
 
-__all__ = ["LARGEST_RADIUS_PX", "KeptLight", "Probe", "SummedImages", "Trail"]
-
-
 WING = 2e-5
 """Share of a star's light in a pixel below which a stamp ends."""
 NEAREST_PX = 4.0

@@ -24,19 +24,6 @@ from scipy.special import i0e, roots_legendre
 from optics.arrays import FloatArray
 from render.tracing.waves.plane_waves import RayArrays
 
-__all__ = [
-    "COARSE_REACH_PX",
-    "BandLimited",
-    "FieldSampling",
-    "PixelTable",
-    "coarser",
-    "image_s",
-    "window_light",
-    "window_samples",
-    "window_terms",
-]
-
-
 LIGHT_RATE = 2.3
 """Samples of |U|^2 per cycle of its highest frequency and px, over 1."""
 KERNEL_ERROR = 1e-6
