@@ -246,9 +246,12 @@ class StarTracker:
         Stars that an attitude needs, and that are tracked at most, the brightest.
     gate_px : float
         How far a star may lie from its place after the common shift of all.
-    star_error_px : float
-        Error per axis and star that the noise of a centroid does not hold (pixel patterns, colours, calibration):
-        added to it in weights and covariance.
+    star_error_px : float or (guides,)
+        Error per axis of every guide star that the noise of a centroid does not hold (pixel patterns, colours,
+        calibration): added to it in weights, covariance and the limit of outliers.
+    scale_error : float
+        Relative error of the image scale (temperature of the lens), added likewise: it grows with the distance from
+        the middle.
     database : tetra3rs.SolverDatabase, optional
         As of `identify_stars`.
     """
@@ -269,7 +272,8 @@ class StarTracker:
         fewest: int = 4,
         most: int = 30,
         gate_px: float = 2.0,
-        star_error_px: float = 0.0,
+        star_error_px: ArrayLike = 0.0,
+        scale_error: float = 0.0,
         database: Any = None,
     ) -> None:
         if not 3 <= fewest <= most:
@@ -280,7 +284,9 @@ class StarTracker:
         self._centroider([])  # refuses an unknown name, or PSFs that are missing, now
         self._psf_place = np.zeros((1, 2)) if psf_place_px is None else np.asarray(psf_place_px, float)
         self._threshold, self._fwhm = threshold_sigma, fwhm_px
-        self._fewest, self._most, self._gate, self._star_error = fewest, most, gate_px, star_error_px
+        self._fewest, self._most, self._gate = fewest, most, gate_px
+        self._star_error = np.broadcast_to(np.asarray(star_error_px, float), (len(guides),))
+        self._scale_error = scale_error
         self._database = database
         self._size = np.array([model.geometry.width_px, model.geometry.height_px])
         corner = model.unproject(np.array([[-0.5, -0.5], self._size - 0.5]))
@@ -383,7 +389,7 @@ class StarTracker:
         used = np.flatnonzero(good)
         if len(used) < self._fewest:
             return _nothing(time_s, mode, "few_stars", rejected=int(light.sum()) - len(used), expected=len(row))
-        solution, kept = self._solved(stars, used, seen)
+        solution, kept = self._solved(stars, used, seen, self._star_error[row])
         used = used[kept]
         if not solution.ok or len(used) < self._fewest:
             return _nothing(time_s, mode, "few_stars", rejected=int(light.sum()) - len(used), expected=len(row))
@@ -444,10 +450,12 @@ class StarTracker:
         return np.asarray(((place[:, None] - self._psf_place) ** 2).sum(-1).argmin(1))
 
     def _solved(
-        self, stars: StarTable, used: NDArray[np.int64], seen: FloatArray
+        self, stars: StarTable, used: NDArray[np.int64], seen: FloatArray, star_error_px: FloatArray
     ) -> tuple[AttitudeSolution, NDArray[np.bool_]]:
         v_cam, v_ref = self.model.unproject(stars.pixel_px[used]), seen[used]
-        sigma = self._pixel_rad * np.hypot(stars.position_sigma_px[used], self._star_error)
+        away = stars.pixel_px[used] - self.model.geometry.centre_px
+        known = star_error_px[used] ** 2 + 0.5 * self._scale_error**2 * (away**2).sum(1)
+        sigma = self._pixel_rad * np.sqrt(stars.position_sigma_px[used] ** 2 + known)
         kept = np.asarray(np.isfinite(v_cam).all(axis=1))
         for _ in range(CLIP_ROUNDS):
             solution = solve_wahba(v_cam[kept], v_ref[kept], sigma_rad=sigma[kept])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,16 +20,13 @@ from experiments.harness.range import with_value
 from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.system import prompt_pool
 from experiments.harness.what_if import Requirement, crossing, judge
-from experiments.laboratory.detector_changes import overridden
-from experiments.laboratory.instrument import configured_detector
+from experiments.laboratory.ageing import aged_config, aged_detector, light_left
 from experiments.laboratory.optical_state import longest_trail_px, optical_state
 from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy, optics, predict_camera, sky
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError
-from render.detector.radiation import aged
-from render.detector.spec import Detector
 
-__all__ = ["LIFE", "MOTION", "RATE", "Life", "Motion", "aged_config", "in_motion", "life_line", "moving", "over_life"]
+__all__ = ["LIFE", "MOTION", "RATE", "Life", "Motion", "in_motion", "life_line", "moving", "over_life"]
 
 AGES = 5
 RATE = "slew_rate_deg_per_s"
@@ -190,43 +187,6 @@ class Life:
     age_years: FloatArray
 
 
-def _light(config: Config, part: float) -> float:
-    return (1.0 - part * config.life.darkened_glass) * (1.0 - part * config.life.contamination)
-
-
-def _detector(config: Config, part: float) -> Detector:
-    life, chip = config.life, overridden(configured_detector(config.instrument), config.detector)
-    chip = replace(chip, dark_current_e_per_s=chip.dark_current_e_per_s + part * life.ionising_dark_e_per_s)
-    if not part * life.displacement_dose_tev_per_g or life.depleted_volume_um3 is None:
-        return chip
-    return aged(
-        chip,
-        displacement_dose_tev_per_g=part * life.displacement_dose_tev_per_g,
-        depleted_volume_um3=life.depleted_volume_um3,
-        temperature_c=config.instrument.chip_temperature_c,
-    )
-
-
-def aged_config(config: Config, part: float) -> Config:
-    """The sensor at a part of its life.
-
-    Raises
-    ------
-    DomainError
-        A dose beyond the relation of `render.detector.radiation.aged`.
-    """
-    chip = _detector(config, part)
-    grown = {
-        name: getattr(chip, name) for name in ("dark_current_e_per_s", "damage_centres_per_px", "damage_dark_e_per_s")
-    }
-    return config.model_copy(
-        update={
-            "detector": config.detector.model_copy(update=grown),
-            "throughput_fraction": config.throughput_fraction * _light(config, part),
-        }
-    )
-
-
 def over_life(prediction: CameraPrediction, limits: Limits) -> Life | None:
     """From the beginning to the end of life; None without one."""
     config = prediction.config
@@ -247,12 +207,12 @@ def over_life(prediction: CameraPrediction, limits: Limits) -> Life | None:
             lasts, fails = 0.0, min(missed, key=lambda one: one.excess).key
         elif held:
             lasts, fails = _first_missed(lambda part: aged_config(config, part), limits, 0.0, 1.0)
-    chips = [_detector(config, float(part)) for part in parts]
+    chips = [aged_detector(config, float(part)) for part in parts]
     factor = chips[0].dark_factor(config.instrument.chip_temperature_c) * config.instrument.exposure_s
     dark = [one.dark_current_e_per_s + one.damage_centres_per_px * one.damage_dark_e_per_s for one in chips]
     return Life(
         **_values(found, "life"),
-        life_light=np.array([_light(config, float(part)) for part in parts]),
+        life_light=np.array([light_left(config, float(part)) for part in parts]),
         life_dark_e=factor * np.array(dark),
         life_damaged_percent=100.0 * -np.expm1(-np.array([one.damage_centres_per_px for one in chips])),
         life_missed=sum(not one.met for one in end) if end else len(limits),

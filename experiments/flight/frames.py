@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.patterns import kept_database
 from calib.attitude.tracker import StarTracker, TrackedAttitude
-from experiments.flight.prediction import Budget, heated, throughput
+from experiments.flight.prediction import Budget, heated
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
@@ -30,6 +30,8 @@ from optics.arrays import FloatArray
 from optics.attitude import aberrated, attitude_error_arcsec
 from optics.records import freeze
 from optics.units import ARCSEC_RAD
+from render.bodies.solar_system import BODIES, joined, planet_field, solar_system
+from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_hits
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.forward import StarRenderer
@@ -38,10 +40,8 @@ from render.records import Frame
 from render.sky.field import field_of_view
 from render.tracing.motion.exposure import exposure_motion
 
-__all__ = ["Camera", "FlightFrames", "Segment", "build_tracker", "render_flight"]
-
-
 MARGIN_PX = 16.0
+PLANETS = tuple(name for name in BODIES if name != "moon")
 BLENDED = 4
 """Steps between rendered PSFs of the tracker; those between are blended."""
 ROUGH_PX = 3.0
@@ -63,6 +63,7 @@ class Segment:
     sigma_arcsec: FloatArray  # (n, 3) That the tracker states
     stars: FloatArray  # (n,) Used
     rejected: FloatArray  # (n,)
+    false_stars: FloatArray  # (n,) Planets and cosmic rays in the frame: truth
     thermal_arcsec: FloatArray  # (s, 3) By switching the temperatures
     aberration_arcsec: FloatArray  # (s, 3) By switching the knowledge of the velocity
     acquired: str  # Status of the first frame, searched lost in space
@@ -71,13 +72,12 @@ class Segment:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        freeze(self, "time_s", shape=("n",), sizes=sizes)
+        for name in ("time_s", "stars", "rejected", "false_stars"):
+            freeze(self, name, shape=("n",), sizes=sizes)
         freeze(self, "error_arcsec", shape=(2, "n", 3), finite=False, sizes=sizes)
         freeze(self, "sigma_arcsec", shape=("n", 3), finite=False, sizes=sizes)
-        freeze(self, "stars", shape=("n",), sizes=sizes)
-        freeze(self, "rejected", shape=("n",), sizes=sizes)
-        freeze(self, "thermal_arcsec", shape=("s", 3), finite=False, sizes=sizes)
-        freeze(self, "aberration_arcsec", shape=("s", 3), finite=False, sizes=sizes)
+        for name in ("thermal_arcsec", "aberration_arcsec"):
+            freeze(self, name, shape=("s", 3), finite=False, sizes=sizes)
 
     @property
     def solved(self) -> NDArray[np.bool_]:
@@ -100,21 +100,23 @@ class Camera:
     def __init__(self, budget: Budget) -> None:
         config = self.config = budget.config
         self.budget, self.flight = budget, budget.flight
-        self.detector = overridden(configured_detector(config.instrument), config.detector)
-        self.nominal: Instrument = build_instrument(config.instrument, detector=self.detector)
-        chip = self.nominal.detector
+        self._whole = overridden(configured_detector(config.instrument), budget.sensor.detector)
+        self.nominal: Instrument = build_instrument(config.instrument, detector=self._whole)
+        self.detector = self.nominal.detector
         self.streams = Streams(config.seed).child("flight", "old" if budget.old else "new")
-        self.detector = chip
         self._cos_reach = np.cos(1.1 * field_of_view(self.nominal.camera, margin_px=MARGIN_PX).radius_rad)
         self._renderers: dict[bytes, StarRenderer] = {}
+        light = budget.nominal.state.light
+        planets = solar_system(budget.flight.orbit.epoch_year, bodies=PLANETS if config.frames.planets else ())
+        planets = planets.select(np.isfinite(planets.magnitude_v))  # near the Sun some have no published magnitude
+        self.planets = planet_field(planets, [budget.nominal.state.band], nodes=light.wavelength_nm.shape[1])
 
     def renderer(self, state_k: FloatArray) -> StarRenderer:
         """Renderer of the lens in a state."""
         key = np.asarray(state_k, float).tobytes()
         if key not in self._renderers:
             lens = heated(self.config, state_k)
-            whole = overridden(configured_detector(self.config.instrument), self.config.detector)
-            camera = build_instrument(self.config.instrument, lens=lens, detector=whole).camera
+            camera = build_instrument(self.config.instrument, lens=lens, detector=self._whole).camera
             exposure_s = self.config.instrument.exposure_s
             self._renderers[key] = StarRenderer(camera, exposure_s=exposure_s, tolerance=1e-4, by_grid=True)
         return self._renderers[key]
@@ -123,13 +125,17 @@ class Camera:
         """Noiseless electrons (h, w) of an exposure about a time."""
         path = self.flight.trajectory if trajectory is None else trajectory
         exposure, attitude = self.config.instrument.exposure_s, path.attitude(time_s)
-        row = np.flatnonzero(self.budget.direction @ attitude.as_matrix()[2] > self._cos_reach)
+        boresight = attitude.as_matrix()[2]
+        row = np.flatnonzero(self.budget.direction @ boresight > self._cos_reach)
+        near = self.planets.direction @ boresight > self._cos_reach
         seen = aberrated(self.budget.direction[row], self.flight.velocity_km_per_s(time_s))
-        stars = self.budget.nominal.state.light.stars(
-            seen, self.budget.stars.magnitude[row], self.budget.temperature_k[row]
+        stars = joined(
+            self.budget.nominal.state.light.stars(
+                seen, self.budget.stars.magnitude[row], self.budget.temperature_k[row]
+            ),
+            replace(self.planets, direction=self.planets.direction[near], photon_rate=self.planets.photon_rate[near]),
         )
-        lost = throughput(self.config, self.budget.old)
-        stars = replace(stars, photon_rate=stars.photon_rate * lost)
+        stars = replace(stars, photon_rate=stars.photon_rate * self.budget.sensor.throughput_fraction)
         renderer = self.renderer(state_k)
         trail = float(np.linalg.norm(path.rate(time_s)[:2])) * exposure / self.budget.pixel_rad
         if trail > STILL_PX or self.config.jitter.rms_arcsec:
@@ -151,7 +157,26 @@ class Camera:
             temperature_c=setting.chip_temperature_c,
             background_e_per_s=float(self.flight.background_e_per_s(time_s)),
             band=label,
+            hits=self.hits(number, label),
         )
+
+    def hits(self, number: int, label: str) -> CosmicRayHits | None:
+        """Cosmic rays of a readout; None without them."""
+        if self.config.frames.cosmic_rays == "none":
+            return None
+        streams, exposure_s = self.streams.child(label), self.config.instrument.exposure_s
+        return cosmic_ray_hits(
+            self.detector, self.config.frames.cosmic_rays, streams=streams, frame=number, exposure_s=exposure_s
+        )
+
+    def false_stars(self, time_s: float, number: int, label: str) -> int:
+        """Planets in the field and tracks of cosmic rays of a readout."""
+        camera, hits = self.nominal.camera, self.hits(number, label)
+        v = self.planets.direction @ self.flight.trajectory.attitude(time_s).as_matrix().T
+        place = self.budget.model.project(v)
+        with np.errstate(invalid="ignore"):
+            inside = ((place > -0.5) & (place < np.array([camera.width_px, camera.height_px]) - 0.5)).all(axis=1)
+        return int(inside.sum()) + (0 if hits is None else len(hits))
 
 
 def psf_grid(budget: Budget) -> PsfGrid | None:
@@ -180,9 +205,7 @@ def build_tracker(camera: Camera) -> StarTracker:
     return StarTracker(
         budget.model,
         budget.guides,
-        dark_dn=mean_dark_frame(
-            replace(camera.nominal, detector=camera.detector), config.dark_frames, streams=camera.streams, label="dark"
-        ),
+        dark_dn=mean_dark_frame(camera.nominal, config.dark_frames, streams=camera.streams, label="dark"),
         noise=processing.noise,
         centroid=config.centroid,
         psfs=() if grid is None else grid.psfs,
@@ -194,6 +217,7 @@ def build_tracker(camera: Camera) -> StarTracker:
         most=config.tracker.most,
         gate_px=config.tracker.gate_px,
         star_error_px=budget.star_error_px,
+        scale_error=budget.scale_error,
         database=_patterns(budget),
     )
 
@@ -227,7 +251,7 @@ def _segment(
     state = flight.states_k[number]
     aligned = Rotation.from_rotvec(ARCSEC_RAD * camera.budget.bias_arcsec())
     errors, sigma = np.full((2, count, 3), np.nan), np.full((count, 3), np.nan)
-    stars, rejected = np.zeros(count), np.zeros(count)
+    stars, rejected, false_stars = np.zeros((3, count))
     warm, moving = np.full((setting.switched, 3), np.nan), np.full((setting.switched, 3), np.nan)
     blinded, status, spent, wrong = bool(flight.blinded(start_s)), "blinded", float("nan"), 0
     example = None
@@ -235,7 +259,7 @@ def _segment(
     for k, at_s in enumerate(times if not blinded else ()):
         truth, known = flight.trajectory.attitude(at_s), flight.known_velocity_km_per_s(at_s)
         image, key = camera.expected(at_s, state), number * count + k
-        frame = camera.read(image, at_s, key, "first")
+        frame, false_stars[k] = camera.read(image, at_s, key, "first"), camera.false_stars(at_s, key, "first")
         began = time.perf_counter()
         found = tracker(frame, at_s, velocity_km_per_s=known, rate_rad_per_s=flight.trajectory.rate(at_s))
         if k == 0:
@@ -270,6 +294,7 @@ def _segment(
             sigma_arcsec=sigma,
             stars=stars,
             rejected=rejected,
+            false_stars=false_stars,
             thermal_arcsec=warm,
             aberration_arcsec=moving,
             acquired=status,

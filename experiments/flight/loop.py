@@ -24,8 +24,6 @@ from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 from render.motion.trajectory import ConstantRate
 
-__all__ = ["Sensor", "by_budget", "by_frames"]
-
 Sensor = Callable[[Rotation, ArrayLike, float], TrackedAttitude]
 """``sensor(attitude, rate_rad_per_s, time_s)``: cam from icrs and its rate in cam, in the middle of the exposure."""
 
@@ -132,15 +130,6 @@ def by_budget(config: Config, *, budget: Budget | None = None) -> Sensor:
         seen = None
         if answer.status == "ok":
             seen = Rotation.from_rotvec(shift + root @ rng.standard_normal(3)) * attitude
-        return TrackedAttitude(
-            time_s=time_s,
-            mode=answer.mode,
-            status=answer.status,
-            attitude=seen,
-            covariance_rad2=answer.covariance_rad2,
-            star_id=answer.star_id,
-            pixel_px=answer.pixel_px,
-            expected=answer.expected,
-        )
+        return replace(answer, time_s=time_s, attitude=seen)
 
     return sensor

@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,17 +31,21 @@ from calib.measure.centroid_prediction import phase_windows
 from calib.records import Stamps
 from experiments.flight.scenario import STATES, Flight, trail_of_rate
 from experiments.flight.settings import Config
+from experiments.laboratory.ageing import aged_config
 from experiments.laboratory.catalogue import load_catalogue
-from experiments.laboratory.detector_changes import DetectorConfig
 from experiments.laboratory.instrument import (
     Instrument,
     build_instrument,
-    configured_detector,
     configured_lens,
     housing_of,
 )
-from experiments.laboratory.prediction_settings import PredictedSensorConfig
-from experiments.laboratory.sensor_prediction import CameraPrediction, colour_distance, predict_camera
+from experiments.laboratory.prediction_settings import PredictedSensorConfig, SlewConfig
+from experiments.laboratory.sensor_prediction import (
+    CameraPrediction,
+    colour_distance,
+    detector_radii,
+    predict_camera,
+)
 from optics.arrays import FloatArray
 from optics.attitude import aberrated
 from optics.errors import DomainError
@@ -51,11 +54,7 @@ from optics.lens.thermal import ThermalState, heated_lens
 from optics.units import RAD_ARCSEC
 from render.catalogue.motion import directions_at
 from render.catalogue.temperature import star_temperature
-from render.detector.radiation import aged
 from render.records import EffectivePsf
-
-__all__ = ["TERMS", "Budget", "SegmentErrors", "attitude_of_shifts", "build_budget", "covariance_of_noise", "heated"]
-
 
 TERMS = ("bias", "thermo_elastic", "fov_spatial", "pixel_spatial", "temporal_noise", "aberration")
 STEP_K = {"mean_k": 1.0, "axial_k": 0.5, "transverse_x_k": 0.2, "transverse_y_k": 0.2, "radial_k": 0.5}
@@ -71,31 +70,6 @@ AT_REST_PX = 0.1
 """A shorter trail is none."""
 BACKGROUND_STEP = 1.02
 """Predictions are kept for backgrounds this far apart."""
-
-
-def end_of_life(config: Config) -> Config:
-    """The sensor after its years in orbit; a dose becomes mean and spread of the dark current (its two moments)."""
-    life, chip = config.end_of_life, config.detector
-    detector = configured_detector(config.instrument)
-    old = aged(
-        detector,
-        displacement_dose_tev_per_g=life.displacement_dose_tev_per_g,
-        depleted_volume_um3=life.depleted_volume_um3,
-        temperature_c=config.instrument.chip_temperature_c,
-    )
-    centres, each = old.damage_centres_per_px, old.damage_dark_e_per_s
-    mean = detector.dark_current_e_per_s if chip.dark_current_e_per_s is None else chip.dark_current_e_per_s
-    spread = detector.dark_spread_e_per_s if chip.dark_spread_e_per_s is None else chip.dark_spread_e_per_s
-    grown: dict[str, Any] = {
-        "dark_current_e_per_s": mean + centres * each,
-        "dark_spread_e_per_s": float(np.hypot(spread, np.sqrt(2.0 * centres) * each)),
-    }
-    return config.model_copy(update={"detector": DetectorConfig(**{**chip.model_dump(), **grown})})
-
-
-def throughput(config: Config, old: bool) -> float:
-    """Share of the light that the glass leaves."""
-    return config.end_of_life.throughput_fraction if old else 1.0
 
 
 def heated(config: Config, state_k: FloatArray) -> LensSystem:
@@ -183,8 +157,8 @@ class Budget:
     """The sensor as it was calibrated, its guide stars, and their errors at any time; made by `build_budget`."""
 
     def __init__(self, config: Config, flight: Flight, *, old: bool = False) -> None:
-        self.config = end_of_life(config) if old else config
-        self.flight, self.old = flight, old
+        self.config, self.flight, self.old = config, flight, old
+        self.sensor = _sensor(config, old)
         self.nominal: CameraPrediction = self.camera(0.0)
         state = self.nominal.state
         self.instrument: Instrument = state.instrument
@@ -212,7 +186,7 @@ class Budget:
         return guide_catalogue(
             self.stars.id,
             self.direction,
-            -2.5 * np.log10(rate * throughput(config, self.old) / zero),
+            -2.5 * np.log10(rate * self.sensor.throughput_fraction / zero),
             faintest_mag=faintest,
             brightest_mag=camera.value("saturation_mag") + SATURATION_MARGIN_MAG,
             apart_rad=config.window_px * self.pixel_rad,
@@ -226,7 +200,7 @@ class Budget:
         level = 0.0
         if background_e_per_s > 1.0:
             level = BACKGROUND_STEP ** round(np.log(background_e_per_s) / np.log(BACKGROUND_STEP))
-        return _camera(self.config, throughput(self.config, self.old), level, *self._trail(rate))
+        return _camera(self.sensor.model_copy(update={"background_e_per_s": level}), *self._trail(rate))
 
     def _trail(self, rate_rad_per_s: FloatArray) -> tuple[float, float]:
         """Rate and direction that predictions are kept for: stars at rest, or to 2 digits and 5 deg."""
@@ -276,8 +250,8 @@ class Budget:
         psfs = []
         for kelvin in ends:
             warm = self.config.instrument.model_copy(update={"lens_temperature_c": at_c + float(kelvin)})
-            config = self.config.model_copy(update={"instrument": warm})
-            psfs.append(_camera(config, 1.0, 0.0, *self._trail(self._usual_rate)).state.psfs)
+            sensor = self.sensor.model_copy(update={"instrument": warm})
+            psfs.append(_camera(sensor, *self._trail(self._usual_rate)).state.psfs)
         return ends, *self._fit_bias(*psfs)
 
     @property
@@ -378,7 +352,7 @@ class Budget:
         noise, pixel, spot, shift = self._star_errors(
             float(flight.background_e_per_s(time_s, attitude)), rate_rad_per_s, rows, v
         )
-        weight = fit / (self.pixel_rad**2 * (noise**2 + self.star_error_px**2))
+        weight = fit / (self.pixel_rad**2 * (noise**2 + self.told_px2(rows, v)))
         scale = self.pixel_rad * RAD_ARCSEC
 
         def variance(sigma_px: FloatArray) -> FloatArray:
@@ -409,12 +383,11 @@ class Budget:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Noise, pixel patterns and phase, spots of other colours (n,), shift by colour and distortion (n, 2) [px]."""
         camera = self.camera(background_e_per_s, rate_rad_per_s)
-        place = self.model.project(v)
-        away = place - self.model.geometry.centre_px
+        away = self._away(v)
         radius = np.hypot(*away.T)
         kelvin = self.temperature_k[self.guides.row[rows]]
         electrons = camera.state.electrons_per_s(self.stars.magnitude[self.guides.row[rows]], kelvin, radius)
-        electrons = electrons * self.config.instrument.exposure_s * throughput(self.config, self.old)
+        electrons = electrons * self.config.instrument.exposure_s * self.sensor.throughput_fraction
         star = camera.stars
         shown = star.effective(electrons, kelvin, radius, self.config.star_temperature_k)
         noise = star.sigma_at(star.centroid.noise_px, shown, radius)
@@ -425,7 +398,7 @@ class Budget:
 
     def _thermal_shift(self, state_k: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Shift of stars by the heated lens (n, 2), and RMS (n,) over pixel phases by its spots [px]."""
-        away = self.model.project(v) - self.model.geometry.centre_px
+        away = self._away(v)
         radius = np.hypot(*away.T)
         bias, spot = self.heat_px(float(state_k[0]), radius)
         total = bias[:, None] * away / np.maximum(radius, 1e-9)[:, None]
@@ -445,57 +418,70 @@ class Budget:
         left = self.flight.velocity_km_per_s(time_s) - (np.zeros(3) if known is None else known)
         return np.asarray(RAD_ARCSEC * np.cross([0.0, 0.0, 1.0], attitude.apply(left)) * 1e3 / constants.c)
 
+    def _away(self, v: FloatArray) -> FloatArray:
+        """Places (n, 2) of directions from the middle of the detector [px]."""
+        return np.asarray(self.model.project(v) - self.model.geometry.centre_px)
+
+    def told_px2(self, rows: NDArray[np.int64], v: FloatArray) -> FloatArray:
+        """Variance (n,) per axis that the tracker adds to the noise of guide stars, rows of `guides`."""
+        return np.asarray(self.star_error_px[rows] ** 2 + 0.5 * self.scale_error**2 * (self._away(v) ** 2).sum(1))
+
     @cached_property
-    def star_error_px(self) -> float:
-        """Error per axis that a guide star has besides noise, RMS over the flight: what the tracker is told."""
-        squares: list[float] = []
+    def star_error_px(self) -> FloatArray:
+        """Error per axis of every guide star besides noise and scale, RMS over field and flight, by its own colour."""
+        radius, kelvin = detector_radii(self.nominal.state), self.temperature_k[self.guides.row]
+        known, index = np.unique(kelvin.round(-1), return_inverse=True)
+        colour, spot = self.colour_px(np.repeat(known, len(radius)), np.tile(radius, len(known)))
+        colour2 = (0.5 * colour**2 + spot**2).reshape(len(known), -1).mean(1)[index]
+        return np.asarray(np.sqrt(colour2 + self._alike[0]))
+
+    @property
+    def scale_error(self) -> float:
+        """Relative error of the image scale by temperature, RMS over the flight."""
+        return self._alike[1]
+
+    @cached_property
+    def _alike(self) -> tuple[float, float]:
+        """Of stars of any colour: variance per axis besides noise and scale [px2], and error of the scale, RMS."""
+        squares, scales = [0.0], [0.0]
         for time in self.flight.segments_s:
-            attitude = self.flight.trajectory.attitude(float(time))
-            rows, v = self.expected(attitude, None)
-            if len(rows):
-                rate = np.asarray(self.flight.trajectory.rate(float(time)))
-                _, pixel, spot, shift = self._star_errors(0.0, rate, rows, v)
-                squares += list(pixel**2 + spot**2 + 0.5 * (shift**2).sum(1))
-        return float(np.sqrt(np.mean(squares))) if squares else 0.0
+            rows, v = self.expected(self.flight.trajectory.attitude(float(time)), None)
+            if len(rows) <= 2:
+                continue
+            rate = np.asarray(self.flight.trajectory.rate(float(time)))
+            _, pixel, _, _ = self._star_errors(0.0, rate, rows, v)
+            warm, blurred = self._thermal_shift(self.flight.thermal.at(float(time)), v)
+            # shift, roll and scale of the image: the first two are the attitude's
+            x, y = self._away(v).T
+            one, none = np.ones_like(x), np.zeros_like(x)
+            basis = np.concatenate([np.stack([one, none, -y, x], 1), np.stack([none, one, x, y], 1)])
+            found = np.linalg.lstsq(basis, warm.T.ravel(), rcond=None)[0]
+            left = (warm.T.ravel() - basis @ found).reshape(2, -1) + self._residual.at(v).T
+            squares += list(pixel**2 + blurred**2 + 0.5 * (left**2).sum(0))
+            scales.append(found[3])
+        return float(np.mean(squares)), float(np.sqrt(np.mean(np.square(scales))))
 
     def bias_arcsec(self) -> FloatArray:
         """Error (3,) of the alignment on ground."""
         return np.array(self.config.tracker.alignment_arcsec)
 
 
+def _sensor(config: Config, old: bool) -> PredictedSensorConfig:
+    """What is predicted of a configuration, at the beginning or the end of its life."""
+    shared = {key: value for key, value in config.model_dump().items() if key in PredictedSensorConfig.model_fields}
+    star, sky = {"temperature_k": config.star_temperature_k}, {"attitudes": FEW_ATTITUDES}
+    sensor = PredictedSensorConfig.model_validate({**shared, "star": star, "sky": sky})
+    return aged_config(sensor, 1.0) if old else sensor
+
+
+def _camera(sensor: PredictedSensorConfig, rate_deg_per_s: float, direction_deg: float) -> CameraPrediction:
+    slew = SlewConfig(rate_deg_per_s=rate_deg_per_s, direction_deg=direction_deg)
+    return _kept(sensor.model_copy(update={"slew": slew}).model_dump_json())
+
+
 @lru_cache(maxsize=512)
-def _cached(text: str, through: float, background: float, rate: float, towards: float) -> CameraPrediction:
-    config = Config.model_validate_json(text)
-    shared = {name: value for name, value in config.model_dump().items() if name in _SHARED}
-    return predict_camera(
-        PredictedSensorConfig.model_validate(
-            {
-                **shared,
-                "throughput_fraction": through,
-                "background_e_per_s": background,
-                "star": {"magnitude_mag": 6.0, "temperature_k": config.star_temperature_k},
-                "slew": {"rate_deg_per_s": rate, "direction_deg": towards},
-                "sky": {"attitudes": FEW_ATTITUDES},
-            }
-        )
-    )
-
-
-_SHARED = (
-    "seed",
-    "centroid",
-    "window_px",
-    "threshold_sigma",
-    "instrument",
-    "passband",
-    "catalogue",
-    "detector",
-    "dark_frames",
-)
-
-
-def _camera(config: Config, through: float, background: float, rate: float, towards: float) -> CameraPrediction:
-    return _cached(config.model_dump_json(), through, background, rate, towards)
+def _kept(text: str) -> CameraPrediction:
+    return predict_camera(PredictedSensorConfig.model_validate_json(text))
 
 
 def build_budget(config: Config, flight: Flight, *, old: bool = False) -> Budget:

@@ -22,9 +22,6 @@ from render.engine.random import Streams
 from render.motion.jitter import JitterSpectrum, jittered
 from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory
 
-__all__ = ["STATES", "Flight", "ThermalHistory", "build_flight", "read_columns", "trail_of_rate"]
-
-
 STATES = ("mean_k", "axial_k", "transverse_x_k", "transverse_y_k", "radial_k")
 """Temperatures of lens and housing, as `optics.lens.thermal.ThermalState` names them."""
 SAMPLES = 721

@@ -10,27 +10,12 @@ from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.detector_changes import DetectorConfig
-from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig
+from experiments.laboratory.sensor_file import LifeConfig, SensorConfig, SensorExperimentConfig
 from experiments.laboratory.settings import FileName
-
-__all__ = [
-    "AberrationConfig",
-    "AttitudeLawConfig",
-    "Config",
-    "EndOfLifeConfig",
-    "FramesConfig",
-    "JitterConfig",
-    "OrbitConfig",
-    "StraylightConfig",
-    "TemperatureConfig",
-    "TrackerConfig",
-    "experiment",
-    "main",
-]
 
 
 class OrbitConfig(StrictModel):
-    """Kepler's orbit about the Earth, axes of icrs; the perigee turns and the node drifts by J2 are left out."""
+    """Kepler's orbit about the Earth, axes of icrs, without drifts; or two-line elements, from their epoch on."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"eccentricity"})
 
@@ -40,6 +25,9 @@ class OrbitConfig(StrictModel):
     node_deg: float = Field(default=250.0, ge=-360, le=360, description="right ascension of the ascending node")
     perigee_deg: float = Field(default=0.0, ge=-360, le=360, description="argument of the perigee")
     anomaly_deg: float = Field(default=0.0, ge=-360, le=360, description="mean anomaly at time 0")
+    tle: tuple[()] | tuple[str, str] = Field(
+        default=(), description="two-line elements, in place of all above: propagated by SGP4, epoch theirs"
+    )
 
 
 class AttitudeLawConfig(StrictModel):
@@ -146,6 +134,9 @@ class TrackerConfig(StrictModel):
         return self
 
 
+Environment = Literal["none", "deep_space_solar_minimum", "deep_space_solar_maximum", "solar_flare", "leo_quiet"]
+
+
 class FramesConfig(StrictModel):
     """Which part of the orbit is rendered."""
 
@@ -157,19 +148,9 @@ class FramesConfig(StrictModel):
         default=4, ge=1, le=500, description="lenses traced hot and cold: segments of like temperature share the mean"
     )
     psf_grid: int = Field(default=9, ge=3, le=33, description="PSFs of the tracker along the longer side")
+    planets: bool = Field(default=True, description="planets shine as points of light, false stars to the tracker")
+    cosmic_rays: Environment = Field(default="none", description="tracks in every readout, 10 um of silicon")
     end_of_life: bool = Field(default=False, description="frames of the sensor at the end of its life")
-
-
-class EndOfLifeConfig(StrictModel):
-    """What years in orbit change: light and detector."""
-
-    dimensionless: ClassVar[frozenset[str]] = frozenset({"displacement_dose_tev_per_g", "depleted_volume_um3"})
-
-    throughput_fraction: float = Field(default=0.9, gt=0, le=1, description="light left by darkened glass")
-    displacement_dose_tev_per_g: float = Field(
-        default=50.0, ge=0, le=1e5, description="displacement damage dose [TeV/g]"
-    )
-    depleted_volume_um3: float = Field(default=60.0, gt=0, le=1e5, description="depleted volume of a pixel [um3]")
 
 
 class Config(SensorExperimentConfig, SensorConfig):
@@ -184,7 +165,9 @@ class Config(SensorExperimentConfig, SensorConfig):
     straylight: StraylightConfig = StraylightConfig()
     tracker: TrackerConfig = TrackerConfig()
     frames: FramesConfig = FramesConfig()
-    end_of_life: EndOfLifeConfig = EndOfLifeConfig()
+    life: LifeConfig = LifeConfig(
+        years=10.0, darkened_glass=0.1, displacement_dose_tev_per_g=50.0, depleted_volume_um3=60.0
+    )
     star_temperature_k: float = Field(
         default=5800.0, ge=1000, le=60000, description="colour that camera model and PSFs are calibrated with"
     )
@@ -203,7 +186,9 @@ class Config(SensorExperimentConfig, SensorConfig):
         return values
 
     @model_validator(mode="after")
-    def _shutter(self) -> Config:
+    def _possible(self) -> Config:
+        if self.frames.end_of_life and not self.life.years:
+            raise ValueError("frames.end_of_life needs life.years and what changes in them")
         if self.instrument.line_time_us:
             raise ValueError("instrument.line_time_us: the flight is predicted for a global shutter; set it to 0")
         return self

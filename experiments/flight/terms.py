@@ -21,9 +21,6 @@ from experiments.harness.sections import Verdict, agree, col, ratio_near
 from experiments.harness.summary import Criterion, Measured
 from optics.arrays import FloatArray
 
-__all__ = ["COMPONENTS", "LABELS", "VERDICTS", "Term", "measured_terms", "predicted_terms", "within_share"]
-
-
 LABELS = {
     "bias": "Bias",
     "thermo_elastic": "Thermo-elastic error",
@@ -109,20 +106,8 @@ def within_share(budget: Budget, start_s: float) -> float:
     return float(1.0 - (correlation.sum() - count) / (count * (count - 1)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Squares:
-    """Mean squares about one component [arcsec^2]."""
-
-    values: dict[str, float]
-
-    @property
-    def total(self) -> float:
-        """Sum of all terms."""
-        return sum(self.values.values())
-
-
-def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tuple[int, ...]) -> Squares:
-    """Prediction over the times of some segments."""
+def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tuple[int, ...]) -> dict[str, float]:
+    """Mean squares about one component over the times of some segments, and their sum as ``total`` [arcsec^2]."""
     pick = list(axes)
 
     def mean(values: Sequence[FloatArray]) -> float:
@@ -133,16 +118,15 @@ def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tup
     bias = budget.bias_arcsec()[pick] + middle
     shown = np.array([within_share(budget, one.time_s) for one in errors])
     pixel = np.array([(one.pixel_arcsec2 + one.spot_arcsec2)[pick].mean() for one in errors])
-    return Squares(
-        values={
-            "bias": float((bias**2).mean()),
-            "thermo_elastic": mean([one.thermal_arcsec**2 for one in errors]),
-            "fov_spatial": float(((fov - middle) ** 2).mean() + (pixel * (1.0 - shown)).mean()),
-            "pixel_spatial": float((pixel * shown).mean()),
-            "temporal_noise": mean([one.noise_arcsec2 for one in errors]),
-            "aberration": mean([one.aberration_arcsec**2 for one in errors]),
-        }
-    )
+    found = {
+        "bias": float((bias**2).mean()),
+        "thermo_elastic": mean([one.thermal_arcsec**2 for one in errors]),
+        "fov_spatial": float(((fov - middle) ** 2).mean() + (pixel * (1.0 - shown)).mean()),
+        "pixel_spatial": float((pixel * shown).mean()),
+        "temporal_noise": mean([one.noise_arcsec2 for one in errors]),
+        "aberration": mean([one.aberration_arcsec**2 for one in errors]),
+    }
+    return {**found, "total": sum(found.values())}
 
 
 def predicted_terms(budget: Budget, errors: Sequence[SegmentErrors]) -> list[Term]:
@@ -151,10 +135,7 @@ def predicted_terms(budget: Budget, errors: Sequence[SegmentErrors]) -> list[Ter
     if not seen:
         return []
     squares = [predicted_squares(budget, seen, axes) for _, axes in COMPONENTS]
-    rows = [np.array([one.values[name] for one in squares]) for name in TERMS] + [
-        np.array([one.total for one in squares])
-    ]
-    return [Term(term=name, predicted_arcsec=np.sqrt(row)) for name, row in zip((*TERMS, "total"), rows, strict=True)]
+    return [Term(term=name, predicted_arcsec=np.sqrt([one[name] for one in squares])) for name in (*TERMS, "total")]
 
 
 def measured_terms(budget: Budget, segments: Sequence[Segment], errors: Sequence[SegmentErrors]) -> list[Term]:
@@ -201,7 +182,7 @@ def _component(
     )
     freedom = counts - 1
     pixel = float(np.average(products, weights=freedom))
-    known = predicted.values["pixel_spatial"]
+    known = predicted["pixel_spatial"]
     spread["pixel_spatial"] = math.sqrt(((known + noise) ** 2 + known**2) / (parts * freedom.sum()))
     # low frequency: means of the segments, by switching
     middle = np.array([one.mean(axis=(0, 1)) for one in both])
@@ -222,15 +203,14 @@ def _component(
     free = parts * (len(segments) - 1)
     unknown = max(scatter, of_mean + warm_error)
     for name, error in (("thermo_elastic", warm_error), ("aberration", moving_error)):
-        power = 4.0 * predicted.values[name] * error + 2.0 * error**2
+        power = 4.0 * predicted[name] * error + 2.0 * error**2
         spread[name] = math.sqrt(power / (parts * len(segments)))
-    spread["bias"] = 2.0 * math.sqrt(predicted.values["bias"] * unknown / (parts * len(segments)))
-    spread["fov_spatial"] = math.sqrt((4.0 * predicted.values["fov_spatial"] * unknown + 2.0 * unknown**2) / free)
+    spread["bias"] = 2.0 * math.sqrt(predicted["bias"] * unknown / (parts * len(segments)))
+    spread["fov_spatial"] = math.sqrt((4.0 * predicted["fov_spatial"] * unknown + 2.0 * unknown**2) / free)
     square["total"] = float(np.average([(one**2).mean() for one in both], weights=counts))
     spread["total"] = math.sqrt(sum(spread[name] ** 2 for name in TERMS))
     samples = {name: parts * len(segments) for name in (*TERMS, "total")}
     samples |= {name: parts * int(counts.sum()) for name in ("temporal_noise", "pixel_spatial", "total")}
-    expected = predicted.values | {"total": predicted.total}
     slopes = {
         "thermo_elastic": _slope(warm, np.array([one.thermal_arcsec[pick] for one in told])),
         "aberration": _slope(moving, np.array([one.aberration_arcsec[pick] for one in told])),
@@ -238,11 +218,11 @@ def _component(
     }
     rows: dict[str, Row] = {}
     for name in (*TERMS, "total"):
-        large = expected[name] > SMALL**2 * predicted.total
+        large = predicted[name] > SMALL**2 * predicted["total"]
         rows[name] = (
             _root(square[name], spread[name], samples[name]),
-            math.sqrt(expected[name]),
-            _ratio(square[name], spread[name], expected[name], samples[name]) if large else UNKNOWN,
+            math.sqrt(predicted[name]),
+            _ratio(square[name], spread[name], predicted[name], samples[name]) if large else UNKNOWN,
             slopes.get(name, UNKNOWN) if large else UNKNOWN,
         )
     return rows

@@ -27,9 +27,6 @@ from render.sky.star_light import StarLight, star_light
 from render.tracing.measured.images import measured_psfs
 from render.tracing.psf import ray_epsf, trailed, wave_images
 
-__all__ = ["NODES", "OpticalState", "longest_trail_px", "optical_state"]
-
-
 NODES = 6
 """Wavelengths at which the pass band is sampled."""
 PARTS = (0.0, 0.45, 0.7, 0.87, 1.0)

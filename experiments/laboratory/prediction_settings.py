@@ -8,8 +8,6 @@ from experiments.harness.config import StrictModel
 from experiments.laboratory.detector_changes import DetectorConfig
 from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig
 
-__all__ = ["PredictedSensorConfig", "SkyConfig", "SlewConfig", "StarConfig"]
-
 
 class StarConfig(StrictModel):
     """The stars that numbers are quoted for."""

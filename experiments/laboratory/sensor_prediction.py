@@ -46,8 +46,6 @@ from render.detector.noise import PixelNoise
 from render.detector.spec import Detector
 from render.records import EffectivePsf
 
-__all__ = ["Accuracy", "CameraPrediction", "Optics", "Sky", "accuracy", "optics", "predict_camera", "sky"]
-
 FLUX_KNOTS = 14
 PLAIN = NoiseModel(read_noise_e=10.0)
 """For centroiders that take no notice of the noise."""

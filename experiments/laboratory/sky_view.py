@@ -22,9 +22,6 @@ from render.engine.random import Streams
 from render.sky.field import FieldOfView, field_of_view
 from render.sky.sampling import SkySample, sample_sky
 
-__all__ = ["SkyView", "sky_view"]
-
-
 DEPTH_STEP_MAG = 0.5
 SIGHTINGS = 400_000
 """Attitudes are looked up until there are so many; wide fields need fewer to be known as well."""

@@ -1,5 +1,6 @@
 """A star tracker: frames drawn from Gaussian spots whose attitude is known."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -102,6 +103,28 @@ def test_false_stars_are_rejected_and_do_not_move_the_attitude(sky, guides):
     assert len(found.star_id) < len(clean.star_id)
     error = attitude_error_arcsec(found.attitude, TRUTH)
     assert (np.abs(error) < 5.0 * found.sigma_arcsec).all()
+
+
+def test_a_warm_lens_costs_no_star_where_its_scale_error_is_stated(sky, guides):
+    """A scale of 1e-3 moves stars in the corner by 0.18 px, some twenty times their noise."""
+    warm, frame = BrownConrady.create(GEOMETRY, focal_length_mm=20.02), frame_of(sky, TRUTH, seed=6)
+    blind, told = (
+        StarTracker(warm, guides, centroid="gaussian", window_px=11, scale_error=error)(frame, 0.0, near=TRUTH)
+        for error in (0.0, 1e-3)
+    )
+    assert told.rejected == 0
+    assert blind.rejected >= 0.3 * len(told.star_id)
+    assert (np.abs(attitude_error_arcsec(told.attitude, TRUTH)) < 5.0 * told.sigma_arcsec).all()
+
+
+def test_a_guide_star_of_known_large_error_has_no_weight(sky, guides):
+    frame = frame_of(sky, TRUTH, seed=7)
+    all_stars = tracker(guides)(frame, 0.0, near=TRUTH)
+    error = np.where(np.isin(guides.id, all_stars.star_id[:5]), 100.0, 0.0)
+    told = tracker(guides, star_error_px=error)(frame, 0.0, near=TRUTH)
+    kept = {name: getattr(guides, name)[error == 0.0] for name in ("id", "direction", "magnitude", "row")}
+    few = tracker(replace(guides, **kept))(frame, 0.0, near=TRUTH)
+    np.testing.assert_allclose(told.covariance_rad2, few.covariance_rad2, rtol=1e-4)
 
 
 def test_aberration_left_out_turns_the_attitude_by_the_velocity_over_that_of_light(sky, guides):

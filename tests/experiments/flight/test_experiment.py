@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from experiments.flight.frames import Camera, build_tracker
 from experiments.flight.loop import by_budget, by_frames
 from experiments.flight.prediction import build_budget
 from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config, main
 from optics.attitude import attitude_error_arcsec
+from render.motion.trajectory import SampledAttitude
 
 SMALL = {
     "instrument": {
@@ -88,6 +90,21 @@ def test_aberration_in_closed_form_is_that_of_stars_moved_one_by_one(budget):
     solved = solve_wahba(seen, aberrated(stars, flight.known_velocity_km_per_s(time)))
     error = attitude_error_arcsec(solved.rotation, attitude)
     np.testing.assert_allclose(budget.aberration_arcsec(time, attitude)[:2], error[:2], atol=0.02 * np.abs(error).max())
+
+
+def test_a_turn_that_grows_faster_moves_the_attitude_of_rendered_frames(engine):
+    """By a t^2 / 24 in closed form, 30 arcsec here; the tracker's PSFs are at rest, and the trail 1.9 px long."""
+    config = Config(**SMALL, temperature={"offset_k": 0, "mean_k": 0, "eclipse_k": 0}, attitude={"law": "inertial"})
+    camera = Camera(build_budget(config, build_flight(config)))
+    tracker, time = build_tracker(camera), np.linspace(99.0, 101.0, 801)
+    aim, growth = camera.flight.trajectory.attitude(100.0), np.radians(5.0)
+    turned = Rotation.from_rotvec(-0.5 * growth * np.outer((time - 100.0) ** 2, [0.0, 1.0, 0.0])) * aim
+    path = SampledAttitude(samples_s=time, attitudes=turned)
+    frame = camera.read(camera.expected(100.0, np.zeros(5), path), 100.0, 0, "growth")
+    found = tracker(frame, 100.0, velocity_km_per_s=camera.flight.velocity_km_per_s(100.0), near=aim)
+    error = attitude_error_arcsec(found.attitude, aim) - camera.budget.errors(100.0).fov_arcsec
+    expected = np.degrees(growth * config.instrument.exposure_s**2 / 24.0) * 3600.0
+    np.testing.assert_allclose(error[:2], [0.0, -expected], atol=0.1 * expected)
 
 
 def test_the_sensor_by_budget_errs_as_it_states_and_that_of_frames_alike(engine):

@@ -28,6 +28,31 @@ def test_an_elliptic_orbit_moves_by_newtons_law(orbit):
     assert np.degrees(np.arccos(orbit.pole[2])) == pytest.approx(97.8, abs=1e-9)
 
 
+def test_two_line_elements_fly_as_sgp4_and_astropy_have_them():
+    """Of the space station; SGP4's axes turned to icrs by astropy with its own Earth orientation."""
+    pytest.importorskip("sgp4")
+    from astropy import units as u
+    from astropy.coordinates import GCRS, TEME, CartesianDifferential, CartesianRepresentation
+    from astropy.time import Time
+    from sgp4.api import Satrec
+
+    lines = (
+        "1 25544U 98067A   19343.69339541  .00001764  00000-0  38792-4 0  9991",
+        "2 25544  51.6439 211.2001 0007417  17.6667  85.6398 15.50103472202482",
+    )
+    orbit, satellite = build_orbit(OrbitConfig(tle=lines), 2016.0), Satrec.twoline2rv(*lines)
+    time = Time(satellite.jdsatepoch, satellite.jdsatepochF, format="jd") + 3000.0 * u.s
+    _, place, velocity = satellite.sgp4(time.jd1, time.jd2)
+    seen = CartesianRepresentation(place * u.km, differentials=CartesianDifferential(velocity * u.km / u.s))
+    true = TEME(seen, obstime=time).transform_to(GCRS(obstime=time)).cartesian
+    np.testing.assert_allclose(orbit.state(3000.0)[0], true.xyz.to_value(u.km), atol=3e-3)  # 0.1 arcsec
+    np.testing.assert_allclose(orbit.state(3000.0)[1], true.differentials["s"].d_xyz.to_value(u.km / u.s), atol=4e-6)
+    assert orbit.period_s == pytest.approx(86400.0 / 15.501, rel=1e-4)
+    assert orbit.epoch_year == pytest.approx(2019.9376, abs=1e-3)
+    with pytest.raises(DomainError, match="checksum"):
+        build_orbit(OrbitConfig(tle=(lines[0][:-1] + "5", lines[1])), 2016.0)
+
+
 def test_the_sun_is_where_astropy_has_it(orbit):
     from astropy.coordinates import get_sun
     from astropy.time import Time

@@ -61,6 +61,7 @@ def flown(told):
                 sigma_arcsec=np.tile(NOISE, (FRAMES, 1)),
                 stars=np.full(FRAMES, float(STARS)),
                 rejected=np.zeros(FRAMES),
+                false_stars=np.zeros(FRAMES),
                 thermal_arcsec=one.thermal_arcsec + fine[0],
                 aberration_arcsec=one.aberration_arcsec + fine[1],
                 acquired="ok",
