@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
@@ -171,19 +171,11 @@ class Config(SensorExperimentConfig, SensorConfig):
     star_temperature_k: float = Field(
         default=5800.0, ge=1000, le=60000, description="colour that camera model and PSFs are calibrated with"
     )
-    rates_deg_per_s: tuple[float, ...] = Field(
+    rates_deg_per_s: tuple[Annotated[float, Field(ge=0, le=100)], ...] = Field(
         default=(0.0, 0.02, 0.05), max_length=20, description="rates that the same stars are predicted for; none: []"
     )
     dark_frames: int = Field(default=20, ge=2, le=1000, description="frames without light in the subtracted mean")
     predict_only: bool = Field(default=False, description="no rendered frames: the prediction alone")
-
-    @field_validator("rates_deg_per_s")
-    @classmethod
-    def _rates(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        for value in values:
-            if not 0.0 <= value <= 100.0:
-                raise ValueError(f"{value:g} deg/s is outside 0 ... 100 deg/s")
-        return values
 
     @model_validator(mode="after")
     def _possible(self) -> Config:

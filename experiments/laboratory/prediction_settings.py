@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import Field, field_validator, model_validator
+from typing import Annotated
+
+from pydantic import Field, model_validator
 
 from experiments.harness.config import StrictModel
 from experiments.laboratory.detector_changes import DetectorConfig
@@ -14,17 +16,9 @@ class StarConfig(StrictModel):
 
     magnitude_mag: float = Field(default=6.0, ge=-2, le=20, description="star that the accuracy is quoted for")
     temperature_k: float = Field(default=5800.0, ge=1000, le=60000, description="its colour, that of a black body")
-    colours_k: tuple[float, ...] = Field(
+    colours_k: tuple[Annotated[float, Field(ge=1000, le=60000)], ...] = Field(
         default=(3500.0, 5800.0, 10000.0), min_length=1, max_length=6, description="colours of the curves"
     )
-
-    @field_validator("colours_k")
-    @classmethod
-    def _colours(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        for value in values:
-            if not 1000.0 <= value <= 60000.0:
-                raise ValueError(f"{value:g} K is outside 1000 ... 60000 K")
-        return values
 
 
 class SkyConfig(StrictModel):
