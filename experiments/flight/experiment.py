@@ -313,7 +313,7 @@ def turning(budget: Budget) -> list[Turning]:
                 np.sqrt([np.mean([v[list(pick)] for v in values]) for _, pick in COMPONENTS])
                 for values in (
                     [one.noise_arcsec2 for one in seen],
-                    [one.pixel_arcsec2 + one.spot_arcsec2 for one in seen],
+                    [one.static_arcsec2 for one in seen],
                 )
             )
         trail = np.radians(rate) * budget.config.instrument.exposure_s / budget.pixel_rad

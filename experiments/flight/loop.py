@@ -107,10 +107,9 @@ def by_budget(config: Config, *, budget: Budget | None = None) -> Sensor:
         if errors.available:
             found = ARCSEC_RAD**2 * np.diag(errors.noise_arcsec2)
             root = np.sqrt(found)
-            static = errors.pixel_arcsec2 + errors.spot_arcsec2
-            found = found + ARCSEC_RAD**2 * np.diag(static)
+            found = found + ARCSEC_RAD**2 * np.diag(errors.static_arcsec2)
             own = errors.fov_arcsec + errors.thermal_arcsec + errors.aberration_arcsec
-            shift = ARCSEC_RAD * (own + np.sqrt(static) * rng.standard_normal(3)) + bias
+            shift = ARCSEC_RAD * (own + np.sqrt(errors.static_arcsec2) * rng.standard_normal(3)) + bias
         answer = TrackedAttitude(
             time_s=time_s,
             mode="tracking",

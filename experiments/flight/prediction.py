@@ -148,9 +148,15 @@ class SegmentErrors:
     noise_arcsec2: FloatArray  # (3,) Variance by temporal noise
     pixel_arcsec2: FloatArray  # (3,) Variance by pixel patterns and pixel phase
     fov_arcsec: FloatArray  # (3,) Error by colour and distortion
-    spot_arcsec2: FloatArray  # (3,) Variance by spots of other colours and focus at the phases of the pixels
+    spot_arcsec2: FloatArray  # (3,) Variance by spots of other colours at the phases of the pixels
+    focus_arcsec2: FloatArray  # (3,) The same by those of the heated lens
     thermal_arcsec: FloatArray  # (3,) Error by the heated lens
     aberration_arcsec: FloatArray  # (3,) Error by the velocity that is not known
+
+    @property
+    def static_arcsec2(self) -> FloatArray:
+        """Variance (3,) by everything that depends on the pixels and their phases."""
+        return self.pixel_arcsec2 + self.spot_arcsec2 + self.focus_arcsec2
 
 
 class Budget:
@@ -346,6 +352,7 @@ class Budget:
                 pixel_arcsec2=nothing,
                 fov_arcsec=nothing,
                 spot_arcsec2=nothing,
+                focus_arcsec2=nothing,
                 thermal_arcsec=nothing,
                 aberration_arcsec=nothing,
             )
@@ -368,7 +375,8 @@ class Budget:
             noise_arcsec2=variance(noise),
             pixel_arcsec2=variance(pixel),
             fov_arcsec=RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, shift)),
-            spot_arcsec2=variance(np.hypot(spot, blurred)),
+            spot_arcsec2=variance(spot),
+            focus_arcsec2=variance(blurred),
             thermal_arcsec=RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, warm)),
             aberration_arcsec=self.aberration_arcsec(time_s, attitude),
         )

@@ -3,7 +3,8 @@
 Within a segment the stars cross several pixels, and no noticeable part of the field: what varies there is temporal
 noise (told by the two readouts) and pixel spatial error (common to both); what stays is of low frequency. Between
 segments the sky changes. The part of the pixel spatial error that stays within a segment, where stars move by less than
-a pixel from its first frame to its last, is of low frequency in measurement and prediction alike.
+a pixel from its first frame to its last, is of low frequency in measurement and prediction alike; so is what the focus
+of a heated lens makes of pixel phases, which is thermo-elastic as far as it stays within the frames rendered cold.
 """
 
 from __future__ import annotations
@@ -96,9 +97,14 @@ VERDICTS = [
 ]
 
 
-def within_share(budget: Budget, start_s: float) -> float:
-    """Share of the variance of pixel spatial errors that shows within a segment: 1 less their mean correlation."""
-    times = budget.flight.frame_times_s(start_s)
+def within_share(budget: Budget, start_s: float, frames: int | None = None) -> float:
+    """Share of the variance of pixel spatial errors that shows within a segment: 1 less their mean correlation.
+
+    ``frames``: the same within so many of its first frames.
+    """
+    times = budget.flight.frame_times_s(start_s)[:frames]
+    if len(times) < 2:
+        return 0.0
     rate = np.linalg.norm(np.asarray(budget.flight.trajectory.rate(start_s))[:2]) / budget.pixel_rad
     apart = np.abs(times[:, None] - times) * rate
     correlation = np.clip(1.0 - apart / DWELL_PX, 0.0, None)
@@ -117,16 +123,26 @@ def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tup
     middle = fov.mean(axis=0)
     bias = budget.bias_arcsec()[pick] + middle
     shown = np.array([within_share(budget, one.time_s) for one in errors])
-    pixel = np.array([(one.pixel_arcsec2 + one.spot_arcsec2)[pick].mean() for one in errors])
+    pixel, focus = (
+        np.array([values[pick].mean() for values in each])
+        for each in ([one.pixel_arcsec2 + one.spot_arcsec2 for one in errors], [one.focus_arcsec2 for one in errors])
+    )
+    kept = _kept_focus(budget, errors, axes)
     found = {
         "bias": float((bias**2).mean()),
-        "thermo_elastic": mean([one.thermal_arcsec**2 for one in errors]),
+        "thermo_elastic": mean([one.thermal_arcsec**2 for one in errors]) + kept,
         "fov_spatial": float(((fov - middle) ** 2).mean() + (pixel * (1.0 - shown)).mean()),
-        "pixel_spatial": float((pixel * shown).mean()),
+        "pixel_spatial": float(((pixel + focus) * shown).mean()),
         "temporal_noise": mean([one.noise_arcsec2 for one in errors]),
         "aberration": mean([one.aberration_arcsec**2 for one in errors]),
     }
-    return {**found, "total": sum(found.values())}
+    return {**found, "total": sum(found.values()) + float((focus * (1.0 - shown)).mean()) - kept}
+
+
+def _kept_focus(budget: Budget, errors: Sequence[SegmentErrors], axes: tuple[int, ...]) -> float:
+    """Mean square by the focus at pixel phases that stay in the frames rendered cold too: thermo-elastic there."""
+    stays = [1.0 - within_share(budget, one.time_s, budget.config.frames.switched) for one in errors]
+    return float(np.mean([s * one.focus_arcsec2[list(axes)].mean() for s, one in zip(stays, errors, strict=True)]))
 
 
 def predicted_terms(budget: Budget, errors: Sequence[SegmentErrors]) -> list[Term]:
@@ -202,8 +218,10 @@ def _component(
     }
     free = parts * (len(segments) - 1)
     unknown = max(scatter, of_mean + warm_error)
-    for name, error in (("thermo_elastic", warm_error), ("aberration", moving_error)):
-        power = 4.0 * predicted[name] * error + 2.0 * error**2
+    random = {"thermo_elastic": _kept_focus(budget, told, axes), "aberration": 0.0}
+    for name, own in (("thermo_elastic", warm_error), ("aberration", moving_error)):
+        error = own + random[name]
+        power = 4.0 * (predicted[name] - random[name]) * error + 2.0 * error**2
         spread[name] = math.sqrt(power / (parts * len(segments)))
     spread["bias"] = 2.0 * math.sqrt(predicted["bias"] * unknown / (parts * len(segments)))
     spread["fov_spatial"] = math.sqrt((4.0 * predicted["fov_spatial"] * unknown + 2.0 * unknown**2) / free)

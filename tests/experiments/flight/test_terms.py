@@ -21,7 +21,8 @@ BIAS = np.array([0.02, -0.015, 0.4])
 def budget(rate_rad_per_s=4e-4):
     trajectory = SimpleNamespace(rate=lambda _: np.array([rate_rad_per_s, 0.0, 0.0]))
     flight = SimpleNamespace(frame_times_s=lambda start: start + np.arange(FRAMES) / 5.0, trajectory=trajectory)
-    return SimpleNamespace(flight=flight, pixel_rad=2.7e-5, bias_arcsec=lambda: BIAS)
+    config = SimpleNamespace(frames=SimpleNamespace(switched=6))
+    return SimpleNamespace(flight=flight, pixel_rad=2.7e-5, bias_arcsec=lambda: BIAS, config=config)
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +37,7 @@ def told():
             pixel_arcsec2=PIXEL**2,
             fov_arcsec=rng.normal(0.0, [0.02, 0.02, 0.4]),
             spot_arcsec2=np.zeros(3),
+            focus_arcsec2=np.zeros(3),
             thermal_arcsec=rng.normal(0.0, [0.03, 0.03, 0.4]),
             aberration_arcsec=np.append(0.025 * np.array([np.cos(k), np.sin(k)]), 0.0),
         )
