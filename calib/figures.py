@@ -18,9 +18,6 @@ from optics.figures import draw_image
 from optics.page import Marks
 from render.records import Frame
 
-__all__ = ["draw_residuals", "mark_stars", "show_image", "star_marks"]
-
-
 IDENTIFIED, FIT, UNFIT = "#59d98e", "#4aa3df", "#ff5d8f"
 
 

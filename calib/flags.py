@@ -7,8 +7,6 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["UNFIT", "StarFlag", "describe_flags", "has_flag"]
-
 
 class StarFlag(IntFlag):
     """Bit values of ``StarTable.flags``.

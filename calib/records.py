@@ -18,8 +18,6 @@ from optics.records import freeze
 if TYPE_CHECKING:
     from astropy.table import Table
 
-__all__ = ["FLUX", "Conversion", "NoiseModel", "SensorImage", "Stamps", "StarTable", "X", "Y"]
-
 X, Y, FLUX = 0, 1, 2
 """Rows and columns of ``StarTable.covariance``, and of every vector that starts with (x, y, flux)."""
 

@@ -20,8 +20,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import DEG_RAD, RAD_ARCSEC, RAD_DEG
 
-__all__ = ["aberrated", "angles_from_attitude", "attitude_error_arcsec", "attitude_from_angles", "quat_xyzw"]
-
 
 def attitude_from_angles(ra_deg: ArrayLike, dec_deg: ArrayLike, roll_deg: ArrayLike = 0.0) -> Rotation:
     """Attitude of a camera that looks at a place of the sky.

@@ -19,9 +19,6 @@ import numpy as np
 
 from optics.arrays import FloatArray
 
-__all__ = ["COEFFICIENTS", "distort", "one_to_one_radius_mm"]
-
-
 COEFFICIENTS = ("q1_per_mm2", "q2_per_mm4", "q3_per_mm6", "p1_per_mm", "p2_per_mm")
 
 

@@ -8,15 +8,6 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-__all__ = [
-    "BackendError",
-    "ConfigError",
-    "ConvergenceError",
-    "DomainError",
-    "StarbenchError",
-    "unknown_name",
-]
-
 
 class StarbenchError(ValueError):
     """Base of all errors raised on purpose; the command line turns it into one line and exit code 2."""

@@ -25,9 +25,6 @@ from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk
 from optics.rays.spots import trace_spots
 from optics.rays.trace import Rays, trace_path
 
-__all__ = ["draw_distortion", "draw_image", "draw_lens", "draw_spots", "wavelength_colour"]
-
-
 FIELD_COLOURS = ("#1f5fa8", "#2a8c4a", "#c0392b", "#8e44ad", "#d68910", "#117a8b")
 GLASS_EDGE, GLASS_TINTS = "#34495e", ("#cfe3f5", "#d9ecd2", "#fbe3c6", "#e6d9f0", "#f6d5d5")
 PROFILE_POINTS = 81

@@ -25,8 +25,6 @@ from astropy.utils.exceptions import AstropyUserWarning, AstropyWarning
 
 from optics.errors import ConfigError, StarbenchError
 
-__all__ = ["image_header", "located", "open_fits", "unpacked"]
-
 _BLOCK, _CARD = 2880, 80
 _PACKED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
 _UNREADABLE = {b"PK\x03\x04": "zip", b"\x1f\x9d": "compress"}

@@ -9,8 +9,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-__all__ = ["bfs_from_q", "bfs_sum", "qcon_sum"]
-
 
 def qcon_sum(a: Sequence[Any], x: Any) -> tuple[Any, Any]:
     """Sum of a_m Qcon_m(x) and its derivative; Qcon_m(x) is the Jacobi polynomial P_m^(0,4)(2 x - 1)."""

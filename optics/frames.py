@@ -17,23 +17,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import DEG_RAD, RAD_DEG
 
-__all__ = [
-    "field_angles_deg",
-    "field_direction",
-    "light_direction",
-    "pixel_from_fits",
-    "pixel_from_lens",
-    "pixel_from_mitsuba",
-    "pixel_from_tetra3",
-    "pixel_from_tetra3rs",
-    "pixel_to_fits",
-    "pixel_to_lens",
-    "pixel_to_mitsuba",
-    "pixel_to_tetra3",
-    "pixel_to_tetra3rs",
-    "star_direction",
-]
-
 Pair = tuple[FloatArray, FloatArray]
 
 

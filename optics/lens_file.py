@@ -32,8 +32,6 @@ from optics.lens.without_glass import measured_lens
 from optics.rays.beam_widths import BeamWidths, beam_widths
 from optics.validate import read_toml
 
-__all__ = ["LensFile", "lens_path", "list_lenses", "load_lens", "read_lens_file"]
-
 MARGIN = 1.002
 """Of a clear aperture that is found over the marginal rays that find it, which are some of all (`BeamWidths`)."""
 TOML_FIELDS = (0.0, 0.7, 1.0)

@@ -27,8 +27,6 @@ from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 from optics.textfile import write_text
 
-__all__ = ["Marks", "differences", "frame_page", "save_frame_page"]
-
 SHAPES = ("circle", "square", "cross", "arrow")
 FLAG_COLOURS = ("#ff4d6d", "#c77dff", "#4895ef")
 STEPS_PER_SIGMA = 64

@@ -19,8 +19,6 @@ from scipy.interpolate import CubicSpline
 
 from optics.errors import ConfigError
 
-__all__ = ["read_record", "write_record"]
-
 Record = TypeVar("Record")
 PACKAGES = ("optics.", "render.")
 ODD = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}

@@ -11,8 +11,6 @@ from numpy.typing import DTypeLike, NDArray
 
 from optics.errors import DomainError
 
-__all__ = ["concatenated", "freeze", "locked"]
-
 Record = TypeVar("Record")
 
 

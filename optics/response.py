@@ -12,8 +12,6 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 
-__all__ = ["Curve", "Response", "check_table", "checked_wavelength"]
-
 ROUNDING = 1e-12
 
 

@@ -10,8 +10,6 @@ from pathlib import Path
 
 from optics.errors import ConfigError
 
-__all__ = ["LARGEST_BYTES", "TextFile", "read_text", "write_text"]
-
 LARGEST_BYTES = 32 * 2**20
 """Lens files have kilobytes, the largest glass catalogues some megabytes."""
 

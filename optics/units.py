@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["ARCSEC_RAD", "DEG_RAD", "NM_UM", "RAD_ARCSEC", "RAD_DEG", "UM_MM"]
-
 DEG_RAD = math.pi / 180.0
 RAD_DEG = 180.0 / math.pi
 ARCSEC_RAD = DEG_RAD / 3600.0

@@ -16,8 +16,6 @@ from pydantic.fields import FieldInfo
 from optics.errors import ConfigError, unknown_name
 from optics.textfile import read_text
 
-__all__ = ["MOST_LEVELS", "MOST_MISSING", "allowed_range", "parse_model", "read_toml", "refuse_values", "without_lax"]
-
 Model = TypeVar("Model", bound=BaseModel)
 Location = tuple[int | str, ...]
 

@@ -30,9 +30,6 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["Association", "StarMatch", "associate", "match_stars", "pixel_angle_rad"]
-
-
 MAX_CANDIDATES = 600  # candidates from which proposals are made
 MAX_PROPOSALS = 2000  # attitudes that are tried
 CHANCE_LIMIT = 1e-6  # probability of as many matches by chance above which nothing is claimed

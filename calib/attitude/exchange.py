@@ -16,8 +16,6 @@ import numpy as np
 
 from optics.arrays import FloatArray, IntArray
 
-__all__ = ["best_exchange"]
-
 MOST_STARS = 40
 """Stars of a frame that are tried, those farthest off: the two that are exchanged are among them."""
 

@@ -27,8 +27,6 @@ from scipy.spatial.transform import Rotation
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["integrate_rates", "integrate_rates_many"]
-
 HOUR_S = 3600.0
 SLACK_S = 1e-9
 

@@ -35,8 +35,6 @@ from optics.frames import pixel_to_tetra3rs
 from optics.records import freeze
 from optics.units import DEG_RAD, RAD_ARCSEC
 
-__all__ = ["Identification", "build_database", "failed", "identify", "load_database", "with_residuals"]
-
 TRIM_SIGMA = 5.0  # matches further off are taken for wrong
 TRIM_ROUNDS = 10
 

@@ -28,17 +28,6 @@ from scipy.spatial.transform import Rotation
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = [
-    "angle_per_increment",
-    "angles_of_rotation",
-    "exponential",
-    "increment_per_angle",
-    "link_attitudes",
-    "right_jacobian",
-    "rotation_of_angles",
-    "skew",
-]
-
 LOCKED_COSINE = 1e-9
 """Cosine of a1 below which a2 and a3 can no longer be told apart: a change of 1e-9 rad moves them by a radian."""
 

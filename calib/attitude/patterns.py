@@ -19,8 +19,6 @@ from typing import Any
 from calib.attitude.identify import build_database, load_database
 from optics.errors import ConfigError
 
-__all__ = ["cache_folder", "kept_database"]
-
 MOST_KEPT = 8
 """Files; the one that was not used for longest goes."""
 LOOK_S = 0.05

@@ -8,9 +8,6 @@ from numpy.typing import NDArray
 from calib.attitude.wahba import adjugate3
 from optics.arrays import FloatArray
 
-__all__ = ["attitude_covariance"]
-
-
 DEGENERATE = 1e-13
 """Smallest determinant of the information, relative to its trace cubed; below, the roll is not determined."""
 

@@ -22,8 +22,6 @@ from calib.fitting.misfit import LARGEST_WRONG_PART, UNTESTED, ChiSquare, joined
 from optics.arrays import BoolArray, FloatArray
 from optics.errors import DomainError
 
-__all__ = ["Residuals", "star_residuals"]
-
 BEYOND_SIGMA = 5.0  # of both axes together; one star of 270 000 lies there by chance
 ROUNDS = 10
 

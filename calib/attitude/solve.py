@@ -35,13 +35,6 @@ from optics.errors import ConfigError, DomainError
 from optics.records import freeze, locked
 from optics.units import RAD_ARCSEC
 
-__all__ = [
-    "AttitudeSolution",
-    "AttitudeSolutions",
-    "solve_wahba",
-    "solve_wahba_many",
-]
-
 Method = Literal["svd", "quest"]
 
 UNIT_TOLERANCE = 1e-6  # a direction further from unit length is something else: degrees, hours, pixels

@@ -30,9 +30,6 @@ from optics.attitude import attitude_error_arcsec
 from optics.records import freeze
 from optics.units import RAD_DEG
 
-__all__ = ["KnownStars", "StarAttitude", "balanced_attitude", "identify_stars", "solve_attitude"]
-
-
 MATCH_PX = 1.0
 LARGEST_COMMON_PX = 0.5
 FEWEST = 3

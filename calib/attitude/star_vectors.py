@@ -15,8 +15,6 @@ from calib.cameras.base import CameraModel
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["initial_frame_vectors"]
-
 
 def initial_frame_vectors(
     model: CameraModel,

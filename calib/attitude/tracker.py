@@ -40,9 +40,6 @@ from optics.records import freeze
 from optics.units import RAD_ARCSEC
 from render.records import EffectivePsf, Frame, WindowStack
 
-__all__ = ["GuideCatalogue", "StarTracker", "TrackedAttitude", "guide_catalogue", "sky_coverage"]
-
-
 CLIP_SIGMA, CLIP_ROUNDS = 3.5, 6
 SNR = 5.0
 """Signal-to-noise ratio of the flux below which a window holds no star."""

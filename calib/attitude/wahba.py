@@ -26,8 +26,6 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray, IntArray
 
-__all__ = ["adjugate3", "rotation_quest", "rotation_svd", "rotations_of_groups"]
-
 NEWTON_STEPS = 60
 ROBUST_STEPS = 20
 LEAST_MISS = 1e-5

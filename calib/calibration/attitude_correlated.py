@@ -35,8 +35,6 @@ from calib.cameras.base import CameraModel
 from optics.arrays import FloatArray
 from optics.records import locked
 
-__all__ = ["ANGLE_NAMES", "AttitudeCorrelated", "LinkState"]
-
 ANGLE_NAMES = ("phi1_rad", "phi2_rad", "phi3_rad", "theta1_rad", "theta2_rad", "theta3_rad")
 LEAST_TURN_RAD = 1e-3  # between frames, from which the installation follows from turns of camera and body
 LEAST_ASPECT = 0.02  # of the second to the first principal turn, below which the turns span one direction only

@@ -35,8 +35,6 @@ from calib.fitting.solution import Solution
 from optics.arrays import BoolArray, FloatArray
 from optics.errors import DomainError
 
-__all__ = ["AttitudeFamily", "Outcome", "RotationFamily", "frames_with_stars"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:

@@ -26,8 +26,6 @@ from optics.arrays import BoolArray, FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["Bound", "bound"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bound:

@@ -29,8 +29,6 @@ from calib.fitting.robust_loss import Loss, get_loss
 from calib.fitting.solution import Solution
 from optics.arrays import BoolArray, FloatArray
 
-__all__ = ["calibrate"]
-
 LEAST_COVERAGE = 8  # of the 16 parts of the detector that hold stars, below which the message says so
 
 

@@ -42,19 +42,6 @@ from optics.errors import DomainError
 from optics.records import freeze
 from optics.units import RAD_DEG
 
-__all__ = [
-    "MirrorSolution",
-    "angle_between_rad",
-    "cube_from_table",
-    "normal_in_table",
-    "normal_of_offset",
-    "pixel_angle_rad",
-    "rotation_error_rad",
-    "sensor_to_cube",
-    "table_matrix",
-    "triad",
-]
-
 SUN_LAB = (0.0, 0.0, 1.0)
 PARALLEL_RAD = 0.01
 

@@ -25,8 +25,6 @@ from calib.cameras.base import CameraModel
 from calib.fitting.least_squares import Fit
 from optics.arrays import FloatArray
 
-__all__ = ["FreeAttitudes", "frame_parity", "start_attitudes"]
-
 LOST_PART = 0.5  # of a frame's stars without weight, above which its attitude is looked for again
 
 

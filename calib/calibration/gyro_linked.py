@@ -35,8 +35,6 @@ from optics.errors import DomainError
 from optics.records import freeze, locked
 from optics.units import DEG_RAD
 
-__all__ = ["BIAS_NAMES", "GyroLinked", "GyroNoise", "WalkState"]
-
 BIAS_NAMES = ("bias1_rad_per_s", "bias2_rad_per_s", "bias3_rad_per_s")
 LEAST_WALK = 1e-12  # rad/sqrt(s): 3e-9 deg/sqrt(h), far below any gyro; keeps the prior finite
 

@@ -40,8 +40,6 @@ from calib.fitting.least_squares import covariance_of
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.errors import DomainError
 
-__all__ = ["PairProblem", "Pairs", "StarFrames", "WeightedPairProblem", "pair_covariance", "typical_sigma"]
-
 Pairs = Literal["all", "consecutive"]
 
 LARGEST_TABLE = 30_000_000  # entries of frames x stars x stars

@@ -51,8 +51,6 @@ from calib.fitting.robust_loss import Loss, get_loss
 from optics.arrays import BoolArray, FloatArray
 from optics.errors import ConfigError
 
-__all__ = ["NoAttitude"]
-
 OUTER_STEPS = 8  # renewals of the weights; two are usual
 SAME_WEIGHTS = 1e-3  # sigma: a step this short does not change the weights
 

@@ -12,9 +12,6 @@ from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.records import freeze, locked
 
-__all__ = ["Observations"]
-
-
 NORM_TOLERANCE = 1e-6
 """Largest deviation of a direction's length from 1: wide enough for unit vectors that went through float32 (6e-8)."""
 

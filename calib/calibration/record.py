@@ -13,8 +13,6 @@ from calib.fitting.solution import Solution
 from optics.arrays import FloatArray
 from optics.records import freeze
 
-__all__ = ["Calibration"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:

@@ -11,8 +11,6 @@ from calib.cameras.base import CameraModel
 from optics.arrays import BoolArray
 from optics.errors import DomainError
 
-__all__ = ["Selection", "select_stars"]
-
 LARGEST_OUTSIDE_PART = 0.01  # of the stars outside the detector, above which the list is in another convention
 
 

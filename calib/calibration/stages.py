@@ -21,8 +21,6 @@ from calib.fitting.robust_loss import Loss
 from optics.arrays import BoolArray, FloatArray
 from optics.errors import unknown_name
 
-__all__ = ["fit_stages", "free_mask", "free_names", "free_stages"]
-
 # median length of a unit normal vector in one dimension (of a pair's angle) and two (of a star's position)
 MEDIAN_LENGTH = {1: 0.6744897501960817, 2: float(np.sqrt(2.0 * np.log(2.0)))}
 

@@ -26,8 +26,6 @@ from calib.cameras.base import CameraModel
 from calib.fitting.arrow import ArrowSystem, Step
 from optics.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["FrameRotations", "Prior", "StarProblem", "StarState", "whitening"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prior:

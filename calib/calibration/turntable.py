@@ -53,8 +53,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze, locked
 
-__all__ = ["INSTALLATION_NAMES", "STAR_NAMES", "TableErrors", "TableState", "TurntableAttitudes", "star_direction"]
-
 STAR_NAMES = ("star_azimuth_rad", "star_elevation_rad")
 TARGET_NAMES = ("target1_rad", "target2_rad", "target3_rad")
 INSTALLATION_NAMES = ("theta1_rad", "theta2_rad", "theta3_rad")

@@ -15,8 +15,6 @@ from calib.fitting.misfit import LARGEST_RATIO, LARGEST_WRONG_PART, joined
 from calib.fitting.solution import Solution
 from optics.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["WRONG_PULL", "parity_hint", "verdict"]
-
 WRONG_PULL = 6.0  # length of a star's residual [sigma] beyond which it counts as a wrong match
 
 

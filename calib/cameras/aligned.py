@@ -21,8 +21,6 @@ from calib.cameras.base import CameraModel, Projection, checked_vectors
 from optics.arrays import FloatArray
 from optics.records import freeze
 
-__all__ = ["AlignedCamera"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignedCamera(CameraModel):

@@ -26,8 +26,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 from optics.records import freeze
 
-__all__ = ["CameraModel", "Projection", "SensorGeometry", "Unprojection", "unproject_jacobian"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorGeometry:

@@ -38,9 +38,6 @@ from optics.arrays import FloatArray
 from optics.brown_conrady import COEFFICIENTS, distort
 from optics.errors import DomainError
 
-__all__ = ["BrownConrady"]
-
-
 CHUNK = 2048
 """Directions handled together: their arrays stay in the processor's cache."""
 

@@ -17,8 +17,6 @@ from calib.cameras.inversion import PlaneMap, invert_plane
 from optics.arrays import FloatArray
 from optics.brown_conrady import one_to_one_radius_mm
 
-__all__ = ["distort_jacobian", "undistort"]
-
 
 def distort_jacobian(x: FloatArray, y: FloatArray, coefficients: FloatArray) -> PlaneMap:
     """Distorted positions with their derivatives by the ideal ones; arguments of `distort`."""

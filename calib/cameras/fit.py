@@ -31,9 +31,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import PixelMap
 
-__all__ = ["MapFit", "Mapped", "camera_model", "fit_camera", "fit_to_map"]
-
-
 TURN_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad")
 GOOD_PX = 2e-3
 """A model that follows the lens this closely is good enough: a tenth of what a bright star's centroid is known to."""

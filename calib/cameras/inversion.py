@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 
-__all__ = ["PlaneMap", "invert_plane"]
-
-
 NEWTON_STEPS = 25
 PATH_STEPS = 16
 SEGMENT_POINTS = 32

@@ -30,8 +30,6 @@ from optics.errors import DomainError
 from optics.records import freeze
 from optics.units import RAD_ARCSEC
 
-__all__ = ["LineOfSightMap", "best_rotation", "line_of_sight_map"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineOfSightMap:

@@ -29,8 +29,6 @@ from optics.arrays import FloatArray
 from optics.brown_conrady import COEFFICIENTS
 from optics.errors import DomainError
 
-__all__ = ["PerBand"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PerBand(CameraModel):

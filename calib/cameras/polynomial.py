@@ -45,9 +45,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["Polynomial"]
-
-
 CHUNK = 512
 """Directions handled together: their arrays stay in the processor's cache."""
 

@@ -42,18 +42,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = [
-    "FisherFit",
-    "concentration_from_deficit",
-    "deficit_of_concentration",
-    "fit_fisher",
-    "mean_and_chords",
-    "sample_fisher",
-    "tangent_basis",
-    "tangent_plane",
-]
-
-
 UNIT_TOLERANCE = 1e-9
 LEAST_CONCENTRATION = 1e-6
 LOW_CONCENTRATION = 10.0

@@ -21,17 +21,6 @@ from optics.arrays import BoolArray, FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = [
-    "CRITICAL_EXPONENTIAL",
-    "Exponential",
-    "Isotropy",
-    "effective_degrees",
-    "exponential_check",
-    "fisher_outliers",
-    "isotropy_check",
-]
-
-
 CRITICAL_EXPONENTIAL = {0.15: 0.926, 0.10: 0.990, 0.05: 1.094, 0.025: 1.190, 0.01: 1.308}
 """Level -> critical value of the modified Kolmogorov statistic, exponential with estimated mean: Stephens (J. Am. Stat.
 Assoc. 69, 730, 1974)."""

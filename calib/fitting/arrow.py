@@ -22,9 +22,6 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 
-__all__ = ["ArrowSystem", "Reduced", "Step", "spectrum"]
-
-
 # Eigenvalues of the scaled information below this part of the largest one are rounding, not information.
 NULL_PART = 1e-13
 

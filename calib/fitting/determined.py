@@ -13,8 +13,6 @@ import numpy as np
 
 from optics.arrays import BoolArray, FloatArray
 
-__all__ = ["Determined", "covariance_of_jacobian", "covariance_of_spectrum", "transformed_covariance"]
-
 NULL_RATIO = 1e-10  # singular values of the scaled Jacobian below this part of the largest one are rounding
 TAKES_PART = 1e-9  # squared component of an unknown in an undetermined direction above which it takes part
 

@@ -34,9 +34,6 @@ from calib.fitting.solution import Solution
 from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 
-__all__ = ["DenseProblem", "Evaluation", "Fit", "Problem", "covariance_of", "solve"]
-
-
 DAMPING_START = 1e-4
 DAMPING_LEAST = 1e-14
 ROUNDING_STEP = 1e-3  # sigma: a full step this short that does not lower the cost says that rounding has been reached

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammainc, gammaincc
 
-__all__ = ["LARGEST_RATIO", "LARGEST_WRONG_PART", "NOTE_PROBABILITY", "SAME_SPREAD", "UNTESTED", "ChiSquare", "joined"]
-
 SAME_SPREAD = 1.2  # a typical residual this close to the stated sigma, as a factor, is the stated sigma
 NOTE_PROBABILITY = 1e-3  # two-sided, below which chance is no explanation
 LARGEST_RATIO = 10.0  # typical residual over the stated sigma above which a fit is refused

@@ -28,8 +28,6 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 
-__all__ = ["Loss", "get_loss", "list_losses"]
-
 Function = Callable[[FloatArray], FloatArray]
 
 

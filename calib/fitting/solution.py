@@ -12,9 +12,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 from optics.records import freeze
 
-__all__ = ["STATUSES", "Solution"]
-
-
 STATUSES = ("converged", "stalled", "iteration_limit", "singular", "refused")
 
 

@@ -16,9 +16,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["Background", "estimate_background"]
-
-
 _FIRST_STEP, _FIRST_BOX = 2, 32
 """The first pass, which only tells stars, takes every second pixel of every second row of cells of so many px."""
 

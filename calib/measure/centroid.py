@@ -15,8 +15,6 @@ from optics.errors import ConfigError, unknown_name
 if TYPE_CHECKING:
     from calib.records import NoiseModel, Stamps, StarTable
 
-__all__ = ["Centroider", "centroider_class", "get_centroider", "list_centroiders", "register_centroider"]
-
 
 class Centroider(Protocol):
     """Anything that turns stamps into positions and fluxes with covariance; a frozen dataclass of its options."""

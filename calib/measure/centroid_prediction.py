@@ -26,9 +26,6 @@ from optics.errors import ConfigError
 from optics.records import freeze
 from render.records import EffectivePsf
 
-__all__ = ["CentroidErrors", "CentroidResponse", "phase_windows", "predict_centroids", "psf_mismatch"]
-
-
 NOT_LINEAR = frozenset({"tcog"})
 SCALE_FREE = frozenset({"cog", "windowed"})
 """Centroiders whose weights do not depend on the light."""

@@ -22,9 +22,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["EdgePoints", "Spokes", "edge_crossings", "sample_spokes", "smoothed"]
-
-
 INTERPOLATED = 2.25
 """Variance of pixel noise over the mean variance (2/3)^2 that bilinear interpolation leaves of it: samples scatter less
 than pixels, and those closer than a pixel are not independent. Sums over samples scatter as the pixels do."""

@@ -32,9 +32,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 from optics.records import freeze
 
-__all__ = ["CircleFit", "fit_circle"]
-
-
 STEPS = 50
 CLIP_SIGMA = 4.0
 CLIP_ROUNDS = 20

@@ -21,14 +21,6 @@ from calib.records import NoiseModel
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = [
-    "cramer_rao",
-    "fisher_information",
-    "flux_for_snr",
-    "matched_snr",
-    "poisson_normal_gain",
-]
-
 
 def fisher_information(
     jacobian: FloatArray,

@@ -21,8 +21,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import Frame
 
-__all__ = ["detect", "detection_noise"]
-
 
 def detect(
     image: SensorImage | Frame | NDArray[Any],

@@ -25,16 +25,6 @@ from calib.measure.moments import FWHM_PER_SIGMA
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = [
-    "clipped_noise",
-    "detection_probability",
-    "false_alarms",
-    "kernel_correlation",
-    "maxima_per_pixel",
-    "threshold_for_false_alarms",
-]
-
-
 HEIGHTS, SPREADS, DRAWS = 60, 15, 1024
 LOWEST, HIGHEST = 2.0, 40.0
 """Thresholds in which one for a number of false alarms is sought [sigma]."""

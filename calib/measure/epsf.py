@@ -19,8 +19,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import EffectivePsf
 
-__all__ = ["EpsfBank", "EpsfModel", "cubic_weights", "draw_epsf"]
-
 
 class EpsfBank:
     """Spline coefficients of one or several effective PSFs of equal oversampling, laid out for fast lookup."""

@@ -32,8 +32,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import EffectivePsf
 
-__all__ = ["EpsfSolution", "build_epsf"]
-
 _UNFIT = StarFlag.SATURATED | StarFlag.BLEND | StarFlag.SPIKE | StarFlag.NO_DATA | StarFlag.NOT_CONVERGED
 
 

@@ -31,8 +31,6 @@ from calib.measure.detection_statistics import HIGHEST, LOWEST, kernel_correlati
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = ["FilteredNoise", "measure_noise"]
-
 CENTRE_Z, LOW_Z, FIRST_Z, HIGH_Z, LINEAR_FROM_Z = 1.5, 0.3, 2.0, 2.6, 3.5
 """Normal quantiles: of the fit of normal noise, of skewed noise before and after stars are left out, of its tangent."""
 STAR_Z, STAR_PX = 5.0, 4

@@ -15,8 +15,6 @@ from calib.measure.stamps import extract_stamps
 from calib.records import SensorImage, Stamps, StarTable
 from render.records import Frame
 
-__all__ = ["find_stamps", "find_stars"]
-
 
 def find_stars(
     image: SensorImage | Frame | NDArray[Any],

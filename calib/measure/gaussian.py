@@ -9,8 +9,6 @@ from scipy.special import ndtr
 from calib.records import FLUX, X, Y
 from optics.arrays import FloatArray
 
-__all__ = ["WIDTH_PRIOR_LN", "WIDTH_PRIOR_PX", "GaussianModel", "draw_gaussian"]
-
 LN_SIGMA_X, LN_SIGMA_Y = 3, 4
 """Parameters after x, y and flux."""
 LN_SIGMA_LIMIT = 3.0

@@ -23,8 +23,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["HotPixels", "find_hot_pixels", "without_pixels"]
-
 MOST_FRAMES = 32
 SURE = 5.5
 """Standard deviations of the median over the frames: 0.02 pixels of 1 Mpx exceed it by noise."""

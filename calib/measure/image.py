@@ -17,8 +17,6 @@ from calib.records import NoiseModel, SensorImage
 from optics.errors import ConfigError, DomainError, unknown_name
 from render.records import Frame
 
-__all__ = ["as_image", "image_from_frame", "read_image", "read_images", "sensor_image", "subtract_dark"]
-
 _GAIN_KEYS = ("EGAIN", "CCDGAIN", "GAIN")  # electrons per DN
 _READ_NOISE_KEYS = ("RDNOISE", "READNOIS", "ENOISE", "RON")  # electrons
 _SATURATION_KEYS = ("SATURATE", "SATLEVEL", "DATAMAX")  # DN

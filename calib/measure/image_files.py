@@ -19,8 +19,6 @@ from calib.records import Conversion
 from optics.errors import ConfigError, StarbenchError
 from optics.fits import located, open_fits, unpacked
 
-__all__ = ["StoredPixels", "converter_steps", "load_pixels"]
-
 MOST_PIXELS = 1 << 28
 """A picture may have so many, which is 2 GB as float64; a header of a few bytes can announce any number."""
 FEWEST_CODES = 8

@@ -15,8 +15,6 @@ from calib.measure.centroid import Centroider
 from calib.records import NoiseModel, Stamps
 from optics.arrays import FloatArray
 
-__all__ = ["centroid_covariance", "centroid_variance", "linear_response", "tight"]
-
 
 def linear_response(centroider: Centroider, stamps: Stamps, noise: NoiseModel, light_e: FloatArray) -> FloatArray:
     """Derivative of a centroid by the signal of each pixel [px per e-], by finite differences on noiseless windows.

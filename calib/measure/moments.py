@@ -17,17 +17,6 @@ from calib.measure.pixel_phase import PhaseTable, phase_columns
 from calib.records import FLUX, NoiseModel, Stamps, StarTable, X, Y
 from optics.arrays import FloatArray
 
-__all__ = [
-    "FWHM_PER_SIGMA",
-    "Moments",
-    "gravity_table",
-    "half_light_radius",
-    "light_above_background",
-    "measured_table",
-    "pixel_variance",
-    "powers",
-]
-
 FWHM_PER_SIGMA = 2.354820045
 """Full width at half maximum of a Gaussian over its standard deviation, 2 sqrt(2 ln 2)."""
 

@@ -7,8 +7,6 @@ from typing import Any
 
 from optics.errors import DomainError
 
-__all__ = ["check_options", "option"]
-
 
 def option(
     default: Any,

@@ -21,8 +21,6 @@ from calib.measure.gaussian import draw_gaussian
 from calib.records import NoiseModel, Stamps, StarTable, X, Y
 from optics.arrays import FloatArray
 
-__all__ = ["MomentCentroider", "PhaseTable", "measure_with_phase", "phase_columns", "phase_table"]
-
 SIGMA_PX = np.concatenate([np.arange(0.2, 1.0, 0.02), np.arange(1.0, 3.05, 0.1)])
 PHASES = 6  # along columns and along rows; the error repeats with the pixel
 TOLD_PART = 0.5

@@ -30,8 +30,6 @@ from calib.records import FLUX, NoiseModel, Stamps, StarTable, X, Y
 from optics.arrays import FloatArray
 from optics.records import concatenated
 
-__all__ = ["LikelihoodFit", "PixelFit", "PixelModel", "fit_pixels"]
-
 MOST_LIGHT = 10.0
 """Times the light of its window that a star may have: no pixel of its core may be usable, and its wings alone tell."""
 CHUNK = 256  # stars per task: the working set of a chunk stays within a few MB of cache

@@ -16,8 +16,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import WindowStack
 
-__all__ = ["coarse_position", "extract_stamps", "parabola_peak", "ring_background", "stamps_from_windows"]
-
 
 def parabola_peak(before: FloatArray, peak: FloatArray, after: FloatArray) -> FloatArray:
     """Offset (within +-0.5) of the vertex of the parabola through three equidistant samples, the middle one highest."""

@@ -15,8 +15,6 @@ from scipy.spatial import cKDTree
 
 from optics.arrays import FloatArray
 
-__all__ = ["trail_members"]
-
 REACH_PX, END_PX, BESIDE_PX, STEPS = 50.0, 5.0, 6.0, 24
 """Longest way between two pieces, what is left out at its ends, distance of the parallels, samples of a way."""
 LIGHT, SURE = 1.5, 5.0

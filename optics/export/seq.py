@@ -11,8 +11,6 @@ from optics.lens.system import AMBIENT, LensSystem
 from optics.lens.tables import MIRROR, SurfaceTable
 from optics.lens_file import LensFile
 
-__all__ = ["seq_text"]
-
 _LETTERS = "ABCDEFGHJ"
 
 

@@ -16,8 +16,6 @@ from optics.lens.prescription import glasses_of
 from optics.lens.tables import MIRROR, BreakTable, MovedTable, Prescription, SurfaceTable
 from optics.lens_file import LensFile
 
-__all__ = ["Break", "Element", "Sequence", "agf_text", "safe_name", "sequence"]
-
 MAKERS = ("SCHOTT", "OHARA", "CDGM")
 """Glasses of these are in the catalogues of every design program under the same name."""
 

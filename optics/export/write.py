@@ -17,8 +17,6 @@ from optics.lens_file import LensFile
 from optics.rays.paraxial import axial_paraxial
 from optics.textfile import write_text
 
-__all__ = ["toml_lens", "write_lens", "write_measured_lens"]
-
 
 def write_lens(file: LensFile, path: str | Path) -> tuple[Path, ...]:
     """Write a lens file; read again it gives the same rays."""

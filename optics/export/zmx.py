@@ -11,8 +11,6 @@ from optics.export.sequence import Break, Element, Sequence, safe_name
 from optics.lens.tables import MIRROR, SurfaceTable
 from optics.lens_file import LensFile
 
-__all__ = ["zmx_text"]
-
 Made = tuple[str, float, float, dict[int, float], dict[int, float]]
 """Kind, curvature, conic constant, parameters, extra data."""
 

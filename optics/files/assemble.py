@@ -20,8 +20,6 @@ from optics.glass.catalogue import Glass, get_glass, list_glasses
 from optics.glass.media import CATALOGUE_AIR, Environment
 from optics.records import locked
 
-__all__ = ["FileDefaults", "Imported", "assemble"]
-
 WIDEST_DEG = 89.0
 AXIS_ONLY_DEG = 0.1
 """Half field of a file that knows the axis only: something has to stand there, and the report says so."""

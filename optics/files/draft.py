@@ -11,8 +11,6 @@ from optics.errors import ConfigError
 from optics.files.report import ReportBuilder
 from optics.glass.catalogue import Glass
 
-__all__ = ["Aperture", "Draft", "Field", "GlassName", "Row", "number", "whole"]
-
 LARGEST = 1e15
 """Numbers above stand for infinity."""
 FAR_MM = 1e9

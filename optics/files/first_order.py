@@ -18,8 +18,6 @@ from optics.forbes import bfs_from_q, bfs_sum
 from optics.glass.catalogue import Glass
 from optics.glass.media import CATALOGUE_AIR, Environment
 
-__all__ = ["FirstOrder", "first_order"]
-
 
 @dataclass(frozen=True, slots=True)
 class FirstOrder:

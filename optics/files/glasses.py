@@ -19,8 +19,6 @@ from optics.glass.catalogue import Glass, get_glass, list_glasses
 from optics.glass.index_database import read_material
 from optics.glass.model import D_NM, MODEL_ERROR, model_glass, six_digits
 
-__all__ = ["Found", "GlassFinder", "read_glass"]
-
 BUILT_IN = {
     "SCHOTT": ("SCHOTT",),
     "OHARA": ("OHARA",),

@@ -15,8 +15,6 @@ from optics.files.seq import read_seq
 from optics.files.zmx import read_zmx
 from optics.textfile import TextFile, read_text
 
-__all__ = ["FOREIGN", "SUFFIXES", "Reading", "import_lens", "split_configuration"]
-
 SUFFIXES = (".zmx", ".seq")
 """Endings of the lens files of other programs that are read."""
 _CLOSED = {

@@ -9,8 +9,6 @@ from enum import StrEnum
 
 from optics.errors import ConfigError
 
-__all__ = ["Comparison", "GlassChoice", "ImportReport", "ReportBuilder", "ReportLine", "Status"]
-
 
 class Status(StrEnum):
     """What became of a line."""

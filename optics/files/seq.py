@@ -25,8 +25,6 @@ from optics.glass.dispersion import Dispersion
 from optics.glass.index_database import fitted_index
 from optics.textfile import TextFile
 
-__all__ = ["read_seq"]
-
 UNITS_MM = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
 MOST_SURFACES = 1000
 EXACT_RESIDUAL, ROUGH_RESIDUAL = 1e-6, 1e-3

@@ -9,8 +9,6 @@ from typing import Any
 
 from optics.files.draft import GlassName, Row, number
 
-__all__ = ["SurfaceData"]
-
 _POLYNOMIAL = "ABCDEFGHJ"
 """Commands of the even asphere: r^4, r^6, ... r^20."""
 _MOVES = {"XDE": 0, "YDE": 1, "ZDE": 2}

@@ -19,8 +19,6 @@ from optics.files.report import ReportBuilder
 from optics.files.zmx_surfaces import APERTURE_KEYS, SurfaceData
 from optics.textfile import TextFile
 
-__all__ = ["read_zmx"]
-
 UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
 ATMOSPHERE_HPA = 1013.25
 MOST_SURFACES = 1000

@@ -9,8 +9,6 @@ from typing import Any
 
 from optics.files.draft import GlassName, Row, number, whole
 
-__all__ = ["APERTURE_KEYS", "SURFACE_KINDS", "SurfaceData"]
-
 APERTURE_KEYS = ("CLAP", "FLAP", "OBSC", "SQAP", "SQOB", "ELAP", "ELOB", "SPID", "UDAP", "UDOB", "OBDC")
 """Commands that describe apertures of a surface."""
 _MEANINGS = {

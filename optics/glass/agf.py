@@ -19,8 +19,6 @@ from optics.glass.dispersion import AGF_FORMULAS, Dispersion, ThermalDispersion
 from optics.response import Response
 from optics.textfile import read_text
 
-__all__ = ["AgfCatalogue", "read_agf"]
-
 _STATED_ND = 0.05
 """How far the printed n_d may be from the formula's: further away the coefficients are no glass at all."""
 

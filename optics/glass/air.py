@@ -23,8 +23,6 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.response import checked_wavelength
 
-__all__ = ["AirFormula", "air_index"]
-
 AirFormula = Literal["kohlrausch", "ciddor"]
 
 STANDARD_PRESSURE_HPA = 1013.25

@@ -30,13 +30,6 @@ from optics.glass.air import STANDARD_PRESSURE_HPA, AirFormula, air_index
 from optics.glass.dispersion import Dispersion, ThermalDispersion
 from optics.response import Response, checked_wavelength
 
-__all__ = [
-    "Glass",
-    "get_glass",
-    "glass_from_table",
-    "list_glasses",
-]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Glass:

@@ -29,8 +29,6 @@ from optics.glass.catalogue import Glass, get_glass
 from optics.records import freeze
 from optics.response import checked_wavelength
 
-__all__ = ["BARE", "Coating", "Film", "QuarterWave", "Split", "Stack", "TabulatedCoating", "fresnel"]
-
 ROUNDING = 1e-12
 """By which R + T of a table may exceed 1."""
 

@@ -23,8 +23,6 @@ from numpy.typing import ArrayLike
 from optics.arrays import NUMPY, ArrayNamespace, FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 
-__all__ = ["AGF_FORMULAS", "FORMULAS", "Dispersion", "Form", "ThermalDispersion", "thermal_change"]
-
 LARGEST_EXPONENT = 24
 """Of a wavelength; published formulas go to 12. Powers are products of as many factors."""
 

@@ -25,8 +25,6 @@ from optics.glass.model import model_glass
 from optics.response import Response
 from optics.textfile import read_text
 
-__all__ = ["fitted_index", "read_material"]
-
 PLATE_MM = 10.0
 LARGEST_RESIDUAL = 2e-4
 """A tabulated index that no smooth curve follows so closely is refused."""

@@ -21,8 +21,6 @@ from optics.glass.air import STANDARD_PRESSURE_HPA, kohlrausch_density, kohlraus
 from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Form, thermal_change
 
-__all__ = ["CATALOGUE_AIR", "VACUUM", "Environment", "IndexFormula", "index_parameters"]
-
 UNKNOWN_DNDT_K = 5.0
 """How far from its catalogue temperature a glass of unknown dn/dT may be used; 5 K change an index by about 1e-5."""
 

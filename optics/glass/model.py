@@ -15,8 +15,6 @@ from optics.errors import DomainError
 from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Dispersion
 
-__all__ = ["C_NM", "D_NM", "F_NM", "MODEL_ERROR", "model_glass", "six_digits"]
-
 D_NM, F_NM, C_NM, G_NM = 587.5618, 486.1327, 656.2725, 435.8343
 MODEL_ERROR = 3.3e-4
 RANGE_NM = (365.0, 1100.0)

@@ -20,8 +20,6 @@ from pydantic import Field, FiniteFloat
 from optics.arrays import ArrayNamespace, FloatArray
 from optics.errors import DomainError
 
-__all__ = ["APERTURES", "Aperture", "Circle", "Ellipse", "Polygon", "Rectangle", "Spider"]
-
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Point = tuple[FiniteFloat, FiniteFloat]
 ROUND_POINTS = 72

@@ -15,9 +15,6 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.lens.system import STOP_ALONE, LensSystem, Surface
 
-__all__ = ["Crossing", "acts", "axial_ray", "crossings", "geometry_faults", "idle_stop"]
-
-
 HEIGHTS = 64
 """Heights at which surfaces are compared."""
 TOUCHING_MM = 1e-6

@@ -66,8 +66,6 @@ from optics.response import Response
 from optics.units import UM_MM
 from optics.validate import parse_model
 
-__all__ = ["GaussianMixture", "MeasuredLens", "measured_from_table", "measured_table"]
-
 SHARES = 1e-6
 """Error of the sum of the components' shares that is rounding; they are scaled to 1."""
 WIDEST_CORRELATION = 0.95

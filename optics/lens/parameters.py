@@ -16,8 +16,6 @@ from optics.errors import DomainError
 from optics.lens.perturb import change_index, change_temperature, decentre, tilt
 from optics.lens.system import AMBIENT, LensSystem
 
-__all__ = ["LENS_PARAMETERS", "lens_parameters", "steps_of", "with_parameters"]
-
 LENS_PARAMETERS = {
     "curvature_per_mm": "(s,) vertex curvatures [1/mm]",
     "conic": "(s,) conic constants",

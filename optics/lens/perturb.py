@@ -22,19 +22,6 @@ from optics.glass.media import Environment
 from optics.lens.system import AMBIENT, LensSystem
 from optics.lens.thermal import Housing, ThermalState, heated_lens
 
-__all__ = [
-    "ALL_SURFACES",
-    "EVERYTHING",
-    "change_index",
-    "change_shape",
-    "change_temperature",
-    "decentre",
-    "despace",
-    "refocus",
-    "tilt",
-    "tilt_image",
-]
-
 What = str | int | Sequence[int]
 
 ALL_SURFACES = "@surfaces"

@@ -28,9 +28,6 @@ from optics.lens.system import AMBIENT, STOP_ALONE, LensSystem, Surface
 from optics.lens.tables import MIRROR, BreakTable, ErrorTable, MovedTable, Prescription, PupilTable, SurfaceTable
 from optics.validate import parse_model
 
-__all__ = ["glasses_of", "lens_from_table", "rims_mm"]
-
-
 EDGE_ON = 1e-6
 """Cosine of the axis with a surface's normal below which the surface is edge-on to the light."""
 UNIT_MM = {"nm": 1e-6, "um": 1e-3, "mm": 1.0}

@@ -16,8 +16,6 @@ from optics.arrays import ArrayNamespace, FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 
-__all__ = ["SagMap", "read_map"]
-
 LEAST_POINTS = 5
 
 

@@ -25,9 +25,6 @@ from optics.lens.shapes.plane import Plane
 from optics.records import freeze
 from optics.response import Response, checked_wavelength
 
-__all__ = ["AMBIENT", "HALF_TURN", "LensSystem", "Surface"]
-
-
 AMBIENT = "air"
 """Name of the medium that fills the surroundings, whatever its pressure (vacuum included)."""
 HALF_TURN = np.diag([-1.0, 1.0, -1.0])

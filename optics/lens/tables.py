@@ -30,19 +30,6 @@ from optics.lens.shapes.base import Shape
 from optics.lens.shapes.registry import SHAPES, UNNAMED
 from optics.validate import without_lax
 
-__all__ = [
-    "BREAK",
-    "MIRROR",
-    "BreakTable",
-    "CoatingTable",
-    "ErrorTable",
-    "GlassTable",
-    "ImageTable",
-    "Prescription",
-    "PupilTable",
-    "SurfaceTable",
-]
-
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Expansion = Annotated[float, Field(ge=-1e-3, le=1e-3)]

@@ -43,8 +43,6 @@ from optics.lens.shapes.revolution import Curved
 from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import AMBIENT, LensSystem, Surface
 
-__all__ = ["COMPONENTS", "DETECTOR", "STOP", "Housing", "Mount", "ThermalState", "heated_lens", "with_spacers"]
-
 DETECTOR, STOP = "detector", "stop"
 """Names of spacers: in front of the image plane, and of a stop that belongs to no element."""
 LARGEST_K = 250.0

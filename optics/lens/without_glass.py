@@ -13,8 +13,6 @@ from optics.lens.shapes.plane import Plane
 from optics.lens.system import LensSystem, Surface
 from optics.response import Response
 
-__all__ = ["ideal_lens", "measured_lens"]
-
 FASTEST = 0.5
 """F-number below which no lens in air can be: the sine of a marginal ray."""
 

@@ -15,8 +15,6 @@ from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 from optics.response import Curve
 
-__all__ = ["Band", "BandNodes", "TabulatedBand", "TopHat", "band_nodes", "piecewise_nodes"]
-
 
 @runtime_checkable
 class Band(Protocol):

@@ -14,8 +14,6 @@ from optics.light.band import TabulatedBand
 from optics.response import check_table
 from optics.textfile import read_text
 
-__all__ = ["load_band"]
-
 BLOCKED_FRACTION = 1e-3
 """Of the peak: tails below it are left out, or a curve of a blocked filter would be light at all wavelengths."""
 NOISE_FRACTION = 0.005

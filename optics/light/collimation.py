@@ -11,8 +11,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
-__all__ = ["Collimation", "bent_light"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Collimation:

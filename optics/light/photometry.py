@@ -30,16 +30,6 @@ from optics.errors import DomainError, unknown_name
 from optics.light.band import Band, TabulatedBand, piecewise_nodes
 from optics.light.spectrum import PHOTON_J_NM, Sed
 
-__all__ = [
-    "MagnitudeSystem",
-    "band_integral",
-    "band_photon_rate",
-    "magnitude_system",
-    "photon_rate",
-    "synthetic_magnitude",
-]
-
-
 _ERG_S_CM2_A = 1e8  # erg s^-1 cm^-2 A^-1 in one W mm^-2 nm^-1
 _GAIA_PUPIL_MM2 = 0.7278e6
 

@@ -18,8 +18,6 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 
-__all__ = ["PointSourceTransmittance", "read_pst", "write_pst"]
-
 FLOOR = 1e-30
 """What stands for no light where logarithms are taken."""
 

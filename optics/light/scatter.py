@@ -25,18 +25,6 @@ from scipy.special import erf, hyp2f1, j1
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-__all__ = [
-    "ABg",
-    "HarveyShack",
-    "Particles",
-    "Together",
-    "area_coverage",
-    "lens_scatter",
-    "particles_per_mm2",
-    "polished",
-    "roughness_tis",
-]
-
 SLOPE = 0.926
 """Of the logarithm of the number of particles over log^2 of their size (IEST-STD-CC1246)."""
 REFERENCE_MM2 = 1e5

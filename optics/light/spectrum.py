@@ -18,9 +18,6 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.response import Curve, checked_wavelength
 
-__all__ = ["PHOTON_J_NM", "Blackbody", "Sed", "TabulatedSed"]
-
-
 PHOTON_J_NM = constants.h * constants.c * 1e9
 """Energy of a photon times its wavelength in vacuum [J nm] (CODATA)."""
 

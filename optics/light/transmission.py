@@ -21,8 +21,6 @@ from optics.glass.coating import BARE, Coating
 from optics.records import freeze
 from optics.response import Response
 
-__all__ = ["Layout", "layout_of", "lens_transmission"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layout:

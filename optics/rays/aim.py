@@ -22,9 +22,6 @@ from optics.rays.program import LensProgram, compile_lens
 from optics.rays.trace import OK, Rays, trace_program
 from optics.units import DEG_RAD
 
-__all__ = ["AimFrame", "AimedRays", "aim_at_stop", "aim_frame", "front_of", "without_apertures", "without_holes"]
-
-
 FIRST_STEP_RAD, LEAST_STEP_RAD = 10.0 * DEG_RAD, 1e-3 * DEG_RAD
 """Longest and shortest step of the field angle."""
 NEWTON_STEPS, TOLERANCE, DIFFERENCE = 8, 1e-11, 1e-5

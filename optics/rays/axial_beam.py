@@ -14,9 +14,6 @@ from optics.rays.paraxial import paraxial
 from optics.rays.program import compile_lens
 from optics.rays.trace import OK, STATUS_NAMES, Rays, trace_program
 
-__all__ = ["check_axial_beam"]
-
-
 HEIGHTS = 64
 FAN = 0.95
 """Part of the pupil's radius from which every ray on the axis has to reach the image plane."""

@@ -24,9 +24,6 @@ from optics.rays.program import compile_lens
 from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
 from optics.records import freeze
 
-__all__ = ["BeamOutlines", "Beams", "beam_outlines", "find_beams", "inner_points"]
-
-
 RIM_STEPS, RIM_TOLERANCE = 60, 1e-8
 """Steps of false position; residual in radii of the aperture."""
 WIDEST = 64.0

@@ -16,8 +16,6 @@ from optics.rays.program import compile_lens
 from optics.rays.trace import OK, Rays, trace_program
 from optics.units import DEG_RAD
 
-__all__ = ["BeamWidths", "beam_widths"]
-
 ARMS = 50
 """Marginal rays of a beam, two of them along y; a round rim passes the polygon of them by 1 - cos(pi / 50), 0.2 %."""
 

@@ -22,8 +22,6 @@ from optics.rays.trace import OK, Rays, trace_program
 from optics.records import freeze
 from optics.units import DEG_RAD
 
-__all__ = ["DistortionMap", "chief_ray_points", "distortion_map", "plate_scale_mm"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistortionMap:

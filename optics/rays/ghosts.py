@@ -29,21 +29,6 @@ from optics.lens.system import AMBIENT, HALF_TURN, LensSystem, Surface
 from optics.rays.pupil import EntrancePupil, PupilSamples, entrance_pupil, gauss_disk, launch_disks, star_rays
 from optics.rays.trace import OK, TOTAL_REFLECTION, Rays, trace
 
-__all__ = [
-    "FluxLedger",
-    "GhostPath",
-    "GhostRays",
-    "Ghosts",
-    "entering_rays",
-    "entrance_radius_mm",
-    "find_ghosts",
-    "front_rays",
-    "ghost_pairs",
-    "reflects",
-    "trace_ghost",
-    "with_cover_glass",
-]
-
 RINGS, ARMS = 24, 48
 """Points of the beam, and as many of the rest of the first surface."""
 SLACK = 1.25

@@ -23,17 +23,6 @@ from optics.errors import DomainError
 from optics.lens.system import LensSystem
 from optics.units import DEG_RAD
 
-__all__ = [
-    "ParaxialLens",
-    "axial_colour_mm",
-    "chief_ray",
-    "image_of",
-    "lateral_colour_mm",
-    "paraxial",
-    "refocused",
-    "stopped_down",
-]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParaxialLens:

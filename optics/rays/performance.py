@@ -19,9 +19,6 @@ from optics.rays.spots import Spots, trace_spots
 from optics.records import freeze
 from optics.units import DEG_RAD
 
-__all__ = ["FocusCurve", "LensPerformance", "lens_performance", "white_focus"]
-
-
 NO_SLOPE = 1e-20
 """Mean square of slopes that is rounding."""
 

@@ -21,8 +21,6 @@ from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, LensSystem
 from optics.records import locked
 
-__all__ = ["LensProgram", "Step", "compile_lens"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:

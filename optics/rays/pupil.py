@@ -19,20 +19,6 @@ from optics.rays.program import compile_lens
 from optics.rays.trace import Rays, trace
 from optics.records import freeze
 
-__all__ = [
-    "EntrancePupil",
-    "LaunchDisks",
-    "PupilSamples",
-    "disk_from_square",
-    "entrance_pupil",
-    "gauss_disk",
-    "launch_disks",
-    "sobol_disk",
-    "star_rays",
-    "stop_in_front",
-]
-
-
 ARMS = 24
 """Azimuths at which the outlines of beams are looked at."""
 MARGIN = 1.01 / math.cos(math.pi / ARMS)

@@ -17,8 +17,6 @@ from optics.errors import DomainError
 from optics.lens.system import HALF_TURN, LensSystem
 from optics.rays.trace import OK, Rays
 
-__all__ = ["retraced", "reverse", "reversed_turn"]
-
 
 def reversed_turn(lens: LensSystem) -> FloatArray:
     """Rotation (3, 3) from the lens frame to that of the reversed lens."""

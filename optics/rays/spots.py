@@ -32,18 +32,6 @@ from optics.rays.pupil import (
 from optics.rays.trace import VIGNETTED, Rays, trace
 from optics.records import freeze
 
-__all__ = [
-    "SpotMoments",
-    "Spots",
-    "best_focus_shift_mm",
-    "collecting_area_mm2",
-    "lateral_colour",
-    "spot_moments",
-    "trace_spots",
-    "vignetting",
-]
-
-
 QUADRATURE = (12, 32)
 """Rings and azimuths."""
 SOBOL_POINTS, SOBOL_SEED = 4096, 0

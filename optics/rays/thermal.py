@@ -20,15 +20,6 @@ from optics.rays.spots import Spots, trace_spots
 from optics.records import freeze
 from optics.units import DEG_RAD, RAD_ARCSEC
 
-__all__ = [
-    "Athermal",
-    "ThermalSensitivity",
-    "athermal_spacer",
-    "focus_um_per_k",
-    "spacers_of",
-    "thermal_sensitivity",
-]
-
 STEP_K = 2.0
 DEGREE = 5
 """Of the polynomial through the shifts over the field."""

@@ -24,18 +24,6 @@ from optics.lens.shapes.base import Hit, Shape
 from optics.lens.system import LensSystem
 from optics.rays.program import LensProgram, Step, compile_lens
 
-__all__ = [
-    "MISSED",
-    "OK",
-    "STATUS_NAMES",
-    "TOTAL_REFLECTION",
-    "VIGNETTED",
-    "Rays",
-    "trace",
-    "trace_path",
-    "trace_program",
-]
-
 OK, MISSED, TOTAL_REFLECTION, VIGNETTED = 0, 1, 2, 3
 MEASURED_STEPS, MEASURED_RESIDUAL_MM = 5, 1e-10
 """Steps towards a surface with a measured deviation, and the last change [mm] beyond which a ray counts as missed."""

@@ -20,9 +20,6 @@ from optics.errors import DomainError
 from optics.records import freeze
 from optics.waves.pupil_field import PupilField
 
-__all__ = ["EvenPupil", "even_pupil", "waves_at_image"]
-
-
 DEGREE = 12
 PER_CELL = 6
 """Points along a cell at the rim, which tell the part of it that is inside."""

@@ -14,8 +14,6 @@ from optics.arrays import FloatArray
 from optics.waves.even_pupil import even_pupil, waves_at_image
 from optics.waves.pupil_field import ComplexArray, PupilField
 
-__all__ = ["encircled_energy", "peak", "perfect_peak", "strehl", "strehl_through_focus", "transfer_function"]
-
 
 def peak(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> tuple[float, float, float]:
     """Brightest point of the image: x, y [mm] and intensity [share of the light per mm^2].

@@ -21,9 +21,6 @@ from optics.rays.trace import Rays, trace_path
 from optics.waves.pupil_field import PupilField, trace_pupil
 from optics.waves.wavefront import PathMap
 
-__all__ = ["with_wavefront"]
-
-
 ORDER = (12, 32)
 DEGREE = 7
 """Of the polynomials that lead from the surface back to the pupil."""

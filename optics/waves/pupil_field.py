@@ -30,9 +30,6 @@ from optics.rays.pupil import gauss_disk, stop_in_front
 from optics.rays.trace import Rays, trace
 from optics.records import freeze
 
-__all__ = ["LARGEST_APERTURE", "ComplexArray", "PupilField", "needed_order", "trace_pupil"]
-
-
 LARGEST_APERTURE = 0.6
 """Sine of the largest angle of a ray for which the scalar theory is taken to hold (F/0.83); beyond, the vector nature
 of light changes the image by more than a few percent of its peak (Richards & Wolf 1959, Proc. R. Soc. A 253, 358)."""

@@ -19,8 +19,6 @@ from optics.records import freeze
 from optics.waves.pupil_field import PupilField
 from optics.waves.zernike import ZernikeOrder, fit_zernikes, zernike_numbers, zernikes
 
-__all__ = ["PathMap", "Wavefront", "wavefront", "zernike_map"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wavefront:

@@ -18,8 +18,6 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 from optics.lens.shapes.zernike import MOST_TERMS, fringe_index, noll_index
 
-__all__ = ["ZernikeOrder", "fit_zernikes", "zernike_numbers", "zernikes"]
-
 ZernikeOrder = Literal["noll", "ansi", "fringe"]
 
 

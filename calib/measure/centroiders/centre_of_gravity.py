@@ -10,8 +10,6 @@ from calib.measure.options import check_options, option
 from calib.measure.pixel_phase import PhaseTable, measure_with_phase
 from calib.records import NoiseModel, Stamps, StarTable
 
-__all__ = ["CentreOfGravity"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CentreOfGravity:

@@ -12,8 +12,6 @@ from calib.records import NoiseModel, Stamps, StarTable
 from optics.errors import DomainError
 from render.records import EffectivePsf
 
-__all__ = ["EpsfCentroider"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpsfCentroider(LikelihoodFit):

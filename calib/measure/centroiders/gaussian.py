@@ -13,8 +13,6 @@ from calib.measure.options import option
 from calib.measure.scoring import LikelihoodFit, PixelFit
 from calib.records import NoiseModel, Stamps, StarTable
 
-__all__ = ["GaussianCentroider"]
-
 NARROWEST_PX = 0.25
 """Width below which the stated covariance of a position is too small, by 1.6 times at 0.2 px and 3 at 0.15 px."""
 

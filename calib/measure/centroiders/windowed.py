@@ -23,8 +23,6 @@ from calib.measure.pixel_phase import PhaseTable, measure_with_phase
 from calib.records import FLUX, NoiseModel, Stamps, StarTable
 from optics.arrays import FloatArray
 
-__all__ = ["WindowedCentroid"]
-
 MAX_STEP_PX = 1.0
 MIN_SIGMA_PX = 0.5
 """Narrowest window that follows from the light: SExtractor's too."""

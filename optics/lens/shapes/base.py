@@ -16,8 +16,6 @@ from typing import Any, ClassVar, Self
 from optics.arrays import ArrayNamespace, FloatArray
 from optics.errors import DomainError
 
-__all__ = ["Hit", "Shape", "require_finite", "require_positive"]
-
 
 @dataclass(frozen=True, slots=True)
 class Hit:

@@ -15,8 +15,6 @@ from optics.lens.shapes.base import require_finite
 from optics.lens.shapes.freeform import Freeform
 from optics.lens.shapes.revolution import conic_rim_mm
 
-__all__ = ["Biconic"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Biconic(Freeform):

@@ -12,8 +12,6 @@ from optics.arrays import NUMPY, ArrayNamespace, FloatArray
 from optics.lens.shapes.base import Hit, require_finite
 from optics.lens.shapes.revolution import Curved, conic_profile, conic_rim_mm, profile_sag
 
-__all__ = ["Conic"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conic(Curved):

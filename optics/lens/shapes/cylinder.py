@@ -13,8 +13,6 @@ from optics.lens.shapes.base import require_finite
 from optics.lens.shapes.freeform import Freeform
 from optics.lens.shapes.revolution import Curved, conic_profile, conic_rim_mm
 
-__all__ = ["Cylinder"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cylinder(Freeform, Curved):

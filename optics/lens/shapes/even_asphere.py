@@ -16,8 +16,6 @@ from optics.lens.shapes.plane import Plane
 from optics.lens.shapes.revolution import Asphere, conic_profile
 from optics.lens.shapes.sphere import Sphere
 
-__all__ = ["EvenAsphere"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EvenAsphere(Asphere):

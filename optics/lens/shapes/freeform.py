@@ -15,8 +15,6 @@ from optics.arrays import NUMPY, ArrayNamespace, FloatArray
 from optics.lens.shapes.base import Hit, Shape, require_finite
 from optics.lens.shapes.revolution import Curved, conic_path, conic_profile, conic_rim_mm
 
-__all__ = ["Freeform", "PolynomialFreeform", "polynomial", "surface_hit"]
-
 NEWTON_STEPS, NEWTON_RESIDUAL_MM = 8, 1e-10
 
 Sag = Callable[[Any, Any], tuple[Any, Any, Any, Any]]

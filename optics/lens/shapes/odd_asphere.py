@@ -13,8 +13,6 @@ from optics.errors import DomainError
 from optics.lens.shapes.base import require_finite
 from optics.lens.shapes.revolution import Asphere, conic_profile
 
-__all__ = ["OddAsphere"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OddAsphere(Asphere):

@@ -25,8 +25,6 @@ from optics.arrays import ArrayNamespace, FloatArray
 from optics.errors import DomainError
 from optics.lens.shapes.base import Hit, Shape
 
-__all__ = ["ParaxialLens"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParaxialLens(Shape):

@@ -11,8 +11,6 @@ import numpy as np
 from optics.arrays import ArrayNamespace, FloatArray
 from optics.lens.shapes.base import Hit, Shape
 
-__all__ = ["Plane"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plane(Shape):

@@ -12,8 +12,6 @@ from optics.arrays import FloatArray
 from optics.lens.shapes.base import require_finite, require_positive
 from optics.lens.shapes.freeform import PolynomialFreeform
 
-__all__ = ["Polynomial"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Polynomial(PolynomialFreeform):

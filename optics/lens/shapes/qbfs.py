@@ -14,8 +14,6 @@ from optics.forbes import bfs_from_q, bfs_sum
 from optics.lens.shapes.base import Hit, require_finite, require_positive
 from optics.lens.shapes.revolution import Curved, conic_path, conic_profile, conic_rim_mm, newton_hit, profile_sag
 
-__all__ = ["Qbfs"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Qbfs(Curved):

@@ -13,8 +13,6 @@ from optics.forbes import qcon_sum
 from optics.lens.shapes.base import require_finite, require_positive
 from optics.lens.shapes.revolution import Asphere, conic_profile
 
-__all__ = ["Qcon"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Qcon(Asphere):

@@ -17,8 +17,6 @@ from optics.lens.shapes.sphere import Sphere
 from optics.lens.shapes.toroid import Toroid
 from optics.lens.shapes.zernike import Zernike
 
-__all__ = ["SHAPES", "UNNAMED"]
-
 ROTATIONAL: tuple[type[Shape], ...] = (Plane, Sphere, Conic, EvenAsphere, OddAsphere, Qbfs, Qcon, ParaxialLens)
 SHAPES: tuple[type[Shape], ...] = (*ROTATIONAL, Cylinder, Toroid, Biconic, Zernike, Polynomial)
 

@@ -25,17 +25,6 @@ from optics.arrays import NUMPY, ArrayNamespace, FloatArray
 from optics.errors import DomainError
 from optics.lens.shapes.base import Hit, Shape, require_finite
 
-__all__ = [
-    "Asphere",
-    "Curved",
-    "Profile",
-    "conic_path",
-    "conic_profile",
-    "conic_rim_mm",
-    "newton_hit",
-    "profile_sag",
-]
-
 NEWTON_STEPS = 6
 NEWTON_RESIDUAL_MM = 1e-10
 

@@ -11,8 +11,6 @@ from optics.lens.shapes.base import Hit, Shape, require_finite
 from optics.lens.shapes.conic import Conic
 from optics.lens.shapes.revolution import Curved, conic_profile, profile_sag
 
-__all__ = ["Sphere"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sphere(Curved):

@@ -15,8 +15,6 @@ from optics.lens.shapes.base import require_finite
 from optics.lens.shapes.freeform import Freeform
 from optics.lens.shapes.revolution import Curved, conic_profile, conic_rim_mm
 
-__all__ = ["Toroid"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Toroid(Freeform, Curved):

@@ -16,8 +16,6 @@ from optics.errors import DomainError
 from optics.lens.shapes.base import require_finite, require_positive
 from optics.lens.shapes.freeform import PolynomialFreeform
 
-__all__ = ["Zernike", "fringe_index", "noll_index", "zernike_monomials"]
-
 MOST_TERMS = {"noll": 231, "fringe": 37}
 """Noll up to degree 20, beyond which sums of powers lose digits; fringe as many as there are."""
 
