@@ -13,7 +13,7 @@ from calib.fitting.misfit import ChiSquare, joined
 from calib.flags import UNFIT, StarFlag, describe_flags, has_flag
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -121,8 +121,7 @@ class SensorImage:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         dn = freeze(self, "dn", shape=("h", "w"), sizes=sizes)
-        freeze(self, "valid", shape=("h", "w"), dtype=np.bool_, sizes=sizes)
-        freeze(self, "saturated", shape=("h", "w"), dtype=np.bool_, sizes=sizes)
+        freeze_all(self, valid=("h", "w"), saturated=("h", "w"), sizes=sizes, dtype=np.bool_)
         if dn.size == 0:
             raise DomainError(f"SensorImage.dn has shape {dn.shape}; an image needs at least one pixel")
 
@@ -145,8 +144,7 @@ class Stamps:
         electrons = freeze(self, "electrons", shape=("n", "h", "w"), sizes=sizes)
         freeze(self, "valid", shape=("n", "h", "w"), dtype=np.bool_, sizes=sizes)
         freeze(self, "corner_px", shape=("n", 2), dtype=np.int64, sizes=sizes)
-        freeze(self, "background_e", shape=("n",), sizes=sizes)
-        freeze(self, "start_px", shape=("n", 2), sizes=sizes)
+        freeze_all(self, background_e=("n",), start_px=("n", 2), sizes=sizes)
         freeze(self, "flags", shape=("n",), dtype=np.uint32, sizes=sizes)
         freeze(self, "psf_index", shape=("n",), dtype=np.int64, sizes=sizes)
         if min(electrons.shape[1:]) < 3:
@@ -229,8 +227,7 @@ class StarTable:
         for name in ("x_px", "y_px", "flux_e", "background_e", "chi2", "width_px", "phase_error_px"):
             freeze(self, name, shape=("n",), finite=False, sizes=sizes)
         freeze(self, "covariance", shape=("n", 3, 3), finite=False, sizes=sizes)
-        freeze(self, "iterations", shape=("n",), dtype=np.int64, sizes=sizes)
-        freeze(self, "freedom", shape=("n",), dtype=np.int64, sizes=sizes)
+        freeze_all(self, iterations=("n",), freedom=("n",), sizes=sizes, dtype=np.int64)
         freeze(self, "flags", shape=("n",), dtype=np.uint32, sizes=sizes)
 
     def __repr__(self) -> str:

@@ -83,3 +83,17 @@ def freeze(
         raise DomainError(f"{owner}.{name}: value at index {bad} is {array[tuple(bad)]}; finite values are needed")
     object.__setattr__(record, name, array)
     return array
+
+
+def freeze_all(
+    record: Any,
+    *,
+    dtype: DTypeLike = np.float64,
+    finite: bool = True,
+    sizes: dict[str, int] | None = None,
+    **shapes: tuple[int | str, ...],
+) -> None:
+    """`freeze` of several fields, each with its shape; a name in a shape stands for the same size in all of them."""
+    table = {} if sizes is None else sizes
+    for name, shape in shapes.items():
+        freeze(record, name, shape=shape, dtype=dtype, finite=finite, sizes=table)

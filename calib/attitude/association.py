@@ -28,7 +28,7 @@ from calib.attitude.solve import AttitudeSolution, solve_wahba, solve_wahba_many
 from calib.cameras.base import CameraModel
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 
 MAX_CANDIDATES = 600  # candidates from which proposals are made
 MAX_PROPOSALS = 2000  # attitudes that are tried
@@ -50,8 +50,7 @@ class Association:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        freeze(self, "detected", shape=("k",), dtype=np.int64, sizes=sizes)
-        freeze(self, "catalogue", shape=("k",), dtype=np.int64, sizes=sizes)
+        freeze_all(self, detected=("k",), catalogue=("k",), sizes=sizes, dtype=np.int64)
         freeze(self, "distance_px", shape=("k",), sizes=sizes)
         freeze(self, "ambiguous", shape=("a",), dtype=np.int64)
 

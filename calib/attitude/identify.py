@@ -32,7 +32,7 @@ from calib.fitting.misfit import UNTESTED, ChiSquare, joined
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.frames import pixel_to_tetra3rs
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from optics.units import DEG_RAD, RAD_ARCSEC
 
 TRIM_SIGMA = 5.0  # matches further off are taken for wrong
@@ -91,8 +91,7 @@ class Identification:
         if self.residual_px is not None:
             freeze(self, "residual_px", shape=("k", 2), sizes=sizes)
             freeze(self, "beyond", shape=("k",), dtype=np.bool_, sizes=sizes)
-        freeze(self, "detected", shape=("k",), dtype=np.int64, sizes=sizes)
-        freeze(self, "catalogue_id", shape=("k",), dtype=np.int64, sizes=sizes)
+        freeze_all(self, detected=("k",), catalogue_id=("k",), sizes=sizes, dtype=np.int64)
         freeze(self, "direction", shape=("k", 3), sizes=sizes)
 
     @property

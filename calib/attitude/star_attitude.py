@@ -27,7 +27,7 @@ from calib.flags import StarFlag, has_flag
 from calib.records import StarTable
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from optics.units import RAD_DEG
 
 MATCH_PX = 1.0
@@ -79,8 +79,7 @@ class StarAttitude:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        freeze(self, "detected", shape=("k",), dtype=np.int64, sizes=sizes)
-        freeze(self, "catalogue", shape=("k",), dtype=np.int64, sizes=sizes)
+        freeze_all(self, detected=("k",), catalogue=("k",), sizes=sizes, dtype=np.int64)
         freeze(self, "residual_px", shape=("k", 2), sizes=sizes)
 
     def __repr__(self) -> str:

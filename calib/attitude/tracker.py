@@ -36,7 +36,7 @@ from calib.records import NoiseModel, Stamps, StarTable
 from optics.arrays import FloatArray
 from optics.attitude import aberrated, quat_xyzw
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from optics.units import RAD_ARCSEC
 from render.records import EffectivePsf, Frame, WindowStack
 
@@ -64,8 +64,7 @@ class GuideCatalogue:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         freeze(self, "id", shape=("n",), dtype=np.int64, sizes=sizes)
-        freeze(self, "direction", shape=("n", 3), sizes=sizes)
-        freeze(self, "magnitude", shape=("n",), sizes=sizes)
+        freeze_all(self, direction=("n", 3), magnitude=("n",), sizes=sizes)
         freeze(self, "row", shape=("n",), dtype=np.int64, sizes=sizes)
 
     def __len__(self) -> int:

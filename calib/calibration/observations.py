@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
-from optics.records import freeze, locked
+from optics.records import freeze, freeze_all, locked
 
 NORM_TOLERANCE = 1e-6
 """Largest deviation of a direction's length from 1: wide enough for unit vectors that went through float32 (6e-8)."""
@@ -61,8 +61,7 @@ class Observations:
         sizes: dict[str, int] = {}
         pixel = freeze(self, "pixel_px", shape=("n", 2), sizes=sizes)
         _refuse_angles(self.direction)
-        freeze(self, "direction", shape=("n", 3), sizes=sizes)
-        freeze(self, "covariance_px2", shape=("n", 2, 2), sizes=sizes)
+        freeze_all(self, direction=("n", 3), covariance_px2=("n", 2, 2), sizes=sizes)
         for name, value in (("band", 0), ("star", -1)):
             if np.size(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.full(len(pixel), value, dtype=np.int64))

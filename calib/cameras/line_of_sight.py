@@ -27,7 +27,7 @@ from scipy.special import gammaincinv
 from calib.cameras.base import CameraModel, checked_vectors, unproject_jacobian
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from optics.units import RAD_ARCSEC
 
 
@@ -51,9 +51,14 @@ class LineOfSightMap:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         freeze(self, "pixel_px", shape=("n", 2), sizes=sizes)
-        freeze(self, "error_arcsec", shape=("n", 2), finite=False, sizes=sizes)
-        freeze(self, "predicted_sigma_arcsec", shape=("n", 2), finite=False, sizes=sizes)
-        freeze(self, "mean_square_arcsec2", shape=("p",), finite=False, sizes=sizes)
+        freeze_all(
+            self,
+            error_arcsec=("n", 2),
+            predicted_sigma_arcsec=("n", 2),
+            mean_square_arcsec2=("p",),
+            sizes=sizes,
+            finite=False,
+        )
 
     @property
     def rms_arcsec(self) -> float:

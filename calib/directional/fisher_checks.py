@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from calib.directional.fisher import fit_fisher, mean_and_chords, tangent_plane
 from optics.arrays import BoolArray, FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 
 CRITICAL_EXPONENTIAL = {0.15: 0.926, 0.10: 0.990, 0.05: 1.094, 0.025: 1.190, 0.01: 1.308}
 """Level -> critical value of the modified Kolmogorov statistic, exponential with estimated mean: Stephens (J. Am. Stat.
@@ -93,9 +93,7 @@ class Exponential:
     statistic: float  # Modified Kolmogorov statistic (D - 0.2/n)(sqrt n + 0.26 + 0.5/sqrt n)
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "expected", shape=("n",), sizes=sizes)
-        freeze(self, "found", shape=("n",), sizes=sizes)
+        freeze_all(self, expected=("n",), found=("n",))
 
     @property
     def level(self) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from calib.fitting.misfit import ChiSquare, joined
 from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
-from optics.records import freeze
+from optics.records import freeze_all
 
 STATUSES = ("converged", "stalled", "iteration_limit", "singular", "refused")
 
@@ -42,10 +42,15 @@ class Solution:
         if self.status not in STATUSES:
             raise unknown_name("status", self.status, STATUSES)
         sizes = {"p": len(self.names)}
-        freeze(self, "value", shape=("p",), finite=False, sizes=sizes)
-        freeze(self, "covariance", shape=("p", "p"), finite=False, sizes=sizes)
-        freeze(self, "residual_pulls", shape=("m",), finite=False, sizes=sizes)
-        freeze(self, "robust_weight", shape=("k",), finite=False, sizes=sizes)
+        freeze_all(
+            self,
+            value=("p",),
+            covariance=("p", "p"),
+            residual_pulls=("m",),
+            robust_weight=("k",),
+            sizes=sizes,
+            finite=False,
+        )
 
     def __repr__(self) -> str:
         values = ", ".join(

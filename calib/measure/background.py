@@ -14,7 +14,7 @@ from scipy.special import erf, ndtri
 from calib.records import SensorImage
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze_all
 
 _FIRST_STEP, _FIRST_BOX = 2, 32
 """The first pass, which only tells stars, takes every second pixel of every second row of cells of so many px."""
@@ -35,11 +35,7 @@ class Background:
     shape: tuple[int, int]  # Rows and columns of the image
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "level_e", shape=("a", "b"), sizes=sizes)
-        freeze(self, "sigma_e", shape=("a", "b"), sizes=sizes)
-        freeze(self, "centre_x_px", shape=("b",), sizes=sizes)
-        freeze(self, "centre_y_px", shape=("a",), sizes=sizes)
+        freeze_all(self, level_e=("a", "b"), sigma_e=("a", "b"), centre_x_px=("b",), centre_y_px=("a",))
 
     def _at(self, mesh: FloatArray, x_px: NDArray[Any], y_px: NDArray[Any]) -> FloatArray:
         """Values of a mesh at places (n,): a cubic spline between the cells, constant beyond the outermost centres."""

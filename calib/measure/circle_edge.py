@@ -20,7 +20,7 @@ from scipy.ndimage import map_coordinates, uniform_filter1d
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 
 INTERPOLATED = 2.25
 """Variance of pixel noise over the mean variance (2/3)^2 that bilinear interpolation leaves of it: samples scatter less
@@ -45,8 +45,7 @@ class Spokes:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         freeze(self, "centre", shape=(2,))
-        freeze(self, "angle_rad", shape=("k",), sizes=sizes)
-        freeze(self, "radius", shape=("m",), sizes=sizes)
+        freeze_all(self, angle_rad=("k",), radius=("m",), sizes=sizes)
         freeze(self, "value", shape=("k", "m"), finite=False, sizes=sizes)
 
 
@@ -59,9 +58,7 @@ class EdgePoints:
     level: float  # Brightness of the contour
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "point", shape=("n", 2), sizes=sizes)
-        freeze(self, "sigma", shape=("n",), sizes=sizes)
+        freeze_all(self, point=("n", 2), sigma=("n",))
 
     def __len__(self) -> int:
         return len(self.point)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from calib.cameras.base import unproject_jacobian
 from optics.arrays import FloatArray, IntArray
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from optics.units import ARCSEC_RAD
 
 if TYPE_CHECKING:
@@ -44,11 +44,9 @@ class Design:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        freeze(self, "by_model", shape=("n", 2, "p"), sizes=sizes)
-        freeze(self, "by_attitude", shape=("n", 2, 3), sizes=sizes)
+        freeze_all(self, by_model=("n", 2, "p"), by_attitude=("n", 2, 3), sizes=sizes)
         freeze(self, "frame", shape=("n",), dtype=np.int64, sizes=sizes)
-        freeze(self, "link", shape=("f", 3, 6), sizes=sizes)
-        freeze(self, "drift", shape=("f", 3, 3), sizes=sizes)
+        freeze_all(self, link=("f", 3, 6), drift=("f", 3, 3), sizes=sizes)
 
     @classmethod
     def at(
@@ -101,9 +99,7 @@ class GyroError:
     walk: FloatArray  # (3 f, m) By independent unit normal increments w of the angle random walk
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "steady", shape=("n", 3), sizes=sizes)
-        freeze(self, "walk", shape=("n", "m"), sizes=sizes)
+        freeze_all(self, steady=("n", 3), walk=("n", "m"))
 
     @classmethod
     def of(

@@ -17,7 +17,7 @@ from calib.cameras.brown_conrady import BrownConrady
 from experiments.acf.settings import Config
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze_all
 from optics.units import DEG_RAD
 from render.engine.random import Streams
 from render.motion.gyro import Gyro, simulate_gyro_runs
@@ -77,9 +77,7 @@ class Scene:
     motion: TurningAxis  # Motion of the gyro's body
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "time_s", shape=("f",), sizes=sizes)
-        freeze(self, "swept", shape=("f", 3, 3), sizes=sizes)
+        freeze_all(self, time_s=("f",), swept=("f", 3, 3))
 
 
 def build_camera(config: Config, pixel_um: float | None = None) -> BrownConrady:
@@ -186,10 +184,8 @@ class Stars:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        freeze(self, "pixel_px", shape=("n", 2), sizes=sizes)
-        freeze(self, "direction", shape=("n", 3), sizes=sizes)
-        freeze(self, "frame", shape=("n",), dtype=np.int64, sizes=sizes)
-        freeze(self, "star", shape=("n",), dtype=np.int64, sizes=sizes)
+        freeze_all(self, pixel_px=("n", 2), direction=("n", 3), sizes=sizes)
+        freeze_all(self, frame=("n",), star=("n",), sizes=sizes, dtype=np.int64)
 
     def __len__(self) -> int:
         return len(self.frame)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from optics.arrays import FloatArray
-from optics.records import freeze
+from optics.records import freeze_all
 
 TERMS = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
 FRAME_TERMS = ("TE", "HSFE", "LSFE-S")
@@ -47,8 +47,7 @@ class Value:
     n: int = 0  # Samples behind it; 0 where it is computed
 
     def __post_init__(self) -> None:
-        freeze(self, "arcsec", shape=(2,), finite=False)
-        freeze(self, "uncertainty_arcsec", shape=(2,), finite=False)
+        freeze_all(self, arcsec=(2,), uncertainty_arcsec=(2,), finite=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

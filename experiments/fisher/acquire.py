@@ -29,7 +29,7 @@ from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.star import SingleStar
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 from render.forward import StarRenderer
@@ -104,9 +104,7 @@ class Acquisition:
 
     def __post_init__(self) -> None:
         sizes = {"n": len(self.places)}
-        freeze(self, "position_px", shape=("n", 2), sizes=sizes)
-        freeze(self, "covariance_px2", shape=("n", 2, 2), sizes=sizes)
-        freeze(self, "bundle_px", shape=("n", 2), sizes=sizes)
+        freeze_all(self, position_px=("n", 2), covariance_px2=("n", 2, 2), bundle_px=("n", 2), sizes=sizes)
 
 
 def visit_once(

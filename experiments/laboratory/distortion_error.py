@@ -25,7 +25,7 @@ from experiments.laboratory.points import nominal_px
 from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.targets import GridTarget, grid_directions, survey
 from optics.arrays import FloatArray
-from optics.records import freeze
+from optics.records import freeze_all
 from render.engine.random import Streams
 
 SESSIONS = ("earlier", "test")
@@ -81,9 +81,7 @@ class DistortionMeasurement:
     light: PointLight  # The target as rendered, with truth
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "direction", shape=("n", 3), sizes=sizes)
-        freeze(self, "surveyed", shape=("q", "n", 3), sizes=sizes)
+        freeze_all(self, direction=("n", 3), surveyed=("q", "n", 3))
 
     @property
     def arcsec_3sigma(self) -> float:

@@ -20,7 +20,7 @@ from experiments.skycal.scene import Scene
 from experiments.skycal.settings import Config
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
-from optics.records import concatenated, freeze
+from optics.records import concatenated, freeze, freeze_all
 
 BRIGHTEST = 40
 """Detections and catalogue stars that the first matching looks at."""
@@ -60,8 +60,7 @@ class Matched:
         freeze(self, "direction", shape=("n", 3), sizes=sizes)
         for name in ("pixel_px", "photon_px"):
             freeze(self, name, shape=("n", 2), finite=False, sizes=sizes)
-        freeze(self, "covariance_px2", shape=("n", 2, 2), sizes=sizes)
-        freeze(self, "snr", shape=("n",), sizes=sizes)
+        freeze_all(self, covariance_px2=("n", 2, 2), snr=("n",), sizes=sizes)
         freeze(self, "in_cam", shape=("n", 3), finite=False, sizes=sizes)
         freeze(self, "correct", shape=("n",), dtype=np.bool_, sizes=sizes)
 

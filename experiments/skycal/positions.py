@@ -20,7 +20,7 @@ from experiments.skycal.scene import Scene
 from experiments.skycal.settings import Config
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze_all
 from render.tracing.tracer import Tracer
 
 STEPS = ("reference", "light", "own", "measured")
@@ -44,9 +44,7 @@ class Chart:
     columns: int
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "direction", shape=("n", 3), sizes=sizes)
-        freeze(self, "pixel_px", shape=("n", 2), sizes=sizes)
+        freeze_all(self, direction=("n", 3), pixel_px=("n", 2))
 
 
 def trace_colour(scene: Scene, direction: FloatArray, temperature_k: float, *, more_log2_rays: int = 0) -> FloatArray:

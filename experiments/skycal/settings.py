@@ -43,7 +43,7 @@ class CameraConfig(StrictModel):
     """One camera under the sky."""
 
     instrument: InstrumentConfig = InstrumentConfig()
-    faintest_mag: float = Field(default=9.0, ge=0, le=12, description="faintest stars rendered, Gaia G")
+    faintest_mag: float = Field(default=9.0, ge=0, le=10, description="faintest stars rendered, Gaia G")
     background_e_per_s: float = Field(default=2.0, ge=0, le=1e5, description="sky light per pixel")
     sobol_log2_rays: int = Field(
         default=13, ge=8, le=20, description="logarithm of the rays per star where the pupil is not clear"
@@ -73,11 +73,8 @@ class CameraConfig(StrictModel):
 
 
 class SkyConfig(StrictModel):
-    """Where the stars come from and in which light they are seen."""
+    """Where the sky is first seen, and in which light."""
 
-    source: Literal["gaia", "random"] = Field(
-        default="gaia", description="gaia: the bundled Gaia DR3 stars; random: uniform, counts and colours as in Gaia"
-    )
     ra_deg: float = Field(default=260.0, ge=0, le=360, description="right ascension of the first boresight")
     dec_deg: float = Field(default=30.0, ge=-89, le=89, description="its declination")
     nodes: int = Field(default=12, ge=4, le=64, description="wavelengths at which the pass band is sampled")

@@ -15,7 +15,7 @@ from experiments.laboratory.turntable import Turntable
 from experiments.turntable.settings import Config
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
-from optics.records import freeze
+from optics.records import freeze_all
 from optics.units import DEG_RAD
 from render.tracing.tracer import Tracer
 
@@ -31,9 +31,7 @@ class TracedMap:
     pixel_px: FloatArray  # (m, 2) Photon-weighted mean of the traced bundle
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "direction", shape=("m", 3), sizes=sizes)
-        freeze(self, "pixel_px", shape=("m", 2), sizes=sizes)
+        freeze_all(self, direction=("m", 3), pixel_px=("m", 2))
 
 
 def traced_map(config: Config, instrument: Instrument) -> TracedMap:

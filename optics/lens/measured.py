@@ -61,7 +61,7 @@ from optics.arrays import FloatArray
 from optics.brown_conrady import COEFFICIENTS, distort, one_to_one_radius_mm
 from optics.errors import DomainError
 from optics.lens.tables import StrictTable
-from optics.records import freeze, locked
+from optics.records import freeze, freeze_all, locked
 from optics.response import Response
 from optics.units import UM_MM
 from optics.validate import parse_model
@@ -219,12 +219,10 @@ class MeasuredLens:
         for name in ("focal_length_mm", "aperture_mm", "reference_wavelength_nm"):
             if not (getattr(self, name) > 0.0 and math.isfinite(getattr(self, name))):
                 raise DomainError(f"{name} = {getattr(self, name)}; it must be positive and finite")
-        freeze(self, "principal_point_mm", shape=(2,))
-        freeze(self, "distortion", shape=(len(COEFFICIENTS),))
+        freeze_all(self, principal_point_mm=(2,), distortion=(len(COEFFICIENTS),))
         sizes: dict[str, int] = {}
         colour = freeze(self, "colour_nm", shape=("c",), sizes=sizes)
-        freeze(self, "colour_scale", shape=("c",), sizes=sizes)
-        freeze(self, "colour_shift_mm", shape=("c", 2), sizes=sizes)
+        freeze_all(self, colour_scale=("c",), colour_shift_mm=("c", 2), sizes=sizes)
         radius = freeze(self, "vignetting_mm", shape=("v",), sizes=sizes)
         light = freeze(self, "relative_light", shape=("v",), sizes=sizes)
         for name, nodes in (("camera.colour_nm", colour), ("vignetting.radius_mm", radius)):

@@ -22,7 +22,7 @@ from optics.lens.measured import MeasuredLens
 from optics.lens.sag_map import SagMap
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.plane import Plane
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from optics.response import Response, checked_wavelength
 
 AMBIENT = "air"
@@ -167,8 +167,7 @@ class LensSystem:
     measured: MeasuredLens | None = None
 
     def __post_init__(self) -> None:
-        freeze(self, "image_position_mm", shape=(3,))
-        freeze(self, "image_rotation", shape=(3, 3))
+        freeze_all(self, image_position_mm=(3,), image_rotation=(3, 3))
         if not self.surfaces:
             raise ConfigError(f"lens {self.name!r} has no surfaces")
         stops = sum(surface.is_stop for surface in self.surfaces)

@@ -9,7 +9,7 @@ import numpy as np
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,8 +26,7 @@ class Collimation:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         wavelength = freeze(self, "wavelength_nm", shape=("b", "k"), sizes=sizes)
-        freeze(self, "slope_rad", shape=("b", "k", 2), sizes=sizes)
-        freeze(self, "vergence_per_mm", shape=("b", "k"), sizes=sizes)
+        freeze_all(self, slope_rad=("b", "k", 2), vergence_per_mm=("b", "k"), sizes=sizes)
         if np.any(np.diff(wavelength, axis=1) <= 0.0):
             raise DomainError("Collimation.wavelength_nm: wavelengths that increase in each band are needed")
 

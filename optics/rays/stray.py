@@ -34,19 +34,6 @@ from optics.rays.beam import find_beams
 from optics.rays.ghosts import GhostPath, entrance_radius_mm, front_rays, ghost_pairs, reflects, trace_ghost
 from optics.rays.trace import OK, TOTAL_REFLECTION, Rays, trace
 
-<<<<<<< HEAD
-__all__ = [
-    "GhostLight",
-    "ImagingRays",
-    "ScatterLaw",
-    "ghost_light",
-    "imaging_rays",
-    "lens_scatter_light",
-    "scattering_surfaces",
-]
-
-=======
->>>>>>> cf8fda3 (optics, calib: what is public stands in the stub of the package alone; modules do not list it a second time)
 ScatterLaw = Callable[[FloatArray], FloatArray]
 """BSDF [1/sr] at differences of n times sine: the ``bsdf`` of a law of `optics.light.scatter`."""
 NEWTON_STEPS, NEWTON_MM, FAR = 10, 1e-6, 6.0

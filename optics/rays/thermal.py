@@ -17,7 +17,7 @@ from optics.lens.thermal import COMPONENTS, DETECTOR, STOP, Housing, ThermalStat
 from optics.rays.chief import plate_scale_mm
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.spots import Spots, trace_spots
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from optics.units import DEG_RAD, RAD_ARCSEC
 
 STEP_K = 2.0
@@ -55,8 +55,7 @@ class ThermalSensitivity:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        freeze(self, "field_deg", shape=("n", 2), sizes=sizes)
-        freeze(self, "shift_mm_per_k", shape=(5, "n", 2), sizes=sizes)
+        freeze_all(self, field_deg=("n", 2), shift_mm_per_k=(5, "n", 2), sizes=sizes)
         freeze(self, "boresight_arcsec_per_k", shape=(5, 2))
         freeze(self, "coefficient", shape=(5, "k", 2), sizes=sizes)
         for name in (

@@ -15,7 +15,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from optics.waves.pupil_field import PupilField
 from optics.waves.zernike import ZernikeOrder, fit_zernikes, zernike_numbers, zernikes
 
@@ -135,8 +135,7 @@ class PathMap:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        freeze(self, "x", shape=("c",), sizes=sizes)
-        freeze(self, "y", shape=("r",), sizes=sizes)
+        freeze_all(self, x=("c",), y=("r",), sizes=sizes)
         if np.size(self.error_nm) and not np.all(np.isfinite(np.asarray(self.error_nm, float))):
             bad = np.argwhere(~np.isfinite(np.asarray(self.error_nm, float)))
             raise DomainError(

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from experiments.laboratory.turntable import Turntable
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.records import freeze, freeze_all
 from render.engine.random import Streams
 
 AIM_STEPS = 60
@@ -51,11 +51,7 @@ class Visits:
     direction: FloatArray  # (n, 3) Unit vectors in cam towards the star, at the true angles
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "wanted_px", shape=("n", 2), sizes=sizes)
-        freeze(self, "true_rad", shape=("n", "k"), sizes=sizes)
-        freeze(self, "reading_rad", shape=("n", "k"), sizes=sizes)
-        freeze(self, "direction", shape=("n", 3), sizes=sizes)
+        freeze_all(self, wanted_px=("n", 2), true_rad=("n", "k"), reading_rad=("n", "k"), direction=("n", 3))
 
     def __len__(self) -> int:
         return len(self.wanted_px)

@@ -26,7 +26,7 @@ TRUTH = {"x0_px": 3.0, "y0_px": -2.0, "q1_per_mm2": 2e-5}
 @pytest.fixture(scope="module")
 def config():
     wide = Config().wide.model_copy(update={"faintest_mag": 6.0, "models": ("brown_conrady", "pinhole")})
-    return Config(frames=5, which="wide", wide=wide, sky={"source": "random"}, motion={"rate_deg_per_s": 3.0})
+    return Config(frames=5, which="wide", wide=wide, motion={"rate_deg_per_s": 3.0})
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,6 @@ SMALL = {
     "frames": 6,
     "dark_frames": 5,
     "motion.rate_deg_per_s": 3.0,
-    "sky.source": "random",
     "map_points": 11,
     "narrow.faintest_mag": 8.7,
     "narrow.psf_spacing_px": 400.0,

@@ -23,7 +23,7 @@ NOISE_PX = 0.05
 @pytest.fixture(scope="module")
 def config():
     wide = Config().wide.model_copy(update={"faintest_mag": 6.0})
-    return Config(frames=5, which="wide", wide=wide, sky={"source": "random"}, motion={"rate_deg_per_s": 3.0})
+    return Config(frames=5, which="wide", wide=wide, motion={"rate_deg_per_s": 3.0})
 
 
 @pytest.fixture(scope="module")
