@@ -40,13 +40,6 @@ READINGS = {
     "as it is": "chromatic common, distortion smooth",
     "common": "LSFE common",
 }
-LAYOUTS = {
-    "whole field": (-1.0, 1.0, -1.0, 1.0),
-    "left half": (-1.0, 0.0, -1.0, 1.0),
-    "upper quarter band": (-1.0, 1.0, -1.0, -0.5),
-    "one corner": (-1.0, 0.0, -1.0, 0.0),
-}
-"""Parts of the field: lowest and highest x, then y, in half widths from the middle."""
 FAR_FROM_THE_AXIS = 0.1
 """Part by which angles and their tangents may differ in a wide field."""
 DEGREE = 3
@@ -93,7 +86,7 @@ class Attitude:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Errors:
-    """Attitude error at N of the budget, by reading of the low-frequency error or by part of the field."""
+    """Attitude error at N of the budget, by reading of the low-frequency error."""
 
     arcsec: FloatArray = col("Attitude error", "arcsec", ".3f", "component", key="{component}_arcsec")
     over_rule: FloatArray = col("Over the rule", "", ".2f", "component", json="", key="{component}_ratio")
@@ -119,7 +112,6 @@ class _Field:
     """The detector as a field of stars."""
 
     half_rad: FloatArray  # (2,) half width and half height as tangents
-    part: tuple[float, float, float, float] = (-1.0, 1.0, -1.0, 1.0)
 
     @classmethod
     def of(cls, instrument: Instrument) -> _Field:
@@ -129,15 +121,13 @@ class _Field:
         return cls(half_px * camera.pixel_pitch_mm / instrument.focal_length_mm)
 
     def places(self, shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
-        """Places (trials, n, 2), evenly spread over the part, in half widths from the middle."""
-        low, high = np.array(self.part[::2]), np.array(self.part[1::2])
-        return np.asarray(rng.uniform(low, high, (*shape, 2)))
+        """Places (trials, n, 2), evenly spread, in half widths from the middle."""
+        return np.asarray(rng.uniform(-1.0, 1.0, (*shape, 2)))
 
     @property
     def spread_rad(self) -> float:
-        """RMS distance of a star from the middle of the part."""
-        low, high = np.array(self.part[::2]), np.array(self.part[1::2])
-        return float(np.sqrt((((high - low) * self.half_rad) ** 2 / 12.0).sum()))
+        """RMS distance of a star from the middle."""
+        return float(np.sqrt((self.half_rad**2 / 3.0).sum()))
 
 
 def attitude_study(
@@ -151,15 +141,15 @@ def attitude_study(
     """Monte-Carlo of the attitude: the records of `SECTIONS`."""
     trials, failed, field = config.trials, 0, _Field.of(instrument)
 
-    def scatter(part: _Field, reading: str, count: int, at: Streams, name: str) -> _Scatter:
+    def scatter(reading: str, count: int, at: Streams) -> _Scatter:
         nonlocal failed
-        found = _scatter(part, errors, reading, count, trials, at.generator(name))
+        found = _scatter(field, errors, reading, count, trials, at.generator(reading))
         failed += found.failed
         return found
 
     numbers = []
     for count in config.counts:
-        found = [scatter(field, reading, count, streams.child("curve", count), reading) for reading in READINGS]
+        found = [scatter(reading, count, streams.child("curve", count)) for reading in READINGS]
         numbers.append(
             Number(
                 stars=count,
@@ -169,12 +159,8 @@ def attitude_study(
             )
         )
         advance()
-    rule, first = _rule(errors, field, config.stars), next(iter(READINGS))
-    here = [scatter(field, reading, config.stars, streams.child("at"), reading) for reading in READINGS]
-    parts = [
-        scatter(_Field(field.half_rad, part), first, config.stars, streams.child("layout"), name)
-        for name, part in LAYOUTS.items()
-    ]
+    rule = _rule(errors, field, config.stars)
+    here = [scatter(reading, config.stars, streams.child("at")) for reading in READINGS]
     part = float(1.0 / np.sqrt(2.0 * trials))
     return {
         "attitude": Attitude(
@@ -186,7 +172,6 @@ def attitude_study(
             over_expected=measured(here[0].over_expected, here[0].over_expected * part, trials),
         ),
         "readings": [Errors(arcsec=one.arcsec, over_rule=one.arcsec / rule) for one in here],
-        "layouts": [Errors(arcsec=one.arcsec, over_rule=one.arcsec / rule) for one in parts],
         "attitude_curve": numbers,
     }
 
@@ -310,10 +295,8 @@ def _smooth(place: FloatArray, rng: np.random.Generator) -> FloatArray:
 def _axes(q: Quantities, _: Any) -> None:
     q.axis("component", ["x", "y", "roll"], "Component")
     q.axis("reading", list(READINGS), "Low-frequency error", names=READINGS)
-    q.axis("layout", list(LAYOUTS), "Stars in")
 
 
-_AT_N: dict[str, Any] = {"record": Errors, "place": "attitude", "across": "component"}
 SECTIONS = {
     "attitude": Section(
         record=Attitude,
@@ -330,7 +313,9 @@ SECTIONS = {
         ],
     ),
     "readings": Section(
-        **_AT_N,
+        record=Errors,
+        place="attitude",
+        across="component",
         dim="reading",
         prefix="attitude_",
         json={"arcsec": "monte_carlo_arcsec_3sigma"},
@@ -338,14 +323,6 @@ SECTIONS = {
         caption="Attitude at the number of stars of the budget, 3 sigma: fields of stars through the estimator.",
         note="x, y: displacement of the boresight. Rule: total / √N; for roll also divided by the RMS distance of a "
         "star from the middle of the field.",
-    ),
-    "layouts": Section(
-        **_AT_N,
-        dim="layout",
-        prefix="layout_",
-        json={"arcsec": "layout_arcsec_3sigma"},
-        table="attitude_layout",
-        caption="The same with stars in a part of the field only, all errors independent.",
     ),
     "attitude_curve": Section(
         record=Number,

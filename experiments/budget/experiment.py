@@ -1,7 +1,7 @@
 """The error budget: every term predicted without frames, measured in the virtual laboratory, and added up.
 
 The terms and their sum stand here; each further part of the study has its own module: `chromatic` (Table 1), `thermal`,
-`tolerances`, `tornado`, `attitude`.
+`tolerances`, `attitude`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from experiments.budget.predict import PredictedTerms, coarse_terms, predict_ter
 from experiments.budget.settings import Config
 from experiments.budget.thermal import THERMAL, Thermal, thermal_term
 from experiments.budget.tolerances import TOLERANCES, tolerance_study
-from experiments.budget.tornado import TORNADO, parameters, tornado
 from experiments.harness.drawings import bars
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
@@ -369,10 +368,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         frames = measure_terms(lab, advance=stage.advance)
     with progress.stage("temperature"):
         thermal = thermal_term(lab, streams.child("temperature"))
-    swings = None
-    if config.tornado.parameters:
-        with progress.stage("tornado", total=1 + 2 * len(parameters(config))) as stage:
-            swings = tornado(config, advance=stage.advance)
     with progress.stage("built lenses", total=config.tolerances.draws) as stage:
         built = tolerance_study(lab, streams.child("tolerances"), advance=stage.advance)
     first, seen = predicted[config.centroid], frames[config.centroid]
@@ -396,7 +391,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         "parts": parts(first, seen),
         "chromatic": table1_of(first.chromatic, seen.chromatic),
         "collimator": collimator(lab, frames),
-        "tornado": swings,
         "tolerances": built,
         **study,
         "thermal": thermal if isinstance(thermal, Thermal) else None,
@@ -467,7 +461,6 @@ SECTIONS = {
     "parts": Section(record=Parts, place="parts", table="parts", rows="axis", caption="Parts of the terms, 3 sigma."),
     "chromatic": TABLE1,
     "collimator": COLLIMATOR,
-    "tornado": TORNADO,
     "tolerances": TOLERANCES,
     **attitude.SECTIONS,
     "thermal": THERMAL,

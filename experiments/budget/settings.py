@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import typing
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -102,39 +101,10 @@ class ToleranceConfig(StrictModel):
     )
 
 
-Parameter = Literal[
-    "source.signal_e",
-    "detector.read_noise_e",
-    "detector.prnu",
-    "detector.diffusion_sigma_um",
-    "detector.dark_current_e_per_s",
-    "grid.marking_error_arcsec",
-    "hexapod.roll_error_arcsec",
-    "instrument.defocus_mm",
-    "instrument.chip_temperature_c",
-    "moved.decentre_x_um",
-    "moved.decentre_y_um",
-    "moved.tilt_x_arcmin",
-    "moved.tilt_y_arcmin",
-]
-
-
-class TornadoConfig(StrictModel):
-    """Which parameters are moved for the sensitivities, and how far."""
-
-    parameters: tuple[Parameter, ...] = Field(default=typing.get_args(Parameter), description="which; none: no chart")
-
-    change_fraction: float = Field(default=0.1, gt=0, lt=1, description="of the parameters that have a natural zero")
-    focus_mm: float = Field(default=0.01, gt=0, le=0.2, description="defocus")
-    decentre_um: float = Field(default=10.0, gt=0, le=1000, description="decentre of the element in [moved]")
-    tilt_arcmin: float = Field(default=0.5, gt=0, le=60, description="tilt of the element in [moved]")
-    chip_k: float = Field(default=5.0, gt=0, le=50, description="temperature of the chip")
-
-
 class Config(SweptConfig, SensorExperimentConfig):
     """One instrument and what is asked of it."""
 
-    NOT_SWEPT = frozenset({"attitude", "thermal", "tolerances", "tornado"})
+    NOT_SWEPT = frozenset({"attitude", "thermal", "tolerances"})
 
     instrument: InstrumentConfig = InstrumentConfig()
     detector: DetectorConfig = DetectorConfig()
@@ -159,7 +129,6 @@ class Config(SweptConfig, SensorExperimentConfig):
     )
     attitude: AttitudeConfig = AttitudeConfig()
     tolerances: ToleranceConfig = ToleranceConfig()
-    tornado: TornadoConfig = TornadoConfig()
     published_within_fraction: float | None = Field(
         default=None, gt=0, le=1, description="if given, the measured terms have to land this near to the published"
     )
@@ -215,7 +184,6 @@ rendered = Experiment(
         "target.columns": 3,
         "steps.places": 1,
         "steps.positions": 6,
-        "tornado.parameters": ["source.signal_e"],
         "tolerances.draws": 30,
         "attitude.trials": 500,
         "attitude.counts": [2, 5, 10, 30],

@@ -1,12 +1,10 @@
-"""Both sides of the budget: terms over places and surveys, ratios, pulls, sums, swings; by hand and drawn."""
+"""Both sides of the budget: terms over places and surveys, ratios, pulls, sums; by hand and drawn."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from experiments.budget import tornado as tornado_module
-from experiments.budget.attitude import LAYOUTS
 from experiments.budget.chromatic import ChromaticTerm, table1_of
 from experiments.budget.combine import Value, combine
 from experiments.budget.experiment import (
@@ -27,7 +25,6 @@ from experiments.budget.settings import Config
 from experiments.harness.config import load_config
 from experiments.harness.summary import Measured
 from experiments.laboratory.published import ACC18_ARCSEC
-from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 
 PIXEL_ARCSEC = 5.5
@@ -248,49 +245,3 @@ def test_laboratory_of_the_settings():
     assert named.between_arcsec is None or named.between_arcsec >= 0.0
     assert named.signal_e == lab.signal.signal_e
     assert named.pixel_arcsec == pytest.approx(5.5, abs=0.1)
-
-
-def test_swings_of_the_total(monkeypatch):
-    """Total 3 + read noise / 10 - focus: what grows by a step grows the total; what is refused has no number."""
-
-    def total(config):
-        noise = 13.0 if config.detector.read_noise_e is None else config.detector.read_noise_e
-        if config.source.signal_e is not None and config.source.signal_e > 6000.0:
-            raise DomainError("saturated")
-        focus = config.instrument.defocus_mm
-        return SimpleNamespace(
-            budget=SimpleNamespace(total=value([3.0 + noise / 10.0, 3.0 - focus], [0.0, 0.0]))
-        )  # fmt: skip
-
-    monkeypatch.setattr(tornado_module, "coarse_terms", total)
-    names = ["detector.read_noise_e", "instrument.defocus_mm", "source.signal_e"]
-    config = load_config(
-        Config, settings=[f"tornado.parameters={names}".replace("'", '"'), "instrument.defocus_mm=0.01"]
-    )
-    done = []
-    found = tornado_module.tornado(config, advance=lambda: done.append(1))
-    assert len(done) == 1 + 2 * 3
-    by_key = {one.key: one for one in found}
-    noise, focus, signal = (by_key[name] for name in names)
-    assert (noise.high - noise.low) / (noise.high + noise.low) == pytest.approx(config.tornado.change_fraction)
-    step = (noise.high - noise.low) / 2.0
-    assert noise.total_change_arcsec[1] - noise.total_change_arcsec[0] == pytest.approx([step / 5.0, 0.0])
-    assert focus.total_change_arcsec == pytest.approx(config.tornado.focus_mm * np.array([[0.0, 1.0], [0.0, -1.0]]))
-    assert signal.total_change_arcsec[0] == pytest.approx([0.0, 0.0])
-    assert np.isnan(signal.total_change_arcsec[1]).all()
-    assert [one.size for one in found] == sorted((one.size for one in found), reverse=True)
-    assert signal.size == 0.0
-
-
-def test_a_star_in_place_of_a_signal_is_moved_by_magnitudes():
-    """A fifth more light is 0.198 mag."""
-    config = load_config(Config, settings=["source.magnitude_mag=5", "tornado.change_fraction=0.2"])
-    (row,) = [row for row in tornado_module.parameters(config) if row[0] == "source.magnitude_mag"]
-    assert row[2:] == pytest.approx((5.0 - 0.19795, 5.0 + 0.19795), abs=1e-5)
-
-
-def test_layouts_of_stars_are_parts_of_the_field():
-    """Whole, half, an eighth in a band at the edge, a quarter: area in half widths squared."""
-    area = {name: (right - left) * (top - low) for name, (left, right, low, top) in LAYOUTS.items()}
-    assert area == {"whole field": 4.0, "left half": 2.0, "upper quarter band": 1.0, "one corner": 1.0}
-    assert all(-1.0 <= low < high <= 1.0 for one in LAYOUTS.values() for low, high in (one[:2], one[2:]))

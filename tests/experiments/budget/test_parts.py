@@ -13,7 +13,6 @@ from experiments.budget.experiment import chief
 from experiments.budget.laboratory import build_laboratory, moved_lens
 from experiments.budget.settings import AttitudeConfig, Config, MovedConfig
 from experiments.budget.tolerances import cubic_basis
-from experiments.budget.tornado import parameters
 from experiments.harness.config import load_config
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.run import configuration_file
@@ -187,14 +186,3 @@ def test_root_mean_squares_of_both_axes_are_what_sweeps_show():
 
 def vars_of(record):
     return [getattr(record, name) for name in type(record).__dataclass_fields__]
-
-
-def test_parameters_of_the_tornado_go_down_and_up_by_their_step():
-    """A quarter of the signal, of the chip's read noise; defocus by its millimetres."""
-    config = Config(tornado={"change_fraction": 0.25, "focus_mm": 0.02})
-    rows = {key: (low, high) for key, _, low, high in parameters(config)}
-    chip = load_detector(config.instrument.detector)
-    assert rows["source.signal_e"] == pytest.approx((4500.0, 7500.0))
-    assert rows["detector.read_noise_e"] == pytest.approx((0.75 * chip.read_noise_e, 1.25 * chip.read_noise_e))
-    middle = config.instrument.defocus_mm
-    assert rows["instrument.defocus_mm"] == pytest.approx((middle - 0.02, middle + 0.02))
