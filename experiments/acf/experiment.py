@@ -27,7 +27,6 @@ from experiments.acf.reprojection import (
     inferred_point,
     matching_stars,
     overall,
-    scatter,
     table2_point,
 )
 from experiments.acf.settings import Config
@@ -244,7 +243,6 @@ def _sections(config: Config, trials: Mapping[str, Trials], figures: Sequence[Po
         ),
         "fig3a": by_bias,
         "fig3b": by_walk,
-        "scatter": scatter(config, trials),
         "counts": counts(config, trials),
         "reprojection": overall(config, trials),
         "table2": table2(config, trials, expected),

@@ -16,7 +16,7 @@ import numpy as np
 from experiments.acf.linear_model import Reprojection, reprojection, reprojections
 from experiments.acf.settings import CameraConfig, Config
 from experiments.acf.trials import Point, Trials, gyro_error, sky_of, table1_gyro
-from experiments.harness.drawings import cloud, curves
+from experiments.harness.drawings import curves
 from experiments.harness.sections import Section, col, ratio_near
 from experiments.harness.summary import Measured, measured
 from optics.arrays import FloatArray
@@ -207,22 +207,6 @@ def fig4(config: Config, trials: Mapping[str, Trials], inferred: Point) -> list[
     return cases
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scatter4:
-    """Reprojection errors of all stars and runs of Fig. 4, and the radii they are compared with."""
-
-    away_px: FloatArray = col("Reprojection errors", "px", dims="run reprojected axis", json="")
-    here_px: FloatArray = col("RMS here", "px", dims="axis", json="")
-    there_px: FloatArray = col("RMS published", "px", dims="axis", json="")
-
-
-def scatter(config: Config, trials: Mapping[str, Trials]) -> Scatter4:
-    """Cloud of Fig. 4, with the assumed pixel and stars."""
-    runs = trials[table2_point(config).name]
-    rms, _ = root_mean_square(runs.of("acc", "reprojection_px2"), 0)
-    return Scatter4(away_px=runs.of("acc", "reprojected_px"), here_px=rms, there_px=FIG4_RMS_PX)
-
-
 # --- Against the number of stars
 
 
@@ -341,11 +325,6 @@ REPROJECTION = {
         caption="ACF17 Fig. 4: reprojection of noise-free even frames at the noise of Table 2, gyro of Table 1.",
         note="RMS over all runs, by axis. Inferred: pixel and stars that Table 2 implies. The published RMS is "
         "of one run, which scatters by some 15 %: too little to notice 25 %, so it is shown, not judged.",
-    ),
-    "scatter": Section(
-        record=Scatter4,
-        prefix="fig4_",
-        figures={"fig4_cloud": cloud("fig4_away_px", ellipses="fig4_here_px fig4_there_px")},
     ),
     "counts": Section(
         record=Count,

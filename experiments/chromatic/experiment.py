@@ -19,12 +19,11 @@ from experiments.chromatic.perturbation import ELEMENTS, MOVEMENT, Movement, cho
 from experiments.chromatic.settings import Config
 from experiments.chromatic.stars import STARS, stars_of, stellar_shift
 from experiments.harness.drawings import curves
-from experiments.harness.plotting import INK, PALETTE, band_colours, new_figure, scale_bar
+from experiments.harness.plotting import INK, PALETTE, new_figure
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import measured
-from experiments.laboratory import sketches
 from experiments.laboratory.bench import Bench, band_pairs
 from experiments.laboratory.centroid_methods import MethodLabels
 from experiments.laboratory.checks import check_light
@@ -298,12 +297,12 @@ def centroiders(lens: Lens, axis: int) -> Centroiders:
     )
 
 
-# --- The bench, and what the frames look like
+# --- The bench
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchRecord:
-    """What was measured with; the mean frame of the first target point behind every filter."""
+    """What was measured with."""
 
     instrument: Instrument
     frame: Frame  # Whole detector, first position, reference filter
@@ -316,29 +315,6 @@ class BenchRecord:
     rms_spot_um: FloatArray = col("RMS spot radius", "um", ".1f", "band")
     reference_k: float = col("Reference star", "K", ".0f", json="stellar.reference_k")
     temperature_k: FloatArray = col("Temperature", "K", ".0f", "temperature", json="stellar.temperature_k")
-    mean_e: FloatArray = col("Mean frame", "e-", dims="lens band row column", json="")
-
-
-def mean_windows(lens: Lens) -> FloatArray:
-    """Mean frame (band, row, column) [e-] around the first target point."""
-    stacks = lens.frames.windows
-    return np.stack([(one.dn[:, 0].mean(0) - one.offset_dn) / one.gain_dn_per_e for one in stacks])
-
-
-def spots(o: Outcome) -> Figure:
-    """The first target point behind each filter, both lenses, each window on its own scale."""
-    lenses, centres = o.labels("lens"), o.config.filters.centres_nm
-    figure, grid = new_figure(len(lenses), len(centres), aspect_ratio=0.8, width="half", squeeze=False)
-    for row, (lens, label) in zip(grid, lenses.items(), strict=True):
-        for panel, image in zip(row, o.values("mean_e", lens=lens), strict=True):
-            panel.imshow(image, vmin=-30.0, vmax=image.max())
-            panel.grid(visible=False)
-            panel.set(xticks=[], yticks=[])
-        row[0].set_ylabel(label, fontsize=7)
-        scale_bar(row[-1])
-    for panel, centre, colour in zip(grid[0], centres, band_colours(centres), strict=True):
-        panel.set_title(f"{centre:g} nm", color=colour)
-    return figure
 
 
 # --- The run
@@ -469,7 +445,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
             rms_spot_um=lenses[0].frames.rms_spot_um,
             reference_k=config.stars.reference_k,
             temperature_k=np.array(config.stars.temperatures_k),
-            mean_e=np.stack([mean_windows(lens) for lens in lenses]),
         ),
     }
 
@@ -568,6 +543,5 @@ SECTIONS = {
     "collimator": COLLIMATOR,
     "bench": Section(
         record=BenchRecord,
-        figures={"bench_sketch": lambda _: sketches.collimator_bench(filters=True), "spots": spots},
     ),
 }

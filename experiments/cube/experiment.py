@@ -56,26 +56,6 @@ VIEW_PX = (760, 440)
 BEAM = np.array([1.0, 0.58, 0.08])
 PAPER = np.array([1.0, 0.99, 0.965])
 
-PUBLISHED_TRIMS = {
-    "XY": (
-        (181.400, 0.550, 4.912, 19.429),
-        (181.390, 0.540, 5.282, 12.243),
-        (181.390, 0.532, 6.307, 5.181),
-        (181.395, 0.531, 2.385, 3.558),
-        (181.398, 0.530, 0.034, 2.404),
-        (181.398, 0.528, 0.057, 0.771),
-        (181.398, 0.528, 0.057, 0.771),
-    ),
-    "YZ": (
-        (91.400, -0.070, 12.575, 20.226),
-        (91.380, -0.050, 11.729, 2.557),
-        (91.385, -0.050, 1.326, 1.323),
-        (91.386, -0.050, 0.857, 1.897),
-        (91.386, -0.048, 0.320, 0.442),
-    ),
-}
-"""CUBE09 Table 1: large angle, small angle [deg], offsets x, y [px] without their signs."""
-
 
 # --- The bench and all benches together
 
@@ -280,29 +260,6 @@ def trims_of(bench: BenchResult) -> list[Trim]:
     ]
 
 
-def printed_trims() -> list[Trim]:
-    """Table 1 as printed, offsets without signs."""
-    return [
-        Trim(face=face, trim=number + 1, inner_deg=large, outer_deg=small, offset_px=[x, y])
-        for face, rows in PUBLISHED_TRIMS.items()
-        for number, (large, small, x, y) in enumerate(rows)
-    ]
-
-
-def trim_tables(result: Mapping[str, Any]) -> dict[str, Any]:
-    """Trims by face, for ``summary.json``."""
-    names = ("outer_deg", "inner_deg", "x_px", "y_px", "sigma_x_px", "sigma_y_px")
-    return {
-        "trim_tables": {
-            trim.face: [
-                dict(zip(names, (row.outer_deg, row.inner_deg, *row.offset_px, *row.sigma_px), strict=True))
-                for row in trim.rows
-            ]
-            for trim in result["shown"].trims
-        }
-    }
-
-
 # --- Pictures
 
 
@@ -402,7 +359,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         "noise": noise(laboratory, cases, pictures),
         "shown": shown_bench(laboratory, truths[0], bench, known.runs[performed.lean]),
         "trims": trims_of(bench),
-        "printed": printed_trims(),
     }
 
 
@@ -452,15 +408,5 @@ SECTIONS = {
         across="direction",
         caption="Trims of the shown bench, as in CUBE09 Table 1: spot minus aperture, from the pictures.",
         note="One standard deviation from the two circle fits.",
-    ),
-    "printed": Section(
-        record=Trim,
-        dim="printed",
-        prefix="printed_",
-        table="published_trims",
-        hidden="printed",
-        rows="printed",
-        across="direction",
-        caption="CUBE09 Table 1 as printed, its columns named as its text names them; offsets without signs.",
     ),
 }

@@ -165,7 +165,6 @@ experiment = Experiment(
         "--quick": "eight benches instead of a hundred",
         "--set camera.mounting_arcsec=0.5 --set trim.stop_px=0.3": "a stiffer mount, a stricter stop rule",
     },
-    extra="experiment:trim_tables",
     show=("trims", "budget"),
     quick={
         "benches.count": 8,

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from experiments.distortion.settings import Config
 from experiments.distortion.wide_field import WIDE, wide_field, wide_run
 from experiments.harness.drawings import arrows
-from experiments.harness.plotting import INK, PALETTE, new_figure
 from experiments.harness.progress import Progress
-from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import measured
 from experiments.laboratory.bench import Bench
@@ -89,7 +87,6 @@ class Removed:
     predicted_arcsec: Any = col(
         "σC1", "arcsec", dims="axis", json="predicted", json_error="predicted_scatter_over_surveys"
     )
-    survey_arcsec: FloatArray = col("σC1, 3 σ", "arcsec", dims="survey axis", json="")
     above_published: FloatArray | None = col(
         "Surveys that reach the published value", "%", ".0f", "axis", json="", default=None
     )
@@ -104,26 +101,8 @@ def removed(of: Numbers, frames: DistortionMeasurement, config: Config, *, publi
         one_survey_arcsec=of.one_survey_arcsec[here, 2],
         all_surveys_arcsec=measured(of.all_surveys_arcsec[here, 2], of.survey_scatter_arcsec[here, 2]),
         predicted_arcsec=of.predicted_arcsec[here, 2],
-        survey_arcsec=every,
         above_published=above if published else None,
     )
-
-
-def survey_histogram(o: Outcome) -> Figure:
-    """sigma_C1 of many surveys of one target, the published values, and what marking error alone gives."""
-    every = o.values("c1_survey_arcsec")
-    figure, panel = new_figure(aspect_ratio=0.34)
-    bins = np.linspace(0.0, max(1.15 * float(every.max()), 0.6), 40)
-    for values, axis, colour in zip(every.T, "xy", PALETTE, strict=False):
-        panel.hist(values, bins=bins.tolist(), color=colour, alpha=0.55, label=f"{axis}, {len(every)} surveys")
-        if "published_arcsec" in o.data:
-            published = float(o.values("published_arcsec", axis=axis))
-            panel.axvline(published, color=colour, linewidth=1.4, dashes=(4, 2), label=f"published, {axis}")
-    alone = float(o.values("noise_removed_arcsec"))
-    panel.axvline(alone, color=INK, linewidth=1.2, label="marking error alone, RMS")
-    panel.set(xlabel=o.heading("c1_survey_arcsec"), ylabel="surveys", xlim=(0, bins[-1]))
-    panel.legend(loc="upper right")
-    return figure
 
 
 # --- The target and its points
@@ -384,7 +363,6 @@ SECTIONS = {
         record=Removed,
         prefix="c1_",
         place="sigma_c1_arcsec_3sigma",
-        figures={"survey_histogram": survey_histogram},
     ),
     "points": Section(
         record=Points,

@@ -44,7 +44,7 @@ from experiments.fisher.predict import (
 )
 from experiments.fisher.reduce import CONFIDENCE, Evaluation, evaluate, expected_px
 from experiments.fisher.settings import Config
-from experiments.harness.drawings import bars, cloud, image
+from experiments.harness.drawings import bars, cloud
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col
@@ -52,7 +52,7 @@ from experiments.harness.summary import Measured
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
-from experiments.laboratory.single_star.measure import measure, window_strip_e
+from experiments.laboratory.single_star.measure import measure
 from experiments.laboratory.single_star.reduce import (
     Data,
     calibrated_bench,
@@ -72,7 +72,6 @@ from experiments.laboratory.single_star.setup import (
     grid_px,
     star_signal,
 )
-from experiments.laboratory.single_star.sketch import bench_sketch
 from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import Turntable
 from optics.arrays import FloatArray
@@ -445,7 +444,6 @@ class Setup:
     signal_star_k: float = col("Temperature of that star", "K", ".0f")
     signal_star: str = col("Star")
     resolutions_arcsec: FloatArray = col("Angle per pixel", "arcsec", ".5f", "source")
-    windows_e: FloatArray = col("Windows of single frames, at rest and on the move", "e-", dims="row column", json="")
 
 
 def same_data(rig: Calibrated, taken: Acquisition) -> SameData:
@@ -470,14 +468,9 @@ def same_data(rig: Calibrated, taken: Acquisition) -> SameData:
     )
 
 
-def setup(rig: Calibrated, taken: Sequence[Acquisition]) -> Setup:
-    """Light, lens and single frames."""
+def setup(rig: Calibrated) -> Setup:
+    """Light and lens."""
     first, star = (star_signal(rig.config, rig.instrument, one) for one in (None, rig.config.evaluation))
-    side = max(one.windows.dn.shape[-1] for one in taken)
-    rows = []
-    for one in taken:
-        chosen = np.linspace(0, one.windows.dn.shape[1] - 1, SHOWN_WINDOWS).astype(int)
-        rows.append(window_strip_e(one.windows, chosen, side))
     return Setup(
         lens=rig.instrument.camera.lens.name,
         pixel_arcsec=rig.instrument.pixel_arcsec,
@@ -488,7 +481,6 @@ def setup(rig: Calibrated, taken: Sequence[Acquisition]) -> Setup:
         signal_star_k=star.temperature_k,
         signal_star=star.star,
         resolutions_arcsec=np.array(list(_angles_per_pixel(rig).values())),
-        windows_e=np.vstack(rows)[:-1, :-1],
     )
 
 
@@ -531,7 +523,7 @@ def rendered(config: Config, instrument: Instrument, streams: Streams, progress:
             for cause in CAUSES
         ]
         own = same_data(rig, taken[0])
-    return {"setup": setup(rig, taken), "accuracy": records, "causes": causes, "same_data": own}
+    return {"setup": setup(rig), "accuracy": records, "causes": causes, "same_data": own}
 
 
 SECTIONS = {
@@ -582,11 +574,5 @@ SECTIONS = {
         },
     ),
     "same_data": Section(record=SameData, prefix="same_data_", place="same_data_rendered"),
-    "setup": Section(
-        record=Setup,
-        figures={
-            "bench_sketch": lambda outcome: bench_sketch(outcome.config.table.axes),
-            "star_windows": image("windows_e"),
-        },
-    ),
+    "setup": Section(record=Setup),
 }

@@ -15,7 +15,6 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured, measured
 from experiments.hsfe.settings import Config
-from experiments.laboratory import sketches
 from experiments.laboratory.bench import Bench
 from experiments.laboratory.collimator_effects import SIGHT, sight_of
 from experiments.laboratory.hexapod import Hexapod, turned
@@ -330,7 +329,6 @@ SECTIONS = {
     "test": Section(
         record=Test,
         figures={
-            "bench_sketch": lambda _: sketches.collimator_bench(),
             "step_residuals": cloud("residual_arcsec", ellipses="hsfe_arcsec published_arcsec"),
         },
     ),

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from experiments.harness.drawings import cloud, curves, image
+from experiments.harness.drawings import cloud, curves
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import Measured
-from experiments.laboratory import sketches
 from experiments.laboratory.collimator_effects import SIGHT, sight_of
 from experiments.laboratory.point_quantities import point_quantities
 from experiments.laboratory.point_scene import point_laboratory, point_signal, prepared_scene
@@ -30,7 +29,6 @@ from experiments.laboratory.temporal_error import (
 from experiments.temporal.settings import Config
 from optics.arrays import FloatArray
 from render.engine.random import Streams
-from render.records import WindowStack
 
 Errors = Sequence[Sequence[Measured]]
 
@@ -113,7 +111,6 @@ class Frames:
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
     signal_star_k: float = col("Temperature of that star", "K", ".0f")
     signal_star: str = col("Star")
-    first_e: FloatArray = col("Windows of a frame", "e-", dims="row column", json="")
     apart_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame star axis", json="")
 
 
@@ -132,15 +129,6 @@ def stars(measured: TemporalMeasurement, predicted: TemporalPrediction, method: 
             measured.light.photon_px, sigma, error, expected, predicted.bound_px[0], strict=True
         )
     ]
-
-
-def windows_e(stack: WindowStack, rows: int, columns: int) -> FloatArray:
-    """Windows of the first frame, laid out as the target, a pixel apart."""
-    light = (stack.dn[0].astype(float) - stack.offset_dn) / stack.gain_dn_per_e
-    apart = np.pad(light, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
-    side = apart.shape[1]
-    mosaic = apart.reshape(rows, columns, side, side).transpose(0, 2, 1, 3)
-    return mosaic.reshape(rows * side, columns * side)[:-1, :-1]
 
 
 # --- The run
@@ -186,7 +174,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
             pixel_arcsec=instrument.pixel_arcsec,
             signal_star_k=star.temperature_k,
             signal_star=star.star,
-            first_e=windows_e(nominal.windows, config.target.rows, config.target.columns),
             apart_arcsec=instrument.pixel_arcsec * (centroids_px - np.nanmean(centroids_px, axis=0)),
         ),
         "nominal": replace(scatter(nominal, at_nominal, methods, star), **published),
@@ -204,8 +191,6 @@ SECTIONS = {
     "frames": Section(
         record=Frames,
         figures={
-            "bench_sketch": lambda _: sketches.collimator_bench(),
-            "target_frame": image("first_e"),
             "frame_cloud": cloud("apart_arcsec", ellipses="predicted_arcsec bound_arcsec", at={"method": 0}),
         },
     ),

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from experiments.harness.drawings import image, maps
+from experiments.harness.drawings import maps
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities, shown_unit
 from experiments.harness.sections import Section, agree, below, col
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
-from experiments.laboratory.single_star.measure import Measurement, measure, window_strip_e
+from experiments.laboratory.single_star.measure import Measurement, measure
 from experiments.laboratory.single_star.reduce import (
     Data,
     check_count,
@@ -34,7 +34,6 @@ from experiments.laboratory.single_star.setup import (
     grid_px,
     star_signal,
 )
-from experiments.laboratory.single_star.sketch import bench_sketch
 from experiments.laboratory.single_star.star import star_direction
 from experiments.laboratory.turntable import Turntable, axis_directions
 from experiments.turntable.bound import Bound, bound, knowledge, noise_shares
@@ -366,7 +365,6 @@ class Setup:
     signal_star: str = col("Star")
     reading_noise_equal_to_centroids_arcsec: float = col("Reading noise as good as centroids", "arcsec", ".3f")
     map_px: FloatArray = col("Places of the map", "px", dims="point axis", json="")
-    windows_e: FloatArray = col("Windows of single frames", "e-", dims="row column", json="")
 
 
 def place_of(case: Case) -> Place:
@@ -386,15 +384,9 @@ def place_of(case: Case) -> Place:
     )
 
 
-def setup_of(config: Config, instrument: Instrument, traced: TracedMap, case: Case, equal_arcsec: float) -> Setup:
-    """Light and lens, and single frames at nine places from edge to edge."""
-    star, stack = star_signal(config, instrument), case.measurement.readings.windows
-    size = np.array([instrument.camera.width_px, instrument.camera.height_px])
-    rows = []
-    for y in (0.02, 0.5, 0.98):
-        wanted = size * [(x, y) for x in (0.02, 0.5, 0.98)]
-        apart = np.linalg.norm(case.measurement.bundle_px[None] - wanted[:, None], axis=2)
-        rows.append(window_strip_e(stack, apart.argmin(1), stack.dn.shape[-1]))
+def setup_of(config: Config, instrument: Instrument, traced: TracedMap, equal_arcsec: float) -> Setup:
+    """Light and lens."""
+    star = star_signal(config, instrument)
     return Setup(
         lens=instrument.camera.lens.name,
         detector=instrument.detector.name,
@@ -406,7 +398,6 @@ def setup_of(config: Config, instrument: Instrument, traced: TracedMap, case: Ca
         signal_star=star.star,
         reading_noise_equal_to_centroids_arcsec=equal_arcsec,
         map_px=traced.pixel_px,
-        windows_e=np.vstack(rows)[:-1, :-1],
     )
 
 
@@ -451,7 +442,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     equal = equal_reading_noise_arcsec(readings, two.with_reading_noise(0.0).map_bound_arcsec(traced))
     causes = list(dict.fromkeys(cause for case in cases[::-1] for cause in case.shares))
     return {
-        "setup": setup_of(config, instrument, traced, cases[0], equal),
+        "setup": setup_of(config, instrument, traced, equal),
         "line_of_sight": [line_of_sight(case, instrument.pixel_arcsec) for case in cases],
         "unknowns": [unknown(name, cases) for name in UNKNOWNS],
         "shares": [Share(noise=one, share_arcsec=[case.shares.get(one, np.nan) for case in cases]) for one in causes],
@@ -467,10 +458,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
 SECTIONS = {
     "setup": Section(
         record=Setup,
-        figures={
-            "bench": lambda outcome: bench_sketch(outcome.config.two_axis.axes),
-            "star_windows": image("windows_e"),
-        },
     ),
     "line_of_sight": Section(
         record=LineOfSight,

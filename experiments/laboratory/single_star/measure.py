@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.laboratory.instrument import Instrument
 from experiments.laboratory.single_star.bench import Bench, Visits, visit
@@ -18,7 +17,6 @@ from optics.errors import DomainError
 from optics.records import freeze
 from render.engine.random import Streams
 from render.forward import StarRenderer
-from render.records import WindowStack
 from render.tracing.psf import epsf_tracer, render_epsf
 
 
@@ -98,13 +96,3 @@ def _check_spot(radius_px: float, config: SingleStarConfig) -> None:
             f"too small (at least four RMS radii); come nearer to focus (instrument.defocus_mm = "
             f"{config.instrument.defocus_mm:g} mm) or enlarge the window"
         )
-
-
-def window_strip_e(stack: WindowStack, chosen: NDArray[np.int64], side: int) -> FloatArray:
-    """Windows of the first frame next to each other [e-], a pixel apart; smaller ones in the middle of ``side``."""
-    light = (stack.dn[0, chosen].astype(float) - stack.offset_dn) / stack.gain_dn_per_e
-    light[stack.defect[chosen]] = np.nan
-    before = (side - light.shape[-1]) // 2
-    after = side + 1 - light.shape[-1] - before
-    padded = np.pad(light, ((0, 0), (before, after), (before, after)), constant_values=np.nan)
-    return np.asarray(np.hstack(list(padded)))

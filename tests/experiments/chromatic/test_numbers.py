@@ -13,7 +13,6 @@ from experiments.chromatic.experiment import (
     centroiders,
     entries,
     independent,
-    mean_windows,
     points,
 )
 from experiments.chromatic.perturbation import choose
@@ -165,7 +164,3 @@ def test_other_numbers_of_one_lens():
     assert rows.nominal_px.shape == (24, 2)
     np.testing.assert_allclose(rows.predicted_shift_px[1], np.tile(BANDS_PX[2] - BANDS_PX[1], (24, 1)), atol=1e-12)
     assert rows.measured_shift_px[0][5][1].uncertainty == pytest.approx(SIGMA_PX * np.sqrt(2.0 / FRAMES))
-    first = mean_windows(this)
-    assert first.shape == (3, 2, 2)
-    # two frames of three points of 2 x 2 px, counted on: the first point's mean frame is 6 ... 9 electrons
-    np.testing.assert_allclose(first[1], 2.0 * np.array([[6.0, 7.0], [8.0, 9.0]]))

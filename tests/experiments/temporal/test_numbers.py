@@ -9,7 +9,7 @@ import pytest
 
 from experiments.laboratory.signal import Signal
 from experiments.laboratory.temporal_error import TemporalMeasurement, TemporalPrediction
-from experiments.temporal.experiment import scatter, stars, windows_e
+from experiments.temporal.experiment import scatter, stars
 
 FRAMES, STARS, PIXEL_ARCSEC = 30, 50, 4.0
 TRUE_PX = np.array([[[0.02, 0.03]] * STARS, [[0.05, 0.08]] * STARS])  # two levels
@@ -93,14 +93,3 @@ def test_a_line_of_sight_that_moves_is_in_the_uncertainty_of_the_prediction():
     np.testing.assert_allclose(
         prediction.te_uncertainty_arcsec("cog"), 3.0 * drawn, rtol=4.0 / np.sqrt(2 * runs) + 0.02
     )
-
-
-def test_windows_are_laid_out_as_the_target_a_pixel_apart():
-    dn = np.arange(6.0)[None, :, None, None] + np.zeros((2, 6, 3, 3))
-    stack = SimpleNamespace(dn=100.0 + 0.5 * dn, offset_dn=100.0, gain_dn_per_e=0.5)
-    mosaic = windows_e(stack, 2, 3)
-    assert mosaic.shape == (7, 11)
-    np.testing.assert_array_equal(mosaic[::4, ::4], [[0, 1, 2], [3, 4, 5]])
-    assert np.isnan(mosaic[3]).all()
-    assert np.isnan(mosaic[:, [3, 7]]).all()
-    assert np.isfinite(mosaic).sum() == 54
