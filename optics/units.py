@@ -9,4 +9,3 @@ RAD_DEG = 180.0 / math.pi
 ARCSEC_RAD = DEG_RAD / 3600.0
 RAD_ARCSEC = 3600.0 * RAD_DEG
 UM_MM = 1e-3
-NM_UM = 1e-3

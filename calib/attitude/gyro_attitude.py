@@ -170,8 +170,3 @@ def integrate_rates_many(
     """
     time, rates = _checked(time_s, rate_rad_per_s, 3)
     return tuple(Rotation.from_quat(q) for q in _integrated(time, rates, at_s, coning))
-
-
-def _skew(v: FloatArray) -> FloatArray:
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

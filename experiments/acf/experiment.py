@@ -195,9 +195,6 @@ def failed(trials: Sequence[Trials], method: str) -> Failed:
     return Failed(failed=int(sum((one < 0.5).sum() for one in status)), n=sum(len(one) for one in status))
 
 
-# --- The run
-
-
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     """Simulate, calibrate, compare.
 

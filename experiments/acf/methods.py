@@ -264,9 +264,6 @@ def nees_ratio(runs: Sequence[Trials], expected: Sequence[Covariances]) -> Measu
     return Measured(value=ratio, uncertainty=float(1.0 / np.sqrt(2.0 * unknowns * len(square))), n=len(square))
 
 
-# --- Sections
-
-
 def panel(name: str, label: str) -> Drawing:
     """One panel of Fig. 5."""
     return curves("noise", points=name, lines=f"expected_{name}", by="method", y=label, width="half", aspect_ratio=1.0)

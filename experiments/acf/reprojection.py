@@ -287,9 +287,6 @@ def matching_stars(config: Config, pixel_um: float, stars: int = 40) -> Matching
     )
 
 
-# --- Sections
-
-
 def fig3_section(record: type, part: str, gyro: str, words: str) -> Section:
     """Section of Fig. 3a or 3b."""
     return Section(

@@ -222,8 +222,6 @@ def _even_design(config: Config, pixel_um: float) -> Design:
     return Design.at(camera, scene.attitude, scene.installation, direction, np.repeat(frames, len(seen)))
 
 
-# --- Sections
-
 TABLE2 = {
     "table2": Section(
         record=Unknown,

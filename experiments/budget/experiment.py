@@ -58,8 +58,6 @@ class Setup:
 
     ecss: Sequence[str] = col("ECSS-E-ST-60-20C", dims="term")
     signal_e: float = col("Signal", "e-", ".0f")
-    signal_magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f")
-    signal_star_k: float = col("Temperature of that star", "K", ".0f")
     signal_star: str = col("Star")
     lens_name: str = col("Lens", json="")
     detector_name: str = col("Detector", json="")
@@ -80,8 +78,6 @@ def setup(lab: Laboratory) -> Setup:
     return Setup(
         ecss=[ECSS[name] for name in EVERY],
         signal_e=signal.signal_e,
-        signal_magnitude_mag=signal.magnitude_mag,
-        signal_star_k=signal.temperature_k,
         signal_star=signal.star,
         lens_name=lab.instrument.camera.lens.name,
         detector_name=lab.instrument.detector.name,
@@ -305,9 +301,6 @@ def collimator(lab: Laboratory, frames: Mapping[str, Measurement]) -> Collimator
     return collimator_shift(lab.filtered, lab.instrument, corners, *values)
 
 
-# --- The run
-
-
 def axes(config: Config) -> Quantities:
     """Terms, axes, centroiders, pairs of filters."""
     q = Quantities()
@@ -323,13 +316,7 @@ def axes(config: Config) -> Quantities:
 
 
 def predict(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """The budget without frames, of the centroider that counts (`experiments.budget.predict.coarse_terms`).
-
-    Raises
-    ------
-    StarbenchError
-        As `run`.
-    """
+    """The budget without frames, of the centroider that counts (`experiments.budget.predict.coarse_terms`)."""
     with progress.stage("predict"):
         terms = coarse_terms(config)
     return {"setup": setup(build_laboratory(config)), **of_prediction(config, {config.centroid: terms})}

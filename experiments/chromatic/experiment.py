@@ -307,17 +307,12 @@ class BenchRecord:
     instrument: Instrument
     frame: Frame  # Whole detector, first position, reference filter
     signal_e: float = col("Signal", "e-", ".0f")
-    signal_magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f")
-    signal_star_k: float = col("Temperature of that star", "K", ".0f")
     signal_star: str = col("Star")
     star_e: float = col("Star of V = 7.5", "e-", ".0f", json="signal_of_v7_5_star_e")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f")
     rms_spot_um: FloatArray = col("RMS spot radius", "um", ".1f", "band")
     reference_k: float = col("Reference star", "K", ".0f", json="stellar.reference_k")
     temperature_k: FloatArray = col("Temperature", "K", ".0f", "temperature", json="stellar.temperature_k")
-
-
-# --- The run
 
 
 def axes(config: Config) -> Quantities:
@@ -371,14 +366,7 @@ def laboratory(config: Config, instrument: Instrument, signal_e: float) -> tuple
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Search the movement; render, read out and reduce both lenses; trace what they should show.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: unknown names, a target off the detector or too faint, light beyond the range of
-        the data, an entry of Table 1 that no movement gives.
-    """
+    """Search the movement; render, read out and reduce both lenses; trace what they should show."""
     instrument = build_instrument(config.instrument)
     band = open_band(config.passband, instrument, "full pass band")
     signal = signal_of(config, band, instrument, config.stars.reference_k)
@@ -437,8 +425,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
                 band=example.band[bench.reference],
             ),
             signal_e=signal.signal_e,
-            signal_magnitude_mag=signal.magnitude_mag,
-            signal_star_k=signal.temperature_k,
             signal_star=signal.star,
             star_e=electrons_of_star(band, instrument, magnitude=7.5, temperature_k=config.stars.reference_k),
             pixel_arcsec=instrument.pixel_arcsec,

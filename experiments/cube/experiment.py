@@ -317,9 +317,6 @@ def _outline(axis: Any, picture: Picture, circle: CircleFit, **style: Any) -> No
     axis.plot(*picture.camera.to_pixel(circle.centre[None]).T, "+", markersize=7, **style)
 
 
-# --- The run
-
-
 def axes(config: Config) -> Quantities:
     """Axes of the cube frame, x and y of pictures, the two ways to see the aperture."""
     q = Quantities()
@@ -332,13 +329,7 @@ def axes(config: Config) -> Quantities:
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Build the bench, trim, calibrate, and repeat on every misaligned bench.
-
-    Raises
-    ------
-    StarbenchError
-        On a bench that cannot work, a spot that is lost, or trims that do not end.
-    """
+    """Build the bench, trim, calibrate, and repeat on every misaligned bench."""
     with progress.stage("bench"):
         laboratory = build_laboratory(config)
         truths = draw_truths(config, laboratory.streams)

@@ -113,8 +113,6 @@ class Target:
     """What was measured with, and what is published of it."""
 
     signal_e: float = col("Signal", "e-", ".0f")
-    signal_magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f")
-    signal_star_k: float = col("Temperature of that star", "K", ".0f")
     signal_star: str = col("Star")
     points: int = col("Points")
     terms: int = col("Terms of the polynomial, per axis", json="")
@@ -139,8 +137,6 @@ def target_record(config: Config, instrument: Instrument, *, published: bool) ->
     terms, marking = (config.order + 1) * (config.order + 2) // 2, 3.0 * config.target.marking_error_arcsec
     return Target(
         signal_e=star.signal_e,
-        signal_magnitude_mag=star.magnitude_mag,
-        signal_star_k=star.temperature_k,
         signal_star=star.star,
         points=points,
         terms=terms,
@@ -265,9 +261,6 @@ def true_map(
     )
 
 
-# --- The run
-
-
 def axes(config: Config) -> Quantities:
     """Dimensions that all sections share."""
     q = point_quantities(config.methods)
@@ -278,14 +271,7 @@ def axes(config: Config) -> Quantities:
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Render, read out, reduce, predict, compare with the true map.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: a target off the detector or the field, points not detected or saturated, too
-        few points for the camera behind the coordinates.
-    """
+    """Render, read out, reduce, predict, compare with the true map."""
     bench, instrument = point_laboratory(config)
     target = GridTarget(**config.target.model_dump())
     streams = Streams(config.seed).child("distortion")

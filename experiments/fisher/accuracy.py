@@ -95,7 +95,6 @@ LONGEST_SMEAR_PX = 40.0
 PATH_PER_PX = 4
 """Instants per pixel of the streak by which a PSF is smeared."""
 EXTRA_PSF_PX = 2
-SHOWN_WINDOWS = 5
 RATIO_SLACK = 5e-4
 """Largest relative error of the predicted ratio of pixel method to Fisher, which is of first order in the noise."""
 ADVICE = (
@@ -440,8 +439,6 @@ class Setup:
     calibration_signal_e: float = col("Signal of the calibration", "e-", ".0f")
     calibration_signal_star: str = col("Star of the calibration")
     signal_e: float = col("Signal", "e-", ".0f")
-    signal_magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f")
-    signal_star_k: float = col("Temperature of that star", "K", ".0f")
     signal_star: str = col("Star")
     resolutions_arcsec: FloatArray = col("Angle per pixel", "arcsec", ".5f", "source")
 
@@ -477,14 +474,9 @@ def setup(rig: Calibrated) -> Setup:
         calibration_signal_e=first.signal_e,
         calibration_signal_star=first.star,
         signal_e=star.signal_e,
-        signal_magnitude_mag=star.magnitude_mag,
-        signal_star_k=star.temperature_k,
         signal_star=star.star,
         resolutions_arcsec=np.array(list(_angles_per_pixel(rig).values())),
     )
-
-
-# --- The run and its sections
 
 
 def axes(config: Config) -> Quantities:

@@ -16,14 +16,7 @@ SECTIONS = {**accuracy.SECTIONS, "fields": FIELDS, "coverage": COVERAGE}
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Render, calibrate, evaluate; then fields of view and coverage on coordinates.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: settings that do not fit, light that gives no position or saturates, a
-        calibration that does not fit its data.
-    """
+    """Render, calibrate, evaluate; then fields of view and coverage on coordinates."""
     instrument = check_config(config)
     streams = Streams(config.seed).child("fisher")
     found = rendered(config, instrument, streams, progress)

@@ -61,7 +61,6 @@ class Test:
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
     signal_e: float = col("Signal", "e-", ".0f")
     magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f", json="signal_magnitude_mag")
-    signal_star_k: float = col("Temperature of that star", "K", ".0f")
     signal_star: str = col("Star")
     hsfe_arcsec: Axes = col("HSFE as printed", "arcsec", dims="axis", json="hsfe_arcsec_3sigma")
     published_arcsec: Sequence[float] | None = col(
@@ -259,9 +258,6 @@ def tracks(
     return [Track(way_px=k * plan.step_px, error_px=errors[:, k], curve_px=curve[:, k]) for k in range(plan.positions)]
 
 
-# --- The run
-
-
 def axes(config: Config) -> Quantities:
     """Dimensions that all sections share."""
     return point_quantities(config.methods)
@@ -306,7 +302,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
             pixel_arcsec=seen.pixel_arcsec,
             signal_e=star.signal_e,
             magnitude_mag=star.magnitude_mag,
-            signal_star_k=star.temperature_k,
             signal_star=star.star,
             hsfe_arcsec=seen.document_arcsec(first),
             published_arcsec=ACC18_ARCSEC["HSFE"] if is_published_sensor(config) else None,

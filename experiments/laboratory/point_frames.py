@@ -27,8 +27,6 @@ from render.engine.random import Streams
 from render.records import WindowStack
 
 Subtraction = Literal["dark", "raw"]
-
-SUBTRACTIONS: tuple[Subtraction, ...] = ("dark", "raw")
 """``dark``: minus the mean of frames with the lamp off. ``raw``: minus the nominal offset and one background value per
 window, from the outermost ring of its mean frame; fixed patterns stay."""
 

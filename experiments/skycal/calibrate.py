@@ -66,11 +66,6 @@ class CalibratedMap:
         return rms(self.error_arcsec)
 
     @property
-    def max_arcsec(self) -> float:
-        """Largest length of the error."""
-        return float(np.nanmax(np.linalg.norm(self.error_arcsec, axis=1)))
-
-    @property
     def predicted_arcsec(self) -> float:
         """RMS that the covariance predicts."""
         return float(np.sqrt(self.spectrum_arcsec2.sum()))

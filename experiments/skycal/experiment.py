@@ -151,9 +151,6 @@ class MapError:
     measured_rms_arcsec: Sequence[float] = col(
         "Measured", "arcsec", ".4f", "camera", json=of_map("measured", "rms"), key="measured_arcsec"
     )
-    measured_max_arcsec: Sequence[float] = col(
-        "Largest", "arcsec", ".4f", "camera", json=of_map("measured", "max"), key="largest_arcsec", shown=False
-    )
     measured_predicted_arcsec: Sequence[Measured] = col(
         "Predicted",
         "arcsec",
@@ -161,18 +158,8 @@ class MapError:
         json=of_map("measured", "predicted"),
         json_error=of_map("measured", "predicted_spread"),
     )
-    measured_status: Sequence[str] = col("Status", dims="camera", json=of_map("measured", "status"), shown=False)
-    measured_iterations: Sequence[int] = col(
-        "Iterations", dims="camera", json=of_map("measured", "iterations"), shown=False
-    )
-    measured_reduced_chi2: Sequence[float] = col(
-        "χ² per degree", "", ".2f", "camera", json=free_only("reduced_chi2"), shown=False
-    )
     corrected_rms_arcsec: Sequence[float] = col(
         "Colours known", "arcsec", ".4f", "camera", json=of_map("corrected", "rms"), key="corrected_arcsec"
-    )
-    corrected_max_arcsec: Sequence[float] = col(
-        "Largest", "arcsec", ".4f", "camera", json=of_map("corrected", "max"), shown=False
     )
     noise_map_rms_arcsec: Sequence[float] = col(
         "Noise only", "arcsec", ".4f", "camera", json=free_only("noise_map_arcsec.rms"), key="noise_arcsec"
@@ -183,10 +170,6 @@ class MapError:
         dims="camera",
         json=of_map("corrected", "predicted", "noise_map_arcsec.predicted"),
         json_error=of_map("corrected", "predicted_spread"),
-    )
-    corrected_status: Sequence[str] = col("Status", dims="camera", json=of_map("corrected", "status"), shown=False)
-    corrected_iterations: Sequence[int] = col(
-        "Iterations", dims="camera", json=of_map("corrected", "iterations"), shown=False
     )
     corrected_sigma_f_um: Sequence[float] = col("σ of f", "um", ".3f", "camera", json="", key="sigma_f_um")
     corrected_reduced_chi2: Sequence[float] = col("χ² per degree", "", ".2f", "camera", json="", key="reduced_chi2")
@@ -203,14 +186,10 @@ def map_error(made: Sequence[CalibratedCamera], method: str) -> MapError:
         for data in DATA
         for name, part in (
             ("rms_arcsec", lambda m: m.rms_arcsec),
-            ("max_arcsec", lambda m: m.max_arcsec),
             (
                 "predicted_arcsec",
                 lambda m: Measured(value=m.predicted_arcsec, unit="arcsec", uncertainty=m.predicted_spread_arcsec),
             ),
-            ("status", lambda m: m.calibration.solution.status),
-            ("iterations", lambda m: m.calibration.solution.iterations),
-            ("reduced_chi2", lambda m: m.calibration.solution.reduced_chi2),
         )
     }
     return MapError(
@@ -218,6 +197,7 @@ def map_error(made: Sequence[CalibratedCamera], method: str) -> MapError:
             rms(one.of("corrected", method=method).error_arcsec - one.clean.error_arcsec) for one in made
         ],
         corrected_sigma_f_um=each("corrected", sigma_f_um),
+        corrected_reduced_chi2=each("corrected", lambda m: m.calibration.solution.reduced_chi2),
         **values,
     )
 
@@ -370,9 +350,6 @@ def stars(made: CalibratedCamera) -> list[Star]:
     return [Star(**{name: values[k] for name, values in columns.items()}) for k in range(len(star))]
 
 
-# --- The run
-
-
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     """Render, read out, measure, match, calibrate and compare."""
     root = Streams(config.seed).child("skycal")
@@ -427,9 +404,6 @@ def camera_axis(q: Quantities, rows: Sequence[Camera]) -> None:
     focal = [one.made.scene.instrument.focal_length_mm for one in rows]
     names = [f"{f:.0f} mm" if f >= 100 else f"{f:.1f} mm" for f in focal]
     q.axis("camera", [one.made.scene.name for one in rows], "Lens", names=names)
-
-
-# --- Sections
 
 
 def sections_of(name: str) -> dict[str, Section]:

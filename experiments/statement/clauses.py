@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-STANDARD = "ECSS-E-ST-60-20C Rev. 2 (15 May 2019)"
 UNREAD = "number not read"
 
 

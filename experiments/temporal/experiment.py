@@ -131,23 +131,13 @@ def stars(measured: TemporalMeasurement, predicted: TemporalPrediction, method: 
     ]
 
 
-# --- The run
-
-
 def axes(config: Config) -> Quantities:
     """Dimensions that all sections share."""
     return point_quantities(config.methods)
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Render, read out, reduce, predict.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: unknown lens or detector, target off the detector, points not detected or
-        saturated, light beyond the range of the data.
-    """
+    """Render, read out, reduce, predict."""
     bench, instrument = point_laboratory(config, config.target)
     streams, levels, methods = Streams(config.seed).child("temporal"), config.brightness, config.methods
     wanted = np.geomspace(levels.lowest_e, levels.highest_e, levels.levels)

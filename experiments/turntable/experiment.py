@@ -360,8 +360,6 @@ class Setup:
     focal_length_mm: float = col("Focal length", "mm", ".1f", json="")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f", json="")
     signal_e: float = col("Signal", "e-", ".0f")
-    signal_magnitude_mag: float = col("V magnitude of the signal", "mag", ".2f")
-    signal_star_k: float = col("Temperature of that star", "K", ".0f")
     signal_star: str = col("Star")
     reading_noise_equal_to_centroids_arcsec: float = col("Reading noise as good as centroids", "arcsec", ".3f")
     map_px: FloatArray = col("Places of the map", "px", dims="point axis", json="")
@@ -393,15 +391,10 @@ def setup_of(config: Config, instrument: Instrument, traced: TracedMap, equal_ar
         focal_length_mm=instrument.focal_length_mm,
         pixel_arcsec=instrument.pixel_arcsec,
         signal_e=star.signal_e,
-        signal_magnitude_mag=star.magnitude_mag,
-        signal_star_k=star.temperature_k,
         signal_star=star.star,
         reading_noise_equal_to_centroids_arcsec=equal_arcsec,
         map_px=traced.pixel_px,
     )
-
-
-# --- The run and its sections
 
 
 def axes(config: Config) -> Quantities:
@@ -420,14 +413,7 @@ def axes(config: Config) -> Quantities:
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Render, read, calibrate, and judge against the traced lens; then bounds and sweeps on coordinates.
-
-    Raises
-    ------
-    StarbenchError
-        On anything the user can mend: axes, places or settings that do not fit, light that is not seen or saturates,
-        a calibration that does not fit its data.
-    """
+    """Render, read, calibrate, and judge against the traced lens; then bounds and sweeps on coordinates."""
     instrument = prepare(config)
     streams, study = Streams(config.seed).child("turntable"), config.study
     with progress.stage("trace"):

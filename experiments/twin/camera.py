@@ -37,8 +37,6 @@ ORDERS: dict[str, tuple[str, ...] | int | None] = {
     "polynomial_3": 3,
 }
 """Models by name, the simplest first: free parameters of Brown-Conrady (None: all), or the degree of a polynomial."""
-REFRACTION_ARCSEC = 58.3
-"""Of tan(zenith distance), at 1010 hPa and 10 degC (Astronomical Almanac; Saemundsson 1986)."""
 LOWEST_COSINE = 0.17
 """Below 10 deg of altitude refraction is no longer proportional to tan z."""
 CLIP_SIGMA = 4.5

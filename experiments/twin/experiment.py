@@ -27,13 +27,7 @@ WINDOW_PX = 11
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Read or render, solve, measure, hold out, compare.
-
-    Raises
-    ------
-    StarbenchError
-        No folder, no frame, no stars: one line that says what is wrong with the frames and what could be told.
-    """
+    """Read or render, solve, measure, hold out, compare."""
     truth: KnownNight | None = None
     if config.frames:
         with progress.stage("frames read"):

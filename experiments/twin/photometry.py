@@ -54,11 +54,6 @@ class Photometry:
     extinction_mag: Measured | None = None  # Per airmass
     zero_point_above_mag: Measured | None = None  # Above the atmosphere; without airmasses the mean of the frames
 
-    def colour_at(self, colour: FloatArray) -> FloatArray:
-        """Colour term (n,) [mag]."""
-        known = np.isfinite(self.colour_mag)
-        return np.interp(colour, COLOUR_KNOTS[known], self.colour_mag[known])
-
     def loss_at(self, u2: FloatArray) -> FloatArray:
         """Vignetting (n,) [mag] at squared distances in units of half of the diagonal."""
         return self.vignetting_mag[0] * u2 + self.vignetting_mag[1] * u2 * u2

@@ -107,7 +107,6 @@ class Draft:
     coatings: dict[str, dict[str, Any]] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
     object_mm: float = math.inf
-    object_curved: bool = False
     image: Row | None = None
     stated: dict[str, tuple[float, str]] = field(default_factory=dict)
     configurations: int = 1

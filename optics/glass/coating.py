@@ -33,12 +33,6 @@ ROUNDING = 1e-12
 """By which R + T of a table may exceed 1."""
 
 
-def fresnel(n_before: ArrayLike, n_after: ArrayLike) -> FloatArray:
-    """Reflectance of a bare interface at normal incidence, ``((n1 - n2) / (n1 + n2))^2``."""
-    first, second = np.asarray(n_before, dtype=np.float64), np.asarray(n_after, dtype=np.float64)
-    return np.asarray(((first - second) / (first + second)) ** 2)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Split:
     """Shares of the light that a surface reflects and transmits, for s and p light; arrays of one shape."""

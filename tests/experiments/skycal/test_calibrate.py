@@ -101,7 +101,6 @@ def test_what_is_switched_on_shows_alone(made):
     ) == pytest.approx(PSF_PX[1], abs=1e-3)
     found = made.of("corrected")
     assert abs(found.rms_arcsec - found.predicted_arcsec) < 4.0 * found.predicted_spread_arcsec
-    assert found.rms_arcsec < found.max_arcsec < 6.0 * found.rms_arcsec
     pull = found.error_arcsec / found.sigma_arcsec
     assert 0.2 < np.sqrt((pull**2).mean()) < 2.5  # some five shapes
     total = sum(made.part_arcsec[name] for name in PARTS)
