@@ -1,4 +1,4 @@
-"""Accuracy of star vectors: the rendered bench, then the studies on vectors of known noise."""
+"""Accuracy of star vectors: the rendered bench, then the pixel method on vectors of known noise."""
 
 from __future__ import annotations
 
@@ -6,22 +6,19 @@ from typing import Any
 
 from experiments.fisher import accuracy
 from experiments.fisher.accuracy import check_config, rendered
-from experiments.fisher.coverage import COVERAGE, DISTRIBUTIONS, coverage
 from experiments.fisher.field_of_view import FIELDS, field_sweep
 from experiments.fisher.settings import Config
 from experiments.harness.progress import Progress
 from render.engine.random import Streams
 
-SECTIONS = {**accuracy.SECTIONS, "fields": FIELDS, "coverage": COVERAGE}
+SECTIONS = {**accuracy.SECTIONS, "fields": FIELDS}
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Render, calibrate, evaluate; then fields of view and coverage on coordinates."""
+    """Render, calibrate, evaluate; then fields of view on coordinates."""
     instrument = check_config(config)
     streams = Streams(config.seed).child("fisher")
     found = rendered(config, instrument, streams, progress)
     with progress.stage("fields of view", total=len(config.field.field_deg)) as stage:
         fields = field_sweep(config.field, streams, advance=stage.advance)
-    with progress.stage("coverage", total=len(DISTRIBUTIONS) * len(config.coverage.counts)) as stage:
-        covered = coverage(config.coverage, streams, advance=stage.advance)
-    return {**found, "fields": fields, "coverage": covered}
+    return {**found, "fields": fields}

@@ -71,22 +71,6 @@ class FieldConfig(StrictModel):
         return tuple(sorted(set(values)))
 
 
-class CoverageConfig(StrictModel):
-    """How often the interval holds the truth."""
-
-    counts: tuple[int, ...] = Field(
-        default=(5, 10, 20, 50, 100, 200), min_length=1, description="star vectors per sample"
-    )
-    runs: int = Field(default=4000, ge=100, le=10**6, description="samples per point")
-
-    @field_validator("counts")
-    @classmethod
-    def _counts(cls, values: tuple[int, ...]) -> tuple[int, ...]:
-        if any(not 3 <= value <= 10**5 for value in values):
-            raise ValueError(f"{list(values)}; 3 ... 100000 vectors are meant")
-        return tuple(sorted(set(values)))
-
-
 class Config(SingleStarConfig):
     """FISHER23 gives bench and equations but no numbers: here the camera of ACC18, a better table than CUBE09's."""
 
@@ -94,7 +78,6 @@ class Config(SingleStarConfig):
     evaluation: EvaluationConfig = EvaluationConfig()
     dynamic: DynamicConfig = DynamicConfig()
     field: FieldConfig = FieldConfig()
-    coverage: CoverageConfig = CoverageConfig()
 
     @model_validator(mode="after")
     def _evaluation_windows(self) -> Config:
@@ -124,8 +107,6 @@ rendered = Experiment(
         "field.field_deg": [3.0, 12.0, 20.0, 40.0],
         "field.directions": 2000,
         "field.runs": 20,
-        "coverage.counts": [5, 20, 100],
-        "coverage.runs": 1500,
     },
 )
 experiment = or_own_frames(rendered)

@@ -108,6 +108,20 @@ def test_interval_covers_and_so_does_the_cone() -> None:
         assert inside == pytest.approx(level, abs=4 * error)
 
 
+@pytest.mark.parametrize("k", [1e12, 20.0])
+@pytest.mark.parametrize("count", [5, 20, 100, 200])
+def test_interval_covers_from_few_directions_to_many(count: int, k: float) -> None:
+    """N = 4000: a coverage of 0.95 is known to 0.0034, one of 0.68 to 0.0074; the unbiased 1/k to its scatter."""
+    w = sample_fisher(MEAN, k, 4000 * count, _rng(12)).reshape(4000, count, 3)
+    square = mean_and_chords(w)[1].sum(1) / (2 * (count - 1)) * k
+    assert square.mean() == pytest.approx(1.0, abs=5 / np.sqrt(4000 * (count - 1)))
+    one = fit_fisher(sample_fisher(MEAN, 1e12, count, _rng(13)))
+    for level, error in ((0.95, 0.0034), (0.6827, 0.0074)):
+        low, high = np.array(one.sigma_interval_rad(level)) / one.sigma_rad
+        covered = np.mean((low <= square**-0.5) & (square**-0.5 <= high))
+        assert covered == pytest.approx(level, abs=4 * error)
+
+
 def test_mean_scatters_as_stated() -> None:
     n, runs, k = 30, 2000, 1e10
     w = sample_fisher(MEAN, k, n * runs, _rng(11)).reshape(runs, n, 3)

@@ -107,3 +107,23 @@ def test_effective_degrees() -> None:
     assert low < narrow[0] < narrow[1] < high
     with pytest.raises(DomainError, match="effective = -1"):
         fit_fisher(long).sigma_interval_rad(effective=-1.0)
+
+
+@pytest.mark.parametrize(("shape", "own"), [("ellipse", (0.92, 0.98)), ("tails", (0.5, 0.95))])
+def test_interval_is_too_narrow_for_other_distributions(shape: str, own: tuple[float, float]) -> None:
+    """N = 1000 samples of 100, known to 0.7 points; own degrees of freedom mend it for an ellipse, not rare outliers."""
+    rng = np.random.default_rng(17)
+    if shape == "ellipse":
+        sigma, scale = np.sqrt(5.0) * 1e-6, np.broadcast_to([3e-6, 1e-6], (1000, 100, 2))
+    else:
+        sigma = np.sqrt(0.98 + 0.02 * 16.0) * 1e-6
+        scale = 1e-6 * np.where(rng.random((1000, 100, 1)) < 0.02, 4.0, 1.0) * np.ones(2)
+    held = []
+    for part in scale:
+        w = _plane(*(part * rng.standard_normal(part.shape)).T)
+        fit, degrees = fit_fisher(w), effective_degrees(w)
+        ends = fit.sigma_interval_rad(), fit.sigma_interval_rad(effective=degrees)
+        held.append([low <= sigma <= high for low, high in ends])
+    plain, mended = np.mean(held, axis=0)
+    assert plain < 0.92
+    assert own[0] < mended < own[1]

@@ -25,7 +25,7 @@ def again(tiny_run):
     places = {"grid__columns": 7, "grid__rows": 5, "grid__edge_px": 20, "frames": 16, "dark_frames": 10}
     table = {"table__reading_noise_arcsec": [READING_ARCSEC], "dynamic__rate_deg_per_s": RATE_DEG_PER_S}
     star = {"evaluation__columns": 10, "evaluation__rows": 8, "evaluation__edge_px": 20, "evaluation__signal_e": 10000}
-    study = {"field__directions": 500, "field__runs": 6, "coverage__counts": [10], "coverage__runs": 200}
+    study = {"field__directions": 500, "field__runs": 6}
     clocks = {"field__field_deg": [3.0, 20.0], "dynamic__jitter_ms": JITTER_MS, "dynamic__samples": 5}
     settings = {"instrument__detector": DETECTOR, **places, **table, **star, **study, **clocks}
     return lambda: tiny_run("fisher", **settings)
@@ -57,7 +57,7 @@ def test_the_scatter_is_that_of_the_table(run) -> None:
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_tables(run, again) -> None:
     second = again()
-    for name in ("accuracy.ecsv", "coverage.ecsv", "field_of_view.ecsv"):
+    for name in ("accuracy.ecsv", "field_of_view.ecsv"):
         assert (run.folder / name).read_bytes() == (second.folder / name).read_bytes()
 
 
@@ -135,7 +135,6 @@ def test_smeared_psf_has_the_variance_of_its_path() -> None:
         ("dynamic.rate_deg_per_s=5", "smears the image"),
         ("dynamic.samples=2", "dynamic.samples = 2"),
         ("field.field_deg=[3.0,150.0]", "field_deg"),
-        ("coverage.counts=[2]", "counts"),
         ("passband.range_nm=[100,200]", "nm"),
     ],
 )

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 
-from experiments.fisher.coverage import DISTRIBUTIONS, LEVELS, coverage, true_sigma
 from experiments.fisher.field_of_view import (
     baseline_over_sphere,
     closed_form,
@@ -15,7 +14,7 @@ from experiments.fisher.field_of_view import (
     pixel_noise_form,
     vectors_needed,
 )
-from experiments.fisher.settings import CoverageConfig, FieldConfig
+from experiments.fisher.settings import FieldConfig
 from render.engine.random import Streams
 
 
@@ -73,21 +72,3 @@ def test_monte_carlo_finds_the_bias() -> None:
         assert max(bias.uncertainty, opposite.uncertainty) < 0.02
         assert point.fisher_bias_percent.value == pytest.approx(0.0, abs=500 / np.sqrt(4 * 3000 * 10))
         assert opposite.value == pytest.approx(point.pixel_noise_quadrature_percent, abs=5 * opposite.uncertainty)
-
-
-def test_coverage_by_kind() -> None:
-    """N = 1000: a share of 95 % is known to 0.7 points, one of 68 % to 1.5."""
-    points = coverage(CoverageConfig(counts=(10, 100), runs=1000), Streams(3), advance=lambda: None)
-    assert len(points) == 2 * len(DISTRIBUTIONS)
-    for point in points:
-        assert point.bias.value == pytest.approx(0.0, abs=5 * point.bias.uncertainty)
-        if point.kind in ("fisher", "moderate"):
-            for share, level in zip(point.covered, LEVELS, strict=True):
-                assert share.value == pytest.approx(level, abs=4 * share.uncertainty)
-    worst = {p.kind: p for p in points if p.count == 100}
-    assert worst["tails"].covered[1].value < worst["ellipse"].covered[1].value < 0.92
-    assert worst["ellipse"].covered_effective[1] == pytest.approx(0.95, abs=0.03)
-    assert true_sigma("moderate") == pytest.approx(20**-0.5)
-    assert true_sigma("fisher") == pytest.approx(np.radians(0.5 / 3600.0))
-    assert true_sigma("ellipse") / true_sigma("fisher") == pytest.approx(5**0.5)  # 3 : 1, the mean of squares
-    assert true_sigma("tails") / true_sigma("fisher") == pytest.approx((0.98 + 0.02 * 16) ** 0.5)
