@@ -111,7 +111,7 @@ def test_effective_degrees() -> None:
 
 @pytest.mark.parametrize(("shape", "own"), [("ellipse", (0.92, 0.98)), ("tails", (0.5, 0.95))])
 def test_interval_is_too_narrow_for_other_distributions(shape: str, own: tuple[float, float]) -> None:
-    """N = 1000 samples of 100, known to 0.7 points; own degrees of freedom mend it for an ellipse, not rare outliers."""
+    """N = 1000 samples of 100, known to 0.7 points; own degrees of freedom mend it for an ellipse, not for outliers."""
     rng = np.random.default_rng(17)
     if shape == "ellipse":
         sigma, scale = np.sqrt(5.0) * 1e-6, np.broadcast_to([3e-6, 1e-6], (1000, 100, 2))
