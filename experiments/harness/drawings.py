@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from experiments.harness.quantities import Outcome
@@ -35,10 +34,7 @@ def curves(
     level: float | None = None,
     band: float = 0.0,
     log: str = "",
-    above: str = "",
     y: str = "",
-    members: int = 0,
-    joined: bool = True,
     at: dict[str, Any] | None = None,
     **size: Any,
 ) -> Drawing:
@@ -61,27 +57,19 @@ def curves(
         A level across, and half of the grey height about it.
     log : str
         Axes that are logarithmic, e.g. "xy".
-    above : str
-        Quantity along the dimension of ``x`` that a second axis shows at whole numbers.
     y : str
         What the upright axis shows, where that is more than the label of the first quantity; the unit is added.
-    members : int
-        So many of the coordinates of ``by`` are drawn, evenly spaced; 0 draws all.
-    joined : bool
-        Whether lines join their points; a dash at each where the numbers of ``x`` have no order.
     at : dict
         Dimension -> coordinate that is drawn.
     **size
         As of `experiments.harness.plotting.new_figure`.
     """
-    stroke: dict[str, Any] = {} if joined else {"linestyle": "", "marker": "_", "markersize": 7}
 
     def draw(o: Outcome) -> Figure:
         from experiments.harness.plotting import INK, MARKERS, PALETTE, log_ticks, new_figure
 
         keys = _keys(o, panels)
         drawn = _keys(o, by)
-        drawn = drawn[:: max(1, len(drawn) // members)][:members] if members else drawn
         figure, grid = new_figure(1, len(keys), sharey=True, squeeze=False, **({"aspect_ratio": 0.5} | size))
         whole_x, ticks = _across(o, x)
         at_x, group = whole_x, o.values(by) if by in o.data.data_vars else None
@@ -104,7 +92,7 @@ def curves(
                     shared = _shared(o, name, by)
                     if not shared or k == 0:
                         colour = INK if shared else PALETTE[n if apart else k]
-                        panel.plot(at_x, part(name, **where)[0], color=colour, linewidth=1.1, **stroke)
+                        panel.plot(at_x, part(name, **where)[0], color=colour, linewidth=1.1)
                 for n, name in enumerate(one for one in points.split() if one in o.data):
                     value, error = part(name, **where)
                     style = n if apart else k
@@ -134,8 +122,6 @@ def curves(
                 log_ticks(panel, "x" if letter == "x" else "y")
             if ticks:
                 panel.set_xticks(at_x, ticks)
-            if above and above in o.data:
-                _second_axis(o, panel, at_x, above)
         first = next(o.quantity(one) for one in (points or lines).split() if one in o.data)
         grid[0][0].set_ylabel(replace(first, label=y or first.label).heading)
         black = [name for name in (*lines.split(), floor) if name in o.data and (name == floor or _shared(o, name, by))]
@@ -186,50 +172,14 @@ def bars(
     return _named(draw, bars, points, marks)
 
 
-def scatter(x: str, y: str, *, by: str = "", panels: str = "", diagonal: bool = False, **size: Any) -> Drawing:
-    """One quantity against another one of the same dimensions, with uncertainties; ``diagonal`` draws y = x."""
-
-    def draw(o: Outcome) -> Figure:
-        from experiments.harness.plotting import INK, MARKERS, PALETTE, new_figure
-
-        keys, members = _keys(o, panels), _keys(o, by)
-        figure, grid = new_figure(1, len(keys), squeeze=False, **({"aspect_ratio": 0.5} | size))
-        for panel, key in zip(grid[0], keys, strict=True):
-            for k, member in enumerate(members):
-                at = {name: value for name, value in ((panels, key), (by, member)) if name}
-                at_x = {dim: value for dim, value in at.items() if dim in o.quantity(x).dims}
-                error = np.ravel(o.errors(y, **at))
-                panel.errorbar(
-                    np.ravel(o.values(x, **at_x)),
-                    np.ravel(o.values(y, **at)),
-                    error if np.isfinite(error).any() else None,
-                    fmt=MARKERS[k],
-                    color=PALETTE[k],
-                    markersize=3,
-                    linewidth=0.7,
-                    label=o.label(by, member) if by else None,
-                )
-            if diagonal:
-                ends = np.array([np.nanmin(o.values(x)), np.nanmax(o.values(x))])
-                panel.plot(ends, ends, color=INK, linewidth=0.8)
-            panel.set(xlabel=o.heading(x), ylabel=o.heading(y), title=o.label(panels, key) if panels else "")
-        if by:
-            figure.legend(*grid[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-        return figure
-
-    return _named(draw, x, y)
-
-
-def maps(
-    name: str, *, place: str = "", panels: str = "", log: bool = False, zero: bool = False, **size: Any
-) -> Drawing:
+def maps(name: str, *, place: str = "", panels: str = "", zero: bool = False, **size: Any) -> Drawing:
     """A quantity over two dimensions (row, column) as colours; with ``place``, (n, 2), as coloured points at places.
 
-    ``zero`` centres a two-coloured scale on zero, ``log`` makes it logarithmic.
+    ``zero`` centres a two-coloured scale on zero.
     """
 
     def draw(o: Outcome) -> Figure:
-        from matplotlib.colors import LogNorm, Normalize
+        from matplotlib.colors import Normalize
 
         from experiments.harness.plotting import new_figure
 
@@ -238,7 +188,7 @@ def maps(
         whole = o.values(name).astype(float)
         reach = float(np.nanmax(np.abs(whole)))
         low, high = (-reach, reach) if zero else (float(np.nanmin(whole)), float(np.nanmax(whole)))
-        style = {"cmap": "RdBu_r" if zero else "viridis", "norm": (LogNorm if log else Normalize)(low, high)}
+        style = {"cmap": "RdBu_r" if zero else "viridis", "norm": Normalize(low, high)}
         for panel, key in zip(grid[0], keys, strict=True):
             one = o.quantity(name, **({panels: key} if panels else {}))
             if place:
@@ -335,21 +285,6 @@ def arrows(place: str, *vectors: str, panels: str = "", frame: str = "", longest
     return _named(draw, place, *vectors)
 
 
-def image(name: str, *, scale: float = 60.0) -> Drawing:
-    """A quantity (row, column) as a picture of compressed brightness, in pixels."""
-
-    def draw(o: Outcome) -> Figure:
-        from experiments.harness.plotting import new_figure, scale_bar
-
-        figure, axis = new_figure(width="half", aspect_ratio=1.0)
-        axis.imshow(np.arcsinh(o.values(name) / scale), vmin=-1.0, interpolation="nearest")
-        axis.set_axis_off()
-        scale_bar(axis)
-        return figure
-
-    return _named(draw, name)
-
-
 def _named(draw: Any, *names: str) -> Drawing:
     draw.names = tuple(one for text in names for one in text.split())
     drawing: Drawing = draw
@@ -388,16 +323,6 @@ def _beside(at_x: Any, k: int, count: int, log: str) -> Any:
     """Places moved a little, so that points of several colours do not hide each other."""
     step = k - (count - 1) / 2
     return at_x * np.exp(0.02 * step) if "x" in log else at_x + 0.01 * step * float(np.ptp(at_x) or 1.0)
-
-
-def _second_axis(o: Outcome, panel: Axes, at_x: Any, name: str) -> None:
-    value = o.values(name)
-    order = np.argsort(value)
-    whole = np.arange(np.ceil(value.min()), np.floor(value.max()) + 1.0)
-    top = panel.secondary_xaxis("top")
-    top.set_xticks(np.exp(np.interp(whole, value[order], np.log(at_x[order]))), [f"{one:g}" for one in whole])
-    top.minorticks_off()
-    top.set_xlabel(o.heading(name))
 
 
 def _legend(o: Outcome, figure: Figure, by: str, drawn: list[Any], kinds: tuple[str, str], black: list[str]) -> None:

@@ -22,7 +22,6 @@ from matplotlib import rc_context  # noqa: E402
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.backends.backend_svg import FigureCanvasSVG  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
-from matplotlib.font_manager import FontProperties  # noqa: E402
 from matplotlib.ticker import ScalarFormatter  # noqa: E402
 
 from experiments.harness.range import logarithmic  # noqa: E402
@@ -167,17 +166,6 @@ def figure_svg(figure: Figure, *, prefix: str = "f") -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'\bid="', f'id="{prefix}-', text)
     return re.sub(r"(href=\"|url\()#", rf"\g<1>#{prefix}-", text)
-
-
-def scale_bar(axes: Any, *, size_px: int = 5) -> None:
-    """A bar of so many pixels in the lower right corner of an image whose coordinates are pixels."""
-    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
-
-    bar = AnchoredSizeBar(
-        axes.transData, size_px, f"{size_px} px", "lower right", color="white", frameon=False, pad=0.2, sep=2,
-        fontproperties=FontProperties(size=6.5),
-    )  # fmt: skip
-    axes.add_artist(bar)
 
 
 def side_by_side(figure: Figure) -> list[tuple[float, float]]:

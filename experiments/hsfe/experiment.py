@@ -35,7 +35,7 @@ from experiments.laboratory.point_scene import point_laboratory, point_signal, p
 from experiments.laboratory.published import ACC18_ARCSEC, is_published_sensor
 from experiments.laboratory.readout.centroids import centroiders, motion_method, noiseless_positions
 from experiments.laboratory.readout.noise_model import nominal_noise
-from experiments.laboratory.step_statistics import common_removed, step_residual_px
+from experiments.laboratory.step_statistics import step_residual_px
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
@@ -200,7 +200,7 @@ def causes(seen: HighFrequencyMeasurement, after: HighFrequencyPrediction, metho
     return [*parts, temporal]
 
 
-# --- Across a pixel, and along the path
+# --- Across a pixel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,15 +209,6 @@ class Curves:
 
     phase_px: FloatArray = col("Place of the star in its pixel", "px", dims="phase", json="")
     s_curve_px: FloatArray = col("Centroid − truth", "px", "", "method phase", json="")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Track:
-    """Errors along the path: mean centroid minus mean of all light (truth), without the mean over the stars."""
-
-    way_px: float = col("Commanded way along the path", "px", json="")
-    error_px: FloatArray = col("Error", "px", ".4f", "method star axis", json="")
-    curve_px: FloatArray = col("Predicted S-curve", "px", ".4f", "method star axis", json="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -247,15 +238,6 @@ def s_curves(bench: Bench, instrument: Instrument, psf: EffectivePsf) -> Curves:
         for one in centroiders(bench, [psf]).values()
     ]
     return Curves(phase_px=along, s_curve_px=np.array(errors).reshape(len(errors), len(ACROSS), -1).mean(1))
-
-
-def tracks(
-    seen: HighFrequencyMeasurement, after: HighFrequencyPrediction, plan: StepPlan, methods: Sequence[str]
-) -> list[Track]:
-    """Every position."""
-    errors = np.array([common_removed(seen.mean_px["all"][m] - seen.photon_px) for m in methods])
-    curve = np.array([common_removed(after.method[m].s_curve_px) for m in methods])
-    return [Track(way_px=k * plan.step_px, error_px=errors[:, k], curve_px=curve[:, k]) for k in range(plan.positions)]
 
 
 def axes(config: Config) -> Quantities:
@@ -311,7 +293,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         "steps": [steps(seen, before.method[m], after.method[m], m) for m in config.methods],
         "causes": causes(seen, after, config.methods),
         "curves": shapes,
-        "tracks": tracks(seen, after, plan, config.methods),
         "residuals": [
             Residuals(residual_px=one, true_px=true)
             for one, true in zip(left, step_residual_px(seen.photon_px), strict=True)
@@ -367,23 +348,6 @@ SECTIONS = {
         record=Curves,
         figures={
             "s_curves": curves("phase_px", lines="s_curve_px", by="method", level=0.0, width="half", aspect_ratio=1.0)
-        },
-    ),
-    "tracks": Section(
-        record=Track,
-        dim="position",
-        figures={
-            "error_tracks": curves(
-                "way_px",
-                points="error_px",
-                lines="curve_px",
-                by="star",
-                panels="method",
-                members=3,
-                at={"axis": "x"},
-                y="Error in x",
-                aspect_ratio=0.36,
-            )
         },
     ),
     "residuals": Section(record=Residuals, dim="step", table="residuals", across="axis", caption="Residuals."),

@@ -109,7 +109,6 @@ class Frames:
     frames: int = col("Frames")
     stars: int = col("Stars")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
-    signal_star_k: float = col("Temperature of that star", "K", ".0f")
     signal_star: str = col("Star")
     apart_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame star axis", json="")
 
@@ -162,7 +161,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
             frames=nominal.frames,
             stars=len(nominal.light),
             pixel_arcsec=instrument.pixel_arcsec,
-            signal_star_k=star.temperature_k,
             signal_star=star.star,
             apart_arcsec=instrument.pixel_arcsec * (centroids_px - np.nanmean(centroids_px, axis=0)),
         ),
@@ -225,7 +223,6 @@ SECTIONS = {
                 floor="level_bound_arcsec",
                 dashes="published_arcsec",
                 log="xy",
-                above="level_magnitude_mag",
                 y="Temporal error, 3 σ",
             ),
             "ratio_plot": curves(
@@ -257,17 +254,6 @@ SECTIONS = {
         prefix="star_",
         across="axis",
         caption="Standard deviation of each star at the signal of the source, first centroider.",
-        figures={
-            "star_scatter": curves(
-                "star",
-                points="star_sigma_px",
-                lines="star_predicted_px",
-                panels="axis",
-                joined=False,
-                y="σ",
-                aspect_ratio=0.36,
-            )
-        },
     ),
     "sight": SIGHT,
 }

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from experiments.hsfe.experiment import CAUSE_NAMES, causes, s_curves, steps, tracks
+from experiments.hsfe.experiment import CAUSE_NAMES, causes, s_curves, steps
 from experiments.laboratory.high_frequency import CAUSES, HighFrequencyMeasurement
 from render.records import EffectivePsf
 
@@ -109,19 +109,6 @@ def test_causes_are_differences_of_runs(seen):
     moved = seen.mean_px["all"]["cog"] - np.arange(POSITIONS)[:, None, None] * [0.5, -0.25]
     shift = seen.common_shift_px("cog", moved)
     np.testing.assert_allclose(shift, np.arange(POSITIONS)[:, None] * [0.5, -0.25], atol=1e-12)
-
-
-def test_tracks_have_no_common_motion(seen):
-    every = tracks(
-        seen,
-        SimpleNamespace(method={"cog": model(ERROR_PX, ERROR_PX)}),
-        SimpleNamespace(step_px=0.2, positions=POSITIONS),
-        ["cog"],
-    )
-    assert [one.way_px for one in every[:3]] == pytest.approx([0.0, 0.2, 0.4])
-    error = np.array([one.error_px for one in every])
-    assert np.abs(error.mean(2)).max() < 1e-15
-    np.testing.assert_allclose(error.std((0, 1, 2)), np.hypot(ERROR_PX, NOISE_PX / FRAMES**0.5), rtol=0.1)
 
 
 @pytest.mark.parametrize("sigma", [0.25, 0.4])
