@@ -55,9 +55,6 @@ WORST_DEG = 1.0
 """Largest standard deviation of an installation angle at which the adjustment is still linear."""
 
 
-# --- Designs that are refused before the long work
-
-
 def check_design(config: Config) -> None:
     """Refuse a camera of mostly distortion, and a night that cannot determine all 14 unknowns."""
     _check_distortion(config)
@@ -119,9 +116,6 @@ def _check_point(config: Config, point: Point, key: str) -> None:
     )
 
 
-# --- The simulated frames
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Night:
     """The sky of Fig. 3 to 5 and Table 2, as the turning sensor sees it."""
@@ -164,9 +158,6 @@ def axes(config: Config) -> Quantities:
     q.axis("factor", factors, "Gyro noise", names=[f"{v:g} × Table 1" if v else perfect for v in factors])
     q.axis("swept", SWEPT, "Method", names=METHOD_NAMES)
     return q
-
-
-# --- Adjustments that failed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

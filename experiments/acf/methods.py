@@ -55,9 +55,6 @@ def fig5_points(config: Config) -> list[Point]:
     ]
 
 
-# --- Errors against star noise
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MethodErrors:
     """RMS errors of a method, mean of the largest residual distortion, by noise; and what the design expects."""
@@ -199,9 +196,6 @@ def largest_distortion(config: Config, camera: Sequence[FloatArray]) -> FloatArr
         moved = np.einsum("nap,dp->dna", by_coefficient, draw @ root.T)
         largest.append(float(np.linalg.norm(moved, axis=2).max(1).mean()))
     return np.array(largest)
-
-
-# --- All noises together
 
 
 def pooled_errors(method: str, runs: Sequence[Trials], noise: FloatArray) -> FloatArray:

@@ -31,9 +31,6 @@ ASSUMED, INFERRED = "assumed", "inferred"
 Row = Sequence[Measured]
 
 
-# --- Runs
-
-
 def fig3_points(config: Config) -> list[Point]:
     """One point per noise; gyros: perfect, then the biases, then the random walks."""
     gyros = [(0.0, 0.0)]
@@ -84,9 +81,6 @@ def counts_points(config: Config) -> list[Point]:
     ]
 
 
-# --- Measured and expected
-
-
 def root_mean_square(square: FloatArray, axis: int) -> tuple[FloatArray, FloatArray]:
     """Root of a mean of squares, and its standard error."""
     rms = np.sqrt(square.mean(axis))
@@ -110,9 +104,6 @@ def mean_length(trials: Trials, gyro: int) -> Measured:
     length = lengths(trials, gyro)
     error = float(length.std(ddof=1) / np.sqrt(len(length)))
     return Measured(value=float(length.mean()), unit="px", uncertainty=error, n=len(length))
-
-
-# --- Fig. 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,9 +139,6 @@ def fig3(config: Config, trials: Mapping[str, Trials]) -> tuple[ByBias, ByWalk]:
 
     walks = range(1 + biases, len(points[0].gyro))
     return part(ByBias, range(1 + biases)), part(ByWalk, [perfect, *walks])
-
-
-# --- Fig. 4
 
 
 def of_case(name: str, *also: str) -> dict[str, list[str]]:
@@ -205,9 +193,6 @@ def fig4(config: Config, trials: Mapping[str, Trials], inferred: Point) -> list[
             )
         )
     return cases
-
-
-# --- Against the number of stars
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -46,9 +46,6 @@ NAMES = [GREEK.get(name[:-1], name[:-1]) + name[-1] if name != "f" else name for
 """Unknowns as readers see them."""
 
 
-# --- Covariances
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Covariances:
     """Predicted at one noise; angles phi and theta in rad."""
@@ -84,9 +81,6 @@ def in_degrees(values: FloatArray) -> FloatArray:
     out = np.array(values)
     out[..., CAMERA:] = np.degrees(out[..., CAMERA:])
     return out
-
-
-# --- Table 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,9 +135,6 @@ def sums(config: Config, trials: Mapping[str, Trials], expected: Covariances) ->
     correlation = expected.perfect / np.outer(size, size)
     sight, _ = root_mean_square(trials[table2_point(config).name].of("acc", "sight_arcsec") ** 2, 0)
     return Sums(correlation=[correlation[3, 4], correlation[3, 5], correlation[4, 5]], sight_arcsec=float(sight))
-
-
-# --- The pixel that the printed numbers imply
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -65,9 +65,6 @@ Work = TypeVar("Work")
 Done = TypeVar("Done")
 
 
-# --- What is run
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
     """A setting that runs are made of."""
@@ -111,9 +108,6 @@ class Task:
     point: Point
     first: int
     last: int
-
-
-# --- One task
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -318,9 +312,6 @@ def drawn_sights(
         errors.append(rng.standard_normal((DRAWN, len(scale))) @ root.T)
     first, second = (one @ operator.T for one in (errors[0], errors[0] + errors[1]))
     return np.sqrt(2.0 * (first**2).mean(axis=1)), np.sqrt(2.0 * (second**2).mean(axis=1))
-
-
-# --- All tasks
 
 
 def perform(config: Config, points: Sequence[Point], *, advance: Callable[[int], None]) -> dict[str, Trials]:

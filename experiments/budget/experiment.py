@@ -49,9 +49,6 @@ LABELS = {
 }
 
 
-# --- The camera
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
     """What is measured, and with what signal."""
@@ -84,9 +81,6 @@ def setup(lab: Laboratory) -> Setup:
         pixel_arcsec=lab.instrument.pixel_arcsec,
         between_arcsec=between if lab.bench.collimator is not None else None,
     )
-
-
-# --- Terms and sums: predicted | measured | published
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,9 +231,6 @@ def chief(predicted: PredictedTerms) -> Chief:
     names = {"total": "total", "te": "TE", "hsfe": "HSFE", "chromatic": "LSFE-S", "distortion": "LSFE-C1"}
     values = {f"{key}_rms_arcsec": predicted.budget[name].arcsec for key, name in names.items()}
     return Chief(**{key: float(np.sqrt((value**2).mean())) for key, value in values.items()})
-
-
-# --- What the terms are made of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -120,9 +120,6 @@ def check_laboratory(lab: Laboratory) -> None:
         )
 
 
-# --- Tests of a configuration
-
-
 def step_plan(lab: Laboratory) -> StepPlan:
     """The step test."""
     steps = lab.config.steps
@@ -161,8 +158,6 @@ def places_px(lab: Laboratory) -> FloatArray:
     others = [[low + (high - low) * s, first[1] + 0.37 * (k + 1)] for k, s in enumerate(steps)]
     return np.array([first.tolist(), *others])
 
-
-# --- PSFs, rendered once for all settings that share the light
 
 _KEPT: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
 _MOST_KEPT = 32

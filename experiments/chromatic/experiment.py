@@ -90,9 +90,6 @@ def both(place: str, moved: str = "measured.") -> Mapping[str, str]:
     return {"centred": place, "moved": f"decentre_solution.{moved}{place}"}
 
 
-# --- Table 1, and the size of the shifts behind it
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entries:
     """ACC18's Table 1 (eq. 16: signed mean of the shifts, halved) of one lens."""
@@ -211,9 +208,6 @@ def detector_frame(panel: Any, instrument: Instrument) -> None:
     panel.grid(visible=False)
 
 
-# --- Point by point
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Points:
     """Shift of every target point (eq. 15), position after position."""
@@ -237,9 +231,6 @@ def points(lens: Lens) -> Points:
         pixels_shift_px=pixels.reshape(flat),
         predicted_shift_px=traced.reshape(flat),
     )
-
-
-# --- Camera parameters of its own for each band
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -270,9 +261,6 @@ def calibration(lens: Lens) -> Calibration:
     return Calibration(residual_px=found, traced_residual_px=traced)
 
 
-# --- The same frames by every centroider
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Centroiders:
     """What every centroider makes of the same frames; NaN where it does not converge on some point."""
@@ -295,9 +283,6 @@ def centroiders(lens: Lens, axis: int) -> Centroiders:
         along_px=entry[..., axis],
         table1_px=entry,
     )
-
-
-# --- The bench
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

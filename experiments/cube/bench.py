@@ -292,9 +292,6 @@ def start_angles(
     return angle + np.array([-normal[1], normal[0]])
 
 
-# --- The spot in closed form, and what is refused before long work
-
-
 def check_bench(config: Config, geometry: BenchGeometry, camera: BenchCamera) -> None:
     """Refuse a bench that cannot work."""
     hole, face = geometry.aperture_mm, geometry.face_mm

@@ -57,9 +57,6 @@ BEAM = np.array([1.0, 0.58, 0.08])
 PAPER = np.array([1.0, 0.99, 0.965])
 
 
-# --- The bench and all benches together
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
     """Sizes, equations 13 and 14, and what geometry says of errors that eq. 14 leaves out."""
@@ -125,9 +122,6 @@ def every_bench(case: CaseResult) -> Benches:
     )
 
 
-# --- Sun sensor and pictures: noise predicted from detector, light and geometry
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
     """Errors of R_sr on all benches, on a square table, and what pictures scatter by."""
@@ -165,9 +159,6 @@ def noise(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictures: Pic
         squareness_sigma_arcsec=float(np.mean([one.sensor.lean_sigma_rad for one in improved.bench])) * RAD_ARCSEC,
         sensor_rms_arcsec=improved.sensor_rms_arcsec,
     )
-
-
-# --- The shown bench
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -258,9 +249,6 @@ def trims_of(bench: BenchResult) -> list[Trim]:
         for trim in bench.trims
         for number, row in enumerate(trim.rows)
     ]
-
-
-# --- Pictures
 
 
 def bench_views(config: Config, laboratory: Laboratory, truth: Truth) -> list[Any]:

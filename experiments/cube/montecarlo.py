@@ -156,9 +156,6 @@ def _normal_covariance(table: Turntable, trim: FaceTrim, covariance_rad2: FloatA
     return np.asarray(turn @ spread @ turn.T)
 
 
-# --- The Monte-Carlo
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaseResult:
     """All benches in one case."""

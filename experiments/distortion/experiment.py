@@ -38,8 +38,6 @@ from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams
 
-# --- Before the polynomial, after it, removed
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Numbers:
@@ -103,9 +101,6 @@ def removed(of: Numbers, frames: DistortionMeasurement, config: Config, *, publi
         predicted_arcsec=of.predicted_arcsec[here, 2],
         above_published=above if published else None,
     )
-
-
-# --- The target and its points
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,9 +169,6 @@ def points(frames: DistortionMeasurement, predicted: DistortionPrediction, confi
         d_px=found.d_px,
         left_px=found.left_px,
     )
-
-
-# --- The true map: what the correction is wrong by between the points
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

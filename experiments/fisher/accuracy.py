@@ -104,9 +104,6 @@ ADVICE = (
 """What to look at when a calibration does not fit."""
 
 
-# --- What can be refused before anything is rendered
-
-
 def check_config(config: Config) -> Instrument:
     """The camera; whatever can be refused without rendering is refused here."""
     axes = len(build_table(config.table).axis)
@@ -147,9 +144,6 @@ def evaluation_px(config: Config, instrument: Instrument) -> FloatArray:
 
 def _motion(config: Config) -> Motion:
     return motion_of(config.dynamic.rate_deg_per_s, config.dynamic.jitter_ms, config.dynamic.samples)
-
-
-# --- Calibration (S100)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,9 +203,6 @@ def _fitted(data: Data, table: Turntable, config: Config, instrument: Instrument
     return calibration
 
 
-# --- Acquisition (S200), at rest and on the move
-
-
 def acquisition(rig: Calibrated, name: str, motion: Motion, psfs: FloatArray, renderer: StarRenderer) -> Acquisition:
     """One frame and one reading at every place of the evaluation."""
     config, own = rig.config, rig.streams.child(name)
@@ -248,9 +239,6 @@ def _path_px(rig: Calibrated, places: Places) -> FloatArray:
     seen = known.directions(rig.bench, rig.instrument.config.exposure_s)
     path = rig.model.project(seen.reshape(-1, 3)).reshape(len(seen), -1, 2)
     return np.asarray(path - path.mean(1, keepdims=True))
-
-
-# --- Accuracy (S300 to S500), measured and predicted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -388,9 +376,6 @@ def _angles_per_pixel(rig: Calibrated) -> dict[str, float]:
     half = camera.width_px * camera.pixel_pitch_mm / 2 / focal
     angles = camera.pixel_pitch_mm / focal, camera.pixel_pitch_mm / sheet, 2 * np.arctan(half) / camera.width_px
     return {name: float(angle * RAD_ARCSEC) for name, angle in zip(ANGLES, angles, strict=True)}
-
-
-# --- Causes, the same data, and what was measured with
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

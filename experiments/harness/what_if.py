@@ -36,9 +36,6 @@ FINE = 120
 MISSED, NOW = "#d55e00", "#8a9099"
 
 
-# --- Numbers and what is required of them
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Requirement:
     """A number against what is required of it."""
@@ -127,9 +124,6 @@ REQUIREMENTS = Section(
     caption="What is required of the sensor, and what is predicted.",
 )
 """Section of requirements; its record is what `judge` gives."""
-
-
-# --- A sweep over one or two keys
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -434,9 +428,6 @@ def sweep_sections(result: Mapping[str, Any]) -> dict[str, Section]:
             caption="Where requirements begin or cease to be met.",
         ),
     }
-
-
-# --- Sensors next to each other
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -47,9 +47,6 @@ MODEL_SLACK = 0.03
 """What the linear model may be off: a threshold smooths the S-curve under noise by about this much."""
 
 
-# --- The number of ACC18, and the error of one position
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Test:
     """What was measured with, and the number of ACC18 by the centroider that counts."""
@@ -130,8 +127,6 @@ def over(value: FloatArray, expected: FloatArray, scatter: FloatArray) -> Axes:
     return ratios
 
 
-# --- Where it comes from
-
 CAUSE_NAMES = {
     "s_curve": "S-curve",
     "prnu": "response (PRNU)",
@@ -198,9 +193,6 @@ def causes(seen: HighFrequencyMeasurement, after: HighFrequencyPrediction, metho
         position_predicted_arcsec=none,
     )
     return [*parts, temporal]
-
-
-# --- Across a pixel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -346,9 +346,6 @@ def _window_variances(
     return variance, np.concatenate(designs), np.concatenate(instruments), np.full(len(variance), frames - 1.0)
 
 
-# --- What is likely wrong, and the verdicts
-
-
 def _checks(outcome: Outcome) -> FrameChecks:
     checks: FrameChecks = outcome.result["checks"]
     return checks

@@ -110,9 +110,6 @@ class FramesTest:
         return numbers
 
 
-# --- What all folders have
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Folder:
     """Contents of the folder, and what was done to its frames."""
@@ -228,9 +225,6 @@ COMMON = {
     ),
     "checks": CHECKS,
 }
-
-
-# --- Points of the last series, for the methods that show them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -206,9 +206,6 @@ def _spectrum(made: Calibration, chart: Chart) -> FloatArray:
     return np.sort(np.maximum(values, 0.0))[::-1] * RAD_ARCSEC**2
 
 
-# --- All calibrations of one camera
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibratedCamera:
     """All calibrations of one camera, and what they were made from."""

@@ -51,9 +51,6 @@ FAINT_SNR = 50.0
 """Signal-to-noise ratio below which noise rules a centroid, not pixels."""
 
 
-# --- Cameras: what was calibrated, with which stars, and what the map error is made of
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
     """A camera, its stars, and the parts of its map error."""
@@ -127,9 +124,6 @@ def centroid_pull(made: CalibratedCamera) -> Measured:
     # 80 % of normal deviates are below 1.2816: known to 0.889 / sqrt(n) of the scale, the median to 1.17 / sqrt(n)
     scatter = float(np.quantile(np.abs(pull), 0.8)) / 1.2816
     return Measured(value=scatter, uncertainty=0.889 / np.sqrt(pull.size), n=pull.size)
-
-
-# --- Map errors, by how attitudes are treated
 
 
 def of_map(data: str, name: str, *also: str) -> dict[str, list[str]]:
@@ -208,9 +202,6 @@ def sigma_f_um(fitted: CalibratedMap) -> float:
     return 1e3 * float(dict(zip(solution.names, solution.sigma, strict=True)).get("focal_length_mm", np.nan))
 
 
-# --- Camera models: what they cannot describe, what noise does to them, what comes out
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Model:
     """A camera model fitted to the same stars as the others; map errors, RMS."""
@@ -274,9 +265,6 @@ def parameter_axis(name: str) -> Callable[[Quantities, Sequence[Parameter]], Non
         q.axis(f"{name}_parameter", names, "Parameter", key="parameter", units=[unit(one) for one in names])
 
     return describe
-
-
-# --- The map and the stars themselves
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

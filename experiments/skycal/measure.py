@@ -40,9 +40,6 @@ OVERSAMPLING = 4
 """Of the PSFs; against twice as many samples it moves a fit by some 1e-3 px where spots are sharpest."""
 
 
-# --- Frames
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameStars:
     """One frame: what was found, and what was there."""
@@ -164,9 +161,6 @@ def _detect(config: Config, frame: Frame, dark_dn: NDArray[np.float32], noise: N
         fwhm_px=FWHM_PX,
         size_px=config.window_px,
     )
-
-
-# --- Centroids with the PSF of each star's place
 
 
 @dataclass(frozen=True, slots=True)

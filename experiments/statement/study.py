@@ -315,9 +315,6 @@ def _detection(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
         yield Line(clause=clause, what=what, value=value, statistic=statistic, conditions=where, derivation=ANALYSIS)
 
 
-# --- A flight
-
-
 SAME = ("instrument", "passband", "centroid", "window_px", "threshold_sigma")
 """Settings that make a sensor, in `camera` and `flight` alike."""
 

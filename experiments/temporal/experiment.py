@@ -33,9 +33,6 @@ from render.engine.random import Streams
 Errors = Sequence[Sequence[Measured]]
 
 
-# --- Temporal error at one signal, by centroider and axis
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scatter:
     """Temporal error (3 sigma) at one signal, measured and predicted without frames."""
@@ -87,9 +84,6 @@ def over(measured: Errors, expected: FloatArray, uncertainty: FloatArray) -> Err
 
     rows = zip(measured, expected, uncertainty, strict=True)
     return [[ratio(*cells) for cells in zip(*row, strict=True)] for row in rows]
-
-
-# --- Star by star, and what the frames look like
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -90,9 +90,6 @@ ADVICE = (
 """What to look at when a calibration does not fit."""
 
 
-# --- One table: rendered, calibrated, repeated on coordinates
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
     """One table."""
@@ -188,9 +185,6 @@ def calibrations(
     return {"estimated": estimated, "ignored": ignored, "known": known}, alone
 
 
-# --- Line of sight by table
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineOfSight:
     """Calibration on one table, by its map: RMS length of the line-of-sight error after the best rotation."""
@@ -257,9 +251,6 @@ def point_over_line(sigma_arcsec: float, map_arcsec: float) -> float:
     return float(sigma_arcsec / map_arcsec * np.sqrt(2.0))
 
 
-# --- Unknown by unknown
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unknown:
     """One unknown on both tables, in the unit that its name ends with; NaN on a table that does not have it.
@@ -312,9 +303,6 @@ def unknown(name: str, cases: Sequence[Case]) -> Unknown:
 def unit_of(name: str) -> str:
     """Unit that the name of an unknown ends in."""
     return f"1/{name.rpartition('_per_')[2]}" if "_per_" in name else name.rpartition("_")[2]
-
-
-# --- What limits it, and every place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

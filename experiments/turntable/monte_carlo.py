@@ -132,9 +132,6 @@ def monte_carlo(
     )
 
 
-# --- Map error against the reading noise of the table
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingPoint:
     """Map error at one error of a place's mean reading, the same on all axes, the centroids as they are."""

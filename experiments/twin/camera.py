@@ -43,9 +43,6 @@ CLIP_SIGMA = 4.5
 FEWEST_POINTINGS = 4
 
 
-# --- Calibration, and the choice of the model
-
-
 def calibrated(stars: Observations, camera: CameraModel, order: str) -> Calibration:
     """Camera of an order from all stars, attitudes free, wrong matches down-weighted."""
     start, free = _start(camera, order)
@@ -123,9 +120,6 @@ def chosen_order(orders: Sequence[Order]) -> Order:
         if worse.mean() <= error:
             return one
     return best
-
-
-# --- Zenith and refraction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

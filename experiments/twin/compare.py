@@ -166,9 +166,6 @@ def _halves(stars: Observations, fit: CameraFit) -> FloatArray:
     return attitude_error_arcsec(even, odd) / 2.0
 
 
-# --- Statistics of a set of frames
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Statistic:
     """What is compared."""

@@ -43,9 +43,6 @@ FEWEST_IN_BIN = 30
 STRETCH_PERCENT = (20.0, 99.7)
 
 
-# --- The camera
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraNumbers:
     """What the camera is."""
@@ -203,9 +200,6 @@ def _share(values: FloatArray, spread: float) -> Measured:
     return Measured(value=float(values.mean()), uncertainty=spread / np.sqrt(len(values)), n=len(values))
 
 
-# --- How it was measured
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrderNumbers:
     """A camera model, each frame predicted from the others."""
@@ -270,9 +264,6 @@ def causes(fit: CameraFit, compared: HeldOut, limit_mag: float) -> list[Cause]:
 
 def _root(square: float) -> float:
     return float(np.sqrt(max(square, 0.0)))
-
-
-# --- Real and rendered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -507,9 +498,6 @@ def compared_words(statistics: Sequence[Compared], detected: Detected) -> list[s
             f"star windows told apart with an area under the ROC curve of {detected.area.value:.2f} (0.5: not at all)"
         )
     return out
-
-
-# --- Axes, verdicts, pictures
 
 
 def axes(config: Any) -> Quantities:

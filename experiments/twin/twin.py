@@ -325,9 +325,6 @@ def psf_of_wavelengths(psf: PsfModel, response: FloatArray) -> list[PsfModel]:
     return out
 
 
-# --- Files
-
-
 def write_twin(
     twin: Twin, folder: Path, *, faintest_mag: float, window_px: int, name: str, compared: Sequence[str] = ()
 ) -> tuple[Path, ...]:
@@ -376,9 +373,6 @@ def _toml(value: object) -> str:
     if isinstance(value, np.ndarray):
         return "[" + ", ".join(f"{one:.6g}" for one in value) + "]"
     return f"{value:.9g}" if isinstance(value, float) else str(value)
-
-
-# --- Rendered frames
 
 
 class TwinRenderer:
