@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from experiments.harness.cli import command
 from experiments.harness.config import AngleDeg, StrictModel
@@ -30,6 +31,11 @@ def _ascending(values: tuple[Number, ...], least: int = 1) -> tuple[Number, ...]
     if any(later <= earlier for earlier, later in pairwise(values)):
         raise ValueError("increasing values are needed, each once")
     return values
+
+
+ONE, TWO = AfterValidator(_ascending), AfterValidator(partial(_ascending, least=2))
+"""Of increasing values, at least so many."""
+GyroSizes = Annotated[tuple[Annotated[float, Field(ge=0, le=1000)], ...], ONE]
 
 
 class CameraConfig(StrictModel):
@@ -108,46 +114,24 @@ class GyroConfig(StrictModel):
 class SkyConfig(StrictModel):
     """Stars, uniform over the sphere; their number is not in the document."""
 
-    stars_per_frame: float = Field(default=34.0, le=200, description="mean number in a frame")
+    # with one star in a frame there is no interstar angle and no free attitude
+    stars_per_frame: float = Field(default=34.0, ge=2, le=200, description="mean number in a frame")
     phi_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = Field(
         default=(56.9476, -1.0046, -25.3335), description="phi1, phi2, phi3 of the first frame (Table 2)"
     )
-
-    @field_validator("stars_per_frame")
-    @classmethod
-    def _pairs(cls, value: float) -> float:
-        if value < 2.0:
-            raise ValueError(
-                "at least 2 are needed: with one star in a frame there is no interstar angle and no free attitude"
-            )
-        return value
 
 
 class SweepConfig(StrictModel):
     """What the document lacks: gain over free attitudes against stars per frame and gyro noise."""
 
-    stars: tuple[int, ...] = Field(default=(2, 3, 4, 6, 10, 20, 40), description="stars in every frame")
-    gyro_factor: tuple[float, ...] = Field(
+    stars: Annotated[tuple[Annotated[int, Field(ge=2, le=100)], ...], TWO] = Field(
+        default=(2, 3, 4, 6, 10, 20, 40), description="stars in every frame"
+    )
+    gyro_factor: Annotated[tuple[Annotated[float, Field(ge=0, le=1e5)], ...], ONE] = Field(
         default=(0.0, 1.0, 10.0, 50.0), description="bias and random walk in units of Table 1's"
     )
     noise_px: float = Field(default=0.1, gt=0, le=10, description="noise of a star's position, per axis")
     skies: int = Field(default=100, ge=4, le=10000, description="runs per point, each with a sky of its own")
-
-    @field_validator("stars")
-    @classmethod
-    def _whole_frames(cls, values: tuple[int, ...]) -> tuple[int, ...]:
-        for value in values:
-            if not 2 <= value <= 100:
-                raise ValueError(f"{value} stars in every frame: 2 to 100 are possible")
-        return _ascending(values, 2)
-
-    @field_validator("gyro_factor")
-    @classmethod
-    def _not_negative(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        for value in values:
-            if not 0.0 <= value <= 1e5:
-                raise ValueError(f"{value:g} times the gyro's noise: 0 to 100000 are possible")
-        return _ascending(values)
 
 
 class Config(SensorExperimentConfig):
@@ -160,16 +144,14 @@ class Config(SensorExperimentConfig):
     frames: int = Field(default=60, ge=4, le=1000, description="frames; odd ones calibrate, even ones judge (sec. 3.1)")
     frame_rate_hz: float = Field(default=1.0, gt=0, le=1000, description="frames per second")
     runs: int = Field(default=100, ge=4, le=100000, description="Monte-Carlo runs per point")
-    noise_px: tuple[float, ...] = Field(
+    noise_px: Annotated[tuple[Annotated[float, Field(gt=0, le=10)], ...], TWO] = Field(
         default=(0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5),
         description="noise of a star's position, per axis (Fig. 3, Fig. 5)",
     )
     table_noise_px: float = Field(default=0.1, gt=0, le=10, description="the same for Fig. 4 and Table 2")
-    bias_deg_per_h: tuple[float, ...] = Field(default=(0.001, 0.01, 0.1), description="Fig. 3a; random walk zero")
-    angle_random_walk_deg_per_sqrt_h: tuple[float, ...] = Field(
-        default=(0.0001, 0.001, 0.01), description="Fig. 3b; bias zero"
-    )
-    counts: tuple[int, ...] = Field(
+    bias_deg_per_h: GyroSizes = Field(default=(0.001, 0.01, 0.1), description="Fig. 3a; random walk zero")
+    angle_random_walk_deg_per_sqrt_h: GyroSizes = Field(default=(0.0001, 0.001, 0.01), description="Fig. 3b; bias zero")
+    counts: Annotated[tuple[Annotated[int, Field(ge=2, le=200)], ...], TWO] = Field(
         default=(6, 10, 14, 20, 34, 60), description="stars in every frame, for Fig. 4's RMS against them"
     )
     sweep: SweepConfig = SweepConfig()
@@ -189,30 +171,6 @@ class Config(SensorExperimentConfig):
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
         """The sensor file that the camera was fitted to; None for a camera that is only a model."""
         return None if file is None else parse_model(SensorConfig, read_sensor(file), str(file))
-
-    @field_validator("noise_px")
-    @classmethod
-    def _noises(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        for value in values:
-            if not 0.0 < value <= 10.0:
-                raise ValueError(f"{value:g} px of noise: above 0 and at most 10 px are possible")
-        return _ascending(values, 2)
-
-    @field_validator("bias_deg_per_h", "angle_random_walk_deg_per_sqrt_h")
-    @classmethod
-    def _gyros(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        for value in values:
-            if not 0.0 <= value <= 1000.0:
-                raise ValueError(f"{value:g}: at least 0 and at most 1000")
-        return _ascending(values)
-
-    @field_validator("counts")
-    @classmethod
-    def _counts(cls, values: tuple[int, ...]) -> tuple[int, ...]:
-        for value in values:
-            if not 2 <= value <= 200:
-                raise ValueError(f"{value} stars in every frame: 2 to 200 are possible")
-        return _ascending(values, 2)
 
     @model_validator(mode="after")
     def _enough(self) -> Config:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import StrictModel
+from experiments.harness.config import Sorted, StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.own_frames import or_own_frames
 from experiments.laboratory.settings import SignalConfig
@@ -54,7 +54,7 @@ class DynamicConfig(StrictModel):
 class FieldConfig(StrictModel):
     """Ideal cameras over a range of fields: what the pixel-residual method makes of the same vectors."""
 
-    field_deg: tuple[float, ...] = Field(
+    field_deg: Annotated[tuple[Annotated[float, Field(ge=0.1, le=120)], ...], Sorted] = Field(
         default=(3.0, 5.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 35.0, 40.0),
         min_length=2,
         description="full widths of square fields",
@@ -62,13 +62,6 @@ class FieldConfig(StrictModel):
     directions: int = Field(default=6000, ge=50, le=10**6, description="star vectors per run")
     runs: int = Field(default=40, ge=5, le=10**5, description="runs per field")
     sigma_arcsec: float = Field(default=1.0, gt=0, le=600, description="noise per axis on the axis of the camera")
-
-    @field_validator("field_deg")
-    @classmethod
-    def _fields(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        if not all(0.1 <= value <= 120 for value in values):
-            raise ValueError(f"{list(values)} deg; 0.1 ... 120 deg are meant")
-        return tuple(sorted(set(values)))
 
 
 class Config(SingleStarConfig):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from optics.errors import ConfigError
@@ -33,6 +33,8 @@ PlacePx = Annotated[float, Field(ge=-1e5, le=1e5)]
 """Type of a coordinate on a detector in a list of them."""
 WavelengthNm = Annotated[float, Field(ge=0, le=1e5)]
 """Type of a wavelength in a list of them."""
+Sorted = AfterValidator(lambda values: tuple(sorted(set(values))))
+"""Marks a list whose values count once each, in rising order."""
 FileName = Annotated[str, _IsFile()]
 """Type of a setting that is a path, or the name of something built in; in a file, a path is relative to that file."""
 FolderName = Annotated[str, _IsFile(always=True)]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field, field_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import StrictModel
+from experiments.harness.config import Sorted, StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.own_frames import or_own_frames
 from experiments.laboratory.single_star.settings import (
     LARGEST_STAR_ANGLE_DEG,
-    ReadingArcsec,
     SingleStarConfig,
     TableConfig,
 )
@@ -54,28 +55,14 @@ class StudyConfig(StrictModel):
 
     runs: int = Field(default=400, ge=20, le=100000, description="runs of the Monte-Carlo, each table")
     sweep_runs: int = Field(default=50, ge=5, le=10000, description="runs per point of a sweep")
-    reading_noise_arcsec: tuple[ReadingArcsec, ...] = Field(
+    reading_noise_arcsec: Annotated[tuple[Annotated[float, Field(ge=0, le=1e5)], ...], Sorted] = Field(
         default=(0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0),
         min_length=2,
         description="errors of the mean reading of a place to sweep",
     )
-    field_deg: tuple[float, ...] = Field(
+    field_deg: Annotated[tuple[Annotated[float, Field(ge=0.5, le=100)], ...], Sorted] = Field(
         default=(3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0, 28.0, 40.0), min_length=2, description="full fields to sweep"
     )
-
-    @field_validator("reading_noise_arcsec")
-    @classmethod
-    def _not_negative(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        if any(value < 0 for value in values):
-            raise ValueError(f"{list(values)} arcsec; none may be negative")
-        return tuple(sorted(set(values)))
-
-    @field_validator("field_deg")
-    @classmethod
-    def _fields(cls, values: tuple[float, ...]) -> tuple[float, ...]:
-        if not all(0.5 <= value <= 100 for value in values):
-            raise ValueError(f"{list(values)} deg; 0.5 ... 100 deg are meant")
-        return tuple(sorted(set(values)))
 
 
 class Config(SingleStarConfig):

@@ -97,7 +97,7 @@ def test_what_a_square_table_is_taken_for_does_not_fit() -> None:
         ("installation_deg=[40,0,0]", "at most 30 deg"),
         ("reduction.star_deg=[90,0]", "at most 60 deg"),
         ("study.field_deg=[0,3]", "0.5"),
-        ("study.reading_noise_arcsec=[-1,3]", "none may be negative"),
+        ("study.reading_noise_arcsec=[-1,3]", "at least 0"),
     ],
 )
 def test_settings_that_do_not_do(setting: str, words: str) -> None:
