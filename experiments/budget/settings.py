@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import StrictModel
+from experiments.harness.config import OddPx, StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.harness.sweeps import SweptConfig, with_what_if
 from experiments.laboratory import settings as laboratory_settings
@@ -74,12 +74,6 @@ class AttitudeConfig(StrictModel):
     )
     trials: int = Field(default=4000, ge=50, le=1_000_000, description="fields of stars per number")
 
-    @model_validator(mode="after")
-    def _at_least_two(self) -> AttitudeConfig:
-        if min(self.counts) < 2:
-            raise ValueError(f"attitude.counts = {list(self.counts)}: at least 2 stars are needed for an attitude")
-        return self
-
 
 class ThermalConfig(StrictModel):
     """Temperature of lens and housing in use, about that of the calibration."""
@@ -120,7 +114,7 @@ class Config(SweptConfig, SensorExperimentConfig):
     thermal: ThermalConfig = ThermalConfig()
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position (ACC18: at least 30)")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
-    window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
+    window_px: OddPx = Field(default=13, ge=7, le=63, description="window around a point, odd")
     centroid: CentroiderName = Field(
         default="cog", description="centroider that counts; ACC18 names the centre of gravity"
     )

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import StrictModel
+from experiments.harness.config import OddPx, StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.centroid_methods import MethodName
 from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
@@ -47,7 +47,7 @@ class Config(OwnFramesConfig, SignalConfig):
     )
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position and filter")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
-    window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
+    window_px: OddPx = Field(default=13, ge=7, le=63, description="window around a point, odd")
     centroid: MethodName = Field(default="epsf", description="centroider that counts")
     compare: tuple[MethodName, ...] = Field(
         default=("epsf_reference", "gaussian", "windowed", "tcog", "cog"), description="others shown beside it"

@@ -20,6 +20,16 @@ from optics.validate import MOST_LEVELS, parse_model, read_toml, refuse_values, 
 Model = TypeVar("Model", bound=BaseModel)
 
 
+def _odd(value: int) -> int:
+    if value % 2 == 0:
+        raise ValueError("an odd number is needed")
+    return value
+
+
+OddPx = Annotated[int, AfterValidator(_odd)]
+"""Type of the side of a window with a pixel in its middle."""
+
+
 @dataclass(frozen=True)
 class _IsFile:
     """Marks text that may be the path of a file, or always is a path."""
@@ -33,6 +43,8 @@ PlacePx = Annotated[float, Field(ge=-1e5, le=1e5)]
 """Type of a coordinate on a detector in a list of them."""
 WavelengthNm = Annotated[float, Field(ge=0, le=1e5)]
 """Type of a wavelength in a list of them."""
+StarK = Annotated[float, Field(ge=1000, le=1e5)]
+"""Type of a star's temperature in a list of them."""
 Sorted = AfterValidator(lambda values: tuple(sorted(set(values))))
 """Marks a list whose values count once each, in rising order."""
 FileName = Annotated[str, _IsFile()]

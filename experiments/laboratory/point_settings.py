@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
+from experiments.harness.config import OddPx
 from experiments.laboratory.centroid_methods import MethodName
 from experiments.laboratory.collimator_settings import CollimatorConfig
 from experiments.laboratory.own_frames import OwnFramesConfig
@@ -28,7 +29,7 @@ class PointConfig(OwnFramesConfig):
     collimator: CollimatorConfig = CollimatorConfig()
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position and level (ACC18: at least 30)")
     dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off")
-    window_px: int = Field(default=13, ge=7, le=63, description="window around a point, odd")
+    window_px: OddPx = Field(default=13, ge=7, le=63, description="window around a point, odd")
     centroid: MethodName = Field(default="cog", description="centroider that counts; ACC18 names the centre of gravity")
     compare: tuple[MethodName, ...] = Field(
         default=("tcog", "windowed", "gaussian", "epsf"), description="others on the same frames"
@@ -38,12 +39,6 @@ class PointConfig(OwnFramesConfig):
     def methods(self) -> tuple[MethodName, ...]:
         """All centroiders, the one that counts first."""
         return tuple(dict.fromkeys((self.centroid, *self.compare)))
-
-    @model_validator(mode="after")
-    def _odd(self) -> PointConfig:
-        if self.window_px % 2 == 0:
-            raise ValueError(f"window_px = {self.window_px}: an odd number is needed")
-        return self
 
 
 class StarTargetConfig(PointConfig):

@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import AngleDeg, StrictModel
+from experiments.harness.config import AngleDeg, OddPx, StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.centroid_methods import CentroiderName
 from experiments.laboratory.lens_defaults import lens_remarks
@@ -144,17 +144,10 @@ class Config(SensorExperimentConfig):
     centroid: CentroiderName = Field(
         default="epsf", description="centroider; epsf: the PSF of the reference colour at each place of the field"
     )
-    window_px: int = Field(default=13, ge=7, le=63, description="window around a star, odd")
+    window_px: OddPx = Field(default=13, ge=7, le=63, description="window around a star, odd")
     threshold_sigma: float = Field(default=6.0, gt=0, le=1000, description="detection limit")
     least_snr: float = Field(default=15.0, gt=0, le=1e5, description="signal-to-noise ratio a star needs to take part")
     map_points: int = Field(default=25, ge=5, le=101, description="points of the map along the longer side")
-
-    @field_validator("window_px")
-    @classmethod
-    def _odd(cls, value: int) -> int:
-        if value % 2 == 0:
-            raise ValueError("an odd number is needed")
-        return value
 
     @model_validator(mode="after")
     def _turns(self) -> Config:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from experiments.harness.cli import command
 from experiments.harness.config import Sorted, StrictModel
@@ -31,6 +31,9 @@ def _three_axes() -> TableConfig:
     )
 
 
+StarDeg = Annotated[float, Field(ge=-LARGEST_STAR_ANGLE_DEG, le=LARGEST_STAR_ANGLE_DEG)]
+
+
 class ReductionConfig(StrictModel):
     """What the person who reduces the data believes before."""
 
@@ -40,14 +43,9 @@ class ReductionConfig(StrictModel):
     axes: str | None = Field(
         default=None, description="axes of the two-axis table as believed; left out, the real ones"
     )
-    star_deg: tuple[float, float] = Field(default=(0.0, 0.0), description="start of the star, azimuth and elevation")
-
-    @field_validator("star_deg")
-    @classmethod
-    def _in_front(cls, values: tuple[float, float]) -> tuple[float, float]:
-        if max(abs(value) for value in values) > LARGEST_STAR_ANGLE_DEG:
-            raise ValueError(f"{list(values)} deg; at most {LARGEST_STAR_ANGLE_DEG:g} deg each")
-        return values
+    star_deg: tuple[StarDeg, StarDeg] = Field(
+        default=(0.0, 0.0), description="start of the star, azimuth and elevation"
+    )
 
 
 class StudyConfig(StrictModel):

@@ -127,7 +127,7 @@ def test_smeared_psf_has_the_variance_of_its_path() -> None:
         ("table.axes=q", "letters"),
         ("table.axes=xyz", "table.rolls_deg = [0.0]"),
         ("table.reading_noise_arcsec=[0.1,0.1,0.1]", "table.reading_noise_arcsec"),
-        ("table.reading_noise_arcsec=[-0.1]", "cannot be negative"),
+        ("table.reading_noise_arcsec=[-0.1]", "at least 0"),
         ("evaluation.columns=100", "lower evaluation.columns"),
         ("evaluation.edge_px=5", "evaluation.edge_px = 5 px"),
         ("evaluation.edge_px=900", "evaluation.edge_px"),
