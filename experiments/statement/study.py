@@ -45,7 +45,7 @@ class Line:
     value: str  # With its unit; across the boresight / about it
     statistic: str
     conditions: str
-    derivation: str
+    derivation: str = ANALYSIS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +192,6 @@ def _attitude(number: _Numbers, across: FloatArray, roll: FloatArray, at: str) -
             value=_arcsec(mixture_bound(across, level), mixture_bound(roll, level)),
             statistic=f"AME, {_percent(level)}, mixed",
             conditions=at,
-            derivation=ANALYSIS,
         )
     factor = normal_factor(0.997)
     yield Line(
@@ -201,7 +200,6 @@ def _attitude(number: _Numbers, across: FloatArray, roll: FloatArray, at: str) -
         value=_arcsec(*(factor * one for one in number.pair("_worst"))),
         statistic="AME, 99.7 %, ensemble, normal error",
         conditions=at,
-        derivation=ANALYSIS,
     )
     yield Line(
         clause="total",
@@ -209,7 +207,6 @@ def _attitude(number: _Numbers, across: FloatArray, roll: FloatArray, at: str) -
         value=_arcsec(*(factor * quantile_limit(one, 0.99, CONFIDENCE) for one in (across, roll))),
         statistic=f"the same, upper limit at {_percent(CONFIDENCE)} confidence",
         conditions=at,
-        derivation=ANALYSIS,
     )
 
 
@@ -225,7 +222,6 @@ def _terms(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
             value=_arcsec(*(factor * one for one in noise)),
             statistic=f"RME, {sigma}, ensemble",
             conditions=at,
-            derivation=ANALYSIS,
         )
         yield Line(
             clause="pixel_spatial",
@@ -233,7 +229,6 @@ def _terms(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
             value=_arcsec(*(factor * one for one in spatial)),
             statistic=f"{sigma}, ensemble",
             conditions=f"{at}; squares of quantiles subtracted",
-            derivation=ANALYSIS,
         )
     star = f"star of {config.star.magnitude_mag:g} mag, mean over the detector"
     for clause, what, values in (
@@ -247,7 +242,6 @@ def _terms(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
             value=_arcsec(factor * math.sqrt(sum(v * v for v in values))),
             statistic=sigma,
             conditions=star,
-            derivation=ANALYSIS,
         )
 
 
@@ -269,14 +263,7 @@ def _thermal(found: ThermalSensitivity, number: _Numbers) -> Iterator[Line]:
         ("field, without shift, scale and roll", f"{found.distortion_arcsec_per_k[0]:.2g}″/K", "1 K, uniform; RMS"),
         ("best focus", f"{found.focus_um_per_k[0]:+.3g} µm/K", "1 K, uniform"),
     ):
-        yield Line(
-            clause="thermo_elastic",
-            what=what,
-            value=value,
-            statistic="derivative",
-            conditions=where,
-            derivation=ANALYSIS,
-        )
+        yield Line(clause="thermo_elastic", what=what, value=value, statistic="derivative", conditions=where)
 
 
 def _aberration() -> Iterator[Line]:
@@ -287,7 +274,6 @@ def _aberration() -> Iterator[Line]:
         value=_arcsec(size),
         statistic="largest",
         conditions="speed of 29.785 km/s across the line of sight",
-        derivation=ANALYSIS,
     )
 
 
@@ -300,7 +286,6 @@ def _detection(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
         value=" × ".join(half),
         statistic="",
         conditions=frame,
-        derivation=ANALYSIS,
     )
     for clause, what, value, statistic in (
         ("detection", "limiting magnitude", f"{number('limiting_magnitude_mag'):.2f} mag", "half of the stars found"),
@@ -312,7 +297,7 @@ def _detection(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
         ("bandwidth", "update rate", f"{number('update_rate_hz'):.3g} Hz", "exposures without a gap"),
     ):
         where = at if "sky" in statistic else frame
-        yield Line(clause=clause, what=what, value=value, statistic=statistic, conditions=where, derivation=ANALYSIS)
+        yield Line(clause=clause, what=what, value=value, statistic=statistic, conditions=where)
 
 
 SAME = ("instrument", "passband", "centroid", "window_px", "threshold_sigma")
@@ -390,7 +375,6 @@ def _flight(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
             value=_arcsec(*_of(age.get("total_arcsec", {}))),
             statistic="RMS, all terms",
             conditions=f"{where}; {_number(age.get('dark_e')):.3g} e⁻ of dark charge in a pixel",
-            derivation=ANALYSIS,
         )
 
 
