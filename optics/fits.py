@@ -206,10 +206,8 @@ def _check_tiles(header: dict[str, str], number: int, stored: int) -> None:
 
 
 def _check_streams(stream: BinaryIO, header: dict[str, str], number: int, start: int) -> None:
-    """Refuse tiles that unpack to more than a tile: gzip to a thousand times its size, HCOMPRESS to sides of its own.
-
-    Those of the other algorithms cannot become larger than their tile (FITS standard 4.0, sec. 10).
-    """
+    """Refuse tiles that unpack to more than a tile: gzip to a thousand times its size, HCOMPRESS to sides of its own;
+    those of other algorithms cannot (FITS standard 4.0, sec. 10)."""
     pixels = 1
     for axis in range(int(header["ZNAXIS"])):
         pixels *= int(header.get(f"ZTILE{axis + 1}", header[f"ZNAXIS{axis + 1}"] if axis == 0 else "1"))

@@ -64,11 +64,8 @@ def _from_turns(turn: FloatArray) -> _Quaternions:
 
 
 def _running_products(q: _Quaternions) -> _Quaternions:
-    """Products of the first 1, 2, ... n rotations along the last axis, later ones on the left.
-
-    Neighbours are multiplied in pairs, the pairs' running products found in the same way, and the others filled in from
-    them: 2 n products in log2(n) sweeps over whole arrays, and rounding that grows with log2(n) and not with n.
-    """
+    """Products of the first 1, 2, ... n rotations along the last axis, later ones on the left; rounding grows as
+    log2(n)."""
     n = q.x.shape[-1]
     if n == 1:
         return q

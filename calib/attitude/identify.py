@@ -299,11 +299,7 @@ def _accepted(
 
 
 def _trimmed(v_cam: FloatArray, v_ref: FloatArray) -> tuple[NDArray[np.int64], AttitudeSolution]:
-    """Rows of the matches without those that lie far off, and the attitude from them.
-
-    tetra3rs matches within a hundredth of the field; a false detection there finds a partner. The scale is the median
-    distance, which is 1.18 sigma where x and y have normal errors (Rayleigh's law).
-    """
+    """Rows of the matches without those that lie far off (a false detection finds a partner, too), and the attitude."""
     kept = np.arange(len(v_cam))
     solution = solve_wahba(v_cam, v_ref)
     for _ in range(TRIM_ROUNDS):

@@ -227,11 +227,8 @@ def _merged(
 
 
 def _triad_covariance(matrix: FloatArray, table: FloatArray, spread: FloatArray) -> FloatArray:
-    """First-order covariance of the error's rotation vector in the reference frame.
-
-    With the measured directions at b + db in the reference frame: the first is met, ``e x b1 = -db1``; about b1 the
-    second is turned into the plane of the reference, ``n . (db2 + e x b2) = 0`` with n = b1 x b2 / |.|.
-    """
+    """First-order covariance of the error e in the reference frame: ``e x b1 = -db1``; about b1 the second is turned
+    into the plane of the reference, ``n . (db2 + e x b2) = 0`` with n = b1 x b2 / |.|."""
     b1, b2 = (matrix @ table.T).T
     normal = np.cross(b1, b2)
     sine = np.linalg.norm(normal)

@@ -68,10 +68,8 @@ def fit_stages(
 
 
 def _typical_pull(residual: FloatArray) -> float:
-    """Median length of the residuals over that of a unit normal vector: 1 where the sigma is right.
-
-    Residuals beyond ``WRONG_PULL`` times the value itself do not count, so that a clear minority has no say.
-    """
+    """Median length of the residuals over that of a unit normal vector, 1 where the sigma is right; residuals beyond
+    ``WRONG_PULL`` times the value itself do not count, so that a clear minority has no say."""
     length = np.sqrt(np.einsum("ni,ni->n", residual, residual))
     value = 1.0
     for _ in range(5):

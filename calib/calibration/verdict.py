@@ -67,11 +67,8 @@ def _too_far_off(spread: float) -> str:
 
 
 def _too_many_wrong(spread: float, wrong: BoolArray, left_out: int, degrees_of_freedom: int) -> str:
-    """Reason to refuse a robust fit, or nothing.
-
-    Every wrong star that is found costs two degrees of freedom; without a surplus as large as what was left out,
-    almost any stars can be made to fit by leaving out the right ones.
-    """
+    """Reason to refuse a robust fit, or nothing: without as many degrees of freedom to spare as stars were left out,
+    almost any stars can be made to fit."""
     part = float(np.mean(wrong)) if len(wrong) else 0.0
     if spread > LARGEST_RATIO:
         return (

@@ -253,10 +253,7 @@ class Polynomial(CameraModel):
 
 
 def _legendre(x: FloatArray, degree: int) -> _Legendre:
-    """Values and slopes by Bonnet's recurrence and its derivative.
-
-    (k + 1) L_{k+1} = (2k + 1) x L_k - k L_{k-1} and L'_{k+1} = L'_{k-1} + (2k + 1) L_k.
-    """
+    """Values and slopes: (k + 1) L_{k+1} = (2k + 1) x L_k - k L_{k-1}, L'_{k+1} = L'_{k-1} + (2k + 1) L_k."""
     value, slope = np.empty((degree + 1, len(x))), np.empty((degree + 1, len(x)))
     value[0], slope[0] = 1.0, 0.0
     value[1], slope[1] = x, 1.0
@@ -289,11 +286,8 @@ def _plane(u: FloatArray, v: FloatArray, cx: FloatArray, cy: FloatArray) -> Plan
 
 
 def _one_to_one_reach(cx: FloatArray, cy: FloatArray) -> float:
-    """Half side of a square in (u, v) on which the map is certainly one-to-one; 0 where that cannot be shown.
-
-    On |u|, |v| <= rho with rho >= 1, |L_i| and |L_i'| are largest at rho, which bounds the derivative's deviation from
-    the identity.
-    """
+    """Half side of a square in (u, v) on which the map is certainly one-to-one; 0 where that cannot be shown. On |u|,
+    |v| <= rho with rho >= 1, |L_i| and |L_i'| are largest at rho."""
     degree = len(cx) - 1
     ex, ey = cx.copy(), cy.copy()
     ex[1, 0] -= 1.0

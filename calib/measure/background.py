@@ -228,10 +228,7 @@ def _mesh(
 
 
 def _clipped_statistics(cells: FloatArray, clip_sigma: float, quantum: float) -> tuple[FloatArray, FloatArray]:
-    """Sigma-clipped level and standard deviation of each row of ``cells`` (k, m); NaN marks pixels to leave out.
-
-    The rows are sorted once; clipping then only moves two indices, and prefix sums give the moments.
-    """
+    """Sigma-clipped level and standard deviation of each row of ``cells`` (k, m), by prefix sums; NaN: left out."""
     ordered = np.sort(cells, axis=1)  # NaN sorts to the end
     count = np.isfinite(ordered).sum(axis=1)
     zero = ordered[:, :1].copy()

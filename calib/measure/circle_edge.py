@@ -163,11 +163,8 @@ def _pooled(squares: FloatArray, freedom: FloatArray, usable: NDArray[np.bool_])
 def _line_crossing(
     value: FloatArray, radius: FloatArray, level: FloatArray, guess: FloatArray, half_width: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Crossing of a line fitted around ``guess``, and its standard error from the scatter about the lines.
-
-    Samples are weighted by ``1 - (offset / half_width)^2``: with a window that ends abruptly, which samples fall into
-    it would move the crossing from spoke to spoke.
-    """
+    """Crossing of a line fitted around ``guess``, and its error from the scatter about the lines; weights fall to the
+    ends, so that the samples that a window takes in do not move it from spoke to spoke."""
     offset = radius[None, :] - guess[:, None]
     inside = (np.abs(offset) < half_width) & np.isfinite(value)
     complete = (guess - half_width >= radius[0]) & (guess + half_width <= radius[-1])

@@ -163,10 +163,7 @@ def _delta(fwhm_px: float) -> FloatArray:
 
 
 def _local_maxima(values: FloatArray, candidates: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of candidates that no neighbour exceeds; of equal neighbours the first in the raster stands.
-
-    Stars cover a small part of an image, so only the candidates are compared and not every pixel.
-    """
+    """Rows and columns of candidates that no neighbour exceeds; of equal neighbours the first in the raster stands."""
     height, width = values.shape
     y, x = np.nonzero(candidates)
     here, keep = values[y, x], np.ones(len(y), bool)

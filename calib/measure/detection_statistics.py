@@ -60,10 +60,8 @@ def kernel_correlation(fwhm_px: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=64)
 def _chance_of_maximum(one: float, two: float) -> tuple[FloatArray, FloatArray]:
-    """Heights z [sigma], and how likely a pixel of that height exceeds its two neighbours along one axis.
-
-    ``one`` and ``two`` are the correlations of pixels one and two apart.
-    """
+    """Heights z [sigma], and how likely a pixel of that height exceeds its two neighbours along one axis; ``one``,
+    ``two``: correlations of pixels one and two apart."""
     variance, shared = 1.0 - one**2, two - one**2
     shared = float(np.clip(shared, -0.999 * variance, 0.999 * variance))
     height = np.linspace(0.0, HIGHEST, HEIGHTS)

@@ -181,10 +181,8 @@ def sky_of(config: Config, point: Point, run: int) -> Sky:
 
 
 def _family(task: Task, sky: Sky, method: Method, gyro: int, rotation: Rotation | None) -> AttitudeFamily:
-    """How a method treats attitudes. ACC starts as in Table 2, with phi and theta zero.
-
-    The others, and ACC in the sweep, take the attitudes from the stars as the start camera sees them.
-    """
+    """How a method treats attitudes: ACC starts with phi and theta zero, as in Table 2; the others, and ACC in the
+    sweep, take them from the stars as the start camera sees them."""
     if method == "free":
         return FreeAttitudes()
     if rotation is None:
@@ -274,10 +272,8 @@ def gyro_error(scene: Scene, pair: tuple[float, float]) -> GyroError:
 
 
 def _bounds(point: Point, sky: Sky, operator: FloatArray, rng: np.random.Generator) -> dict[str, FloatArray]:
-    """Predicted sigma of the camera's parameters and, last, of the line of sight [arcsec]; drawn errors of the latter.
-
-    Drawn for free attitudes and for a gyro of stated noise on the same stars (`drawn_sights`).
-    """
+    """Predicted sigma of the camera's parameters and, last, of the line of sight [arcsec]; drawn errors of the latter,
+    for free attitudes and for a gyro of stated noise on the same stars."""
     design = sky.calibrating
 
     def figures(covariance: FloatArray) -> FloatArray:

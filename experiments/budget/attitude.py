@@ -212,11 +212,8 @@ class _Scatter(NamedTuple):
 
 
 def _expected2(plane: FloatArray, total_arcsec: FloatArray) -> FloatArray:
-    """Square of the error (t, 3) that least squares make of independent errors of stars at (t, n, 2).
-
-    Shift of the mean, and roll about it by errors across the way from the mean; the roll moves the boresight by the
-    distance of the mean from there.
-    """
+    """Square of the error (t, 3) that least squares make of independent errors of stars at (t, n, 2); the roll moves
+    the boresight by the distance of the mean from there."""
     middle = plane.mean(1)
     xx, yy = np.moveaxis(((plane - middle[:, None]) ** 2).sum(1), -1, 0)
     roll = (total_arcsec[0] ** 2 * yy + total_arcsec[1] ** 2 * xx) / (xx + yy) ** 2
@@ -278,11 +275,8 @@ def _errors(errors: StarErrors, reading: str, place: FloatArray, rng: np.random.
 
 
 def _smooth(place: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Random cubic maps (trials, n, 2) of unit variance over the field, each with its own coefficients.
-
-    Products of Legendre polynomials up to the third degree, without the constant (a calibration would have taken it),
-    scaled to mean square one over the field; all coefficients have the same variance.
-    """
+    """Random cubic maps (trials, n, 2) of unit variance over the field, each with its own coefficients: products of
+    Legendre polynomials without the constant, which a calibration would have taken."""
     x, y = place[..., 0], place[..., 1]
     terms: Sequence[tuple[int, int]] = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i) if i + j > 0]
     of_x, of_y = (np.polynomial.legendre.legvander(v, DEGREE) for v in (x, y))

@@ -111,11 +111,8 @@ def predicted_terms(
 def _as_centroided(
     lab: Laboratory, traced: TracedTarget, methods: Sequence[str], draws: int, defect: NDArray[np.bool_] | None
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray], dict[str, FloatArray]]:
-    """Mean positions (p, j, b, 2) over drawn noise, their standard deviations, and positions (k, p, j, b, 2) by method.
-
-    The latter with the PSFs that drawn sessions build, of methods that use such a one; no noise is drawn for these, and
-    the mean is that over the sessions.
-    """
+    """Mean positions (p, j, b, 2) over drawn noise, their standard deviations, and positions (k, p, j, b, 2) by method:
+    with the PSFs of drawn sessions where a method builds them, without noise then."""
     bench, instrument = replace(lab.filtered, methods=methods), lab.instrument
     noise = instrument.pixel_noise()
     place, error = ({m: np.empty_like(traced.place_px) for m in methods} for _ in range(2))

@@ -179,10 +179,7 @@ def _polished(weighted: Callable[[float], float], plain: Callable[[float], float
 
 
 def _root(excess: Callable[[float], float], limit: float) -> float:
-    """Root nearest to zero within +-limit; NaN if there is none.
-
-    The statistic is nearly linear in the movement, so its slope at zero tells where to look.
-    """
+    """Root nearest to zero within +-limit, looked for where the slope at zero tells; NaN if there is none."""
     rest = excess(0.0)
     if abs(rest) < REACHED_PX:
         return 0.0

@@ -188,10 +188,8 @@ def _shifted(net: NDArray[np.uint32], seed: int) -> FloatArray:
 
 
 def _rays(angle_rad: FloatArray, radius_px: FloatArray, blur_px: float) -> FloatArray:
-    """How much light at an angle counts in the mean over all rays of cos and sin (2, n), per px of arc.
-
-    Rays stand farther apart than the light of a particle is wide: some of it falls between them.
-    """
+    """How much light at an angle counts in the mean over all rays of cos and sin (2, n), per px of arc: rays stand
+    farther apart than the light of a particle is wide."""
     apart = 2 * np.pi / (SPOKES * RAYS)
     nearest = np.floor(angle_rad / apart)
     total = np.zeros((2, len(angle_rad)))
@@ -208,10 +206,8 @@ def _blur_px(laboratory: Laboratory) -> float:
 
 
 def _hole_response(laboratory: Laboratory, offset: FloatArray, half_px: float) -> FloatArray:
-    """Change of brightness at the hole's edge per px of radius, less half of the same of the line fitted to the rim.
-
-    The line goes from 2.5 to 7 px; the light of a particle is as wide as diffusion, pixel and interpolation.
-    """
+    """Change of brightness at the hole's edge per px of radius, less half of the same of the line fitted to the rim
+    (2.5 to 7 px); the light of a particle is as wide as diffusion, pixel and interpolation."""
     sigma = _blur_px(laboratory)
     near, far = BESIDE_PX
     middle, length = (near + far) / 2, far - near
@@ -284,10 +280,8 @@ def _spot_variance_px2(laboratory: Laboratory, cosine: FloatArray) -> FloatArray
 
 
 def _spot_particles_px2(laboratory: Laboratory, radius_px: float, cosine: FloatArray) -> float:
-    """What the number of particles of a spot adds; each counts for the pixel that it falls into.
-
-    The Sun's width, widened by 1 / cos^2 along the slant and 1 / cos across, halves what the net's evenness saves.
-    """
+    """What the number of particles of a spot adds, each in the pixel that it falls into; the Sun's width, wider by 1 /
+    cos^2 along the slant and 1 / cos across, halves what the net's evenness saves."""
     config = laboratory.config
     suns, log2 = len(cosine), config.sensor.log2_particles
     net = _net(log2 + int(np.ceil(np.log2(suns))))[: suns << log2]

@@ -221,11 +221,8 @@ def fit_hole(picture: Picture, aperture: CircleFit) -> CircleFit:
 
 
 def _circle(edge: EdgePoints, what: str) -> CircleFit:
-    """Circle whose covariance follows from the scatter of the points about it, in either direction.
-
-    The line through an edge that curves leaves residuals that are the same on every spoke; counted as noise they make
-    the stated errors of the points too large, up to ten times on the sharp edge of the aperture.
-    """
+    """Circle whose covariance follows from the scatter of the points about it: the lines through a curved edge leave
+    equal residuals on every spoke, which are no noise."""
     if len(edge) < SPOKES // 6:
         raise ConvergenceError(f"the {what} shows only {len(edge)} edge points on {SPOKES} spokes; {BETTER_LIGHT}")
     fit = fit_circle(edge.point, sigma=edge.sigma)

@@ -243,11 +243,8 @@ def predict_distortion(
 def _over_sessions(
     sessions: Sequence[Centroider], instrument: Instrument, windows: ExpectedWindows
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean position (n, 2) over the PSFs that sessions might give, and the covariance (n, 2, 2) of what they do apart.
-
-    What a PSF does depends on where in the pixel a point lies, which differs from point to point; what it does to all
-    of them is a shift of the camera.
-    """
+    """Mean position (n, 2) over the PSFs that sessions might give, and the covariance (n, 2, 2) of what they do apart;
+    what a PSF does to all points alike is a shift of the camera."""
     position = np.stack([window_positions(one, instrument, windows)[0] for one in sessions])
     return position.mean(0), _covariance(position - position.mean(1, keepdims=True))
 

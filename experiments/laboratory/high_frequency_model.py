@@ -227,10 +227,8 @@ class _Model:
     def _patterns(
         self, centroider: Centroider, gain: FloatArray
     ) -> tuple[FloatArray, list[FloatArray], list[FloatArray]]:
-        """Responses (1 or 3, j, m, 2, y, x) to PRNU, offset patterns that are left in the data, noise of dark frames.
-
-        Of a hexapod that errs with their derivatives by the place along x and y.
-        """
+        """Responses (1 or 3, j, m, 2, y, x) to PRNU, offset patterns left in the data, noise of dark frames; of a
+        hexapod that errs with their derivatives by the place."""
         windows, noise = [self.windows], self.noise
         if self.offsets_px:
             windows += [self.windows.moved(NEAR_PX * along) for along in np.eye(2)]

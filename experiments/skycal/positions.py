@@ -109,11 +109,8 @@ def colour_classes(temperature_k: FloatArray) -> tuple[FloatArray, NDArray[np.in
 
 
 def _own_colour_centroids(scene: Scene, recording: Recording, matched: Matched, config: Config) -> FloatArray:
-    """Centroids (n, 2) [px] with PSFs of the stars' own colours, which the catalogue tells once they have names.
-
-    The origin of a PSF is the mean of the rays of its own colour, so that these positions estimate where the star's own
-    light fell. NaN where the fit does not converge.
-    """
+    """Centroids (n, 2) [px] with PSFs of the stars' own colours about the mean of their rays, so that they estimate
+    where the star's own light fell; NaN where the fit does not converge."""
     renderer = BankRenderer(scene, config)
     centroider = config.centroid if needs_epsf(config.centroid) else "epsf"
     colour, member = colour_classes(scene.sky.temperature_k[matched.star])

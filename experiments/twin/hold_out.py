@@ -225,10 +225,8 @@ def _bias(
 def _light(
     known: Prepared, whole: CameraFit, images: Sequence[SensorImage], limits: Sequence[FilteredNoise]
 ) -> FloatArray:
-    """Median ratio [mag] of the significance of stars, real over rendered, in all frames but one (frames,).
-
-    A PSF misses a little of what it is fitted to; the height in the filter by which stars are found must be right.
-    """
+    """Median ratio [mag] of the significance of stars, real over rendered, in all frames but one (frames,): the height
+    in the filter by which stars are found must be right."""
     ratios = []
     for k, (frame, image) in enumerate(zip(known.night.frames, images, strict=True)):
         stars = field_stars(known.night, k, whole.camera, whole.attitudes[k])

@@ -221,10 +221,8 @@ def _zernike(ordering: str) -> Callable[[SurfaceData, float], dict[str, Any]]:
 
 
 def _qed(s: SurfaceData, unit: float) -> dict[str, Any]:
-    """Q-type asphere: extra data are its type, the count of terms, the normalisation radius, the terms.
-
-    Type 0 is Q_bfs on a conic, type 1 Q_con (Forbes 2007).
-    """
+    """Q-type asphere (Forbes 2007): extra data are its type (0: Q_bfs on a conic, 1: Q_con), the count of terms, the
+    normalisation radius, the terms."""
     kind = {0.0: "qbfs", 1.0: "qcon"}.get(s.xdat.get(1, 0.0))
     if kind is None:
         raise ValueError("a Q-type asphere of another type than 0 (Q_bfs) or 1 (Q_con) is not read")

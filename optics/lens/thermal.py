@@ -408,10 +408,8 @@ def _index_slope(thermal: _Field, medium: str, kelvin: float) -> tuple[float, fl
 
 
 def _wedge_of(thermal: _Field, body: _Body) -> tuple[FloatArray, float, float]:
-    """Change of the thicknesses (glasses,) of an element per K of a gradient [mm/K], and the same of its outer faces.
-
-    The last two are what the index changes, written as a change of sag of the first and of the last face, half each.
-    """
+    """Change of the thicknesses (glasses,) of an element per K of a gradient [mm/K], and of the sag of its first and
+    last face, half each of what the index changes."""
     lens = thermal.lens
     mechanical, path, index = [], 0.0, []
     for i in range(body.first, body.last):

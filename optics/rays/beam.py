@@ -229,10 +229,8 @@ def _scanned(
 def _outline(
     apertures: _Apertures, centre: FloatArray, lit: BoolArray, direction: FloatArray, wave: FloatArray, arms: int
 ) -> tuple[FloatArray, IntArray]:
-    """Radius (f, p, arms) [mm] of each outline about its centre, and the surface whose rim it is.
-
-    False position with the Illinois rule; bisection where a ray misses a surface.
-    """
+    """Radius (f, p, arms) [mm] of each outline about its centre, and the surface whose rim it is: false position
+    (Illinois), bisection where a ray misses a surface."""
     cosine, sine = np.cos(_azimuth(arms)), np.sin(_azimuth(arms))
     shape = (*wave.shape, arms)
     x0, y0, c, s, colour = (

@@ -65,10 +65,8 @@ class _Vector:
 
 
 def _media(lens: LensSystem, vector: _Vector, general: bool) -> tuple[list[IndexFormula], list[int]]:
-    """Index formulas of the media, and for each surface the number of the medium that follows it.
-
-    One formula for every distinct medium, or in general for the glass behind every surface: any of them may change.
-    """
+    """Index formulas of the media (one for each distinct medium, or in general for the glass behind every surface), and
+    for each surface the number of the medium that follows it."""
     formulas: list[IndexFormula] = []
     number: list[int] = []
     known: dict[object, int] = {}

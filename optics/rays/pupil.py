@@ -247,10 +247,8 @@ def launch_disks(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike) 
 
 
 def _bound(distance_mm: FloatArray) -> FloatArray:
-    """The farthest an outline gets from a centre from each of `ARMS` to the next, from its distances (..., m) there.
-
-    Where two apertures meet, a corner sticks out, at most as far as both tangents lead.
-    """
+    """The farthest an outline gets from a centre from each of `ARMS` to the next, from its distances (..., m) there; a
+    corner of two apertures sticks out at most as far as both tangents lead."""
     before, here, ahead, beyond = (np.roll(distance_mm, -k, axis=-1) for k in (-1, 0, 1, 2))
     corner = np.minimum(here + np.maximum(here - before, 0.0), ahead + np.maximum(ahead - beyond, 0.0))
     return np.asarray(MARGIN * np.maximum(np.maximum(here, ahead), corner))

@@ -142,10 +142,8 @@ def trace_spots(
 def _measured_spots(
     lens: LensSystem, measured: MeasuredLens, stars: FloatArray, waves: FloatArray, order: tuple[int, int]
 ) -> Spots:
-    """Points that stand for the Gaussians of a measured lens, as rays do for a spot; their moments are exact.
-
-    Along the radius Gauss-Laguerre nodes in half the square of the distance, evenly around.
-    """
+    """Points that stand for the Gaussians of a measured lens, as rays do for a spot; their moments are exact
+    (Gauss-Laguerre nodes in half the square of the distance, evenly around)."""
     lens.check_wavelength(waves)
     place = measured.place_mm(stars[:, None, :], waves)
     place_x, place_y = np.moveaxis(place, -1, 0)
@@ -176,10 +174,8 @@ def _measured_spots(
 
 
 def _opposite_points() -> PupilSamples:
-    """Sobol points of the unit disk, each with its opposite: what is odd in the pupil, as defocus is, cancels in means.
-
-    Holes make a beam asymmetric, but little; the same number of plain Sobol points leaves eight times the error.
-    """
+    """Sobol points of the unit disk, each with its opposite: what is odd in the pupil, as defocus is, cancels in means;
+    the same number of plain Sobol points leaves eight times the error behind holes."""
     half = sobol_disk(SOBOL_POINTS // 2, seed=SOBOL_SEED)
     x, y, weight = (np.concatenate(v) for v in ((half.x, -half.x), (half.y, -half.y), (half.weight, half.weight)))
     return PupilSamples(x=x, y=y, weight=0.5 * weight)

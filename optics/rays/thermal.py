@@ -193,10 +193,8 @@ def _light(lens: LensSystem, wavelength_nm: ArrayLike | None, share: ArrayLike |
 
 
 def _images(found: Sequence[Spots], light: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Of each: means (n, 2) along columns and rows of all light, and of the longest less the shortest wavelength.
-
-    Rays that not all lenses pass are left out: with random rays about a hole they are noise, otherwise there are none.
-    """
+    """Of each: means (n, 2) along columns and rows of all light, and of the longest less the shortest wavelength; rays
+    that not all lenses pass are left out."""
     weights = [one.area_mm2 for one in found]
     if len({weight.shape for weight in weights}) == 1:
         passed = np.logical_and.reduce([one.rays.ok for one in found])

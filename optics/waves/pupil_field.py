@@ -195,10 +195,8 @@ def needed_order(field: PupilField, half_width_mm: float) -> tuple[int, int]:
 def _phase_changes(
     field: PupilField, half_x_mm: float, half_y_mm: float, points: tuple[FloatArray, FloatArray] | None = None
 ) -> tuple[float, float]:
-    """Largest change of phase along a radius [rad] and per radian of the rim, for the corners of a window.
-
-    The window stands about the mean landing points or other ones (f, w).
-    """
+    """Largest change of phase along a radius [rad] and per radian of the rim, for the corners of a window about the
+    mean landing points or other ones (f, w)."""
     mean_x, mean_y = (np.nan_to_num(v) for v in (field.mean_mm if points is None else points))
     k = 2.0 * np.pi * 1e6 / field.wavelength_nm[:, None, None]
     lit = field.area_mm2 > 0.0
