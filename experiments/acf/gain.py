@@ -49,22 +49,18 @@ class Gain:
     # Of the logarithm of the gain, in standard deviations of gains that are drawn from the design of every sky
     linked_z: FloatArray = col("Deviation", "sigma", "+.2f", "factor", json="", shown=False)
     linked_whole: FloatArray = col("Deviation by an error of 100 %", "sigma", ".1f", "factor", json="", shown=False)
-    point: FloatArray = col("ACC, principal point", "", ".2f", "factor", json="principal_point_acc", shown=False)
-    point_bound: FloatArray = col("Expected", "", ".2f", "factor", json="principal_point_acc_bound", shown=False)
 
 
 def gains(config: Config, trials: Mapping[str, Trials]) -> list[Gain]:
-    """Ratios of the median line-of-sight errors over the skies, with errors by resampling; of the principal point."""
+    """Ratios of the median line-of-sight errors over the skies, with errors by resampling."""
     rng, rows = np.random.default_rng(config.seed), []
     for point in sweep_points(config):
         runs = trials[point.name]
         free, free_bound = usable_sight(runs, "free"), runs.values["bound.free"]
-        free_point = runs.of("free", "error")[:, :2]
         pick = rng.integers(0, len(free), (RESAMPLES, len(free)))
 
         factors = range(len(point.gyro))
         bounds = {method: [runs.values[f"bound@{k}.{method}"] for k in factors] for method in ("acc", "linked")}
-        away = [runs.of("acc", "error", k)[:, :2] for k in factors]
         linked = [gain(free, usable_sight(runs, "linked", k), pick) for k in factors]
         mean, spread = np.transpose([drawn_logarithm(runs, k) for k in factors])
         rows.append(
@@ -77,10 +73,6 @@ def gains(config: Config, trials: Mapping[str, Trials]) -> list[Gain]:
                 linked_whole=1.0 / spread,
                 linked_bound=np.array(
                     [np.median(free_bound[:, -1]) / np.median(one[:, -1]) for one in bounds["linked"]]
-                ),
-                point=np.array([median_length(free_point) / median_length(one) for one in away]),
-                point_bound=np.array(
-                    [median_length(free_bound[:, :2]) / median_length(one[:, :2]) for one in bounds["acc"]]
                 ),
             )
         )
@@ -109,11 +101,6 @@ def usable_sight(trials: Trials, method: str, gyro: int | None = 0) -> FloatArra
     values = trials.of(method, "sight_arcsec", gyro)
     good = (trials.of(method, "converged", gyro) > 0.5) & np.isfinite(values)
     return np.where(good, values, np.inf)
-
-
-def median_length(xy: FloatArray) -> float:
-    """Median length of vectors (n, 2)."""
-    return float(np.median(np.linalg.norm(xy, axis=1)))
 
 
 GAIN = {

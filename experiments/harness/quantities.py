@@ -183,18 +183,7 @@ class Quantity:
         where = tuple(index.get(dim, slice(None)) for dim in self.dims)
         dims = tuple(dim for dim in self.dims if dim not in index)
         error, n = (None if part is None else np.asarray(part[where]) for part in (self.error, self.n))
-        return Quantity(
-            self.name,
-            self.label,
-            self.unit,
-            self.format,
-            self.key,
-            self.json,
-            dims,
-            np.asarray(self.values[where]),
-            error,
-            n,
-        )
+        return replace(self, dims=dims, values=np.asarray(self.values[where]), error=error, n=n)
 
     def scalar(self) -> Any:
         """The one value: `Measured` where it has an uncertainty or a sample size, else a plain number, text or bool."""

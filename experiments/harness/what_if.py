@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.harness.experiment import Experiment
+from experiments.harness.outputs import flat
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities, Quantity, shown_unit
 from experiments.harness.range import logarithmic, quantity_of, value_at, with_value
@@ -507,18 +508,10 @@ def _compared(requirements: Sequence[Sequence[Requirement]]) -> Iterator[Compare
 
 
 def _differences(configs: Sequence[Any]) -> list[Difference]:
-    flat = [dict(_flat(one.model_dump())) for one in configs]
-    keys = dict.fromkeys(key for one in flat for key in one if key != "name")
-    rows = [Difference(key=key, value=[_plain(one.get(key)) for one in flat]) for key in keys]
+    settings = [flat(one.model_dump()) for one in configs]
+    keys = dict.fromkeys(key for one in settings for key in one if key != "name")
+    rows = [Difference(key=key, value=[_plain(one.get(key)) for one in settings]) for key in keys]
     return [one for one in rows if len(set(one.value)) > 1]
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield prefix + key, value
 
 
 def _plain(value: Any) -> str:

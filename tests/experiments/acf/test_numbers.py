@@ -161,8 +161,6 @@ def test_gains_by_hand():
     assert [one.value for one in many.acc] == pytest.approx([2.0] * 2)
     assert few.acc_bound == pytest.approx([6.0, 3.0])
     assert few.linked_bound == pytest.approx([6.0, 3.0])
-    assert few.point == pytest.approx([3.0, 3.0])
-    assert few.point_bound == pytest.approx([6.0, 3.0])
     assert few.acc[0].uncertainty > 0.0
     spread = np.log(2.0) / np.sqrt(2.0)
     assert few.linked_z == pytest.approx([0.5 * np.log(2.0) / spread] * 2)
