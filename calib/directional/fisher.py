@@ -23,7 +23,7 @@ Mon. Not. R. Astr. Soc. Geophys. Suppl. 7, 153, 1956) the sum of squared chords 
 .. math:: k S \sim \chi^2_\nu, \qquad \nu = 2 (n - 1)
 
 so that S/nu is unbiased for **1/k = sigma^2**; that is what k = (n - 1)/(n d) rests on, and as an estimate of *k* it is
-too large by nu/(nu - 2). Unbiased for k itself is (n - 2)/(n d) (McFadden, Geophys. J. R. astr. Soc. 60, 397, 1980).
+too large by nu/(nu - 2); unbiased for k itself is (n - 2)/(n d) (McFadden, Geophys. J. R. astr. Soc. 60, 397, 1980).
 The interval follows from the same chi-square. If vectors were reduced with a calibration that was fitted to the same
 data with p unknowns in all (star direction included), nu is 2 n - p, not 2 (n - 1): hand it in.
 """
@@ -35,7 +35,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
-from scipy.special import gammaln
 from scipy.stats import chi2
 
 from optics.arrays import FloatArray
@@ -93,21 +92,9 @@ class FisherFit:
         return self.degrees_of_freedom / self.chord_sum_rad2
 
     @property
-    def concentration_unbiased(self) -> float:
-        """(nu - 2)/S, which is (n - 2)/(n (1 - R)): unbiased for k itself; NaN for fewer than three directions."""
-        nu = self.degrees_of_freedom
-        return (nu - 2.0) / self.chord_sum_rad2 if nu > 2.0 else float("nan")
-
-    @property
     def sigma_rad(self) -> float:
         """Standard deviation per axis [rad] (eq. 12): the root of the unbiased estimate of 1/k."""
         return float(np.sqrt(self.chord_sum_rad2 / self.degrees_of_freedom))
-
-    @property
-    def sigma_unbiased_rad(self) -> float:
-        """The same, with the bias of the root, E[chi_nu]/sqrt(nu), divided out [rad]; some 1/(4 nu) larger."""
-        nu = self.degrees_of_freedom
-        return self.sigma_rad * float(np.exp(0.5 * np.log(nu / 2.0) + gammaln(nu / 2.0) - gammaln((nu + 1.0) / 2.0)))
 
     @property
     def sigma_uncertainty_rad(self) -> float:
@@ -146,11 +133,6 @@ class FisherFit:
         """Central confidence interval of sigma per axis [rad]; takes and raises what `concentration_interval` does."""
         low, high = self.concentration_interval(level, effective=effective)
         return float(high**-0.5), float(low**-0.5)
-
-    @property
-    def mean_sigma_rad(self) -> float:
-        """Standard deviation of the mean direction per axis [rad], sigma / sqrt(n), of independent directions."""
-        return self.sigma_rad / float(np.sqrt(self.count))
 
     def mean_cone_rad(self, level: float = 0.95) -> float:
         """Half angle of the cone about the mean that holds the true direction with this confidence [rad].

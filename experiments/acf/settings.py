@@ -58,11 +58,6 @@ class CameraConfig(StrictModel):
     p2_per_mm: float = Field(default=2e-4, ge=-1, le=1, description="tangential distortion")
 
     @property
-    def width_deg(self) -> float:
-        """Field along a row, without distortion."""
-        return 2.0 * math.degrees(math.atan2(0.5e-3 * self.pixel_um * self.width_px, self.focal_length_mm))
-
-    @property
     def diagonal_deg(self) -> float:
         """Field across the diagonal, without distortion."""
         half_mm = 0.5e-3 * self.pixel_um * math.hypot(self.width_px, self.height_px)
