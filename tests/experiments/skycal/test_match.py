@@ -197,3 +197,12 @@ def test_colour_classes_divide_the_stars_evenly():
     colour, member = colour_classes(np.full(7, 4000.0))
     assert colour == pytest.approx([4000.0])
     assert np.all(member == 0)
+
+
+def test_the_error_of_a_bank_is_that_of_a_third_order():
+    """Spots that move by a c^3 from node to node: nodes two apart miss the next one by 3 a, nodes one apart an 8th."""
+    place, step, nodes = np.arange(-24, 25) / 4.0, 1e-4, 7
+    spots = [np.exp(-((place - step * node**3) ** 2) / 2.0) for node in range(nodes)]
+    rows = tuple(EffectivePsf(values=np.exp(-(place[:, None] ** 2) / 2.0) * one, oversampling=4) for one in spots)
+    error = PsfBank(rows * 3, nodes, 3, (700, 300)).error_px()
+    assert error == pytest.approx(3.0 * step / 8.0 / np.sqrt(2.0), rel=0.02)  # along columns alone
