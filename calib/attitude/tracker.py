@@ -14,7 +14,7 @@ velocity that the tracker is told; the quaternion is cam from icrs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -158,6 +158,39 @@ def _inside(place: FloatArray, size: NDArray[Any], margin_px: float) -> NDArray[
         return np.asarray(((place >= margin_px - 0.5) & (place <= size - 0.5 - margin_px)).all(axis=1))
 
 
+def expected_guides(
+    guides: GuideCatalogue,
+    model: CameraModel,
+    attitude: Rotation,
+    *,
+    velocity_km_per_s: ArrayLike | None = None,
+    margin_px: float = 0.0,
+    most: int | None = None,
+) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Guide stars in the field of an attitude, cam from icrs; parameters as of `StarTracker`.
+
+    Returns
+    -------
+    (k,) int64, (k, 3), (k, 2)
+        Rows of the catalogue, brightest first; directions along icrs with aberration; places on the detector, at least
+        ``margin_px`` inside its edge.
+    """
+    size = np.array([model.geometry.width_px, model.geometry.height_px])
+    corner = model.unproject(np.array([[-0.5, -0.5], size - 0.5]))
+    reach = np.cos(1.05 * np.arccos(np.clip(corner[:, 2].min(), -1.0, 1.0)))
+    near = np.flatnonzero(guides.direction @ attitude.as_matrix()[2] > reach)
+    if not len(near):
+        return near, np.empty((0, 3)), np.empty((0, 2))
+    seen = _apparent(guides.direction[near], velocity_km_per_s)
+    place = model.project(attitude.apply(seen))
+    chosen = np.flatnonzero(_inside(place, size, margin_px))[:most]
+    return near[chosen], seen[chosen], place[chosen]
+
+
+def _apparent(direction: FloatArray, velocity: ArrayLike | None) -> FloatArray:
+    return np.array(direction) if velocity is None else aberrated(np.array(direction), np.asarray(velocity, float))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackedAttitude:
     """What the tracker says of one frame.
@@ -188,10 +221,10 @@ class TrackedAttitude:
     time_s: float
     mode: str
     status: str
-    attitude: Rotation | None
-    covariance_rad2: FloatArray
-    star_id: NDArray[np.int64]
-    pixel_px: FloatArray
+    attitude: Rotation | None = None
+    covariance_rad2: FloatArray = field(default_factory=lambda: np.full((3, 3), np.inf))
+    star_id: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    pixel_px: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     rejected: int = 0
     expected: int = 0
 
@@ -284,9 +317,7 @@ class StarTracker:
         self._star_error = np.broadcast_to(np.asarray(star_error_px, float), (len(guides),))
         self._scale_error = scale_error
         self._database = database
-        self._size = np.array([model.geometry.width_px, model.geometry.height_px])
-        corner = model.unproject(np.array([[-0.5, -0.5], self._size - 0.5]))
-        self._cos_reach = float(np.cos(1.05 * np.arccos(np.clip(corner[:, 2].min(), -1.0, 1.0))))
+        self._margin = window_px // 2 + 1.0
         self._pixel_rad = pixel_angle_rad(model)
         self.reset()
 
@@ -355,26 +386,14 @@ class StarTracker:
         turn = (attitude * before.inv()).as_rotvec()
         return Rotation.from_rotvec(turn * (time_s - last_s) / (last_s - before_s)) * attitude
 
-    def _apparent(self, rows: Any, velocity: FloatArray | None) -> FloatArray:
-        chosen = np.array(self.guides.direction[rows])
-        return chosen if velocity is None else aberrated(chosen, velocity)
-
-    def _expected(
-        self, rough: Rotation, velocity: FloatArray | None
-    ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-        """Guide stars that whole windows are expected of: rows, directions as seen, places."""
-        near = np.flatnonzero(self.guides.direction @ rough.as_matrix()[2] > self._cos_reach)
-        seen = self._apparent(near, velocity)
-        place = self.model.project(rough.apply(seen)) if len(near) else np.empty((0, 2))
-        chosen = np.flatnonzero(_inside(place, self._size, self._window // 2 + 1.0))[: self._most]  # brightest first
-        return near[chosen], seen[chosen], place[chosen]
-
     def _track(
         self, frame: Frame, time_s: float, rough: Rotation, velocity: FloatArray | None, mode: str
     ) -> TrackedAttitude:
-        row, seen, place = self._expected(rough, velocity)
+        row, seen, place = expected_guides(
+            self.guides, self.model, rough, velocity_km_per_s=velocity, margin_px=self._margin, most=self._most
+        )
         if len(row) < self._fewest:
-            return _nothing(time_s, mode, "few_stars", expected=len(row))
+            return TrackedAttitude(time_s=time_s, mode=mode, status="few_stars", expected=len(row))
         stars = self._measured(frame, place)
         light = stars.fit & (stars.flux_e > SNR * np.sqrt(np.maximum(stars.covariance[:, 2, 2], 0.0)))
         miss = stars.pixel_px - place
@@ -384,11 +403,15 @@ class StarTracker:
             good &= np.nan_to_num(apart, nan=np.inf) <= self._gate
         used = np.flatnonzero(good)
         if len(used) < self._fewest:
-            return _nothing(time_s, mode, "few_stars", rejected=int(light.sum()) - len(used), expected=len(row))
+            return TrackedAttitude(
+                time_s=time_s, mode=mode, status="few_stars", rejected=int(light.sum()) - len(used), expected=len(row)
+            )
         solution, kept = self._solved(stars, used, seen, self._star_error[row])
         used = used[kept]
         if not solution.ok or len(used) < self._fewest:
-            return _nothing(time_s, mode, "few_stars", rejected=int(light.sum()) - len(used), expected=len(row))
+            return TrackedAttitude(
+                time_s=time_s, mode=mode, status="few_stars", rejected=int(light.sum()) - len(used), expected=len(row)
+            )
         return TrackedAttitude(
             time_s=time_s,
             mode=mode,
@@ -475,15 +498,15 @@ class StarTracker:
         try:
             background = estimate_background(image, step_px=2)
         except DomainError:  # saturated all over
-            return _nothing(time_s, "acquisition", "few_stars")
+            return TrackedAttitude(time_s=time_s, mode="acquisition", status="few_stars")
         stamps = find_stamps(
             image, background=background, threshold_sigma=self._threshold, fwhm_px=self._fwhm, size_px=self._window
         )
         if not len(stamps):
-            return _nothing(time_s, "acquisition", "few_stars")
+            return TrackedAttitude(time_s=time_s, mode="acquisition", status="few_stars")
         stamps = replace(stamps, psf_index=self._nearest_psf(stamps.start_px))
         stars = self._fitted(stamps, image.noise)
-        known = _Known(id=self.guides.id, direction=self._apparent(slice(None), velocity))
+        known = replace(self.guides, direction=_apparent(self.guides.direction, velocity))
         found = identify_stars(stars, self.model, known, database=self._database)
         # bright stars in sharp focus look like hot pixels; then all that shines is asked, at last the brightest alone
         shining = replace(stars, flags=stars.flags & ~np.uint32(DOUBTFUL))
@@ -494,28 +517,14 @@ class StarTracker:
                 found = identify_stars(some, self.model, known, database=self._database)
         if not found.ok or found.attitude is None:
             status = "few_stars" if found.status == "too_few" else "not_identified"
-            return _nothing(time_s, "acquisition", status)
+            return TrackedAttitude(time_s=time_s, mode="acquisition", status=status)
         tracked = self._track(frame, time_s, found.attitude.rotation, velocity, "acquisition")
         if tracked.ok and len(tracked.star_id) < SEEN_SHARE * tracked.expected:
-            return _nothing(time_s, "acquisition", "not_confirmed", tracked.rejected, tracked.expected)
+            return TrackedAttitude(
+                time_s=time_s,
+                mode="acquisition",
+                status="not_confirmed",
+                rejected=tracked.rejected,
+                expected=tracked.expected,
+            )
         return tracked
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Known:
-    id: NDArray[np.int64]
-    direction: FloatArray
-
-
-def _nothing(time_s: float, mode: str, status: str, rejected: int = 0, expected: int = 0) -> TrackedAttitude:
-    return TrackedAttitude(
-        time_s=time_s,
-        mode=mode,
-        status=status,
-        attitude=None,
-        covariance_rad2=np.full((3, 3), np.inf),
-        star_id=np.empty(0, np.int64),
-        pixel_px=np.empty((0, 2)),
-        rejected=rejected,
-        expected=expected,
-    )

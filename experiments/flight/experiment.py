@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import beta, norm
 
 from calib.attitude.tracker import sky_coverage
-from experiments.flight.frames import FlightFrames, Segment, render_flight
+from experiments.flight.frames import Segment, render_flight
 from experiments.flight.prediction import Budget, SegmentErrors, build_budget
 from experiments.flight.scenario import STATES, Flight, build_flight
 from experiments.flight.settings import Config
@@ -62,7 +62,7 @@ class Mission:
     false_stars_per_frame: float | None = col("Planets and cosmic rays per frame, truth", "", ".3g", default=None)
 
 
-def mission(budget: Budget, history: Sequence[Moment], frames: FlightFrames | None) -> Mission:
+def mission(budget: Budget, history: Sequence[Moment], frames: Sequence[Segment]) -> Mission:
     """Sensor and mission in numbers."""
     config, flight = budget.config, budget.flight
     state = budget.nominal.state
@@ -81,13 +81,13 @@ def mission(budget: Budget, history: Sequence[Moment], frames: FlightFrames | No
         covered_percent=100.0 * float((counts >= config.tracker.fewest).mean()),
         star_error_arcsec=float(np.median(budget.star_error_px)) * state.pixel_arcsec,
         available_percent=100.0 * float(np.mean([one.available for one in history])),
-        **(_seen(frames) if frames is not None else {}),
+        **_seen(frames),
     )
 
 
-def _seen(frames: FlightFrames) -> dict[str, Any]:
+def _seen(segments: Sequence[Segment]) -> dict[str, Any]:
     """Numbers of rendered segments that no body blinds."""
-    lit = [one for one in frames.segments if not one.blinded]
+    lit = [one for one in segments if not one.blinded]
     if not lit:
         return {}
     solved = np.concatenate([one.solved for one in lit])
@@ -393,18 +393,17 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     history = moments(budget, progress)
     told = [at_segments(one, flight) for one in lives]
     errors = told[config.frames.end_of_life]
-    frames = None
+    segments: list[Segment] = []
     if not config.predict_only:
         with progress.stage("frames", total=config.frames.segments * config.frames.frames) as stage:
-            frames = render_flight(budget, advance=stage.advance)
-    segments = () if frames is None else frames.segments
-    terms = predicted_terms(budget, errors) if frames is None else measured_terms(budget, segments, errors)
+            segments = render_flight(budget, advance=stage.advance)
+    terms = measured_terms(budget, segments, errors) if segments else predicted_terms(budget, errors)
     return {
-        "mission": mission(budget, history, frames),
+        "mission": mission(budget, history, segments),
         "terms": terms or None,
         "metrics": metrics(terms, segments) if terms else None,
         "history": history,
-        "parts": None if frames is None else parts(segments, errors),
+        "parts": parts(segments, errors) if segments else None,
         "rates": turning(budget) or None,
         "kelvin": per_kelvin(budget) or None,
         "lives": [age(one, found) for one, found in zip(lives, told, strict=True)],

@@ -85,15 +85,6 @@ class Segment:
         return np.asarray(np.isfinite(self.error_arcsec).all(axis=(0, 2)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FlightFrames:
-    """All segments, and one frame to look at."""
-
-    segments: tuple[Segment, ...]
-    example_e: NDArray[np.float32]  # (h, w) Electrons above the dark
-    example_px: FloatArray  # (k, 2) Stars that were tracked in it
-
-
 class Camera:
     """Renders and reads frames of the sensor at its temperatures; a lens is prepared once per state."""
 
@@ -230,22 +221,15 @@ def _patterns(budget: Budget) -> Any:
     return kept_database(min_fov_deg=round(0.94 * min(wide, high), 1), max_fov_deg=round(1.06 * max(wide, high), 1))
 
 
-def render_flight(budget: Budget, *, advance: Callable[[], None] = lambda: None) -> FlightFrames:
+def render_flight(budget: Budget, *, advance: Callable[[], None] = lambda: None) -> list[Segment]:
     """Render all segments and track their stars."""
     camera = Camera(budget)
     tracker = build_tracker(camera)
-    segments, example = [], None
-    for number, start_s in enumerate(budget.flight.segments_s):
-        segment, seen = _segment(camera, tracker, number, float(start_s), advance)
-        segments.append(segment)
-        example = example or seen
-    image, place = example or (np.zeros(camera.detector.shape, np.float32), np.empty((0, 2)))
-    return FlightFrames(segments=tuple(segments), example_e=image, example_px=place)
+    starts = budget.flight.segments_s
+    return [_segment(camera, tracker, number, float(start_s), advance) for number, start_s in enumerate(starts)]
 
 
-def _segment(
-    camera: Camera, tracker: StarTracker, number: int, start_s: float, advance: Callable[[], None]
-) -> tuple[Segment, tuple[NDArray[np.float32], FloatArray] | None]:
+def _segment(camera: Camera, tracker: StarTracker, number: int, start_s: float, advance: Callable[[], None]) -> Segment:
     flight, setting = camera.flight, camera.config.frames
     times, count = flight.frame_times_s(start_s), setting.frames
     state = flight.states_k[number]
@@ -254,7 +238,6 @@ def _segment(
     stars, rejected, false_stars = np.zeros((3, count))
     warm, moving = np.full((setting.switched, 3), np.nan), np.full((setting.switched, 3), np.nan)
     blinded, status, spent, wrong = bool(flight.blinded(start_s)), "blinded", float("nan"), 0
-    example = None
     tracker.reset()
     for k, at_s in enumerate(times if not blinded else ()):
         truth, known = flight.trajectory.attitude(at_s), flight.known_velocity_km_per_s(at_s)
@@ -281,27 +264,21 @@ def _segment(
             wrong += bool((np.abs(off) > camera.config.tracker.wrong_sigma * found.sigma_arcsec).any())
             if k < setting.switched:
                 warm[k], moving[k] = _switched(camera, tracker, found, frame, at_s, key, state)
-            if example is None:
-                light = (frame.dn - frame.offset_dn) / np.float32(frame.gain_dn_per_e)
-                example = (np.asarray(light, np.float32), found.pixel_px)
         advance()
-    return (
-        Segment(
-            start_s=start_s,
-            blinded=blinded,
-            time_s=times,
-            error_arcsec=errors,
-            sigma_arcsec=sigma,
-            stars=stars,
-            rejected=rejected,
-            false_stars=false_stars,
-            thermal_arcsec=warm,
-            aberration_arcsec=moving,
-            acquired=status,
-            acquisition_s=spent,
-            wrong=wrong,
-        ),
-        example,
+    return Segment(
+        start_s=start_s,
+        blinded=blinded,
+        time_s=times,
+        error_arcsec=errors,
+        sigma_arcsec=sigma,
+        stars=stars,
+        rejected=rejected,
+        false_stars=false_stars,
+        thermal_arcsec=warm,
+        aberration_arcsec=moving,
+        acquired=status,
+        acquisition_s=spent,
+        wrong=wrong,
     )
 
 

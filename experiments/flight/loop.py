@@ -114,10 +114,7 @@ def by_budget(config: Config, *, budget: Budget | None = None) -> Sensor:
             time_s=time_s,
             mode="tracking",
             status="ok" if errors.available else "few_stars",
-            attitude=None,
             covariance_rad2=found,
-            star_id=np.empty(0, np.int64),
-            pixel_px=np.empty((0, 2)),
             expected=round(errors.stars),
         )
         kept[:] = [(attitude, time_s, answer, root, shift)]

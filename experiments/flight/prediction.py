@@ -23,7 +23,7 @@ from scipy import constants
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import pixel_angle_rad
-from calib.attitude.tracker import GuideCatalogue, guide_catalogue
+from calib.attitude.tracker import GuideCatalogue, expected_guides, guide_catalogue
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
 from calib.measure.centroid import centroider_class, get_centroider
@@ -47,7 +47,6 @@ from experiments.laboratory.sensor_prediction import (
     predict_camera,
 )
 from optics.arrays import FloatArray
-from optics.attitude import aberrated
 from optics.errors import DomainError
 from optics.lens.system import LensSystem
 from optics.lens.thermal import ThermalState, heated_lens
@@ -317,18 +316,15 @@ class Budget:
 
     def expected(self, attitude: Rotation, velocity: FloatArray | None) -> tuple[NDArray[np.int64], FloatArray]:
         """Guide stars that a tracker looks at, rows of `guides`, and their directions in cam."""
-        matrix = attitude.as_matrix()
-        size = np.array([self.model.geometry.width_px, self.model.geometry.height_px])
-        corner = self.model.unproject(np.array([[-0.5, -0.5]]))[0, 2]
-        near = np.flatnonzero(self.guides.direction @ matrix[2] > np.cos(1.05 * np.arccos(corner)))
-        if not len(near):
-            return near, np.empty((0, 3))
-        seen = np.array(self.guides.direction[near])
-        v = (seen if velocity is None else aberrated(seen, velocity)) @ matrix.T
-        place, margin = self.model.project(v), self.config.window_px // 2 + 1.0
-        inside = ((place >= margin - 0.5) & (place <= size - 0.5 - margin)).all(axis=1)
-        chosen = np.flatnonzero(inside)[: self.config.tracker.most]
-        return near[chosen], v[chosen]
+        rows, seen, _ = expected_guides(
+            self.guides,
+            self.model,
+            attitude,
+            velocity_km_per_s=velocity,
+            margin_px=self.config.window_px // 2 + 1.0,
+            most=self.config.tracker.most,
+        )
+        return rows, np.asarray(attitude.apply(seen)).reshape(-1, 3)
 
     def errors(self, time_s: float, *, state_k: FloatArray | None = None) -> SegmentErrors:
         """Errors of the attitude at a time, with the lens in its state then or in another one."""
