@@ -33,6 +33,7 @@ from experiments.flight.scenario import STATES, Flight, trail_of_rate
 from experiments.flight.settings import Config
 from experiments.laboratory.ageing import aged_config
 from experiments.laboratory.catalogue import load_catalogue
+from experiments.laboratory.distortion_model import polynomial_basis
 from experiments.laboratory.instrument import (
     Instrument,
     build_instrument,
@@ -123,18 +124,14 @@ class FieldMap:
         """Fitted to shifts (n, 2) at directions (n, 3)."""
         tangent = direction[:, :2] / direction[:, 2:]
         reach = float(np.abs(tangent).max())
-        basis = _basis(tangent / reach)
+        basis = polynomial_basis(tangent / reach, DEGREE)
         return cls(reach=reach, coefficients=np.asarray(np.linalg.lstsq(basis, shift_px, rcond=None)[0]))
 
     def at(self, direction: FloatArray) -> FloatArray:
         """Shifts (n, 2)."""
-        return np.asarray(_basis(direction[:, :2] / direction[:, 2:] / self.reach) @ self.coefficients)
-
-
-def _basis(place: FloatArray) -> FloatArray:
-    whole = np.polynomial.legendre.legvander2d(place[:, 0], place[:, 1], [DEGREE, DEGREE])
-    i, j = np.indices((DEGREE + 1, DEGREE + 1))
-    return np.asarray(whole[:, (i + j <= DEGREE).ravel()])
+        return np.asarray(
+            polynomial_basis(direction[:, :2] / direction[:, 2:] / self.reach, DEGREE) @ self.coefficients
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
