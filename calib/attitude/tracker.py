@@ -41,6 +41,8 @@ from optics.units import RAD_ARCSEC
 from render.records import EffectivePsf, Frame, WindowStack
 
 CLIP_SIGMA, CLIP_ROUNDS = 3.5, 6
+ROUGH_PX = 1.0
+"""A rough attitude that moves all windows by more has them cut anew, where the stars are."""
 SNR = 5.0
 """Signal-to-noise ratio of the flux below which a window holds no star."""
 SEEN_SHARE = 0.5
@@ -392,6 +394,11 @@ class StarTracker:
         row, seen, place = expected_guides(
             self.guides, self.model, rough, velocity_km_per_s=velocity, margin_px=self._margin, most=self._most
         )
+        shift = self._common_shift(frame, place) if len(row) else np.zeros(2)
+        if np.hypot(*shift) > ROUGH_PX:
+            size = np.array([self.model.geometry.width_px, self.model.geometry.height_px])
+            inside = _inside(place + shift, size, self._margin)
+            row, seen, place = row[inside], seen[inside], place[inside] + shift
         if len(row) < self._fewest:
             return TrackedAttitude(time_s=time_s, mode=mode, status="few_stars", expected=len(row))
         stars = self._measured(frame, place)
@@ -424,11 +431,23 @@ class StarTracker:
             expected=len(row),
         )
 
-    def _measured(self, frame: Frame, place: FloatArray) -> StarTable:
-        """Centroids in windows around places (n, 2), all of them inside the frame."""
+    def _pixels(self, place: FloatArray) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """First pixels (n, 2) of windows around places, and index of all their pixels (n, window, window)."""
         corner = np.rint(place).astype(np.int64) - self._window // 2
         step = np.arange(self._window)
-        at = (corner[:, 1, None, None] + step[:, None], corner[:, 0, None, None] + step)
+        return corner, (corner[:, 1, None, None] + step[:, None], corner[:, 0, None, None] + step)
+
+    def _common_shift(self, frame: Frame, place: FloatArray) -> FloatArray:
+        """Where the brightest pixels of the windows lie from their places: median (2,) of the brighter half [px]."""
+        corner, at = self._pixels(place[: max(len(place) // 2, self._fewest)])
+        light = frame.dn[at] - (0.0 if self._dark is None else self._dark[at])
+        peak = np.where(frame.defect[at], -np.inf, light).reshape(len(corner), -1).argmax(axis=1)
+        found = corner + np.stack([peak % self._window, peak // self._window], axis=-1)
+        return np.asarray(np.median(found - place[: len(corner)], axis=0))
+
+    def _measured(self, frame: Frame, place: FloatArray) -> StarTable:
+        """Centroids in windows around places (n, 2), all of them inside the frame."""
+        corner, at = self._pixels(place)
         stack = WindowStack(
             dn=frame.dn[at][None],
             saturated=frame.saturated[at][None],

@@ -105,6 +105,15 @@ def test_false_stars_are_rejected_and_do_not_move_the_attitude(sky, guides):
     assert (np.abs(error) < 5.0 * found.sigma_arcsec).all()
 
 
+@pytest.mark.parametrize("off_px", [2.0, 4.5])
+def test_an_attitude_that_is_handed_over_may_be_off_by_pixels(sky, guides, off_px):
+    rough = Rotation.from_rotvec(off_px * 5e-4 * np.array([0.8, -0.6, 0.0])) * TRUTH
+    frame = frame_of(sky, TRUTH, seed=5)
+    found, clean = (tracker(guides)(frame, 0.0, near=near) for near in (rough, TRUTH))
+    assert set(found.star_id) >= set(clean.star_id[:10])
+    assert (np.abs(attitude_error_arcsec(found.attitude, TRUTH)) < 5.0 * found.sigma_arcsec).all()
+
+
 def test_a_warm_lens_costs_no_star_where_its_scale_error_is_stated(sky, guides):
     """A scale of 1e-3 moves stars in the corner by 0.18 px, some twenty times their noise."""
     warm, frame = BrownConrady.create(GEOMETRY, focal_length_mm=20.02), frame_of(sky, TRUTH, seed=6)
