@@ -42,6 +42,21 @@ def engine():
 
 
 @pytest.fixture(scope="session")
+def quick_run_of(tmp_path_factory):
+    """``quick_run_of(name)``: output of ``--quick``, of ``STARBENCH_QUICK_RUNS`` (a folder of them) or made here."""
+    given, here = os.environ.get("STARBENCH_QUICK_RUNS"), tmp_path_factory.mktemp("quick")
+
+    def folder(name):
+        from experiments.__main__ import main
+
+        if not given and not (here / name).exists():
+            assert main([name, "--quick", "--out", str(here / name)]) in (0, 1)
+        return Path(given or here) / name
+
+    return folder
+
+
+@pytest.fixture(scope="session")
 def star_camera():
     """The default instrument of the experiments."""
     from experiments.laboratory.instrument import build_instrument

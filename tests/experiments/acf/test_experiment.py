@@ -113,7 +113,7 @@ def test_pixel_and_stars_of_simulated_tables_are_found_again():
     runs[:, 8:] = np.degrees(runs[:, 8:])
     pulls, inside, chi2 = [], [], []
     for error in runs:
-        found = implied(points=15, printed=np.round((TRUE + error) / ROUNDING) * ROUNDING)
+        found = implied(points=11, printed=np.round((TRUE + error) / ROUNDING) * ROUNDING)
         pulls.append((found.pixel_um.value - 8.0) / found.pixel_um.uncertainty)
         inside.append(found.stars_range[0] < 20 < found.stars_range[1])
         chi2.append(found.chi2)

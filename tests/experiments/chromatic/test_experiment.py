@@ -20,6 +20,7 @@ SMALL = {
     "stars.grid": 2,
     "stars.temperatures_k": "[3000, 5800, 30000]",
     "compare": '["cog"]',
+    "instrument.diffraction": "rays",
 }
 
 

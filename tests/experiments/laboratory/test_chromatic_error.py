@@ -21,6 +21,7 @@ from experiments.laboratory.instrument import build_instrument
 from experiments.laboratory.points import nominal_px, pattern_effect
 from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.readout.search import common_shift
+from experiments.laboratory.settings import InstrumentConfig
 from optics.lens.perturb import decentre
 from render.engine.random import Streams
 
@@ -107,6 +108,14 @@ def test_common_shift_is_what_most_detections_agree_on():
     offset = np.concatenate([rng.normal([31.0, -12.0], 0.5, (25, 2)), rng.uniform(-80, 80, (60, 2))])
     assert common_shift(offset) == pytest.approx([31.0, -12.0], abs=0.5)
     assert common_shift(np.full((3, 2), 500.0)) == pytest.approx([0, 0])
+
+
+@pytest.fixture(scope="module")
+def small_camera(tmp_path_factory):
+    """The default lens, by rays, in front of few pixels: patterns of a whole chip would take most of the time."""
+    path = tmp_path_factory.mktemp("chip") / "few.toml"
+    path.write_text('base = "cmv4000"\nname = "few"\nchip_width_px = 640\nchip_height_px = 512\n')
+    return build_instrument(InstrumentConfig(detector=str(path), diffraction="rays"))
 
 
 def quick_measure(bench, instrument, seed):

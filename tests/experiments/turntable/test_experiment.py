@@ -174,13 +174,11 @@ def test_a_rendered_run_is_as_good_as_predicted(table: str, tiny) -> None:
         assert rms == pytest.approx(predicted, rel=3.0 / np.sqrt(2 * 35))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
         (["two_axis.axes=x"], "2 axes are needed"),
         (["grid.columns=2", "grid.rows=2", "grid.edge_px=400"], "4 places give 8 measurements"),
-        (["reduction.axes=x-y"], "mirrored"),
     ],
 )
 def test_mistakes_end_in_one_line(settings: list[str], words: str, refused_by) -> None:
