@@ -113,18 +113,18 @@ def test_turntable_bound(scenes):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["free", "acc", "full", "none"])
+@pytest.mark.parametrize("method", ["free", "none"])
 def test_estimators_reach_their_bound(scenes, method):
-    """200 realisations of sparse noisy frames, from the document's start: scatter over bound within 5 sigma of 1."""
+    """100 realisations of sparse noisy frames, from the document's start: scatter over bound within 5 sigma of 1."""
     scene = scenes.make_scene(frames=15, stars=5, sigma_px=0.0)
     rng, errors = np.random.default_rng(12), []
     template = scene.noisy(np.random.default_rng(0), 0.2)
     limit = bound(template, scenes.CAMERA, true(method, scene))
-    for _ in range(200):
+    for _ in range(100):
         found = calibrate(scene.noisy(rng, 0.2), scenes.START, blind(method, scene))
         assert found.converged
         errors.append(found.solution.value - scene.truth[: len(limit.names)])
     ratio = np.std(errors, axis=0) / limit.sigma
-    assert np.all(np.abs(ratio - 1.0) < 5 / np.sqrt(400))
-    mean = np.mean(errors, axis=0) / limit.sigma * np.sqrt(200)
+    assert np.all(np.abs(ratio - 1.0) < 5 / np.sqrt(200))
+    mean = np.mean(errors, axis=0) / limit.sigma * np.sqrt(100)
     assert np.all(np.abs(mean) < 5)

@@ -57,7 +57,8 @@ def test_verdict_notices_a_lens_that_is_warmed_the_wrong_way(engine, monkeypatch
 
 @pytest.mark.slow
 def test_frames_show_the_growth(engine):
-    lab = build_laboratory(load_config(Config, settings=[*QUICK, "thermal.stability_k=3"]))
+    settings = [*QUICK, "thermal.stability_k=3", "instrument.diffraction=rays"]
+    lab = build_laboratory(load_config(Config, settings=settings))
     term = thermal_term(lab, Streams(5))
     seen, sigma = (
         np.array([getattr(m, part) for m in term.measured_scale_ppm_per_k]) for part in ("value", "uncertainty")

@@ -125,7 +125,7 @@ def test_the_verdicts_hold_for_other_seeds_and_notice_a_quarter(run, failing):
     """By rays: noise is what differs. Four verdicts of a false alarm of 1 in 1000 each."""
     instrument = run.config.instrument.model_copy(update={"diffraction": "rays"})
     alarms = []
-    for seed in range(8):
+    for seed in range(3):
         config = run.config.model_copy(update={"seed": seed, "instrument": instrument})
         alarms += failing("temporal", measure(config, progress=Progress()), config)
     assert not alarms
