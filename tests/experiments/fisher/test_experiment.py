@@ -27,17 +27,8 @@ def run(tiny_run):
     star = {"evaluation__columns": 10, "evaluation__rows": 8, "evaluation__edge_px": 20, "evaluation__signal_e": 10000}
     study = {"field__directions": 500, "field__runs": 6}
     clocks = {"field__field_deg": [3.0, 20.0], "dynamic__jitter_ms": JITTER_MS, "dynamic__samples": 5}
-    clocks["instrument__diffraction"] = "rays"
-    settings = {
-        "instrument__detector": DETECTOR,
-        "instrument__diffraction": "rays",
-        **places,
-        **table,
-        **star,
-        **study,
-        **clocks,
-    }
-    return tiny_run("fisher", **settings)
+    sensor = {"instrument__detector": DETECTOR, "instrument__diffraction": "rays"}
+    return tiny_run("fisher", **sensor, **places, **table, **star, **study, **clocks)
 
 
 @pytest.mark.slow
