@@ -66,25 +66,6 @@ def windows(electrons, x, y, background_e=SKY_E):
     )
 
 
-def share_left(harmonic):
-    """What a Gaussian and a square pixel leave of a Fourier component: their transforms, multiplied."""
-    frequency = harmonic / SIZE
-    return np.exp(-2.0 * (np.pi * SIGMA_PX * frequency) ** 2) * np.sinc(frequency)
-
-
-def closed_form_sigma_px(harmonic):
-    """The formula of the page."""
-    pixels = (READ_NOISE_E**2 + SKY_E) * SIZE**2 / 2.0 + FLUX_E * (1.0 - share_left(2 * harmonic)) / 2.0
-    return SIZE / (2.0 * np.pi * harmonic) * np.sqrt(pixels) / (FLUX_E * share_left(harmonic))
-
-
-def bound_px():
-    """Cramer-Rao bound of x of a star in the middle of a pixel, the other parameters known: 1 / sqrt(information)."""
-    middle = np.array([SIZE // 2])
-    slope = FLUX_E * (drawn(middle + 1e-4, middle) - drawn(middle - 1e-4, middle)) / 2e-4
-    return float((slope**2 / (FLUX_E * drawn(middle, middle) + SKY_E + READ_NOISE_E**2)).sum() ** -0.5)
-
-
 @pytest.mark.parametrize("harmonic", [1, 2])
 def test_places_are_right_at_every_phase_whatever_the_background(followed, harmonic):
     """Of the components beside the one used, sampling folds back less than 4e-4 of the next: 1e-3 px."""
@@ -97,26 +78,6 @@ def test_places_are_right_at_every_phase_whatever_the_background(followed, harmo
     assert np.abs(right.y_px - y).max() < 1e-3
     wrong = measure(windows(electrons, x, y, background_e=0.5 * SKY_E), NOISE)
     assert wrong.x_px == pytest.approx(right.x_px, abs=1e-10)
-
-
-@pytest.mark.parametrize("harmonic", [1, 2])
-def test_covariance_and_scatter_are_those_of_the_closed_form(followed, harmonic):
-    rng, n = np.random.default_rng(4), 4000
-    x, y = SIZE // 2 + rng.uniform(-0.5, 0.5, (2, n))
-    expected = FLUX_E * drawn(x, y) + SKY_E
-    electrons = rng.poisson(expected) + rng.normal(0.0, READ_NOISE_E, expected.shape)
-    table = get_centroider(followed, harmonic=harmonic).measure(windows(electrons, x, y), NOISE)
-    sigma = closed_form_sigma_px(harmonic)
-    assert np.sqrt(np.mean(table.sigma_x_px**2)) == pytest.approx(sigma, rel=0.01)
-    error = np.concatenate([table.x_px - x, table.y_px - y])
-    spread = 5.0 / np.sqrt(2.0 * len(error))
-    assert error.std() == pytest.approx(sigma, rel=spread)
-    assert abs(error.mean()) < 5.0 * sigma / np.sqrt(len(error))
-    assert error.std() > bound_px()
-    assert ((table.x_px - x) / table.sigma_x_px).std() == pytest.approx(1.0, abs=5.0 / np.sqrt(2.0 * n))
-    # flux is the sum of the window: its error goes with the light, and the covariance says how
-    flux_error = table.flux_e - FLUX_E
-    assert flux_error.std() == pytest.approx(np.sqrt(FLUX_E + SIZE**2 * (SKY_E + READ_NOISE_E**2)), rel=spread * 1.5)
 
 
 def test_options_are_held_to_their_range_and_the_name_is_known(followed):
