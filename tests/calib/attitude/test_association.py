@@ -82,7 +82,7 @@ def test_rows_without_a_position_are_never_matched(catalogue):
     assert (truth[matched.association.detected] == matched.association.catalogue).all()
 
 
-@pytest.mark.parametrize("seed", range(10, 22))
+@pytest.mark.parametrize("seed", range(10, 15))
 def test_rough_attitude_is_refined(catalogue, seed):
     """Ten false detections and a fifth of the stars lost: all matches right, the attitude within 5 sigma."""
     attitude, pixel, truth = frame(catalogue, seed, false=10, lost=0.2)
@@ -95,7 +95,7 @@ def test_rough_attitude_is_refined(catalogue, seed):
     assert found.chance < 1e-12
 
 
-@pytest.mark.parametrize("seed", range(40, 46))
+@pytest.mark.parametrize("seed", range(40, 43))
 def test_another_sky_is_refused(catalogue, seed):
     """The attitude of somewhere else: nothing may be claimed."""
     _, pixel, _ = frame(catalogue, seed)
@@ -106,7 +106,7 @@ def test_another_sky_is_refused(catalogue, seed):
     assert len(found.association) == 0
 
 
-@pytest.mark.parametrize("seed", range(50, 56))
+@pytest.mark.parametrize("seed", range(50, 53))
 def test_noise_is_refused(catalogue, seed):
     rng = np.random.default_rng(seed)
     pixel = rng.uniform(0, (1023, 767), (40, 2))

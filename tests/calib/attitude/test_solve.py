@@ -67,7 +67,7 @@ def test_quest_is_svd():
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (0.3, -0.5, 0.8)])
-@pytest.mark.parametrize("short_of_180_rad", [0.0, 1e-15, 1e-9, 1e-4])
+@pytest.mark.parametrize("short_of_180_rad", [0.0, 1e-9])
 def test_half_turn(method, axis, short_of_180_rad):
     truth = Rotation.from_rotvec((np.pi - short_of_180_rad) * np.array(axis) / np.linalg.norm(axis))
     v_cam = star_field(np.random.default_rng(5), 8, 6.0)

@@ -177,8 +177,8 @@ def test_a_focal_length_that_is_not_positive_gives_nothing(model):
 @ALL
 @pytest.mark.parametrize(
     "direction",
-    [[[np.nan, 0.0, 1.0]], [[0.0, np.inf, 1.0]], [0.0, 0.0, 1.0], [[10.0, 20.0]], [["a", "b", "c"]]],
-    ids=["nan", "inf", "one vector", "angles", "text"],
+    [[[np.nan, 0.0, 1.0]], [0.0, 0.0, 1.0], [["a", "b", "c"]]],
+    ids=["nan", "one vector", "text"],
 )
 def test_input_that_is_no_direction_is_refused(model, direction):
     for verb in (model.project, model.project_jacobian):

@@ -14,7 +14,7 @@ from calib.fitting.misfit import UNTESTED, ChiSquare
 
 
 @pytest.mark.parametrize("freedom", [1, 5, 400])
-@pytest.mark.parametrize("part", [1e-3, 0.2, 0.9, 0.9999])
+@pytest.mark.parametrize("part", [1e-3, 0.9])
 def test_probability_is_two_sided(freedom, part):
     value = chi2.ppf(part, freedom)
     found = ChiSquare(value=value, degrees_of_freedom=freedom)
@@ -37,7 +37,7 @@ def test_nothing_is_said_where_nothing_is_tested():
         assert str(found) == "chi-square not tested"
 
 
-@pytest.mark.parametrize("wrong", [0.01, 0.1, 1.0, 10.0, 100.0])
+@pytest.mark.parametrize("wrong", [0.1, 1.0, 10.0])
 @pytest.mark.parametrize("method", ["free", "linked", "angles", "weighted angles", "robust", "robust angles"])
 def test_calibrations_say_that_the_stated_noise_is_wrong(scenes, method, wrong):
     """Stars scatter by 0.05 px and are said to scatter by 0.05 px times a factor."""

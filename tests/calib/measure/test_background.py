@@ -112,9 +112,7 @@ def test_a_part_of_the_pixels_gives_the_same_mesh_where_it_belongs():
         estimate_background(image, step_px=16)
 
 
-@pytest.mark.parametrize(
-    ("mean", "sigma"), [(50.3, 0.25), (50.3, 0.5), (0.3, 1.0), (0.0, 3.0), (-1.0, 3.0), (2.0, 3.0)]
-)
+@pytest.mark.parametrize(("mean", "sigma"), [(50.3, 0.25), (50.3, 0.5), (0.3, 1.0), (-1.0, 3.0)])
 def test_whole_numbers_cut_off_at_zero(mean, sigma):
     """Level and noise are those of the numbers as they are: 4 statistical errors, and 2.5 % for what is left out."""
     dn = np.clip(np.rint(np.random.default_rng(1).normal(mean, sigma, (256, 256))), 0.0, 255.0)

@@ -34,7 +34,7 @@ def measured(sky, noise):
 
 
 @pytest.mark.parametrize("name", MOMENTS)
-@pytest.mark.parametrize("sigma_px", [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0, 1.5, 2.0])
+@pytest.mark.parametrize("sigma_px", [0.3, 0.5, 0.7, 1.0, 2.0])
 def test_pulls_are_covered_or_flagged(measured, name, sigma_px):
     """Bright stars (1e5 e-): by noise alone the pulls reach 400. With the error by pixel phase, which is that of all
     widths and phases that look alike, they must be 1 within a third; whoever is off by noise alone carries the flag."""

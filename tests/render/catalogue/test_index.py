@@ -28,7 +28,7 @@ def index():
     return build_index(sky_of(20000))
 
 
-@pytest.mark.parametrize("radius_deg", [0.01, 1.0, 10.0, 60.0, 120.0, 180.0])
+@pytest.mark.parametrize("radius_deg", [0.01, 10.0, 120.0])
 @pytest.mark.parametrize("centre", [[0, 0, 1], [0, 0, -1], [1, 0, 0], [0.6, 0.0, -0.8]])
 def test_same_stars_as_brute_force(index, radius_deg, centre):
     v, radius = index.catalog.direction, np.radians(radius_deg)

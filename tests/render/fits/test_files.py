@@ -280,7 +280,7 @@ def test_mask_bits_without_a_name_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("options", [{}, {"mask": "never"}, {"compression": "rice"}, {"compression": "gzip"}])
-@pytest.mark.parametrize("side", [1, 2, 7, 40])
+@pytest.mark.parametrize("side", [1, 40])
 def test_checksums(tmp_path: Path, options: dict[str, Any], side: int) -> None:
     """CHECKSUM and DATASUM as astropy computes them; it warns where one is wrong."""
     rng = np.random.default_rng(side)

@@ -46,7 +46,7 @@ def test_one_time_and_many(trajectory):
 
 
 @pytest.mark.parametrize("trajectory", FAMILY.values(), ids=FAMILY.keys())
-@pytest.mark.parametrize("time_s", [-0.1, 20.1, np.nan, np.inf])
+@pytest.mark.parametrize("time_s", [-0.1, 20.1, np.nan])
 def test_times_outside_are_refused(trajectory, time_s):
     with pytest.raises(DomainError, match="runs from 0 to 20 s"):
         trajectory.attitude([1.0, time_s])
