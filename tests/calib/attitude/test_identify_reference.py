@@ -46,7 +46,7 @@ def frame(stars, seed, *, model=PINHOLE, false=0, noise_px=0.05):
     return attitude, pixel[order], flux[order], np.concatenate([seen, np.full(false, -1)])[order]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_attitude_and_stars(database, stars, seed):
     attitude, pixel, flux, truth = frame(stars, seed, false=5)
     found = identify(pixel, PINHOLE, database, flux=flux)
@@ -62,7 +62,7 @@ def test_attitude_and_stars(database, stars, seed):
     assert found.chance < 1e-5
 
 
-@pytest.mark.parametrize("seed", range(100, 110))
+@pytest.mark.parametrize("seed", range(100, 104))
 def test_mirrored_sky_is_refused(database, stars, seed):
     _, pixel, flux, _ = frame(stars, seed)
     for flipped in (np.column_stack([1023 - pixel[:, 0], pixel[:, 1]]), pixel[:, ::-1]):
