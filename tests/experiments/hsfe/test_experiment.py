@@ -63,7 +63,7 @@ def test_the_verdicts_hold_for_other_seeds_and_notice_a_quarter(run, failing):
     steps = run.config.steps.model_copy(update={"positions": 6})
     changed = {"steps": steps, "hexapod": HexapodConfig(), "compare": ("gaussian", "epsf")}
     alarms = []
-    for seed in range(3):
+    for seed in range(2):
         config = run.config.model_copy(update={"seed": seed, **changed})
         result = measure(config, progress=Progress())
         alarms.append(failing("hsfe", result, config))
