@@ -132,8 +132,8 @@ HIGHEST_PER_PX = 6.0
 """Frequencies that a pixel without diffusion is followed to."""
 SIGMAS = 6.0
 """Of charge diffusion, beyond which a pixel sees nothing."""
-ROOM = 1.8
-"""Repeat distance of the images that an even pupil makes, in widths of the window."""
+ROOM = 1.2
+"""Repeat distance of the images that an even pupil makes, in widths of the window: 3e-5 of a pixel's light from 1.8."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
