@@ -170,11 +170,6 @@ def frame_page(
         Standard deviation of the background, which values that are no whole numbers are rounded with; measured if
         left out.
 
-    Returns
-    -------
-    str
-        The page.
-
     Raises
     ------
     DomainError
@@ -238,11 +233,6 @@ def save_frame_page(path: str | Path, values: ArrayLike, layers: Sequence[Marks]
         Drawn in this order.
     **settings
         As in `frame_page`.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
 
     Raises
     ------

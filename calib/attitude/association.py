@@ -158,11 +158,6 @@ def match_stars(
     band : int
         Band of the frame.
 
-    Returns
-    -------
-    StarMatch
-        The pairs and the refined attitude.
-
     Raises
     ------
     DomainError

@@ -238,11 +238,6 @@ def solve_wahba_many(
     sigma_rad, weight, method : optional
         As in `solve_wahba`.
 
-    Returns
-    -------
-    AttitudeSolutions
-        The same per frame.
-
     Raises
     ------
     DomainError, ConfigError

@@ -257,11 +257,6 @@ def run_experiment(
     backend : {"auto", "llvm", "cuda"}
         Where rendering runs; it is chosen once per process.
 
-    Returns
-    -------
-    ExperimentRun
-        Numbers, tables, figures, verdicts.
-
     Raises
     ------
     StarbenchError
