@@ -17,13 +17,12 @@ import numpy as np
 
 from experiments.harness.drawings import arrows, curves
 from experiments.harness.progress import Progress
-from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, below, col, ratio_near
 from experiments.harness.summary import Measured
 from experiments.skycal.calibrate import METHODS, PARTS, CalibratedCamera, CalibratedMap, calibrate_camera, rms
 from experiments.skycal.match import OUTCOMES, match_frames
 from experiments.skycal.measure import record
-from experiments.skycal.pictures import sky_frame
 from experiments.skycal.scene import Scene, build_scene
 from experiments.skycal.settings import CAMERAS, Config, model_label
 from optics.arrays import FloatArray
@@ -452,11 +451,6 @@ def sections_of(name: str) -> dict[str, Section]:
     }
 
 
-def frame_of(name: str) -> Callable[[Outcome], Any]:
-    """The frame of a camera, as a figure."""
-    return lambda outcome: sky_frame(next(one.made for one in outcome.result["cameras"] if one.made.scene.name == name))
-
-
 SECTIONS: dict[str, Section] = {
     "cameras": Section(
         record=Camera,
@@ -470,9 +464,6 @@ SECTIONS: dict[str, Section] = {
         columns="part_rms_arcsec quadrature_arcsec measured_rms_arcsec",
         caption="What the map error is made of: RMS of each part, switched on one after the other in the same data.",
         note="Parts add up as vectors; independent ones would add in quadrature.",
-        figures={
-            **{f"{name}_frame": frame_of(name) for name in CAMERAS},
-        },
         verdicts=[
             below("wrong_part", WRONG_LIMIT, title="wrong matches among the stars matched, largest part of a camera"),
             below(
