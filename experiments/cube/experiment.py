@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from calib.measure.circle_fit import CircleFit
@@ -19,7 +17,6 @@ from experiments.cube.bench import (
     Truth,
     build_laboratory,
     build_table,
-    concentric_angles,
     draw_truths,
     reflected_spot_mm,
 )
@@ -50,11 +47,6 @@ from experiments.harness.summary import Measured, measured
 from optics.arrays import FloatArray
 from optics.units import DEG_RAD, RAD_ARCSEC, RAD_DEG
 from render.bench.scene import CubePose
-from render.bench.view import overview_scene, overview_sensor, render_overview
-
-VIEW_PX = (760, 440)
-BEAM = np.array([1.0, 0.58, 0.08])
-PAPER = np.array([1.0, 0.99, 0.965])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,10 +67,9 @@ class Setup:
     )
     beam_x_rate: FloatArray = col("Error of R_sp per beam in x", dims="component", json="error_per_arcsec.beam_x")
     beam_y_rate: FloatArray = col("Error of R_sp per beam in y", dims="component", json="error_per_arcsec.beam_y")
-    views: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]  # (bodies, beam), radiances (h, w)
 
 
-def setup(laboratory: Laboratory, cases: Mapping[str, CaseResult], rows: Sequence[BudgetRow], views: Any) -> Setup:
+def setup(laboratory: Laboratory, cases: Mapping[str, CaseResult], rows: Sequence[BudgetRow]) -> Setup:
     """What all benches gave, and the bench itself."""
     geometry, sensor, by_name = laboratory.geometry, perfect_sensor(laboratory), {row.term: row for row in rows}
     rim, beam = geometry.blur_mm(geometry.path_mm), beam_rates(laboratory.config, sensor)
@@ -95,7 +86,6 @@ def setup(laboratory: Laboratory, cases: Mapping[str, CaseResult], rows: Sequenc
         lean_rate=lean_rates(laboratory.config, sensor),
         beam_x_rate=beam[:, 0],
         beam_y_rate=beam[:, 1],
-        views=views,
     )
 
 
@@ -251,32 +241,6 @@ def trims_of(bench: BenchResult) -> list[Trim]:
     ]
 
 
-def bench_views(config: Config, laboratory: Laboratory, truth: Truth) -> list[Any]:
-    """The bench from afar and the cube from near, the first face trimmed: (bodies, beam)."""
-    geometry, face = laboratory.geometry, config.cube.faces[0]
-    table = build_table(config, truth, Case(name="", label=""))
-    angle = concentric_angles(table, truth.normal_in_table(face), face)
-    top = table.rotation(angle[None])[0].as_matrix()
-    pose = CubePose.of_table(geometry, top, truth.table_from_cube, truth.normal)
-    scene, (width, height) = overview_scene(geometry, pose, top, laboratory.camera), VIEW_PX
-    sensors = (overview_sensor(geometry, width_px=width, height_px=height, close=close) for close in (False, True))
-    return [render_overview(scene, sensor, geometry, spp=config.benches.view_samples) for sensor in sensors]
-
-
-def draw_view(outcome: Outcome, number: int) -> Figure:
-    """A view of the bench: bodies in grey under room light, the traced beam in orange."""
-    bodies, beam = outcome.result["setup"].views[number]
-    grey = np.clip(bodies / np.percentile(bodies, 99.5), 0, 1) ** 0.45
-    glow = gaussian_filter(beam, 0.7)
-    shown = np.clip(glow / np.percentile(glow[glow > 0.02 * glow.max()], 70), 0, 1) ** 0.7
-    picture = grey[..., None] * PAPER * (1 - shown[..., None]) + shown[..., None] * BEAM
-    height, width = bodies.shape
-    figure, axis = new_figure(aspect_ratio=height / width)
-    axis.imshow(np.clip(picture, 0, 1), interpolation="lanczos")
-    axis.set_axis_off()
-    return figure
-
-
 def draw_pictures(outcome: Outcome, face: int) -> Figure:
     """Aperture, first and last spot of a face with the fitted circles."""
     trim = outcome.result["shown"].trims[face]
@@ -329,10 +293,8 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     with progress.stage("budget"):
         pictures = picture_noise(laboratory)
         rows = build_budget(laboratory, cases, pictures)
-    with progress.stage("views"):
-        views = bench_views(config, laboratory, truths[0])
     return {
-        "setup": setup(laboratory, cases, rows, views),
+        "setup": setup(laboratory, cases, rows),
         "budget": rows,
         "benches": [every_bench(case) for case in cases.values()],
         "noise": noise(laboratory, cases, pictures),
@@ -342,7 +304,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
 
 
 SECTIONS = {
-    "setup": Section(record=Setup, figures={"view": draw_view}),
+    "setup": Section(record=Setup),
     "budget": BUDGET,
     "benches": Section(
         record=Benches,

@@ -104,7 +104,6 @@ class BenchesConfig(StrictModel):
     count: int = Field(default=100, ge=2, le=10000, description="misaligned benches")
     log2_particles: int = Field(default=18, ge=12, le=24, description="particles per picture of the screen")
     shown_log2_particles: int = Field(default=21, ge=12, le=24, description="the same for the pictures in the report")
-    view_samples: int = Field(default=48, ge=1, le=4096, description="paths per pixel of the views of the bench")
 
 
 class Config(ExperimentConfig):
@@ -170,7 +169,6 @@ experiment = Experiment(
         "benches.count": 8,
         "benches.log2_particles": 17,
         "benches.shown_log2_particles": 19,
-        "benches.view_samples": 8,
         "sensor.grid": 7,
     },
 )
