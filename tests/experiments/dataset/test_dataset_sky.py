@@ -56,7 +56,9 @@ def test_a_planet_among_the_stars(engine):
         place = direction_of(planet)
         cone = ConePointing(ra_deg=place.lon.deg, dec_deg=place.lat.deg, radius_deg=0.0, roll_deg=0.0)
         scene = build_scene(Config(**CAMERA, catalogue=sky, pointing=cone, background=background))
-        made[planet] = FrameMaker(scene).make(0)
+        maker = FrameMaker(scene)
+        made[planet] = maker.make(0)
+    assert maker.make(1).disks[0] is made["jupiter"].disks[0]  # of the same attitude: it is not rendered again
     truth = made["neptune"].truth
     (row,) = np.flatnonzero(truth["star_id"] == PLANET_IDS["neptune"])
     assert truth["catalogue_row"][row] == -1
