@@ -23,17 +23,6 @@ from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy,
 from optics.arrays import FloatArray
 from optics.errors import DomainError, StarbenchError
 
-__all__ = [
-    "Swing",
-    "Temperatures",
-    "ThermalRange",
-    "answer_lines",
-    "limits",
-    "parameters",
-    "swings",
-    "temperatures",
-]
-
 
 def limits(config: Config) -> dict[str, tuple[float, bool]]:
     """Requirements of the sensor file: number -> (value, whether at least)."""
@@ -61,10 +50,10 @@ class Temperatures:
 class ThermalRange:
     """Largest changes over the temperatures; NaN for a lens without thermal data."""
 
-    focus_shift_um: float = col("Change of the best focus over temperature", "um", ".1f")
-    spot_thermal_px: float = col("Spot radius (RMS), largest over temperature", "px", ".3f")
-    scale_change_ppm: float = col("Change of the plate scale over temperature", "ppm", ".1f")
-    refusal: str = col("Why there is no answer", json="")
+    focus_shift_um: float = col("Change of the best focus over temperature", "um", ".1f", default=math.nan)
+    spot_thermal_px: float = col("Spot radius (RMS), largest over temperature", "px", ".3f", default=math.nan)
+    scale_change_ppm: float = col("Change of the plate scale over temperature", "ppm", ".1f", default=math.nan)
+    refusal: str = col("Why there is no answer", json="", default="")
 
 
 def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
@@ -81,11 +70,7 @@ def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
         with prompt_pool() as pool:
             reference, *found = pool.map(at, (None, *map(float, at_c)))
     except DomainError as error:
-        nothing = math.nan
-        refusal = str(error).splitlines()[0]
-        return None, ThermalRange(
-            focus_shift_um=nothing, spot_thermal_px=nothing, scale_change_ppm=nothing, refusal=refusal
-        )
+        return None, ThermalRange(refusal=str(error).splitlines()[0])
     scale_mm = np.array([one.state.performance.plate_scale_mm for one in found])
 
     def values(name: str) -> FloatArray:
@@ -104,7 +89,6 @@ def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
         focus_shift_um=float(np.ptp(over.thermal_focus_um)),
         spot_thermal_px=float(over.thermal_spot_px.max()),
         scale_change_ppm=float(np.abs(over.thermal_scale_ppm).max()),
-        refusal="",
     )
 
 

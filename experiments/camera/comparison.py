@@ -44,7 +44,6 @@ class SkyFrames:
     fit: NDArray[np.int64]  # (m,)
     false_alarms: NDArray[np.int64]  # (m,) As for the chart
     error_arcsec: FloatArray  # (m, 3) Attitude minus truth about x, y (across) and z (roll); NaN where there is none
-    status: tuple[str, ...]  # Of the identification
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -150,7 +150,7 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
     bench = _Bench(prediction)
     chart = _chart(bench, advance)
     turning = _turning(prediction, advance)
-    found, useful, alarms, errors, status = [], [], [], [], []
+    found, useful, alarms, errors = [], [], [], []
     example: tuple[NDArray[np.float32], FloatArray] | None = None
     for number in range(prediction.config.frames.sky):
         seen, frame, measured, place = _sky_frame(bench, number)
@@ -160,9 +160,7 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
         fit[fit] = measured.fit[partner[fit]]
         useful.append(int(np.count_nonzero(fit)))
         alarms.append(false)
-        error, how = _attitude_error(bench, measured, number, seen)
-        errors.append(error)
-        status.append(how)
+        errors.append(_attitude_error(bench, measured, number, seen))
         if example is None:
             light = (frame.dn - bench.reduction.dark_dn) / np.float32(frame.gain_dn_per_e)
             example = (light, measured.stars.pixel_px)
@@ -173,7 +171,6 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
         fit=np.array(useful, np.int64),
         false_alarms=np.array(alarms, np.int64),
         error_arcsec=np.array(errors),
-        status=tuple(status),
     )
     return Rendered(chart=chart, moving=turning, sky=sky, example_e=example[0], example_px=example[1])
 
@@ -270,9 +267,7 @@ def _sky_frame(bench: _Bench, number: int) -> tuple[NDArray[np.bool_], Frame, Me
     return seen, frame, measure_frame(frame, bench.reduction), place
 
 
-def _attitude_error(
-    bench: _Bench, measured: MeasuredFrame, number: int, seen: NDArray[np.bool_]
-) -> tuple[FloatArray, str]:
+def _attitude_error(bench: _Bench, measured: MeasuredFrame, number: int, seen: NDArray[np.bool_]) -> FloatArray:
     view = bench.prediction.view
     truth = view.attitudes[number]
     known = _Known(id=view.sample.row[seen], direction=truth.inv().apply(np.array(view.sample.direction[seen])))
@@ -282,11 +277,11 @@ def _attitude_error(
     found = identify_stars(measured.stars, bench.model, known, near=rough, radius_px=4.0 * ROUGH_PX)
     solved = solve_attitude(measured.stars, found, bench.model, known)
     if not solved.ok:
-        return np.full(3, np.nan), found.status if not found.ok else solved.solution.status
+        return np.full(3, np.nan)
     # weights: the errors that the sensor knows its stars to have
     pixel = measured.stars.pixel_px[solved.detected]
     sigma_px = bench.prediction.attitude.sigma_px[seen][solved.catalogue]
     weighted = solve_wahba(
         bench.model.unproject(pixel), known.direction[solved.catalogue], sigma_rad=pixel_rad * sigma_px
     )
-    return attitude_error_arcsec(weighted.rotation, truth), "solved"
+    return attitude_error_arcsec(weighted.rotation, truth)

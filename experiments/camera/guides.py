@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calib.attitude.identify import identify
 from calib.attitude.star_attitude import star_patterns
@@ -83,11 +82,11 @@ class LostInSpace:
     """Identifications of drawn lists of stars."""
 
     lost_attitudes: int = col("Attitudes that were tried lost in space")
-    lost_success_percent: float = col("Lost in space: identified", "percent", ".1f")
+    lost_success_percent: float = col("Lost in space: identified", "percent", ".1f", default=math.nan)
     lost_success: Measured | None = col("Share that is identified", json="", default=None)
-    lost_wrong_percent: float = col("Lost in space: wrongly identified", "percent", ".2f")
-    lost_time_s: float = col("Identification on this machine, median", "s", ".2g")
-    lost_refusal: str = col("Why nothing was identified", json="")
+    lost_wrong_percent: float = col("Lost in space: wrongly identified", "percent", ".2f", default=math.nan)
+    lost_time_s: float = col("Identification on this machine, median", "s", ".2g", default=math.nan)
+    lost_refusal: str = col("Why nothing was identified", json="", default="")
 
 
 def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> LostInSpace | None:
@@ -98,11 +97,14 @@ def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] =
         return None
     try:
         if prediction.value("field_diagonal_deg") < NARROWEST_DEG:
-            return _none(f"fields below {NARROWEST_DEG:g} deg are too narrow for patterns of the whole sky")
+            return LostInSpace(
+                lost_attitudes=0,
+                lost_refusal=f"fields below {NARROWEST_DEG:g} deg are too narrow for patterns of the whole sky",
+            )
         model = fit_camera(state.instrument.pixel_map(state.band, temperature_k=config.star.temperature_k)).camera
         patterns = star_patterns(model)
     except StarbenchError as error:  # such as tetra3rs, which is an extra
-        return _none(str(error).splitlines()[0])
+        return LostInSpace(lost_attitudes=0, lost_refusal=str(error).splitlines()[0])
     streams, forecast = Streams(config.seed).child("camera"), prediction.attitude
     electrons = state.electrons_per_s(view.magnitude, view.temperature_k, view.radius_px)
     size = np.array([model.geometry.width_px, model.geometry.height_px])
@@ -121,7 +123,7 @@ def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] =
         found = identify(place, model, patterns, flux=np.concatenate([electrons[rows], faint]))
         took.append(time.perf_counter() - begun)
         if found.ok and found.attitude is not None and found.attitude.rotation is not None:
-            off_arcsec = attitude_error_arcsec(found.attitude.rotation, _attitude(view.attitudes, number))
+            off_arcsec = attitude_error_arcsec(found.attitude.rotation, view.attitudes[number])
             across = float(np.hypot(*off_arcsec[:2]))
             limit = WRONG_PX * pixel_arcsec
             expected = WRONG_SIGMA * float(np.hypot(*forecast.total_arcsec[number, :2]))
@@ -135,23 +137,6 @@ def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] =
         lost_success=Measured(value=share, uncertainty=math.sqrt(max(share * (1 - share), 1 / count) / count), n=count),
         lost_wrong_percent=100.0 * wrong / count,
         lost_time_s=float(np.median(took)),
-        lost_refusal="",
-    )
-
-
-def _attitude(attitudes: Rotation, number: int) -> Rotation:
-    one: Rotation = attitudes[number]
-    return one
-
-
-def _none(why: str) -> LostInSpace:
-    nothing = math.nan
-    return LostInSpace(
-        lost_attitudes=0,
-        lost_success_percent=nothing,
-        lost_wrong_percent=nothing,
-        lost_time_s=nothing,
-        lost_refusal=why,
     )
 
 

@@ -36,17 +36,6 @@ from optics.units import UM_MM
 from render.engine.random import Streams
 from render.tracing.psf import ray_epsf
 
-__all__ = [
-    "CHOSEN",
-    "MANUFACTURED",
-    "RENDERED_LENSES",
-    "Manufactured",
-    "RenderedLens",
-    "built_lens",
-    "manufactured",
-    "moves_of",
-]
-
 GRID = (7, 5)
 """Places of the detector, columns x rows, to `REACH` of its half sides."""
 REACH = 0.95

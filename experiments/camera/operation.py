@@ -26,8 +26,6 @@ from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy,
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError
 
-__all__ = ["LIFE", "MOTION", "RATE", "Life", "Motion", "in_motion", "life_line", "moving", "over_life"]
-
 AGES = 5
 RATE = "slew_rate_deg_per_s"
 _NAMES = (

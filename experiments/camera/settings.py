@@ -13,18 +13,6 @@ from experiments.harness.experiment import Experiment
 from experiments.harness.sweeps import SweptConfig, with_what_if
 from experiments.laboratory.prediction_settings import PredictedSensorConfig
 
-__all__ = [
-    "Config",
-    "FramesConfig",
-    "LostConfig",
-    "MotionConfig",
-    "Parameter",
-    "ThermalConfig",
-    "TornadoConfig",
-    "experiment",
-    "main",
-]
-
 
 class MotionConfig(StrictModel):
     """Slew rates of the curves, from rest to where a star no longer fits its window."""

@@ -23,7 +23,7 @@ from scipy import constants
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import pixel_angle_rad
-from calib.attitude.tracker import GuideCatalogue, expected_guides, guide_catalogue
+from calib.attitude.tracker import GuideCatalogue, expected_guides
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
 from calib.measure.centroid import centroider_class, get_centroider
@@ -34,6 +34,7 @@ from experiments.flight.settings import Config
 from experiments.laboratory.ageing import aged_config
 from experiments.laboratory.catalogue import load_catalogue
 from experiments.laboratory.distortion_model import polynomial_basis
+from experiments.laboratory.guide_stars import guide_stars
 from experiments.laboratory.instrument import (
     Instrument,
     build_instrument,
@@ -179,19 +180,17 @@ class Budget:
     # --- Sky
 
     def _guides(self) -> GuideCatalogue:
-        config, camera = self.config, self.nominal
+        camera = self.nominal
         limit = camera.value("limiting_magnitude_mag") - 1.5
-        faintest = config.tracker.faintest_mag if config.tracker.faintest_mag is not None else limit
-        kelvin, axis = self.temperature_k, np.zeros(len(self.stars))
-        zero = camera.electrons(np.zeros(1), config.star_temperature_k)[0]
-        rate = camera.state.electrons_per_s(self.stars.magnitude, kelvin, axis) * config.instrument.exposure_s
-        return guide_catalogue(
-            self.stars.id,
+        asked = self.config.tracker.faintest_mag
+        faintest = limit if asked is None else asked
+        return guide_stars(
+            camera,
+            self.stars,
             self.direction,
-            -2.5 * np.log10(rate * self.sensor.throughput_fraction / zero),
-            faintest_mag=faintest,
             brightest_mag=camera.value("saturation_mag") + SATURATION_MARGIN_MAG,
-            apart_rad=config.window_px * self.pixel_rad,
+            faintest_mag=faintest,
+            throughput=self.sensor.throughput_fraction / camera.config.throughput_fraction,
         )
 
     # --- The camera's prediction
