@@ -11,14 +11,17 @@ import numpy as np
 
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
-from optics.frames import field_angles_deg
+from optics.frames import field_angles_deg, light_direction
 from optics.glass.coating import QuarterWave
 from optics.lens.system import LensSystem
 from optics.lens_file import load_lens
 from optics.light.band import Band, TopHat, band_nodes
 from optics.light.spectrum import Blackbody
 from optics.rays.chief import plate_scale_mm
+from optics.rays.ghosts import GhostPath
+from optics.rays.pupil import gauss_disk, launch_disks
 from optics.rays.spots import spot_moments
+from optics.rays.trace import Rays
 from render.camera import Camera, Diffraction, build_camera
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.spec import Detector, load_detector
@@ -27,6 +30,8 @@ from render.records import PixelMap
 _ROUNDING = 1e-12
 _MAP_GRID, _MAP_NODES, _MAP_ORDER = 15, 8, (5, 12)
 """Places along each side of the map of a camera, wavelengths, rings and azimuths of the pupil."""
+_THROUGH_ORDER = (3, 8)
+"""Rings and azimuths of the rays that tell how transmission varies."""
 _MAP_REACH = 0.985
 """Share of the detector's half-width that the map spans: the rays of its outermost stars stay on the detector."""
 _REACH = 1.02
@@ -212,7 +217,8 @@ class StarSensor:
         wave = nodes.wavelength_nm[0]
         spectrum = Blackbody(temperature_k=temperature_k).photon_density(wave) * camera.response_at(wave)
         spots = spot_moments(camera.focused_lens, *field_angles_deg(direction), wave, order=_MAP_ORDER)
-        light = nodes.weight_nm[0] * nodes.transmission[0] * spectrum * spots.transmitted_mm2
+        share, pull = _through(camera, direction, wave)
+        light = nodes.weight_nm[0] * nodes.transmission[0] * spectrum * spots.transmitted_mm2 * share
         seen = light.sum(1) > 0.0
         if np.count_nonzero(seen) < _MAP_GRID**2 // 2:
             raise ConvergenceError(
@@ -220,7 +226,8 @@ class StarSensor:
                 "detector; a smaller window is needed to calibrate it"
             )
         light = light[seen] / light[seen].sum(1, keepdims=True)
-        mean = [(np.where(light > 0.0, v[seen], 0.0) * light).sum(1) for v in (spots.x_mm, spots.y_mm)]
+        places = [v + p for v, p in zip((spots.x_mm, spots.y_mm), pull, strict=True)]
+        mean = [(np.where(light > 0.0, v[seen], 0.0) * light).sum(1) for v in places]
         return PixelMap(
             direction=direction[seen],
             pixel_px=np.stack(camera.to_pixel(*mean), axis=-1),
@@ -248,6 +255,36 @@ class StarSensor:
                 f"lens {camera.lens.name!r} is made for {limit:g} deg; read at most {int(camera.width_px * share)} x "
                 f"{int(camera.height_px * share)} px"
             )
+
+
+def _through(camera: Camera, direction: FloatArray, wave: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What the transmission of rays along their own paths does to bundles that weigh them equally.
+
+    The share (f, w) of the light over that of the axis, and by how much (2, f, w) means move [mm].
+    """
+    lens, losses = camera.focused_lens, camera.losses
+    points = gauss_disk(*_THROUGH_ORDER)
+    share, pull = np.ones((len(direction), len(wave))), np.zeros((2, len(direction), len(wave)))
+    if losses is not None:
+        disks, path = (
+            launch_disks(lens, direction, wave),
+            GhostPath(lens, None, None, losses.coating, losses.absorption),
+        )
+        radius, x, y = (v.reshape(-1, 1) for v in (disks.radius_mm, disks.x_mm, disks.y_mm))
+        x, y = x + radius * points.x, y + radius * points.y
+        along = np.repeat(light_direction(direction), len(points.x), axis=0)
+        for w, (nm, axis) in enumerate(zip(wave, losses.along_axis(lens, wave), strict=True)):
+            start = Rays.create(
+                x_mm=x.ravel(), y_mm=y.ravel(), z_mm=float(disks.z_mm), direction=along, wavelength_nm=nm
+            )
+            out = path.trace(start, np.ones(x.size))
+            light = out.weight.reshape(x.shape) * points.weight
+            place = np.where(light > 0.0, np.stack([out.rays.x, out.rays.y]).reshape(2, *x.shape), 0.0)
+            equal = points.weight * (light > 0.0)
+            sums = [np.maximum(one.sum(1), 1e-300) for one in (light, equal)]
+            share[:, w] = np.where(equal.any(1), sums[0] / sums[1] / axis, 1.0)
+            pull[:, :, w] = (place * light).sum(2) / sums[0] - (place * equal).sum(2) / sums[1]
+    return share, pull
 
 
 def load_star_sensor(
