@@ -22,7 +22,7 @@ IDENTIFIED, FIT, UNFIT = "#59d98e", "#4aa3df", "#ff5d8f"
 
 
 def show_image(image: SensorImage | Frame | NDArray[np.float64], axes: Axes | None = None) -> Axes:
-    """Draw an image of any origin, faint stars visible and bright ones not burnt out.
+    """Draw an image of any origin with a stretch that shows faint and bright stars.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def mark_stars(axes: Axes, stars: StarTable, identified: Identification | StarAt
 
 
 def star_marks(stars: StarTable, identified: Identification | StarAttitude | None = None) -> list[Marks]:
-    """Measured stars as layers of a page to zoom into: ``observation.save_page("frame.html", star_marks(stars))``.
+    """Measured stars as layers of a zoomable page: ``observation.save_page("frame.html", star_marks(stars))``.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def _star_layer(stars: StarTable, rows: NDArray[np.bool_], names: NDArray[Any], 
 
 
 def draw_residuals(attitude: StarAttitude, stars: StarTable, axes: Axes | None = None, *, scale: float = 500.0) -> Axes:
-    """Residuals of the stars of an attitude as arrows over the detector: what a camera model or a centroider missed.
+    """Residuals of an attitude's stars as arrows over the detector; they show errors of camera model or centroider.
 
     Parameters
     ----------

@@ -26,19 +26,19 @@ class StarFlag(IntFlag):
     NO_DATA
         No usable pixel or no light: position and flux are NaN.
     PIXEL_PHASE
-        The error that depends on where in its pixel the star sits exceeds half the stated standard deviation, which
-        does not hold it: the star is too narrow for this centroider, or reaches beyond its window
+        The error that depends on the position within the pixel exceeds half the stated standard deviation, which does
+        not include it: the star is too narrow for this centroider, or reaches beyond its window
         (``StarTable.width_px`` and ``phase_error_px``). The star may be used; its error is larger than stated.
     WIDTH_UNKNOWN
-        Of a Gaussian fit with free widths: so much of the light is in single pixels that they do not tell the width
-        along an axis, and with it the place (`calib.measure.gaussian.WIDTH_PRIOR_PX`). The covariance holds that for
+        Gaussian fit with free widths: so much of the light is in single pixels that the width along an axis, and with
+        it the position, is not determined (`calib.measure.gaussian.WIDTH_PRIOR_PX`). The covariance includes this for
         stars down to a sigma of a quarter of a pixel, and is too small for narrower ones. The star may be used; it is
         measured better with the width of the other stars, ``sigma_px=``.
     TRAIL
         Part of a line of light (satellite, aeroplane): light lies between this detection and others in a row.
     UNDETERMINED
-        The pixels do not tell the star: the fit left them (a flux that they do not hold, a place outside the window).
-        Place and flux are those of the moments of the light in the window, their covariance that of a matched filter.
+        The pixels do not determine the star: the fit diverged (impossible flux, or position outside the window).
+        Position and flux are the moments of the light in the window, with the covariance of a matched filter.
     """
 
     SATURATED = 1

@@ -89,7 +89,7 @@ class Conversion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorImage:
-    """An image of whatever origin, ready for detection.
+    """An image of any origin, ready for detection.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class SensorImage:
     noise : NoiseModel
         Gain, offset and read noise.
     assumed : tuple of str
-        Names of the noise-model fields that nobody stated and that therefore hold a default or an estimate.
+        Names of the noise-model fields that are not stated and therefore hold a default or an estimate.
     exposure_s : float or None
         Exposure time, if known.
     source : str
@@ -190,8 +190,8 @@ class StarTable:
     background_e : (n,)
         Electrons per pixel under the star.
     covariance : (n, 3, 3)
-        Of (x, y, flux) [px, px, e-]: temporal noise as the noise model states it. What depends on the place of the star
-        in its pixel and does not change from frame to frame is not in it, see ``phase_error_px``.
+        Of (x, y, flux) [px, px, e-]: temporal noise by the noise model. Errors that depend on the position within the
+        pixel are not included, see ``phase_error_px``.
     chi2 : (n,)
         Weighted squared residual per degree of freedom, NaN where no model was fitted.
     iterations : (n,) int64

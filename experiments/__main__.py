@@ -12,30 +12,33 @@ from experiments.harness.interrupts import invoke
 from experiments.harness.registry import Commands, found, version_option
 
 COMMANDS = {
-    "all": ("experiments.harness.together:run_all", "every experiment in turn, and a page that links their reports"),
-    "completion": (f"{__name__}:completion", "completion of all this in bash, zsh or fish: completion bash"),
-    "doctor": ("experiments.doctor:doctor", "LLVM, versions, GPU, stars: what is missing, and what to do"),
+    "all": ("experiments.harness.together:run_all", "run every experiment and write a page that links the reports"),
+    "completion": (f"{__name__}:completion", "shell completion for bash, zsh or fish: completion bash"),
+    "doctor": (
+        "experiments.doctor:doctor",
+        "check LLVM, versions, GPU and star catalogue; state a remedy for each fault",
+    ),
     "frame": (
         "experiments.frame:frame",
-        "any FITS image as a page to zoom into, with its stars: frame show FILE.fits --out page.html",
+        "zoomable HTML page of a FITS image with its stars: frame show FILE.fits --out page.html",
     ),
     "lens": (
         "experiments.lens.command:lens",
-        "lens files (.toml, .zmx, .seq): lens show FILE, lens convert FILE NEW",
+        "show or convert lens files (.toml, .zmx, .seq); ghosts, temperature: lens show FILE",
     ),
     "reduce": (
         "experiments.reduce.command:reduce",
-        "a laboratory's own frames, reduced and judged: reduce --frames FOLDER --method temporal",
+        "reduce and check a laboratory's own frames: reduce --frames FOLDER --method temporal",
     ),
     "statement": (
         "experiments.statement.command:statement",
-        "performance clause by clause of ECSS-E-ST-60-20C, to print: statement --sensor my.toml",
+        "printable performance statement by the clauses of ECSS-E-ST-60-20C: statement --sensor my.toml",
     ),
 }
 """Commands that are no experiments."""
-HELP = """Run an experiment: starbench NAME [--quick] [--out DIR], or python -m experiments.NAME; more by NAME --help.
+HELP = """Run an experiment: starbench NAME [--quick] [--out DIR], or python -m experiments.NAME. Options: NAME --help.
 
-All of them: starbench --all [--quick] [--out DIR]
+Run all: starbench --all [--quick] [--out DIR]
 """
 
 
@@ -49,7 +52,7 @@ def _list(context: click.Context, names: bool, **options: bool) -> None:
 
 
 @click.command(
-    help="""Print what makes SHELL complete starbench, its experiments, their options and the keys of --set.
+    help="""Print a completion script for SHELL: experiments, options and the keys of --set.
 
 \b
 bash: eval "$(starbench completion bash)"   in ~/.bashrc

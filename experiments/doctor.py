@@ -57,7 +57,7 @@ class Finding:
 
 
 @click.command(
-    help="What is there (LLVM, versions, GPU, stars), what is missing, what to do.",
+    help="Check LLVM, versions, GPU and star catalogue; state a remedy for each fault.",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")

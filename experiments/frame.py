@@ -1,4 +1,4 @@
-"""``starbench frame``: a FITS image as one HTML page, with the stars in it and what is known of them."""
+"""``starbench frame``: zoomable HTML page of a FITS image, with detected, true and catalogue stars."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 CARDS = ("OBJECT", "DATE-OBS", "EXPTIME", "FILTER", "INSTRUME", "TELESCOP", "GAIN", "CCD-TEMP")
 NEAR_PX = 3.0
-HELP = """Frames as pages to zoom into: pixel values, stars, truth, catalogue. Any FITS image; no server, no network."""
+HELP = """Zoomable HTML page of a FITS image: pixel values, stars, truth, catalogue; needs no server or network."""
 
 
 @click.group("frame", help=HELP, context_settings={"help_option_names": ["-h", "--help"]})
@@ -29,26 +29,29 @@ def frame() -> None:
     """The command with its subcommands."""
 
 
-@frame.command(help="One HTML page of the image FILE.")
+@frame.command(help="Write the page of the image FILE.")
 @click.argument("file", type=click.Path(readable=False, path_type=Path))
 @click.option(
     "--out",
     metavar="HTML",
     type=click.Path(readable=False, path_type=Path),
-    help="the page; the file's name with .html if left out",
+    help="the page; default: the file's name with .html",
 )
-@click.option("--hdu", metavar="N", help="extension, by number or name; the first image if left out")
-@click.option("--plane", type=int, metavar="N", help="which image of a cube")
-@click.option("--stars/--no-stars", "find", default=True, help="find and measure stars")
-@click.option("--sigma", default=5.0, show_default=True, help="threshold of their detection")
+@click.option("--hdu", metavar="N", help="extension, by number or name; default: the first image")
+@click.option("--plane", type=int, metavar="N", help="plane of an image cube")
+@click.option("--stars/--no-stars", "find", default=True, help="detect and measure stars")
+@click.option("--sigma", default=5.0, show_default=True, help="detection threshold, standard deviations")
 @click.option(
     "--truth",
     metavar="TABLE",
     type=click.Path(readable=False, path_type=Path),
-    help="places with columns x_px, y_px (ECSV, CSV, Parquet); datasets have theirs",
+    help="true positions, columns x_px, y_px (ECSV, CSV, Parquet); a dataset's frame has them",
 )
 @click.option(
-    "--catalogue", type=float, metavar="MAG", help="mark Gaia's stars to this magnitude, where the file has coordinates"
+    "--catalogue",
+    type=float,
+    metavar="MAG",
+    help="mark Gaia's stars to this G magnitude, if the file has sky coordinates",
 )
 def show(file: Path, out: Path | None, hdu: str | None, catalogue: float | None, **options: Any) -> None:
     """Write the page and say what it marks."""

@@ -22,7 +22,7 @@ from optics.units import DEG_RAD, RAD_ARCSEC, RAD_DEG
 
 
 def attitude_from_angles(ra_deg: ArrayLike, dec_deg: ArrayLike, roll_deg: ArrayLike = 0.0) -> Rotation:
-    """Attitude of a camera that looks at a place of the sky.
+    """Attitude of a camera from right ascension, declination and roll.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def attitude_from_angles(ra_deg: ArrayLike, dec_deg: ArrayLike, roll_deg: ArrayL
     if not (np.isfinite(ra).all() and np.isfinite(dec).all() and np.isfinite(roll).all()):
         raise DomainError("right ascension, declination and roll must be finite numbers")
     if dec.size and float(np.abs(dec).max()) > 90.0:
-        raise DomainError(f"declination {float(dec.flat[np.abs(dec).argmax()]):g} deg is beyond the pole (90 deg)")
+        raise DomainError(f"declination {float(dec.flat[np.abs(dec).argmax()]):g} deg is outside -90 ... 90 deg")
     boresight, north, east = _triad(ra * DEG_RAD, dec * DEG_RAD)
     turn = (roll * DEG_RAD)[..., None]
     up = np.cos(turn) * north + np.sin(turn) * east

@@ -96,8 +96,8 @@ def unpacked(path: Path) -> bytes | None:
                 held += part
                 if len(held) > MOST_UNPACKED_BYTES:
                     raise ConfigError(
-                        f"{path}: unpacks to more than {MOST_UNPACKED_BYTES / 1e6:.0f} MB; unpack it first if that is "
-                        "meant"
+                        f"{path}: unpacks to more than {MOST_UNPACKED_BYTES / 1e6:.0f} MB; unpack it first if this "
+                        "size is intended"
                     )
         return bytes(held)
     except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
@@ -152,7 +152,7 @@ def _header(stream: BinaryIO, number: int) -> dict[str, str] | None:
         if not cards and not block.startswith((b"SIMPLE", b"XTENSION")[min(number, 1)]):
             if number:
                 return None
-            raise ConfigError("it does not begin as a FITS file does")
+            raise ConfigError("it does not begin with SIMPLE, as a FITS file must")
         for at in range(0, len(block), _CARD):
             card = block[at : at + _CARD].decode("ascii", "replace")
             keyword = card[:8].rstrip()
@@ -236,7 +236,7 @@ def _columns(header: dict[str, str], number: int) -> Iterator[tuple[str, int, bo
     for field in range(1, int(header.get("TFIELDS", "0")) + 1):
         found = _FORMAT.match(_text(header.get(f"TFORM{field}", "")))
         if found is None:
-            raise ConfigError(f"header {number}: TFORM{field} = {header.get(f'TFORM{field}')!r} is no format")
+            raise ConfigError(f"header {number}: TFORM{field} = {header.get(f'TFORM{field}')!r} is not a valid format")
         repeat, kind = int(found[1] or "1"), found[2]
         if kind in "PQ" and repeat:
             yield _text(header.get(f"TTYPE{field}", "")).upper(), offset, kind == "Q"

@@ -40,9 +40,7 @@ def field_direction(field_x_deg: ArrayLike, field_y_deg: ArrayLike) -> FloatArra
     """
     fx, fy = np.broadcast_arrays(np.asarray(field_x_deg, float), np.asarray(field_y_deg, float))
     if not np.all((np.abs(fx) < 90) & (np.abs(fy) < 90)):
-        raise DomainError(
-            "a field angle is not between -90 and 90 deg; the star would stand beside or behind the camera"
-        )
+        raise DomainError("a field angle is not between -90 and 90 deg; the star would not be in front of the camera")
     v = np.stack([np.tan(fx * DEG_RAD), np.tan(fy * DEG_RAD), np.ones(fx.shape)], axis=-1)
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 

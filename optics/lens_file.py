@@ -52,11 +52,11 @@ class LensFile:
     tables : dict
         Its prescription, as a TOML file holds it (`optics.lens.tables.Prescription`).
     report : ImportReport or None
-        What became of every line; None for a file of our own format.
+        Import report, line by line; None for a TOML file.
     defaults : FileDefaults or None
-        Fields, wavelengths, vignetting factors, aperture; None for a file of our own format.
+        Fields, wavelengths, vignetting factors, aperture; None for a TOML file.
     labels : tuple of str
-        What the file calls the tables of surfaces, where it does not count them from 0.
+        Names of the surfaces in the file, if it does not number them from 0.
     """
 
     lens: LensSystem
@@ -117,7 +117,7 @@ def read_lens_file(
     glasses: Mapping[str, str] | None = None,
     strict: bool = False,
 ) -> LensFile:
-    """Read a lens file with all that is known of it.
+    """Read a lens file with its import report.
 
     Parameters
     ----------

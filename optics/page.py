@@ -147,7 +147,7 @@ def frame_page(
     unit: str = "DN",
     noise: float | None = None,
 ) -> str:
-    """A frame as HTML text that needs nothing else.
+    """A frame as self-contained, zoomable HTML page.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def frame_page(
     title : str
         Heading of the page.
     facts : mapping of str to str, optional
-        Stand below it.
+        Facts listed below the heading.
     flags : mapping of str to (h, w) bool, optional
         Pixels to tint, e.g. ``{"saturated": ...}``; at most three kinds.
     sky : (rows, columns, 3), optional
@@ -167,7 +167,7 @@ def frame_page(
     unit : str
         Of the values.
     noise : float, optional
-        Standard deviation of the background, which values that are no whole numbers are rounded with; measured if
+        Standard deviation of the background, which sets the rounding of values that are not integers; measured if
         left out.
 
     Raises
@@ -221,7 +221,7 @@ def frame_page(
 
 
 def save_frame_page(path: str | Path, values: ArrayLike, layers: Sequence[Marks] = (), **settings: Any) -> Path:
-    """Write what `frame_page` gives; the file appears whole or not at all.
+    """Write the page of `frame_page`; the file appears complete or not at all.
 
     Parameters
     ----------

@@ -93,7 +93,7 @@ def _dataclass(value: dict[str, Any]) -> Any:
     module, _, name = value["record"].rpartition(".")
     kind: Any = getattr(importlib.import_module(module), name) if module.startswith(PACKAGES) else None
     if not (isinstance(kind, type) and is_dataclass(kind)):
-        raise ValueError(f"{value['record']} is no record of this project")
+        raise ValueError(f"{value['record']} is not a starbench record")
     made: Any = kind(**{key: _record(entry) for key, entry in value["fields"].items()})
     return made
 

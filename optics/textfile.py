@@ -55,7 +55,7 @@ def read_text(path: str | Path, what: str) -> TextFile:
     text = data.decode(encoding, errors="replace")
     strange = sum(text.count(c) for c in _STRANGE)
     if strange > 0.01 * len(text):
-        raise ConfigError(f"{path}: not a text file ({strange} of {len(text)} characters make no sense as {encoding})")
+        raise ConfigError(f"{path}: not a text file ({strange} of {len(text)} characters are invalid in {encoding})")
     text = text.replace("\0", " ").replace("\r\n", "\n").replace("\r", "\n")
     return TextFile(lines=tuple(text.split("\n")), encoding=encoding)
 

@@ -117,13 +117,13 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     """Read a TOML file."""
     text = "\n".join(read_text(path, "a TOML file").lines)
     if _LONG_KEY.search(text):  # tomllib takes memory with the square of the dots
-        raise ConfigError(f"{path}: a key of more than {MOST_DOTS} dots; {MOST_LEVELS} levels are allowed")
+        raise ConfigError(f"{path}: a key has more than {MOST_DOTS} dots; {MOST_LEVELS} levels are allowed")
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # a number of thousands of digits, a thousand brackets
         raise ConfigError(f"{path}: not valid TOML ({' '.join(str(error).split())[:200]})") from None
     if _deeper(table, MOST_LEVELS):
-        raise ConfigError(f"{path}: tables and lists within one another; {MOST_LEVELS} levels are allowed")
+        raise ConfigError(f"{path}: tables and lists are nested too deeply; {MOST_LEVELS} levels are allowed")
     return table
 
 

@@ -108,19 +108,18 @@ class Camera:
     response : Response or None
         Electrons per photon against wavelength: quantum efficiency times lens transmission along the axis; None is 1.
     losses : PathLosses or None
-        What surfaces and glasses take of every ray along its own path, in place of that of the axis, which the response
-        holds; None: all rays lose alike.
+        Loss of every ray in surfaces and glasses relative to the axial loss, which ``response`` includes; None: the
+        axial loss holds for all rays.
     far : FarLight or None
-        How far diffraction images of bright stars reach; None: all end at their stamps.
+        Extent of diffraction images of bright stars; None: all end at their stamps.
     scatter : HarveyShack, ABg, Particles, Together or None
-        Law of the light that all surfaces of the lens together scatter, over differences of sines from the star: halos
-        about stars, taken from their cores. None: nothing is scattered.
+        Scatter law of the whole lens, over differences of sines from the star; the light of the halos is taken from the
+        stars' cores. None: no scatter.
     blind_columns_px : tuple of (int, int)
-        First and last columns of strips that take no light, such as the gaps between chips; stars lose it there as over
-        the edge.
+        First and last columns of insensitive strips, such as gaps between chips; light there is lost as off the edge.
     diffraction : {"rays", "waves", "exact_waves"}
-        How stars are rendered: as the rays land, or as diffraction images of the traced wavefront; those of many stars
-        are interpolated on a grid over the field where that is proven good enough, of ``exact_waves`` never.
+        How stars are rendered: as ray densities, or as diffraction images of the traced wavefront. With ``waves``
+        images of many stars are interpolated on a grid over the field if its measured error is small enough.
     """
 
     lens: LensSystem
@@ -152,7 +151,8 @@ class Camera:
             raise DomainError(f"Camera.defocus_mm = {self.defocus_mm} mm; a finite number is needed")
         if self.defocus_mm and self.lens.measured is not None:
             raise DomainError(
-                f"defocus_mm = {self.defocus_mm:g} mm: lens {self.lens.name!r} was measured in its focus; 0 is needed"
+                f"defocus_mm = {self.defocus_mm:g} mm: lens {self.lens.name!r} was measured in focus; defocus_mm "
+                "must be 0"
             )
         if np.isnan(np.asarray(self.centre_px, float)).all():
             object.__setattr__(self, "centre_px", np.array([(self.width_px - 1) / 2, (self.height_px - 1) / 2]))
@@ -165,7 +165,7 @@ class Camera:
 
         if self.scatter is not None and not self.scatter.tis < MOST_SCATTERED:
             raise DomainError(
-                f"Camera.scatter takes {self.scatter.tis:.3g} of the light; at most {MOST_SCATTERED:g} is allowed"
+                f"Camera.scatter scatters {self.scatter.tis:.3g} of the light; at most {MOST_SCATTERED:g} is allowed"
             )
         for first, last in self.blind_columns_px:
             if not 0 <= first <= last < self.width_px:
@@ -255,7 +255,7 @@ def build_camera(
     rotation_cam_from_world: FloatArray | None = None,
     diffraction: Diffraction = "waves",
 ) -> Camera:
-    """Camera of a lens and a detector: geometry, diffusion and response taken from both.
+    """Camera of a lens and a detector, with their geometry, diffusion and response.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def build_camera(
         raise DomainError(
             f"lens {lens.name!r} works at {lens.wavelength_range_nm[0]:g} ... {lens.wavelength_range_nm[1]:g} nm, "
             f"detector {detector.name!r} at {efficiency.range_nm[0]:g} ... {efficiency.range_nm[1]:g} nm; "
-            "nothing is left"
+            "their ranges do not overlap"
         )
     wavelength = np.linspace(low, high, max(2, int((high - low) / RESPONSE_STEP_NM) + 1))
     response = Response(

@@ -83,7 +83,7 @@ def star_scene(
 
 
 class StarRenderer:
-    """Renders star fields through one camera, in one scene: the lens is compiled and its pupil planned once.
+    """Renders star fields through a camera in a single scene; lens and pupil sampling are prepared once.
 
     Stars and attitude are parameters of the scene (`mi.traverse`); nothing is loaded again from frame to frame.
 
@@ -107,7 +107,7 @@ class StarRenderer:
     Attributes
     ----------
     traced : TracedStars or None
-        What the last image was made of, including how the pupil was sampled.
+        Ray and pupil data of the last image.
     label : str
         Name of the next image's scene file where `SCENES` asks for one; numbered where it is empty.
 
@@ -222,7 +222,7 @@ class StarRenderer:
             Before the first image.
         """
         if self._last is None:
-            raise ConfigError("nothing was rendered yet; the scene of an image is saved after it")
+            raise ConfigError("no image was rendered yet; render one, then save its scene")
         rotation, stars, motion = self._last
         camera = replace(self.camera, rotation_cam_from_world=rotation)
         return save_scene(path, star_scene(camera, stars, motion=motion, **self._settings))

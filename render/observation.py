@@ -47,14 +47,14 @@ MARGIN_PX = 16.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Observation:
-    """One frame of the sky with all that is known of it.
+    """A frame of the sky with its truth, attitude and settings.
 
     Attributes
     ----------
     frame : Frame
         What the detector gave out.
     expected : ExpectedImage
-        Electrons that it was made of, noiseless, diffuse light included, with the truth of every star.
+        Expected electrons of the frame, diffuse light included, with the truth of every star.
     field : SkyField
         The stars of the truth, in the same order: catalogue rows, directions.
     attitude : Rotation
@@ -62,19 +62,18 @@ class Observation:
     sensor : StarSensor
         Camera and detector.
     sky : Sky
-        All stars that there are; what a star identifier may know.
+        All stars of the sky, as known to a star identifier.
     bodies : dict of str to (float, float, float)
-        Column and row [px] of the middle of its light and electrons, of each of the simulator's bodies in the frame.
+        Column and row [px] of the centroid, and electrons, of each of the simulator's bodies in the frame.
     ghosts : GhostTruth or None
         Ghosts in the frame, where the simulator renders them: their stars count in ``field``, from ``len(field)`` on
         in ``beside``.
     beside : tuple of str
         Sources of ghosts that are no stars of the field: ids of bright stars anywhere in front of the lens, bodies.
     layers : dict of str to (h, w) float32, or None
-        Expected electrons of every source apart, where they were asked for: ``stars``, ``scatter`` (their halos),
-        ``ghosts``, ``sky`` (zodiacal and other light), ``stray`` (Sun, Moon, Earth beside the field) and ``bodies`` add
-        up to ``expected``. ``dark`` is what the detector adds to them: dark current of every pixel and
-        ``background_e_per_s``.
+        Expected electrons by source, if requested: ``stars``, ``scatter`` (their halos), ``ghosts``, ``sky`` (zodiacal
+        and other light), ``stray`` (Sun, Moon, Earth outside the field) and ``bodies`` add up to ``expected``. ``dark``
+        is the detector's contribution: dark current of every pixel and ``background_e_per_s``.
     """
 
     frame: Frame
@@ -220,7 +219,7 @@ class Observation:
 
 
 class SkySimulator:
-    """Renders frames of the sky with one star sensor; prepared once, for many attitudes.
+    """Renders frames of the sky by a star sensor at many attitudes.
 
     Parameters
     ----------
@@ -231,13 +230,13 @@ class SkySimulator:
     exposure_s : float
         Exposure time.
     passband : Band, optional
-        Filter in front of the camera (`StarSensor.passband`); all that lens and detector are known for if left out.
+        Filter in front of the camera (`StarSensor.passband`); the whole range of lens and detector if left out.
     nodes : int
         Wavelengths at which it is sampled.
     temperature_c : float, optional
         Temperature of the detector; its reference temperature if left out.
     background_e_per_s : float
-        Electrons per second in every pixel that come from anywhere.
+        Uniform background [e-/s] in every pixel.
     zodiacal : bool
         Whether there is zodiacal light, as seen from the Earth or the observer of the sky.
     uniform : UniformSky, optional
@@ -517,7 +516,7 @@ def observe(
     layers: bool = False,
     **settings: Any,
 ) -> Observation:
-    """One frame of the sky; `SkySimulator` makes many of them.
+    """Render a frame of the sky; for many frames use `SkySimulator`.
 
     Parameters
     ----------
@@ -534,7 +533,7 @@ def observe(
     rate_deg_per_s : (3,), optional
         Angular velocity in cam axes.
     layers : bool
-        Whether the light of every source is kept apart, too.
+        Whether the light of every source is also returned separately.
     **settings
         Any other setting of `SkySimulator`: ``passband=``, ``temperature_c=``, ``zodiacal=``, ``bodies=`` ...
 

@@ -87,7 +87,7 @@ class StarField:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """What the simulation knows of every star and band; pixels are (column, row), integer = pixel centre.
+    """True positions and light balance of every star and band; pixels are (column, row), integer = pixel centre.
 
     Attributes
     ----------
@@ -97,31 +97,31 @@ class Truth:
     bundle_x_px, bundle_y_px : (n, b)
         Photon-weighted mean of all traced rays that reach the image plane.
     photon_x_px, photon_y_px : (n, b)
-        Mean of all light on the detector, after charge diffusion, integrated over strips of a fraction of
-        a pixel, before the edge of the detector cuts it. A moment over whole pixels carries the sampling bias of its
-        pixel grid (up to some 1e-2 px for sharp spots), which is a property of an estimator and not of the light.
+        Centroid of all light on the detector plane, after charge diffusion, without truncation at the detector's edge,
+        integrated over cells much narrower than a pixel. A moment over whole pixels has a sampling bias (up to some
+        1e-2 px for sharp spots), an error of the estimator and not of the light.
     electrons_in : (n, b)
         Electrons that would be collected if all light that the stop alone lets in reached the detector.
     electrons_image, electrons_vignetted, electrons_off_edge, electrons_hidden : (n, b)
-        Where they went; their sum is ``electrons_in``. Hidden is what would have reached the image plane if nothing
-        stood between the sky and the lens.
+        Balance of the light; the sum is ``electrons_in``. ``electrons_hidden`` is light blocked by bodies between sky
+        and lens that would have reached the image plane.
     variance_x_px2, variance_y_px2 : (n, b)
         Second central moments of the ray bundle (no diffusion, no pixel).
     electrons_beyond : (n, b), optional
-        Light of diffraction images beyond their stamps: it lands somewhere, is not rendered, and belongs to the sum
-        that ``electrons_in`` is. 0 for rays, and if left out.
+        Light of diffraction images beyond their stamps, which is not rendered; part of the balance. 0 for rays, and if
+        left out.
     electrons_absorbed : (n, b), optional
-        Light of rays that surfaces and glasses take on top of what they take along the axis (`Camera.losses`), part of
-        the same sum; negative where they take less. 0 if left out.
+        Loss of off-axis rays in surfaces and glasses in addition to the axial loss (`Camera.losses`), part of the
+        balance; negative where the loss is smaller. 0 if left out.
     electrons_scattered : (n, b), optional
-        Light that surfaces of the lens scatter out of the star's image (`Camera.scatter`), part of the same sum; what
-        of it is drawn as a halo is no part of ``electrons_image``. 0 if left out.
+        Light that the lens scatters out of the star's image (`Camera.scatter`), part of the balance; the rendered halo
+        is not part of ``electrons_image``. 0 if left out.
     noise_area_px2 : (n, b), optional
         Noise-equivalent area of the star's rendered image, cut by no edge of the detector: square of the sum of its
         pixels over the sum of their squares. NaN without light, and if left out.
 
-    With diffraction ``photon_*_px`` is the centroid over an infinite window, which the light beyond the stamp belongs
-    to: by Parseval's theorem the mean of the rays, whatever the wavelength. A window of a few pixels sees another one.
+    With diffraction ``photon_*_px`` is the centroid over an infinite window, light beyond the stamp included: by
+    Parseval's theorem the mean of the rays at every wavelength. The centroid in a window of a few pixels differs.
     """
 
     chief_x_px: FloatArray

@@ -41,7 +41,7 @@ _NEAR, _STEPS = 0.01, 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarSensor:
-    """A camera with the detector that reads it out; `load_star_sensor` makes one.
+    """A camera and its detector; created by `load_star_sensor`.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class StarSensor:
             limit = first if start < low else last
             raise DomainError(
                 f"{key}: {band.name!r} passes {start:g} ... {end:g} nm; lens {lens.name!r} on {self.detector.name!r} "
-                f"is known for {low:g} ... {high:g} nm (the range of {limit})"
+                f"has data for {low:g} ... {high:g} nm (range of {limit})"
             )
 
     def windowed(self, width_px: int, height_px: int) -> Self:
@@ -165,7 +165,8 @@ class StarSensor:
         if detector.chips > 1:
             raise DomainError(
                 f"width_px = {width_px} px, height_px = {height_px} px on detector {detector.name!r} of "
-                f"{detector.chips} chips; windows are cut from one chip only: read all of it or take another detector"
+                f"{detector.chips} chips; a window must lie on a single chip: read the whole detector, or choose "
+                "another one"
             )
         return replace(
             self,

@@ -203,7 +203,7 @@ def _checked(
         row = int(np.flatnonzero(~(np.abs(length - 1) < 1e-6))[0])
         raise DomainError(f"catalogue_direction: row {row} has length {length[row]:.6g}; unit vectors are needed")
     if not isinstance(attitude, Rotation) or not attitude.single:
-        raise DomainError("attitude: one scipy Rotation, cam from reference, is needed")
+        raise DomainError("attitude: a single scipy Rotation, cam from reference, is needed")
     if not (np.isfinite(radius_px) and radius_px > 0):
         raise DomainError(f"radius_px = {radius_px} px; it must be finite and positive")
     return pixel, direction

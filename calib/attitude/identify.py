@@ -45,7 +45,7 @@ view below 10 deg. 40 of 40 random attitudes at 3 and 6 deg were solved with fiv
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identification:
-    """What `identify` found.
+    """Result of `identify`.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Identification:
     message : str
         One line on what happened.
     attitude : AttitudeSolution or None
-        cam from icrs, by the matched stars, all weighing the same; None unless identified.
+        cam from icrs, from the matched stars with equal weights; None unless identified.
     detected : (k,) int64
         Rows of the matched detections.
     catalogue_id : (k,) int64
@@ -65,13 +65,13 @@ class Identification:
     chance : float
         Probability of a false identification as tetra3rs states it; NaN if there is none.
     scale : float
-        Focal length that the stars show, in units of the camera model's.
+        Focal length implied by the stars / focal length of the camera model.
     residual_px : (k, 2) or None
         Measured position minus that of the catalogue star after the best rotation; None unless identified.
     beyond : (k,) bool or None
         Stars farther off than 5 sigma of their noise and the stated error of the model; none where no noise was stated.
     misfit : ChiSquare
-        Residuals beside what noise and model error make them (`calib.attitude.residuals`); the message says it too.
+        Test of the residuals against noise and model error (`calib.attitude.residuals`), also in the message.
     """
 
     status: str
@@ -114,7 +114,7 @@ def _tetra3rs() -> ModuleType:
 def build_database(
     *, min_fov_deg: float, max_fov_deg: float, magnitude_limit: float | None = None, catalogue: Path | None = None
 ) -> Any:
-    """Pattern database of tetra3rs from the Gaia catalogue that it brings along; a second for 12 deg, ten for 3 deg.
+    """Pattern database of tetra3rs from its Gaia catalogue; takes 1 s for 12 deg, 10 s for 3 deg.
 
     `calib.attitude.patterns.kept_database` keeps them on disk.
 
@@ -167,13 +167,13 @@ def _lattice(fov_deg: float) -> int:
 def load_database(path: Path | str) -> Any:
     """Database written by ``save_to_file``."""
     if not Path(path).is_file():
-        raise ConfigError(f"star pattern database {path} is not there; build_database makes one")
+        raise ConfigError(f"star pattern database {path} does not exist; create it by build_database")
     try:
         return _tetra3rs().SolverDatabase.load_from_file(str(path))
     except (OSError, RuntimeError, ValueError) as error:
         if isinstance(error, ConfigError):
             raise
-        raise ConfigError(f"{path} is no star pattern database of this tetra3rs: {error}") from None
+        raise ConfigError(f"{path} is not a star pattern database of this tetra3rs version: {error}") from None
 
 
 def identify(

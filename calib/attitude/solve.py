@@ -57,9 +57,9 @@ class AttitudeSolution:
         Of the error's rotation vector in cam [rad^2]; infinite diagonal where degenerate.
     status : str
         ``"ok"``; ``"degenerate"``: fewer than two stars, or all in one direction (or in two opposite ones);
-        ``"exchanged"``: the stars contradict each other unless two of them change names; ``"mirrored"``: a reflection
-        fits at least twice as well (in sigmas) as any rotation; ``"inconsistent"``: the loss is too large for the
-        stated sigma (probability below 1e-6), or a reflection fits a little better.
+        ``"exchanged"``: the stars are consistent only if the identifications of two stars are exchanged;
+        ``"mirrored"``: a reflection fits at least twice as well (in sigmas) as any rotation; ``"inconsistent"``: the
+        loss is too large for the stated sigma (probability below 1e-6), or a reflection fits a little better.
     message : str
         One line on what the status means here, and on a stated sigma that the stars contradict.
     parity : int
@@ -248,7 +248,7 @@ def solve_wahba_many(
     v_cam, v_ref = _directions("v_cam", v_cam), _directions("v_ref", v_ref)
     if len(v_cam) != len(v_ref):
         raise DomainError(
-            f"{len(v_cam)} directions v_cam and {len(v_ref)} directions v_ref; each star needs one of both"
+            f"{len(v_cam)} directions v_cam and {len(v_ref)} directions v_ref; each star needs both directions"
         )
     index, count = _frame_index(frame, len(v_cam), frames)
     weights = _weights(sigma_rad, weight, len(v_cam))

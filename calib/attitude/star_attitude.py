@@ -68,7 +68,7 @@ class StarAttitude:
     residual_px : (k, 2)
         Measured position minus that of the catalogue star in this attitude.
     common_px : float
-        Common centroid error per axis that the residuals ask for, beside the covariances; NaN if too few stars.
+        Common centroid error per axis, in addition to the covariances, implied by the residuals; NaN if too few stars.
     """
 
     solution: AttitudeSolution
@@ -123,12 +123,12 @@ def identify_stars(
     model_error_px: float = 0.0,
     database: Any = None,
 ) -> Identification:
-    """Which stars of the sky the stars of a frame are: lost in space, or near an attitude that is roughly known.
+    """Identify the stars of a frame, lost in space or near a rough attitude.
 
     Parameters
     ----------
     stars : StarTable
-        Measured stars (`calib.find_stars`); hot pixels and trails are told by their flags and left out.
+        Measured stars (`calib.find_stars`); stars flagged as hot pixels or trails are not used.
     model : CameraModel
         The camera.
     known : KnownStars
@@ -140,8 +140,8 @@ def identify_stars(
     tolerance_px : float
         How far from its place the right attitude may put it.
     model_error_px : float
-        Error of the camera model per axis that is allowed beside the noise of the stars; a star beyond both is told by
-        ``beyond`` and in the message.
+        Allowed error of the camera model per axis, in addition to the noise of the stars; stars beyond both are listed
+        in ``beyond`` and in the message.
     database : tetra3rs.SolverDatabase, optional
         Patterns (`calib.attitude.identify.build_database`); if left out, those for the field of the camera, which are
         kept on disk.
@@ -176,7 +176,7 @@ def identify_stars(
 def solve_attitude(
     stars: StarTable, identified: Identification, model: CameraModel, known: KnownStars, *, match_px: float = MATCH_PX
 ) -> StarAttitude:
-    """Attitude from all stars of a frame that lie near a star of the catalogue.
+    """Attitude from all stars of a frame that match a catalogue star.
 
     Parameters
     ----------

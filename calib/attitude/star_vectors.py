@@ -48,9 +48,11 @@ def initial_frame_vectors(
     if pixel.ndim != 2 or pixel.shape[1] != 2:
         raise DomainError(f"pixel_px of shape {pixel.shape}; (n, 2) is needed")
     if not installation.single:
-        raise DomainError(f"installation: {len(installation)} rotations; one is needed, the camera is mounted once")
+        raise DomainError(f"installation: {len(installation)} rotations; a single rotation is needed")
     if not table_rotation.single and len(table_rotation) != len(pixel):
-        raise DomainError(f"{len(table_rotation)} table attitudes for {len(pixel)} images; one each is needed")
+        raise DomainError(
+            f"{len(table_rotation)} table attitudes for {len(pixel)} images; each image needs an attitude"
+        )
     direction = np.array(model.unproject(pixel, band))
     found = np.isfinite(direction).all(axis=1)
     vectors = np.full(direction.shape, np.nan)

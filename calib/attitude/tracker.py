@@ -125,7 +125,9 @@ def guide_catalogue(
         alone[near[one[disturbed]]] = False
     row = np.flatnonzero(alone & (magnitude >= brightest_mag) & (magnitude <= faintest_mag))
     if not len(row):
-        raise DomainError(f"no guide star from {brightest_mag:g} to {faintest_mag:g} mag stands alone in the catalogue")
+        raise DomainError(
+            f"no guide star from {brightest_mag:g} to {faintest_mag:g} mag is isolated by apart_rad in the catalogue"
+        )
     row = row[np.argsort(magnitude[row], kind="stable")]
     return GuideCatalogue(
         id=np.asarray(identifier, np.int64)[row], direction=direction[row], magnitude=magnitude[row], row=row
@@ -308,7 +310,7 @@ class StarTracker:
         database: Any = None,
     ) -> None:
         if not 3 <= fewest <= most:
-            raise DomainError(f"fewest = {fewest}, most = {most}: at least 3, and not more than the second, are needed")
+            raise DomainError(f"fewest = {fewest}, most = {most}: 3 <= fewest <= most is needed")
         self.model, self.guides = model, guides
         self._dark, self._noise, self._window = dark_dn, noise, window_px
         self._centroid, self._psfs = centroid, tuple(psfs)
@@ -363,9 +365,7 @@ class StarTracker:
             A time that is not later than the last one.
         """
         if near is None and self._last and not time_s > self._last[-1][0]:
-            raise DomainError(
-                f"time_s = {time_s:g} s, after {self._last[-1][0]:g} s; frames have to come in the order of time"
-            )
+            raise DomainError(f"time_s = {time_s:g} s, after {self._last[-1][0]:g} s; frames must be in order of time")
         moved = None if velocity_km_per_s is None else np.asarray(velocity_km_per_s, float)
         rough = near if near is not None else self._predicted(time_s, rate_rad_per_s)
         found = None if rough is None else self._track(frame, time_s, rough, moved, "tracking")

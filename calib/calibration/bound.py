@@ -55,7 +55,7 @@ def bound(
     *,
     free: Sequence[str] | None = None,
 ) -> Bound:
-    """Cramer-Rao bound of `calib.calibration.calibrate.calibrate`; of unweighted interstar angles their covariance.
+    """Cramer-Rao bound of `calib.calibration.calibrate.calibrate`; for unweighted interstar angles their covariance.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def _inverse_information(problem: Problem, state: Any) -> tuple[Any, FloatArray,
     evaluation = problem.evaluate(state)
     if not np.isfinite(evaluation.residual).all():
         raise DomainError(
-            "bound of a calibration: the truth puts stars behind the camera, or pixels where it sees no direction"
+            "bound of a calibration: with the given truth, stars lie behind the camera or pixels have no direction"
         )
     reduced = problem.system(evaluation, np.ones(len(evaluation.residual))).reduce()
     covariance, condition, *_ = covariance_of(reduced, problem.names)

@@ -55,15 +55,15 @@ def calibrate(
     two_step : bool
         Fit without distortion first, then all (ACF17, sec. 2.2).
     loss : str or Loss
-        Robust loss; "tukey" survives wrong matches.
+        Robust loss; "tukey" rejects wrong matches.
     free : sequence of str, optional
         Camera parameters to fit; all by default. The unknowns of the family are always fitted.
 
     Returns
     -------
     Calibration
-        ``solution`` holds the free camera parameters and the common unknowns of the family; its covariance is what is
-        left when the unknowns of single frames are not known.
+        ``solution`` holds the free camera parameters and the common unknowns of the family; its covariance is marginal
+        over the unknowns of the frames.
 
     Raises
     ------

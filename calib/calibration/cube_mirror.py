@@ -174,12 +174,12 @@ def cube_from_table(
         )
     cube, table, spread, repeats = _merged(cube, table, spread)
     if len(cube) < 2:
-        raise DomainError("only one face was measured; a second one that is not parallel to it is needed")
+        raise DomainError("a single face was measured; a second, non-parallel face is needed")
     if method == "wahba":
         variance = np.maximum(np.trace(spread, axis1=1, axis2=2) / 2, 1e-24)
         solution = solve_wahba(cube, table, sigma_rad=np.sqrt(variance))
         if solution.status == "degenerate":
-            raise DomainError(f"the faces do not fix the cube: {solution.message}")
+            raise DomainError(f"the faces do not determine the cube's attitude: {solution.message}")
         rotation, covariance = solution.rotation, solution.covariance_rad2
         repeats = ChiSquare(
             value=repeats.value + solution.misfit.value,

@@ -30,7 +30,7 @@ LOST_PART = 0.5  # of a frame's stars without weight, above which its attitude i
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FreeAttitudes(RotationFamily):
-    """A rotation of its own in every frame.
+    """An independent attitude in every frame.
 
     Attributes
     ----------

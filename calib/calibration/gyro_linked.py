@@ -41,7 +41,7 @@ LEAST_WALK = 1e-12  # rad/sqrt(s): 3e-9 deg/sqrt(h), far below any gyro; keeps t
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GyroNoise:
-    """What is known about a gyro's errors.
+    """Error model of a gyro.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class GyroLinked(RotationFamily):
     link : AttitudeCorrelated
         The same frames with the gyro taken as perfect.
     lever_s : (f, 3, 3)
-        B_k, how far the body is off per rate of bias.
+        B_k, rotation of the body per unit of bias.
 
     Raises
     ------

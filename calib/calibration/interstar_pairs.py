@@ -66,7 +66,7 @@ class StarFrames:
         self.frames, self.longest = len(seen), int(count.max(initial=0))
         if self.frames * self.longest**2 > LARGEST_TABLE:
             raise DomainError(
-                f"{self.frames} frames of up to {self.longest} stars are too many pairs at once; keep the brightest "
+                f"{self.frames} frames of up to {self.longest} stars give too many pairs; keep the brightest "
                 f"{int(np.sqrt(LARGEST_TABLE / self.frames))} stars of each frame"
             )
         order = np.argsort(observations.frame, kind="stable")
@@ -285,7 +285,7 @@ class WeightedPairProblem(_CameraProblem):
         super().__init__(stars, model, free)
         seen = stars.directions(model, free)
         if seen is None:
-            raise DomainError("weights of interstar angles: a pixel has no direction by this camera")
+            raise DomainError("weights of interstar angles: a pixel has no direction in this camera model")
         frames = len(seen.unit)
         size = np.bincount(stars.table, minlength=frames)
         # turns of the frames are unknowns in disguise: a frame of n stars gives 2 n - 3 measurements

@@ -62,7 +62,7 @@ class NoAttitude(AttitudeFamily):
     Attributes
     ----------
     weighting : {"none", "full"}
-        As the document does it, or with the covariance of the pairs.
+        Equal weights, as in the paper ACF17, or the covariance of the pairs.
     pairs : {"all", "consecutive"}
         Pairs of the unweighted fit.
 

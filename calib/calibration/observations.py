@@ -22,7 +22,7 @@ def _unset() -> IntArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observations:
-    """Stars of one or many frames: where each was measured, and from which direction its light came.
+    """Stars of one or more frames: measured position and catalogue direction.
 
     Attributes
     ----------

@@ -62,7 +62,7 @@ SAME_DIRECTION = 1e-9  # rad: nominal directions closer than this are those of o
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableErrors:
-    """What a table may have wrong; by default nothing.
+    """Errors of a turntable; default: none.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class TableState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurntableAttitudes(RotationFamily):
-    """A camera on a turntable that looks at a fixed target.
+    """A camera on a turntable in front of a fixed star or target.
 
     The ``direction`` of the observations is the nominal one in the laboratory, the same in every row for a single star;
     each position of the table is a frame. A single star has two unknown angles, a target of several stars three. The
@@ -348,10 +348,10 @@ def star_direction(calibration: Calibration) -> FloatArray:
     Raises
     ------
     DomainError
-        If the calibration has no single star.
+        If the calibration is not a single-star calibration.
     """
     names = list(calibration.solution.names)
     if not set(STAR_NAMES) <= set(names):
-        raise DomainError(f"a calibration by {calibration.method!r} has no single star")
+        raise DomainError(f"a calibration by {calibration.method!r} is not a single-star calibration")
     azimuth, elevation = (float(calibration.solution.value[names.index(n)]) for n in STAR_NAMES)
     return np.array([np.cos(elevation) * np.sin(azimuth), np.sin(elevation), np.cos(elevation) * np.cos(azimuth)])

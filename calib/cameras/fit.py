@@ -148,7 +148,7 @@ class Mapped(Protocol):
 
 
 def camera_model(camera: Mapped | PixelMap) -> CameraModel:
-    """Camera model of a camera as it is: what a calibration without noise would find (`fit_camera`).
+    """Camera model of a camera, equal to a calibration without noise (`fit_camera`).
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def camera_model(camera: Mapped | PixelMap) -> CameraModel:
 
 
 def fit_camera(camera: Mapped | PixelMap, *, good_px: float = GOOD_PX) -> MapFit:
-    """The simplest of some distortion models that follows a map: Brown-Conrady, polynomials of degree 5 and 7.
+    """Simplest distortion model that fits a lens: Brown-Conrady, polynomials of degree 5 and 7.
 
     Parameters
     ----------

@@ -120,8 +120,8 @@ class FisherFit:
         tail = _tail(level)
         if self.concentration < LOW_CONCENTRATION:
             raise DomainError(
-                f"concentration {self.concentration:.3g}: the interval rests on the limit of high concentration and is "
-                f"given from {LOW_CONCENTRATION:g} on; directions that scatter that widely need another method"
+                f"concentration {self.concentration:.3g}: the interval assumes high concentration, at least "
+                f"{LOW_CONCENTRATION:g}; use another method for directions with such scatter"
             )
         nu = self.degrees_of_freedom if effective is None else effective
         if not nu > 0:
@@ -184,13 +184,13 @@ def fit_fisher(vectors: ArrayLike, *, degrees_of_freedom: float | None = None) -
     deficit = float(0.5 * np.mean(chord[0]))
     if not deficit > 0.0:
         raise DomainError(
-            f"all {len(w)} directions are the same: their concentration is infinite; noise is missing, or one "
+            f"all {len(w)} directions are the same: their concentration is infinite; noise is missing, or a "
             "measurement was repeated"
         )
     nu = 2.0 * (len(w) - 1) if degrees_of_freedom is None else float(degrees_of_freedom)
     if not (np.isfinite(nu) and nu > 0):
         raise DomainError(
-            f"degrees_of_freedom = {nu:g} for {len(w)} directions; it must be positive: measure at more places than "
+            f"degrees_of_freedom = {nu:g} for {len(w)} directions; it must be positive: take more measurements than "
             "the calibration has unknowns"
         )
     return FisherFit(mean=mean[0], count=len(w), deficit=deficit, degrees_of_freedom=nu)

@@ -55,7 +55,7 @@ def centroider_class(name: str) -> type[Centroider]:
 
 
 def register_centroider(new: type[Centroider]) -> type[Centroider]:
-    """Make a centroider of your own known by its name, in this process; usable as a decorator.
+    """Register your own centroider by name in this process; usable as a decorator.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def register_centroider(new: type[Centroider]) -> type[Centroider]:
     if missing:
         raise ConfigError(f"centroider {new.__name__} has no {' and no '.join(missing)}")
     if not is_dataclass(new):
-        raise ConfigError(f"centroider {new.__name__} is no dataclass; its fields are its options")
+        raise ConfigError(f"centroider {new.__name__} must be a dataclass, whose fields are the options")
     if new.needs_epsf and "epsf" not in _options(new):
         raise ConfigError(f"centroider {new.__name__} needs an ePSF (needs_epsf = True) and has no field epsf")
     if new.name in _REGISTRY and centroider_class(new.name) is not new:

@@ -216,8 +216,8 @@ class CentroidResponse:
     ) -> None:
         if name in NOT_LINEAR:
             raise ConfigError(
-                f"centroid = {name!r}: its threshold lies in the noise, so that no prediction without frames holds; "
-                "take another centroider, e.g. epsf or windowed"
+                f"centroid = {name!r}: its threshold is at the noise level, where no prediction without frames is "
+                "valid; use another centroider, e.g. epsf or windowed"
             )
         windows = self.windows = phase_windows(psfs, window_px, phases)
         chosen: Any = get_centroider(name)

@@ -79,7 +79,7 @@ def detect(
     if background is None:
         background = estimate_background(image)
     elif background.shape != image.dn.shape:
-        raise DomainError(f"background is for an image of {background.shape} px, this one has {image.dn.shape}")
+        raise DomainError(f"background has shape {background.shape} px, the image {image.dn.shape}; they must agree")
     search = _Search(image, background, fwhm_px)
     filtered, signal_to_noise = search.filtered, search.signal_to_noise
     if noise is None:
@@ -111,7 +111,7 @@ def detect(
 def detection_noise(
     image: SensorImage | Frame | NDArray[Any], background: Background | None = None, *, fwhm_px: float = 2.0
 ) -> FilteredNoise:
-    """Noise in which `detect` looks for stars, and the false detections that it makes.
+    """Noise of the filtered image in which `detect` searches, and the expected number of false detections.
 
     Parameters
     ----------

@@ -132,7 +132,7 @@ def threshold_for_false_alarms(count: float, pixels: int, *, fwhm_px: float = 2.
 
     if not count > 0.0 or excess(LOWEST) < 0.0 or excess(HIGHEST) > 0.0:
         most = float(false_alarms(LOWEST, pixels, fwhm_px=fwhm_px, noise_spread=noise_spread))
-        raise DomainError(f"{count:g} false alarms per image of {pixels} px; between 0 and {most:.3g} can be had")
+        raise DomainError(f"{count:g} false alarms per image of {pixels} px; it must lie between 0 and {most:.3g}")
     return float(brentq(excess, LOWEST, HIGHEST, xtol=1e-6))
 
 

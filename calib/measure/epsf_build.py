@@ -102,7 +102,7 @@ def build_epsf(
     if (star_index is None) != (frame_index is None):
         raise DomainError("star_index and frame_index belong together; give both or none")
     if position_px is not None and star_index is not None:
-        raise DomainError("position_px and star_index exclude each other; known places need no dithers")
+        raise DomainError("give either position_px or star_index; known positions need no dithers")
     known = None if position_px is None else _known(position_px, len(stamps))
     dither = None
     if star_index is not None and frame_index is not None:
@@ -126,7 +126,9 @@ def build_epsf(
         used = ~has_flag(new.flags, _UNFIT) & can
         both = used & np.isfinite(stars.x_px)
         if both.sum() < oversampling**2:
-            raise DomainError(f"only {int(both.sum())} stars could be measured with the PSF built from them")
+            raise DomainError(
+                f"only {int(both.sum())} stars could be measured with the PSF; more or brighter stars are needed"
+            )
         step = np.concatenate([(new.x_px - stars.x_px)[both], (new.y_px - stars.y_px)[both]])
         sigma = np.concatenate([new.sigma_x_px[both], new.sigma_y_px[both]])
         shift = float(np.sqrt(np.mean(step**2)))
@@ -288,7 +290,7 @@ class _Grid:
         """Sum over one phase set to 1; centre of light within the window's radius."""
         total = float(values.sum()) / self.step**2
         if not total > 0:
-            raise DomainError("the stars hold no light from which to build a PSF")
+            raise DomainError("the stars contain no light for a PSF")
         offset = (np.arange(len(values)) - len(values) // 2) / self.step
         near = offset[:, None] ** 2 + offset**2 <= (0.5 * self.window) ** 2
         weight = values * near

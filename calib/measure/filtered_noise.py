@@ -82,7 +82,9 @@ class FilteredNoise:
 
         if not count > 0.0 or excess(LOWEST) < 0.0 or excess(HIGHEST) > 0.0:
             most = float(self.false_alarms(LOWEST))
-            raise DomainError(f"{count:g} false detections per image of {self.pixels} px; 0 to {most:.3g} can be had")
+            raise DomainError(
+                f"{count:g} false detections per image of {self.pixels} px; it must lie between 0 and {most:.3g}"
+            )
         return float(brentq(excess, LOWEST, HIGHEST, xtol=1e-6))
 
     def __str__(self) -> str:

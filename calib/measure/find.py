@@ -30,9 +30,9 @@ def find_stars(
 ) -> StarTable:
     """Detected and centroided stars of an image, brightest first.
 
-    Every detection keeps its row; what is wrong with it is in its flags. ``stars.select(stars.fit)`` are those that may
-    count in an attitude. ``PIXEL_PHASE`` says that a star is too narrow (or too wide) for the centroider:
-    ``stars.width_px``, and ``stars.phase_error_px`` is what its covariance does not hold.
+    Every detection keeps its row; flags state its faults. ``stars.select(stars.fit)`` are the stars usable for an
+    attitude. ``PIXEL_PHASE`` flags stars too narrow (or too wide) for the centroider: ``stars.width_px`` is their
+    width, ``stars.phase_error_px`` the error that the covariance does not include.
 
     Parameters
     ----------

@@ -66,10 +66,10 @@ def find_hot_pixels(images: Sequence[SensorImage], *, threshold_sigma: float = 3
     Parameters
     ----------
     images : sequence of SensorImage
-        Frames of equal size, of different parts of the sky where possible; 32 of them are looked at, evenly spread. One
-        frame alone tells what is sharper than a star: cosmic rays too.
+        Frames of equal size, of different parts of the sky if possible; 32 of them, evenly spread, are used. A single
+        frame gives all pixels sharper than a star, cosmic rays included.
     threshold_sigma : float
-        Least excess over the neighbours in units of the noise of a pixel; raised to what so few frames can tell.
+        Smallest excess over the neighbours in units of the pixel noise; raised if there are too few frames.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def find_hot_pixels(images: Sequence[SensorImage], *, threshold_sigma: float = 3
 
 
 def without_pixels(image: SensorImage, mask: NDArray[np.bool_]) -> SensorImage:
-    """Leave pixels out of every measurement.
+    """Exclude pixels from every measurement.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ def image_from_frame(frame: Frame) -> SensorImage:
 
 
 def subtract_dark(frame: Frame, dark_dn: ArrayLike) -> SensorImage:
-    """A rendered frame without its fixed pattern: what is left above the nominal offset is light.
+    """Subtract the fixed pattern of a rendered frame, so that only light remains above the nominal offset.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def sensor_image(
     exposure_s: float | None = None,
     source: str = "array",
 ) -> SensorImage:
-    """An array of digital numbers as a `SensorImage`, with what is not known taken from the image itself.
+    """Digital numbers as a `SensorImage`; missing properties are estimated from the image.
 
     Unknown gain: 1 DN/e-. Unknown read noise: the noise of the background, less the shot noise of the background if
     the offset is known. Unknown offset: placed so that background and read noise together give the noise that the
@@ -134,7 +134,7 @@ def sensor_image(
     values = array.astype(np.float64)
     finite = np.isfinite(values)
     if not finite.any():
-        raise DomainError(f"image {source!r} holds no finite number; nothing can be measured on it")
+        raise DomainError(f"image {source!r} holds no finite number; it cannot be measured")
     values = np.where(finite, values, 0.0)
     if saturated is None:
         saturated = np.zeros(values.shape, bool) if saturation_dn is None else values >= saturation_dn
@@ -142,7 +142,7 @@ def sensor_image(
     valid = finite.copy()
     valid &= ~np.ma.getmaskarray(dn)
     if not valid.any():
-        raise DomainError(f"image {source!r} is masked all over; nothing can be measured on it")
+        raise DomainError(f"image {source!r} is masked all over; it cannot be measured")
     if defect is not None:
         if np.shape(defect) != values.shape:
             raise DomainError(f"defect has shape {np.shape(defect)}, the image {values.shape}; they must agree")
@@ -189,7 +189,7 @@ def read_image(
     saturation_dn: float | None = None,
     defect: NDArray[np.bool_] | None = None,
 ) -> SensorImage:
-    """An image file of any origin: FITS, TIFF, PNG, JPEG, NumPy; 8 to 16 bits or floats; grey or colour.
+    """Read an image file: FITS, TIFF, PNG, JPEG, NumPy; 8 to 16 bits or floats; grey or colour.
 
     A DN of the result is a step of the converter: 12 bits in the upper ones of 16 are divided by 16, and the level of
     saturation with them. ``str(image.conversion)`` says what was read. Of colours the mean is taken; a pixel is
@@ -274,7 +274,7 @@ def read_image(
 
 
 def read_images(paths: Iterable[str | Path], **options: Any) -> Iterator[SensorImage]:
-    """Frames of one camera, file by file: all have the size and the steps of the first.
+    """Read frames of one camera, file by file; all must have the size and steps of the first.
 
     Parameters
     ----------

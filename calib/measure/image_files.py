@@ -90,7 +90,7 @@ def _tiff(path: Path, plane: int | None) -> StoredPixels:
         _check_size(path, page.imagewidth, page.imagelength)
         for start, size in zip(page.dataoffsets, page.databytecounts, strict=False):
             if start + size > path.stat().st_size:
-                raise ConfigError(f"{path}: ends within its pixels: it is cut off")
+                raise ConfigError(f"{path}: the file ends within the pixel data: it is truncated")
         try:
             values = page.asarray()
         except ValueError:  # a compression for which tifffile wants its companion; Pillow has the usual ones
@@ -160,8 +160,8 @@ def _deep_png(path: Path) -> NDArray[Any]:
         import cv2
     except ImportError:
         raise ConfigError(
-            f"{path}: a PNG with colours of 16 bits, of which Pillow keeps 8; save it as TIFF, "
-            "or pip install opencv-python-headless"
+            f"{path}: a 16 bit colour PNG, of which Pillow reads 8 bits; save it as TIFF, or pip install "
+            "opencv-python-headless"
         ) from None
     values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if values is None:

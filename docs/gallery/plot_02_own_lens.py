@@ -2,8 +2,8 @@
 Your own lens from Zemax
 ========================
 
-A ``.zmx`` file is read line by line; the report says what was taken over, what was approximated, what has no meaning
-here. What cannot be read right is refused with the line.
+A ``.zmx`` file is read line by line; the report lists each line as taken, approximated or ignored. Unsupported features
+are refused with their line.
 """
 
 from optics import draw_distortion, draw_lens, read_lens_file
@@ -13,5 +13,5 @@ print(file.report)
 section = draw_lens(file.lens)
 
 # %%
-# Everything that is asked of a built-in lens can be asked of it.
+# All functions for built-in lenses accept it.
 distortion = draw_distortion(file.lens)

@@ -2,8 +2,8 @@
 What a star sensor will do
 ==========================
 
-`run_experiment` does from Python what ``python -m experiments.camera --sensor sensor.toml`` does: the prediction takes
-seconds and needs no frames. Here for the sensor file of the manual.
+`run_experiment` is ``python -m experiments.camera --sensor sensor.toml`` from Python. The prediction takes seconds and
+needs no frames. The sensor file is the example of the manual.
 """
 
 from experiments import run_experiment

@@ -2,9 +2,8 @@
 Point-spread function by rays and by waves
 ==========================================
 
-The same lens, the same light, two fields and two colours: where rays land, and the diffraction image of the traced
-wavefront. Both are effective PSFs, integrated over pixels of 5.5 um and the charge diffusion; above each the light in
-the brightest pixel.
+Density of the rays and diffraction image of the traced wavefront, for two fields and two colours. Both are effective
+PSFs: integrated over pixels of 5.5 um, with charge diffusion. Titles: fraction of the light in the brightest pixel.
 """
 
 import numpy as np

@@ -2,9 +2,9 @@
 Orion in colour
 ===============
 
-Gaia's stars through the 26 mm star tracker in three bands; the colour of a star comes from its temperature and from
-nothing else. A band is a long frame with its own noise, and a short one where that saturates. Out of focus and smoothed
-below, rays show what waves would.
+Gaia's stars through the 26 mm star tracker in three bands; colours follow from the stars' temperatures alone. Each band
+is a long exposure, replaced by a short exposure where it saturates. Rays suffice, because the image is defocused and
+smoothed.
 """
 
 import numpy as np

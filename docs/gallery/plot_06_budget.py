@@ -2,8 +2,8 @@
 The error budget of a star camera
 =================================
 
-Every term of ACC18's budget for the built-in camera, predicted without frames, beside what the document prints for its
-own (3 sigma); ``--config acc18_tuned`` is a camera that has the printed budget.
+Every term of the budget of the paper ACC18 (3 sigma): predicted without frames for the built-in camera, and as printed
+for the paper's camera. ``--config acc18_tuned`` is a camera tuned to the printed budget.
 """
 
 import numpy as np

@@ -2,8 +2,8 @@
 Table 1 of ACC18, and what it hides
 ===================================
 
-ACC18 averages the shift between two filters over a target of 5 x 5 points and halves it. For a centred lens that mean
-is zero by symmetry, though every point moves; 117 um of decentre of one element give the published 0.12 px.
+The paper ACC18 averages the shift between two filters over a target of 5 x 5 points and divides by two. For a centred
+lens this mean is zero by symmetry although every point shifts; a decentre of 117 um gives the published 0.12 px.
 """
 
 import numpy as np

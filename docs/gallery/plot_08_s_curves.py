@@ -2,8 +2,8 @@
 S-curves of centroiders
 =======================
 
-One star after another, each a little further across its pixel, without noise: what a centroider answers less where the
-light is. On a star as sharp as this a windowed centroid is drawn far towards the pixel's middle, a Gaussian least.
+Error of each centroider (centroid minus centroid of all light) for noiseless stars at different places in a pixel. On
+stars this sharp the windowed centroid is biased most, towards the pixel's centre, and the Gaussian fit least.
 """
 
 import numpy as np

@@ -1,9 +1,9 @@
 """
-The best that can be had, over the detector
-===========================================
+Cramer-Rao bound over the detector
+==================================
 
-The Cramer-Rao bound of a centroid follows from the PSF and the noise alone. Where the image is sharp it is small; a
-decentred element tilts the map.
+The bound of a centroid follows from PSF and noise alone. It is smallest where the image is sharpest; a decentred
+element tilts the map.
 """
 
 import numpy as np

@@ -2,8 +2,8 @@
 Photon transfer
 ===============
 
-Pairs of flat frames, their difference against their mean: the slope is the gain, the intercept the read noise, and the
-end is the full well. EMVA 1288 measures a detector this way; here the data sheet is known.
+Variance of the difference of two flat frames against their mean (EMVA 1288): the slope gives the gain, the intercept
+the read noise, the maximum the full well. The lines are the data sheet.
 """
 
 from dataclasses import replace

@@ -2,8 +2,8 @@
 Cosmic rays
 ===========
 
-Tracks of particles through the silicon, with published fluxes and spectra, energy loss that straggles, knock-on
-electrons and charge diffusion. Three seconds of a solar flare.
+Particle tracks in silicon during three seconds of a solar flare, with published fluxes and spectra, energy-loss
+straggling, knock-on electrons and charge diffusion.
 """
 
 import numpy as np

@@ -1,9 +1,9 @@
 """
-Trails, and what a rolling shutter makes of them
-================================================
+Trails with a global and a rolling shutter
+==========================================
 
-A camera that turns by a degree per second draws trails. With a global shutter all stand alike; when rows are exposed
-one after the other, every star is seen at the time of its row, and the field is sheared.
+Star trails at one degree per second. With a global shutter all trails are parallel shifts; with a rolling shutter every
+star is exposed at the time of its row, and the field is sheared.
 """
 
 import numpy as np

@@ -2,8 +2,8 @@
 The Moon behind the limb of the Earth
 =====================================
 
-From geostationary orbit the Moon sets behind the Earth among stars to magnitude 10. Both are spheres lit by the Sun,
-with their measured brightness; the nearer hides the farther and the stars, and all of it goes through the lens.
+From geostationary orbit the Moon sets behind the Earth among stars to G = 10. Both bodies are sunlit spheres of
+measured brightness, rendered through the same lens; the Earth hides the Moon, and both hide stars.
 """
 
 import numpy as np

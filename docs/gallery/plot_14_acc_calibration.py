@@ -2,8 +2,8 @@
 Calibration with attitude-correlated frames
 ===========================================
 
-Stars in a hundred frames and a gyro that links them (ACF17): one star a frame is enough. Without the gyro the same
-stars give nothing; from many stars a frame on it gains nothing.
+A hundred frames linked by a gyro (method ACC of the paper ACF17): one star per frame is enough. Without the gyro a
+single star per frame gives no calibration; with many stars per frame the gyro brings no gain.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ for stars in counts:
 print("focal length with 20 stars a frame:", calibration.model.value("focal_length_mm"), "mm, truth 25.6 mm")
 figure, axes = plt.subplots(figsize=(6.5, 4.0), layout="constrained")
 axes.loglog(counts, with_gyro, "o-", label="frames linked by a gyro")
-axes.loglog(counts, without, "s--", label="every frame by itself")
+axes.loglog(counts, without, "s--", label="independent frames")
 axes.set(xlabel="stars in a frame", ylabel="bound of the focal length [um]", title="100 frames, 0.05 px")
 axes.set_xticks(counts, counts)
 axes.legend()

@@ -2,8 +2,8 @@
 A camera on a turntable
 =======================
 
-One collimated star and a two-axis table calibrate a camera: a grid of poses puts the star all over the detector. The
-residuals are the noise. The star's own direction is known far worse than they are, and the line of sight does not mind.
+A collimated star and a two-axis table calibrate a camera: a grid of poses moves the star over the detector. The
+residuals are noise. The star's direction is determined much less accurately, without effect on the line of sight.
 """
 
 import numpy as np

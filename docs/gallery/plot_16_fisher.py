@@ -2,8 +2,8 @@
 The scatter of star vectors
 ===========================
 
-Repeated star vectors scatter on the sphere. The Fisher distribution gives their standard deviation with an interval
-from the data alone; the squared distances from the mean are exponential if it is the right distribution.
+Repeated star vectors scatter on the sphere. The Fisher distribution gives their standard deviation and its confidence
+interval; if it applies, the squared distances from the mean are exponentially distributed.
 """
 
 import numpy as np

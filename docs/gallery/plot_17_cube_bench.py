@@ -2,9 +2,9 @@
 Sun sensor and cube mirror
 ==========================
 
-The bench of CUBE09, path traced: an aperture throws a beam of sunlight on a face of a cube mirror, and what the face
-sends back lands on the screen around the aperture. Its displacement tells how the face is turned. Brightness is
-arsinh of the electrons of a pixel.
+The bench of the paper CUBE09, path traced: sunlight passes an aperture, is reflected by a face of the cube mirror and
+returns to the screen around the aperture. The spot's displacement measures the tilt of the face. Brightness: arsinh of
+the electrons per pixel.
 """
 
 import numpy as np

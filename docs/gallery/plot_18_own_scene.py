@@ -2,8 +2,8 @@
 Stars in your own Mitsuba scene
 ===============================
 
-Three plugins go into any scene dictionary: a camera with a real lens, a field of stars, and the integrator that traces
-them. A lamp of the scene is seen through the same lens by Mitsuba's own path tracer.
+Any scene dictionary may contain three plugins: a camera with a real lens, a star field, and the integrator that traces
+the stars. Mitsuba's path tracer renders a lamp of the scene through the same lens.
 """
 
 import numpy as np

@@ -2,8 +2,8 @@
 A gradient through lens and image
 =================================
 
-Images of stars are differentiable by focus, decentre, curvature, attitude and every star. Here a tilt of the camera:
-forward mode gives the change of every pixel, exact, without finite differences.
+Star images are differentiable with respect to focus, decentre, curvature, attitude and star parameters. Example: the
+exact derivative of every pixel with respect to a tilt of the camera, by forward mode.
 """
 
 import drjit as dr

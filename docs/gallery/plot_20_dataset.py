@@ -2,8 +2,8 @@
 A dataset in five lines
 =======================
 
-Frames of the real sky with the truth of every star, in a folder that can be grown, checked and cited; world
-coordinates in the headers lead to the same places as the truth.
+Frames of the real sky with the truth of every star, in a folder that can be extended, checked and cited. The world
+coordinates of the headers give the positions of the truth.
 """
 
 from tempfile import TemporaryDirectory

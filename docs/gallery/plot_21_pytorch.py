@@ -2,8 +2,8 @@
 The dataset in PyTorch
 ======================
 
-A map-style dataset over the folder: frames as tensors, star positions beside them. PyTorch (``pip install torch``) is
-large and nothing else here needs it: without it the same lines run on arrays, one frame after the other.
+A map-style dataset of the folder: frames as tensors, with star positions. PyTorch (``pip install torch``) is optional:
+without it the same lines run on arrays, frame by frame.
 """
 
 from importlib import import_module

@@ -2,8 +2,8 @@
 Lost in space
 =============
 
-A frame of the real sky, its stars found and identified without any hint (by tetra3rs, where it is installed; else from
-a rough attitude), and the attitude with its error against the truth.
+Stars of a frame of the real sky are detected and identified without a priori attitude (by tetra3rs; if it is not
+installed, from a rough attitude), and the solved attitude is compared with the truth.
 """
 
 from importlib.util import find_spec
@@ -25,5 +25,5 @@ print("predicted:             ", solution.sigma_arcsec.round(2))
 marked = mark_stars(observation.show(brightest=6), stars, solution)
 
 # %%
-# What is left of every star, enlarged.
+# Residuals of the stars, enlarged.
 residuals = draw_residuals(solution, stars)

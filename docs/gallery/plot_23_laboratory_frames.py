@@ -2,8 +2,8 @@
 Frames of your laboratory
 =========================
 
-A folder of FITS files and ``frames.toml`` that says which is which: the reduction of the experiment runs on them, and
-judges them first. The frames of this folder are rendered; the reduction does not know.
+The experiment's reduction checks and reduces FITS files that ``frames.toml`` describes. Here the frames are rendered;
+the reduction receives the files only.
 """
 
 from pathlib import Path

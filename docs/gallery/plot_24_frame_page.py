@@ -1,9 +1,9 @@
 """
-A frame to zoom into
-====================
+A zoomable page of a frame
+==========================
 
-One HTML file that needs neither server nor network: wheel or two fingers zoom, a click tells all of a star, the true
-and the measured places are layers. ``starbench frame show FILE.fits`` makes the same of any FITS image.
+A single HTML file that needs neither server nor network: zoom by wheel or two fingers, click a star for its data,
+switch true and measured positions on and off. ``starbench frame show FILE.fits`` writes such a page of any FITS image.
 """
 
 from pathlib import Path

@@ -2,9 +2,9 @@
 A star tracker in a control loop
 ================================
 
-The sensor is a plain function: attitude, rate and time in; quaternion and covariance out. Here it errs as its budget
-predicts, fast enough for a loop of 1 kHz; ``by_frames`` renders every exposure and answers with the same record. A
-rigid body turns by half a degree, damped by its rate, and holds.
+The sensor is a function of attitude, rate and time that returns quaternion and covariance. Here its errors are drawn
+from the predicted budget, fast enough for a loop of 1 kHz; ``by_frames`` renders every exposure instead. A rigid body
+turns by half a degree with rate damping and holds its attitude.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Does a gyro help to calibrate a star sensor in orbit: frames linked by attitude against other methods (ACF17)?
+"""Calibration in orbit with frames linked by a gyro (method ACC of ACF17), compared with methods without a gyro.
 
 Star positions with noise and gyro rates are simulated as in Table 1 of ACF17 and calibrated by the document's method
 (ACC), with a gyro of stated noise, by interstar angles (IAC, as published and fully weighted) and with free attitudes,

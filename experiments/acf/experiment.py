@@ -60,8 +60,8 @@ def check_design(config: Config) -> None:
     _check_distortion(config)
     if config.gyro.motion == "fixed_axis":
         raise DomainError(
-            "gyro.motion = 'fixed_axis': the installation's turn about that axis does not show in any star, 13 of the "
-            "14 unknowns can be found; use 'turning_axis'"
+            "gyro.motion = 'fixed_axis': the rotation of the installation about this axis is not observable, 13 of "
+            "the 14 unknowns are determined; use 'turning_axis'"
         )
     for point, key in ((table2_point(config), "sky.stars_per_frame"), (counts_points(config)[0], "counts")):
         _check_point(config, point, key)
@@ -81,7 +81,7 @@ def _check_distortion(config: Config) -> None:
     if not part <= MOST_DISTORTION:
         raise DomainError(
             f"camera: this distortion moves the image by {100 * part:.0f} % of its distance from the principal point "
-            f"at a corner of the detector; at most {100 * MOST_DISTORTION:.0f} % are possible: use smaller q1_per_mm2 "
+            f"at a corner of the detector; at most {100 * MOST_DISTORTION:.0f} % is possible: use smaller q1_per_mm2 "
             "... p2_per_mm"
         )
 
@@ -91,7 +91,7 @@ def _check_point(config: Config, point: Point, key: str) -> None:
     behind = int((sky.stars.direction[sky.used, 2] <= 0.0).sum())
     if behind and not config.start.phi_from_stars:
         raise DomainError(
-            f"sky.phi_deg = {list(config.sky.phi_deg)} deg: from the document's start, phi = 0, {behind} of "
+            f"sky.phi_deg = {list(config.sky.phi_deg)} deg: from ACF17's start, phi = 0, {behind} of "
             f"{int(sky.used.sum())} stars are behind the camera; set start.phi_from_stars=true"
         )
     design = sky.calibrating
@@ -106,7 +106,8 @@ def _check_point(config: Config, point: Point, key: str) -> None:
             if worst_deg <= WORST_DEG:
                 return
             raise DomainError(
-                f"the installation would be known to {worst_deg:.1f} deg only (the body turns by {swept_deg:.2g} deg, "
+                f"the installation would be determined to {worst_deg:.1f} deg only (the body turns by "
+                f"{swept_deg:.2g} deg, "
                 f"{len(design.frame)} stars calibrate); at most {WORST_DEG:g} deg can be adjusted: a faster "
                 f"gyro.angular_speed_deg_per_s, more frames or more stars ({key}) are needed"
             )
@@ -259,7 +260,7 @@ SECTIONS = {
                 "failures_n",
                 0.0,
                 title="Fig. 3 to 5 and Table 2: calibrations that did not converge, all methods",
-                advice="start nearer to the camera (start.focal_length_mm), or set start.phi_from_stars=true",
+                advice="use a better start value (start.focal_length_mm), or set start.phi_from_stars=true",
             )
         ],
     ),

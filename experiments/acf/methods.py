@@ -109,7 +109,7 @@ class Pull:
     """RMS error of an unknown over a predicted standard deviation, all noises of Fig. 5 together."""
 
     own: float = col("ACC, own covariance", "", ".3f")
-    carried: float = col("ACC, gyro's error carried through", "", ".3f")
+    carried: float = col("ACC, gyro's error included", "", ".3f")
     linked: Measured = col("Gyro of stated noise, own covariance", json_error="linked_error")
 
 
@@ -280,7 +280,7 @@ METHODS = {
         dim="method",
         prefix="pooled_",
         table="methods",
-        caption="Errors of the methods of Fig. 5 per pixel of star noise, all noises together.",
+        caption="Errors of the methods of Fig. 5 per pixel of star noise, for all noise values together.",
         note="Line of sight: RMS over the detector after the best rotation.",
         verdicts=[
             ratio_near(
@@ -300,7 +300,7 @@ METHODS = {
         prefix="pull_",
         place="pulls",
         table="pulls",
-        caption="RMS pull (error over predicted standard deviation) of the 14 unknowns; 1 is right.",
+        caption="RMS pull (error over predicted standard deviation) of the 14 unknowns; expected 1.",
     ),
     "fig5_all": Section(
         record=Fig5,
@@ -309,7 +309,7 @@ METHODS = {
                 "nees_ratio",
                 within=0.03,
                 title="errors of the 14 unknowns over their covariance (NEES), gyro of stated noise",
-                advice="a bias, or a covariance that is not that of the errors: did the adjustments converge?",
+                advice="a bias or a wrong covariance: check that the calibrations converged",
             )
         ],
     ),

@@ -305,8 +305,9 @@ REPROJECTION = {
         across="axis",
         columns="pixel_um stars rms_px expected_axis_px published_px",
         caption="ACF17 Fig. 4: reprojection of noise-free even frames at the noise of Table 2, gyro of Table 1.",
-        note="RMS over all runs, by axis. Inferred: pixel and stars that Table 2 implies. The published RMS is "
-        "of one run, which scatters by some 15 %: too little to notice 25 %, so it is shown, not judged.",
+        note="RMS over all runs, by axis. Inferred: pixel pitch and star count implied by Table 2. The "
+        "published RMS is of a single run with a standard deviation of some 15 %: it cannot detect "
+        "an error of 25 % and is not judged.",
     ),
     "counts": Section(
         record=Count,
@@ -324,7 +325,7 @@ REPROJECTION = {
                 "reprojection_ratio",
                 within=0.03,
                 title="Fig. 3 and star counts: mean reprojection error over its prediction",
-                advice="did every calibration converge? else raise runs",
+                advice="check that every calibration converged, or raise runs",
             )
         ],
     ),

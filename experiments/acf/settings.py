@@ -39,12 +39,12 @@ GyroSizes = Annotated[tuple[Annotated[float, Field(ge=0, le=1000)], ...], ONE]
 
 
 class CameraConfig(StrictModel):
-    """The star sensor of Table 1; the pixel is not given there."""
+    """The star sensor of Table 1, which does not state the pixel pitch."""
 
     width_px: int = Field(default=1024, ge=16, le=20000, description="columns")
     height_px: int = Field(default=1024, ge=16, le=20000, description="rows")
-    pixel_um: float = Field(default=10.0, gt=0, le=1000, description="pixel pitch; not in the document")
-    focal_length_mm: float = Field(default=25.6, gt=0, le=1e5, description="f")
+    pixel_um: float = Field(default=10.0, gt=0, le=1000, description="pixel pitch; not stated by ACF17")
+    focal_length_mm: float = Field(default=25.6, gt=0, le=1e5, description="focal length")
     x0_px: float = Field(
         default=10.0, ge=-1e5, le=1e5, description="principal point from the centre of the image, columns"
     )
@@ -81,76 +81,88 @@ class CameraConfig(StrictModel):
 
 
 class StartConfig(StrictModel):
-    """Where ACC starts: the initial values of Table 2, with no distortion and theta = 0; the others take its camera."""
+    """Start values of ACC: Table 2, no distortion, theta = 0; the other methods start from ACC's camera."""
 
     focal_length_mm: float = Field(default=20.0, gt=0, le=1e5, description="initial focal length")
     x0_px: float = Field(default=0.0, ge=-1e5, le=1e5, description="initial principal point, columns")
     y0_px: float = Field(default=0.0, ge=-1e5, le=1e5, description="initial principal point, rows")
     phi_from_stars: bool = Field(
-        default=False, description="phi from the stars as the start camera sees them, in place of the document's 0 deg"
+        default=False, description="start phi from the stars with the start camera, in place of ACF17's 0 deg"
     )
 
 
 class GyroConfig(StrictModel):
-    """The gyro of Table 1, and how it moves; the document does not say about which axes it turns."""
+    """The gyro of Table 1 and the motion; ACF17 does not state the axes of rotation."""
 
     rate_hz: float = Field(default=100.0, gt=0, le=10000, description="samples per second")
-    angular_speed_deg_per_s: float = Field(default=0.5, gt=0, le=20, description="size of the rate vector")
+    angular_speed_deg_per_s: float = Field(default=0.5, gt=0, le=20, description="magnitude of the angular rate")
     motion: Literal["turning_axis", "fixed_axis"] = Field(
-        default="turning_axis", description="whether the axis of rotation turns in the body, once in the sequence"
+        default="turning_axis", description="whether the rotation axis turns in the body, once per sequence"
     )
-    bias_deg_per_h: float = Field(default=0.03, ge=0, le=1000, description="size per axis; its sign is drawn per run")
-    angle_random_walk_deg_per_sqrt_h: float = Field(default=0.005, ge=0, le=100, description="per axis")
+    bias_deg_per_h: float = Field(
+        default=0.03, ge=0, le=1000, description="magnitude of the bias per axis; its sign is drawn per run"
+    )
+    angle_random_walk_deg_per_sqrt_h: float = Field(
+        default=0.005, ge=0, le=100, description="angle random walk per axis"
+    )
     installation_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = Field(
         default=(2.0, 2.0, 2.0), description="theta1, theta2, theta3: star sensor from gyro, angles as in eq. 2"
     )
 
 
 class SkyConfig(StrictModel):
-    """Stars, uniform over the sphere; their number is not in the document."""
+    """Stars, uniform over the sphere; ACF17 does not state their number."""
 
     # with one star in a frame there is no interstar angle and no free attitude
-    stars_per_frame: float = Field(default=34.0, ge=2, le=200, description="mean number in a frame")
+    stars_per_frame: float = Field(default=34.0, ge=2, le=200, description="mean number of stars per frame")
     phi_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = Field(
         default=(56.9476, -1.0046, -25.3335), description="phi1, phi2, phi3 of the first frame (Table 2)"
     )
 
 
 class SweepConfig(StrictModel):
-    """What the document lacks: gain over free attitudes against stars per frame and gyro noise."""
+    """Not in ACF17: gain over free attitudes against star count and gyro noise."""
 
     stars: Annotated[tuple[Annotated[int, Field(ge=2, le=100)], ...], TWO] = Field(
-        default=(2, 3, 4, 6, 10, 20, 40), description="stars in every frame"
+        default=(2, 3, 4, 6, 10, 20, 40), description="stars per frame"
     )
     gyro_factor: Annotated[tuple[Annotated[float, Field(ge=0, le=1e5)], ...], ONE] = Field(
-        default=(0.0, 1.0, 10.0, 50.0), description="bias and random walk in units of Table 1's"
+        default=(0.0, 1.0, 10.0, 50.0), description="gyro bias and random walk relative to Table 1"
     )
-    noise_px: float = Field(default=0.1, gt=0, le=10, description="noise of a star's position, per axis")
-    skies: int = Field(default=100, ge=4, le=10000, description="runs per point, each with a sky of its own")
+    noise_px: float = Field(default=0.1, gt=0, le=10, description="noise of a star's position per axis")
+    skies: int = Field(default=100, ge=4, le=10000, description="runs per point, each with another sky")
 
 
 class Config(SensorExperimentConfig):
-    """The published runs: ACF17 gives all of it but the pixel, the number of stars and the axes of the motion."""
+    """The published runs; ACF17 does not state pixel pitch, number of stars and axes of motion."""
 
     camera: CameraConfig = CameraConfig()
     start: StartConfig = StartConfig()
     gyro: GyroConfig = GyroConfig()
     sky: SkyConfig = SkyConfig()
-    frames: int = Field(default=60, ge=4, le=1000, description="frames; odd ones calibrate, even ones judge (sec. 3.1)")
+    frames: int = Field(
+        default=60, ge=4, le=1000, description="frames; odd frames calibrate, even frames test (sec. 3.1)"
+    )
     frame_rate_hz: float = Field(default=1.0, gt=0, le=1000, description="frames per second")
-    runs: int = Field(default=100, ge=4, le=100000, description="Monte-Carlo runs per point")
+    runs: int = Field(default=100, ge=4, le=100000, description="Monte Carlo runs per point")
     noise_px: Annotated[tuple[Annotated[float, Field(gt=0, le=10)], ...], TWO] = Field(
         default=(0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5),
-        description="noise of a star's position, per axis (Fig. 3, Fig. 5)",
+        description="noise of a star's position per axis (Fig. 3, Fig. 5)",
     )
     table_noise_px: float = Field(default=0.1, gt=0, le=10, description="the same for Fig. 4 and Table 2")
-    bias_deg_per_h: GyroSizes = Field(default=(0.001, 0.01, 0.1), description="Fig. 3a; random walk zero")
-    angle_random_walk_deg_per_sqrt_h: GyroSizes = Field(default=(0.0001, 0.001, 0.01), description="Fig. 3b; bias zero")
+    bias_deg_per_h: GyroSizes = Field(
+        default=(0.001, 0.01, 0.1), description="bias values of Fig. 3a, without random walk"
+    )
+    angle_random_walk_deg_per_sqrt_h: GyroSizes = Field(
+        default=(0.0001, 0.001, 0.01), description="random-walk values of Fig. 3b, without bias"
+    )
     counts: Annotated[tuple[Annotated[int, Field(ge=2, le=200)], ...], TWO] = Field(
-        default=(6, 10, 14, 20, 34, 60), description="stars in every frame, for Fig. 4's RMS against them"
+        default=(6, 10, 14, 20, 34, 60), description="star counts of the RMS curve (Fig. 4)"
     )
     sweep: SweepConfig = SweepConfig()
-    workers: int = Field(default=0, ge=0, le=256, description="processes; 0: one per processor; changes no result")
+    workers: int = Field(
+        default=0, ge=0, le=256, description="processes; 0: one per processor; the result does not depend on it"
+    )
 
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
@@ -189,7 +201,7 @@ class Config(SensorExperimentConfig):
         if measured < unknowns + CAMERA_UNKNOWNS:
             raise ValueError(
                 f"sweep.stars = {self.sweep.stars[0]}, frames = {self.frames}: {measured} measurements for {unknowns} "
-                f"unknowns of the camera and free attitudes; at least {unknowns + CAMERA_UNKNOWNS} are needed: more "
+                f"unknowns of camera and free attitudes; at least {unknowns + CAMERA_UNKNOWNS} are needed: more "
                 "stars or more frames"
             )
         return self
@@ -205,7 +217,7 @@ experiment = Experiment(
     examples={
         "--quick": "a small run",
         "--set runs=20": "fewer runs",
-        "--set camera.pixel_um=6.36 --set sky.stars_per_frame=21": "the pixel and the stars that Table 2 implies",
+        "--set camera.pixel_um=6.36 --set sky.stars_per_frame=21": "pixel size and star count implied by Table 2",
     },
     show=("table2", "fig4"),
     renders=lambda _: False,

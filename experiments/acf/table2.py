@@ -221,8 +221,8 @@ TABLE2 = {
         place="table2[unknown]",
         table="table2",
         caption="ACF17 Table 2: errors after calibration, published, measured, and the Cramér–Rao bound of one run.",
-        note="Odd frames calibrate. The mean error is known to the scatter of a run over the root of the runs. The "
-        "bound takes the gyro as perfect, as eq. 11 does; the last column carries the gyro's error through.",
+        note="Odd frames calibrate. Standard error of the mean: standard deviation of a run / √runs. "
+        "The bound assumes a perfect gyro, as eq. 11 does; the last column includes the gyro's error.",
     ),
     "sums": Section(record=Sums, prefix="table2_"),
     "implied": Section(record=Implied, prefix="implied_", place="inference"),

@@ -348,7 +348,7 @@ def run_tasks(
             return results
         except BrokenProcessPool:
             raise BackendError(
-                "a Monte-Carlo process vanished (killed, or out of memory); set workers=1 or lower sky.stars_per_frame"
+                "a Monte Carlo process ended (killed, or out of memory); set workers=1 or lower sky.stars_per_frame"
             ) from None
         except BaseException:  # what the workers are at is of no use any more; processes of others are left alone
             for child in set(multiprocessing.active_children()) - others:

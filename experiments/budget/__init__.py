@@ -1,4 +1,4 @@
-"""How accurate a star camera is, term by term: predicted without frames, measured on rendered ones, published (ACC18).
+"""Error budget of a star camera, term by term: predicted without frames, measured on frames, published (ACC18).
 
 From one instrument (lens, detector, light, centroider, stars) every term is predicted by noise analysis, PSF sampling
 and ray trace, and measured by running the virtual laboratory; both add up by eq. 31-32. Then: the predicted budget

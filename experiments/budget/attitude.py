@@ -314,7 +314,8 @@ SECTIONS = {
         prefix="attitude_",
         json={"arcsec": "monte_carlo_arcsec_3sigma"},
         table="attitude",
-        caption="Attitude at the number of stars of the budget, 3 sigma: fields of stars through the estimator.",
+        caption="Attitude error for the budget's number of stars, 3 sigma, from solved attitudes of "
+        "simulated star fields.",
         note="x, y: displacement of the boresight. Rule: total / √N; for roll also divided by the RMS distance of a "
         "star from the middle of the field.",
     ),

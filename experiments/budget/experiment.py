@@ -382,8 +382,9 @@ SECTIONS = {
         place="terms[term][axis]",
         table="budget",
         caption="The budget, 3 sigma; uncertainties are one standard deviation.",
-        note="C2, measured: scatter of repeated surveys; no frame has a part in it. Attitude, measured: stars with the "
-        "measured errors, solved. Predicted uncertainties of HSFE and C1 are the scatter from chip to chip.",
+        note="C2, measured: scatter of repeated surveys, independent of frames. Attitude, measured: "
+        "error of attitudes solved from stars with the measured errors. Predicted uncertainties of "
+        "HSFE and C1: scatter from chip to chip.",
         figures={
             "budget_bars": bars(
                 "term",
@@ -405,7 +406,7 @@ SECTIONS = {
         rows="term axis",
         across="method",
         columns="measured_arcsec",
-        caption="The budget by centroider on the same frames, measured, 3 sigma.",
+        caption="Measured budget by centroider, same frames, 3 sigma.",
     ),
     "chief": Section(record=Chief),
     "agreement": Section(
@@ -416,7 +417,7 @@ SECTIONS = {
         across="method",
         columns="pull",
         caption="Deviations: predicted minus measured, in standard deviations, by centroider.",
-        note="LSFE-S: of the signed entry of Table 1 that is farthest from its prediction.",
+        note="LSFE-S: signed entry of Table 1 with the largest deviation from its prediction.",
         verdicts=[
             agree("deviation", 0.0, of="whole", each="method", title="TE, HSFE, S, C1, C2, predicted minus measured"),
             ratio_near("together", within=0.03, at={"method": 0}),
@@ -433,7 +434,7 @@ SECTIONS = {
         table="causes",
         rows="cause",
         across="axis",
-        caption="HSFE by cause, predicted, 3 sigma.",
+        caption="Predicted HSFE by cause, 3 sigma.",
         figures={"cause_bars": bars("cause", bars="cause_arcsec", by="axis", width="half", aspect_ratio=0.75)},
     ),
     "parts": Section(record=Parts, place="parts", table="parts", rows="axis", caption="Parts of the terms, 3 sigma."),

@@ -29,30 +29,32 @@ from experiments.laboratory.settings import (
 
 
 class MovedConfig(StrictModel):
-    """One element of the lens that is not where the design has it."""
+    """Displacement of an element of the lens."""
 
-    element: str = Field(default="L45", description="which")
-    decentre_x_um: float = Field(default=0.0, ge=-3000, le=3000, description="along increasing column")
-    decentre_y_um: float = Field(default=0.0, ge=-3000, le=3000, description="along increasing row")
-    tilt_x_arcmin: float = Field(default=0.0, ge=-180, le=180, description="rotation vector along +x of the lens")
-    tilt_y_arcmin: float = Field(default=0.0, ge=-180, le=180, description="rotation vector along +y of the lens")
-    despace_um: float = Field(default=0.0, ge=-3000, le=3000, description="along the light")
+    element: str = Field(default="L45", description="name of the element")
+    decentre_x_um: float = Field(default=0.0, ge=-3000, le=3000, description="decentre along increasing column")
+    decentre_y_um: float = Field(default=0.0, ge=-3000, le=3000, description="decentre along increasing row")
+    tilt_x_arcmin: float = Field(default=0.0, ge=-180, le=180, description="rotation about +x of the lens")
+    tilt_y_arcmin: float = Field(default=0.0, ge=-180, le=180, description="rotation about +y of the lens")
+    despace_um: float = Field(default=0.0, ge=-3000, le=3000, description="shift along the light")
 
 
 class StepConfig(laboratory_settings.StepConfig):
     """The step test (ACC18 section 1.3)."""
 
-    places: int = Field(default=6, ge=1, le=20, description="places of the field where the test is made; RMS of them")
+    places: int = Field(default=6, ge=1, le=20, description="field positions of the test; the result is their RMS")
 
 
 class GridConfig(GridTargetConfig):
     """The grid target (ACC18 section 1.4.2) and its reduction; three times its marking error is the term C2."""
 
-    order: int = Field(default=3, ge=1, le=7, description="of the polynomial (ACC18: 3)")
+    order: int = Field(default=3, ge=1, le=7, description="order of the polynomial (ACC18: 3)")
     reference: Literal["nominal", "aligned", "calibrated"] = Field(
-        default="calibrated", description="how target coordinates become pixels"
+        default="calibrated", description="conversion of target coordinates to pixels"
     )
-    surveys: int = Field(default=200, ge=1, le=5000, description="surveys of the target, same frames; RMS of them")
+    surveys: int = Field(
+        default=200, ge=1, le=5000, description="surveys of the target for the same frames; the result is their RMS"
+    )
 
     @model_validator(mode="after")
     def _enough(self) -> GridConfig:
@@ -66,37 +68,35 @@ class GridConfig(GridTargetConfig):
 
 
 class AttitudeConfig(StrictModel):
-    """Monte-Carlo of the attitude."""
+    """Monte Carlo of the attitude."""
 
     stars: int = Field(default=10, ge=2, le=1000, description="stars in the field (ACC18: 10)")
     counts: tuple[Annotated[int, Field(ge=2, le=10_000)], ...] = Field(
-        default=(2, 3, 4, 5, 7, 10, 15, 20, 30, 50), min_length=1, description="numbers of stars of the curve"
+        default=(2, 3, 4, 5, 7, 10, 15, 20, 30, 50), min_length=1, description="star counts of the curve"
     )
-    trials: int = Field(default=4000, ge=50, le=1_000_000, description="fields of stars per number")
+    trials: int = Field(default=4000, ge=50, le=1_000_000, description="simulated fields per star count")
 
 
 class ThermalConfig(StrictModel):
-    """Temperature of lens and housing in use, about that of the calibration."""
+    """Temperature of lens and housing relative to the calibration."""
 
     stability_k: float = Field(
-        default=1.0, ge=0, le=40, description="3 sigma; ACC18 holds its laboratory to 20 +- 1 C; 0: no thermal term"
+        default=1.0, ge=0, le=40, description="3 sigma (ACC18's laboratory: 20 +- 1 C); 0: no thermal term"
     )
 
 
 class ToleranceConfig(StrictModel):
-    """Monte-Carlo of the lens as built: standard deviations, every element, both axes."""
+    """Monte Carlo over manufactured lenses: standard deviations for every element and both axes."""
 
     decentre_um: float = Field(default=10.0, ge=0, le=1000, description="decentre per axis")
     tilt_arcmin: float = Field(default=0.5, ge=0, le=60, description="tilt per axis, about the first vertex")
     despace_um: float = Field(default=10.0, ge=0, le=1000, description="shift along the axis")
-    draws: int = Field(default=200, ge=2, le=100_000, description="lenses built")
-    limit_px: float = Field(
-        default=80.0, gt=0, le=1e5, description="boresight motion beyond which a lens counts as not built"
-    )
+    draws: int = Field(default=200, ge=2, le=100_000, description="lenses drawn")
+    limit_px: float = Field(default=80.0, gt=0, le=1e5, description="largest accepted boresight shift of a lens")
 
 
 class Config(SweptConfig, SensorExperimentConfig):
-    """One instrument and what is asked of it."""
+    """Instrument and tests of the error budget."""
 
     NOT_SWEPT = frozenset({"attitude", "thermal", "tolerances"})
 
@@ -113,20 +113,24 @@ class Config(SweptConfig, SensorExperimentConfig):
     grid: GridConfig = GridConfig()
     thermal: ThermalConfig = ThermalConfig()
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position (ACC18: at least 30)")
-    dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
-    window_px: OddPx = Field(default=13, ge=7, le=63, description="window around a point, odd")
-    centroid: CentroiderName = Field(
-        default="cog", description="centroider that counts; ACC18 names the centre of gravity"
+    dark_frames: int = Field(
+        default=100, ge=2, le=10000, description="dark frames per position, averaged and subtracted"
     )
+    window_px: OddPx = Field(default=13, ge=7, le=63, description="side of the centroid window, odd")
+    centroid: CentroiderName = Field(default="cog", description="main centroider; ACC18 uses the centre of gravity")
     compare: tuple[ProcessingName, ...] = Field(
-        default=("epsf", "epsf_measured"), description="others on the same frames; epsf_measured: PSF built from frames"
+        default=("epsf", "epsf_measured"),
+        description="other centroiders for the same frames; epsf_measured: PSF built from frames",
     )
     attitude: AttitudeConfig = AttitudeConfig()
     tolerances: ToleranceConfig = ToleranceConfig()
     published_within_fraction: float | None = Field(
-        default=None, gt=0, le=1, description="if given, the measured terms have to land this near to the published"
+        default=None,
+        gt=0,
+        le=1,
+        description="required relative agreement of measured with published terms; default: not required",
     )
-    predict_only: bool = Field(default=False, description="no rendered frames: the predicted terms and sums alone")
+    predict_only: bool = Field(default=False, description="predict only, without rendered frames")
 
     @model_validator(mode="after")
     def _windows(self) -> Config:
@@ -166,10 +170,10 @@ rendered = Experiment(
         "--quick": "a small run",
         "--predict-only": "the predicted terms alone, in seconds",
         "--sweep detector.read_noise_e=2:20:10": "the predicted budget against the read noise",
-        "--config acc18_tuned": "an instrument with the published budget",
+        "--config acc18_tuned": "an instrument tuned to the published budget",
     },
     show=("budget",),
-    options={"predict-only": ("predict_only", "No rendered frames: the predicted terms and sums alone.")},
+    options={"predict-only": ("predict_only", "Predict only, without rendered frames.")},
     instead=_instead,
     quick={
         "frames": 10,

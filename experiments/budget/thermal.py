@@ -190,7 +190,7 @@ THERMAL = Section(
     rows="axis",
     columns="predicted_arcsec measured_arcsec total_predicted_arcsec total_measured_arcsec scale_ppm_per_k "
     "measured_scale_ppm_per_k",
-    caption="LSFE-T, 3 sigma, the total (eq. 32) with it, and the growth of the image.",
+    caption="LSFE-T, the total (eq. 32) including it, and the scale change of the image; 3 sigma.",
     verdicts=[
         agree(
             "thermal_measured_scale_ppm_per_k",

@@ -220,7 +220,7 @@ TOLERANCES = Section(
     rows="built_error axis",
     across="percentile",
     columns="design_arcsec built_arcsec",
-    caption="Lenses as built: the error that so many of them stay below, 3 sigma.",
-    note="Chromatic: of all the light, by ray trace.",
+    caption="Manufactured lenses: error not exceeded by the stated fraction of lenses, 3 sigma.",
+    note="Chromatic: centroid of all light, by ray trace.",
     figures={"element_map": maps("sensitivity_arcsec", width="half", aspect_ratio=0.75)},
 )

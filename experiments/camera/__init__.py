@@ -1,4 +1,4 @@
-"""My camera: what a star sensor will do, from its sensor file, predicted in seconds and confirmed by rendered frames.
+"""Performance of your star sensor from its sensor file: predicted in seconds, confirmed by rendered frames.
 
 `predict` is the fast path without frames, for sweeps and comparisons.
 """

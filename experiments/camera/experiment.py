@@ -54,12 +54,12 @@ class Setup:
     answer: str = col("Requirements in a sentence", json="")
     requirements_missed: int = col("Requirements that are missed")
     saturated: bool = col("The quoted star saturates", json="")
-    top_e: float = col("Electrons that a pixel can show", "e-", ".0f", json="")
-    converter_e: float = col("Electrons at which the converter overruns", "e-", ".0f", json="")
+    top_e: float = col("Largest signal of a pixel", "e-", ".0f", json="")
+    converter_e: float = col("Signal at which the converter saturates", "e-", ".0f", json="")
     full_well_e: float = col("Full well", "e-", ".0f", json="")
-    catalogue_ends: bool = col("The sensor finds fainter stars than the catalogue has", json="")
+    catalogue_ends: bool = col("The sensor detects fainter stars than the catalogue contains", json="")
     magnitude_system: str = col("Magnitude system", json="")
-    depth_mag: float = col("Faintest stars that were looked up", "mag", ".1f", json="")
+    depth_mag: float = col("Faintest catalogue stars used", "mag", ".1f", json="")
     fwhm_px: float = col("FWHM of the detection filter", "px", ".2f", json="")
     trail_px: float = col("Trail of a star in an exposure", "px", ".2g", json="")
     state: OpticalState
@@ -187,7 +187,7 @@ class Magnitudes:
     magnitude_nea_arcsec: FloatArray = col("NEA", "arcsec", ".3f", "magnitude")
     magnitude_bound_arcsec: FloatArray = col("Cramér-Rao bound of the NEA", "arcsec", ".3f", "magnitude")
     magnitude_single_arcsec: FloatArray = col("Single-star accuracy", "arcsec", ".3f", "magnitude")
-    magnitude_found: FloatArray = col("Share of stars that are found", "", ".3f", "magnitude")
+    magnitude_found: FloatArray = col("Fraction of stars detected", "", ".3f", "magnitude")
     magnitude_mag: FloatArray
     colours_k: Sequence[float]
 
@@ -351,7 +351,7 @@ SECTIONS: Mapping[str, Section] = {
         record=Temperatures,
         axes=temperature_axis,
         table="thermal",
-        caption="Over temperature, the detector where the focus was set.",
+        caption="Over temperature, at fixed detector position.",
     ),
     "thermal": Section(record=ThermalRange),
     "changes": Section(
@@ -362,7 +362,7 @@ SECTIONS: Mapping[str, Section] = {
         table="what_to_change",
         across="end",
         columns="swing_attitude_cross_arcsec swing_limiting_magnitude_mag",
-        caption="Relative change of the attitude error across, and change of the limiting magnitude, for every key.",
+        caption="Relative change of the attitude error across and change of the limiting magnitude, by key.",
         figures={"what_to_change": bars("key", bars="swing_attitude_cross_arcsec", by="end", aspect_ratio=0.5)},
     ),
     "coverage": COVERAGE,

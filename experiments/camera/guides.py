@@ -81,7 +81,7 @@ def _least(q: Quantities, found: Coverage) -> None:
 class LostInSpace:
     """Identifications of drawn lists of stars."""
 
-    lost_attitudes: int = col("Attitudes that were tried lost in space")
+    lost_attitudes: int = col("Attitudes identified lost in space")
     lost_success_percent: float = col("Lost in space: identified", "percent", ".1f", default=math.nan)
     lost_success: Measured | None = col("Share that is identified", json="", default=None)
     lost_wrong_percent: float = col("Lost in space: wrongly identified", "percent", ".2f", default=math.nan)
@@ -146,6 +146,6 @@ COVERAGE = Section(
     table="coverage",
     rows="least",
     columns="coverage_percent",
-    caption="Share of the sky with so many guide stars in the field.",
+    caption="Fraction of the sky with at least this number of guide stars in the field.",
 )
 LOST = Section(record=LostInSpace)

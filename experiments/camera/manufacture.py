@@ -64,7 +64,9 @@ class Manufactured:
 
     built_lenses: int = col("Lenses that were traced")
     built_lost: int = col("Lenses without an image")
-    built_yield: float = col("Share that meets nea, attitude_cross, spot and lsfe requirements", "", ".3f")
+    built_yield: float = col(
+        "Fraction of lenses that meets the nea, attitude_cross, spot and lsfe requirements", "", ".3f"
+    )
     built_arcsec: FloatArray = col("Of so many lenses below", "arcsec", ".3f", "built percentile")
     built_nominal_arcsec: FloatArray = col("Nominal", "arcsec", ".3f", "built")
     built_spot_px: FloatArray = col("Spot radius, largest, below", "px", ".3f", "percentile", shown=False)
@@ -126,7 +128,7 @@ class _Probe:
         weight = spots.area_mm2 * self.share[:, None]
         light = weight.sum((1, 2))
         if not (light > 0.0).all():
-            raise ConvergenceError("no light at a place of the detector")
+            raise ConvergenceError("no light reaches a point of the detector")
         weight = weight / light[:, None, None]
         rays, lit = spots.rays, weight > 0.0
         slope = [np.where(lit, one / np.where(lit, rays.dz, 1.0), 0.0) for one in (rays.dx, rays.dy)]
@@ -236,7 +238,7 @@ def manufactured(
         advance()
     if len(found) < 2:
         raise DomainError(
-            f"{len(found)} of {setting.lenses} lenses have an image; lower the tolerances of [manufacture]"
+            f"{len(found)} of {setting.lenses} lenses form an image; lower the tolerances of [manufacture]"
         )
     ends = [
         [probe.trace(move(lens, sign), refocused=setting.refocused) for sign in (1.0, -1.0)] for move in moves.values()
@@ -315,7 +317,7 @@ MANUFACTURED = Section(
     rows="built",
     across="percentile",
     columns="built_nominal_arcsec built_arcsec",
-    caption="Lenses as made: so many of them stay below; one standard deviation.",
+    caption="Manufactured lenses: value not exceeded by the stated fraction of lenses; one standard deviation.",
     figures={"offenders": bars("offender", bars="offender_lsfe_arcsec", aspect_ratio=0.5)},
 )
 RENDERED_LENSES = Section(
@@ -326,5 +328,5 @@ RENDERED_LENSES = Section(
     table="rendered_lenses",
     rows="drawn",
     hidden="drawn",
-    caption="Three of the lenses in rendered frames: the chart's stars, one axis, 1σ.",
+    caption="Three manufactured lenses in rendered frames: NEA of the chart's stars, one axis, 1σ.",
 )

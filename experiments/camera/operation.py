@@ -96,7 +96,7 @@ class Motion:
     motion_attitude_cross_arcsec: FloatArray = col("Attitude across, median", "arcsec", ".3f", "rate")
     motion_attitude_roll_arcsec: FloatArray = col("Attitude roll, median", "arcsec", ".3f", "rate", shown=False)
     slew_rate_deg_per_s: float = col("Largest slew rate", "deg/s", ".3g")
-    slew_fails: str = col("What fails first in motion", json="slew_fails_first")
+    slew_fails: str = col("First failure in motion", json="slew_fails_first")
     acceleration_deg_per_s2: float = col("Largest angular acceleration while tracking", "deg/s2", ".3g")
     acceleration_bias_s2: float = col("Attitude error across over angular acceleration", "s2", ".3g")
     rate_deg_per_s: FloatArray
@@ -149,7 +149,7 @@ MOTION = Section(
     record=Motion,
     axes=_rates,
     table="motion",
-    caption="Against slew rate, across the line of sight.",
+    caption="Performance against slew rate across the line of sight.",
     figures={
         "motion": curves(
             "rate",
@@ -179,9 +179,9 @@ class Life:
     life_attitude_cross_arcsec: FloatArray = col("Attitude across, median", "arcsec", ".3f", "age")
     life_attitude_roll_arcsec: FloatArray = col("Attitude roll, median", "arcsec", ".3f", "age", shown=False)
     life_missed: int = col("Requirements missed at the end of life")
-    life_of: int = col("Requirements that a prediction judges at the end of life")
-    life_lasts_years: float = col("Age to which all requirements are met", "yr", ".3g")
-    life_fails: str = col("What fails first with age", json="life_fails_first")
+    life_of: int = col("Requirements compared at the end of life")
+    life_lasts_years: float = col("Age up to which all requirements are met", "yr", ".3g")
+    life_fails: str = col("First failure with age", json="life_fails_first")
     age_years: FloatArray
 
 
@@ -238,7 +238,7 @@ LIFE = Section(
     record=Life,
     axes=_ages,
     table="life",
-    caption="From the beginning to the end of life.",
+    caption="Performance from beginning to end of life.",
     figures={
         "life": curves(
             "age",

@@ -15,18 +15,20 @@ from experiments.laboratory.prediction_settings import PredictedSensorConfig
 
 
 class MotionConfig(StrictModel):
-    """Slew rates of the curves, from rest to where a star no longer fits its window."""
+    """Slew rates of the curves, from rest to the rate whose trail fills the window."""
 
-    points: int = Field(default=5, ge=0, le=41, description="rates; 0: none")
-    fastest_deg_per_s: float | None = Field(default=None, gt=0, le=100, description="last of them, in its place")
+    points: int = Field(default=5, ge=0, le=41, description="number of rates")
+    fastest_deg_per_s: float | None = Field(
+        default=None, gt=0, le=100, description="highest rate, in place of the default"
+    )
 
 
 class ThermalConfig(StrictModel):
-    """Temperatures of lens and housing; the focus is set at that of the prescription."""
+    """Temperatures of lens and housing; the lens is focused at the prescription's temperature."""
 
-    lowest_c: float = Field(default=-20.0, ge=-100, le=100, description="coldest")
-    highest_c: float = Field(default=40.0, ge=-100, le=100, description="hottest")
-    points: int = Field(default=5, ge=2, le=41, description="temperatures between and with them")
+    lowest_c: float = Field(default=-20.0, ge=-100, le=100, description="lowest temperature")
+    highest_c: float = Field(default=40.0, ge=-100, le=100, description="highest temperature")
+    points: int = Field(default=5, ge=2, le=41, description="number of temperatures")
 
     @model_validator(mode="after")
     def _range(self) -> ThermalConfig:
@@ -36,17 +38,17 @@ class ThermalConfig(StrictModel):
 
 
 class LostConfig(StrictModel):
-    """Lost in space: lists of stars as predicted, identified with nothing known but the camera."""
+    """Lost-in-space identification of simulated star lists."""
 
-    attitudes: int = Field(default=200, ge=0, le=10_000, description="how many of those of [sky]; 0: none")
+    attitudes: int = Field(default=200, ge=0, le=10_000, description="number of attitudes, of those of [sky]")
 
 
 class FramesConfig(StrictModel):
     """Rendered frames that confirm the prediction."""
 
     sky: int = Field(default=8, ge=2, le=1000, description="frames of the real sky, in random attitudes")
-    chart_stars: int = Field(default=300, ge=40, le=20000, description="artificial stars, spread over the detector")
-    readouts: int = Field(default=8, ge=3, le=1000, description="how often these are read out")
+    chart_stars: int = Field(default=300, ge=40, le=20000, description="artificial stars spread over the detector")
+    readouts: int = Field(default=8, ge=3, le=1000, description="read-outs of the artificial stars")
 
 
 Parameter = Literal[
@@ -64,15 +66,15 @@ Parameter = Literal[
 
 
 class TornadoConfig(StrictModel):
-    """Which keys of the sensor are moved to see what to change first, and how far."""
+    """Keys changed to find the most effective design change, and by how much."""
 
-    parameters: tuple[Parameter, ...] = Field(default=typing.get_args(Parameter), description="which; none: no chart")
-    change_fraction: float = Field(default=0.2, gt=0, lt=1, description="of keys that have a natural zero")
-    chip_k: float = Field(default=10.0, gt=0, le=50, description="temperature of the chip")
+    parameters: tuple[Parameter, ...] = Field(default=typing.get_args(Parameter), description="keys; empty: no chart")
+    change_fraction: float = Field(default=0.2, gt=0, lt=1, description="relative change of keys with a natural zero")
+    chip_k: float = Field(default=10.0, gt=0, le=50, description="change of the chip temperature")
 
 
 class Config(SweptConfig, PredictedSensorConfig):
-    """A sensor file, and what is looked at; the defaults are the built-in star tracker."""
+    """Sensor file and evaluations; defaults: the built-in star tracker."""
 
     NOT_SWEPT: ClassVar[frozenset[str]] = frozenset(
         {
@@ -97,7 +99,7 @@ class Config(SweptConfig, PredictedSensorConfig):
     lost: LostConfig = LostConfig()
     frames: FramesConfig = FramesConfig()
     tornado: TornadoConfig = TornadoConfig()
-    predict_only: bool = Field(default=False, description="no rendered frames: an answer in seconds")
+    predict_only: bool = Field(default=False, description="predict only, without rendered frames")
 
 
 experiment = with_what_if(
@@ -124,13 +126,13 @@ experiment = with_what_if(
             "--sensor my.toml": "your own sensor",
             "--sensor my.toml --predict-only": "the answer and the report without frames, in 20 s",
             "--sensor my.toml --set instrument.exposure_s=0.2": "the same with another exposure",
-            "--sensor my.toml --sweep instrument.exposure_s=0.05:0.4:8": "what if: curves over the exposure",
-            "--sensor my.toml --sweep exposure_s=0.01:1:9:log": "in the logarithm; exposure_s=0.05,0.1,0.4: a list",
+            "--sensor my.toml --sweep instrument.exposure_s=0.05:0.4:8": "curves over the exposure time",
+            "--sensor my.toml --sweep exposure_s=0.01:1:9:log": "logarithmic steps; a list: exposure_s=0.05,0.1,0.4",
             "--sensor my.toml --sweep exposure_s=0.05:0.4:8 --sweep f_number=3:5:5": "a map over two keys",
-            "--sensor a.toml --sensor b.toml": "sensors side by side, by prediction",
+            "--sensor a.toml --sensor b.toml": "comparison of predictions",
         },
         show=("requirements",),
-        options={"predict-only": ("predict_only", "No rendered frames: an answer in seconds.")},
+        options={"predict-only": ("predict_only", "Predict only, without rendered frames.")},
         renders=lambda config: not config.predict_only,
         quick={
             "sky.attitudes": 200,

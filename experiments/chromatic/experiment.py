@@ -433,15 +433,15 @@ SECTIONS = {
         table="table1",
         rows="lens pair axis",
         caption="ACC18 Table 1: mean shift between filters, halved (eq. 16).",
-        note="One standard deviation: noise of the frames and size of the fixed pattern. RMS shift: per axis, of the "
-        "points, not halved.",
+        note="One standard deviation, by noise of the frames and fixed pattern. RMS shift: of the "
+        "points, per axis, not halved.",
         figures={"field_map": field_map},
         verdicts=[
             agree(
                 "table1_px",
                 "predicted_table1_px",
                 title="Table 1, frames against ray trace, both lenses",
-                advice="the centroider does not follow all the light of comatic spots, or window_px cuts them",
+                advice="the centroider does not weight all light of comatic spots equally, or window_px truncates them",
             ),
             ratio_near(
                 "mean_squared_pull",
@@ -449,14 +449,14 @@ SECTIONS = {
                 mean=True,
                 square=True,
                 title="Squared deviation of single shifts over the predicted variance",
-                advice="noise, fixed pattern or PSF are not what the prediction takes them for",
+                advice="noise, fixed pattern or PSF differ from the prediction's",
             ),
             agree(
                 "pixels_table1_px",
                 "predicted_table1_px",
                 false_alarm=PIXELS_ALARM,
                 title="Table 1, first moments of the noiseless pixels against ray trace, both lenses",
-                advice="window_px cuts the light of comatic spots, or neighbours shine into it (target.pitch_px)",
+                advice="window_px truncates comatic spots, or neighbouring points overlap it (target.pitch_px)",
             ),
         ],
     ),
@@ -484,7 +484,7 @@ SECTIONS = {
                 "measured_shift_px",
                 "predicted_shift_px",
                 title="Shift of single points, frames against ray trace",
-                advice="a point on a bad pixel, or a centroider that does not follow all the light",
+                advice="a point on a bad pixel, or a centroider that does not weight all light equally",
             )
         ],
     ),
@@ -494,8 +494,8 @@ SECTIONS = {
         table="calibration",
         rows="lens pair",
         across="step",
-        caption="RMS length of the shift of a point, by what the camera model has of its own for each band.",
-        note="Noise of the centroids included.",
+        caption="RMS length of the shift of a point, by the parameters that the camera model has per band.",
+        note="Includes centroid noise.",
     ),
     "movement": MOVEMENT,
     "elements": ELEMENTS,
@@ -507,9 +507,10 @@ SECTIONS = {
         table="centroiders",
         rows="lens method",
         across="pair",
-        caption="The same frames by every centroider; Table 1 along the axis of the movement.",
-        note="Noise: standard deviation of a frame. RMS error: mean centroid against the mean of all light "
-        "(ray trace). Both per axis, over all points and filters. Empty: no convergence on some point.",
+        caption="Results of every centroider for the same frames; Table 1 along the axis of the movement.",
+        note="Noise: standard deviation of a frame. RMS error: mean centroid minus centroid of all "
+        "light (ray trace). Both per axis, over all points and filters. Empty: no convergence for "
+        "some point.",
     ),
     "collimator": COLLIMATOR,
     "bench": Section(

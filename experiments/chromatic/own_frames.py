@@ -117,8 +117,8 @@ def filter_frames(folder: FrameFolder, methods: Sequence[str], config: Any) -> F
         key = (one.settings.place, float(one.settings.filter_nm or 0.0))
         if key in found:
             raise ConfigError(
-                f"{SETTINGS_FILE}: {found[key].name} and {one.name} are both of {key[1]:g} nm at place {key[0]!r}; "
-                "one series for every filter and place is needed, with all its files"
+                f"{SETTINGS_FILE}: {found[key].name} and {one.name} both have filter {key[1]:g} nm and place "
+                f"{key[0]!r}; a single series per filter and place is needed, with all its files"
             )
         found[key] = reduce_series(folder, one, methods)
     places, filters = list(dict.fromkeys(place for place, _ in found)), sorted({nm for _, nm in found})
@@ -129,11 +129,13 @@ def filter_frames(folder: FrameFolder, methods: Sequence[str], config: Any) -> F
             f"through every filter ({', '.join(f'{nm:g}' for nm in filters)} nm)"
         )
     if len(filters) < 2:
-        raise ConfigError(f"{SETTINGS_FILE}: one filter, {filters[0]:g} nm; at least two are needed for a difference")
+        raise ConfigError(
+            f"{SETTINGS_FILE}: only filter {filters[0]:g} nm; at least two filters are needed for a difference"
+        )
     reference = folder.settings.reference_nm or config.filters.reference_nm
     if reference not in filters:
         raise ConfigError(
-            f"{SETTINGS_FILE}: the reference filter, {reference:g} nm, is none of those of the series "
+            f"{SETTINGS_FILE}: the reference filter, {reference:g} nm, does not occur in the series "
             f"({', '.join(f'{nm:g}' for nm in filters)} nm); give reference_nm"
         )
     return FilterFrames(
@@ -217,7 +219,8 @@ own_frames = FramesTest(
             rows="pair axis",
             columns="table1_px",
             caption="Mean shift between filters, halved (ACC18 Table 1, eq. 16).",
-            note="One standard deviation, by the stated noise. A target that moved between two series adds to it.",
+            note="One standard deviation, by the stated noise; motion of the target between two series is "
+            "not included.",
             figures={"shifts": arrows("place_px", "shift_arcsec", panels="pair", frame="frame_size_px")},
         ),
         "constants": Section(
@@ -225,10 +228,10 @@ own_frames = FramesTest(
             dim="pair",
             table="wedge",
             rows="pair axis",
-            caption="The part of the shift that is the same everywhere: a decentred lens (prism), which turns with the "
-            "camera, and wedges of the filters, which turn with them.",
-            note="Places that differ in filter_angle_deg or camera_angle_deg tell them apart; *the filters*: wedge of "
-            "the one over that of the other, as at the angle 0.",
+            caption="Uniform part of the shift: by a decentred lens (prism), which rotates with the camera, "
+            "and by wedges, which rotate with the filters.",
+            note="Places of different filter_angle_deg or camera_angle_deg separate them; *the filters*: "
+            "difference of the two wedges, at angle 0.",
         ),
         "exchange": Section(
             record=Exchange,
@@ -247,14 +250,14 @@ own_frames = FramesTest(
             table="calibration",
             across="step",
             caption="RMS length of the shift of a point, as measured and with camera parameters for each band.",
-            note="Noise of the centroids included.",
+            note="Includes centroid noise.",
         ),
         "centroiders": Section(
             record=Centroider,
             dim="method",
             table="centroiders",
             across="pair axis",
-            caption="The same frames through every centroider.",
+            caption="Results of every centroider for the same frames.",
         ),
         "points": Section(record=Points, table="points", rows="pair point", across="axis", caption="All points."),
     },

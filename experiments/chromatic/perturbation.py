@@ -66,10 +66,11 @@ ELEMENTS = Section(
     table="elements",
     hidden="solution",
     across="pair",
-    caption="Movement of each element that gives the wanted entry of Table 1, and what the other pairs then show.",
-    note="By ray trace, rays weighted equally but for the rendered movement. "
-    "Empty: not within 3 mm or 3 deg. Tilts are about the element's first vertex. Decentres count "
-    "along increasing column (x), against increasing row (y).",
+    caption="Movement of each element that gives the wanted entry of Table 1, and the resulting "
+    "entries of the other pairs.",
+    note="By ray trace, with equal weights except for the rendered movement. Empty: not within 3 mm "
+    "or 3 deg. Tilts are about the element's first vertex. Decentres are positive along "
+    "increasing column (x) and decreasing row (y).",
 )
 
 
@@ -196,9 +197,7 @@ def _root(excess: Callable[[float], float], limit: float) -> float:
         return float("nan")
     root, state = brentq(excess, low, high, xtol=limit * 1e-6, full_output=True)
     if not state.converged:
-        raise ConvergenceError(
-            f"the movement that gives the wanted shift was not found within {state.iterations} steps"
-        )
+        raise ConvergenceError(f"no movement that gives the wanted shift was found within {state.iterations} steps")
     return float(root)
 
 
@@ -223,7 +222,7 @@ def choose(config: Config, bench: Bench, lens: LensSystem, solutions: Sequence[S
         reach = "3 mm" if wanted.kind == "decentre" else "3 deg"
         if not lens.glasses:
             raise ConvergenceError(
-                f"lens {lens.name!r} has no glass, and mirrors no colour: no movement gives a mean shift of "
+                f"lens {lens.name!r} has no glass, hence no chromatic shift: no movement gives a mean shift of "
                 f"decentre.wanted_px = {wanted.wanted_px:g} px; set decentre.wanted_px = 0"
             )
         raise ConvergenceError(
@@ -236,9 +235,9 @@ def choose(config: Config, bench: Bench, lens: LensSystem, solutions: Sequence[S
     room = min(float(SEARCH_MARGIN_PX), bench.target.edge_px - bench.window_px // 2 - 1)
     if moves > room:
         raise DomainError(
-            f"a mean shift of decentre.wanted_px = {wanted.wanted_px:g} px takes a {chosen.kind} of {chosen.element} "
-            f"by {chosen.amount:.0f} {chosen.unit}, which moves the whole image by {moves:.0f} px; at most "
-            f"{room:.0f} px can be followed (target.edge_px = {bench.target.edge_px:g} px, and {SEARCH_MARGIN_PX} px "
-            "in any case): lower decentre.wanted_px or name another decentre.element"
+            f"a mean shift of decentre.wanted_px = {wanted.wanted_px:g} px needs a {chosen.kind} of "
+            f"{chosen.element} by {chosen.amount:.0f} {chosen.unit}, which moves the whole image by {moves:.0f} px; "
+            f"at most {room:.0f} px can be followed (target.edge_px = {bench.target.edge_px:g} px, and "
+            f"{SEARCH_MARGIN_PX} px in any case): lower decentre.wanted_px or name another decentre.element"
         )
     return chosen

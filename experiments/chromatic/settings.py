@@ -24,17 +24,24 @@ from experiments.laboratory.settings import (
 
 
 class DecentreConfig(StrictModel):
-    """Which published number is to be reproduced by moving an element."""
+    """Published number that a displaced element has to reproduce."""
 
-    wanted_px: float = Field(default=0.12, ge=-100, le=100, description="mean shift, halved (ACC18 Table 1)")
-    pair: str = Field(default="auto", description="pair of bands, such as 800-600; auto: the longest and the reference")
+    wanted_px: float = Field(
+        default=0.12, ge=-100, le=100, description="half the mean shift (ACC18 Table 1); 0: no search"
+    )
+    pair: str = Field(
+        default="auto", description="pair of bands, such as 800-600; auto: the longest minus the reference"
+    )
     axis: Literal["x", "y"] = Field(default="x", description="axis of Table 1")
-    element: str = Field(default="auto", description="element to move in the rendered check; auto: see kind")
-    kind: Literal["decentre", "tilt"] = Field(default="decentre", description="how it moves in the rendered check")
+    element: str = Field(
+        default="auto",
+        description="element moved in the rendered check; auto: the one that needs the smallest movement of this kind",
+    )
+    kind: Literal["decentre", "tilt"] = Field(default="decentre", description="movement in the rendered check")
 
 
 class Config(OwnFramesConfig, SignalConfig):
-    """The published run: ACC18 gives all of it but the signal, the pass band of the stars and the lens."""
+    """The published run; ACC18 does not state signal, pass band of the stars and lens."""
 
     instrument: InstrumentConfig = InstrumentConfig()
     target: TargetConfig = TargetConfig()
@@ -43,14 +50,20 @@ class Config(OwnFramesConfig, SignalConfig):
     collimator: FilteredCollimatorConfig = FilteredCollimatorConfig()
     lamp_k: float = Field(default=3000.0, ge=1000, le=20000, description="colour temperature of the lamp")
     signal_e: float | None = Field(
-        default=None, gt=0, le=1e7, description="electrons per point and frame, every filter; both left out: 6000"
+        default=None,
+        gt=0,
+        le=1e7,
+        description="electrons per point and frame in every filter; default, without a magnitude: 6000",
     )
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position and filter")
-    dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off, per position")
-    window_px: OddPx = Field(default=13, ge=7, le=63, description="window around a point, odd")
-    centroid: MethodName = Field(default="epsf", description="centroider that counts")
+    dark_frames: int = Field(
+        default=100, ge=2, le=10000, description="dark frames per position, averaged and subtracted"
+    )
+    window_px: OddPx = Field(default=13, ge=7, le=63, description="side of the centroid window, odd")
+    centroid: MethodName = Field(default="epsf", description="main centroider")
     compare: tuple[MethodName, ...] = Field(
-        default=("epsf_reference", "gaussian", "windowed", "tcog", "cog"), description="others shown beside it"
+        default=("epsf_reference", "gaussian", "windowed", "tcog", "cog"),
+        description="other centroiders for the same frames",
     )
     decentre: DecentreConfig = DecentreConfig()
     stars: StarsConfig = StarsConfig()

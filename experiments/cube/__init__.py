@@ -1,4 +1,4 @@
-"""Sun sensor to cube mirror (CUBE09): a rendered bench, trimmed face by face, reduced to R_sp, against its budget.
+"""Alignment of a sun sensor with its cube mirror (CUBE09) on a rendered bench: error of R_sp against its budget.
 
 A collimated sun shines through an aperture onto a polished face of a cube mirror on a two-axis turntable; the table is
 trimmed until the reflected spot is concentric with the aperture, first one face, then another, as the document does.

@@ -357,7 +357,7 @@ def check_landing(config: Config, geometry: BenchGeometry, camera: BenchCamera, 
     """Refuse a pose in which the beam misses the face or the spot is lost."""
     centre, normal = pose.face(face, geometry)
     if normal[2] < 0.5:
-        raise DomainError(f"face {face} does not look at the light; the table stands wrong")
+        raise DomainError(f"face {face} does not face the light; check the table's angles")
     depth = (centre @ normal) / -normal[2]  # along the beam, from the aperture
     hit = np.array([0.0, 0.0, -depth]) - centre
     across = np.abs(pose.rotation.T @ hit)

@@ -89,7 +89,7 @@ class BudgetRow:
     # Root sums of squares over the axes on which the term acts
     predicted_over_measured: Measured = col("Ratio", format=".3f", json_error="predicted_over_measured_sigma")
     # Widened by three standard deviations where benches are few
-    claimed_arcsec: float = col("Claimed, with what few benches may do", "arcsec", json="", shown=False)
+    claimed_arcsec: float = col("Claim plus sampling error of the benches", "arcsec", json="", shown=False)
     claim_arcsec: float = col("Claimed", "arcsec", json="", shown=False)
 
 
@@ -310,8 +310,8 @@ BUDGET = Section(
     rows="row",
     across="axis",
     caption="Error of R_sp, 1 sigma per axis of the cube frame: predicted by geometry, measured on benches.",
-    note="RMS about the truth; misalignments are stratified. Predictions contain the noise of pictures and sun "
-    "sensor. Ratio: predicted over measured, over the axes on which the term acts.",
+    note="RMS error; misalignments are stratified. Predictions include the noise of pictures and "
+    "sun sensor. Ratio: predicted / measured, over the axes on which the term acts.",
     figures={
         "budget_bars": bars(
             "row",

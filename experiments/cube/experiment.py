@@ -123,9 +123,11 @@ class Noise:
     spots_predicted_px: float = col("Scatter of the spots, predicted", "px", ".4f", json="r_sr.spots_predicted_px")
     # Aperture and spot from two pictures, and both from one; with the particles of the rendering, and without
     picture_noise_px: Sequence[Measured] = col("Scatter of an offset, predicted", "px", dims="reduced")
-    detector_noise_px: Sequence[Measured] = col("The same by the detector alone", "px", dims="reduced")
+    detector_noise_px: Sequence[Measured] = col(
+        "Scatter of an offset by the detector alone, predicted", "px", dims="reduced"
+    )
     squareness_sigma_arcsec: float = col("Squareness known to", "arcsec", ".2f", json="")
-    sensor_rms_arcsec: FloatArray = col("Part of R_sr, reduced better", "arcsec", ".2f", "axis", json="")
+    sensor_rms_arcsec: FloatArray = col("Part of R_sr, improved reduction", "arcsec", ".2f", "axis", json="")
 
 
 def noise(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictures: PictureNoise) -> Noise:
@@ -348,6 +350,6 @@ SECTIONS = {
         rows="setting",
         across="direction",
         caption="Trims of the shown bench, as in CUBE09 Table 1: spot minus aperture, from the pictures.",
-        note="One standard deviation from the two circle fits.",
+        note="One standard deviation, from the two circle fits.",
     ),
 }

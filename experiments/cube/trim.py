@@ -228,7 +228,9 @@ def _circle(edge: EdgePoints, what: str) -> CircleFit:
     fit = fit_circle(edge.point, sigma=edge.sigma)
     if not fit.converged:
         why = fit.message.partition(";")[0]
-        raise ConvergenceError(f"the {len(edge)} edge points of the {what} show no circle ({why}); {BETTER_LIGHT}")
+        raise ConvergenceError(
+            f"the {len(edge)} edge points of the {what} do not form a circle ({why}); {BETTER_LIGHT}"
+        )
     return replace(fit, covariance=fit.covariance * min(fit.misfit.ratio**2, 1.0))
 
 
@@ -316,7 +318,8 @@ def trim_face(
         ahead_px = float(np.max(np.abs((1 - config.trim.gain_ratio) * left)))
     raise ConvergenceError(
         f"face {name} is not concentric after trim.allowed = {config.trim.allowed} settings: offsets "
-        f"{left[0]:.3f}, {left[1]:.3f} px where trim.stop_px = {config.trim.stop_px:g} px is asked; allow more trims, "
+        f"{left[0]:.3f}, {left[1]:.3f} px where trim.stop_px = {config.trim.stop_px:g} px is required; allow more "
+        "trims, "
         "a finer trim.step_deg or another trim.gain_ratio"
     )
 
@@ -337,8 +340,8 @@ def _bright_enough(config: Config, offset: Offset) -> None:
     sigma = float(np.sqrt(np.trace(offset.covariance_px2) / 2))
     if not sigma < max(config.trim.stop_px, 1.0):
         raise ConvergenceError(
-            f"the pictures locate the spot to {sigma:.2g} px only, trim.stop_px = {config.trim.stop_px:g} px is asked; "
-            f"more light is needed (camera.plateau_e = {config.camera.plateau_e:g} e-) or more particles "
+            f"the pictures locate the spot to {sigma:.2g} px only, trim.stop_px = {config.trim.stop_px:g} px is "
+            f"required; more light is needed (camera.plateau_e = {config.camera.plateau_e:g} e-) or more particles "
             "(benches.log2_particles)"
         )
 

@@ -1,4 +1,4 @@
-"""Datasets of star frames with exact truth: thousands of frames of the real sky, for whoever builds star sensors.
+"""Datasets: thousands of frames of the real sky with exact truth.
 
 Every frame is the real sky through a traced lens, read out with noise, beside a table that says where each star truly
 is. Frame k is the same bytes whether it is made alone, in any order, or by many workers. What was made stays: run the

@@ -279,18 +279,20 @@ class Detection:
     frames_looked_at: int = col("Frames looked at")
     bright_stars: int = col("Stars of SNR 10 and more", json="completeness.stars")
     bright_share: float = col("Their share detected", json="completeness.share")
-    bright_undisturbed: float = col("Share of the undisturbed ones", json="completeness.undisturbed")
+    bright_undisturbed: float = col("Fraction of the undisturbed stars", json="completeness.undisturbed")
     bright_missed: float | None = col("Share of undisturbed stars of SNR 10 and more not detected", json="")
-    bright_missed_limit: float = col("Largest share that 1 % of stars missed explains", json="")
+    bright_missed_limit: float = col("Largest fraction consistent with 1 % of stars missed", json="")
     magnitude_of_half: float = col(
-        "Magnitude of which half is detected", "mag", ".2f", json="completeness.magnitude_of_half"
+        "Magnitude at which half of the stars are detected", "mag", ".2f", json="completeness.magnitude_of_half"
     )
     false_all: float = col("Detections without a star, per frame", format=".2f", json="false_detections_per_frame.all")
     false_not_flagged: float = col(
         "Detections without star and flag, per frame", format=".2f", json="false_detections_per_frame.not_flagged"
     )
     false_in_empty_frames: float = col(
-        "The same in frames without stars", format=".2f", json="false_detections_per_frame.in_empty_frames"
+        "Detections without flag in frames without stars, per frame",
+        format=".2f",
+        json="false_detections_per_frame.in_empty_frames",
     )
     false_excess: float | None = col(
         "Detections without star and flag, excess over frames without stars", "sigma", json=""
@@ -518,19 +520,19 @@ SECTIONS = {
                 "false_excess",
                 4.0,
                 title="detections without star and flag, more than in frames without stars",
-                advice="light that is no star passes for stars: raise threshold_sigma",
+                advice="other light is detected as stars: raise threshold_sigma",
             ),
             below(
                 "bound_ratio",
                 "bound_limit",
                 title="centroid error over its Cramér-Rao bound, SNR 8 to 25",
-                advice="another centroid or window_px gets more out of the same light",
+                advice="use another centroid or window_px",
             ),
             below(
                 "wcs_judged_px",
                 0.01,
                 title="world coordinates in astropy against chief rays, largest",
-                advice="TAN-SIP does not describe the lens: use the places in the truth",
+                advice="TAN-SIP does not describe the lens: use the positions of the truth",
             ),
         ],
     ),
@@ -541,7 +543,7 @@ SECTIONS = {
         prefix="magnitude_",
         table="completeness",
         caption="Completeness of the detection.",
-        note="Stars that lose light over the detector's edge do not count. ±: half of the 68 % interval (Wilson).",
+        note="Without stars cut by the detector's edge. ±: half of the 68 % confidence interval (Wilson).",
     ),
     "magnitude_curve": Section(
         record=Share,
@@ -563,8 +565,8 @@ SECTIONS = {
         along="flag",
         prefix="flag_",
         table="flags",
-        caption="Flags of the truth, and what the detection made of these stars.",
-        note="Usable: detected and without a flag. Flagged as blend: share of the detected stars.",
+        caption="Flags of the truth, and detection of these stars.",
+        note="Usable: detected and without a flag. Flagged as blend: fraction of the detected stars.",
     ),
     "centroids": Section(
         record=CentroidBin,
@@ -574,9 +576,9 @@ SECTIONS = {
         place="centroids",
         table="centroids",
         caption="Centroid error of undisturbed stars against the bound.",
-        note="Error: 1.4826 times the median absolute deviation, per axis. Bound: median; PSF of the lens, each star "
-        "at its own place on the pixels, position and flux unknown, background known. Ratio: the same deviation, of "
-        "every error over its own bound.",
+        note="Error: 1.4826 times the median absolute deviation, per axis. Bound: median, for the "
+        "lens's PSF at each star's pixel phase, position and flux unknown, background known. "
+        "Ratio: the same statistic of the errors divided by their bounds.",
         figures={
             "centroid_curve": curves(
                 "centroid_snr", points="centroid_error_px", lines="centroid_bound_px", log="xy", y="Centroid error"

@@ -152,8 +152,8 @@ def _complete(scene: Scene, output: DatasetFolder, job: Job, progress: Progress)
             workers = make_frames(job, missing, workers=processes, scheduler=config.scheduler, done=done)
         except StorageError as error:
             raise StorageError(
-                f"{output.shown}: {error}; {output.count()} of {config.frames} frames are whole and kept: make room "
-                "and run the same command again"
+                f"{output.shown}: {error}; {output.count()} of {config.frames} frames are complete and kept: free "
+                "disk space and run the same command again"
             ) from None
     rate = math.nan
     if len(times) > 1:

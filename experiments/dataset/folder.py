@@ -289,7 +289,7 @@ class DatasetFolder:
             for name in (FRAMES, TRUTH):
                 (self.path / name).mkdir(exist_ok=True)
         except BlockingIOError:
-            raise ConfigError(f"{self.shown}: another run is writing here; wait for it, or end it") from None
+            raise ConfigError(f"{self.shown}: another run is writing here; wait for it or stop it") from None
         except OSError as error:
             raise StorageError(f"{self.shown}: cannot be written ({error.strerror})") from None
 
@@ -298,8 +298,8 @@ class DatasetFolder:
         free = shutil.disk_usage(self.path).free
         if needed_bytes > free:
             raise StorageError(
-                f"{self.shown}: needs {needed_bytes / 1e9:.3g} GB more, its disk has {free / 1e9:.3g} GB left; make "
-                "room, ask for fewer frames, or set files.compression = rice in a new dataset"
+                f"{self.shown}: needs {needed_bytes / 1e9:.3g} GB more, its disk has {free / 1e9:.3g} GB left; free "
+                "disk space, request fewer frames, or set files.compression = rice in a new dataset"
             )
 
     def close(self) -> None:
@@ -352,8 +352,8 @@ class DatasetFolder:
         links = [name for name in OWN_FOLDERS if (self.path / name).is_symlink()]
         if links:
             raise ConfigError(
-                f"{self.shown}: {links[0]} is a link to elsewhere; a dataset keeps its files in its own folder: name "
-                "the folder that holds them, or put them there"
+                f"{self.shown}: {links[0]} is a link to another folder; a dataset must hold its own files: name the "
+                "folder that holds them, or move them here"
             )
         if not (self.path / IDENTITY).exists() and not self.count():
             foreign = [f.name for f in self.path.iterdir() if not _TEMPORARY.fullmatch(f.name)]
@@ -369,8 +369,8 @@ class DatasetFolder:
         most = max(self.numbers(), default=-1) + 1
         if most > self.frames:
             raise ConfigError(
-                f"{self.shown}: holds frames up to number {most - 1}, frames = {self.frames} are asked for; a dataset "
-                f"only grows: ask for at least {most}, or name another folder"
+                f"{self.shown}: holds frames up to number {most - 1}, frames = {self.frames} were requested; a "
+                f"dataset can only be extended: request at least {most}, or name another folder"
             )
 
     def _compare(self, wanted: Mapping[str, Any]) -> None:
@@ -378,8 +378,8 @@ class DatasetFolder:
         held = held_identity(self.path)
         if held is None:
             raise ConfigError(
-                f"{self.shown}: neither {IDENTITY} nor a truth file says of which dataset its frames are; name another "
-                "folder"
+                f"{self.shown}: neither {IDENTITY} nor a truth file identifies the dataset of its frames; name "
+                "another folder"
             )
         before = flat({name: held[name] for name in wanted})
         now = flat(json.loads(dumps(wanted)))
@@ -388,7 +388,7 @@ class DatasetFolder:
                 name = key.removeprefix("config.")
                 raise ConfigError(
                     f"{self.shown}: holds a dataset with {name} = {shown_value(before, key)}, this run has "
-                    f"{shown_value(now, key)}; name another folder or take the same configuration"
+                    f"{shown_value(now, key)}; name another folder or use the same configuration"
                 )
 
     def _holds_frames(self) -> bool:
@@ -448,7 +448,7 @@ def check(folder: Path, progress: Progress) -> Checked:
         raise ConfigError(f"{folder}: no such folder")
     of_dataset, (listed, list_whole) = held_identity(folder), _listed(folder)
     if of_dataset is None and not listed:
-        raise ConfigError(f"{folder}: is no dataset: neither {IDENTITY} nor {SUMS} nor a truth file tells of one")
+        raise ConfigError(f"{folder}: is not a dataset: it has neither {IDENTITY} nor {SUMS} nor a truth file")
     truth = "ecsv" if any((folder / TRUTH).glob("*.ecsv")) else "parquet"
     there = _own_files(folder)
     frames = numbers(there)

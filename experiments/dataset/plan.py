@@ -73,12 +73,12 @@ def build_plan(config: Config, height_px: int | None = None, diagonal_deg: float
         attitudes = read_attitudes(pointing.file, "pointing.file")
         if len(attitudes) < config.frames:
             raise ConfigError(
-                f"pointing.file: {pointing.file} holds {len(attitudes)} attitudes, {config.frames} frames are asked "
-                f"for; set frames to at most {len(attitudes)}"
+                f"pointing.file: {pointing.file} holds {len(attitudes)} attitudes, {config.frames} frames were "
+                f"requested; set frames to at most {len(attitudes)}"
             )
     elif isinstance(pointing, ScanPointing):
         if not (isinstance(config.rate, FixedRate) and not any(config.rate.rate_deg_per_s)):
-            raise ConfigError("rate: the motion of a scan is that of pointing; leave rate out")
+            raise ConfigError("rate: a scan's motion is set by pointing; leave rate out")
         path = _scan(pointing, config, duration_s)
         if jitter is not None:
             path = jittered(path, jitter, streams=streams)  # one motion for all frames
@@ -156,7 +156,7 @@ def _check_cone(pointing: ConePointing, to_sun: FloatArray) -> None:
     farthest = float(np.degrees(np.arccos(np.clip(centre @ to_sun, -1.0, 1.0)))) + pointing.radius_deg
     if farthest <= pointing.sun_exclusion_deg:
         raise DomainError(
-            f"pointing: all of the cone lies within {farthest:.1f} deg of the Sun, pointing.sun_exclusion_deg = "
+            f"pointing: the whole cone lies within {farthest:.1f} deg of the Sun, pointing.sun_exclusion_deg = "
             f"{pointing.sun_exclusion_deg:g} deg; point elsewhere or change catalogue.epoch_year"
         )
 
@@ -358,7 +358,7 @@ def _column(table: Any, column: str, unit: str, name: str) -> FloatArray:
         wanted = unit or "none"
         raise ConfigError(f"{name}: column {column} is in {table[column].unit}; its unit must be {wanted}") from None
     except (TypeError, ValueError):
-        raise ConfigError(f"{name}: column {column} holds something that is no number") from None
+        raise ConfigError(f"{name}: column {column} holds a value that is not a number") from None
     if not np.isfinite(values).all():
         raise DomainError(f"{name}: {column} of row {int(np.argmin(np.isfinite(values)))} is missing or not finite")
     return np.asarray(values, np.float64)

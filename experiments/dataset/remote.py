@@ -52,7 +52,7 @@ def dataset_at(path: str, config: Config) -> DatasetFolder:
         return DatasetFolder(path, **wanted)
     remote = RemoteDataset(path, **wanted)
     if remote.only_here and (config.workers > 1 or config.scheduler):
-        raise ConfigError(f"{path}: is seen by this process alone; set workers = 1 and no scheduler")
+        raise ConfigError(f"{path}: is visible to this process only; set workers = 1 and no scheduler")
     return remote
 
 
@@ -141,7 +141,7 @@ def working_copy(url: str) -> Iterator[Path]:
     store = Store(url)
     names = store.names()
     if not names:
-        raise ConfigError(f"{url}: nothing is there")
+        raise ConfigError(f"{url}: does not exist")
     with tempfile.TemporaryDirectory(prefix="starbench-") as folder:
         _fetch(store, names, Path(folder))
         yield Path(folder)

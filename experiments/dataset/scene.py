@@ -212,7 +212,7 @@ def _path_px(plan: Plan, instrument: Instrument) -> float:
     shaken_px = float(np.hypot(shaken[0], shaken[1])) / pixel_rad
     if shaken_px > 0.5 * smallest_px:
         raise DomainError(
-            f"jitter of {shaken_px / JITTER_SIGMA:.4g} px RMS across the boresight throws stars out of the frame of "
+            f"jitter of {shaken_px / JITTER_SIGMA:.4g} px RMS across the boresight moves stars out of the frame of "
             f"{camera.width_px} x {camera.height_px} px; lower jitter.psd_x_arcsec2_per_hz, psd_y_arcsec2_per_hz"
         )
     # a turn about the boresight brings in no star from farther than the corners
@@ -228,8 +228,8 @@ def _check_stars(scene: Scene) -> None:
         if len(stars_of(scene, frame)):
             return
     raise DomainError(
-        f"no frame sees a star to catalogue.faintest_mag = {scene.config.catalogue.faintest_mag:g} mag; raise it or "
-        "point elsewhere"
+        f"no frame contains a star to catalogue.faintest_mag = {scene.config.catalogue.faintest_mag:g} mag; raise it "
+        "or point elsewhere"
     )
 
 

@@ -38,25 +38,25 @@ class ConePointing(StrictModel):
     """Boresights uniform over a cone."""
 
     kind: Literal["cone"] = "cone"
-    ra_deg: float = Field(default=83.8, ge=0, le=360, description="right ascension of the middle of the cone")
+    ra_deg: float = Field(default=83.8, ge=0, le=360, description="right ascension of the cone's axis")
     dec_deg: float = Field(default=0.0, ge=-90, le=90, description="its declination")
     radius_deg: float = Field(default=10.0, ge=0, le=180, description="half angle of the cone")
     roll_deg: float | None = Field(
-        default=None, ge=-360, le=360, description="position angle of up in the image; left out: random"
+        default=None, ge=-360, le=360, description="position angle of up in the image; default: random"
     )
     sun_exclusion_deg: float = Field(default=0.0, ge=0, le=120, description=SUN_EXCLUSION)
 
 
 class BodyPointing(StrictModel):
-    """A field with the Moon or a planet, seen from the Earth: the body anywhere within a circle about the boresight."""
+    """A field with the Moon or a planet, seen from the Earth, at a random place within a circle about the boresight."""
 
     kind: Literal["body"] = "body"
     body: Literal["moon", "mercury", "venus", "mars", "jupiter", "saturn", "uranus", "neptune"] = Field(
-        default="moon", description="which"
+        default="moon", description="name of the body"
     )
-    offset_deg: float = Field(default=2.0, ge=0, le=60, description="farthest that it stands from the boresight")
+    offset_deg: float = Field(default=2.0, ge=0, le=60, description="largest angle between body and boresight")
     roll_deg: float | None = Field(
-        default=None, ge=-360, le=360, description="position angle of up in the image; left out: random"
+        default=None, ge=-360, le=360, description="position angle of up in the image; default: random"
     )
 
 
@@ -70,11 +70,11 @@ class ListPointing(StrictModel):
 
 
 class ScanPointing(StrictModel):
-    """Frames taken at a steady frame rate by a camera that turns."""
+    """Frames of a turning camera at a constant frame rate."""
 
     kind: Literal["scan"] = "scan"
     file: FileName = Field(
-        default="", description="CSV or ECSV with time_s and quaternions; left out: a constant rate from ra, dec, roll"
+        default="", description="CSV or ECSV with time_s and quaternions; default: a constant rate from ra, dec, roll"
     )
     ra_deg: float = Field(default=83.8, ge=0, le=360, description="right ascension of the boresight at the start")
     dec_deg: float = Field(default=0.0, ge=-90, le=90, description="its declination")
@@ -91,10 +91,12 @@ class FixedRate(StrictModel):
 
 
 class RandomRate(StrictModel):
-    """An angular velocity of its own for every frame, axes uniform over the sphere."""
+    """An independent angular velocity in every frame, its axis uniform over the sphere."""
 
     kind: Literal["random"] = "random"
-    distribution: Literal["uniform", "log_uniform"] = Field(default="uniform", description="of the magnitude")
+    distribution: Literal["uniform", "log_uniform"] = Field(
+        default="uniform", description="distribution of the magnitude"
+    )
     lowest_deg_per_s: float = Field(default=0.0, ge=0, le=360, description="smallest magnitude")
     highest_deg_per_s: float = Field(default=0.5, ge=0, le=360, description="largest magnitude")
 
@@ -111,13 +113,15 @@ class JitterConfig(StrictModel):
     """Random motion about the camera's axes, as one-sided power spectra; power laws between the frequencies."""
 
     frequency_hz: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = Field(
-        default=(), description="at least two, increasing; none: no jitter"
+        default=(), description="frequencies, at least two, increasing; empty: no jitter"
     )
     psd_x_arcsec2_per_hz: tuple[SpectralDensity, ...] = Field(
-        default=(), description="about x at these frequencies; none: at rest"
+        default=(), description="power spectral density about x at these frequencies; empty: at rest"
     )
-    psd_y_arcsec2_per_hz: tuple[SpectralDensity, ...] = Field(default=(), description="about y")
-    psd_z_arcsec2_per_hz: tuple[SpectralDensity, ...] = Field(default=(), description="about the boresight")
+    psd_y_arcsec2_per_hz: tuple[SpectralDensity, ...] = Field(default=(), description="power spectral density about y")
+    psd_z_arcsec2_per_hz: tuple[SpectralDensity, ...] = Field(
+        default=(), description="power spectral density about the boresight"
+    )
 
     @model_validator(mode="after")
     def _as_many(self) -> JitterConfig:
@@ -140,22 +144,25 @@ Rate = FixedRate | RandomRate
 
 
 class BackgroundConfig(StrictModel):
-    """Light that is no star."""
+    """Light other than stars."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"uniform_mag_per_arcsec2"})
 
-    extra_e_per_s: float = Field(default=2.0, ge=0, le=1e6, description="uniform light per pixel")
-    zodiacal: bool = Field(default=False, description="zodiacal light as seen from the Earth, through the lens")
+    extra_e_per_s: float = Field(default=2.0, ge=0, le=1e6, description="uniform background per pixel")
+    zodiacal: bool = Field(default=False, description="zodiacal light seen from the Earth, vignetted by the lens")
     uniform_mag_per_arcsec2: float | None = Field(
-        default=None, ge=0, le=40, description="V of a uniform sky, through the lens; left out: none"
+        default=None,
+        ge=0,
+        le=40,
+        description="V surface brightness of a uniform sky, vignetted by the lens; default: none",
     )
     moon_planets: bool = Field(
-        default=False, description="Moon and planets where they stand; needs catalogue.observer = earth"
+        default=False, description="Moon and planets at their positions; needs catalogue.observer = earth"
     )
     stray_light: FileName = Field(
         default="",
-        description="table of point-source transmittance, pst.ecsv of straylight: even light of Sun and Moon, and "
-        "of the Earth with earth_distance_km; needs catalogue.observer = earth",
+        description="point-source transmittance (pst.ecsv of straylight): adds uniform stray light of Sun and "
+        "Moon, and of the Earth if earth_distance_km is set; needs catalogue.observer = earth",
     )
     ghosts: bool = Field(
         default=False,
@@ -163,15 +170,18 @@ class BackgroundConfig(StrictModel):
         "stray_light with the cause ghosts",
     )
     earth_direction_deg: tuple[AngleDeg, DeclinationDeg] = Field(
-        default=(0.0, 0.0), description="right ascension and declination at which the Earth's centre is seen"
+        default=(0.0, 0.0), description="right ascension and declination of the Earth's centre"
     )
     earth_distance_km: float | None = Field(
-        default=None, ge=6500, le=1e7, description="to the Earth's centre, with moon_planets; left out: no Earth"
+        default=None,
+        ge=6500,
+        le=1e7,
+        description="distance of the Earth's centre, with moon_planets; default: no Earth",
     )
 
 
 class RadiationConfig(StrictModel):
-    """What space does to the detector."""
+    """Radiation effects in the detector."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"depleted_volume_um3"})
 
@@ -180,27 +190,30 @@ class RadiationConfig(StrictModel):
     )
     depth_um: float = Field(default=10.0, ge=1, le=500, description="thickness of the sensitive silicon")
     displacement_dose_tev_per_g: float = Field(
-        default=0.0, ge=0, le=1e6, description="displacement damage dose; hot pixels follow from it"
+        default=0.0, ge=0, le=1e6, description="displacement damage dose, which creates hot pixels"
     )
     depleted_volume_um3: float = Field(default=30.0, gt=0, le=1e5, description="depleted volume of a pixel")
 
 
 class SplitsConfig(StrictModel):
-    """Shares of the frames, and what keeps them apart; more frames never change those there are."""
+    """Training, validation and test frames; adding frames never changes the split of existing frames."""
 
     by: Literal["auto", "sky", "arc", "frame"] = Field(
         default="auto",
-        description="sky: regions of the sky with gaps between them; arc: parts of the circle of a scan; frame: at "
-        "random, whatever they show; auto: sky for attitudes over all the sky, arc for scans, sky for cones and lists "
-        "where the gaps leave half of the frames, otherwise frame",
+        description="sky: regions of the sky separated by gaps; arc: arcs of a scan; frame: at random; auto: "
+        "sky for random attitudes, and for cones and lists if the gaps leave half of the frames, "
+        "arc for scans, otherwise frame",
     )
     gap_deg: float | None = Field(
-        default=None, ge=0, le=180, description="least angle between boresights of two splits; left out: the diagonal"
+        default=None,
+        ge=0,
+        le=180,
+        description="smallest angle between boresights of two splits; default: the field's diagonal",
     )
 
-    train_fraction: float = Field(default=0.8, ge=0, le=1, description="for training")
-    validation_fraction: float = Field(default=0.1, ge=0, le=1, description="for validation")
-    test_fraction: float = Field(default=0.1, ge=0, le=1, description="for the last test")
+    train_fraction: float = Field(default=0.8, ge=0, le=1, description="fraction of frames for training")
+    validation_fraction: float = Field(default=0.1, ge=0, le=1, description="fraction of frames for validation")
+    test_fraction: float = Field(default=0.1, ge=0, le=1, description="fraction of frames for the final test")
 
     @model_validator(mode="after")
     def _whole(self) -> SplitsConfig:
@@ -218,7 +231,7 @@ class FilesConfig(StrictModel):
         default="none", description="lossless tile compression of the frames"
     )
     mask: Literal["always", "saturated", "never"] = Field(
-        default="saturated", description="frames with a mask of saturated and defective pixels"
+        default="saturated", description="which frames get a mask of saturated and defective pixels"
     )
     layers: bool = Field(
         default=False, description="expected electrons of stars, ghosts, sky ... apart, 4 bytes a pixel each"
@@ -226,49 +239,53 @@ class FilesConfig(StrictModel):
 
 
 class CardConfig(StrictModel):
-    """What the data card, COCO and Croissant say of the dataset; no frame depends on it."""
+    """Entries of the data card, COCO and Croissant; frames do not depend on them."""
 
     title: str = Field(default="Star frames with exact truth", description="name of the dataset")
-    version: str = Field(default="1.0.0", description="its version")
+    version: str = Field(default="1.0.0", description="version of the dataset")
     licence: str = Field(
         default="",
         pattern=r"^[A-Za-z0-9.+-]{0,100}$",
-        description="SPDX identifier such as CC-BY-4.0, of letters, digits, '.', '+', '-'; left out: the catalogue's",
+        description="SPDX identifier such as CC-BY-4.0 (letters, digits, '.', '+', '-'); default: the catalogue's",
     )
-    citation: str = Field(default="", description="how to cite it; left out: starbench and the star catalogue")
+    citation: str = Field(default="", description="citation; default: starbench and the star catalogue")
 
 
 class VerifyConfig(StrictModel):
-    """What is done with the frames afterwards: stars measured, attitudes solved blind, world coordinates tried."""
+    """Evaluation of the frames: stars measured, attitudes solved blind, world coordinates checked."""
 
-    frames: int = Field(default=200, ge=0, le=10_000_000, description="frames looked at, the first ones; 0: none")
-    dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light in the mean dark")
+    frames: int = Field(default=200, ge=0, le=10_000_000, description="number of frames evaluated, from the first")
+    dark_frames: int = Field(default=20, ge=1, le=1000, description="dark frames averaged")
 
 
 class Config(SensorExperimentConfig):
     """Two hundred frames of the real sky in random attitudes."""
 
-    frames: int = Field(default=200, ge=1, le=10_000_000, description="frames in all; more than there are: continued")
+    frames: int = Field(
+        default=200, ge=1, le=10_000_000, description="total number of frames; a larger number extends the dataset"
+    )
     instrument: InstrumentConfig = InstrumentConfig(
         lens="star_tracker_26mm", detector="cmv4000", width_px=1024, height_px=1024, exposure_s=0.2
     )
     passband: PassbandConfig = PassbandConfig()
-    nodes: int = Field(default=6, ge=2, le=64, description="wavelengths at which the pass band is sampled")
+    nodes: int = Field(default=6, ge=2, le=64, description="number of wavelengths that sample the pass band")
     pupil_tolerance: float = Field(
         default=1e-4,
         ge=1e-7,
         le=1e-2,
-        description="of the quadrature over the pupil: largest error of a pixel in the light of its star",
+        description="largest error of a pixel by the pupil quadrature, relative to the star's light",
     )
     catalogue: CatalogueConfig = CatalogueConfig()
     compared: tuple[str, ...] = Field(
-        default=(), description="how close such frames are to those of the real sensor; of a sensor file"
+        default=(), description="agreement with frames of the real sensor, from a sensor file"
     )
     centroid: CentroiderName = Field(default="epsf", description="centroider")
-    window_px: int = Field(default=7, ge=5, le=63, description="window of the centroider, odd")
-    threshold_sigma: float = Field(default=5.0, gt=0, le=1000, description="detection limit, in standard deviations")
-    pointing: Pointing = Field(default=SkyPointing(), discriminator="kind", description="where the camera looks")
-    rate: Rate = Field(default=FixedRate(), discriminator="kind", description="how it turns during the exposure")
+    window_px: int = Field(default=7, ge=5, le=63, description="side of the centroid window, odd")
+    threshold_sigma: float = Field(
+        default=5.0, gt=0, le=1000, description="detection threshold, in standard deviations of the filtered noise"
+    )
+    pointing: Pointing = Field(default=SkyPointing(), discriminator="kind", description="distribution of attitudes")
+    rate: Rate = Field(default=FixedRate(), discriminator="kind", description="rotation during the exposure")
     jitter: JitterConfig = JitterConfig()
     background: BackgroundConfig = BackgroundConfig()
     scatter: ScatterConfig = ScatterConfig()
@@ -277,16 +294,18 @@ class Config(SensorExperimentConfig):
     splits: SplitsConfig = SplitsConfig()
     files: FilesConfig = FilesConfig()
     exports: tuple[Literal["coco", "webdataset"], ...] = Field(
-        default=(), description="copies for learning programs: coco, webdataset"
+        default=(), description="exports for machine learning: coco, webdataset"
     )
-    png_bits: Literal[8, 16] = Field(default=16, description="of coco; 16: raw numbers, 8: stretched for the eye")
+    png_bits: Literal[8, 16] = Field(
+        default=16, description="bits of COCO images; 16: raw DN, 8: stretched for display"
+    )
     card: CardConfig = CardConfig()
     verify: VerifyConfig = VerifyConfig()
     calibration_frames: int = Field(
-        default=20, ge=0, le=1000, description="frames in each of bias, dark and flat of the folder; 0 or 1: none"
+        default=20, ge=0, le=1000, description="frames averaged in each of bias, dark and flat; 0 or 1: none"
     )
-    workers: int = Field(default=0, ge=0, le=4096, description="processes; 0: one per processor; 1: this one")
-    scheduler: str = Field(default="", description="Dask scheduler such as tcp://host:8786; left out: this machine")
+    workers: int = Field(default=0, ge=0, le=4096, description="processes; 0: one per processor; 1: no extra process")
+    scheduler: str = Field(default="", description="Dask scheduler such as tcp://host:8786; default: this machine")
 
     @model_validator(mode="before")
     @classmethod
@@ -332,10 +351,10 @@ experiment = Experiment(
     output="remote:dataset_at",
     takes="50 s (--quick: 12 s)",
     examples={
-        "--frames 1000 --out sky": "the real sky, 1024 x 1024 px, random attitudes; the same command goes on",
-        "--frames 5000 --workers 8 --out sky": "let it grow, sooner",
-        "check sky": "read every file, say what is damaged and what a run would make again",
-        "--sensor my.toml --set 'exports=[\"coco\"]'": "another sensor, copies for learning programs",
+        "--frames 1000 --out sky": "the real sky, 1024 x 1024 px, random attitudes; the same command resumes",
+        "--frames 5000 --workers 8 --out sky": "extend it, in eight processes",
+        "check sky": "read every file; list damaged and missing files",
+        "--sensor my.toml --set 'exports=[\"coco\"]'": "your own sensor, with a COCO export",
     },
     options={
         "frames": ("frames", "Frames in all."),
@@ -347,7 +366,7 @@ experiment = Experiment(
 main = command(experiment)
 
 
-@main.command(help="Read every file of a dataset and say what is damaged, and what a run would make again.")
+@main.command(help="Read every file of a dataset and list damaged and missing files.")
 @click.argument("folder", metavar="FOLDER_OR_URL")
 def check(folder: str) -> int:
     """0 if every file is as it was written, 1 if not."""

@@ -330,13 +330,13 @@ SECTIONS = {
                 "unsolved",
                 "unsolved_limit",
                 title="frames that are not solved",
-                advice="too few stars: longer exposure, fainter limit of detection, or a wider field",
+                advice="too few stars: use a longer exposure, a lower threshold, or a wider field",
             ),
             ratio_near(
                 "pull",
                 within=0.1,  # the common error is known to some 10 % from the stars of a frame
                 title="attitude error over its predicted sigma, RMS of x, y and roll",
-                advice="centroids are worse than their covariance: see the bound of centroids",
+                advice="centroid errors exceed their covariance: see the centroid bound",
             ),
         ],
     ),
@@ -348,6 +348,6 @@ SECTIONS = {
         table="solved_frames",
         across="axis",
         axes=_axes,
-        caption="Every frame that was tried.",
+        caption="All frames to be solved.",
     ),
 }

@@ -73,7 +73,7 @@ def _by_sky(splits: SplitsConfig, streams: Streams, gap_rad: float, looks: Float
 def _by_caps(splits: SplitsConfig, streams: Streams, gap_rad: float) -> Splits:
     """Caps about a random pole and its opposite, as large as makes the shares right among the frames that count."""
     if gap_rad >= WIDEST_GAP_RAD:
-        raise DomainError(f"splits.gap_deg = {gap_rad * RAD_DEG:g} deg; caps on the sky need less than 90 deg")
+        raise DomainError(f"splits.gap_deg = {gap_rad * RAD_DEG:g} deg; less than 90 deg is needed")
     pole = streams.generator("split pole", 0).standard_normal(3)
     pole /= np.linalg.norm(pole)
 
@@ -174,8 +174,8 @@ def _by_arc(splits: SplitsConfig, pole: FloatArray, radius: float, start: FloatA
     used = period - len(parts) * gap
     if chord >= 1.0 or used <= 0:
         raise DomainError(
-            f"splits.gap_deg = {gap_rad * RAD_DEG:g} deg: a circle of {radius * RAD_DEG:g} deg radius has no room for "
-            f"{len(parts)} such gaps; take a smaller one, or splits.by = frame"
+            f"splits.gap_deg = {gap_rad * RAD_DEG:g} deg: a circle of {radius * RAD_DEG:g} deg radius has no room "
+            f"for {len(parts)} such gaps; use a smaller one, or splits.by = frame"
         )
     across = np.cross(pole, start)
 

@@ -69,10 +69,10 @@ def _unsealed(path: Path, content: bytes) -> None:
     """Refuse a truth file that is not as it was written."""
     at = _seal(content)
     if at is None:
-        raise ConfigError(f"{path}: is no truth of a dataset, or damaged")
+        raise ConfigError(f"{path}: is not a truth file of a dataset, or is damaged")
     blank = content[: at[0]] + _BLANK.encode() + content[at[1] :]
     if hashlib.sha256(blank).hexdigest().encode() != content[at[0] : at[1]]:
-        raise ConfigError(f"{path}: is damaged: its digest is another one")
+        raise ConfigError(f"{path}: is damaged: its digest does not match")
 
 
 def index_bytes(records: Sequence[FrameRecord], form: Format, truth_digest: Mapping[str, str]) -> bytes:
@@ -98,7 +98,7 @@ def read_record(path: Path) -> FrameRecord:
     try:
         names, rows = [column.name for column in COLUMNS], int(metadata.get("rows", len(table)))
         if table.colnames != names or len(table) != rows:
-            raise ConfigError(f"{path}: its columns or rows are not those of a truth")
+            raise ConfigError(f"{path}: its columns or rows do not match a truth file")
         return record_from_text(str(metadata[RECORD]))
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"{path}: its record of the frame is damaged ({error!r})") from None

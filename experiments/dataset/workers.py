@@ -102,12 +102,12 @@ def _on_cluster(job: Job, frames: Sequence[int], address: str, done: Done) -> in
             )
         except TypeError:  # Dask's, of a missing certificate
             raise ConfigError(
-                f"scheduler {address}: Dask knows no certificates; name them in its configuration "
+                f"scheduler {address}: Dask has no certificates; name them in its configuration "
                 "(distributed.comm.tls.ca-file, client.cert and client.key, see docs/dataset.md)"
             ) from None
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
             raise ConfigError(
-                f"scheduler {address} does not answer as one within {CONNECT_S:g} s ({_reason(error)}); start one with "
+                f"scheduler {address} does not answer within {CONNECT_S:g} s ({_reason(error)}); start one with "
                 "'dask scheduler', or leave scheduler out to use this machine"
             ) from None
         job = stack.enter_context(_marked(job))
@@ -151,7 +151,7 @@ def _try_worker(client: Any, job: Job, address: str) -> None:
         client.submit(int, pure=False).result(timeout=ALONE_S)
     except TimeoutError:
         raise ConfigError(
-            f"scheduler {address} has no workers, and starts none within {ALONE_S:g} s; start some with "
+            f"scheduler {address} has no workers, and started none within {ALONE_S:g} s; start some with "
             f"'dask worker {address}'"
         ) from None
     try:
@@ -231,8 +231,8 @@ def _gather(
             made = future.result()
         except distributed.KilledWorker:
             raise BackendError(
-                f"workers died {DEATHS + 1} times over {future.key.rsplit('-', 1)[0]} (killed, or out of memory); what "
-                "was made is kept: use fewer workers and run the same command again"
+                f"workers died {DEATHS + 1} times over {future.key.rsplit('-', 1)[0]} (killed, or out of memory); "
+                "finished frames are kept: use fewer workers and run the same command again"
             ) from None
         except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError):
             raise watch.gone() from None

@@ -315,7 +315,7 @@ SECTIONS = {
         record=Numbers,
         json=dict.fromkeys(Numbers.__dataclass_fields__, ""),
         table="distortion",
-        caption="The document's three numbers (3 σ), first centroider.",
+        caption="ACC18's three numbers (3 σ), first centroider.",
         note=f"How surveyed places become pixels: {COORDINATES}. *All surveys*: RMS over independent surveys of the "
         "same target, same frames.",
     ),
@@ -325,7 +325,7 @@ SECTIONS = {
         prefix="method_",
         place="methods_arcsec_3sigma[method]",
         table="centroiders",
-        caption="The document's three numbers (3 σ) by every centroider.",
+        caption="ACC18's three numbers (3 σ) by every centroider.",
         verdicts=[
             agree(
                 "method_all_surveys_arcsec",
@@ -333,7 +333,7 @@ SECTIONS = {
                 each="method",
                 false_alarm=1e-3,
                 title="Before, after and removed, over all surveys, against prediction",
-                advice="centroids, noise or the response pattern are not what the prediction takes them for",
+                advice="centroids, noise or the response pattern differ from the prediction's",
             )
         ],
     ),
@@ -357,10 +357,11 @@ SECTIONS = {
         rows="reference axis",
         columns="uncorrected_arcsec one_survey_arcsec point_out_arcsec row_out_arcsec all_surveys_arcsec "
         "forecast_arcsec",
-        caption="The true map (3 σ of its RMS over the whole detector): before and after the correction, and the error "
-        "that points left out of the fit of the one survey show (marking and centroid errors included).",
-        note="None: with a row or a column left out, the others do not determine the polynomial there; no residual "
-        "tests the map between them.",
+        caption="True error of the map (3 times its RMS over the detector) before and after the "
+        "correction, and the error at points left out of the fit of a single survey (marking and "
+        "centroid errors included).",
+        note="None: with a row or a column left out, the others do not determine the polynomial; no "
+        "residual tests the map between them.",
         figures={
             "true_map": arrows("map_place_px", "map_distortion_px", "map_left_px", frame="size_px", aspect_ratio=0.36)
         },
@@ -369,7 +370,7 @@ SECTIONS = {
                 "map_ratio",
                 within=0.1,
                 title="True map error of all surveys over its prediction",
-                advice="the distortion between the points is not what a polynomial of this order follows",
+                advice="a polynomial of this order does not describe the distortion between the points",
             )
         ],
     ),

@@ -66,7 +66,7 @@ class Choice:
     """Whether the order is that of the target and of the lens."""
 
     tested_order: int = col("Highest order that the other rows and columns determine where one is left out")
-    best_order: int = col("Order that is least off at points left out")
+    best_order: int = col("Order with the smallest error at points left out")
     over_best: float = col("Error at points left out over that of the best order", format=".3g")
 
 
@@ -173,8 +173,8 @@ own_frames = FramesTest(
             table="distortion",
             rows=DIMS,
             columns="sigma_d_arcsec sigma_left_arcsec sigma_c1_arcsec left_out_arcsec row_out_arcsec",
-            caption="Distortion error (ACC18 eq. 17-30, 3 σ), and the error of the map at points that the fit has not "
-            "seen (3 times its RMS).",
+            caption="Distortion error (ACC18 eq. 17-30, 3 σ), and error of the map at points left out of the "
+            "fit (3 times its RMS).",
             note="*nominal*: stated coordinates as they are; *aligned*: shift, roll and scale fitted; *calibrated*: a "
             "camera model from the earlier session. *Left out*: camera and polynomial fitted without the point, or "
             "without its row or column (the larger; none: the others do not determine the polynomial there).",
@@ -185,7 +185,7 @@ own_frames = FramesTest(
             dim="tried",
             along="tried",
             table="orders",
-            caption="Other orders of the polynomial: what they leave in the fit, and their error at points left out.",
+            caption="Other orders of the polynomial: fit residuals, and error at points left out of the fit.",
         ),
         "choice": Section(
             record=Choice,

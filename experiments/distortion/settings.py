@@ -16,29 +16,35 @@ from experiments.laboratory.settings import GridTargetConfig, InstrumentConfig
 
 
 class WideConfig(StrictModel):
-    """A camera whose distortion decides the document's numbers, and its target."""
+    """A wide camera, for which distortion exceeds the marking error, and its target."""
 
     # its few points are summed one by one in a fifth of the time that a grid of images over so wide a field takes
     instrument: InstrumentConfig = InstrumentConfig(
         lens="star_tracker_26mm", detector="cmv4000", defocus_mm=0.0, diffraction="exact_waves"
     )
     target: GridTargetConfig = GridTargetConfig(edge_px=350.0)
-    order: int = Field(default=3, ge=3, le=5, description="of the polynomial; less does not follow a distortion")
+    order: int = Field(
+        default=3, ge=3, le=5, description="order of the polynomial, at least the order of the distortion"
+    )
 
 
 class Config(PointConfig):
-    """The published run: ACC18 gives the 32 points, their marking error, the cubic polynomial and N >= 30."""
+    """The published run; ACC18 states 32 points, their marking error, a cubic polynomial and N >= 30."""
 
     target: GridTargetConfig = GridTargetConfig()
-    order: int = Field(default=3, ge=1, le=9, description="of the polynomial")
+    order: int = Field(default=3, ge=1, le=9, description="order of the polynomial")
     reference: Literal["nominal", "aligned", "calibrated"] = Field(
-        default="calibrated", description="how target coordinates become pixels, for the figures that count"
+        default="calibrated", description="conversion of target coordinates to pixels for the main result"
     )
-    window_px: int = Field(default=15, ge=7, le=63, description="window around a point, odd")
-    centroid: MethodName = Field(default="epsf", description="centroider that counts")
-    compare: tuple[MethodName, ...] = Field(default=("cog", "gaussian"), description="others on the same frames")
-    surveys: int = Field(default=200, ge=2, le=5000, description="independent surveys of the target, same frames")
-    draws: int = Field(default=200, ge=10, le=5000, description="noisy copies of a window behind the prediction")
+    window_px: int = Field(default=15, ge=7, le=63, description="side of the centroid window, odd")
+    centroid: MethodName = Field(default="epsf", description="main centroider")
+    compare: tuple[MethodName, ...] = Field(
+        default=("cog", "gaussian"), description="other centroiders for the same frames"
+    )
+    surveys: int = Field(
+        default=200, ge=2, le=5000, description="independent surveys of the target for the same frames"
+    )
+    draws: int = Field(default=200, ge=10, le=5000, description="noisy copies of a window for the prediction")
     map_rows: int = Field(default=17, ge=5, le=101, description="rows of the dense map; twice as many columns")
     wide: WideConfig = WideConfig()
 

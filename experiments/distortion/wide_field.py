@@ -64,13 +64,13 @@ WIDE = Section(
     table="wide_field",
     rows="number axis",
     columns="measured_arcsec predicted_arcsec marking_arcsec",
-    caption="A lens whose distortion decides the numbers (3 σ): one survey, shift, roll and scale fitted.",
+    caption="A lens whose distortion exceeds the marking error (3 σ): a single survey, shift, roll and scale fitted.",
     verdicts=[
         agree(
             "wide_measured_arcsec",
             "wide_predicted_arcsec",
             false_alarm=4e-4,  # 4 sigma: squares of few residuals have long tails
-            title="Wide field: found, left and removed against the prescription",
+            title="Wide field: distortion before, after and removed, against the prescription",
         ),
         ratio_near(
             "wide_residual_ratio",

@@ -1,4 +1,4 @@
-"""How well one frame gives the direction to a star: scatter on a turntable, by the Fisher distribution (FISHER23).
+"""Accuracy of a single-frame star vector: scatter on a turntable, by the Fisher distribution (FISHER23).
 
 A single star is rendered through the lens while a table carries its image over the whole detector, at rest and on the
 move. A joint calibration (S100) on frames of its own gives camera, star and installation; with it the images of single

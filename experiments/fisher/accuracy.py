@@ -110,8 +110,8 @@ def check_config(config: Config) -> Instrument:
     check_table("table", config.table, axes)
     if axes == 3 and len({round(roll % 360.0, 6) for roll in config.table.rolls_deg}) < 2:
         raise ConfigError(
-            f"table.rolls_deg = {list(config.table.rolls_deg)}: a third axis that does not move says nothing about its "
-            "angle to the second; give at least two angles, or take two axes"
+            f"table.rolls_deg = {list(config.table.rolls_deg)}: the angle of a third axis to the second is not "
+            "observable unless it moves; give at least two angles, or use two axes"
         )
     check_count(config.grid.columns * config.grid.rows, build_table(config.table))
     instrument = camera_under_test(config)
@@ -511,9 +511,10 @@ SECTIONS = {
         table="accuracy",
         across="end source",
         caption="Accuracy of single-frame star vectors (S300–S500).",
-        note="Uncertainty 1 σ, interval by χ² with 2 (n − 1) degrees of freedom. Predicted: from the covariances of "
-        "centroids, readings, clocks, calibration; deviation from it in σ. Without table: what readings and clocks are "
-        "known to add taken off in quadrature. Pixel method: with the calibrated angle per pixel, on the same frames.",
+        note="Uncertainty 1 σ, interval by χ² with 2 (n − 1) degrees of freedom. Predicted: from the "
+        "covariances of centroids, readings, clocks, calibration; deviation in σ. Without table: "
+        "known contributions of readings and clocks subtracted in quadrature. Pixel method: with "
+        "the calibrated angle per pixel, same frames.",
         figures={
             "vector_scatter": cloud(
                 "offset_arcsec", ellipses="sigma_arcsec sigma_predicted_arcsec", panels="acquisition"
@@ -526,8 +527,7 @@ SECTIONS = {
                 error=1.0,
                 of="z_of_whole",
                 title="scatter of the star vectors against the prediction, at rest and on the move",
-                advice="the light in the centroids or the readings of the table are worse or better than stated: see "
-                "the causes",
+                advice="noise of centroids or table readings differs from the stated noise: see the causes",
             ),
             agree(
                 "baseline_over_fisher",
@@ -543,9 +543,9 @@ SECTIONS = {
         dim="cause",
         table="causes",
         across="acquisition",
-        caption="Where the scatter comes from, per axis.",
-        note="Expected: from covariances. Realised: in this run, with the truth put in place of what was measured, "
-        "which only a simulation can do.",
+        caption="Scatter by cause, per axis.",
+        note="Expected: from covariances. Realised: in this run, with the truth in place of all other "
+        "measured quantities.",
         figures={
             "cause_bars": bars("cause", bars="realised_arcsec", points="expected_arcsec", panels="acquisition"),
         },

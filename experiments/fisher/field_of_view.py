@@ -166,9 +166,10 @@ FIELDS = Section(
     place="field_sweep[field]",
     table="field_of_view",
     caption="Bias of the standard deviation by method, against the width of a square field.",
-    note="Ideal cameras, calibration known, vectors evenly over the detector; ± 1 standard error. Noise "
-    "isotropic on the sphere: pixel method over Fisher, less 1; Fisher over the truth; vectors for which the 95 % "
-    "interval of σ is as narrow as the bias. Pixel noise: isotropic in pixels, Fisher over pixel method, less 1.",
+    note="Ideal cameras, known calibration, vectors evenly over the detector; ± 1 standard error. "
+    "Noise isotropic on the sphere: pixel method / Fisher − 1; Fisher / truth; number of "
+    "vectors at which the 95 % interval of σ is as narrow as the bias. Pixel noise (isotropic "
+    "in pixels): Fisher / pixel method − 1.",
     figures={
         "field_bias": curves(
             "field_deg",

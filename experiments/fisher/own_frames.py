@@ -54,7 +54,7 @@ class Vectors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Distribution:
-    """Whether the vectors follow the distribution."""
+    """Tests of the distribution of the vectors."""
 
     vectors: int = col("Star vectors")
     outliers: int = col("Outliers left out")
@@ -67,14 +67,15 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
     chosen = [one for one in folder.series if one.settings.use == "evaluation"]
     if not chosen:
         raise ConfigError(
-            f"{SETTINGS_FILE}: no series has use = 'evaluation'; star vectors are evaluated on poses that did not "
-            "calibrate"
+            f"{SETTINGS_FILE}: no series has use = 'evaluation'; star vectors must be evaluated on poses other than "
+            "those of the calibration"
         )
     several = next((one for one in chosen if len(one.windows.dn) > 1), None)
     if several is not None:
         raise ConfigError(
-            f"{SETTINGS_FILE}, {several.name}: {len(several.windows.dn)} frames with use = 'evaluation'; a star vector "
-            "is one frame with its own reading: give every frame a series (series_table), or evaluate one of them"
+            f"{SETTINGS_FILE}, {several.name}: {len(several.windows.dn)} frames with use = 'evaluation'; a star "
+            "vector needs its own table reading: give every frame a series (series_table), or evaluate a single "
+            "frame"
         )
     if len(chosen) < FEWEST:
         raise DomainError(f"{SETTINGS_FILE}: {len(chosen)} star vectors for evaluation; at least {FEWEST} are needed")
@@ -137,8 +138,8 @@ own_frames = FramesTest(
             record=Vectors,
             table="accuracy",
             columns="sigma_arcsec predicted_arcsec centroids_arcsec readings_arcsec pixel_method_arcsec",
-            caption="Standard deviation of a star vector per axis (FISHER23, S300 to S500), and what covariances "
-            "predict.",
+            caption="Standard deviation of a star vector per axis (FISHER23, S300 to S500), measured and "
+            "predicted from covariances.",
             note="*Pixel residuals*: standard deviation of the residuals on the detector times the angle of a pixel.",
             figures={"residuals": arrows("place_px", "left_arcsec", frame="frame_size_px")},
             verdicts=[
@@ -155,13 +156,13 @@ own_frames = FramesTest(
         "distribution": Section(
             record=Distribution,
             table="checks",
-            caption="Whether the vectors follow the distribution.",
+            caption="Tests of the distribution of the vectors.",
             verdicts=[
                 below(
                     "outliers",
                     0,
                     title="star vectors that are outliers (evaluation.outlier_probability)",
-                    advice="a few frames are off: a lost star, readings of another frame, a table that had not settled",
+                    advice="a few wrong frames: a lost star, readings of another frame, a table that had not settled",
                 )
             ],
         ),

@@ -21,21 +21,21 @@ def _table() -> TableConfig:
 
 
 class EvaluationConfig(SignalConfig):
-    """Acquisition of the star vectors (S200): one frame and one reading of the table at every place."""
+    """Acquisition of the star vectors (S200): a frame and a table reading at every position."""
 
     default_signal_e: ClassVar[float] = 2000.0
 
-    columns: int = Field(default=21, ge=2, le=200, description="places along a row")
-    rows: int = Field(default=11, ge=2, le=200, description="places along a column")
-    edge_px: float = Field(default=45.0, ge=0, le=1e5, description="distance of the outermost places from the edge")
+    columns: int = Field(default=21, ge=2, le=200, description="positions along a row")
+    rows: int = Field(default=11, ge=2, le=200, description="positions along a column")
+    edge_px: float = Field(default=45.0, ge=0, le=1e5, description="distance of the outermost positions from the edge")
     signal_e: float | None = Field(
         default=None,
         gt=0,
         le=1e7,
-        description="electrons per exposure of the star whose accuracy is asked; both left out: 2000",
+        description="electrons per exposure of the evaluated star; default, without a magnitude: 2000",
     )
     outlier_probability: float = Field(
-        default=0.01, gt=0, lt=0.5, description="chance of taking a good sample for one with outliers"
+        default=0.01, gt=0, lt=0.5, description="false-alarm probability of the outlier test"
     )
 
 
@@ -43,16 +43,19 @@ class DynamicConfig(StrictModel):
     """Acquisition while the table moves."""
 
     rate_deg_per_s: float = Field(
-        default=0.05, gt=0, le=10, description="speed of the second axis, rows in turn forwards and backwards"
+        default=0.05,
+        gt=0,
+        le=10,
+        description="speed of the second axis, which sweeps rows alternately forwards and backwards",
     )
     jitter_ms: float = Field(
-        default=1.0, ge=0, le=1e3, description="standard deviation between mid-exposure and reading"
+        default=1.0, ge=0, le=1e3, description="standard deviation of the time from mid-exposure to reading"
     )
-    samples: int = Field(default=10, ge=2, le=500, description="instants of the exposure that are rendered")
+    samples: int = Field(default=10, ge=2, le=500, description="rendered instants per exposure")
 
 
 class FieldConfig(StrictModel):
-    """Ideal cameras over a range of fields: what the pixel-residual method makes of the same vectors."""
+    """Ideal cameras over a range of fields: result of the pixel-residual method for the same vectors."""
 
     field_deg: Annotated[tuple[Annotated[float, Field(ge=0.1, le=120)], ...], Sorted] = Field(
         default=(3.0, 5.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 35.0, 40.0),
@@ -61,11 +64,11 @@ class FieldConfig(StrictModel):
     )
     directions: int = Field(default=6000, ge=50, le=10**6, description="star vectors per run")
     runs: int = Field(default=40, ge=5, le=10**5, description="runs per field")
-    sigma_arcsec: float = Field(default=1.0, gt=0, le=600, description="noise per axis on the axis of the camera")
+    sigma_arcsec: float = Field(default=1.0, gt=0, le=600, description="noise per axis at the boresight")
 
 
 class Config(SingleStarConfig):
-    """FISHER23 gives bench and equations but no numbers: here the camera of ACC18, a better table than CUBE09's."""
+    """Bench and equations of FISHER23, which states no numbers: camera of ACC18, turntable better than CUBE09's."""
 
     table: TableConfig = Field(default_factory=_table)
     evaluation: EvaluationConfig = EvaluationConfig()
@@ -87,7 +90,7 @@ rendered = Experiment(
     takes="40 s (--quick: 20 s)",
     examples={
         "--quick": "a small run",
-        "--set table.reading_noise_arcsec=[0.3,0.4]": "on the table of CUBE09",
+        "--set table.reading_noise_arcsec=[0.3,0.4]": "with the reading noise of CUBE09's turntable",
         "--set evaluation.signal_e=10000 --set dynamic.rate_deg_per_s=0.1": "a brighter star, a faster table",
     },
     show=("accuracy", "field_of_view"),

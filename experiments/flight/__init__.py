@@ -1,4 +1,4 @@
-"""In flight: does the error budget predict the attitude error of a rendered orbit?
+"""Flight: attitude error of frames rendered along an orbit, compared with the error budget.
 
 A star sensor flies along an orbit: its attitude law, its temperatures, aberration and stray light. Segments of the
 orbit are rendered frame by frame, and a star tracker makes attitudes of them, from lost in space to tracking. Their

@@ -53,8 +53,8 @@ class Mission:
     star_error_arcsec: float = col("Error of a guide star besides noise, median", "arcsec", ".3g")
     available_percent: float = col("Availability over the orbit, predicted", "percent", ".1f")
     # None without frames
-    solved_percent: Measured | None = col("Frames that are tracked, of those not blinded", "percent", default=None)
-    acquired: Measured | None = col("Acquisitions lost in space that succeed", default=None)
+    solved_percent: Measured | None = col("Fraction of unblinded frames tracked", "percent", default=None)
+    acquired: Measured | None = col("Successful lost-in-space acquisitions", default=None)
     acquired_least: float | None = col("the same, lower limit at 90 % confidence", "", ".3f", default=None)
     acquisition_s: Measured | None = col("Time of an acquisition on this machine", "s", default=None)
     wrong_attitudes: int | None = col("Wrong attitudes", default=None)
@@ -257,7 +257,7 @@ class Age:
     """The sensor new, and at the end of its life, by prediction."""
 
     age: str = col("Life", json="")
-    limiting_magnitude_mag: float = col("Limiting magnitude, half are found", "mag", ".2f")
+    limiting_magnitude_mag: float = col("Limiting magnitude, half detected", "mag", ".2f")
     electrons_e: float = col("Electrons of a star of 6 mag", "e-", ".0f")
     dark_e: float = col("Dark charge", "e-", ".3g")
     stars: float = col("Guide stars, mean of the flight", "", ".1f")
@@ -431,7 +431,7 @@ SECTIONS = {
         rows="term component",
         columns="measured_arcsec predicted_arcsec ratio slope",
         caption="Attitude error by terms, RMS over the flight, one standard deviation; across: about one axis.",
-        note="Ratio and slope are left out where a term is below 5 % of the total.",
+        note="No ratio or slope: the term is below 5 % of the total.",
         figures={
             "terms": bars("term", bars="term_measured_arcsec", points="term_predicted_arcsec", panels="component")
         },
@@ -455,7 +455,7 @@ SECTIONS = {
         place="history[moment]",
         prefix="at_",
         table="history",
-        caption="Over the orbit.",
+        caption="Geometry and temperature over the orbit.",
         figures={
             "angles": curves("moment", lines="at_sun_deg at_earth_deg at_moon_deg", y="Angle from the boresight"),
             "temperature": curves("moment", lines="at_mean_k"),
@@ -492,7 +492,7 @@ SECTIONS = {
         rows="life",
         hidden="life",
         across="component",
-        caption="Begin and end of life, by prediction.",
+        caption="Predicted performance at begin and end of life.",
     ),
     "rates": Section(
         record=Turning,
@@ -502,7 +502,7 @@ SECTIONS = {
         place="rates[rate]",
         table="rates",
         across="component",
-        caption="The same stars while the body turns across the line of sight, by prediction.",
+        caption="Prediction for the same stars while the body turns across the line of sight.",
         note="No number: the trail is too long for the window.",
     ),
     "kelvin": Section(

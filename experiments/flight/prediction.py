@@ -86,7 +86,7 @@ def heated(config: Config, state_k: FloatArray) -> LensSystem:
         return lens
     if lens.measured is not None:
         raise DomainError(
-            f"lens {lens.name!r} is known by measurement alone: it has no thermal model; set offset_k, mean_k and "
+            f"lens {lens.name!r} is a measured lens without a thermal model; set offset_k, mean_k and "
             "eclipse_k of [temperature] to 0"
         )
     try:
@@ -230,7 +230,9 @@ class Budget:
         warm = build_instrument(self.config.instrument, lens=heated(self.config, state_k))
         found = warm.pixel_map(self.nominal.state.band, temperature_k=self.config.star_temperature_k)
         if found.direction.shape != self._map.direction.shape:
-            raise DomainError("temperature: the heated lens loses light at the edge of the field; smaller states")
+            raise DomainError(
+                "temperature: the heated lens loses light at the edge of the field; use smaller temperature changes"
+            )
         return np.asarray(found.pixel_px)
 
     @cached_property

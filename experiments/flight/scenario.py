@@ -48,7 +48,7 @@ def read_columns(file: str, key: str, needed: tuple[str, ...], may: tuple[str, .
     head = [name.strip() for name in rows[0]] if rows else []
     what = f"{key} = {Path(file).name}"
     if missing := [name for name in needed if name not in head]:
-        raise DomainError(f"{what}: no column {missing[0]}; needed are {', '.join(needed)}")
+        raise DomainError(f"{what}: no column {missing[0]}; required: {', '.join(needed)}")
     if unknown := [name for name in head if name not in (*needed, *may)]:
         raise DomainError(f"{what}: column {unknown[0]} is not known; columns are {', '.join((*needed, *may))}")
     try:

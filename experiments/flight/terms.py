@@ -82,7 +82,7 @@ def _slope_verdict(term: str, component: str) -> Verdict:
         at={"term": term, "component": component},
         slack=0.15,
         title="slope of the measured errors against the predicted ones",
-        advice="a sign, a unit or a frame: the errors are as large as predicted, and not where they should be",
+        advice="a wrong sign, unit or frame: the errors have the predicted size but the wrong direction",
     )
     return _known(one, "term_slope", term, component)
 

@@ -66,9 +66,9 @@ def command(experiment: Experiment) -> Main:
 
 
 def _options(experiment: Experiment) -> list[click.Parameter]:
-    sensor = "TOML file of a star sensor, taken by every experiment."
-    sensor += "" if experiment.comparison is None else " Repeatable: sensors side by side."
-    text = "Print the defaults, changed by the other options, as a commented file for --sensor (all: for --config)."
+    sensor = "Sensor file (TOML), the same for all experiments."
+    sensor += "" if experiment.comparison is None else " Repeat it to compare sensors."
+    text = "Print a commented sensor file with the values of the other options (all: every setting, for --config)."
     path, out = click.Path(readable=False), f"out/{experiment.name}"
     backends, files = click.Choice(["auto", "llvm", "cuda"]), click.Choice(["sensor", "all"])
 
@@ -87,14 +87,14 @@ def _options(experiment: Experiment) -> list[click.Parameter]:
             ["--set", "settings"],
             metavar="KEY=VALUE",
             multiple=True,
-            help="One setting, dotted keys; repeatable.",
+            help="Change a setting, e.g. instrument.exposure_s=0.2; repeatable.",
             shell_complete=keys,
         ),
         click.Option(["--seed"], type=click.IntRange(min=0), help="Seed of all random streams."),
-        click.Option(["--backend"], type=backends, default="auto", show_default=True),
+        click.Option(["--backend"], type=backends, default="auto", show_default=True, help="CPU (llvm) or GPU (cuda)."),
         click.Option(["--out"], metavar="DIR", type=path, default=out, show_default=True, help="Output folder."),
-        click.Option(["--force"], is_flag=True, help="Replace the output of a run with other settings."),
-        click.Option(["--quick"], is_flag=True, help="A small run that shows all parts in seconds."),
+        click.Option(["--force"], is_flag=True, help="Overwrite an output folder written with other settings."),
+        click.Option(["--quick"], is_flag=True, help="Small run that includes every part."),
         click.Option(["--defaults"], type=files, is_flag=False, flag_value="sensor", help=text),
         version_option(),
         click.Option(["--schema"], is_flag=True, help="Print the JSON schema of the configuration and stop."),

@@ -123,12 +123,12 @@ class ExperimentConfig(StrictModel):
     and in the JSON schema.
     """
 
-    seed: int = Field(default=1, ge=0, le=2**63 - 1, description="seed of every random stream")
+    seed: int = Field(default=1, ge=0, le=2**63 - 1, description="seed of all random streams")
 
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
         """Settings of this experiment that a sensor file decides."""
-        raise ConfigError(f"--sensor {file}: this experiment has no sensor that could be another one")
+        raise ConfigError(f"--sensor {file}: this experiment takes no sensor file")
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -297,7 +297,7 @@ def _laid(
     if where and isinstance(below, (list, tuple)):
         (key,) = above
         if not re.fullmatch(r"\d+", key) or int(key) >= len(below):
-            raise ConfigError(f"{where}: {'.'.join(at)} has items 0 to {len(below) - 1}, {key!r} is none of them")
+            raise ConfigError(f"{where}: {'.'.join(at)} has items 0 to {len(below) - 1}, not {key!r}")
         return [entry(old, key) if place == int(key) else old for place, old in enumerate(below)]
     if not isinstance(below, Mapping):
         if where and below is not None:

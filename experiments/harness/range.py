@@ -129,7 +129,7 @@ def _full_key(name: str, keys: Mapping[str, FieldInfo]) -> str:
     if tails and (len(tails) == 1 or tails[0].count(".") < tails[1].count(".")):  # of the outer table
         return tails[0]
     if tails:
-        raise ConfigError(f"sweep: {name!r} stands for {' and '.join(tails)}; name one of them")
+        raise ConfigError(f"sweep: {name!r} is ambiguous: {' and '.join(tails)}; name one of them")
     words = {key.rpartition(".")[2] for key in keys}
     raise unknown_name("parameter of the sweep", name, keys if "." in name else words)
 
@@ -177,7 +177,7 @@ def with_value(config: Any, key: str, value: Any) -> Any:
     *tables, last = key.split(".")
     for word in tables:
         if not isinstance(node[word], dict):
-            raise ConfigError(f"{key}: {word} is {node[word]!r}, no table that has this key")
+            raise ConfigError(f"{key}: {word} is {node[word]!r}, not a table with this key")
         node = node[word]
     node[last] = value
     return parse_model(type(config), values, key)

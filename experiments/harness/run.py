@@ -216,7 +216,9 @@ def _output_folder(experiment: Experiment, options: Options, config: ExperimentC
         raise ConfigError("--out is empty: name a folder")
     if experiment.output is not None:
         if options.force:
-            raise ConfigError(f"--force: {experiment.name} goes on with its folder and never replaces one; remove it")
+            raise ConfigError(
+                f"--force: {experiment.name} extends its folder and never replaces it; remove the folder to start anew"
+            )
         return experiment.part(experiment.output)(options.out, config)
     if "://" in options.out:
         raise ConfigError(f"--out {options.out}: a folder is needed; only datasets are written to URLs")
@@ -264,7 +266,7 @@ def run_experiment(
     """
     experiment: Experiment = name if isinstance(name, Experiment) else declared(name)
     if experiment.output is not None and out is None:
-        raise ConfigError(f"the experiment {experiment.name!r} writes as it goes: name a folder, out=")
+        raise ConfigError(f"the experiment {experiment.name!r} writes during the run: name a folder, out=")
     options = Options(
         sensor=(str(sensor),) if isinstance(sensor, str | Path) else tuple(map(str, sensor or ())),
         settings=tuple(f"{key}={_text(value)}" for key, value in (settings or {}).items()),

@@ -64,7 +64,7 @@ def with_what_if(declared: Experiment, *, renders: bool = False) -> Experiment:
             return _sweep(declared, renders)
         return declared.instead(config) if declared.instead is not None else None
 
-    option = "KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C: predict over a range of any number of the sensor; two make a map."
+    option = "KEY=LOW:HIGH:POINTS[:log] or KEY=A,B,C: predict over a range of any numeric setting; two give a map."
     return replace(
         declared,
         options={**declared.options, "sweep": ("sweep", option)},

@@ -23,11 +23,13 @@ MARK = '<meta name="generator" content="starbench">'
 
 @click.command(
     "all",
-    help="Run every experiment, or those of NAMES, and write a page that links their reports.",
+    help="Run the experiments NAMES, or all, and write a page that links their reports.",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.option("--out", default="out", metavar="DIR", type=click.Path(), show_default=True, help="Folder of the page.")
-@click.option("--sensor", metavar="FILE", type=click.Path(), help="As of the experiments, and so the following.")
+@click.option(
+    "--sensor", metavar="FILE", type=click.Path(), help="Passed to every experiment, as are the options below."
+)
 @click.option("--force", is_flag=True)
 @click.option("--quick", is_flag=True)
 @click.option("--seed", type=click.IntRange(min=0))

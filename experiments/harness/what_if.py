@@ -122,7 +122,7 @@ REQUIREMENTS = Section(
     table="requirements",
     rows="requirement",
     hidden="requirement",
-    caption="What is required of the sensor, and what is predicted.",
+    caption="Requirements and predictions.",
 )
 """Section of requirements; its record is what `judge` gives."""
 
@@ -426,7 +426,7 @@ def sweep_sections(result: Mapping[str, Any]) -> dict[str, Section]:
             table="crossings",
             rows="crossing",
             hidden="crossing",
-            caption="Where requirements begin or cease to be met.",
+            caption="Values at which a requirement changes between met and missed.",
         ),
     }
 
@@ -549,7 +549,7 @@ def comparison_sections(result: Mapping[str, Any]) -> dict[str, Section]:
         table="differences",
         across="sensor",
         columns="value",
-        caption="In what the configurations differ.",
+        caption="Differences of the configurations.",
     )
     return {
         "sensors": Section(
@@ -559,7 +559,7 @@ def comparison_sections(result: Mapping[str, Any]) -> dict[str, Section]:
             place="sensors[sensor]",
             table="sensors",
             vertical=True,
-            caption="Sensors side by side, by prediction.",
+            caption="Predictions for all sensors.",
         ),
         "requirements": Section(
             record=Compared,

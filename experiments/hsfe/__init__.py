@@ -1,4 +1,4 @@
-"""High spatial frequency error (ACC18 eq. 3-12): small steps of a hexapod, split by cause, predicted without frames.
+"""High spatial frequency error (ACC18 eq. 3-12): small steps of a hexapod, measured and predicted by cause.
 
 A 5 x 5 point target is stepped over the pixels by 0.2 px at a time; thirty frames at every position are rendered, read
 out, detected and centroided, and reduced as the document does. Response and offset patterns and bad pixels are switched

@@ -199,7 +199,7 @@ def causes(seen: HighFrequencyMeasurement, after: HighFrequencyPrediction, metho
 class Curves:
     """S-curves: error of noiseless centroids of the middle star across a pixel, mean over the phase along rows."""
 
-    phase_px: FloatArray = col("Place of the star in its pixel", "px", dims="phase", json="")
+    phase_px: FloatArray = col("Position of the star in its pixel", "px", dims="phase", json="")
     s_curve_px: FloatArray = col("Centroid − truth", "px", "", "method phase", json="")
 
 
@@ -307,10 +307,10 @@ SECTIONS = {
         table="hsfe",
         rows="method axis",
         caption="HSFE (3 σ) of one star.",
-        note="*Document*: RMS difference of neighbouring positions, as printed (eq. 9-12), temporal noise included. "
-        "*Over √2*: the same without temporal noise, divided by √2, as if neighbours erred independently. *One "
-        "position*: mean centroid against the truth, common motion and temporal noise removed. Predicted ±: from chip "
-        "to chip.",
+        note="*Document*: HSFE by ACC18 eq. 9-12, the RMS difference of neighbouring positions, "
+        "temporal noise included. *Over √2*: without temporal noise, divided by √2, as for "
+        "independent errors. *One position*: mean centroid minus truth, common motion and temporal "
+        "noise removed. Predicted ±: from chip to chip.",
         verdicts=[
             agree(name, 1.0, each="method", slack=MODEL_SLACK, title=title)
             for name, title in (
@@ -327,9 +327,10 @@ SECTIONS = {
         rows="method cause",
         across="axis",
         columns="alone_arcsec off_arcsec cause_predicted_arcsec",
-        caption="Contribution of each cause to the document's figure (3 σ).",
-        note="*Alone*: a detector with only this cause against a detector with none. *Switched off*: everything "
-        "against everything but this. Same random streams in all runs; what does not cancel is taken away.",
+        caption="Contribution of each cause to HSFE (3 σ).",
+        note="*Alone*: a detector with only this cause compared with a detector without any. *Switched "
+        "off*: all causes compared with all but this. All runs use the same random streams; their "
+        "residual noise is subtracted.",
         figures={
             "cause_bars": bars(
                 "cause", bars="alone_arcsec", points="cause_predicted_arcsec", by="axis", panels="method"

@@ -130,9 +130,9 @@ def misplaced(seen_px: FloatArray, commanded_px: FloatArray, names: Sequence[str
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> Reduced:
     """High spatial frequency error of a folder."""
     if len(folder.series) < 2:
-        raise DomainError(f"frames of {len(folder.series)} position; at least 2 [[series]] are needed for steps")
+        raise DomainError(f"{len(folder.series)} position; at least 2 [[series]] are needed")
     if len(folder.series[0].found_px) < 2:
-        raise DomainError("1 target point; at least 2 are needed, the mean over them is taken away")
+        raise DomainError("1 target point; at least 2 are needed, because the mean over the points is removed")
     series = [reduce_series(folder, one, methods) for one in folder.series]
     mean = np.stack([one.points.mean_px(methods[0]) for one in series])
     missing = (float("nan"), float("nan"))
@@ -157,9 +157,9 @@ own_frames = FramesTest(
             rows="method axis",
             columns="hsfe_arcsec low_arcsec high_arcsec single_text",
             caption="High spatial frequency error (ACC18 eq. 3-12, 3 σ).",
-            note="*As printed*: RMS of differences of consecutive positions, its interval by the scatter over the "
-            "points. *One position*: error of the mean centroid at a position about its mean over the path, temporal "
-            "noise taken away, by an analysis of variance.",
+            note="*As printed*: RMS of differences of consecutive positions (ACC18), its interval from the "
+            "scatter over the points. *One position*: error of the mean centroid at a position about "
+            "its mean over the path, temporal noise subtracted, by an analysis of variance.",
             figures={"residuals": cloud("residual_arcsec", ellipses="hsfe_arcsec", at={"method": 0})},
         ),
         "positions": Section(
@@ -176,7 +176,7 @@ own_frames = FramesTest(
                 below(
                     "misplaced",
                     0,
-                    title="pairs of positions that stand where the other was commanded",
+                    title="exchanged pairs of positions",
                     advice=lambda outcome: (
                         "; ".join(outcome.result["order"].said) + ": files or shift_px are in the wrong order"
                     ),

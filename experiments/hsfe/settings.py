@@ -14,14 +14,14 @@ from experiments.laboratory.settings import HexapodConfig, StepConfig
 
 
 class Config(StarTargetConfig):
-    """The published run: ACC18 gives 12 positions of 0.2 px along 45 deg, 25 stars, at least 30 frames."""
+    """The published run; ACC18 states 12 positions of 0.2 px along 45 deg, 25 stars, at least 30 frames."""
 
     steps: StepConfig = StepConfig()
     hexapod: HexapodConfig = HexapodConfig()
     subtraction: Literal["dark", "raw"] = Field(
-        default="dark", description="dark: minus the mean dark frame; raw: the fixed pattern stays"
+        default="dark", description="dark: the mean dark frame is subtracted; raw: nothing, fixed patterns remain"
     )
-    draws: int = Field(default=100, ge=10, le=5000, description="drawn chips behind the prediction")
+    draws: int = Field(default=100, ge=10, le=5000, description="drawn chips for the prediction")
 
 
 rendered = Experiment(
@@ -36,12 +36,7 @@ rendered = Experiment(
         "--set steps.step_px=0.5 --set subtraction=raw": "longer steps, fixed patterns left in",
     },
     show=("hsfe",),
-    quick={
-        "steps.positions": 6,
-        "target.rows": 3,
-        "target.columns": 3,
-        "compare": ["gaussian", "epsf"],
-    },
+    quick={"steps.positions": 6, "target.rows": 3, "target.columns": 3, "compare": ["gaussian", "epsf"]},
 )
 experiment = or_own_frames(rendered)
 main = command(experiment)

@@ -23,8 +23,7 @@ def load_catalogue(config: CatalogueConfig) -> StarCatalog:
         if "magnitude_system=" not in str(error):
             raise
         raise ConfigError(
-            f"catalogue.preset = {config.preset!r} tells no scale of magnitudes; set catalogue.magnitude_system to "
-            "V or G"
+            f"catalogue.preset = {config.preset!r} has no magnitude system; set catalogue.magnitude_system to V or G"
         ) from None
 
 

@@ -116,8 +116,8 @@ COLLIMATOR = Section(
     table="collimator",
     rows="pair axis",
     across="part",
-    caption="What the collimator adds to Table 1.",
-    note="*Measured*: Table 1 of the frames less that traced through the lens alone.",
+    caption="Contributions of the collimator to Table 1.",
+    note="*Measured*: Table 1 of the frames minus Table 1 traced through the lens alone.",
     verdicts=[
         agree(
             "collimator_seen_px",

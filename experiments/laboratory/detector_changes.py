@@ -16,7 +16,7 @@ _IN_UM = {"diffusion_sigma_um": "diffusion_sigma_mm"}
 
 
 class DetectorConfig(StrictModel):
-    """What differs from the detector's data file (`render.detector.spec`); a key left out stays as it is there."""
+    """Changes to the detector file (`render.detector.spec`); missing keys keep its values."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset(
         {"prnu", "crosstalk_horizontal", "crosstalk_vertical", "crosstalk_diagonal", "read_noise_spread"}
@@ -25,22 +25,44 @@ class DetectorConfig(StrictModel):
     diffusion_sigma_um: float | None = Field(default=None, ge=0, le=100, description="charge diffusion")
     prnu: float | None = Field(default=None, ge=0, le=0.5, description="response non-uniformity")
     dark_current_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="mean dark current")
-    dark_spread_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="its spread")
+    dark_spread_e_per_s: float | None = Field(
+        default=None, ge=0, le=_HIGHEST, description="standard deviation of the dark current over the pixels"
+    )
     hot_fraction: float | None = Field(default=None, ge=0, le=1, description="fraction of hot pixels")
-    hot_dark_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="their mean extra dark current")
+    hot_dark_e_per_s: float | None = Field(
+        default=None, ge=0, le=_HIGHEST, description="mean extra dark current of hot pixels"
+    )
     dead_fraction: float | None = Field(default=None, ge=0, le=1, description="fraction of dead pixels")
     full_well_e: float | None = Field(default=None, ge=1, le=_HIGHEST, description="saturation capacity")
-    crosstalk_horizontal: float | None = Field(default=None, ge=0, le=0.2, description="charge share of a neighbour")
-    crosstalk_vertical: float | None = Field(default=None, ge=0, le=0.2, description="charge share of a neighbour")
-    crosstalk_diagonal: float | None = Field(default=None, ge=0, le=0.1, description="charge share of a neighbour")
+    crosstalk_horizontal: float | None = Field(
+        default=None, ge=0, le=0.2, description="charge fraction in each such neighbour"
+    )
+    crosstalk_vertical: float | None = Field(
+        default=None, ge=0, le=0.2, description="charge fraction in each such neighbour"
+    )
+    crosstalk_diagonal: float | None = Field(
+        default=None, ge=0, le=0.1, description="charge fraction in each such neighbour"
+    )
     read_noise_e: float | None = Field(default=None, ge=0, le=1e5, description="median temporal dark noise")
-    read_noise_spread: float | None = Field(default=None, ge=0, le=2, description="standard deviation of its logarithm")
-    dsnu_e: float | None = Field(default=None, ge=0, le=1e5, description="spread of the offset over the pixels")
-    column_pattern_e: float | None = Field(default=None, ge=0, le=1e5, description="spread of the offset over columns")
-    damage_centres_per_px: float | None = Field(default=None, ge=0, le=1000, description="radiation damage: centres")
-    damage_dark_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="mean dark current of each")
+    read_noise_spread: float | None = Field(
+        default=None, ge=0, le=2, description="standard deviation over the pixels of the logarithm of the read noise"
+    )
+    dsnu_e: float | None = Field(
+        default=None, ge=0, le=1e5, description="standard deviation of the offset over the pixels"
+    )
+    column_pattern_e: float | None = Field(
+        default=None, ge=0, le=1e5, description="standard deviation of the offset over the columns"
+    )
+    damage_centres_per_px: float | None = Field(
+        default=None, ge=0, le=1000, description="radiation damage: mean number of damage centres per pixel"
+    )
+    damage_dark_e_per_s: float | None = Field(
+        default=None, ge=0, le=_HIGHEST, description="mean dark current of a damage centre"
+    )
     adc_bits: int | None = Field(default=None, ge=1, le=16, description="resolution of the converter")
-    sensor_seed: int | None = Field(default=None, ge=0, le=2**63, description="the individual")
+    sensor_seed: int | None = Field(
+        default=None, ge=0, le=2**63, description="seed of the individual detector's fixed patterns and defects"
+    )
 
 
 def overridden(detector: Detector, changes: DetectorConfig) -> Detector:

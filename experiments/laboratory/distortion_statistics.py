@@ -87,8 +87,8 @@ def polynomial_fit(place: FloatArray, d_px: FloatArray, order: int) -> FloatArra
     terms = polynomial_terms(place, order)
     if len(place) <= terms.shape[1]:
         raise DomainError(
-            f"{len(place)} points do not determine a polynomial of order {order} ({terms.shape[1]} terms per axis) and "
-            "leave anything to judge it by; take more points or a lower order"
+            f"{len(place)} points do not determine a polynomial of order {order} ({terms.shape[1]} terms per axis) "
+            "with degrees of freedom left for a test; use more points or a lower order"
         )
     return np.asarray(np.linalg.lstsq(terms, d_px, rcond=None)[0])
 

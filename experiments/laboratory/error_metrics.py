@@ -65,7 +65,7 @@ def runs_needed(share: float, confidence: float, failures: int = 0) -> int:
     _check_level(share, "share")
     _check_level(confidence, "confidence")
     if failures < 0:
-        raise DomainError(f"failures = {failures}; none or more")
+        raise DomainError(f"failures = {failures}; it must not be negative")
     low, high = failures, failures + 1
     while bdtr(failures, high, 1.0 - share) > 1.0 - confidence:
         low, high = high, 2 * high

@@ -73,7 +73,7 @@ class StepPlan:
         if self.step_px >= bench.window_px / 2:
             raise DomainError(
                 f"a step of {self.step_px:g} px is not smaller than half the window (window_px = {bench.window_px}); "
-                "ACC18 takes 0.2 px"
+                "ACC18 uses 0.2 px"
             )
 
 

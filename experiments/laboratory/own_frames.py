@@ -17,7 +17,8 @@ class OwnFramesConfig(SensorExperimentConfig):
     """Of an experiment that renders frames, or reduces those of a folder."""
 
     own_frames: FolderName | None = Field(
-        default=None, description="reduce the FITS frames of this folder (frames.toml says which is which), render none"
+        default=None,
+        description="reduce the FITS frames of this folder, described by its frames.toml, instead of rendered ones",
     )
 
 

@@ -138,8 +138,8 @@ def prepared_scene(bench: Bench, instrument: Instrument, direction: FloatArray, 
         at = nominal[int(np.argmax(off))]
         raise DomainError(
             f"{int(off.sum())} of {len(nominal)} target points lie off the detector or within {half} px of its edge, "
-            f"e.g. at column {at[0]:.0f}, row {at[1]:.0f} of {camera.width_px} x {camera.height_px} px; move the "
-            "target, or make it smaller"
+            f"e.g. at column {at[0]:.0f}, row {at[1]:.0f} of {camera.width_px} x {camera.height_px} px; shift the "
+            "target or reduce its size"
         )
     check_light(bench, instrument, direction)
     with progress.stage("prepare"):

@@ -16,23 +16,23 @@ class SourceConfig(SignalConfig):
 
     lamp_k: float = Field(default=3000.0, ge=1000, le=20000, description="colour temperature of the lamp")
     star_k: float = Field(
-        default=5800.0, ge=1000, le=1e5, description="temperature of the star whose magnitude the electrons are"
+        default=5800.0, ge=1000, le=1e5, description="temperature of the star whose magnitude replaces signal_e"
     )
 
 
 class PointConfig(OwnFramesConfig):
-    """What the three tests have in common."""
+    """Settings common to the point-target tests."""
 
     instrument: InstrumentConfig = InstrumentConfig()
     passband: PassbandConfig = PassbandConfig()
     source: SourceConfig = SourceConfig()
     collimator: CollimatorConfig = CollimatorConfig()
     frames: int = Field(default=30, ge=2, le=10000, description="frames per position and level (ACC18: at least 30)")
-    dark_frames: int = Field(default=100, ge=2, le=10000, description="frames with the lamp off")
-    window_px: OddPx = Field(default=13, ge=7, le=63, description="window around a point, odd")
-    centroid: MethodName = Field(default="cog", description="centroider that counts; ACC18 names the centre of gravity")
+    dark_frames: int = Field(default=100, ge=2, le=10000, description="dark frames, averaged and subtracted")
+    window_px: OddPx = Field(default=13, ge=7, le=63, description="side of the centroid window, odd")
+    centroid: MethodName = Field(default="cog", description="main centroider; ACC18 uses the centre of gravity")
     compare: tuple[MethodName, ...] = Field(
-        default=("tcog", "windowed", "gaussian", "epsf"), description="others on the same frames"
+        default=("tcog", "windowed", "gaussian", "epsf"), description="other centroiders for the same frames"
     )
 
     @property
@@ -42,9 +42,9 @@ class PointConfig(OwnFramesConfig):
 
 
 class StarTargetConfig(PointConfig):
-    """Of the tests with the multi-star target, which stands somewhere on the detector."""
+    """Settings of tests with the multi-star target."""
 
     target: TargetConfig = TargetConfig(pitch_px=150.4)
     place_px: tuple[float, float] | None = Field(
-        default=None, description="middle of the target on the detector; the middle of the first chip if left out"
+        default=None, description="centre of the target on the detector; default: centre of the first chip"
     )

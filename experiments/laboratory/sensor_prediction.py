@@ -151,7 +151,7 @@ class CameraPrediction:
     stars: StarErrors  # Errors against electrons
     view: SkyView  # Sky
     attitude: AttitudeForecast  # Attitudes
-    limits_mag: Mapping[float, float]  # Share of stars that are found -> magnitude
+    limits_mag: Mapping[float, float]  # Fraction of stars detected -> magnitude
 
     @cached_property
     def numbers(self) -> Mapping[str, float]:
@@ -169,7 +169,7 @@ class CameraPrediction:
 
     @property
     def adc_top_e(self) -> float:
-        """Electrons at which the converter overruns."""
+        """Signal at which the converter saturates."""
         chip = self.processing.detector
         return (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e
 
@@ -439,14 +439,14 @@ class Sky:
     """Detection, and attitudes over the sky, one standard deviation."""
 
     saturation_mag: float = col("Brightest star that does not saturate", "mag", ".2f")
-    limiting_magnitude_mag: float = col("Limiting magnitude, half are found", "mag", ".2f")
-    complete_magnitude_mag: float = col("Limiting magnitude, 90 % are found", "mag", ".2f")
+    limiting_magnitude_mag: float = col("Limiting magnitude, half detected", "mag", ".2f")
+    complete_magnitude_mag: float = col("Limiting magnitude, 90 % detected", "mag", ".2f")
     threshold_sigma: float = col("Detection limit", "sigma", ".2f")
     false_alarms_per_frame: float = col("False alarms per frame", "", ".3g")
     stars_mean_per_frame: float = col("Stars per frame, mean over the sky", "", ".1f")
     stars_worst_per_frame: float = col("Stars per frame, worst 1 % of the sky", "", ".1f")
     update_rate_hz: float = col("Update rate", "Hz", ".3g")
-    latency_s: float = col("Age of an attitude when it is given out", "s", ".3g")
+    latency_s: float = col("Age of an attitude at its output", "s", ".3g")
     attitude_cross_arcsec: float = col("Attitude across, median", "arcsec", ".3f")
     attitude_cross_worst_arcsec: float = col("Attitude across, worst 1 % of the sky", "arcsec", ".3f")
     attitude_roll_arcsec: float = col("Attitude roll, median", "arcsec", ".3f")

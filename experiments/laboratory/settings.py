@@ -273,7 +273,7 @@ class FilterConfig(StrictModel):
     def _one_of_them(cls, value: float, info: ValidationInfo) -> float:
         centres = info.data.get("centres_nm")  # absent if it is wrong itself, which is said then
         if centres is not None and value not in centres:
-            raise ValueError(f"it is none of centres_nm = {list(centres)}")
+            raise ValueError(f"it must be one of centres_nm = {list(centres)}")
         return value
 
     @field_validator("files")

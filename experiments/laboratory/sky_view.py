@@ -41,7 +41,7 @@ class SkyView:
     # (m,) Distance of the nearest brighter star within the window; infinite where there is none
     brighter_px: FloatArray
     attitudes: Rotation  # cam from icrs
-    depth_mag: float  # Faintest stars that were looked up
+    depth_mag: float  # Faintest catalogue stars used
 
 
 def sky_view(config: PredictedSensorConfig, limit_mag: float) -> SkyView:
@@ -68,8 +68,8 @@ def _sky_view(
     if not len(bright):
         brightest = float(np.nanmin(whole.magnitude))
         raise DomainError(
-            f"no star of catalogue {whole.name} is brighter than {depth:g} mag, the limiting magnitude of "
-            f"the sensor; the brightest has {brightest:.2f} mag"
+            f"no star of catalogue {whole.name} is brighter than the sensor's limiting magnitude of {depth:g} mag; "
+            f"the brightest has {brightest:.2f} mag"
         )
     stars = whole.select(bright)
     view = _view(instrument)

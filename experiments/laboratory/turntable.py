@@ -61,7 +61,7 @@ class Turntable:
         if np.abs(lean).max() > _LARGEST_LEAN_ARCSEC:
             raise DomainError(
                 f"Turntable.non_orthogonality_arcsec = {lean.tolist()}; at most {_LARGEST_LEAN_ARCSEC:g} arcsec is "
-                "meant to be an error of the axes"
+                "allowed"
             )
         self._check_axes()
         for name in ("reading_noise_arcsec", "setting_noise_arcsec", "step_arcsec"):
@@ -79,8 +79,8 @@ class Turntable:
             if abs(between) > 1e-9:
                 raise DomainError(
                     f"Turntable.axis: {self.axis_names[i]} and {self.axis_names[i + 1]} axis enclose "
-                    f"{np.degrees(np.arccos(np.clip(between, -1.0, 1.0))):.6f} deg; nominal axes are square, what "
-                    "differs from that goes into non_orthogonality_arcsec"
+                    f"{np.degrees(np.arccos(np.clip(between, -1.0, 1.0))):.6f} deg; nominal axes must be "
+                    "orthogonal; deviations go into non_orthogonality_arcsec"
                 )
 
     @property

@@ -1,4 +1,4 @@
-"""``starbench lens``: show a lens file as one page, list its ghosts and what temperatures do, write another format."""
+"""``starbench lens``: page of a lens file, its ghosts, its image over temperature, conversion to another format."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ def _reading(function: Callable[..., Any]) -> Callable[..., Any]:
     """Options of every reading."""
     for option in reversed(
         (
-            click.option("--strict", is_flag=True, help="refuse whatever is not exactly as in the file"),
-            click.option("--glass", multiple=True, metavar="OLD=NEW", help="take glass NEW where the file names OLD"),
-            click.option("--catalogue", multiple=True, metavar="AGF", help="glass catalogue to look in"),
+            click.option("--strict", is_flag=True, help="refuse every approximation of the file"),
+            click.option("--glass", multiple=True, metavar="OLD=NEW", help="substitute glass NEW for OLD"),
+            click.option(
+                "--catalogue", multiple=True, metavar="AGF", help="glass catalogue, in addition to the built-in one"
+            ),
         )
     ):
         function = option(function)
@@ -64,7 +66,7 @@ def lens() -> None:
 
 @lens.command(help="One HTML page: prescription, first-order data, drawing, spots, distortion, colour, MTF, report.")
 @click.argument("file", type=click.Path(readable=False))
-@click.option("--out", default=None, metavar="HTML", help="the page; the file's name with .html if left out")
+@click.option("--out", default=None, metavar="HTML", help="the page; default: the file's name with .html")
 @_reading
 def show(file: str, out: str | None, strict: bool, glass: tuple[str, ...], catalogue: tuple[str, ...]) -> None:
     read = _read(file, strict, glass, catalogue)
@@ -78,16 +80,16 @@ def show(file: str, out: str | None, strict: bool, glass: tuple[str, ...], catal
     click.echo(f"page: {page}")
 
 
-@lens.command(help="Write a lens file as another one: .toml, .zmx or .seq.")
+@lens.command(help="Convert a lens file to .toml, .zmx or .seq.")
 @click.argument("file", type=click.Path(readable=False))
 @click.argument("new")
-@click.option("--force", is_flag=True, help="replace a file that is there")
+@click.option("--force", is_flag=True, help="overwrite an existing file")
 @_reading
 def convert(file: str, new: str, force: bool, strict: bool, glass: tuple[str, ...], catalogue: tuple[str, ...]) -> None:
     from optics.export.write import write_lens
 
     if Path(new).exists() and not force:
-        raise ConfigError(f"{new} is there already; --force replaces it")
+        raise ConfigError(f"{new} exists; --force overwrites it")
     read = _read(file, strict, glass, catalogue)
     _tell(read)
     for path in write_lens(read, new):
@@ -96,20 +98,29 @@ def convert(file: str, new: str, force: bool, strict: bool, glass: tuple[str, ..
         click.echo("coatings are left out: only .toml holds them")
 
 
-@lens.command(help="Ghosts of a star: every pair of surfaces, the detector and its window among them, brightest first.")
+@lens.command(help="List the ghosts of a star, brightest first: all pairs of surfaces, detector and window included.")
 @click.argument("file", type=click.Path(readable=False))
-@click.option("--field", multiple=True, type=float, metavar="DEG", help="field angle along x; axis and 0.7 if left out")
-@click.option("--wavelength", default=None, type=float, metavar="NM", help="design wavelength if left out")
 @click.option(
-    "--coating-nm", default=550.0, show_default=True, help="MgF2 quarter waves where the file says nothing; 0: bare"
+    "--field",
+    multiple=True,
+    type=float,
+    metavar="DEG",
+    help="field angle along x, repeatable; default: 0 and 0.7 of the field",
 )
-@click.option("--detector", default=0.2, show_default=True, help="share of the light that the detector reflects")
+@click.option("--wavelength", default=None, type=float, metavar="NM", help="wavelength; default: the design wavelength")
 @click.option(
-    "--window", default=None, metavar="GLASS:MM:GAP", help="window of the detector, thickness and gap behind it"
+    "--coating-nm",
+    default=550.0,
+    show_default=True,
+    help="quarter-wave MgF2 coating of surfaces without a coating in the file; 0: bare",
 )
-@click.option("--pixel-um", default=5.5, show_default=True, help="pixel that the brightest light of a ghost falls on")
-@click.option("--absorption/--no-absorption", default=True, show_default=True, help="whether glass absorbs")
-@click.option("--roughness-nm", default=1.0, show_default=True, help="RMS roughness of all surfaces, for their scatter")
+@click.option("--detector", default=0.2, show_default=True, help="reflectance of the detector")
+@click.option(
+    "--window", default=None, metavar="GLASS:MM:GAP", help="detector window: glass, thickness, gap to the detector"
+)
+@click.option("--pixel-um", default=5.5, show_default=True, help="pixel size for the brightest pixel of a ghost")
+@click.option("--absorption/--no-absorption", default=True, show_default=True, help="absorption in glass")
+@click.option("--roughness-nm", default=1.0, show_default=True, help="RMS roughness of all surfaces (scatter)")
 @click.option("--cleanliness", default=300.0, show_default=True, help="IEST-STD-CC1246 level of the first surface")
 @click.option("--rows", default=10, show_default=True, help="ghosts listed for every field angle")
 @_reading
@@ -173,17 +184,33 @@ def ghosts(
 
 
 @lens.command(
-    help="What temperatures of lens and housing do to the image, per kelvin, and the spacer that holds focus."
+    help="Change of focus, scale and boresight per kelvin of lens and housing, and the spacer that holds the focus."
 )
 @click.argument("file", type=click.Path(readable=False))
-@click.option("--housing", default=None, metavar="MATERIAL", help="of the barrel, or its expansion in 1e-6/K")
-@click.option("--diameter", type=float, metavar="MM", help="of the barrel; the widest clear aperture if left out")
-@click.option("--mounted", type=float, metavar="MM", help="plane that stays when it bends; image plane if left out")
-@click.option("--spacer", multiple=True, metavar="NAME=MATERIAL", help="in front of an element, the stop, the detector")
-@click.option("--rim", multiple=True, metavar="NAME=FRONT:BACK", help="radii [mm] where spacers touch an element")
-@click.option("--field", type=float, metavar="DEG", help="half diagonal of the square that is traced")
-@click.option("--athermal", multiple=True, metavar="NAME", help="spacer to solve for; all if left out")
-@click.option("--second", default="invar_36", show_default=True, metavar="MATERIAL", help="to make that spacer with")
+@click.option("--housing", default=None, metavar="MATERIAL", help="material of the barrel, or its expansion in 1e-6/K")
+@click.option("--diameter", type=float, metavar="MM", help="diameter of the barrel; default: the widest clear aperture")
+@click.option(
+    "--mounted",
+    type=float,
+    metavar="MM",
+    help="z of the mounting plane, fixed when the barrel bends; default: image plane",
+)
+@click.option(
+    "--spacer",
+    multiple=True,
+    metavar="NAME=MATERIAL",
+    help="material of the spacer in front of an element, the stop or the detector",
+)
+@click.option("--rim", multiple=True, metavar="NAME=FRONT:BACK", help="contact radii [mm] of the spacers on an element")
+@click.option("--field", type=float, metavar="DEG", help="half diagonal of the traced square field")
+@click.option("--athermal", multiple=True, metavar="NAME", help="spacer to solve for; default: all")
+@click.option(
+    "--second",
+    default="invar_36",
+    show_default=True,
+    metavar="MATERIAL",
+    help="second material, in series with that spacer",
+)
 @_reading
 def thermal(
     file: str,

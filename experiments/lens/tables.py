@@ -173,16 +173,17 @@ def _report(made: Study) -> dict[str, Table]:
     ]
     return {
         "import": Table(columns=heads, rows=lines, caption="Every command of the file."),
-        "inexact": Table(columns=heads, rows=inexact, caption="What makes the lens differ from the file, or may."),
+        "inexact": Table(columns=heads, rows=inexact, caption="Lines that were approximated or ignored."),
         "compared": Table(
             columns=("quantity", "unit", "computed", "stated", "where"),
             rows=compared,
-            caption="Computed and stated, as design programs count: thicknesses in a row, without tilts and decentres.",
+            caption="Computed and stated values; as in design programs, thicknesses are added without tilts "
+            "and decentres.",
         ),
         "glasses": Table(
             columns=("in the file", "taken", "from", "became", "change"),
             rows=glasses,
-            caption="Glasses; the change of index is that of the glass taken against the one meant.",
+            caption="Glasses; change of index: glass used minus glass of the file.",
         ),
     }
 

@@ -84,24 +84,24 @@ class FrameChecks:
 
     stated_gain: float = col("Gain, stated", "DN/e-", json="gain_dn_per_e.stated")
     transfer_gain: Measured | None = col("Gain, photon transfer", "DN/e-", json="gain_dn_per_e.photon_transfer")
-    gain_ratio: Measured | None = col("Gain, photon transfer over stated", json="")  # None where it says nothing
+    gain_ratio: Measured | None = col("Gain by photon transfer over stated gain", json="")  # None where it says nothing
     noise_ratio: Measured | None = col("Scatter over noise model")
     motion: Motion | None  # The largest against its limit; None for single points or fewer than three frames
     common_motion_px: float | None = col("Common motion", "px", ".4f")
-    motion_limit_px: float | None = col("Common motion that is let pass", "px", ".4f", json="")
+    motion_limit_px: float | None = col("Tolerated common motion", "px", ".4f", json="")
     # The most significant of all series against its limit each, None where no series has frames enough
     moved: Change | None
     moved_px: float | None = col("Jump or drift of the target", "px", ".4f")
-    moved_limit_px: float | None = col("Jump or drift that noise makes", "px", ".4f", json="")
+    moved_limit_px: float | None = col("Jump or drift expected from noise", "px", ".4f", json="")
     light: Change | None
     light_change: float | None = col("Jump or drift of the light")
-    light_limit: float | None = col("Jump or drift of the light that is let pass", json="")
+    light_limit: float | None = col("Tolerated jump or drift of the light", json="")
     lag: Lag | None
     lag_correlation: float | None = col("Correlation of a frame with the next one")
-    lag_limit: float | None = col("Correlation that white noise reaches", json="")
+    lag_limit: float | None = col("Correlation expected from white noise", json="")
     shared: Shared | None
     shared_noise: float | None = col("Correlation of the noise of two frames")
-    shared_limit: float | None = col("Correlation of the noise of two frames that is let pass", json="")
+    shared_limit: float | None = col("Tolerated correlation of the noise of two frames", json="")
     disorder: Sequence[str]  # "FILE after FILE", of frames that were taken before the one that they follow
     disordered: int = col("Frames taken before the one that they follow", json="")
     frames: int  # Of all series
@@ -110,7 +110,7 @@ class FrameChecks:
     step_dn: int = col("Largest number that divides all differences of readings", "DN", json="")
     top_dn: int = col("Highest reading", "DN", json="")
     top_count: int = col("Pixels at the highest reading", json="")
-    top_limit: int = col("Pixels at the highest reading that chance lets be", json="")
+    top_limit: int = col("Pixels at the highest reading expected by chance", json="")
     zero_fraction: float = col("Share of readings of 0", json="")
     flat_pattern: tuple[float, float] | None  # Response from pixel to pixel that the flat shows, and its noise
     flat_noise: float | None = col("Noise of the mean flat over its pattern", json="")
@@ -477,8 +477,8 @@ def _flat_advice(outcome: Outcome) -> str:
 CHECKS = Section(
     record=FrameChecks,
     verdicts=[
-        below("copies", 0, title="frames that repeat another one, pixel by pixel", advice=_copies_advice),
-        below("shared_noise", "shared_limit", title="noise that two frames share", advice=_shared_advice),
+        below("copies", 0, title="frames identical to another frame", advice=_copies_advice),
+        below("shared_noise", "shared_limit", title="common noise of two frames", advice=_shared_advice),
         below("disordered", 0, title="frames that were taken before the one that they follow", advice=_disorder_advice),
         below("step_dn", 1, title="common step of all readings", advice=_step_advice),
         below("top_count", "top_limit", title="pixels at the highest reading of all", advice=_top_advice),
@@ -486,7 +486,7 @@ CHECKS = Section(
             "zero_fraction",
             1e-3,
             title="share of readings of 0 DN",
-            advice="noise is cut off at zero: raise the offset of the camera, or dark frames were taken away before",
+            advice="noise is clipped at zero: raise the camera's offset; or dark frames were already subtracted",
         ),
         ratio_near(
             "gain_ratio",
@@ -532,7 +532,7 @@ CHECKS = Section(
         below(
             "flat_noise",
             0.5**0.5,  # A flat must know the response better than leaving it out does
-            title="noise of the mean flat over the pattern from pixel to pixel that it shows",
+            title="noise of the mean flat over its pixel-to-pixel pattern",
             advice=_flat_advice,
         ),
     ],

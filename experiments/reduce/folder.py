@@ -121,7 +121,7 @@ def read_folder(folder: str | Path, *, window_px: int, layout: Layout | None = N
             if not same(dark.exposure_s, mean.exposure_s):
                 raise DomainError(
                     f"{own.name}: exposed {mean.exposure_s:g} s, its dark frames {dark.exposure_s:g} s; dark frames "
-                    "have the exposure time of the frames"
+                    "must have the exposure time of the frames"
                 )
         scene = {"all": "", "place": own.place, "none": own.name}[layout.same_scene]
         found = _find(settings, mean, excluded, dark, seen.get(scene, nominal), layout.points)
@@ -166,8 +166,8 @@ def _check_count(settings: SeriesSettings, frames: int, fewest: int) -> None:
         )
     if settings.count is not None and frames != settings.count:
         raise ConfigError(
-            f"{SETTINGS_FILE}, {settings.name}: {frames} frames in the folder, count says {settings.count}; add the "
-            "missing ones or correct the count"
+            f"{SETTINGS_FILE}, {settings.name}: {frames} frames in the folder, count = {settings.count}; add the "
+            f"missing frames or correct count"
         )
 
 

@@ -43,8 +43,8 @@ def find_files(folder: Path, patterns: Sequence[str], name: str) -> list[Path]:
         for path in here:
             if not os.path.isfile(path):
                 raise ConfigError(
-                    f"{SETTINGS_FILE}, {name}: {path.name}, which {pattern!r} names, is {_kind(path)}; only files can "
-                    "be read: take it away or narrow the pattern"
+                    f"{SETTINGS_FILE}, {name}: {path.name}, which {pattern!r} names, is {_kind(path)}; only files "
+                    "can be read: remove it or narrow the pattern"
                 )
         found.update(dict.fromkeys(here))
     return list(found)
@@ -71,7 +71,8 @@ def refuse_shared(groups: Sequence[Sequence[Path]], names: Sequence[str]) -> Non
         for path in group:
             if path in owner:
                 raise ConfigError(
-                    f"{SETTINGS_FILE}: {path.name} belongs to {owner[path]} and to {name}; a frame has one"
+                    f"{SETTINGS_FILE}: {path.name} belongs to {owner[path]} and to {name}; a frame belongs to one "
+                    "series"
                 )
             owner[path] = name
 
@@ -118,7 +119,8 @@ def _refuse_mixed(first: tuple[Path, Frame], other: tuple[Path, Frame], name: st
     ):
         if not same(one, two):
             raise DomainError(
-                f"{name}: {other[0].name} has the {label} {two}{unit}, {first[0].name} {one}{unit}; one series has one"
+                f"{name}: {other[0].name} has the {label} {two}{unit}, {first[0].name} {one}{unit}; a series must "
+                "have a single one"
             )
 
 
@@ -232,7 +234,7 @@ def mean_flat(
     level = float(np.median(electrons[usable])) if usable.any() else 0.0
     if level <= 10.0 * np.sqrt(floor):
         raise DomainError(
-            f"{SETTINGS_FILE}, flat: {level:.0f} e- above the dark frames, where the read noise is "
+            f"{SETTINGS_FILE}, flat: {level:.0f} e- above the dark frames, with a read noise of "
             f"{settings.read_noise_e:g} e-; brighter flats are needed"
         )
     usable &= electrons > LEAST_FLAT * level

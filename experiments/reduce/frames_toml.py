@@ -27,35 +27,37 @@ class SeriesSettings(StrictModel):
     """Frames of a target, or of a star, at rest."""
 
     files: Patterns = Field(min_length=1, description="file names or patterns (*, ?), within the folder")
-    name: str = Field(default="", description="for messages and tables")
-    count: int | None = Field(default=None, ge=1, le=10**6, description="number of frames that must be there")
-    dark: Patterns = Field(default=(), description="lamp off, in place of those of the folder")
+    name: str = Field(default="", description="name in messages and tables")
+    count: int | None = Field(default=None, ge=1, le=10**6, description="required number of frames")
+    dark: Patterns = Field(default=(), description="dark frames of the series, in place of the folder's")
     position: int | None = Field(
-        default=None, ge=-(10**6), le=10**6, description="hsfe: place in the order of the steps"
+        default=None, ge=-(10**6), le=10**6, description="hsfe: index in the order of the steps"
     )
-    shift_px: tuple[float, float] | None = Field(default=None, description="hsfe: commanded shift since the start")
-    session: Literal["earlier", "test"] = Field(default="test", description="distortion: which session")
+    shift_px: tuple[float, float] | None = Field(
+        default=None, description="hsfe: commanded shift from the first position"
+    )
+    session: Literal["earlier", "test"] = Field(default="test", description="distortion: session")
     filter_nm: float | None = Field(
         default=None, gt=0, le=1e5, description="chromatic: central wavelength of the filter"
     )
-    place: str = Field(default="middle", min_length=1, description="chromatic: where in the field the target stands")
+    place: str = Field(default="middle", min_length=1, description="chromatic: name of the target's field position")
     filter_angle_deg: float = Field(
-        default=0.0, ge=-360, le=360, description="chromatic: by how much the filter was turned, from +x to +y"
+        default=0.0, ge=-360, le=360, description="chromatic: rotation of the filter, from +x to +y"
     )
     camera_angle_deg: float = Field(
-        default=0.0, ge=-360, le=360, description="chromatic: by how much the camera was, filters and target at rest"
+        default=0.0, ge=-360, le=360, description="chromatic: rotation of the camera, filters and target at rest"
     )
     outer_deg: float | None = Field(
         default=None, ge=-1e5, le=1e5, description="turntable, fisher: reading of the outermost axis"
     )
     middle_deg: float | None = Field(
-        default=None, ge=-1e5, le=1e5, description="turntable, fisher: of the middle one of three axes"
+        default=None, ge=-1e5, le=1e5, description="turntable, fisher: reading of the middle axis of three"
     )
     inner_deg: float | None = Field(
-        default=None, ge=-1e5, le=1e5, description="turntable, fisher: of the innermost axis"
+        default=None, ge=-1e5, le=1e5, description="turntable, fisher: reading of the innermost axis"
     )
     use: Literal["calibration", "evaluation"] = Field(
-        default="calibration", description="fisher: frames that calibrate, or whose star vectors are evaluated"
+        default="calibration", description="fisher: calibration or evaluation of star vectors"
     )
 
     @property
@@ -72,7 +74,7 @@ class TableSettings(StrictModel):
         min_length=1, description="standard deviation of the reading of a series; one for all axes, or one per axis"
     )
     star_deg: tuple[AngleDeg, AngleDeg] = Field(
-        default=(0.0, 0.0), description="where the star is believed to stand at zero angles, azimuth and elevation"
+        default=(0.0, 0.0), description="nominal star direction at zero angles, azimuth and elevation"
     )
 
 
@@ -84,46 +86,45 @@ class FolderSettings(StrictModel):
     read_noise_e: float = Field(ge=0, le=1e5, description="temporal dark noise of a pixel")
     pixel_arcsec: float = Field(gt=0, le=36000, description="angle of a pixel on the axis")
     pixel_pitch_um: float | None = Field(default=None, gt=0, le=1000, description="turntable, fisher: side of a pixel")
-    saturation_dn: float | None = Field(default=None, gt=0, le=1e9, description="pixels from here on are saturated")
+    saturation_dn: float | None = Field(default=None, gt=0, le=1e9, description="lowest value of a saturated pixel")
     prnu_fraction: float = Field(
-        default=0.0, ge=0, le=0.2, description="response from pixel to pixel that no flat removes, standard deviation"
+        default=0.0, ge=0, le=0.2, description="standard deviation of the pixel response after flat-fielding"
     )
-    dark: Patterns = Field(default=(), description="frames with the lamp off; without them patterns stay")
-    flat: Patterns = Field(default=(), description="frames of an even light; without them the response stays")
-    flat_dark: Patterns = Field(default=(), description="lamp off, exposed as the flats; else `dark`")
-    bad_pixels: str | None = Field(default=None, description="FITS image, not 0 where a pixel is not to be used")
-    points: int | None = Field(default=None, ge=1, le=10000, description="number of target points: the brightest")
-    points_px: tuple[tuple[float, float], ...] = Field(default=(), description="nominal places (column, row)")
+    dark: Patterns = Field(default=(), description="dark frames; without them fixed patterns remain")
+    flat: Patterns = Field(default=(), description="flat fields; without them the response pattern remains")
+    flat_dark: Patterns = Field(default=(), description="dark frames with the exposure of the flats; default: `dark`")
+    bad_pixels: str | None = Field(default=None, description="FITS image, non-zero at pixels to exclude")
+    points: int | None = Field(default=None, ge=1, le=10000, description="number of target points, the brightest")
+    points_px: tuple[tuple[float, float], ...] = Field(default=(), description="nominal positions (column, row)")
     target: str | None = Field(
-        default=None, description="CSV or ECSV file of nominal places: x_px, y_px or tan_x, tan_y"
+        default=None, description="CSV or ECSV file of nominal positions: x_px, y_px or tan_x, tan_y"
     )
-    match_px: float = Field(default=4.0, gt=0, le=50, description="farthest a point may lie from its nominal place")
+    match_px: float = Field(
+        default=4.0, gt=0, le=50, description="largest distance of a point from its nominal position"
+    )
     centroid: CentroiderName | None = Field(
-        default=None, description="centroider that counts, in place of the configuration's; not epsf"
+        default=None, description="main centroider, in place of the configuration's; not epsf"
     )
     reference_nm: float | None = Field(
-        default=None,
-        gt=0,
-        le=1e5,
-        description="chromatic: filter that the others are compared with; filters.reference_nm",
+        default=None, gt=0, le=1e5, description="chromatic: reference filter; default: filters.reference_nm"
     )
-    centre_px: tuple[float, float] | None = Field(default=None, description="where tan_x = tan_y = 0 is imaged")
-    table: TableSettings | None = Field(default=None, description="turntable, fisher: the table")
+    centre_px: tuple[float, float] | None = Field(default=None, description="image of tan_x = tan_y = 0")
+    table: TableSettings | None = Field(default=None, description="turntable, fisher: turntable")
     series_table: str | None = Field(
-        default=None, description="CSV or ECSV file of series, a row each; columns are keys of [[series]]"
+        default=None, description="CSV or ECSV file with a row per series; columns are keys of [[series]]"
     )
-    series: tuple[SeriesSettings, ...] = Field(default=(), description="the frames")
+    series: tuple[SeriesSettings, ...] = Field(default=(), description="series of frames")
 
     @model_validator(mode="after")
     def _what_is_there(self) -> FolderSettings:
         if bool(self.series) == (self.series_table is not None):
-            raise ValueError("[[series]] or series_table is needed, one of them: it says which frame is which")
+            raise ValueError("[[series]] or series_table is needed, one of them: it assigns the frames")
         return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """What an experiment asks of a folder."""
+    """Requirements of an experiment on a folder."""
 
     needs: tuple[str, ...] = ()  # Keys that every series must have
     # Which series show the same points, of which the first tells the others where to look: all of them; those with
@@ -137,11 +138,11 @@ class Layout:
         given = [settings.points is not None, bool(settings.points_px), settings.target is not None]
         if self.points is None and sum(given) != 1:
             raise ConfigError(
-                f"{SETTINGS_FILE}: exactly one of points, points_px and target is needed: that is what is measured"
+                f"{SETTINGS_FILE}: exactly one of points, points_px and target is needed, to define what is measured"
             )
         if self.same_scene != "all" and any(given[1:]):
             raise ConfigError(
-                f"{SETTINGS_FILE}: points_px and target say where a target stands that does not move; this experiment "
+                f"{SETTINGS_FILE}: points_px and target give the positions of a target at rest; this experiment "
                 "moves it" + ("" if self.points else ", give points, its number")
             )
         for number, one in enumerate(settings.series, start=1):
@@ -155,7 +156,7 @@ def read_settings(folder: Path) -> FolderSettings:
     if not os.path.isdir(folder):
         raise ConfigError(f"{folder}: no such folder; one with frames and {SETTINGS_FILE} is needed")
     if not os.path.isfile(folder / SETTINGS_FILE):
-        raise ConfigError(f"{folder}: holds no {SETTINGS_FILE}, which says which frame is which")
+        raise ConfigError(f"{folder}: holds no {SETTINGS_FILE}, which describes the frames")
     settings = parse_model(FolderSettings, read_toml(folder / SETTINGS_FILE), SETTINGS_FILE)
     series: Sequence[SeriesSettings] = settings.series
     if settings.series_table is not None:

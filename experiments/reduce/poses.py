@@ -131,8 +131,8 @@ class Fit:
 
     misfit: str  # In words
     flat: bool  # Whether the response of the pixels is known
-    fit_ratio: Measured = col("Mean square of the residuals over what centroids and readings make them", json="")
-    coverage: float = col("Part of the detector visited", format=".2f")
+    fit_ratio: Measured = col("Mean square of the residuals over its prediction", json="")
+    coverage: float = col("Fraction of the detector covered", format=".2f")
 
 
 def fit_record(poses: PoseCalibration, folder: FrameFolder) -> Fit:
@@ -165,14 +165,14 @@ FIT = Section(
             "fit_ratio",
             within=0.0,
             false_alarm=FIT_ALARM,
-            title="calibration: mean square of the residuals over what centroids and readings make them",
+            title="calibration: mean square of the residuals over its prediction",
             advice=_fit_advice,
         ),
         above(
             "coverage",
             LEAST_COVERAGE,
-            title="part of the width and of the height of the detector that the star visited, the smaller",
-            advice="a calibration says nothing about the rest of the field: visit more of it",
+            title="fraction of the detector's width and height covered by the star, the smaller",
+            advice="the rest of the field is not calibrated: cover more of it",
         ),
     ],
 )

@@ -53,7 +53,7 @@ class FramesTest:
         wanted = (*first, *getattr(config, "methods", ("gaussian",)))
         methods = tuple(dict.fromkeys(one for one in wanted if not needs_epsf(one)))
         if not methods:
-            raise ConfigError("frames from outside come without a PSF: name another centroid than epsf, e.g. gaussian")
+            raise ConfigError("own frames have no PSF: use a centroid other than epsf, e.g. gaussian")
         with progress.stage("reduce"):
             series, own = self.reduce(folder, methods, config)
         with progress.stage("check"):
@@ -119,17 +119,17 @@ class Folder:
     names: Sequence[str]  # Of the series
     source: str = col("Source", default="frames")
     points: int = col("Points")
-    dark_frames: int = col("Frames with the lamp off")
+    dark_frames: int = col("Dark frames")
     flat_frames: int = col("Flats")
     bad_pixels: int = col("Pixels of the bad-pixel map")
     frame_size_px: Sequence[int] = col("Size of a frame", "px", dims="side")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
     fewest_frames: int = col("Frames of the shortest series")
     few_text: str = col("Said of them", json="few_frames", shown=False)  # "" where they are enough
-    prnu_fraction: float = col("Response that no flat removes, stated", json="")
+    prnu_fraction: float = col("Stated residual PRNU", json="")
     # Where there are no flats
     percent_px: float | None = col(
-        "Moved by 1 % of response", "px", ".4f", json="without_flat.one_percent_moves_px", default=None
+        "Shift by a PRNU of 1 %", "px", ".4f", json="without_flat.one_percent_moves_px", default=None
     )
     percent_over_noise: float | None = col(
         "Over the noise of a mean", format=".2f", json="without_flat.over_noise_of_mean", default=None
@@ -212,13 +212,13 @@ COMMON = {
         dim="series",
         place="series[series]",
         table="series",
-        caption="Frames, how many independent ones they are worth, mean electrons in a window, smallest share of "
-        "frames that gave a position.",
+        caption="Frames, equivalent independent frames, mean electrons in a window, smallest fraction of "
+        "frames with a position.",
         verdicts=[
             above(
                 "usable_fraction",
                 0.9,
-                title="frames that gave a position, smallest share over points and centroiders",
+                title="fraction of frames with a position, smallest over points and centroiders",
                 advice="points are too faint for this centroider, or windows too small for the spot",
             )
         ],

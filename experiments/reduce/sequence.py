@@ -32,7 +32,7 @@ FEWEST_FOR_LAG = 6
 """With fewer the beta distribution is not that of the correlation (three times the stated false alarm with four)."""
 SHIFTS = (-2, -1, 1, 2)
 SHARED = 0.2
-"""Correlation of the noise of two frames that is let pass: crosstalk and slow patterns make some of it."""
+"""Tolerated correlation of the noise of two frames: crosstalk and slow patterns make some of it."""
 MANY_PAIRS = 28
 MOST_PIXELS = 4096
 

@@ -1,4 +1,4 @@
-"""How well a star camera is calibrated by the stars it sees, and what limits it: rendered frames of a moving sky.
+"""Calibration of a star camera by rendered frames of the real sky: error of the line-of-sight map and its causes.
 
 Sixty frames of the real sky are rendered through the 206 mm lens and through a wide one, every star in its own colour,
 read out with noise, detected, centroided and matched from an attitude that is wrong by arcminutes. Cameras are

@@ -403,9 +403,9 @@ def sections_of(name: str) -> dict[str, Section]:
             prefix=f"{model}_",
             place=f"rendered.{name}.models_arcsec[{model}]",
             table=f"models_{name}",
-            caption="Which camera model is enough: map errors, RMS.",
-            note="Noiseless stars: the same stars and weights as measured, at the places that light of the reference "
-            "colour would have. Noise: predicted, with star colours known.",
+            caption="RMS map error by camera model.",
+            note="Noiseless stars: the measured stars and weights, at the positions of light of the reference colour. "
+            "Noise: predicted, with known star colours.",
             figures={
                 f"{name}_model_curves": curves(
                     model,
@@ -462,10 +462,10 @@ SECTIONS: dict[str, Section] = {
         across="part",
         where={"method": "free"},
         columns="part_rms_arcsec quadrature_arcsec measured_rms_arcsec",
-        caption="What the map error is made of: RMS of each part, switched on one after the other in the same data.",
-        note="Parts add up as vectors; independent ones would add in quadrature.",
+        caption="Contributions to the map error: RMS of each part, switched on successively in the same data.",
+        note="Parts add up as vectors; independent parts would add in quadrature.",
         verdicts=[
-            below("wrong_part", WRONG_LIMIT, title="wrong matches among the stars matched, largest part of a camera"),
+            below("wrong_part", WRONG_LIMIT, title="fraction of wrong matches, largest of the cameras"),
             below(
                 "not_converged",
                 0.0,
@@ -477,7 +477,7 @@ SECTIONS: dict[str, Section] = {
                 within=0.03,
                 each="camera",
                 title="scatter of faint stars' centroids over the stated one",
-                advice="noise of the pixels is not that of the detector's data",
+                advice="pixel noise differs from the detector's data",
             ),
         ],
     ),
@@ -489,16 +489,16 @@ SECTIONS: dict[str, Section] = {
         columns="measured_rms_arcsec measured_predicted_arcsec corrected_rms_arcsec noise_map_rms_arcsec "
         "corrected_predicted_arcsec corrected_sigma_f_um corrected_reduced_chi2",
         caption="Line of sight of the calibrated cameras against the traced lens, RMS after the best rotation.",
-        note="Colours known: centroids with the PSF of each star's colour, colour shift taken off; noise only: without "
-        "what the camera model cannot describe. Predicted: from the covariance of the calibration; ± is how much such "
-        "a map scatters. χ² well above 1: the gyro is not as good as the method takes it to be.",
+        note="Colours known: centroids with the PSF of each star's colour, colour shift subtracted; "
+        "noise only: without the error of the camera model. Predicted: from the covariance of the calibration, "
+        "± its standard deviation. χ² well above 1: the gyro is less accurate than the method assumes.",
         verdicts=[
             agree(
                 "noise_map_rms_arcsec",
                 with_="corrected_predicted_arcsec",
                 at={"method": "free"},
                 title="map error by noise against its prediction",
-                advice="residuals follow the place or the frame: a wrong camera model, or an attitude that drifts",
+                advice="residuals depend on position or frame: a wrong camera model, or a drifting attitude",
             )
         ],
     ),

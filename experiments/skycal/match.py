@@ -87,9 +87,10 @@ def match_frames(scene: Scene, recording: Recording, config: Config) -> Matched:
     if len(good) < max(2, scene.frames // 2):
         raise DomainError(
             f"{scene.name}: the stars of {len(good)} of {scene.frames} frames were matched; at least half are needed: "
-            f"point the camera better (motion.attitude_error_arcmin = {config.motion.attitude_error_arcmin:g}), let it "
-            f"see more stars ({scene.name}.faintest_mag, {scene.name}.instrument.exposure_s) or come nearer to its "
-            f"focal length (start.sheet_error_fraction = {config.start.sheet_error_fraction:g})"
+            "reduce the a priori attitude error (motion.attitude_error_arcmin = "
+            f"{config.motion.attitude_error_arcmin:g}), include more stars ({scene.name}.faintest_mag, "
+            f"{scene.name}.instrument.exposure_s) or reduce the focal-length error (start.sheet_error_fraction = "
+            f"{config.start.sheet_error_fraction:g})"
         )
     rough = calibrate(concatenated(good, frames=scene.frames), camera, FreeAttitudes(), loss="tukey")
     if not rough.converged:

@@ -80,7 +80,7 @@ def trace_chart(scene: Scene, config: Config) -> Chart:
     if not np.isfinite(pixel).all():
         dark = int((~np.isfinite(pixel).all(axis=1)).sum())
         raise DomainError(
-            f"{scene.name}: no light reaches {dark} of {len(pixel)} places of the detector through lens "
+            f"{scene.name}: no light reaches {dark} of {len(pixel)} points of the detector through lens "
             f"{camera.lens.name!r}; set {scene.name}.instrument.width_px and height_px smaller"
         )
     return Chart(direction=direction, pixel_px=pixel, rows=rows, columns=columns)

@@ -40,20 +40,20 @@ def model_label(name: str) -> str:
 
 
 class CameraConfig(StrictModel):
-    """One camera under the sky."""
+    """A camera and its stars."""
 
     instrument: InstrumentConfig = InstrumentConfig()
     faintest_mag: float = Field(default=9.0, ge=0, le=10, description="faintest stars rendered, Gaia G")
     background_e_per_s: float = Field(default=2.0, ge=0, le=1e5, description="sky light per pixel")
     sobol_log2_rays: int = Field(
-        default=13, ge=8, le=20, description="logarithm of the rays per star where the pupil is not clear"
+        default=13, ge=8, le=20, description="log2 of the rays per star for pupils that are sampled by Sobol points"
     )
     psf_spacing_px: float = Field(default=256.0, gt=8, le=1e5, description="distance between rendered PSFs")
-    model: str = Field(default="brown_conrady", description="camera model that counts, one of models")
+    model: str = Field(default="brown_conrady", description="main camera model, one of models")
     models: tuple[str, ...] = Field(
         default=("pinhole", "polynomial_3", "brown_conrady", "polynomial_5", "polynomial_7"),
         min_length=1,
-        description="camera models that are compared: pinhole, brown_conrady, polynomial_1 to polynomial_9",
+        description="camera models compared: pinhole, brown_conrady, polynomial_1 to polynomial_9",
     )
 
     @field_validator("models")
@@ -77,14 +77,14 @@ class SkyConfig(StrictModel):
 
     ra_deg: float = Field(default=260.0, ge=0, le=360, description="right ascension of the first boresight")
     dec_deg: float = Field(default=30.0, ge=-89, le=89, description="its declination")
-    nodes: int = Field(default=12, ge=4, le=64, description="wavelengths at which the pass band is sampled")
+    nodes: int = Field(default=12, ge=4, le=64, description="number of wavelengths that sample the pass band")
     reference_k: float = Field(
         default=4800.0, ge=1000, le=1e5, description="star colour that the map, the PSF and the truth refer to"
     )
 
 
 class MotionConfig(StrictModel):
-    """How the sky moves through the field, and how well its attitude is known beforehand."""
+    """Motion of the camera, and accuracy of its a priori attitude."""
 
     rate_deg_per_s: float = Field(default=0.5, gt=0, le=20, description="angular speed")
     axis_deg: float = Field(
@@ -92,7 +92,7 @@ class MotionConfig(StrictModel):
     )
     frame_rate_hz: float = Field(default=1.0, gt=0, le=1000, description="frames per second")
     attitude_error_arcmin: float = Field(
-        default=3.0, ge=0, le=60, description="standard deviation per axis of the attitude known beforehand"
+        default=3.0, ge=0, le=60, description="standard deviation per axis of the a priori attitude"
     )
 
 
@@ -100,21 +100,23 @@ class GyroConfig(StrictModel):
     """The gyro of ACF17, Table 1."""
 
     rate_hz: float = Field(default=100.0, gt=0, le=10000, description="samples per second")
-    bias_deg_per_h: float = Field(default=0.03, ge=0, le=1000, description="size per axis")
-    angle_random_walk_deg_per_sqrt_h: float = Field(default=0.005, ge=0, le=100, description="per axis")
+    bias_deg_per_h: float = Field(default=0.03, ge=0, le=1000, description="magnitude of the bias per axis")
+    angle_random_walk_deg_per_sqrt_h: float = Field(
+        default=0.005, ge=0, le=100, description="angle random walk per axis"
+    )
     installation_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = Field(
         default=(2.0, 2.0, 2.0), description="theta1, theta2, theta3: camera from gyro, angles as in ACF17 eq. 2"
     )
 
 
 class StartConfig(StrictModel):
-    """What the adjustment starts from, and what the first matching assumes."""
+    """Start values of the calibration and of the first star matching."""
 
     focal_ratio: float = Field(
-        default=0.78125, gt=0.3, lt=3, description="focal length the adjustment starts from, over the true one"
+        default=0.78125, gt=0.3, lt=3, description="start value of the focal length / true focal length"
     )
     sheet_error_fraction: float = Field(
-        default=0.003, ge=-0.1, le=0.1, description="error of the focal length that the first matching assumes"
+        default=0.003, ge=-0.1, le=0.1, description="error of the focal length assumed by the first matching"
     )
 
 
@@ -122,7 +124,7 @@ class Config(SensorExperimentConfig):
     """Sixty frames through the 206 mm lens and through a wide one."""
 
     which: Literal["both", "narrow", "wide", "own"] = Field(
-        default="both", description="cameras to run; own: the one of a sensor file"
+        default="both", description="cameras; own: from a sensor file"
     )
     narrow: CameraConfig = CameraConfig(faintest_mag=9.5, background_e_per_s=2.0)
     wide: CameraConfig = CameraConfig(
@@ -140,13 +142,17 @@ class Config(SensorExperimentConfig):
     gyro: GyroConfig = GyroConfig()
     start: StartConfig = StartConfig()
     frames: int = Field(default=60, ge=FEWEST_FRAMES, le=10000, description="frames per camera")
-    dark_frames: int = Field(default=20, ge=1, le=1000, description="frames without light, averaged and subtracted")
+    dark_frames: int = Field(default=20, ge=1, le=1000, description="dark frames, averaged and subtracted")
     centroid: CentroiderName = Field(
-        default="epsf", description="centroider; epsf: the PSF of the reference colour at each place of the field"
+        default="epsf", description="centroider; epsf: PSF of the reference colour at each field position"
     )
-    window_px: OddPx = Field(default=13, ge=7, le=63, description="window around a star, odd")
-    threshold_sigma: float = Field(default=6.0, gt=0, le=1000, description="detection limit")
-    least_snr: float = Field(default=15.0, gt=0, le=1e5, description="signal-to-noise ratio a star needs to take part")
+    window_px: OddPx = Field(default=13, ge=7, le=63, description="side of the centroid window, odd")
+    threshold_sigma: float = Field(
+        default=6.0, gt=0, le=1000, description="detection threshold, in standard deviations of the filtered noise"
+    )
+    least_snr: float = Field(
+        default=15.0, gt=0, le=1e5, description="smallest signal-to-noise ratio of a star in the calibration"
+    )
     map_points: int = Field(default=25, ge=5, le=101, description="points of the map along the longer side")
 
     @model_validator(mode="after")

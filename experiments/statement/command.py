@@ -11,19 +11,19 @@ from optics.textfile import write_text
 
 
 @click.command("statement", context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--sensor", default=None, metavar="TOML", help="sensor file; the built-in tracker if left out")
+@click.option("--sensor", default=None, metavar="TOML", help="sensor file; default: the built-in tracker")
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="setting of the experiment camera")
 @click.option("--flight", default=None, metavar="DIR", help="output folder of the experiment flight")
 @click.option("--out", default="statement.html", show_default=True, metavar="HTML", help="the document")
-@click.option("--force", is_flag=True, help="replace a file that is there")
+@click.option("--force", is_flag=True, help="overwrite an existing file")
 def statement(sensor: str | None, settings: tuple[str, ...], flight: str | None, out: str, force: bool) -> None:
-    """State the performance of a sensor clause by clause of ECSS-E-ST-60-20C: one HTML page that prints to PDF.
+    """Write the performance of a sensor by the clauses of ECSS-E-ST-60-20C: an HTML page, printable to PDF.
 
-    Numbers are the prediction of the experiment camera, and of a run of flight where there is one.
+    The numbers are predicted by the experiment camera; --flight adds the results of a rendered flight.
     """
     page = Path(out)
     if page.exists() and not force:
-        raise ConfigError(f"{out} is there already; --force replaces it")
+        raise ConfigError(f"{out} exists; --force overwrites it")
     if not page.parent.is_dir():
         raise ConfigError(f"{page}: the folder {page.parent} does not exist")
     from experiments.statement.page import page_of

@@ -22,14 +22,14 @@ def tables(made: Statement) -> dict[str, Table]:
         "conditions": Table(
             columns=("condition", "value", "derivation"),
             rows=list(made.conditions),
-            caption="Conditions of every number below.",
+            caption="Conditions of all numbers below.",
         ),
         "errors": _lines(made.errors, "Errors, in the order of their contributors."),
         "detection": _lines(made.detection, "What the sensor sees, and how often."),
         "missing": Table(
             columns=("clause", "why"),
             rows=[(title, why) for title, why, by in NOT_COVERED if not (by and made.flight)],
-            caption="What this document says nothing of.",
+            caption="Clauses not covered.",
         ),
     }
     if made.requirements:
@@ -46,7 +46,7 @@ def tables(made: Statement) -> dict[str, Table]:
                 )
                 for one in made.requirements
             ],
-            caption="Required values of the sensor file against the stated ones.",
+            caption="Required and stated values.",
         )
     return found
 

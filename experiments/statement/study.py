@@ -318,7 +318,7 @@ def read_flight(folder: Path, config: Any) -> Mapping[str, Any]:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); --flight takes the folder of a run") from None
     except ValueError:
-        raise ConfigError(f"{path}: is no summary of a run") from None
+        raise ConfigError(f"{path}: is not a run's summary") from None
     if not isinstance(summary, dict) or summary.get("experiment") != "flight":
         name = summary.get("experiment") if isinstance(summary, dict) else None
         raise ConfigError(f"{path}: is of {name!r}; --flight takes the folder of a run of flight")
@@ -327,7 +327,7 @@ def read_flight(folder: Path, config: Any) -> Mapping[str, Any]:
     for key, value in flat(own).items():
         if key in flown and flown[key] != value:
             raise ConfigError(
-                f"{path}: is of another sensor: {key} = {flown[key]!r} there, {value!r} here; run flight with this "
+                f"{path}: is from another sensor: {key} = {flown[key]!r} there, {value!r} here; run flight with this "
                 "sensor file"
             )
     results: Mapping[str, Any] = summary.get("results", {})

@@ -1,4 +1,4 @@
-"""Stray light: from the Sun's angle to background, false and lost stars, and the exclusion angle of a star sensor.
+"""Stray light of Sun, Earth and Moon: background, false and lost stars, exclusion angle of a star sensor.
 
 Point-source transmittance by cause (ghosts, scatter of polished surfaces, dust, walls and vane edges of the baffle);
 what Sun, Moon and Earth make of it in electrons per pixel; frames of the real sky under the light of the Sun, read out,

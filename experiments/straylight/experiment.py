@@ -211,8 +211,8 @@ class Exclusion:
     moon_exclusion_deg: float = col("Exclusion angle of the full Moon", "deg", ".2f")
     earth_exclusion_deg: float = col("Exclusion angle of the Earth's limb", "deg", ".1f")
     critical_e: float = col("Stray light at which frames cease to be usable", "e-", ".3g")
-    nearest_usable_deg: float = col("Nearest angle of the Sun with usable frames", "deg", ".2f")
-    farthest_unusable_deg: float = col("Farthest angle of the Sun without", "deg", ".2f")
+    nearest_usable_deg: float = col("Smallest angle of the Sun with usable frames", "deg", ".2f")
+    farthest_unusable_deg: float = col("Largest angle of the Sun without usable frames", "deg", ".2f")
     bounded: bool
 
 
@@ -263,7 +263,7 @@ def angle_of(pst: PointSourceTransmittance, value: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """One thing changed, everything else as it is."""
+    """A single change at a time."""
 
     change: str = col("Change", json="")
     outside_pst: float = col("PST 5 deg outside the shade", format=".2e")
@@ -332,7 +332,9 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         bench = Bench(config, instrument, stage.advance)
     before = bench.look(0.0, "sky")
     if not before.found.any():
-        raise DomainError("no star is found in frames without the Sun; lengthen the exposure or lower threshold_sigma")
+        raise DomainError(
+            "no star is detected in frames without the Sun; lengthen the exposure or lower threshold_sigma"
+        )
     angles = sun_angles(stray.pst, scale, config.frames.levels, instrument.detector.full_well_e)
 
     def look(angle: float) -> SunAngle:
@@ -441,7 +443,7 @@ SECTIONS = {
                 "walls_error_percent",
                 "walls_limit_percent",
                 title="light of walls and vanes: standard error",
-                advice="more passes than there may be are needed: a baffle whose light comes by rare paths",
+                advice="the limit of passes is reached: light of this baffle follows rare paths",
             )
         ],
     ),
@@ -466,7 +468,7 @@ SECTIONS = {
         place="limb[limb]",
         prefix="limb_",
         table="limb",
-        caption="Electrons per pixel by the Earth in full light.",
+        caption="Electrons per pixel from the fully lit Earth.",
     ),
     "frames": Section(
         record=SunAngle,
@@ -475,7 +477,7 @@ SECTIONS = {
         prefix="sun_",
         place="frames[sun]",
         table="frames",
-        caption="Frames of the real sky against the angle of the Sun, mean over the attitudes.",
+        caption="Frames of the real sky by angle of the Sun, mean over the attitudes.",
         figures={
             "rates": curves("sun_light_e", points="sun_lost", log="x", y="Stars lost", aspect_ratio=0.8, width="half"),
             "attitude": curves(
@@ -494,12 +496,12 @@ SECTIONS = {
     ),
     "changes": Section(
         record=Change,
-        note="Exclusion angle: where the Sun's light falls to what frames allow; at the end of the table, at no angle.",
+        note="Exclusion angle: where the Sun's light falls to the tolerated light; end of the table: at no angle.",
         dim="variant",
         place="changes[variant]",
         table="what_if",
         rows="variant",
         hidden="variant",
-        caption="One thing changed, everything else as it is.",
+        caption="A single change at a time.",
     ),
 }  # fmt: skip

@@ -15,12 +15,12 @@ from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
 
 
 class PstConfig(StrictModel):
-    """Where the point-source transmittance is computed, and how well."""
+    """Angles and accuracy of the computed point-source transmittance."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"walls_error"})
 
     file: FileName = Field(
-        default="", description="table in place of all computation: CSV or ECSV with angle_deg and a column per cause"
+        default="", description="table instead of the computation: CSV or ECSV with angle_deg and a column per cause"
     )
     angles_deg: tuple[Annotated[float, Field(gt=0, le=90)], ...] = Field(
         default=(0.3, 1, 3, 6, 10, 13, 16, 18, 20, 23, 26, 29, 32, 34, 36, 40, 45, 50, 60, 70, 80, 90),
@@ -28,14 +28,14 @@ class PstConfig(StrictModel):
         description="angles of the source from the boresight, increasing",
     )
     azimuths_deg: tuple[Annotated[float, Field(ge=0, le=90)], ...] = Field(
-        default=(0.0, 45.0), min_length=1, description="its azimuths, from columns towards rows, increasing"
+        default=(0.0, 45.0), min_length=1, description="azimuths of the source, from column towards row, increasing"
     )
-    points: int = Field(default=4, ge=3, le=15, description="places along each side of the detector")
-    rings: int = Field(default=3, ge=1, le=32, description="of the pupil")
-    arms: int = Field(default=8, ge=4, le=128, description="of the pupil")
-    ghost_rings: int = Field(default=12, ge=4, le=200, description="of the rays over the first surface")
-    ghost_arms: int = Field(default=32, ge=8, le=512, description="of the rays over the first surface")
-    walls_error: float = Field(default=0.05, gt=0, lt=1, description="standard error of walls and vanes, relative")
+    points: int = Field(default=4, ge=3, le=15, description="points along each side of the detector")
+    rings: int = Field(default=3, ge=1, le=32, description="of the pupil quadrature")
+    arms: int = Field(default=8, ge=4, le=128, description="of the pupil quadrature")
+    ghost_rings: int = Field(default=12, ge=4, le=200, description="of the ghost rays over the first surface")
+    ghost_arms: int = Field(default=32, ge=8, le=512, description="of the ghost rays over the first surface")
+    walls_error: float = Field(default=0.05, gt=0, lt=1, description="relative standard error for walls and vanes")
 
     @field_validator("angles_deg", "azimuths_deg")
     @classmethod
@@ -46,39 +46,43 @@ class PstConfig(StrictModel):
 
 
 class FramesConfig(StrictModel):
-    """Frames of the real sky under the light of the Sun."""
+    """Frames of the real sky in sunlight."""
 
     attitudes: int = Field(default=6, ge=2, le=1000, description="attitudes, uniform over all rotations")
-    levels: int = Field(default=9, ge=4, le=60, description="angles of the Sun, at even steps of its light")
+    levels: int = Field(default=9, ge=4, le=60, description="number of Sun angles, at equal steps of stray light")
     faintest_mag: float = Field(default=8.0, ge=3, le=12, description="faintest stars that are rendered")
 
 
 class RatesConfig(StrictModel):
-    """Beyond which a frame is not usable: the exclusion angle is the largest one at which either rate is passed."""
+    """Limits of a usable frame; the exclusion angle is the largest angle at which either limit is exceeded."""
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"false_per_frame", "lost_fraction"})
 
-    false_per_frame: float = Field(default=1.0, ge=0, le=1e6, description="false detections more than without the Sun")
+    false_per_frame: float = Field(
+        default=1.0, ge=0, le=1e6, description="false detections per frame in addition to those without the Sun"
+    )
     lost_fraction: float = Field(
-        default=0.1, ge=0, lt=1, description="of the stars found without the Sun, what is lost"
+        default=0.1, ge=0, lt=1, description="fraction lost of the stars detected without the Sun"
     )
 
 
 class Config(SensorExperimentConfig, SensorConfig):
-    """A sensor file; left out: a tracker of 26 mm, F/2, on 1024 x 1024 px, 0.2 s, and a baffle of 35 deg."""
+    """Sensor file; default: a 26 mm F/2 tracker with 1024 x 1024 px, 0.2 s and a baffle that shades from 35 deg on."""
 
     instrument: InstrumentConfig = InstrumentConfig(
         lens="star_tracker_26mm", detector="cmv4000", width_px=1024, height_px=1024, exposure_s=0.2
     )
-    window_px: int = Field(default=7, ge=5, le=63, description="window around a star, odd")
+    window_px: int = Field(default=7, ge=5, le=63, description="side of the centroid window, odd")
     catalogue: CatalogueConfig = CatalogueConfig()
-    dark_frames: int = Field(default=12, ge=1, le=1000, description="frames without light in the mean dark")
+    dark_frames: int = Field(default=12, ge=1, le=1000, description="dark frames averaged")
     background_e_per_s: float = Field(default=2.0, ge=0, le=1e6, description="sky light per pixel without stray light")
     pst: PstConfig = PstConfig()
     frames: FramesConfig = FramesConfig()
     rates: RatesConfig = RatesConfig()
-    earth_altitude_km: float = Field(default=550.0, ge=150, le=1e6, description="of the sensor above the Earth")
-    what_if: bool = Field(default=True, description="change dust, coating and vanes one by one")
+    earth_altitude_km: float = Field(
+        default=550.0, ge=150, le=1e6, description="altitude of the sensor above the Earth"
+    )
+    what_if: bool = Field(default=True, description="repeat with dust, coating and vanes changed one at a time")
 
 
 experiment = Experiment(
@@ -91,7 +95,7 @@ experiment = Experiment(
     examples={
         "--sensor my.toml": "your own sensor, with its [baffle], [scatter], [contamination]",
         "--set baffle.coating=magic_black --set contamination.level=500": "another coating, more dust",
-        "--set baffle.mesh=baffle.ply": "a baffle of your own, closed, in mm",
+        "--set baffle.mesh=baffle.ply": "your own baffle as a closed mesh in mm",
         "--set pst.file=measured.csv": "a measured point-source transmittance",
     },
     show=("transmittance", "exclusion"),

@@ -73,10 +73,11 @@ own_frames = FramesTest(
             table="temporal_error",
             rows="series method axis",
             columns="frames signal_e measured_arcsec low_arcsec high_arcsec noise_model_arcsec ratio",
-            caption="Temporal error (ACC18 eq. 1-2, 3 σ) of every series, and what the stated noise of the camera "
-            "gives.",
-            note="Measured values carry the small-sample factor of a standard deviation; it is taken out of *Ratio* "
-            "and of the interval (chi-square; common motion of the points and correlation of the frames widen it).",
+            caption="Temporal error (ACC18 eq. 1-2, 3 σ) of every series, and its prediction from the stated "
+            "camera noise.",
+            note="Measured values include the small-sample bias of a standard deviation; *Ratio* and "
+            "interval are corrected for it (chi-square interval, widened for common motion of the "
+            "points and correlation of the frames).",
             figures={
                 "levels": curves(
                     "signal_e",

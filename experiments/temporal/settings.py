@@ -17,7 +17,9 @@ class BrightnessConfig(StrictModel):
     lowest_e: float = Field(default=700.0, gt=0, le=1e6, description="electrons per star and frame, lowest level")
     highest_e: float = Field(default=20000.0, gt=0, le=1e6, description="the same, highest level")
     levels: int = Field(default=8, ge=2, le=50, description="number of levels")
-    setting_error_ratio: float = Field(default=0.01, ge=0, lt=0.3, description="level reached against level wanted")
+    setting_error_ratio: float = Field(
+        default=0.01, ge=0, lt=0.3, description="standard deviation of the level reached / level set - 1"
+    )
 
     @model_validator(mode="after")
     def _increasing(self) -> BrightnessConfig:
@@ -29,11 +31,11 @@ class BrightnessConfig(StrictModel):
 
 
 class Config(StarTargetConfig):
-    """The published run: ACC18 gives 25 stars, at least 30 frames and 5.5 arcsec per pixel."""
+    """The published run; ACC18 states 25 stars, at least 30 frames and 5.5 arcsec per pixel."""
 
     frames: int = Field(default=100, ge=2, le=10000, description="frames per level (ACC18: at least 30)")
     brightness: BrightnessConfig = BrightnessConfig()
-    draws: int = Field(default=100, ge=2, le=5000, description="noisy copies behind the sampled prediction")
+    draws: int = Field(default=100, ge=2, le=5000, description="noisy copies for the sampled prediction")
 
 
 rendered = Experiment(

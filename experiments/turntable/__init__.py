@@ -1,4 +1,4 @@
-"""How well do images of one star on a turntable calibrate a star camera, its mounting and the table (FISHER23)?
+"""Joint calibration of camera, mounting and turntable by images of a single star (FISHER23): accuracy and bound.
 
 A single-star simulator is rendered through the lens prescription while a table of two, then of three axes carries its
 image over the whole detector; windows are read out with noise and centroided. From the images and the readings of the

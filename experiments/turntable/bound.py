@@ -103,8 +103,8 @@ def bound(
     condition = float(np.linalg.cond(scaled))
     if not condition < WORST_CONDITION:
         raise DomainError(
-            f"the places visited do not determine the unknowns (condition {condition:.1e}); visit more of the "
-            "detector, or hold parameters"
+            f"the positions do not determine the unknowns (condition number {condition:.1e}); cover more of the "
+            f"detector, or fix parameters"
         )
     covariance = np.zeros((len(names), len(names)))
     covariance[np.ix_(use, use)] = np.linalg.inv(scaled) * np.outer(scale, scale)

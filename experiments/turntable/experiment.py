@@ -147,7 +147,7 @@ def one_table(
     if found.runs < LEAST_RUNS:
         raise DomainError(
             f"{name} table: {found.lost} of {config.study.runs} calibrations of the Monte-Carlo did not converge; "
-            "start nearer to the truth (reduction.star_deg, reduction.focal_length_mm) or visit more of the field"
+            "use better start values (reduction.star_deg, reduction.focal_length_mm) or cover more of the field"
         )
     return Case(
         measurement=measurement,
@@ -349,7 +349,7 @@ class Setup:
     pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f", json="")
     signal_e: float = col("Signal", "e-", ".0f")
     signal_star: str = col("Star")
-    reading_noise_equal_to_centroids_arcsec: float = col("Reading noise as good as centroids", "arcsec", ".3f")
+    reading_noise_equal_to_centroids_arcsec: float = col("Reading noise equivalent to the centroids", "arcsec", ".3f")
     map_px: FloatArray = col("Places of the map", "px", dims="point axis", json="")
 
 
@@ -440,9 +440,9 @@ SECTIONS = {
         table="map_error",
         across="reduction axis",
         caption="Line of sight over the detector after the best rotation: RMS length of its error.",
-        note="Run: rendered, against the traced lens; non-orthogonality of the axes an unknown, left out, or given. "
-        "Predicted: by the estimator's covariance. Monte-Carlo: on coordinates, ± standard error. Camera model: fitted "
-        "to noise-free rays, against the traced lens.",
+        note="Run: rendered, against the traced lens; non-orthogonality of the axes estimated, ignored, "
+        "or known. Predicted: by the estimator's covariance. Monte Carlo: without frames, ± "
+        "standard error. Camera model: fitted to noise-free rays, against the traced lens.",
         figures={"error_map": maps("line_error_arcsec", place="map_px", panels="table")},
         verdicts=[
             below(
@@ -461,20 +461,20 @@ SECTIONS = {
                 at={"reduction": "estimated"},
                 square=True,
                 title="mean square of the residuals over what centroids and readings make them",
-                advice="the noise of readings or centroids is not as stated",
+                advice="the noise of readings or centroids differs from the stated noise",
             ),
             agree(
                 "map_monte_carlo_arcsec",
                 with_="map_bound_arcsec",
                 slack=0.1,
                 title="map error of the Monte-Carlo against its Cramér–Rao bound",
-                advice="readings so coarse, or so little field, that second derivatives count, beyond any covariance",
+                advice="readings too coarse or field too small: the problem is not linear, as a covariance assumes",
             ),
             below(
                 "camera_model_share",
                 MODEL_SHARE,
                 title="camera model against traced lens, over the predicted map error",
-                advice="the lens needs more terms than Brown-Conrady has, or a smaller detector",
+                advice="the lens needs a model with more terms than Brown-Conrady, or a smaller detector",
             ),
         ],
     ),
@@ -484,9 +484,9 @@ SECTIONS = {
         table="unknowns",
         across="table",
         caption="Unknowns of the joint calibration.",
-        note="Run: rendered, leans fitted, ± 1 σ of the estimator's covariance. Pull: (estimate − truth) / σ; truth "
-        "of the camera is the model fitted to noise-free rays, of star, installation (θ), axes what was set. RMS pull: "
-        "over the Monte-Carlo.",
+        note="Run: rendered, leans fitted, ± 1 σ of the estimator's covariance. Pull: (estimate − "
+        "truth) / σ; the camera's truth is the model fitted to noise-free rays. RMS pull: over the "
+        "Monte Carlo.",
         figures={"correlations": maps("correlation", panels="table", zero=True)},
         verdicts=[
             agree(
@@ -494,7 +494,8 @@ SECTIONS = {
                 1.0,
                 slack=PULL_SLACK,
                 title="RMS pulls of the Monte-Carlo",
-                advice="the covariance is not honest: finer readings, or more of the field, make the problem linear",
+                advice="the covariance is wrong, because the problem is not linear: use finer readings or more of "
+                "the field",
             )
         ],
     ),
@@ -504,7 +505,8 @@ SECTIONS = {
         along="noise",
         table="noise_shares",
         across="table",
-        caption="What the noise contributes to the map error, predicted; squares add up to the Cramér–Rao bound.",
+        caption="Predicted contributions of the noise to the map error; their squares add up to the "
+        "squared Cramér–Rao bound.",
     ),
     "knowledge": Section(
         record=Known,
@@ -512,7 +514,7 @@ SECTIONS = {
         along="given",
         table="knowledge",
         across="table",
-        caption="Cramér–Rao bound of the map error if more were known.",
+        caption="Cramér–Rao bound of the map error with additional knowledge.",
     ),
     "places": Section(
         record=Place,
@@ -521,7 +523,7 @@ SECTIONS = {
         rows="table place",
         across="axis turn",
         hidden="place",
-        caption="All places.",
+        caption="All positions.",
     ),
     "readings": READINGS,
     "fields": FIELDS,

@@ -80,7 +80,7 @@ own_frames = FramesTest(
             dim="unknown",
             along="unknown_name",
             table="unknowns",
-            caption="Unknowns of the joint calibration, each in the unit that its name ends with.",
+            caption="Unknowns of the joint calibration, in the unit at the end of the name.",
             note="One standard deviation by the stated noise. Star: direction in the laboratory, the table's frame at "
             "zero angles; theta: installation (cam from table top) by ACF17; lean: 90° minus the angle of neighbouring "
             "axes.",
@@ -90,7 +90,7 @@ own_frames = FramesTest(
             table="residuals",
             rows="axis",
             columns="residual_px centroid_px",
-            caption="Residuals at the angles as read, and the stated error of a centroid.",
+            caption="Residuals for the angles read, and the stated error of a centroid.",
         ),
         "fit": FIT,
         "poses": Section(

@@ -35,36 +35,34 @@ StarDeg = Annotated[float, Field(ge=-LARGEST_STAR_ANGLE_DEG, le=LARGEST_STAR_ANG
 
 
 class ReductionConfig(StrictModel):
-    """What the person who reduces the data believes before."""
+    """Assumptions of the reduction."""
 
     focal_length_mm: float | None = Field(
-        default=None, gt=0, le=1e5, description="start value; left out, the lens's paraxial one rounded to 5 %"
+        default=None, gt=0, le=1e5, description="start value; default: the lens's paraxial focal length rounded to 5 %"
     )
-    axes: str | None = Field(
-        default=None, description="axes of the two-axis table as believed; left out, the real ones"
-    )
+    axes: str | None = Field(default=None, description="assumed axes of the two-axis table; default: the true axes")
     star_deg: tuple[StarDeg, StarDeg] = Field(
-        default=(0.0, 0.0), description="start of the star, azimuth and elevation"
+        default=(0.0, 0.0), description="start value of the star direction, azimuth and elevation"
     )
 
 
 class StudyConfig(StrictModel):
-    """Monte-Carlo runs and sweeps on coordinates."""
+    """Monte Carlo and sweeps with simulated coordinates, without frames."""
 
-    runs: int = Field(default=400, ge=20, le=100000, description="runs of the Monte-Carlo, each table")
+    runs: int = Field(default=400, ge=20, le=100000, description="Monte Carlo runs per table")
     sweep_runs: int = Field(default=50, ge=5, le=10000, description="runs per point of a sweep")
     reading_noise_arcsec: Annotated[tuple[Annotated[float, Field(ge=0, le=1e5)], ...], Sorted] = Field(
         default=(0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0),
         min_length=2,
-        description="errors of the mean reading of a place to sweep",
+        description="swept errors of the mean reading of a position",
     )
     field_deg: Annotated[tuple[Annotated[float, Field(ge=0.5, le=100)], ...], Sorted] = Field(
-        default=(3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0, 28.0, 40.0), min_length=2, description="full fields to sweep"
+        default=(3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0, 28.0, 40.0), min_length=2, description="swept full fields"
     )
 
 
 class Config(SingleStarConfig):
-    """FISHER23 gives the bench and the unknowns but no numbers: here are the camera of ACC18, the table of CUBE09."""
+    """Bench and unknowns of FISHER23, which states no numbers: camera of ACC18, turntable of CUBE09."""
 
     two_axis: TableConfig = Field(default_factory=_two_axes)
     three_axis: TableConfig = Field(default_factory=_three_axes)
@@ -80,10 +78,10 @@ rendered = Experiment(
     axes="experiment:axes",
     takes="1 min (--quick: 20 s)",
     examples={
-        "--quick": "few places and runs",
-        "--set two_axis.non_orthogonality_arcsec=[20] --set two_axis.reading_noise_arcsec=[0.1]": "axes that lean "
-        "more, on a table that reads better",
-        "--set reduction.axes=x-y": "the reduction believes that the inner axis turns the other way: it is refused",
+        "--quick": "few poses and runs",
+        "--set two_axis.non_orthogonality_arcsec=[20] --set two_axis.reading_noise_arcsec=[0.1]": "more axis lean, "
+        "less reading noise",
+        "--set reduction.axes=x-y": "wrong sign of the inner axis in the reduction: refused",
     },
     show=("unknowns", "map_error"),
     quick={

@@ -1,4 +1,4 @@
-"""From a folder of night frames to a twin of the camera that took them: what the camera is, and how well it is known.
+"""Sensor file of a camera (its twin) from a folder of its night frames, with uncertainties and a comparison.
 
 The frames are solved blind and measured: camera model with its order, PSF over the field and against colour, zero
 point, colour, vignetting, extinction, gain, noise, fixed pattern. The twin is a sensor file that every experiment

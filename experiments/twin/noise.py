@@ -150,8 +150,8 @@ def fit_noise(frames: Sequence[Blocks], *, lowest_dn: float, black_level_dn: flo
     if not slope > 4.0 * slope_error:
         raise DomainError(
             f"photon transfer: variance rises by {slope:.3g} +/- {slope_error:.2g} DN^2 per DN over backgrounds from "
-            f"{level.min():.4g} to {level.max():.4g} DN; no gain can be told: frames with "
-            "different backgrounds are needed"
+            f"{level.min():.4g} to {level.max():.4g} DN; the gain is not determined: frames with different "
+            "backgrounds are needed"
         )
     gain = 1.0 / slope
     read = tuple(

@@ -83,7 +83,7 @@ def fit_photometry(
     """
     good = (flux_e > 3.0 * flux_error_e) & np.isfinite(flux_e)
     if good.sum() < FEWEST_STARS:
-        raise DomainError(f"{int(good.sum())} stars with a flux; photometry takes {FEWEST_STARS}")
+        raise DomainError(f"{int(good.sum())} stars with a flux; photometry needs {FEWEST_STARS}")
     measured = magnitude + POGSON * np.log(np.maximum(flux_e, 1e-9))
     noise = POGSON * flux_error_e / np.maximum(flux_e, 1e-9)
     design, used = _design(colour, u2, frame, frames, good)

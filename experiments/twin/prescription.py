@@ -61,7 +61,7 @@ class LensPose:
     focal_ratio: float = col("Focal length, frames over prescription", "", ".5f")
     residual_percent: float = col("Widths, scatter about the fitted lens", "percent", ".2f")
     before_percent: float = col("The same as the sensor file states it", "percent", ".2f")
-    other_focus: str = col("Second focus that fits as well", default="")
+    other_focus: str = col("Second focus that fits equally well", default="")
 
 
 def has_prescription(file: Path) -> bool:
@@ -136,7 +136,7 @@ def pose_of_widths(stated: Instrument, place_px: FloatArray, width_px: FloatArra
         Fewer than `FEWEST_STARS` stars.
     """
     if len(width_px) < FEWEST_STARS:
-        raise DomainError(f"{len(width_px)} bright stars; focus and tilt of a lens take {FEWEST_STARS}")
+        raise DomainError(f"{len(width_px)} bright stars; focus and tilt of a lens need {FEWEST_STARS}")
     pitch, light = stated.detector.pixel_pitch_mm, star_light([stated.passband()], nodes=4, magnitude_system="G")
     reach = REACH_DEPTHS * pitch * max(_f_number(stated), 1.0)
     steps = np.linspace(-reach, reach, STEPS)

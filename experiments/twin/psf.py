@@ -167,7 +167,7 @@ def fit_psf(
     """
     if len(sample) < FEWEST_STARS:
         raise DomainError(
-            f"{len(sample)} bright, isolated, unsaturated stars in all frames; the PSF takes {FEWEST_STARS}: more "
+            f"{len(sample)} bright, isolated, unsaturated stars in all frames; the PSF needs {FEWEST_STARS}: more "
             "frames, or a longer exposure"
         )
     size = sample.dn.shape[1]

@@ -57,7 +57,7 @@ class CameraNumbers:
     centre_y_px: Measured = col("Principal point from the middle, rows", "px")
     corner_px: float = col("Distortion at the corner", "px", ".3f")
     floor_px: float = col("Error per axis beyond the noise of centroids", "px", ".3f")
-    width_px: Measured = col("Width of the PSF's middle part, reference colour", "px")
+    width_px: Measured = col("Width of the PSF's core, reference colour", "px")
     gain_e_per_dn: Measured = col("Gain", "e-/DN")
     read_noise_low_e: float = col("Read noise, black level lowest", "e-", ".2f")
     read_noise_high_e: float = col("Read noise, black level highest", "e-", ".2f")
@@ -70,10 +70,10 @@ class CameraNumbers:
     zero_point_mag: Measured = col("Zero point: G of 1 e- per exposure", "mag")
     extinction_mag: Measured | None = col("Extinction per airmass", "mag", default=None)
     vignetting_mag: Measured = col("Vignetting at the corner", "mag")
-    limit_mag: float = col("Half of the stars found at 5 sigma, G", "mag", ".2f")
+    limit_mag: float = col("Half of the stars detected at 5 sigma, G", "mag", ".2f")
     latitude_deg: Measured | None = col("Latitude", "deg", default=None)
     longitude_deg: Measured | None = col("Longitude", "deg", default=None)
-    refraction_arcsec: Measured | None = col("Refraction over tan z that the frames prefer", "arcsec", default=None)
+    refraction_arcsec: Measured | None = col("Refraction / tan z from the frames", "arcsec", default=None)
 
 
 def camera_numbers(reduced: Reduced, whole: CameraFit, compared: HeldOut, limit_mag: float) -> CameraNumbers:
@@ -301,7 +301,7 @@ class Detected:
     false_pull: float = col("Difference over its standard deviation, 5 sigma", "sigma", ".2f")
     trails: int = col("Detections on trails, not counted")
     area: Measured | None = col("Area under the ROC curve, real against rendered", default=None)
-    told_by: str = col("Feature that tells them apart best", default="")
+    told_by: str = col("Feature with the largest difference", default="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -647,7 +647,7 @@ SECTIONS: dict[str, Section] = {
         },
     ),
     "camera": Section(
-        record=CameraNumbers, vertical=True, table="camera", caption="The camera, as its frames tell it."
+        record=CameraNumbers, vertical=True, table="camera", caption="Measured properties of the camera."
     ),
     "frames": Section(
         record=FrameNumbers,
@@ -656,7 +656,7 @@ SECTIONS: dict[str, Section] = {
         prefix="frame_",
         place="frames[frame]",
         table="frames",
-        caption="The frames, and their twins that have not seen them.",
+        caption="Frames, and frames rendered by twins measured without them.",
         verdicts=[_verdict(_each_frame, "frame_off_percent", "frame_noise_percent")],
     ),
     "orders": Section(
@@ -666,8 +666,8 @@ SECTIONS: dict[str, Section] = {
         prefix="order_",
         place="orders[order_name]",
         table="orders",
-        caption="Camera models: each frame predicted from the others.",
-        note="Taken: the simplest within one standard error of the best, paired by frames.",
+        caption="Camera models, cross-validated: each frame predicted from the others.",
+        note="Chosen: the simplest within one standard error of the best, paired by frames.",
     ),
     "transfer": Section(
         record=TransferPoint,
@@ -709,9 +709,9 @@ SECTIONS: dict[str, Section] = {
         place="comparison[statistic]",
         columns="real twin off allowed within",
         table="comparison",
-        caption="Real and rendered frames, each rendered by a twin that has not seen it.",
-        note="Off: twin less real, as a part of the real value (magnitudes, correlation and shares: the difference); "
-        "±: noise of one set, from the scatter of the rendered ones.",
+        caption="Real and rendered frames; each frame is rendered by a twin measured without it.",
+        note="Off: (twin − real) / real (for magnitudes, correlations and fractions: twin − real); ±: "
+        "noise of a single set, from the scatter of the rendered sets.",
         verdicts=[_verdict(_within, "off", "allowed")],
     ),
     "completeness": Section(
@@ -720,7 +720,7 @@ SECTIONS: dict[str, Section] = {
         along="magnitude_mag",
         place="completeness[bin]",
         table="completeness",
-        caption="Share of the catalogue stars that is found, per half magnitude.",
+        caption="Fraction of the catalogue stars detected, per half magnitude.",
         figures={
             "completeness_plot": curves(
                 "bin", points="real_5 real_6", lines="twin_5 twin_6", y="Share found", aspect_ratio=0.42
@@ -732,7 +732,7 @@ SECTIONS: dict[str, Section] = {
         record=Detected,
         vertical=True,
         table="detected",
-        caption="False detections in all frames, and whether real and rendered stars can be told apart.",
+        caption="False detections in all frames, and separability of real and rendered stars.",
         verdicts=[_verdict(_false, "false_pull")],
     ),
     "features": Section(
@@ -742,7 +742,7 @@ SECTIONS: dict[str, Section] = {
         prefix="feature_",
         place="features[feature]",
         table="features",
-        caption="By what real and rendered star windows differ.",
+        caption="Differences between real and rendered star windows.",
         figures={"feature_bars": bars("feature", bars="feature_effect")},
     ),
     "pose": Section(
@@ -750,7 +750,7 @@ SECTIONS: dict[str, Section] = {
         prefix="lens_",
         vertical=True,
         table="pose",
-        caption="The lens of the sensor file, its detector where the frames put it.",
+        caption="Detector position behind the known lens, from the frames.",
     ),
     "truth": Section(
         record=TrueNumber,
@@ -759,7 +759,7 @@ SECTIONS: dict[str, Section] = {
         prefix="known_",
         place="truth[parameter]",
         table="truth",
-        caption="Measured numbers beside those of the camera that rendered the frames.",
+        caption="Measured values and true values of the rendering camera.",
         verdicts=[
             agree("known_found", with_="known_true", each="parameter", false_alarm=2e-3, title="measured against truth")
         ],

@@ -211,9 +211,7 @@ def _faults(known: Prepared) -> list[str]:
 def _refuse_unsolved(solved: Sequence[Solved], rows: Sequence[int]) -> None:
     if not rows:
         first = solved[0]
-        raise DomainError(
-            f"none of {len(solved)} frames shows stars that can be named; {first.name}: {what_is_wrong(first)}"
-        )
+        raise DomainError(f"none of {len(solved)} frames could be identified; {first.name}: {what_is_wrong(first)}")
 
 
 def _field_deg(truth: KnownNight) -> float:

@@ -16,66 +16,72 @@ OrderName = Literal["pinhole", "radial_1", "radial_2", "brown_conrady", "polynom
 
 
 class CameraConfig(StrictModel):
-    """What is known of the camera; frames alone tell angles in pixels, not lengths."""
+    """Known properties of the camera; frames determine angles per pixel, not lengths."""
 
-    name: str = Field(default="", description="what reports call it; left out: the folder")
+    name: str = Field(default="", description="name in reports; default: the folder")
     field_deg: float | None = Field(
-        default=None, gt=0.5, le=120, description="width of the field, roughly; left out: searched"
+        default=None, gt=0.5, le=120, description="approximate field along the width; default: searched"
     )
     pixel_pitch_um: float | None = Field(default=None, ge=0.1, le=1000, description="pixel pitch, binning included")
     focal_length_mm: float | None = Field(
-        default=None, gt=0, le=1e5, description="focal length, of which the pixel pitch follows where that is left out"
+        default=None, gt=0, le=1e5, description="focal length, from which a missing pixel pitch follows"
     )
     aperture_mm: float | None = Field(
-        default=None, gt=0, le=1e4, description="entrance pupil; left out: as small as the light allows"
+        default=None,
+        gt=0,
+        le=1e4,
+        description="entrance pupil diameter; default: the smallest that the measured light allows",
     )
     exposure_s: float | None = Field(
-        default=None, gt=0, le=1e4, description="exposure time; left out: that of the files, or 1 s"
+        default=None, gt=0, le=1e4, description="exposure time; default: from the files, else 1 s"
     )
     black_level_dn: float | None = Field(
-        default=None, ge=0, le=65535, description="level without light; left out: an interval for the read noise"
+        default=None,
+        ge=0,
+        le=65535,
+        description="level without light; default: unknown, read noise given as an interval",
     )
 
 
 class SiteConfig(StrictModel):
-    """Where the frames were taken; with their times it tells the zenith."""
+    """Site of the frames; with their times it determines the zenith."""
 
     latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="north positive")
     longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="east positive")
     refraction_arcsec: float = Field(
-        default=58.3, ge=0, le=120, description="refraction over tan z; 58.3 at sea level, 0 in space"
+        default=58.3, ge=0, le=120, description="refraction / tan z; 58.3 at sea level, 0 in space"
     )
 
 
 class NightConfig(StrictModel):
-    """The frames that are rendered where no folder is given: by a camera that is known."""
+    """Frames of a known camera, rendered if no folder is given."""
 
     lens: FileName = Field(default="star_tracker_26mm", description="lens")
     detector: FileName = Field(default="cmv4000", description="detector")
     width_px: int = Field(default=896, ge=256, le=4096, description="columns read out")
     height_px: int = Field(default=768, ge=256, le=4096, description="rows read out")
     exposure_s: float = Field(default=0.5, gt=0, le=100, description="exposure time")
-    frames: int = Field(default=6, ge=2, le=50, description="how many, in attitudes at random")
+    frames: int = Field(default=6, ge=2, le=50, description="number of frames, at random attitudes")
     darkest_e_per_s: float = Field(default=300.0, ge=0, le=1e6, description="background of the first frame")
     brightest_e_per_s: float = Field(default=7000.0, ge=0, le=1e6, description="background of the last frame")
 
 
 class Config(ExperimentConfig):
-    """Frames, what is known beforehand, how much is rendered."""
+    """Frames, prior knowledge and rendered sets."""
 
-    frames: FolderName = Field(default="", description="folder of frames; empty: rendered by a camera that is known")
+    frames: FolderName = Field(default="", description="folder of frames; empty: frames of a known camera are rendered")
     camera: CameraConfig = CameraConfig()
     site: SiteConfig = SiteConfig()
     orders: tuple[OrderName, ...] = Field(
         default=("pinhole", "radial_1", "radial_2", "brown_conrady", "polynomial_3"),
         min_length=1,
         max_length=5,
-        description="camera models that are tried, the simplest first",
+        description="camera models compared, simplest first",
     )
     prescription: FileName = Field(
-        default="", description="sensor file of a known lens, whose focus, tilt and decentre the frames tell"
+        default="", description="sensor file of a known lens; frames give focus, tilt and decentre"
     )
-    realisations: int = Field(default=5, ge=2, le=100, description="sets of frames that the twin renders")
+    realisations: int = Field(default=5, ge=2, le=100, description="rendered sets of frames")
     night: NightConfig = NightConfig()
 
     @field_validator("orders")
@@ -116,7 +122,7 @@ experiment = Experiment(
     takes="3 min (--quick: 40 s)",
     examples={
         "--frames my_night --set camera.pixel_pitch_um=6.9": "the twin of the camera that took these frames",
-        "--quick": "four rendered frames of a camera that is known",
+        "--quick": "four rendered frames of a known camera",
     },
     options={"frames": ("frames", "Folder of night frames: TIFF, PNG, JPEG, FITS, NumPy.")},
     show=("camera", "comparison"),

@@ -55,7 +55,7 @@ def _aperture(table: SurfaceTable) -> list[str]:
         else:
             raise ConfigError(f"an aperture of kind {made.kind!r} cannot be written as .seq")
     if len(centres) > 1 or (any(any(c) for c in centres) and math.isfinite(table.semi_diameter_mm)):
-        raise ConfigError("apertures of several centres on one surface cannot be written as .seq")
+        raise ConfigError(".seq allows a single centre for the apertures of a surface")
     for x, y in centres:
         lines += [f"ADX {x!r}", f"ADY {y!r}"] if x or y else []
     return lines

@@ -130,7 +130,9 @@ def _with_stop(file: Prescription, items: list[Break | Element]) -> list[Break |
     while at < len(items) and z < file.stop.z_mm:
         item = items[at]
         if isinstance(item, Break) or item.table.medium == MIRROR:
-            raise ConfigError("a stop that stands alone behind a mirror or a break cannot be written; use stop = true")
+            raise ConfigError(
+                "a separate [stop] behind a mirror or a coordinate break cannot be written; use stop = true"
+            )
         medium, before = item.table.medium, file.stop.z_mm - z
         z, at = z + item.thickness_mm, at + 1
     alone = Element(plane.model_copy(update={"medium": medium}), z - file.stop.z_mm)
@@ -191,7 +193,7 @@ def agf_text(glasses: Mapping[str, Glass], title: str) -> str:
     for name, glass in glasses.items():
         found = _agf_dispersion(glass.dispersion)
         if found is None:
-            raise DomainError(f"glass {name}: its formula {glass.dispersion.formula!r} is none of those of AGF files")
+            raise DomainError(f"glass {name}: its formula {glass.dispersion.formula!r} is not an AGF formula")
         number, coefficients = found
         nd, vd = glass.nd or 0.0, glass.vd or 0.0
         lines.append(f"NM {safe_name(name)} {number} 0 {nd!r} {vd!r} 0 0")

@@ -25,7 +25,7 @@ def write_lens(file: LensFile, path: str | Path) -> tuple[Path, ...]:
     texts: dict[Path, str] = {}
     if suffix == ".toml":
         for fault in geometry_faults(file.lens):
-            raise ConfigError(f"{path}: {fault} (borne in a design program's file, not in .toml: write .zmx or .seq)")
+            raise ConfigError(f"{path}: {fault} (allowed in .zmx and .seq, not in .toml: write one of these)")
         texts[place] = toml_lens(file.tables)
     elif suffix in (".zmx", ".seq"):
         made = sequence(file)

@@ -93,11 +93,11 @@ def _aperture(table: SurfaceTable) -> list[str]:
     if table.inner_semi_diameter_mm:
         lines.append(f"  CLAP {table.inner_semi_diameter_mm!r} {table.semi_diameter_mm if finite else 1e9!r} 0")
     if len(table.aperture) + bool(table.inner_semi_diameter_mm) > 1:
-        raise ConfigError("a surface of a .zmx file has one aperture, this lens needs several on one surface")
+        raise ConfigError(".zmx allows a single aperture per surface; this lens has a surface with several")
     for outline in table.aperture:
         made: Any = outline.aperture()
         if made.angle_deg:
-            raise ConfigError("an aperture that is turned cannot be written as .zmx")
+            raise ConfigError("a rotated aperture cannot be written as .zmx")
         letter = "OB" if made.obscures else "AP"
         if made.kind == "circle":
             lines.append(f"  OBSC 0 {made.radius_mm!r} 0" if made.obscures else f"  CLAP 0 {made.radius_mm!r} 0")

@@ -99,7 +99,7 @@ def _checked_rows(draft: Draft) -> None:
     if not stops:
         first = next((row for row in draft.rows if not row.is_break), None)
         if first is None:
-            raise ConfigError(f"{draft.report.file}: nothing but coordinate breaks")
+            raise ConfigError(f"{draft.report.file}: it contains only coordinate breaks, no surface")
         first.stop = True
         draft.report.assumed("STOP", f"the file names no stop; surface {first.number} is taken, as programs do")
 
@@ -109,7 +109,7 @@ def _checked_wavelengths(draft: Draft) -> None:
         raise ConfigError(f"{draft.report.file}: no wavelength is stated")
     for wave, weight in draft.wavelengths:
         if not 100.0 < wave < 30000.0 or not weight >= 0.0:
-            raise ConfigError(f"{draft.report.file}: wavelength {wave:g} nm of weight {weight:g} makes no sense")
+            raise ConfigError(f"{draft.report.file}: wavelength {wave:g} nm of weight {weight:g} is not possible")
     if not 0 <= draft.primary < len(draft.wavelengths):
         draft.report.assumed(
             "primary wavelength", f"number {draft.primary + 1} of {len(draft.wavelengths)} does not exist: 1 is taken"

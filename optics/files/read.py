@@ -60,7 +60,7 @@ def import_lens(path: Path, reading: Reading = Reading()) -> Imported:
         folder = f"{path.parent}/" if str(path.parent) != "." else ""
         raise type(error)("\n".join(folder + line for line in str(error).split("\n"))) from None
     except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-        raise ConfigError(f"{path}: numbers that make no lens ({error})") from None
+        raise ConfigError(f"{path}: its numbers do not define a lens ({error})") from None
     if reading.strict:
         imported.report.require_exact()
     return imported

@@ -169,7 +169,7 @@ class _Reader:
         if bent and as_radii == as_curvatures:
             raise ConfigError(
                 f"{self.report.file}: the file does not say whether its numbers are radii (RDM Y) or curvatures "
-                "(RDM N), and they could be both; add the line that is right"
+                "(RDM N), and both are possible; add the correct line"
             )
         self.radius_mode = as_radii
         what, other = ("radii", "curvatures") if as_radii else ("curvatures", "radii")
@@ -216,7 +216,7 @@ class _Reader:
         elif key in ("EPD", "FNO", "NAO", "NA"):
             value = number(words, 1) * (draft.unit_mm if key == "EPD" else 1.0)
             if not 0.0 < value < math.inf:
-                raise ValueError(f"an aperture of {value:g} is none")
+                raise ValueError(f"an aperture of {value:g} is not possible; it must be positive")
             draft.aperture = Aperture(key, value, command.line)
             if key == "FNO":
                 draft.stated["F-number"] = (value, f"line {command.line}")
@@ -249,7 +249,7 @@ class _Reader:
             return "weights of the fields"
         kind, _ = _FIELDS[key]
         if any(_FIELDS[k][0] != kind for k in self.fields if k in _FIELDS):
-            raise ValueError("fields by angles and by heights together")
+            raise ValueError("fields are given both by angles and by heights; only one is possible")
         self.draft.field_kind, self.draft.fields_line = kind, line
         return f"fields by {kind.replace('_', ' ')}: defaults of the file"
 
@@ -276,7 +276,7 @@ class _Reader:
         """n^2 = A0 + A1 l^2 + A2 / l^2 + A3 / l^4 + ..., without a range: that of the wavelengths in use."""
         waves = self.waves or self.private_waves
         if len(coefficients) > 6 or not waves:
-            raise ValueError(f"{len(coefficients)} coefficients at {len(waves)} wavelengths make no glass")
+            raise ValueError(f"{len(coefficients)} coefficients at {len(waves)} wavelengths do not define a glass")
         return Glass(
             name=name,
             source=f"{self.report.file}: Laurent's formula, range not stated",
@@ -288,14 +288,14 @@ class _Reader:
     def _measured(self, line: int, name: str, indices: list[float]) -> Glass:
         waves = self.private_waves
         if len(waves) != len(indices) or len(waves) < 2 or len(set(waves)) < len(waves) or not np.isfinite(waves).all():
-            raise ValueError(f"{len(indices)} indices at {len(waves)} wavelengths make no glass")
+            raise ValueError(f"{len(indices)} indices at {len(waves)} wavelengths do not define a glass")
         order = np.argsort(waves)
         wave, index = np.array(waves)[order], np.array(indices)[order]
         if not (wave[0] > 100.0 and (index >= 1.0).all() and (index < 5.0).all()):
-            raise ValueError("wavelengths or indices that no glass has")
+            raise ValueError("wavelengths or indices outside the range of any glass")
         dispersion, residual = fitted_index(1e-3 * wave, index)
         if residual > ROUGH_RESIDUAL:
-            raise ValueError(f"no smooth curve follows the indices of glass {name}: residuals of {residual:.1e}")
+            raise ValueError(f"no smooth curve fits the indices of glass {name}: residuals of {residual:.1e}")
         if residual > EXACT_RESIDUAL:
             self.report.approximated(line, f"'{name}'", f"indices by a smooth curve, residuals up to {residual:.1e}")
         source = (
@@ -345,7 +345,7 @@ class _Reader:
     def _find(self, word: str) -> SurfaceData:
         named = _SURFACE.match(word)
         if named is None:
-            raise ValueError(f"{word!r} names no surface")
+            raise ValueError(f"{word!r} is not a surface")
         which = named[1].upper()
         at = {"O": 0, "I": len(self.surfaces) - 1, "A": -2}.get(which, int(which) if which.isdigit() else -2)
         if not 0 <= at < len(self.surfaces):
@@ -424,14 +424,14 @@ class _Reader:
                 elif _SURFACE.match(words[1]):
                     single = [words[0], words[1], words[1 + chosen]]
                     if not self._of_surface(_Command(command.line, single, command.text)):
-                        raise ValueError(f"zoom of {words[0]} is not read")
+                        raise ValueError(f"zoom (ZOO) of {words[0]} is not supported")
                     continue
                 elif words[0].upper() in ("EPD", "FNO", "NAO", "NA", "TIT", *_FIELDS, *_VIGNETTING, "WTF") and (
                     chosen == 1
                 ):
                     message = "values of the zoom positions; those of position 1 are in the file's own commands"
                 else:
-                    raise ValueError(f"zoom of {words[0]} is not read")
+                    raise ValueError(f"zoom (ZOO) of {words[0]} is not supported")
             except (ValueError, IndexError) as error:
                 raise draft.fail(command.line, f"{command.text[:60]!r}: {error}") from None
             self.report.taken(command.line, command.text, message)

@@ -68,7 +68,7 @@ class SurfaceData:
         """Take one command; what it means, "!" before it if it counts for nothing, None if it is not known."""
         key = words[0].upper()
         if len(words) > 2 and (key in ("K", "RDY", "CUY", "RDX", "CUX") or (key in _POLYNOMIAL and len(key) == 1)):
-            raise ValueError(f"{' '.join(words[2:])!r} stands behind its value; a semicolon goes between two commands")
+            raise ValueError(f"{' '.join(words[2:])!r} follows the value; separate two commands by a semicolon")
         plain = _PLAIN.get(key)
         if plain is not None:
             return plain(self, words, line, text, unit)
@@ -148,7 +148,7 @@ class SurfaceData:
         elif key in ("ADX", "ADY"):
             self.centre[key == "ADY"] = unit * value
         elif key == "ARO" and value:
-            raise ValueError("a turned aperture (ARO) is not read")
+            raise ValueError("a rotated aperture (ARO) is not supported")
         elif key != "ARO":
             kind = "rectangle" if key[0] == "R" else "ellipse"
             self.rectangle.setdefault(kind, [math.nan, math.nan])[key[2] == "Y"] = unit * value
@@ -213,7 +213,7 @@ class SurfaceData:
             keys = {"decentre_mm": [x, y, z], "tilt_deg": tilt, "axes": "moving", "first": "decentre"}
         carry = {"DAR": "none", "BEN": "bend"}.get(self.mode, "forward")
         if carry == "bend" and not self.mirror:
-            raise ValueError("BEN goes with a mirror")
+            raise ValueError("BEN is for mirrors only")
         return {**keys, "carry": carry}
 
     def row(self, unit: float) -> Row:
@@ -221,7 +221,7 @@ class SurfaceData:
         outlines = list(self.obscured)
         for kind, sizes in self.rectangle.items():
             if not all(s > 0.0 for s in sizes):
-                raise ValueError(f"the {kind} aperture has one side only")
+                raise ValueError(f"the {kind} aperture needs both of its dimensions")
             outlines.append({"kind": kind, "half_width_mm": sizes})
         clear, hole = self.clear, self.hole
         if any(self.centre):

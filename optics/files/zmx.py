@@ -123,7 +123,7 @@ class _Reader:
         kinds = {"ENPD": "EPD", "FNUM": "FNO", "OBNA": "NAO", "FLOA": "STOP"}
         value = 0.0 if key == "FLOA" else number(words, 1)
         if key != "FLOA" and not 0.0 < value < math.inf:
-            raise ValueError(f"an aperture of {value:g} is none")
+            raise ValueError(f"an aperture of {value:g} is not possible; it must be positive")
         if key == "ENPD":
             value *= self.draft.unit_mm
         if key == "FNUM":
@@ -259,7 +259,7 @@ class _Reader:
     def _next_surface(self, line: int, words: list[str], text: str) -> None:
         index = whole(words, 1)
         if index != len(self.surfaces):
-            raise ValueError(f"surface {len(self.surfaces)} was to follow; a surface is missing or doubled")
+            raise ValueError(f"surface {len(self.surfaces)} is expected here; a surface is missing or repeated")
         if index >= MOST_SURFACES:
             raise ValueError(f"more than {MOST_SURFACES} surfaces")
         self.surfaces.append(SurfaceData(index, line))

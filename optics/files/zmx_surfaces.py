@@ -103,7 +103,7 @@ class SurfaceData:
             arms = number(words, 2)
             self.outlines.append({"kind": "spider", "arms": int(arms), "width_mm": size[0]})
         elif key in ("UDAP", "UDOB"):
-            raise ValueError("an aperture drawn by hand in another file is not read")
+            raise ValueError("a user-defined aperture (UDA file) is not supported")
         else:
             self.centre = (unit * number(words, 1, 0.0), unit * number(words, 2, 0.0))
         return True
@@ -189,7 +189,7 @@ def _extra(s: SurfaceData, skip: int) -> tuple[list[float], float]:
     count = int(s.xdat.get(1, 0.0))
     radius = s.xdat.get(2, 1.0)
     if not 0 <= count <= 240 or not radius > 0.0:
-        raise ValueError(f"{count} coefficients over a normalisation radius of {radius:g} make no surface")
+        raise ValueError(f"{count} coefficients over a normalisation radius of {radius:g} do not define a surface")
     return [s.xdat.get(i + 1 + skip, 0.0) for i in range(1, count + 1)], radius
 
 

@@ -100,7 +100,7 @@ def read_agf(path: str | Path) -> AgfCatalogue:
             words = []
         open_line = words
     if not records:
-        raise ConfigError(f"{path}: no glass (a line that begins with NM) is in the file")
+        raise ConfigError(f"{path}: the file contains no glass (no line begins with NM)")
     return AgfCatalogue(Path(path).stem.upper(), Path(path), records)
 
 
@@ -117,7 +117,7 @@ def _glass(record: _Record, catalogue: str, file: str) -> Glass:
     name = record.name[0]
     number = int(_number(record.name, 1, 0.0))
     if number not in AGF_FORMULAS:
-        raise ConfigError(f"dispersion formula {number} is none of the thirteen of AGF files")
+        raise ConfigError(f"dispersion formula {number} is not one of the thirteen AGF formulas")
     formula, count = AGF_FORMULAS[number]
     words = record.data.get("CD", [])[:count]
     coefficients = [float("nan") if i >= len(words) else _number(words, i, math.nan) for i in range(count)]
@@ -134,7 +134,7 @@ def _glass(record: _Record, catalogue: str, file: str) -> Glass:
     curve, thickness = _transmittance(record, name, file)
     low, high = (1e3 * _number(record.data.get("LD", []), i, 0.0) for i in (0, 1))
     if not 0.0 < low < high:
-        raise ConfigError("its range of wavelengths (line LD) is missing or makes no sense")
+        raise ConfigError("its range of wavelengths (line LD) is missing or not increasing")
     dispersion = Dispersion(formula, tuple(padded))
     glass = Glass(
         name=name,

@@ -246,8 +246,8 @@ class Glass:
         """
         if self.transmittance is None or self.transmittance_mm is None:
             raise DomainError(
-                f"glass {self.name} has no internal transmittance table: take another, or leave absorption out "
-                "(instrument.absorption = false)"
+                f"glass {self.name} has no internal transmittance table: use another glass, or set "
+                "instrument.absorption = false"
             )
         path = np.asarray(path_mm, dtype=np.float64)
         if not (path >= 0.0).all():
@@ -403,7 +403,7 @@ _OBSOLETE = "glasses_obsolete.toml"
 
 @cache
 def get_glass(name: str) -> Glass:
-    """Glass from the catalogue (``optics/data/glasses.toml``, then the obsolete ones).
+    """Glass from the catalogue (``optics/data/glasses.toml``, then obsolete glasses).
 
     Parameters
     ----------

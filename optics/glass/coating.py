@@ -121,7 +121,7 @@ class Film:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stack(Coating):
-    """Thin films; none: a bare surface.
+    """Stack of thin films; empty: a bare surface.
 
     Attributes
     ----------
@@ -215,7 +215,7 @@ class QuarterWave(Coating):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TabulatedCoating(Coating):
-    """Reflectance as measured or specified, whatever the glass underneath, the same from both sides.
+    """Tabulated reflectance, independent of the glass and of the side.
 
     Linear between the entries. Angles are those in the medium of lower index; beyond the last one its values hold,
     beyond the critical angle all light is reflected.
@@ -272,7 +272,7 @@ class TabulatedCoating(Coating):
                     at = tuple(np.argwhere(bad)[0])
                     raise DomainError(
                         f"coating ({self.source}): {name} = {value[at]:g} for {of} light at {wave[at[1]]:g} nm, "
-                        f"{angle[at[0]]:g} deg; shares are 0 ... 1, and R + T at most 1"
+                        f"{angle[at[0]]:g} deg; R and T must be 0 ... 1, and R + T at most 1"
                     )
 
     def split(

@@ -25,7 +25,7 @@ CONSTANT_RANGE_NM = (100.0, 30000.0)
 def model_glass(name: str, nd: float, vd: float, *, partial: float = 0.0) -> Glass:
     """Glass through an index and an Abbe number."""
     if not ((1.0 if vd else 0.99) <= nd <= 4.5 and (vd == 0.0 or 9.0 <= vd <= 120.0) and abs(partial) < 0.2):
-        raise DomainError(f"n_d = {nd:g}, v_d = {vd:g} (dP_gF = {partial:g}) are those of no glass")
+        raise DomainError(f"n_d = {nd:g}, v_d = {vd:g} (dP_gF = {partial:g}) do not belong to any glass")
     wide = RANGE_NM
     if vd == 0.0:
         dispersion, text, wide = Dispersion.constant(nd), "constant index, as the file states it", CONSTANT_RANGE_NM

@@ -128,7 +128,7 @@ def _tilt(lens: LensSystem, at: tuple[int, ...], values: FloatArray, by: FloatAr
     before = lens.surfaces[at[0] - 1].medium if at[0] else AMBIENT
     surface = lens.surfaces[at[0]]
     if surface.is_stop and surface.medium == before and not surface.mirror:
-        raise DomainError(f"{lens.label(at[0])} of lens {lens.name!r} is a stop that stands alone; it is not tilted")
+        raise DomainError(f"{lens.label(at[0])} of lens {lens.name!r} is a separate stop; it cannot be tilted")
     x_deg, y_deg = np.eye(2)[at[1]] * by[at]
     return tilt(lens, at[0], float(x_deg), float(y_deg))
 

@@ -144,7 +144,7 @@ def despace(lens: LensSystem, what: What, z_mm: float, *, following: bool = Fals
 
 
 def change_shape(lens: LensSystem, surface: int, name: str, by: float) -> LensSystem:
-    """Add to one of the numbers that make the shape of a surface.
+    """Add to a shape parameter of a surface.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def change_shape(lens: LensSystem, surface: int, name: str, by: float) -> LensSy
 
 
 def change_index(lens: LensSystem, what: What, by: float) -> LensSystem:
-    """Add to the refractive index of the glass (all glasses) of what is named, at every wavelength alike.
+    """Add a constant to the refractive index of the named glasses at all wavelengths.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def tilt_image(lens: LensSystem, x_deg: float = 0.0, y_deg: float = 0.0) -> Lens
 def change_temperature(
     lens: LensSystem, temperature_c: float, *, housing_cte_per_k: float, pressure_hpa: float | None = None
 ) -> LensSystem:
-    """Bring the whole lens to another uniform temperature; its dimensions are taken to hold at its present one.
+    """Lens at another uniform temperature; its dimensions hold at the present one.
 
     `optics.lens.thermal.heated_lens` without gradients, its spacers measured from vertex to vertex.
 

@@ -120,8 +120,8 @@ def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[li
         along = table.thickness_mm * float(np.sign(light @ frame.axes[:, 2]))
         if medium != AMBIENT and along < 0.0:
             raise ConfigError(
-                f"{label}: thickness_mm = {table.thickness_mm:g} mm of {medium} lies against the light; "
-                "behind an odd number of mirrors thicknesses are negative, otherwise positive"
+                f"{label}: thickness_mm = {table.thickness_mm:g} mm of {medium} has the wrong sign; thicknesses are "
+                "negative behind an odd number of mirrors, otherwise positive"
             )
         frame = frame.after(table.thickness_mm)
     frame = frame.moved(file.image)

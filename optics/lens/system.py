@@ -46,7 +46,7 @@ class Surface:
     rotation : (3, 3)
         Columns are the surface's axes in the lens frame; identity for a centred surface.
     medium : str
-        What follows the surface: a glass name or ``"air"``; behind a mirror what lies in front of it.
+        Medium behind the surface: a glass name or ``"air"``; for a mirror the medium in front of it.
     mirror : bool
         Whether it reflects.
     semi_diameter_mm : float
@@ -66,9 +66,9 @@ class Surface:
     index_offset : float
         Added to the index of what follows (melt tolerance).
     coating : Coating or None
-        What is on it; None: not stated (bare glass, or what the instrument says; mirrors reflect all light).
+        Coating; None: not stated (bare glass, or the instrument's coating; mirrors reflect all light).
     label : str
-        What messages call it, such as ``"surface 4 (line 27)"`` of a file that counts its own way.
+        Name in messages, such as ``"surface 4 (line 27)"``.
     """
 
     shape: Shape
@@ -140,16 +140,16 @@ class LensSystem:
     design_wavelength_nm : float
         Reference wavelength for chief rays and paraxial quantities.
     max_field_deg : float
-        Half field angle the lens is meant for.
+        Half field angle.
     environment : Environment
         Temperature and pressure.
     throughput : Response or None
-        Transmission on the axis as specified or measured, in place of what glasses and coatings let through.
+        Stated axial transmission, in place of that of glasses and coatings.
     blur_um, blur_px : float
-        Standard deviation of a Gaussian that blurs images on top of what rays and diffraction make, in either unit.
+        Standard deviation of an additional Gaussian blur of the image, in either unit.
     measured : MeasuredLens or None
-        What was measured of a lens whose surfaces are not known. Surfaces are then those of an ideal lens of its focal
-        length and aperture, for quantities of first order; `check_surfaces` refuses to trace them.
+        Measured lens without known surfaces. ``surfaces`` are then those of an ideal lens of its focal
+        length and aperture, for first-order quantities; `check_surfaces` refuses to trace them.
     """
 
     name: str
@@ -181,7 +181,7 @@ class LensSystem:
             if surface.mirror and (surface.medium, surface.index_offset) != before:
                 raise ConfigError(
                     f"lens {self.name!r}: {self.label(number)} is a mirror between {before[0]!r} and "
-                    f"{surface.medium!r}; what follows a mirror is what lies in front of it"
+                    f"{surface.medium!r}; the medium behind a mirror must be the one in front of it"
                 )
         if not 0 < self.max_field_deg < 90:
             raise DomainError(f"lens {self.name!r}: max_field_deg = {self.max_field_deg} deg is outside 0 ... 90 deg")

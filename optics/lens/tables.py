@@ -177,9 +177,9 @@ class SurfaceTable(MovedTable):
     def _it_is_a_surface(self) -> SurfaceTable:
         self.shape()
         if self.carry == "bend" and self.medium != MIRROR:
-            raise ValueError("carry = 'bend' goes with medium = 'mirror'; use 'forward' for a surface that refracts")
+            raise ValueError("carry = 'bend' needs medium = 'mirror'; use 'forward' for a surface that refracts")
         if self.cte_per_k is not None and self.medium != MIRROR:
-            raise ValueError("cte_per_k goes with medium = 'mirror'; a lens expands as its glass does")
+            raise ValueError("cte_per_k needs medium = 'mirror'; a lens expands with its glass")
         return self
 
     def shape(self) -> Shape:
@@ -356,7 +356,7 @@ class Prescription(StrictTable):
         made: dict[str, Coating] = {UNCOATED: BARE}
         for name, table in self.coating.items():
             if name == UNCOATED:
-                raise ConfigError(f"coating {name!r} is the name of no coating; take another")
+                raise ConfigError(f"coating {name!r} is reserved; use another name")
             try:
                 made[name] = table.coating(glass_of)
             except DomainError as error:

@@ -50,18 +50,21 @@ LARGEST_K = 250.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThermalState:
-    """Departure of the temperature field from that of the lens [K]; states add, and scale by a number.
+    """Temperature field minus the temperature of the lens [K]; states can be added and scaled.
 
     Attributes
     ----------
     mean_k : float
-        Of lens and housing alike.
+        Uniform part, of lens and housing.
     axial_k : float
-        Image plane less front, over the length between the outermost of surfaces and image plane along z.
+        Temperature of the image plane minus that of the front, over the length between the outermost surfaces and image
+        plane along z.
     transverse_x_k, transverse_y_k : float
-        Side towards +x (+y) of the lens frame less the opposite one, over the diameter of the housing.
+        Temperature of the side towards +x (+y) of the lens frame minus that of the opposite side, over the diameter of
+        the housing.
     radial_k : float
-        Rim less centre of every element, quadratic in the radius; the mean over its area does not change.
+        Temperature of the rim minus that of the centre of every element, quadratic in the radius, with zero mean over
+        the area.
     """
 
     mean_k: float = 0.0
@@ -100,7 +103,7 @@ COMPONENTS = ("mean_k", "axial_k", "transverse_x_k", "transverse_y_k", "radial_k
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mount:
-    """Where spacers touch an element.
+    """Contact radii of the spacers on an element.
 
     Attributes
     ----------
@@ -121,22 +124,22 @@ class Mount:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Housing:
-    """What holds the elements.
+    """Housing of a lens: expansion, diameter, spacers and mounting plane.
 
     Attributes
     ----------
     expansion_per_k : float
         Linear expansion of barrel and spacers [1/K].
     diameter_mm : float or None
-        Over which transverse gradients are stated; the widest clear aperture if None.
+        Distance across which transverse gradients are stated; the widest clear aperture if None.
     mounted_z_mm : float or None
-        Plane in the lens frame that stays in place and direction when the housing bends; the image plane if None.
+        Mounting plane in the lens frame, fixed when the housing bends; the image plane if None.
     mounts : dict of str to Mount
-        By element; elements that are not named are held at their vertices.
+        Contact radii per element; elements not named are held at their vertices.
     spacers_per_k : dict of str to float
         Linear expansion [1/K] of single spacers, by the element behind them (`STOP`, `DETECTOR`).
     poisson_ratio : float
-        Of the glasses, which are between 0.19 and 0.31.
+        Poisson's ratio of the glasses (0.19 to 0.31).
     """
 
     expansion_per_k: float
@@ -231,8 +234,8 @@ class _Field:
         known = [r for r in (*known, mount.front_radius_mm, mount.back_radius_mm) if 0.0 < r < math.inf]
         if not known:
             raise DomainError(
-                f"radial gradient in lens {self.lens.name!r}: {self.lens.label(body.first)} has no clear aperture to "
-                "say where its rim is; give semi_diameter_mm in the lens file"
+                f"radial gradient in lens {self.lens.name!r}: {self.lens.label(body.first)} has no clear aperture, "
+                "so its radius is unknown; give semi_diameter_mm in the lens file"
             )
         return max(known)
 
@@ -271,7 +274,7 @@ def _warmed_surface(lens: LensSystem, index: int, vertex: FloatArray, kelvin: fl
 def heated_lens(
     lens: LensSystem, state: ThermalState, housing: Housing, *, pressure_hpa: float | None = None
 ) -> LensSystem:
-    """The lens in a temperature field; its dimensions are taken to hold in the uniform one of its environment.
+    """The lens in a temperature field; its dimensions hold at the uniform temperature of its environment.
 
     A length L becomes L exp(cte dT), so that going back from a uniform temperature cancels exactly. A cemented surface
     expands by the mean of its two glasses, a mirror with its substrate (``Surface.cte_per_k``) or the housing. Shifts
@@ -451,8 +454,8 @@ def _more_curved(lens: LensSystem, index: int, shape: Shape, by: float) -> Shape
         return Conic(radius_mm=1.0 / by, conic=-1.0)
     if not isinstance(shape, Curved):
         raise DomainError(
-            f"radial gradient in lens {lens.name!r}: {lens.label(index)} is of kind {shape.kind}; it is known for "
-            "planes and surfaces of revolution on a conic"
+            f"radial gradient in lens {lens.name!r}: {lens.label(index)} is of kind {shape.kind}; it is modelled "
+            "for planes and surfaces of revolution on a conic only"
         )
     old, new = shape.curvature, shape.curvature + by
     conic = (1.0 + float(getattr(shape, "conic", 0.0))) * (old / new) ** 3 - 1.0

@@ -208,7 +208,7 @@ def band_nodes(bands: Sequence[Band], count: int) -> BandNodes:
         Less than one node, or a band with a gap into which a node falls.
     """
     if not bands:
-        raise ConfigError("no band; give at least one filter")
+        raise ConfigError("no band is given; at least one filter is needed")
     if count < 1:
         raise DomainError(f"{count} nodes per band; at least 1 is needed")
     rules = [_gauss_of_curve(band, count) for band in bands]

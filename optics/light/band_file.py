@@ -39,7 +39,9 @@ def load_band(path: str | Path, name: str = "") -> TabulatedBand:
     if len(wave) > 1 and wave[0] > wave[-1]:
         wave, value = wave[::-1], value[::-1]
     if wave.max() < 100.0:
-        raise DomainError(f"{shown}: wavelengths up to {wave.max():g}: nanometres are needed, these look like others")
+        raise DomainError(
+            f"{shown}: wavelengths up to {wave.max():g}: nanometres are needed; the values seem to be in another unit"
+        )
     if scale == 1.0 and value.max() > 1.0:
         raise DomainError(
             f"{shown}: transmissions up to {value.max():g}: fractions of 1 are needed; if these are percent, call the "

@@ -98,7 +98,7 @@ def _covered(sed: Sed, system: MagnitudeSystem) -> None:
 
 
 def synthetic_magnitude(sed: Sed, *, system: str = "V") -> float:
-    """Magnitude of a source whose spectrum is absolute.
+    """Magnitude of a source of absolute spectrum.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def synthetic_magnitude(sed: Sed, *, system: str = "V") -> float:
     photons = sed.photon_density(wave)
     signal = float((photons * PHOTON_J_NM / wave if scale.detects == "energy" else photons) @ weight)
     if not signal > 0.0:
-        raise DomainError(f"the spectrum has no light in the {system} passband, so no magnitude")
+        raise DomainError(f"the spectrum has no light in the {system} passband, so it has no magnitude there")
     return scale.zero_point - 2.5 * float(np.log10(scale.scale * signal))
 
 

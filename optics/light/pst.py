@@ -149,11 +149,11 @@ def read_pst(path: str | Path) -> PointSourceTransmittance:
     except ValueError as error:
         raise ConfigError(f"{path}: not a table of numbers ({error})") from None
     if "angle_deg" not in names or table.shape[1:] != (len(names),) or not len(table):
-        raise ConfigError(f"{path}: a table of PST has a head with angle_deg and rows of as many numbers")
+        raise ConfigError(f"{path}: a PST table needs a header with angle_deg, and as many numbers in every row")
     columns = dict(zip(names, table.T, strict=True))
     causes = _causes(names)
     if not causes:
-        raise ConfigError(f"{path}: there is no column besides the angles; one with the PST is needed")
+        raise ConfigError(f"{path}: there is no PST column; at least one besides the angles is needed")
     azimuth = columns.get("azimuth_deg", np.zeros(len(table)))
     angles, azimuths = np.unique(columns["angle_deg"]), np.unique(azimuth)
     order = np.lexsort((columns["angle_deg"], azimuth))

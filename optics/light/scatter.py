@@ -219,7 +219,7 @@ class Particles:
         _positive(wavelength_nm=self.wavelength_nm)
         particles_per_mm2(self.level, 1.0)
         if not 0.0 <= self.forward <= 1.0:
-            raise DomainError(f"forward = {self.forward:g}; the share of light that goes on lies in 0 ... 1")
+            raise DomainError(f"forward = {self.forward:g}; the forward-scattered fraction must lie in 0 ... 1")
 
     def bsdf(self, sine_difference: ArrayLike) -> FloatArray:
         """BSDF [1/sr] at differences of sines."""

@@ -45,7 +45,7 @@ class Sed(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blackbody:
-    r"""A black body, the usual stand-in for a star of that effective temperature.
+    r"""Black-body spectrum, the usual model of a star.
 
     .. math:: N(\lambda) = \frac{2 \pi c}{\lambda^4} \frac{1}{e^{h c / \lambda k T} - 1}
 
@@ -103,7 +103,7 @@ class Blackbody:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TabulatedSed(Curve):
-    """A measured or modelled spectrum, interpolated linearly in the quantity that was tabulated.
+    """Tabulated spectrum, interpolated linearly in the tabulated quantity.
 
     Attributes
     ----------

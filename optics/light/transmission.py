@@ -61,7 +61,7 @@ def layout_of(lens: Any) -> Layout:
 def lens_transmission(
     lens: Any, wavelength_nm: ArrayLike, *, coating: Coating | None = None, absorption: bool = True
 ) -> FloatArray:
-    """Transmission of a lens along its axis: its own throughput where it has one, else of surfaces and glasses.
+    """Axial transmission of a lens: its stated throughput, else surfaces and glasses.
 
     Parameters
     ----------

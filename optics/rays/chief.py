@@ -57,7 +57,7 @@ def chief_ray_points(
     *,
     blocked: Literal["refuse", "follow"] = "refuse",
 ) -> tuple[FloatArray, FloatArray]:
-    """Where the chief rays (through the centre of the stop) meet the image plane.
+    """Intersections of chief rays (through the centre of the stop) with the image plane.
 
     Parameters
     ----------
@@ -116,14 +116,14 @@ def _measured_points(
     place = lens.measured.place_mm(field_direction(fx, fy), wave)
     if np.isnan(place).any():
         raise ConvergenceError(
-            f"lens {lens.name!r} was measured up to {lens.max_field_deg:g} deg from the axis; a direction is asked for "
+            f"lens {lens.name!r} was measured up to {lens.max_field_deg:g} deg from the axis; the direction lies "
             "beyond the field in which its distortion is one-to-one"
         )
     return place[..., 0], -place[..., 1]
 
 
 def plate_scale_mm(lens: LensSystem, wavelength_nm: float | None = None) -> float:
-    """Focal length as the image shows it: chief-ray displacement per tan(field) around field 0, mean of x and y [mm].
+    """Plate scale [mm]: chief-ray displacement per tan(field) at field 0, mean of x and y.
 
     Equal to the paraxial focal length only if the image plane is the paraxial focal plane.
 

@@ -423,7 +423,7 @@ def find_ghosts(
     absorption: bool = True,
     order: tuple[int, int] = (RINGS, ARMS),
 ) -> Ghosts:
-    """All ghosts of two reflections that a distant source makes, and where the rest of its light goes.
+    """All two-reflection ghosts of a distant source, and the balance of its light.
 
     Parameters
     ----------

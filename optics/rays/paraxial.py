@@ -54,7 +54,7 @@ def _require_centred(lens: LensSystem) -> None:
     for i, surface in enumerate(lens.surfaces):
         if not surface.shape.rotational:
             raise DomainError(
-                f"lens {lens.name!r}: {lens.label(i)} ({surface.shape.kind}) is not one of revolution; paraxial "
+                f"lens {lens.name!r}: {lens.label(i)} ({surface.shape.kind}) is not a surface of revolution; paraxial "
                 "quantities exist for surfaces of revolution only"
             )
 
@@ -191,7 +191,7 @@ def chief_ray(lens: LensSystem, field_deg: float, wavelength_nm: float | None = 
 
 
 def axial_colour_mm(lens: LensSystem, wavelength_nm: ArrayLike, reference_nm: float | None = None) -> FloatArray:
-    """Shift of the rear focus [mm] against the reference wavelength (design wavelength if left out).
+    """Shift of the rear focus [mm] from that of the reference wavelength (default: design wavelength).
 
     Parameters
     ----------

@@ -142,7 +142,9 @@ def lens_performance(
     """
     field, wave = np.atleast_1d(np.asarray(field_deg, float)), np.atleast_1d(np.asarray(wavelength_nm, float))
     if field[0] != 0.0:
-        raise DomainError(f"first field {field[0]:g} deg; distortion and vignetting are against field 0")
+        raise DomainError(
+            f"first field {field[0]:g} deg; distortion and vignetting are relative to field 0, which must come first"
+        )
     light = np.ones(len(wave)) if share is None else np.asarray(share, float)
     light = light / light.sum()
     traced = trace_spots(lens, field, np.zeros_like(field), wave) if spots is None else spots

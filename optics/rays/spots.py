@@ -343,7 +343,7 @@ def vignetting(
 
 
 def collecting_area_mm2(lens: LensSystem, wavelength_nm: float | None = None) -> float:
-    """Cross-section of the beam of a star on the axis that reaches the image [mm^2]; the design wavelength if left out.
+    """Cross-section [mm^2] of the on-axis beam that reaches the image (default: design wavelength).
 
     Parameters
     ----------
@@ -369,7 +369,7 @@ def collecting_area_mm2(lens: LensSystem, wavelength_nm: float | None = None) ->
 def best_focus_shift_mm(
     lens: LensSystem, field_x_deg: ArrayLike, field_y_deg: ArrayLike, wavelength_nm: ArrayLike
 ) -> float:
-    """Shift of the image plane [mm] that makes the white spots smallest.
+    """Shift of the image plane [mm] that minimises the polychromatic spots.
 
     Minimises the sum over fields of the mean square distance from the spot's mean over all wavelengths, fields and
     wavelengths alike; ray heights are linear in the shift, so the minimum is a closed form. Apply it with

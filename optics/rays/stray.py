@@ -223,7 +223,7 @@ def lens_scatter_light(
     """
     source = np.asarray(v_source, dtype=np.float64)
     if not source[2] > 0.0:
-        raise DomainError("a source at 90 deg or more from the boresight does not shine into the lens")
+        raise DomainError("a source at 90 deg or more from the boresight does not illuminate the lens")
     known = scattering_surfaces(imaging.lens)
     numbers = tuple(sorted({number for one in laws.values() for number in one}))
     for number in set(numbers) - set(known):

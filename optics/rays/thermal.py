@@ -115,7 +115,7 @@ def thermal_sensitivity(
     count: int = 7,
     step_k: float = STEP_K,
 ) -> ThermalSensitivity:
-    """Trace the lens with each component of the state a step up and down, and two steps.
+    """Derivatives of the image with respect to each component of the temperature field, by central differences.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def thermal_sensitivity(
         if error[-1] > LARGEST_STEP_ERROR and size > ROUNDING_MM:
             raise ConvergenceError(
                 f"lens {lens.name!r}: the shift by {COMPONENTS[len(error) - 1]} changes by {100 * error[-1]:.2g} % "
-                f"between steps of {step_k:g} and {2 * step_k:g} K; take smaller ones"
+                f"between steps of {step_k:g} and {2 * step_k:g} K; use smaller steps"
             )
     shift = np.stack(white)
     focus = [focus_um_per_k(lens, housing, ThermalState.of(unit)) for unit in np.eye(len(COMPONENTS))]
@@ -278,7 +278,7 @@ class Athermal:
         back as a re-entrant tube.
         """
         if first_per_k == second_per_k:
-            raise DomainError(f"two materials of the same expansion {first_per_k:g}/K compensate nothing")
+            raise DomainError(f"two materials of the same expansion {first_per_k:g}/K cannot compensate")
         return self.length_mm * (self.expansion_per_k - first_per_k) / (second_per_k - first_per_k)
 
 
@@ -294,7 +294,7 @@ def spacers_of(lens: LensSystem) -> tuple[str, ...]:
 
 
 def athermal_spacer(lens: LensSystem, housing: Housing, *, spacer: str = DETECTOR) -> Athermal:
-    """Solve for the expansion of one spacer that leaves the paraxial focus on the detector.
+    """Expansion of a spacer that keeps the paraxial focus on the detector.
 
     Parameters
     ----------

@@ -88,8 +88,8 @@ def even_pupil(field: PupilField, at: tuple[int, int] = (0, 0), *, size: int = 2
     lit = field.area_mm2[at] > 0.0
     if not lit.all():
         raise DomainError(
-            f"field {at[0]}, wavelength {at[1]}: {np.count_nonzero(~lit)} rays are lost inside the pupil; an even grid "
-            "is made of clear pupils only"
+            f"field {at[0]}, wavelength {at[1]}: {np.count_nonzero(~lit)} rays are lost inside the pupil; a regular "
+            "grid needs a clear pupil"
         )
     jacobian = field.jacobian[at].ravel()
     rim_x, rim_y = _rim(field, at)

@@ -41,7 +41,7 @@ def peak(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> tuple[float, flo
 
 
 def strehl(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> float:
-    """Strehl ratio: brightest point of the image over that of the same pupil, amplitudes and all, without phase.
+    """Strehl ratio: peak of the image over the peak of the same pupil with the same amplitudes and zero phase.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def encircled_energy(
     at: tuple[int, int] = (0, 0),
     centre_mm: Sequence[float] | None = None,
 ) -> FloatArray:
-    """Share of all the light within circles, (r,).
+    """Fraction of all light within circles (r,).
 
     Integrates the image over the rings between the circles, by Gauss points along the radius and evenly in azimuth, as
     many as a band-limited image asks for.

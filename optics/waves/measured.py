@@ -33,7 +33,7 @@ REACH = 1.04
 
 
 def with_wavefront(lens: LensSystem, error: PathMap) -> LensSystem:
-    """The lens with an additional error of its wavefront, exact on the axis at the design wavelength.
+    """Lens with an additional wavefront error, exact on the axis at the design wavelength.
 
     Parameters
     ----------
@@ -81,8 +81,8 @@ def _surface(lens: LensSystem) -> int:
     ]
     if not able:
         raise DomainError(
-            f"lens {lens.name!r}: no surface is left that a measured wavefront error could be given to; each needs a "
-            "change of index or a mirror, and no surface map of its own"
+            f"lens {lens.name!r}: no surface can carry the measured wavefront error: it needs a change of index or "
+            "a mirror, and no surface map yet"
         )
     return min(able, key=lambda i: (abs(i - lens.stop_index), -i))
 

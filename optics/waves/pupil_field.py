@@ -186,8 +186,8 @@ def needed_order(field: PupilField, half_width_mm: float) -> tuple[int, int]:
     if rings > MOST_RINGS or arms > MOST_ARMS:
         raise DomainError(
             f"the wavefront changes by {radial:.0f} rad along a radius of the pupil: {rings} rings x {arms} azimuths "
-            f"are needed, {MOST_RINGS} x {MOST_ARMS} allowed; a smaller window or less defocus is needed, or rays, "
-            "which are right for such images"
+            f"are needed, {MOST_RINGS} x {MOST_ARMS} allowed; a smaller window or less defocus is needed, or "
+            "diffraction = 'rays', which suffices for such images"
         )
     return rings, arms
 

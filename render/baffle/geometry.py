@@ -146,10 +146,12 @@ class VanedBaffle:
         if not (0.0 < self.entrance_mm < self.tube_mm and 0.0 < self.length_mm < math.inf):
             raise DomainError(
                 f"baffle of {self.length_mm:g} mm, radius {self.tube_mm:g} mm before an entrance of radius "
-                f"{self.entrance_mm:g} mm; lengths are positive, and the tube is wider than the entrance"
+                f"{self.entrance_mm:g} mm; lengths must be positive, and the tube wider than the entrance"
             )
         if not len(z) or (np.diff(z) >= 0.0).any() or z[0] != self.length_mm or z[-1] <= 0.0:
-            raise DomainError(f"vanes at {z.tolist()} mm; they stand from the front, {self.length_mm:g} mm, inwards")
+            raise DomainError(
+                f"vanes at {z.tolist()} mm; they must lie between the front, {self.length_mm:g} mm, and the lens"
+            )
         if (radius <= 0.0).any() or (radius > self.tube_mm).any():
             raise DomainError(f"vanes of inner radii {radius.tolist()} mm in a tube of {self.tube_mm:g} mm")
         if not 0.0 <= self.edge_mm < 0.5 * self.tube_mm:
@@ -198,14 +200,14 @@ def vaned_baffle(
         A shade that begins inside the field, a depth that needs more than 60 vanes, a number that no depth gives.
     """
     if (shade_deg is None) == (length_mm is None):
-        raise ConfigError("a baffle needs shade_deg, the angle of its shade, or length_mm: one of them")
+        raise ConfigError("a baffle needs either shade_deg, the smallest Sun angle in full shade, or length_mm")
     tangent = math.tan(math.radians(field_deg))
     wide = entrance_mm + clearance_mm
     if shade_deg is not None:
         slope = math.tan(math.radians(shade_deg)) - tangent
         if slope <= 0.0 or shade_deg >= 90.0:
             raise DomainError(
-                f"shade_deg = {shade_deg:g} deg; shade begins outside the field, {field_deg:.3g} deg, and below 90 deg"
+                f"shade_deg = {shade_deg:g} deg; it must lie outside the field, {field_deg:.3g} deg, and below 90 deg"
             )
         length_mm = (wide + entrance_mm) / slope
     assert length_mm is not None
@@ -232,7 +234,7 @@ def vaned_baffle(
     if len(places) > MOST_VANES or (vanes and len(places) != vanes):
         asked = f"vanes = {vanes}" if vanes else f"vane depth of {depth_mm:g} mm"
         raise DomainError(
-            f"baffle of {length_mm:.3g} mm: {asked} gives {len(places)} vanes; 1 to {MOST_VANES} are made"
+            f"baffle of {length_mm:.3g} mm: {asked} gives {len(places)} vanes; 1 to {MOST_VANES} are possible"
         )
     z = np.array(places)
     tube = front + depth if depth else max(front, 1.02 * entrance_mm)
@@ -324,7 +326,7 @@ def check_closed(mesh: Mesh) -> None:
     if (count % 2).any():
         raise DomainError(
             f"{mesh.name}: open mesh, {int((count % 2).sum())} of {len(count)} edges belong to an odd number of "
-            "triangles; walls need a thickness: close it"
+            "triangles; a baffle mesh must be closed, with walls of finite thickness"
         )
 
 
@@ -346,12 +348,12 @@ def read_glb(path: str | Path) -> Mesh:
         content = json.loads(raw[20 : 20 + length])
         data = raw[28 + length :]
         if magic != b"glTF":
-            raise ValueError("its first letters are not glTF")
+            raise ValueError("it does not begin with glTF")
         vertex, face, count = [], [], 0
         for node, matrix in _nodes(content):
             for part in content["meshes"][node["mesh"]]["primitives"] if "mesh" in node else ():
                 if part.get("mode", 4) != 4:
-                    raise ValueError("it holds other things than triangles")
+                    raise ValueError("it contains primitives other than triangles")
                 points = _accessor(content, data, part["attributes"]["POSITION"]).astype(np.float64)
                 at = np.arange(len(points)) if "indices" not in part else _accessor(content, data, part["indices"])
                 vertex.append(points @ matrix[:3, :3].T + matrix[:3, 3])
@@ -360,7 +362,7 @@ def read_glb(path: str | Path) -> Mesh:
     except (OSError, ValueError, KeyError, IndexError, struct.error) as error:
         raise ConfigError(f"{path}: cannot be read as a binary glTF mesh ({error})") from None
     if not vertex:
-        raise ConfigError(f"{path}: there is no mesh in it")
+        raise ConfigError(f"{path}: it contains no mesh")
     return Mesh(vertex_mm=np.concatenate(vertex), face=np.concatenate(face), name=str(path))
 
 

@@ -58,7 +58,7 @@ def read_mesh(path: str | Path) -> Mesh:
     """
     file = Path(path)
     if not file.is_file():
-        raise ConfigError(f"{file}: there is no such mesh")
+        raise ConfigError(f"{file}: no such file")
     if file.suffix.lower() == ".glb":
         mesh = read_glb(file)
     elif file.suffix.lower() in (".ply", ".obj"):
@@ -75,7 +75,7 @@ def read_mesh(path: str | Path) -> Mesh:
             name=str(file),
         )
     else:
-        raise ConfigError(f"{file}: a mesh is a file .ply, .obj or .glb")
+        raise ConfigError(f"{file}: a mesh file must be .ply, .obj or .glb")
     check_closed(mesh)
     return mesh
 

@@ -93,7 +93,7 @@ def trace_mask(
     direction = np.asarray(sun, np.float64).reshape(-1, 3)
     corner = np.asarray(corner_px, np.int64)
     if not np.all(direction[:, 2] > 0.02):
-        raise DomainError("a sun stands beside or behind the mask: its Z in the sensor frame must be above 0.02")
+        raise DomainError("a sun is not in front of the mask: its Z in the sensor frame must be above 0.02")
     count, per_sun = len(direction), 1 << log2_particles
     log2_all = log2_particles + int(np.ceil(np.log2(max(count, 2))))
     index = dr.arange(mi.UInt32, count * per_sun)

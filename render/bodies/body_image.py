@@ -198,7 +198,7 @@ def _check(exposure_s: float, line_time_s: float, noise_share: float, in_front: 
     if not noise_share > 0.0:
         raise DomainError(f"noise_share = {noise_share:g}; it must be positive")
     if any(body.mesh is not None for body in in_front):
-        raise ConfigError("a body in front is a mesh; only spheres hide what is behind them")
+        raise ConfigError("a body in front is a mesh; only spheres can hide other bodies")
 
 
 def _sphere(body: SunlitBody, in_front: Sequence[SunlitBody], rule: BandNodes) -> Sphere:

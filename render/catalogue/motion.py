@@ -41,7 +41,7 @@ _STEPS = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observer:
-    """Where the camera is and how it moves, from the barycentre of the solar system, along icrs.
+    """Position and velocity of the camera relative to the barycentre of the solar system, in icrs axes.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ def earth_observer(epoch_year: float) -> Observer:
     from astropy.time import Time
 
     if not 1900.0 <= epoch_year <= 2100.0:
-        raise DomainError(f"epoch_year = {epoch_year:g}; the Earth's place is known for 1900 ... 2100")
+        raise DomainError(f"epoch_year = {epoch_year:g}; the Earth's position is available for 1900 ... 2100")
     time = Time(epoch_year, format="jyear", scale="tdb")
     position, velocity = get_body_barycentric_posvel("earth", time, ephemeris="builtin")
     sun = get_body_barycentric("sun", time, ephemeris="builtin")

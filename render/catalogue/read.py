@@ -52,7 +52,7 @@ def read_catalog(
     magnitude_system: Literal["V", "G"] | None = None,
     **options: Any,
 ) -> StarCatalog:
-    """Read a file.
+    """Read a star catalogue from a file.
 
     Parameters
     ----------
@@ -110,7 +110,9 @@ def _read_table(path: Path, preset: ColumnPreset, form: str | None, readme: str 
     if "format" not in arguments:
         suffix = Path(path.stem).suffix if path.suffix == ".gz" else path.suffix
         if suffix.lower() not in _FORMATS:
-            raise ConfigError(f"{path}: suffix {path.suffix!r} tells no format; give format= as astropy names it")
+            raise ConfigError(
+                f"{path}: suffix {path.suffix!r} does not identify a format; give format=, a name of astropy"
+            )
         arguments["format"] = _FORMATS[suffix.lower()]
     try:
         with warnings.catch_warnings():
@@ -136,10 +138,10 @@ def check_votable(content: bytes, path: Path) -> None:
     def start(name: str, attributes: dict[str, str]) -> None:
         if name.rpartition(" ")[2].upper() == "STREAM" and any(one.lower() == "href" for one in attributes):
             where = next(value for one, value in attributes.items() if one.lower() == "href")
-            raise ConfigError(f"{path}: its data are elsewhere ({where[:80]!r}); fetch a file that holds them")
+            raise ConfigError(f"{path}: its data are in another file ({where[:80]!r}); fetch a file that holds them")
 
     def entity(*_: Any) -> None:
-        raise ConfigError(f"{path}: declares XML entities, which a table has no need of; take them out")
+        raise ConfigError(f"{path}: declares XML entities, which are not allowed in a table; remove them")
 
     parser.StartElementHandler, parser.EntityDeclHandler = start, entity
     parser.Parse(content, True)
@@ -160,7 +162,7 @@ def catalog_from_table(
     chosen = reader.preset
     system = magnitude_system or chosen.magnitude_system
     if system is None:
-        raise ConfigError(f"{name}: preset {chosen.name!r} tells no scale of magnitudes; give magnitude_system=")
+        raise ConfigError(f"{name}: preset {chosen.name!r} has no magnitude system; give magnitude_system=")
     ra, dec = reader.position()
     placed = np.isfinite(ra) & np.isfinite(dec)
     found = {target: reader.values(meaning) for meaning, target in _OUTPUT.items()}
@@ -206,7 +208,7 @@ class _Columns:
     ) -> None:
         for meaning in (*columns, *units):
             if meaning not in MEANINGS:
-                raise ConfigError(f"{name}: {meaning!r} is no meaning of a column; known: {', '.join(MEANINGS)}")
+                raise ConfigError(f"{name}: {meaning!r} is not a known quantity; known: {', '.join(MEANINGS)}")
         self.table, self.preset, self.name, self.columns, self.units = table, preset, name, columns, units
         self.unstated: set[str] = set()
 
@@ -341,7 +343,7 @@ class _Columns:
                 )
             return float(np.nanmax(stated))
         if self.preset.epoch_year is None:
-            raise ConfigError(f"{self.name}: preset {self.preset.name!r} tells no epoch; give epoch_year=")
+            raise ConfigError(f"{self.name}: preset {self.preset.name!r} has no epoch; give epoch_year=")
         return self.preset.epoch_year
 
     def identifiers(self) -> tuple[NDArray[np.int64], tuple[str, ...]]:

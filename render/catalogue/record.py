@@ -63,7 +63,7 @@ def _unknown() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarCatalog:
-    """Stars with what is known of them at one epoch; NaN where nothing is.
+    """Star catalogue at a single epoch; unknown values are NaN.
 
     Attributes
     ----------

@@ -54,7 +54,7 @@ class CosmicRayEnvironment:
         for name, size in (("nucleus_share", "c"), ("energy_share", "k")):
             share = freeze(self, name, shape=(size,), sizes=sizes)
             if not (len(share) and share.min() >= 0 and share.sum() > 0):
-                raise DomainError(f"CosmicRayEnvironment.{name} must not be negative, and not all of it 0")
+                raise DomainError(f"CosmicRayEnvironment.{name} must not be negative or zero everywhere")
             object.__setattr__(self, name, locked(share / share.sum()))
         if self.nucleus_charge.min() < 1:
             raise DomainError(
@@ -66,7 +66,8 @@ class CosmicRayEnvironment:
             )
         if energy.min() < 10.0:
             raise DomainError(
-                f"CosmicRayEnvironment.energy_mev contains {energy.min():g} MeV; slower particles than 10 MeV stop"
+                f"CosmicRayEnvironment.energy_mev contains {energy.min():g} MeV; at least 10 MeV is needed, slower "
+                "particles stop"
             )
 
 
@@ -99,7 +100,7 @@ class CosmicRayHits:
                 raise DomainError(f"CosmicRayHits.{name} holds pixels outside the detector of {self.shape} px")
         charge = freeze(self, "charge_e", shape=("m",), sizes=sizes)
         if charge.size and charge.min() < 0:
-            raise DomainError(f"CosmicRayHits.charge_e contains {charge.min():g} e-; charge is not negative")
+            raise DomainError(f"CosmicRayHits.charge_e contains {charge.min():g} e-; charge must not be negative")
         for name in (
             "x_px", "y_px", "azimuth_rad", "cos_zenith", "path_um", "nucleus_charge", "energy_mev", "freed_e",
         ):  # fmt: skip

@@ -95,10 +95,10 @@ def aged(
         if not 0.0 <= value < math.inf:
             raise DomainError(f"{name} = {value:g} {unit}; it must be finite and not negative")
     if detector.damage_centres_per_px > 0:
-        raise DomainError(f"detector {detector.name!r} is aged already; give the new one the whole dose")
+        raise DomainError(f"detector {detector.name!r} is already aged; apply the total dose to the new detector")
     centres = GAMMA_PER_UM3 * depleted_volume_um3 * displacement_dose_tev_per_g
     if centres > _MOST_CENTRES:
-        raise DomainError(f"{centres:.4g} damage centres per pixel; the relation holds up to {_MOST_CENTRES:g}")
+        raise DomainError(f"{centres:.4g} damage centres per pixel; the model is valid up to {_MOST_CENTRES:g}")
     temperature_c = detector.dark_reference_c if temperature_c is None else temperature_c
     each = damage_factor(temperature_c, annealed_s=annealed_s) / GAMMA_PER_UM3
     return replace(

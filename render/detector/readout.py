@@ -60,7 +60,7 @@ def expose(
     hits: CosmicRayHits | None = None,
     before: ExpectedImage | NDArray[Any] | None = None,
 ) -> Frame:
-    """Read one frame out.
+    """Read out a frame.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def expose(
     temperature_c : float, optional
         Chip temperature [C]; the detector's reference by default.
     background_e_per_s : float
-        Uniform light on top [e-/s per pixel].
+        Additional uniform light [e-/s per pixel].
     band : str, optional
         Which band of an image with several; for a bare array a label.
     hits : CosmicRayHits, optional
@@ -264,7 +264,7 @@ def _expectation(
     """(electrons (h, w), band, exposure time, factor on the electrons)."""
     if not isinstance(expected, ExpectedImage):
         if exposure_s is None:
-            raise ConfigError("exposure_s is missing; a bare array of electrons does not know its exposure time")
+            raise ConfigError("exposure_s is missing; it is required with a plain array of electrons")
         return _checked_electrons(expected, "expected", ndim=2), band or "", checked_exposure(exposure_s), 1.0
     if band is None:
         if len(expected.band) != 1:

@@ -104,13 +104,13 @@ class Detector:
     hot_fraction : float
         Fraction of hot pixels.
     hot_dark_e_per_s : float
-        Mean of the exponentially distributed dark current that a hot pixel has on top, at the reference [e-/s].
+        Mean of the exponentially distributed additional dark current of a hot pixel, at the reference [e-/s].
     dead_fraction : float
         Fraction of pixels without response.
     full_well_e : float
         Saturation capacity [e-].
     crosstalk_horizontal, crosstalk_vertical, crosstalk_diagonal : float
-        Fraction of a pixel's charge that shows in *each* left/right, upper/lower, diagonal neighbour.
+        Fraction of a pixel's charge that appears in *each* left/right, upper/lower, diagonal neighbour.
     read_noise_e, read_noise_spread : float
         Median over the pixels of the temporal dark noise [e-]; standard deviation of its natural logarithm.
     gain_dn_per_e : float
@@ -124,11 +124,12 @@ class Detector:
     adc_bits : int
         Resolution of the converter.
     sensor_seed : int
-        The individual: which pixels are hot, what the patterns look like.
+        Seed of the individual detector: hot pixels and fixed patterns.
     blooming : float
-        Share of the charge beyond the full well that runs along its column; 0: all of it is drained (anti-blooming).
+        Fraction of the charge above the full well that blooms along its column; 0: all of it is drained
+        (anti-blooming).
     lag : float
-        Share of a frame's charge that is read with the next one.
+        Fraction of a frame's charge that is read with the next frame.
     transfer_line_us : float
         Time per row of a frame transfer under light [us]; 0: a shutter, or a detector that does not shift its image.
     damage_centres_per_px, damage_dark_e_per_s : float
@@ -137,7 +138,7 @@ class Detector:
     damage_known_e_per_s : float
         Dark current by centres above which a pixel is in the map of defects [e-/s].
     dark_curve_c, dark_curve_e_per_s : tuple of float
-        Mean dark current over temperature, where it was tabulated; in the place of ``dark_doubling_c`` then.
+        Tabulated mean dark current over temperature, in place of ``dark_doubling_c``.
     assumed, from_base, from_default : tuple of str
         Keys of the data file whose value its source does not give; that came from its base; that it leaves out.
 
@@ -216,8 +217,8 @@ class Detector:
         folds = _fold(self.nonlinearity)
         if folds is not None:
             raise DomainError(
-                f"Detector.nonlinearity = {tuple(self.nonlinearity)}: numbers fall again from {folds:.3g} of the full "
-                f"well ({folds * self.full_well_e:.4g} e-) on; a converter's rise to its end"
+                f"Detector.nonlinearity = {tuple(self.nonlinearity)}: output falls again from {folds:.3g} of the full "
+                f"well ({folds * self.full_well_e:.4g} e-) on; it must rise up to the full well"
             )
 
     @property
@@ -457,7 +458,7 @@ def load_detector(name_or_path: str | Path) -> Detector:
         names = " or ".join(f'"{name}"' for name in list_detectors())
         raise ConfigError(
             f"{path}: {len(missing)} keys are missing: {', '.join(missing)}; the page on detector files says where a "
-            f"data sheet gives them; base = {names} at its head takes from that one what the file does not say"
+            f"data sheet gives them; base = {names} at its head supplies missing keys from that detector"
         )
     checked = parse_model(DetectorFile, mapping, str(path))
     given = checked.model_fields_set
@@ -505,7 +506,7 @@ DARK_KEYS = ("dark_current_e_per_s", "dark_reference_c", "dark_doubling_c")
 def _read(path: Path, above: tuple[Path, ...]) -> tuple[Mapping[str, Any], frozenset[str]]:
     """Mapping of the file with those of its bases underneath, and the keys that came from there."""
     if path.resolve() in above:
-        raise ConfigError(f"{path}: base = {above[0].name!r} leads back to itself")
+        raise ConfigError(f"{path}: base = {above[0].name!r} refers back to itself")
     if not os.path.exists(path):
         raise ConfigError(f"{path}: no such file; known detectors: {', '.join(list_detectors())}")
     mapping = _with_curves(read_toml(path), path)

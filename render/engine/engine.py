@@ -25,7 +25,7 @@ _SUFFIX = "ad_mono"
 
 @dataclass(frozen=True, slots=True)
 class Engine:
-    """A backend of Dr.Jit and what comes with it; made by `start`, found by `active`.
+    """A Dr.Jit backend with its Mitsuba variant; `start` creates it, `active` returns it.
 
     Attributes
     ----------

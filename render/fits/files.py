@@ -63,7 +63,7 @@ def write_frame(
     mask: Literal["always", "saturated", "never"] = "always",
     marks: Mapping[str, NDArray[np.bool_]] | None = None,
 ) -> Path:
-    """Write a frame; an existing file is replaced. The same input makes the same bytes.
+    """Write a frame as FITS; an existing file is replaced. The same input gives the same bytes.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def read_frame(
     exposure_s: float | None = None,
     band: str | None = None,
 ) -> Frame:
-    """Read a frame, from here or from elsewhere.
+    """Read a frame from a FITS file of starbench or another source.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ def _frame(
     def number(card: str, given: float | None, argument: str) -> float:
         value = given if given is not None else header.get(card)
         if not _is_number(value):
-            raise ConfigError(f"{path}: card {card} is missing or no number ({value!r}); give {argument}")
+            raise ConfigError(f"{path}: card {card} is missing or not a number ({value!r}); give {argument}")
         value = float(value)
         low, high, unit = _RANGES[card]
         if not low <= value <= high and not (card == "EXPTIME" and given is not None and np.isnan(value)):
@@ -386,8 +386,8 @@ def _mask_planes(
     if unknown:
         named = ", ".join(f"{card} = {bit}" for card, bit in bits.items())
         raise ConfigError(
-            f"{path}: MASK has bits set that no card of its header names (value {unknown}; named are {named}); take "
-            "these cards out to have every value but 0 taken as a pixel not to be used"
+            f"{path}: MASK has bits set that no card of its header names (value {unknown}; named are {named}); remove "
+            "these cards to exclude every pixel with a value other than 0"
         )
     return [((plane & bits.get("SATURATE", 0)) != 0, (plane & bits.get("DEFECT", 0)) != 0) for plane in planes]
 

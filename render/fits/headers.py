@@ -54,7 +54,7 @@ def checked_cards(cards: Iterable[Card] | fits.Header, taken: Iterable[str]) -> 
             raise ConfigError(f"card {name} describes the file itself and is written by it; leave it out")
         if name not in _MANY:
             if name in seen:
-                raise ConfigError(f"card {name} is there already; a keyword can stand once")
+                raise ConfigError(f"card {name} exists already; a keyword must be unique")
             seen.add(name)
         value = value.item() if isinstance(value, np.generic) else value
         if not isinstance(value, str | bool | int | float | None):

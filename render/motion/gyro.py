@@ -68,7 +68,9 @@ class Gyro:
                 raise DomainError(f"Gyro.{name} = {value.tolist()}; a density cannot be negative")
         misalignment = freeze(self, "misalignment_arcsec", shape=(3, 3))
         if np.diag(misalignment).any():
-            raise DomainError("Gyro.misalignment_arcsec: its diagonal must be zero; scale_factor_ppm is the scale")
+            raise DomainError(
+                "Gyro.misalignment_arcsec: its diagonal must be zero; scale errors go into scale_factor_ppm"
+            )
         if not isinstance(self.sensor_from_body, Rotation) or not self.sensor_from_body.single:
             raise DomainError("Gyro.sensor_from_body: one scipy Rotation is needed")
 
@@ -118,7 +120,8 @@ def _interval_ends(trajectory: Trajectory, gyro: Gyro, start_s: float | None, en
     steps = int(np.floor((last - first) * gyro.rate_hz + 1e-6)) if np.isfinite(last - first) else 0
     if steps < 1:
         raise DomainError(
-            f"a gyro of {gyro.rate_hz:g} Hz makes no whole step from {first:g} to {last:g} s; a longer time is needed"
+            f"a gyro of {gyro.rate_hz:g} Hz has no complete sampling interval from {first:g} to {last:g} s; "
+            "a longer time is needed"
         )
     return np.asarray(first + np.arange(steps + 1) / gyro.rate_hz)
 

@@ -87,7 +87,7 @@ def _shared_camera(props: Any, width: int, height: int) -> Camera:
             f"lens_camera: film of {width} x {height} px for a camera of {camera.width_px} x {camera.height_px} px"
         )
     if "rotation" in props or ("to_world" in props and not np.allclose(props["to_world"].matrix, moved(props))):
-        raise ConfigError("lens_camera: a shared camera has an attitude of its own; to_world may only move it")
+        raise ConfigError("lens_camera: a shared camera has its own attitude; to_world may only translate it")
     return camera
 
 

@@ -365,9 +365,7 @@ def define(mi: Any) -> type:
             a pixel are its irradiance.
             """
             if self._motion is not None:
-                raise ConfigError(
-                    "lens_camera: ptracer needs a camera at rest; take path, or leave motion_rotation out"
-                )
+                raise ConfigError("lens_camera: ptracer needs a camera at rest; use path, or leave motion_rotation out")
             F, ahead, scale = mi.Float64, self._ahead(), self.scene_unit_mm
             x, y, z, radius = ahead.disk_mm
             turn, away = ahead.rotation, (mi.Vector3d(it.p) - mi.Vector3d(self._position)) * scale
@@ -406,8 +404,8 @@ def define(mi: Any) -> type:
         def projection_transform(self) -> Any:
             """Asked for by integrators that move silhouettes: a lens has none."""
             raise ConfigError(
-                "lens_camera: prb_projective and direct_projective move silhouettes by the projection of a pinhole, "
-                "which a lens does not have; take prb, whose derivatives leave silhouettes out"
+                "lens_camera: prb_projective and direct_projective sample silhouettes by a pinhole projection, "
+                "which does not apply to a lens; use prb, whose derivatives omit silhouettes"
             )
 
         def bbox(self) -> Any:

@@ -55,7 +55,7 @@ def put_on_film(mi: Any, film: Any, image: Any, bands: tuple[str, ...]) -> None:
         raise ConfigError(f"star_tracer: a film of kind {film.class_name()}; an hdrfilm is needed")
     if not film.rfilter().is_box_filter():
         raise ConfigError(
-            "star_tracer: the film's reconstruction filter would blur what the pixels of a detector collect; give it "
+            "star_tracer: the film's reconstruction filter would blur the pixel values of the detector; set "
             "'rfilter': {'type': 'box'}"
         )
     names = list(bands) if len(bands) > 1 else []
@@ -148,10 +148,10 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             motion = camera.star_motion
             if self.bodies is not None or (motion is not None and motion.path is not None):
                 what = "bodies" if self.bodies is not None else "stars under a rolling shutter"
-                raise ConfigError(f"star_tracer: derivatives of {what} are not known; leave them out")
+                raise ConfigError(f"star_tracer: derivatives with respect to {what} are not available")
             traced = self._kept.by.get(id(camera))
             if traced is not None and traced[1].truth.electrons_hidden.any():
-                raise ConfigError("star_tracer: derivatives of stars that bodies hide in part are not known")
+                raise ConfigError("star_tracer: derivatives of stars partly hidden by bodies are not available")
             return attached_image(mi, self.tracer(camera, self._number), camera, field)
 
         def traced_by(self, sensor: Any) -> TracedStars:

@@ -52,7 +52,7 @@ BLOCK_ROWS = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UniformSky:
-    """A sky of the same brightness everywhere: unresolved stars, airglow, a laboratory's veil of light.
+    """A sky of uniform brightness: unresolved stars, airglow, stray light of a laboratory.
 
     Attributes
     ----------
@@ -264,7 +264,7 @@ def _tangents(view: FieldOfView, camera: Camera, columns: FloatArray, rows: Floa
         if np.abs(off).max() < 1e-6:
             return tangent.reshape(len(rows), len(columns), 2)
         tangent = tangent + np.linalg.solve(_slope(view, tangent), off[..., None])[..., 0]
-    raise ConvergenceError("no direction was found for a pixel of the detector: its chief rays turn back on themselves")
+    raise ConvergenceError("a pixel of the detector has no unique direction: its chief rays fold back")
 
 
 def _landing(view: FieldOfView, tangent: FloatArray) -> FloatArray:

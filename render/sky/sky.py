@@ -27,17 +27,17 @@ EPOCH_YEAR = 2016.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Sky:
-    """Stars as one observer sees them; made by `load_sky`.
+    """Stars as seen by an observer; created by `load_sky`.
 
     Attributes
     ----------
     index : SkyIndex
         n catalogue stars with their search tree.
     direction : (n, 3)
-        Where they are seen, unit vectors along icrs: moved to the epoch, parallax and aberration included if there
-        is an observer. Attitudes are solved with these.
+        Apparent directions, unit vectors in icrs at the epoch, with parallax and aberration if there is an observer.
+        Attitudes are solved with these.
     temperature_k : (n,)
-        Temperatures of the black bodies that stand for them.
+        Black-body temperatures of the stars.
     epoch_year : float
         Julian year of the exposure.
     observer : Observer or None
@@ -104,7 +104,7 @@ def load_sky(
     observer: Observer | Literal["earth"] | None = None,
     temperature: Literal["colour", "effective"] = "colour",
 ) -> Sky:
-    """Stars down to a magnitude, as an observer sees them.
+    """Stars to a magnitude limit, as seen by an observer.
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ def star_light(
     magnitude_system: Literal["V", "G"] = "G",
     spectrum: Callable[[float], Sed] | None = None,
 ) -> StarLight:
-    """Prepare bands: the light of a star of magnitude 0 against temperature, to be interpolated.
+    """Prepare bands: light of a star of magnitude 0 as a function of temperature, for interpolation.
 
     Parameters
     ----------

@@ -153,7 +153,7 @@ def zodiacal_radiance(direction: ArrayLike, *, from_sun_au: ArrayLike, wavelengt
     if len(v) and angle.min() < CLOSEST_DEG - 1e-6:
         raise DomainError(
             f"a direction lies {angle.min():.1f} deg from the Sun; zodiacal light is known from {CLOSEST_DEG:g} deg "
-            "on: turn away or leave it out"
+            "on: point elsewhere or leave it out"
         )
     longitude = np.degrees(np.arctan2(y, x) - math.atan2(sun[1], sun[0]))
     longitude = np.abs((longitude + 180.0) % 360.0 - 180.0)

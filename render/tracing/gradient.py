@@ -196,9 +196,9 @@ def star_image(
     """Electrons of every pixel and band (h w b,) as an array with derivatives."""
     # vector (m,): values of ``numbers``, with derivatives where it moves (m,); rate (n b k,) with derivatives
     if tracer.camera.scatter is not None:
-        raise ConfigError("derivatives of halos are not known; leave Camera.scatter out")
+        raise ConfigError("derivatives of halos are not available; leave Camera.scatter out")
     if stars.collimation is not None:
-        raise ConfigError("derivatives of stars behind a collimator are not known; leave collimation out")
+        raise ConfigError("derivatives of stars behind a collimator are not available; leave collimation out")
     scene_of = partial(Scene, mi, tracer, numbers, vector, moves)
     image_of = _ray_image if tracer.camera.diffraction == "rays" else _wave_image
     return image_of(scene_of, tracer, stars, paths, exposure_s, rate)
@@ -236,8 +236,8 @@ def _smooth(group: Group) -> Outlines | None:
     if group.mode == "quadrature" and not isinstance(outlines, Arcs) and (outlines is None or outlines.shadow is None):
         return outlines
     raise ConfigError(
-        f"star {group.members[0]} has no derivative: its beam is sampled by {group.mode}, as the lens or the charge "
-        "diffusion leaves no smooth outline; stars whose beam only the stop limits have one"
+        f"star {group.members[0]} has no derivative: its beam is sampled by {group.mode}, because its beam has no "
+        "smooth outline or there is no charge diffusion; only beams limited by the stop alone have a derivative"
     )
 
 

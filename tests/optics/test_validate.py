@@ -150,7 +150,7 @@ def test_a_key_of_many_dots_is_refused_before_it_is_parsed(text, tmp_path):
     """tomllib took 10 GB for one of 60 000 dots."""
     path = tmp_path / "dots.toml"
     path.write_text(text.format(".".join(["a"] * 60_000)))
-    with pytest.raises(ConfigError, match="a key of more than 100 dots"):
+    with pytest.raises(ConfigError, match="a key has more than 100 dots"):
         read_toml(path)
     path.write_text('x = "a sentence. Another. ' + "1.5 " * 300 + '"\n')
     assert read_toml(path)["x"].startswith("a sentence")

@@ -396,8 +396,8 @@ def test_a_bomb_within_a_tile(tmp_path, members):
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ('<STREAM href="http://example.org/stars" encoding="base64"/>', "data are elsewhere"),
-        ('<STREAM href="file:///etc/passwd"/>', "data are elsewhere"),
+        ('<STREAM href="http://example.org/stars" encoding="base64"/>', "data are in another file"),
+        ('<STREAM href="file:///etc/passwd"/>', "data are in another file"),
     ],
 )
 def test_a_votable_whose_data_are_elsewhere(tmp_path, more, said):

@@ -96,7 +96,7 @@ def test_lens_and_detector_without_a_common_wavelength():
     ultraviolet = Response(
         wavelength_nm=np.array([120.0, 200.0]), value=np.array([0.5, 0.5]), name="far ultraviolet", source="made up"
     )
-    with pytest.raises(DomainError, match=r"200 nm; nothing is left"):
+    with pytest.raises(DomainError, match=r"200 nm; their ranges do not overlap"):
         build_camera(load_lens("star_camera_206mm"), replace(detector, quantum_efficiency=ultraviolet))
 
 

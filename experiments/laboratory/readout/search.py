@@ -86,7 +86,7 @@ def match_points(
             f"{x:.1f}, row {y:.1f}; {unseen}"
         )
     if len(np.unique(nearest)) < len(nearest):
-        raise DomainError(f"{where}: target points run into each other, two of them are one detection; {merged}")
+        raise DomainError(f"{where}: images of target points overlap, two of them give a single detection; {merged}")
     return position_px[nearest]
 
 
@@ -127,7 +127,7 @@ def _check_seen(light: FloatArray, valid: NDArray[np.bool_], found: FloatArray, 
     if unseen.any():
         at = int(np.argmax(unseen))
         raise DomainError(
-            f"the star is not seen within {SEARCH_PX // 2} px of column {near_px[at, 0]:.0f}, row "
+            f"the star is not detected within {SEARCH_PX // 2} px of column {near_px[at, 0]:.0f}, row "
             f"{near_px[at, 1]:.0f} ({int(unseen.sum())} of {len(light)} places); raise the signal, come nearer to "
             "focus, or lower the dark current"
         )

@@ -76,9 +76,9 @@ def aim(bench: Bench, wanted_cam: FloatArray, roll_rad: FloatArray) -> FloatArra
         angle[:, :2] += step * np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(longest, 1e-300))
     at = int(np.argmax(off))
     raise DomainError(
-        f"the table cannot turn the camera so that the star appears at place {at}: the nearest it comes is "
-        f"{np.degrees(off[at]):.3g} deg; at zero angles the star should stand near the camera's axis and across the "
-        "outer two axes"
+        f"the table cannot turn the camera so that the star appears at place {at}: the closest approach is "
+        f"{np.degrees(off[at]):.3g} deg; at zero angles the star should be near the camera's axis and perpendicular "
+        "to the outer two axes"
     )
 
 

@@ -125,16 +125,16 @@ def check_parity(
     forward = on_table @ middle
     if np.any(forward <= 0):
         raise DomainError(
-            f"with the axes as believed ({key}) the star would stand behind the camera at some readings; look "
-            "at the order and the sense of the axes"
+            f"with the assumed axes ({key}) the star would be behind the camera at some readings; check order and "
+            f"signs of the axes"
         )
     design = np.column_stack([on_table @ across.T / forward[:, None], np.ones(len(on_table))])
     affine = np.linalg.lstsq(design, data.pixel_px, rcond=None)[0][:2]
     scale = start.value("focal_length_mm") / start.geometry.pixel_pitch_mm
     if np.linalg.det(affine) / scale**2 < 0:
         raise DomainError(
-            "the images are mirrored against the readings: one axis of the table turns the other way than believed; "
-            f"put a minus before one letter of {key}, or exchange its letters"
+            "the images are mirrored against the readings: a single axis of the table has the wrong sign, or two "
+            f"axes are exchanged; put a minus before a letter of {key}, or exchange its letters"
         )
 
 

@@ -34,7 +34,10 @@ class StarConfig(SignalConfig):
     )
     temperature_k: float = Field(default=5800.0, ge=1000, le=1e5, description="colour temperature")
     signal_e: float | None = Field(
-        default=None, gt=0, le=1e7, description="electrons per exposure on the axis; both left out: 12000"
+        default=None,
+        gt=0,
+        le=1e7,
+        description="electrons per exposure on the axis; default, without a magnitude: 12000",
     )
 
 
@@ -43,41 +46,43 @@ class TableConfig(StrictModel):
 
     axes: str = Field(description="axes, outermost first, as letters of the laboratory frame, minus for left turns")
     reading_noise_arcsec: tuple[Annotated[float, Field(ge=0, le=1e5)], ...] = Field(
-        description="standard deviation of a reading, per axis; one per frame"
+        description="standard deviation of a reading, per axis; one reading per frame"
     )
     non_orthogonality_arcsec: tuple[ReadingArcsec, ...] = Field(
         description="90 deg minus the angle of neighbouring axes"
     )
-    setting_noise_arcsec: float = Field(default=5.0, ge=0, le=1e4, description="how far from the commanded angle")
+    setting_noise_arcsec: float = Field(
+        default=5.0, ge=0, le=1e4, description="standard deviation of the angle reached minus the commanded angle"
+    )
     encoder_amplitude_arcsec: float = Field(default=0.0, ge=0, le=1e3, description="sinusoidal error of the readings")
     encoder_cycles: int = Field(default=2, ge=1, le=100000, description="periods of that error per turn")
     rolls_deg: tuple[AngleDeg, ...] = Field(default=(0.0,), min_length=1, description="angles of a third, inner axis")
 
 
 class GridConfig(StrictModel):
-    """Places of the detector that the star's image visits."""
+    """Grid of image positions of the star on the detector."""
 
-    columns: int = Field(default=15, ge=1, le=200, description="places along a row")
-    rows: int = Field(default=9, ge=1, le=200, description="places along a column")
-    edge_px: float = Field(default=60.0, ge=0, le=1e5, description="distance of the outermost places from the edge")
+    columns: int = Field(default=15, ge=1, le=200, description="positions along a row")
+    rows: int = Field(default=9, ge=1, le=200, description="positions along a column")
+    edge_px: float = Field(default=60.0, ge=0, le=1e5, description="distance of the outermost positions from the edge")
 
 
 class SingleStarConfig(OwnFramesConfig):
-    """Camera, simulator, and how the star is measured; tables are the experiment's own."""
+    """Camera, star simulator and centroiding; the turntable is set by the experiment."""
 
     instrument: InstrumentConfig = InstrumentConfig()
     passband: PassbandConfig = PassbandConfig()
     principal_point_px: tuple[PlacePx, PlacePx] = Field(
-        default=(12.0, -8.0), description="where the axis of the lens meets the detector, from its centre"
+        default=(12.0, -8.0), description="principal point, from the detector's centre"
     )
     installation_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = Field(
         default=(0.4, -0.7, 1.2), description="true installation (cam from table top), rotation vector"
     )
     star: StarConfig = StarConfig()
     grid: GridConfig = GridConfig()
-    frames: int = Field(default=10, ge=2, le=10000, description="frames per place, each with a reading of the table")
-    dark_frames: int = Field(default=30, ge=2, le=10000, description="frames with the star off, per place")
-    window_px: OddPx = Field(default=13, ge=7, le=41, description="window around the star, odd")
+    frames: int = Field(default=10, ge=2, le=10000, description="frames per position, each with a reading of the table")
+    dark_frames: int = Field(default=30, ge=2, le=10000, description="dark frames per position")
+    window_px: OddPx = Field(default=13, ge=7, le=41, description="side of the centroid window, odd")
 
     @model_validator(mode="after")
     def _windows(self) -> Self:

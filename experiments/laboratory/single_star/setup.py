@@ -74,7 +74,7 @@ def check_table(key: str, config: TableConfig, count: int) -> None:
     for outer, inner in pairwise(directions):
         if abs(float(outer @ inner)) > 0.5:
             raise ConfigError(
-                f"{key}.axes = {config.axes!r}: neighbouring axes are the same; they have to be square, like 'xy' or "
+                f"{key}.axes = {config.axes!r}: neighbouring axes are the same; they must be orthogonal, like 'xy' or "
                 "'xyz'"
             )
     for name, wanted in (("reading_noise_arcsec", count), ("non_orthogonality_arcsec", count - 1)):
@@ -110,7 +110,7 @@ def grid_px(config: SingleStarConfig, instrument: Instrument) -> FloatArray:
     reach = size - 1 - 2 * grid.edge_px
     if reach.min() < 0:
         raise DomainError(
-            f"grid.edge_px = {grid.edge_px:g} px leaves nothing of a detector of {size[0]} x {size[1]} px; lower it"
+            f"grid.edge_px = {grid.edge_px:g} px leaves no area on a detector of {size[0]} x {size[1]} px; lower it"
         )
     counts = np.array([grid.columns, grid.rows])
     coverage = np.where(counts > 1, reach / size, 0.0)

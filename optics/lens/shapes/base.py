@@ -130,7 +130,9 @@ class Shape(ABC):
         """
         known = [field.name for field in fields(self) if isinstance(getattr(self, field.name), int | float)]
         if name not in known:
-            raise DomainError(f"a surface of kind {self.kind} has no {name}; it has {', '.join(known) or 'no number'}")
+            raise DomainError(
+                f"a surface of kind {self.kind} has no {name}; it has {', '.join(known) or 'no parameter'}"
+            )
         return replace(self, **{name: getattr(self, name) + by})
 
 

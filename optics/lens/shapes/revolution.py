@@ -63,12 +63,9 @@ class Curved(Shape):
         """The surface with ``by`` added to one number; a radius must stay finite and on its side."""
         if name == "radius_mm":
             if math.isinf(self.radius_mm):
-                raise DomainError("its radius is infinite, as that of a plane; there is no radius to change")
+                raise DomainError("it is a plane, whose radius cannot be changed")
             if not self.radius_mm * (self.radius_mm + by) > 0:
-                raise DomainError(
-                    f"radius {self.radius_mm} mm changed by {by} mm has its centre on the other side; "
-                    "take a smaller step"
-                )
+                raise DomainError(f"radius {self.radius_mm} mm changed by {by} mm changes sign; use a smaller change")
         return Shape.changed(self, name, by)
 
 

@@ -205,7 +205,7 @@ def _converged_count(
         previous = current
     raise ConvergenceError(
         f"stars move by {length:.4g} px during the exposure, on a path that {NODE_LADDER[-2]} time nodes do not "
-        "follow; shorten the exposure or lower the rate"
+        "resolve; shorten the exposure or lower the rate"
     )
 
 
@@ -224,7 +224,7 @@ def _spline(trajectory: Trajectory, mid: Rotation, focal_px: float, start_s: flo
             return spline
         count = 2 * count - 1
     raise ConvergenceError(
-        f"the attitude between {start_s:g} and {end_s:g} s changes too fast for {MOST_KNOTS} samples to follow it"
+        f"the attitude between {start_s:g} and {end_s:g} s changes too fast for {MOST_KNOTS} samples to resolve it"
     )
 
 

@@ -374,7 +374,7 @@ class SummedImages:
             raise DomainError(
                 f"the rays of star {stars[worst]} land up to {spot_px[worst]:.0f} px from their mean; diffraction is "
                 f"rendered in stamps of at most {LARGEST_RADIUS_PX} px radius; check the focus (defocus_mm = "
-                f"{self.camera.defocus_mm:g} mm), or set diffraction = 'rays', which is right for such images"
+                f"{self.camera.defocus_mm:g} mm), or set diffraction = 'rays', which suffices for such images"
             )
 
     def _check_order(self, stars: IntArray, order: IntArray, spot_px: FloatArray) -> None:

@@ -157,7 +157,7 @@ def test_stars_behind_the_camera_are_not_seen():
         ({"catalogue_direction": np.full((4, 3), 100.0)}, "unit vectors are needed"),
         ({"catalogue_direction": np.full((4, 3), np.nan)}, "row 0 has length nan"),
         ({"catalogue_direction": np.zeros((4, 2))}, r"catalogue_direction has shape \(4, 2\)"),
-        ({"attitude": Rotation.identity(2)}, "one scipy Rotation"),
+        ({"attitude": Rotation.identity(2)}, "single scipy Rotation"),
         ({"radius_px": 0.0}, "radius_px = 0.0 px"),
         ({"radius_px": np.nan}, "radius_px = nan px"),
         ({"tolerance_px": 9.0}, "at most radius_px = 5.0 px"),

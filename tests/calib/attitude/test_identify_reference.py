@@ -120,9 +120,9 @@ def test_database_is_kept(database, stars, tmp_path):
     _, pixel, flux, _ = frame(stars, 8)
     assert identify(pixel, PINHOLE, load_database(tmp_path / "stars.bin"), flux=flux).ok
     (tmp_path / "broken.bin").write_bytes(b"no stars")
-    with pytest.raises(ConfigError, match="no star pattern database"):
+    with pytest.raises(ConfigError, match="not a star pattern database"):
         load_database(tmp_path / "broken.bin")
-    with pytest.raises(ConfigError, match="build_database makes one"):
+    with pytest.raises(ConfigError, match="create it by build_database"):
         load_database(tmp_path / "missing.bin")
 
 

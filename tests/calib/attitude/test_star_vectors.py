@@ -47,7 +47,7 @@ def test_what_cannot_be_inverted_is_nan() -> None:
     [
         (np.zeros((3, 3)), INSTALLATION, _turns(3), "shape"),
         (np.zeros((3, 2)), INSTALLATION, _turns(2), "2 table attitudes for 3 images"),
-        (np.zeros((3, 2)), _turns(3), _turns(3), "mounted once"),
+        (np.zeros((3, 2)), _turns(3), _turns(3), "single rotation"),
     ],
 )
 def test_shapes_that_do_not_fit(pixel: np.ndarray, installation: Rotation, turns: Rotation, words: str) -> None:

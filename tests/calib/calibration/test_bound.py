@@ -88,7 +88,7 @@ def test_fewer_unknowns_and_empty_frames(scenes, scene):
 
 def test_no_bound(scenes, scene):
     away = FreeAttitudes(attitude=Rotation.from_rotvec([np.pi, 0.0, 0.0]) * scene.attitude)
-    with pytest.raises(DomainError, match="behind the camera"):
+    with pytest.raises(DomainError, match="lie behind the camera"):
         bound(scene.observations, scenes.CAMERA, away)
     with pytest.raises(DomainError, match="3 gyro rotations for 10 frames"):
         bound(scene.observations, scenes.CAMERA, AttitudeCorrelated(gyro_rotation=scene.gyro[:3]))

@@ -127,7 +127,7 @@ def test_faces_that_do_not_fix_a_frame_are_refused():
     zero = np.zeros((2, 3, 3))
     with pytest.raises(DomainError, match="not parallel are needed"):
         cube_from_table([[0, 0, 1], [0, 0, -1]], [[0, 0, 1], [0, 0, -1]], covariance_rad2=zero)
-    with pytest.raises(DomainError, match="only one face"):
+    with pytest.raises(DomainError, match="a single face"):
         cube_from_table([[0, 0, 1], [0, 0, 1]], [[0, 0, 1], [0, 0, 1]], covariance_rad2=zero)
     with pytest.raises(DomainError, match="are needed"):
         cube_from_table([[0, 0, 1]], [[0, 0, 1], [1, 0, 0]], covariance_rad2=zero)

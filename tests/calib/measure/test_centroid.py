@@ -91,7 +91,7 @@ def test_a_class_that_is_no_centroider_is_refused(monkeypatch):
     with pytest.raises(ConfigError, match="no field epsf"):
         register_centroider(dataclass(frozen=True)(type("Needy", (BrightestPixel,), {"needs_epsf": True})))
     undecorated = {"name": "u", "label": "u", "needs_epsf": False, "measure": None}
-    with pytest.raises(ConfigError, match="no dataclass"):
+    with pytest.raises(ConfigError, match="must be a dataclass"):
         register_centroider(type("Undecorated", (), undecorated))
 
 

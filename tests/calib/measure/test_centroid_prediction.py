@@ -79,7 +79,7 @@ def test_no_method_beats_the_bound_and_thresholds_are_refused():
         found = predict_centroids(name, (psf,), [300.0, 3e4], noise=NOISE, window_px=11)
         assert (found.noise_px > found.bound_px).all()
         assert (found.phase_px > 0.0).all()
-    with pytest.raises(ConfigError, match="threshold lies in the noise"):
+    with pytest.raises(ConfigError, match="threshold is at the noise level"):
         predict_centroids("tcog", (psf,), [300.0], noise=NOISE)
 
 

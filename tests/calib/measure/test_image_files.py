@@ -107,7 +107,7 @@ def bad_files(folder, counts):
     content[2880 + 100] ^= 1
     (folder / "sum.fits").write_bytes(content)
     return {
-        "cut.tiff": "cut off",
+        "cut.tiff": "truncated",
         "cut.png": "truncated",
         "empty.jpg": "empty",
         "words.png": "no image",

@@ -103,5 +103,5 @@ def test_psf_says_why_it_did_not_converge(sky):
     assert "after 1 rounds: 40 stars for 4 phases" in found.message
     with pytest.raises(DomainError, match="position_px has shape"):
         build_epsf(stamps, NOISE, position_px=np.zeros((3, 2)))
-    with pytest.raises(DomainError, match="exclude each other"):
+    with pytest.raises(DomainError, match="give either"):
         build_epsf(stamps, NOISE, position_px=np.zeros((40, 2)), star_index=x.astype(int), frame_index=x.astype(int))

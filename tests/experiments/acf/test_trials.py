@@ -31,7 +31,7 @@ def test_an_error_in_a_worker_is_passed_on():
 
 @pytest.mark.slow
 def test_a_worker_that_vanishes_is_one_line():
-    with pytest.raises(BackendError, match="a Monte-Carlo process vanished"):
+    with pytest.raises(BackendError, match="a Monte Carlo process ended"):
         run_tasks(os._exit, [3, 3], workers=2, done=lambda index: None)
 
 

@@ -188,7 +188,7 @@ def test_every_requirement_has_its_prediction(tracker):
 
 
 def test_refused(config):
-    with pytest.raises(ConfigError, match="threshold lies in the noise"):
+    with pytest.raises(ConfigError, match="threshold is at the noise level"):
         predict(config.model_copy(update={"centroid": "tcog"}))
     with pytest.raises(DomainError, match="the signal of every star is below the noise"):
         predict(with_value(with_value(config, "instrument.exposure_s", 1e-5), "throughput_fraction", 0.001))

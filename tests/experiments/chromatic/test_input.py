@@ -34,7 +34,7 @@ SETTINGS = [
     ("filters.centres_nm=[0,600,800]", "reaches below 0 nm"),
     ("filters.centres_nm=[600]", "at least 2 values are needed, not 1"),
     ("filters.centres_nm=[600,600,800]", "a centre is given twice"),
-    ("filters.reference_nm=700", "filters.reference_nm = 700: it is none of centres_nm = .500.0, 600.0, 800.0"),
+    ("filters.reference_nm=700", "filters.reference_nm = 700: it must be one of centres_nm = .500.0, 600.0, 800.0"),
     ("filters.width_nm=4", "edge 10 nm is outside 0 ... 4 nm"),
     ("dark_frames=1", "dark_frames = 1: .*at least 2"),
     ("window_px=5", "window_px = 5: .*at least 7 and at most 63"),
@@ -64,7 +64,7 @@ def test_lens_and_detector_files_of_another_kind(refused, tmp_path):
     assert re.search(r"other.toml: .*5 keys are missing: .*surface", refused("--set", "instrument.lens=other.toml"))
     said = refused("--set", "instrument.detector=other.toml")
     assert "other.toml: 12 keys are missing: name, source, quantum_efficiency, " in said
-    assert " at its head takes from that one what" in said
+    assert " at its head supplies missing keys" in said
 
 
 def test_lens_whose_rays_all_fail(refused, tmp_path):

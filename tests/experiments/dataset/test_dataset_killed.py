@@ -166,7 +166,7 @@ def test_a_disk_that_is_really_full(tmp_path):
     made = data(kept)
     truths = [name for name in made if name.endswith(".parquet")]
     assert 5 < len(truths) < FRAMES
-    assert f"{len(truths)} of 60 frames are whole and kept" in done.stderr
+    assert f"{len(truths)} of 60 frames are complete and kept" in done.stderr
     end_well(start(kept))  # with room
     whole = data(kept)
     assert len(whole) == 2 * FRAMES

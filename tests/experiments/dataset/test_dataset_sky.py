@@ -176,7 +176,7 @@ def test_attitudes_keep_away_from_the_sun():
         ),
         (
             {"pointing": ConePointing(ra_deg=27.0, dec_deg=11.0, radius_deg=1.0, sun_exclusion_deg=30.0)},
-            "all of the cone",
+            "the whole cone",
         ),
     ],
 )

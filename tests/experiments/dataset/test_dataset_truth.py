@@ -139,13 +139,13 @@ def test_no_light_at_all(engine):
     ("settings", "said"),
     [
         ({"catalogue": CatalogueConfig(faintest_mag=-2.0)}, "the brightest star"),
-        ({"catalogue": CatalogueConfig(faintest_mag=1.0)}, "no frame sees a star"),
+        ({"catalogue": CatalogueConfig(faintest_mag=1.0)}, "no frame contains a star"),
         ({"rate": FixedRate(rate_deg_per_s=(0.0, 5.0, 0.0))}, "leave the frame"),
         ({"rate": FixedRate(rate_deg_per_s=(0.0, 0.7, 0.0)), "instrument": SLOW}, "while rows are read"),
-        ({"jitter": SHAKEN}, "jitter of .* throws stars out"),
+        ({"jitter": SHAKEN}, "jitter of .* moves stars out"),
         ({"instrument": InstrumentConfig(detector="cmv4000", width_px=4096)}, "set it to at most that"),
         ({"instrument": InstrumentConfig(lens="star_tracker_26mm", detector="cmv4000")}, "made for 16.5 deg"),
-        ({"passband": PassbandConfig(range_nm=(300.0, 700.0))}, "known for 400"),
+        ({"passband": PassbandConfig(range_nm=(300.0, 700.0))}, "has data for 400"),
         ({"catalogue": CatalogueConfig(source="no.fits", preset="gaia")}, "no such file"),
     ],
 )

@@ -89,7 +89,7 @@ def test_a_store_of_buckets_that_remembers_what_it_listed():
     ("out", "more", "said"),
     [
         ("nosuch://bucket/sky", [], "Protocol not known"),
-        ("memory://elsewhere/sky", ["--workers", "2"], "seen by this process alone"),
+        ("memory://elsewhere/sky", ["--workers", "2"], "visible to this process only"),
     ],
 )
 def test_what_cannot_be_written_is_one_line(out, more, said, capsys):

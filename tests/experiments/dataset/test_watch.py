@@ -61,7 +61,7 @@ def test_a_scheduler_that_is_gone(cluster):
 def test_a_cluster_that_starts_no_worker_though_there_is_work():
     future = SimpleNamespace(result=lambda timeout: (_ for _ in ()).throw(TimeoutError))
     client = SimpleNamespace(submit=lambda work, pure: future)
-    with pytest.raises(ConfigError, match=r"^scheduler tcp://head:8786 has no workers, and starts none within 10 s"):
+    with pytest.raises(ConfigError, match=r"^scheduler tcp://head:8786 has no workers, and started none within 10 s"):
         workers._try_worker(client, None, "tcp://head:8786")
 
 

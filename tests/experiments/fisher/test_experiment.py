@@ -110,7 +110,7 @@ def test_smeared_psf_has_the_variance_of_its_path() -> None:
     ("setting", "words"),
     [
         ("table.axes=x", "2 or 3"),
-        ("table.axes=xx", "square"),
+        ("table.axes=xx", "orthogonal"),
         ("table.axes=q", "letters"),
         ("table.axes=xyz", "table.rolls_deg = [0.0]"),
         ("table.reading_noise_arcsec=[0.1,0.1,0.1]", "table.reading_noise_arcsec"),

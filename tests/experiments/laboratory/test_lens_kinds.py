@@ -145,7 +145,7 @@ def test_measured_camera_puts_stars_where_its_model_says(measured):
     [("defocus_mm", 0.1), ("f_number", 4.0), ("lens_temperature_c", 40.0), ("wavefront_zernike_nm", [0, 0, 0, 50])],
 )
 def test_measured_lens_is_used_as_it_was_measured(measured, key, value):
-    with pytest.raises(DomainError, match=r"needs a prescription|was measured in its focus"):
+    with pytest.raises(DomainError, match=r"needs a prescription|was measured in focus"):
         build_instrument(load_config(CameraConfig, sensor=measured, settings=[f"instrument.{key}={value}"]).instrument)
 
 
@@ -167,7 +167,7 @@ def test_keys_of_the_lens_table_are_swept(ideal):
     config = load_config(CameraConfig, sensor=ideal)
     lens = configured_lens(with_value(config, "instrument.lens.f_number", 4.0).instrument)
     assert lens.surfaces[lens.stop_index].semi_diameter_mm == pytest.approx(6.25)
-    with pytest.raises(ConfigError, match="no table"):
+    with pytest.raises(ConfigError, match="not a table"):
         with_value(CameraConfig(), "instrument.lens.f_number", 4.0)
 
 

@@ -176,7 +176,7 @@ def test_a_star_is_found_off_the_middle_and_at_the_corners():
         light = 5000.0 * spot(one[0], one[1], 1.2, 70, 80) + rng.normal(0.0, 2.0, (70, 80))
         found = find_star(Windows(), light, one[None] + [[9.0, -7.0]])
         np.testing.assert_allclose(found[0], one, atol=0.1)
-    with pytest.raises(DomainError, match="not seen within 24 px of column 40"):
+    with pytest.raises(DomainError, match="not detected within 24 px of column 40"):
         find_star(Windows(), rng.normal(0.0, 60.0, (70, 80)), np.array([[40.0, 30.0]]))
     with pytest.raises(DomainError, match="smaller than the search window"):
         find_star(Windows(), np.zeros((40, 80)), np.array([[20.0, 20.0]]))

@@ -256,7 +256,7 @@ def folder(tmp_path):
         (HEAD + "points = 1\n[[series]]\nfiles = ['b_*.fits']", DomainError, "1 frame; at least 2"),
         (HEAD + "points = 1\n[[series]]\nfiles = ['a_1.fits', 'c_1.fits']", ConfigError, "no file 'c_1.fits'"),
         (HEAD + "points = 1\n[[series]]\nfiles = ['c_*.fits']", ConfigError, "no file 'c_\\*.fits'"),
-        (HEAD + "points = 1\n" + ONE + "count = 5", ConfigError, "2 frames in the folder, count says 5"),
+        (HEAD + "points = 1\n" + ONE + "count = 5", ConfigError, "2 frames in the folder, count = 5"),
         (HEAD + "points = 1\n[[series]]\nfiles = ['a_1.fits', 'small.fits']", DomainError, "must have one size"),
         (HEAD + "points = 1\ndark = ['small.fits']\n" + ONE, DomainError, "small.fits has 80 x 64 px"),
         (HEAD + "points = 1\ndark = ['a_1.fits']\n" + ONE, ConfigError, "belongs to dark and to series 1"),
@@ -363,7 +363,11 @@ def raw(path, dn, **cards):
             DomainError,
             "exposure time 0.3 s, a_1.fits 0.1 s",
         ),
-        ("points = 1\ndark = 'slow.fits'\n" + ONE, DomainError, "dark frames 0.3 s; dark frames have the exposure"),
+        (
+            "points = 1\ndark = 'slow.fits'\n" + ONE,
+            DomainError,
+            "dark frames 0.3 s; dark frames must have the exposure",
+        ),
         (
             "points = 1\nflat = 'slow.fits'\ndark = 'b_1.fits'\n" + ONE,
             DomainError,
@@ -407,12 +411,12 @@ def test_filters_and_places_must_be_complete(folder):
     assert reduced(*both).filters_nm == (600.0, 800.0)
     with pytest.raises(ConfigError, match="no series of 800 nm at place 'right'"):
         reduced(*both, ("c", 600, "right"))
-    with pytest.raises(ConfigError, match="both of 800 nm at place 'left'"):
+    with pytest.raises(ConfigError, match="both have filter 800 nm and place 'left'"):
         reduced(*both, ("c", 800, "left"))
-    with pytest.raises(ConfigError, match="reference filter, 600 nm, is none of those"):
+    with pytest.raises(ConfigError, match="reference filter, 600 nm, does not occur"):
         reduced(("a", 500, "left"), ("b", 800, "left"))
     assert reduced(("a", 500, "left"), ("b", 800, "left"), more="reference_nm = 500").reference == 0
-    with pytest.raises(ConfigError, match="one filter, 600 nm"):
+    with pytest.raises(ConfigError, match="only filter 600 nm"):
         reduced(both[0])
     for name in "ab":
         for number in range(2):

@@ -134,4 +134,4 @@ def test_a_missing_folder_and_a_fit_without_psf_are_one_line(folder, capsys, tmp
     only = ("--set", "centroid=epsf", "--set", "compare=[]")
     status, text = run("temporal", folder, TEXTS["temporal"], capsys, *only, out=tmp_path / "out")
     assert status == 2
-    assert "without a PSF" in text
+    assert "have no PSF" in text

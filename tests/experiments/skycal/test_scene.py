@@ -111,7 +111,7 @@ def test_model_names():
             "wide: the corners of 2048 x 2048 px see 17.3 deg",
         ),
         ("wide.instrument.width_px=4096", "wide.instrument.width_px = 4096 px; detector 'CMV4000' has 2048 px"),
-        ("narrow.instrument.width_px=1000", "windows are cut from one chip only"),
+        ("narrow.instrument.width_px=1000", "a window must lie on a single chip"),
         ("narrow.instrument.lens=nothing", "unknown lens 'nothing'"),
         ("narrow.instrument.lens=double_gauss_50mm", "absorption = false"),
         ("narrow.faintest_mag=2", "stars per frame to G = 2"),

@@ -96,7 +96,7 @@ def test_a_folder_that_holds_no_flight(tmp_path: Path, capsys: pytest.CaptureFix
     assert main(["statement", "--flight", str(tmp_path), "--out", str(tmp_path / "s.html")]) == 2
     assert "is of 'camera'" in capsys.readouterr().err
     (tmp_path / "summary.json").write_text("[")
-    with pytest.raises(ConfigError, match="no summary"):
+    with pytest.raises(ConfigError, match="not a run's summary"):
         read_flight(tmp_path, None)
     (tmp_path / "s.html").write_text("mine")
     assert main(["statement", "--out", str(tmp_path / "s.html")]) == 2

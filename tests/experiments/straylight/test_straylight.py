@@ -95,7 +95,7 @@ def test_usable_again_nearer_by_does_not_count() -> None:
         (["--set", "baffle.coating=own", "--set", "baffle.diffuse=-0.1"], "diffuse"),
         (["--set", "baffle.shade_deg=5"], "outside the field"),
         (["--set", "baffle.clearance_mm=-2"], "cuts the beam of the field"),
-        (["--set", "baffle.mesh=none.ply"], "there is no such mesh"),
+        (["--set", "baffle.mesh=none.ply"], "no such file"),
         (["--set", "instrument.lens={focal_length_mm=30.0, f_number=2.0}"], "surfaces"),
         (["--set", "pst.file=none.csv"], "none.csv"),
     ],

@@ -180,6 +180,6 @@ def test_what_is_not_read_is_refused_by_name(tmp_path: Path, old: str, new: str,
 def test_a_second_command_without_a_semicolon_is_not_taken_silently(tmp_path: Path) -> None:
     """ "A 1E-6 B -2E-10": the second coefficient was dropped, and the line called taken."""
     text = SINGLET.replace("  CIR 7.0\n", "  ASP\n  A 1E-6 B -2E-10\n")
-    assert "'B -2E-10' stands behind its value" in refusal(tmp_path, text)
+    assert "'B -2E-10' follows the value" in refusal(tmp_path, text)
     both = load_lens(written(tmp_path, text.replace("1E-6 B", "1E-6; B")))
     assert both.surfaces[1].shape.asphere[:2] == (1e-6, -2e-10)

@@ -301,9 +301,9 @@ def test_the_image_plane_is_tilted_from_the_file():
 @pytest.mark.parametrize(
     ("surfaces", "message"),
     [
-        ([{**PLATE, "carry": "bend"}], "carry = 'bend' goes with medium = 'mirror'"),
+        ([{**PLATE, "carry": "bend"}], "carry = 'bend' needs medium = 'mirror'"),
         ([{"kind": "coordinate_break", "tilt_deg": [90.0, 0.0]}, PLATE], "edge-on to the light"),
-        ([{**CASSEGRAIN["surface"][0], "stop": False}, PLATE], "lies against the light"),
+        ([{**CASSEGRAIN["surface"][0], "stop": False}, PLATE], "has the wrong sign"),
         ([{**BREAK, "medium": "air"}], "medium"),
     ],
 )
@@ -316,5 +316,5 @@ def test_impossible_frames_get_one_clear_line(surfaces, message):
 
 def test_a_mirror_keeps_its_medium():
     lens = lens_from_table(CASSEGRAIN, where="test")
-    with pytest.raises(ConfigError, match="what follows a mirror is what lies in front of it"):
+    with pytest.raises(ConfigError, match="the medium behind a mirror must be the one in front of it"):
         replace(lens, surfaces=(replace(lens.surfaces[0], index_offset=0.1), lens.surfaces[1]))

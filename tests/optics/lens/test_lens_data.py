@@ -190,7 +190,7 @@ def test_tilt_decentre_asphere_and_own_glass_from_a_file(tmp_path):
         ("semi_diameter_mm = 6.0", "semi_diameter_mm = 6.0\ninner_semi_diameter_mm = 7.0", "between 0 and"),
         ("max_field_deg = 2.0", "max_field_deg = 95.0", "below 90"),
         ("[[surface]]", "[[surface", "not valid TOML"),
-        ("thickness_mm = 5.0", "thickness_mm = -5.0", "surface 0: thickness_mm = -5 mm of N-BK7 lies against"),
+        ("thickness_mm = 5.0", "thickness_mm = -5.0", "surface 0: thickness_mm = -5 mm of N-BK7 has the wrong sign"),
     ],
 )
 def test_bad_files_get_one_clear_line(tmp_path, old, new, message):

@@ -60,7 +60,7 @@ def test_a_plain_table_of_two_columns(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("angle_deg\n10\n", "no column besides"),
+        ("angle_deg\n10\n", "no PST column"),
         ("x,y\n1,2\n", "angle_deg"),
         ("angle_deg,pst\n10,none\n", "not a table of numbers"),
         ("angle_deg,azimuth_deg,pst\n10,0,1\n20,0,1\n10,90,1\n30,90,1\n", "the same angles"),

@@ -61,5 +61,5 @@ def test_vignetting_of_a_lens_whose_apertures_cut():
 
 
 def test_first_field_is_the_axis(lens):
-    with pytest.raises(DomainError, match="against field 0"):
+    with pytest.raises(DomainError, match="relative to field 0"):
         lens_performance(lens, [1.0, 2.0], WAVES)

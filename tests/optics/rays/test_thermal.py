@@ -85,5 +85,5 @@ def test_input_that_cannot_be(sensitivity):
         sensitivity.shift(ThermalState(mean_k=1.0), field_direction(5.0, 0.0))
     with pytest.raises(DomainError, match="at least 6"):
         thermal_sensitivity(LENS, HOUSING, count=3)
-    with pytest.raises(ConvergenceError, match="take smaller ones"):
+    with pytest.raises(ConvergenceError, match="use smaller steps"):
         thermal_sensitivity(LENS, HOUSING, step_k=60.0)

@@ -95,7 +95,7 @@ def test_areas_of_the_mesh_are_those_of_the_circles() -> None:
 
 def test_bad_baffles_are_told_in_a_line() -> None:
     good = {"entrance_mm": 9.0, "field_deg": 12.0}
-    with pytest.raises(ConfigError, match="one of them"):
+    with pytest.raises(ConfigError, match="either shade_deg"):
         vaned_baffle(**good)
     with pytest.raises(DomainError, match="outside the field"):
         vaned_baffle(**good, shade_deg=11.0)

@@ -47,7 +47,7 @@ def test_light_through_the_hole(engine):
 
 def test_sun_behind_the_mask_is_refused(engine):
     of = sensor()
-    with pytest.raises(DomainError, match="behind the mask"):
+    with pytest.raises(DomainError, match="not in front of the mask"):
         trace_mask(
             mask_scene(of),
             of,

@@ -300,11 +300,11 @@ def test_stated_units_are_believed():
         (lambda t: t.remove_column("magnitude"), {}, "no column for magnitude"),
         (lambda t: t.remove_column("ra"), {}, "no column for ra"),
         (lambda t: None, {"columns": {"magnitude": "Kmag"}}, "no column 'Kmag'"),
-        (lambda t: None, {"columns": {"mag": "magnitude"}}, "no meaning of a column"),
+        (lambda t: None, {"columns": {"mag": "magnitude"}}, "not a known quantity"),
         (lambda t: None, {"units": {"ra": "km"}}, "not convertible to rad"),
         (lambda t: None, {"units": {"ra": "degrees of arc"}}, "not convertible to rad"),
         (lambda t: None, {"epoch_year": None}, "no epoch"),
-        (lambda t: None, {"magnitude_system": None}, "no scale of magnitudes"),
+        (lambda t: None, {"magnitude_system": None}, "no magnitude system"),
         (lambda t: t.add_column(np.linspace(2000, 2016, 30), name="epoch"), {"epoch_year": None}, "one for all"),
         (lambda t: t.add_column(["x"] * 30, name="parallax"), {}, "does not hold numbers"),
     ],
@@ -328,7 +328,7 @@ def test_files_refused(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read as votable"):
         read_catalog(tmp_path / "a.vot", "hipparcos")
     (tmp_path / "a.odd").write_text("1 2 3")
-    with pytest.raises(ConfigError, match="tells no format"):
+    with pytest.raises(ConfigError, match="does not identify a format"):
         read_catalog(tmp_path / "a.odd", "hipparcos")
     hipparcos_table().write(tmp_path / "a.ecsv")
     with pytest.raises(ConfigError, match="did you mean hipparcos"):
@@ -344,7 +344,7 @@ def test_presets():
         assert get_preset(name).source
     own = ColumnPreset(name="mine", source="me", columns={"ra": ("x",)})
     assert get_preset(own) is own
-    with pytest.raises(ConfigError, match="meaning of a column"):
+    with pytest.raises(ConfigError, match="known quantity"):
         ColumnPreset(name="mine", source="me", columns={"rightascension": ("x",)})
     with pytest.raises(ConfigError, match="a name"):
         get_preset(3)

@@ -95,5 +95,5 @@ def test_bad_input(options: dict[str, float], words: str) -> None:
 
 def test_not_aged_twice() -> None:
     once = aged(NEW, displacement_dose_tev_per_g=10.0, depleted_volume_um3=50.0)
-    with pytest.raises(DomainError, match="aged already"):
+    with pytest.raises(DomainError, match="already aged"):
         aged(once, displacement_dose_tev_per_g=10.0, depleted_volume_um3=50.0)

@@ -130,7 +130,7 @@ def test_dark_current_law() -> None:
         ({"adc_bits": None}, "Detector.adc_bits = None; it must be a number, 1 to 16 bit"),
         ({"quantum_efficiency": 0.6}, "Detector.quantum_efficiency = 0.6; a Response is needed"),
         # u (1 - u/2 - u^2/2) is highest where 1 - u = 3/2 u^2
-        ({"nonlinearity": (-0.5, -0.5)}, "numbers fall again from 0.549 of the full well"),
+        ({"nonlinearity": (-0.5, -0.5)}, "output falls again from 0.549 of the full well"),
         ({"crosstalk_horizontal": 0.2, "crosstalk_vertical": 0.2}, "takes 0.8 of a pixel's charge"),
     ],
 )
@@ -158,7 +158,7 @@ def test_own_file_on_a_base(tmp_path: Path) -> None:
         ('base = "cmv4000"\nprnu = nan\n', ["prnu = nan"]),
         ('base = "cmv4000"\nnonlinearity = [0.9]\n', ["nonlinearity = 0.9", "-0.5 to 0.5"]),
         ("base = 3\n", ["base = 3", "name of a detector"]),
-        ('base = "mine.toml"\n', ["leads back to itself"]),
+        ('base = "mine.toml"\n', ["refers back to itself"]),
         ('base = "cmv4000"\nname = \n', ["not valid TOML", "line 2"]),
         (
             'base = "cmv4000"\n[quantum_efficiency]\nsource = "me"\nwavelength_nm = [500, 400]\nvalue = [0.1, 0.2]\n',

@@ -133,8 +133,8 @@ def test_bytes_depend_on_nothing_else(tmp_path: Path) -> None:
     [
         ({"compression": "zip"}, "unknown compression 'zip'"),
         ({"mask": "sometimes"}, "unknown mask"),
-        ({"cards": [("EXPTIME", 1.0, "")]}, "card EXPTIME is there already"),
-        ({"cards": [("A", 1.0, ""), ("a", 1.0, "")]}, "card A is there already"),
+        ({"cards": [("EXPTIME", 1.0, "")]}, "card EXPTIME exists already"),
+        ({"cards": [("A", 1.0, ""), ("a", 1.0, "")]}, "card A exists already"),
         ({"cards": [("NAXIS1", 1, "")]}, "NAXIS1 describes the file itself"),
         ({"cards": [("A", float("nan"), "")]}, "card A = nan cannot be written"),
         ({"cards": [("A", [1, 2], "")]}, "text, a number"),

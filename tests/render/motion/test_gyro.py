@@ -117,9 +117,9 @@ def test_bad_gyros(change, line):
 
 
 def test_bad_times():
-    with pytest.raises(DomainError, match="no whole step"):
+    with pytest.raises(DomainError, match="no complete sampling interval"):
         true_rates(REST, Gyro(rate_hz=1.0), end_s=0.5)
     with pytest.raises(DomainError, match="outside of the trajectory"):
         true_rates(REST, Gyro(rate_hz=1.0), end_s=101.0)
-    with pytest.raises(DomainError, match="no whole step"):
+    with pytest.raises(DomainError, match="no complete sampling interval"):
         true_rates(REST, Gyro(), end_s=np.nan)

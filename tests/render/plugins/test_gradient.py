@@ -317,7 +317,7 @@ def test_numbers_that_a_surface_has_not(mi):
     params = mi.traverse(scene)
     for key, at, message in (
         ("camera.conic", 1, "is a sphere; it has no conic"),
-        ("camera.tilt_deg", (0, 0), "is a stop that stands alone"),
+        ("camera.tilt_deg", (0, 0), "is a separate stop"),
     ):
         value = np.array(params[key].numpy(), float)
         kept = value.copy()

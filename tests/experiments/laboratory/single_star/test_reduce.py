@@ -95,5 +95,5 @@ def test_too_few_places() -> None:
 
 def test_a_fit_that_does_not_fit_is_no_result(exact: Data) -> None:
     wrong = replace(exact, pixel_px=np.roll(exact.pixel_px, 1, axis=0))
-    with pytest.raises(DomainError, match=r"times their noise; look at the axes"):
-        check_fit(reduce_data(wrong, BELIEVED, START, leans=True), "wrong", "look at the axes")
+    with pytest.raises(DomainError, match=r"times their noise; check order and signs"):
+        check_fit(reduce_data(wrong, BELIEVED, START, leans=True), "wrong", "check order and signs")

@@ -25,7 +25,7 @@ def test_readings_average() -> None:
     [
         (["grid.columns=1"], "cover 0% of the detector's width"),
         (["grid.edge_px=900"], "at least 50% of both"),
-        (["grid.edge_px=3000"], "leaves nothing"),
+        (["grid.edge_px=3000"], "leaves no area"),
         (["grid.columns=150"], "places lie 27 px apart"),
     ],
 )

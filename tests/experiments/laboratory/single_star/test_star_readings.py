@@ -59,7 +59,7 @@ def test_centroids_scatter_as_predicted(visited, small_camera) -> None:
 def test_a_star_that_is_not_there(visited, small_camera) -> None:
     expected, psfs = visited
     beside = np.add(_truth(expected), [150.0, 0.0])
-    with pytest.raises(DomainError, match="not seen"):
+    with pytest.raises(DomainError, match="not detected"):
         read_windows(expected, beside, psfs, small_camera, PLAN, streams=Streams(8))
 
 

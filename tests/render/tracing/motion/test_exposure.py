@@ -231,7 +231,7 @@ def test_paths_are_led_by_few_directions(bench):
         ({"line_time_s": -1.0}, DomainError, r"line_time_s = -1.0 s; it must be 0 \(global shutter\) or positive"),
         ({"start_s": np.nan}, DomainError, r"start_s = nan s"),
         ({"start_s": 1.9}, DomainError, r"lies outside of the trajectory, which runs from 0 to 2 s"),
-        ({"px": 1e4}, ConvergenceError, rf"a path that {NODE_LADDER[-2]} time nodes do not follow; shorten"),
+        ({"px": 1e4}, ConvergenceError, rf"a path that {NODE_LADDER[-2]} time nodes do not resolve; shorten"),
     ],
 )
 def test_bad_motion(bench, change, kind, message):

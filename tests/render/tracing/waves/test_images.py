@@ -286,7 +286,7 @@ def test_bad_input_is_refused_by_name(engine):
     with pytest.raises(ConfigError, match=r"unknown diffraction 'wave'; did you mean waves"):
         camera_of("star_camera_206mm", diffraction="wave")
     stars = stars_of(field_direction(0.0, 0.0), 600.0)
-    with pytest.raises(DomainError, match=r"set diffraction = 'rays', which is right for such images"):
+    with pytest.raises(DomainError, match=r"set diffraction = 'rays', which suffices for such images"):
         Tracer(camera_of("star_camera_206mm", defocus_mm=4.0)).render(stars, exposure_s=1.0)
 
 
