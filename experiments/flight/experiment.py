@@ -431,7 +431,8 @@ SECTIONS = {
         rows="term component",
         columns="measured_arcsec predicted_arcsec ratio slope",
         caption="Attitude error by terms, RMS over the flight, one standard deviation; across: about one axis.",
-        note="No ratio or slope: the term is below 5 % of the total.",
+        note="No ratio or slope: the term is below 5 % of the total. The total adds errors of known sign (bias, thermo-"
+        "elastic, FOV spatial, aberration) in every segment, not their squares.",
         figures={
             "terms": bars("term", bars="term_measured_arcsec", points="term_predicted_arcsec", panels="component")
         },

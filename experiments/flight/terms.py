@@ -35,7 +35,9 @@ COMPONENTS: tuple[tuple[str, tuple[int, ...]], ...] = (("across", (0, 1)), ("rol
 DWELL_PX = 1.2
 """Distance over which pixel patterns and pixel phase change: a star is that wide."""
 SMALL = 0.05
-"""A term below this share of the total is not judged by its ratio: others drown it."""
+"""A term is not judged by its ratio where prediction and measurement are below this share of the total."""
+CERTAIN = 4.0
+"""Standard deviations by which a measurement is above it."""
 FEWEST_SOLVED = 3
 
 
@@ -136,7 +138,12 @@ def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tup
         "temporal_noise": mean([one.noise_arcsec2 for one in errors]),
         "aberration": mean([one.aberration_arcsec**2 for one in errors]),
     }
-    return {**found, "total": sum(found.values()) + float((focus * (1.0 - shown)).mean()) - kept}
+    # errors that are known with their signs add up as such in every segment, the others by their squares
+    signed = [budget.bias_arcsec() + one.fov_arcsec + one.thermal_arcsec + one.aberration_arcsec for one in errors]
+    return {
+        **found,
+        "total": mean([one**2 for one in signed]) + mean([one.static_arcsec2 + one.noise_arcsec2 for one in errors]),
+    }
 
 
 def _kept_focus(budget: Budget, errors: Sequence[SegmentErrors], axes: tuple[int, ...]) -> float:
@@ -236,11 +243,12 @@ def _component(
     }
     rows: dict[str, Row] = {}
     for name in (*TERMS, "total"):
-        large = predicted[name] > SMALL**2 * predicted["total"]
+        least = SMALL**2 * predicted["total"]
+        large = predicted[name] > least or square[name] > least + CERTAIN * spread[name]
         rows[name] = (
             _root(square[name], spread[name], samples[name]),
             math.sqrt(predicted[name]),
-            _ratio(square[name], spread[name], predicted[name], samples[name]) if large else UNKNOWN,
+            _ratio(square[name], spread[name], max(predicted[name], least), samples[name]) if large else UNKNOWN,
             slopes.get(name, UNKNOWN) if large else UNKNOWN,
         )
     return rows

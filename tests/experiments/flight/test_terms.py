@@ -101,7 +101,7 @@ def test_known_terms_come_out_and_every_verdict_holds(flown, told):
     ("change", "term"),
     [
         (lambda one: {"thermal_arcsec": -one.thermal_arcsec}, "Thermo-elastic"),
-        (lambda one: {"aberration_arcsec": 0.0 * one.aberration_arcsec}, "Total"),
+        (lambda one: {"aberration_arcsec": 0.0 * one.aberration_arcsec}, "Aberration"),
         (lambda one: {"noise_arcsec2": one.noise_arcsec2 / STARS}, "Temporal noise"),
         (lambda one: {"pixel_arcsec2": 2.0 * one.pixel_arcsec2}, "Pixel spatial"),
         (lambda one: {"fov_arcsec": 1.4 * one.fov_arcsec}, "FOV spatial"),
@@ -121,6 +121,14 @@ def test_at_rest_pixel_errors_stay_in_the_mean_of_a_segment(told):
             assert not at_rest.predicted_arcsec.any()
         if at_rest.term == "total":
             np.testing.assert_allclose(at_rest.predicted_arcsec, turning.predicted_arcsec)
+
+
+def test_errors_of_known_sign_add_up_in_the_total(told):
+    """Thermo-elastic errors that equal the aberration's in every segment are as one aberration of twice the size."""
+    alike = [replace(one, thermal_arcsec=one.aberration_arcsec) for one in told]
+    twice = [replace(one, thermal_arcsec=np.zeros(3), aberration_arcsec=2.0 * one.aberration_arcsec) for one in told]
+    totals = [predicted_terms(budget(), errors)[-1].predicted_arcsec for errors in (alike, twice)]
+    np.testing.assert_allclose(totals[0], totals[1], rtol=1e-12)
 
 
 def test_attitude_of_stars_follows_their_errors_to_first_order():
