@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import dblquad
 
 from experiments.fisher.field_of_view import (
+    _off_one,
     baseline_over_sphere,
     closed_form,
     field_sweep,
@@ -72,3 +73,8 @@ def test_monte_carlo_finds_the_bias() -> None:
         assert max(bias.uncertainty, opposite.uncertainty) < 0.02
         assert point.fisher_bias_percent.value == pytest.approx(0.0, abs=500 / np.sqrt(4 * 3000 * 10))
         assert opposite.value == pytest.approx(point.pixel_noise_quadrature_percent, abs=5 * opposite.uncertainty)
+
+
+def test_error_of_a_mean_over_runs() -> None:
+    found = _off_one([1.0, 1.2])
+    assert (found.value, found.uncertainty) == (pytest.approx(10.0), pytest.approx(10.0))
