@@ -7,10 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.sections import described, judged
+from experiments.harness.summary import Measured
 from experiments.hsfe.own_frames import misplaced
 from experiments.laboratory.temporal_error import scatter_interval, small_sample_factor
 from experiments.reduce import checks, sequence
+from experiments.reduce.poses import FIT, Fit
 from experiments.reduce.sequence import lag_one, largest_change, shared_noise
+from experiments.reduce.series import SeriesFrames
 
 ALARM, RUNS = 0.02, 1000
 MOST = RUNS * ALARM + 4 * np.sqrt(RUNS * ALARM)
@@ -130,3 +135,22 @@ def test_positions_in_the_wrong_order_are_named():
     seen[[3, 8]] = seen[[8, 3]]
     (said,) = misplaced(seen, commanded, names)
     assert said == "step3 and step8 stand each where the other was commanded, 0.99 px away"
+
+
+def test_common_motion_widens_the_error_of_a_scatter():
+    """Half of the variance is common to five points: squared correlations of 1/4; a quarter of the frames counts."""
+    rng = np.random.default_rng(4)
+    place = {"alike": rng.standard_normal((2000, 1, 2)), "apart": np.zeros((2000, 1, 2))}
+    place = {name: common + rng.standard_normal((2000, 5, 2)) for name, common in place.items()}
+    series = SimpleNamespace(frames=2000, effective_frames=500.0, points=SimpleNamespace(position_px=place))
+    assert SeriesFrames.widening(series, "alike") == pytest.approx(2.0 * np.sqrt(1.0 + 4.0 * 0.25), rel=0.05)
+    assert SeriesFrames.widening(series, "apart") == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("ratio", "said"), [(0.5, "smaller than stated"), (1.0, ""), (1.5, "larger than stated")])
+def test_a_calibration_by_poses_is_judged_both_ways(ratio, said):
+    fit = Fit(misfit="m", flat=True, fit_ratio=Measured(value=ratio, uncertainty=0.07), coverage=1.0)
+    data = described({"fit": FIT}, Quantities(), {"fit": fit}).dataset
+    one = judged({"fit": FIT}, Outcome(config=None, result={"fit": fit}, data=data))[0]
+    assert one.failed is bool(said)
+    assert not said or said in one.advice

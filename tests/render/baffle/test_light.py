@@ -104,7 +104,7 @@ def test_an_integrating_sphere() -> None:
     """Furnace: every wall throws light evenly on all of a sphere; E = rho Phi / (A (1 - rho (1 - f))), f the ports."""
     radius, bottom, top, rho, angle = 50.0, 4.0, 15.0, 0.4, 35.0
     scene = BaffleScene(sphere(radius, bottom, top), matt(rho), entrance_mm=bottom, field_deg=0.5)
-    found = scene.light(towards(angle), np.cos, error=2e-3)
+    found = scene.light(towards(angle), np.cos, error=4e-3)
     assert found.direct == 0.0
     caps = sum(radius * (radius - np.sqrt(radius**2 - r**2)) * 2.0 * np.pi for r in (bottom, top))
     area = 4.0 * np.pi * radius**2
