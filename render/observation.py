@@ -18,8 +18,7 @@ from optics.light.pst import PointSourceTransmittance
 from optics.page import Marks, differences, save_frame_page
 from render.bodies.ghost_sources import GhostSources
 from render.bodies.solar_system import SolarSystem, hiding_spheres, planet_field, solar_system
-from render.bodies.stray_light import StrayLight
-from render.bodies.stray_light import stray_light as stray_table
+from render.bodies.stray_light import StrayLight, band_light
 from render.camera import FAR_NOISE
 from render.detector.maps import dark_electrons
 from render.detector.readout import expose
@@ -299,12 +298,14 @@ class SkySimulator:
         self.exposure_s, self._streams = exposure_s, Streams(seed)
         self._stray: StrayLight | None = None
         if stray_light is not None:
-            if self.sky.observer is None:
-                raise ConfigError("stray_light: the sky needs an observer, load_sky(observer='earth')")
-            self._stray = stray_table(
-                stray_light, sensor.detector, band, observer=self.sky.observer, epoch_year=self.sky.epoch_year,
-                earth="earth" in bodies, ghosts=bool(ghosts),
-            )  # fmt: skip
+            self._stray = StrayLight(
+                stray_light,
+                band_light(sensor.detector, band),
+                observer=self.sky.observer,
+                epoch_year=self.sky.epoch_year,
+                earth="earth" in bodies,
+                ghosts=bool(ghosts),
+            )
         self._disks: SolarSystem | None = None
         self._points: SolarSystem | None = None
         hidden = None

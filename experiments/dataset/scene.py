@@ -30,7 +30,7 @@ from optics.light.band import Band
 from optics.records import freeze
 from optics.units import ARCSEC_RAD
 from render.bodies.solar_system import BODIES, SolarSystem, joined, planet_field, solar_system
-from render.bodies.stray_light import StrayLight, stray_light
+from render.bodies.stray_light import StrayLight, band_light
 from render.camera import Camera
 from render.catalogue.index import SkyIndex, build_index
 from render.catalogue.motion import Observer
@@ -296,10 +296,9 @@ def build_sky_light(
     if background.stray_light:
         if observer is None:
             raise ConfigError("background.stray_light needs an observer; set catalogue.observer = earth")
-        stray = stray_light(
+        stray = StrayLight(
             background.stray_light,
-            detector,
-            band,
+            band_light(detector, band),
             observer=observer,
             epoch_year=config.catalogue.epoch_year,
             earth=background.earth_distance_km is not None,

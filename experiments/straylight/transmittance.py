@@ -98,8 +98,8 @@ def lens_part(config: Config, instrument: Instrument, advance: Callable[[], None
                 lens, source, tuple(half.tolist()), rings=setting.ghost_rings, arms=setting.ghost_arms,
                 detector_reflectance=config.scatter.detector_reflectance, **common,
             )  # fmt: skip
-            ghosts[at] = ghost.value.sum()
-            ghosts_error[at] = np.sqrt((ghost.error**2).sum())
+            value, error = np.array(list(ghost.values())).T
+            ghosts[at], ghosts_error[at] = value.sum(), np.sqrt((error**2).sum())
         advance()
 
     with prompt_pool() as pool:

@@ -327,15 +327,6 @@ def _meet(
 # --- Ghosts
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GhostLight:
-    """Ghosts of a source as light on a rectangle about the axis."""
-
-    pairs: tuple[tuple[int, int], ...]
-    value: FloatArray  # (g,) Mean irradiance over that of the source through a plane that faces it
-    error: FloatArray  # (g,) As if the rays had been drawn
-
-
 def ghost_light(
     lens: LensSystem,
     v_source: ArrayLike,
@@ -347,8 +338,10 @@ def ghost_light(
     absorption: bool = True,
     rings: int = 20,
     arms: int = 48,
-) -> GhostLight:
+) -> dict[tuple[int, int], tuple[float, float]]:
     """Light that all pairs of reflections throw on a detector of half sizes ``half_mm``, source anywhere in front.
+
+    Pair -> mean irradiance over that of the source through a plane that faces it, and its error as if rays were drawn.
 
     Parameters as of `optics.rays.ghosts.find_ghosts`; ``rings`` x ``arms`` rays fill the first surface.
     """
@@ -358,9 +351,8 @@ def ghost_light(
     wave = lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
     rays, area = front_rays(lens, v_source, wave, (rings, arms))
     weight = area / (4.0 * half_mm[0] * half_mm[1])
-    pairs = tuple(ghost_pairs(lens))
-    value, error = np.zeros(len(pairs)), np.zeros(len(pairs))
-    for at, pair in enumerate(pairs):
+    found = {}
+    for pair in ghost_pairs(lens):
         one = trace_ghost(
             lens,
             pair,
@@ -371,5 +363,5 @@ def ghost_light(
             absorption=absorption,
         )
         on = (one.weight > 0.0) & (np.abs(one.rays.x) <= half_mm[0]) & (np.abs(one.rays.y) <= half_mm[1])
-        value[at], error[at] = one.weight[on].sum(), np.sqrt((one.weight[on] ** 2).sum())
-    return GhostLight(pairs=pairs, value=value, error=error)
+        found[pair] = float(one.weight[on].sum()), float(np.sqrt((one.weight[on] ** 2).sum()))
+    return found

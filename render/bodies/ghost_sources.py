@@ -73,7 +73,7 @@ class GhostSources:
         stray: StrayLight | None = None,
     ) -> None:
         self.ghosting, self.exposure_s = ghosting, exposure_s
-        self._mean = None if stray is None else stray.ghosts
+        self._stray = stray
         bright, nodes = ghosting.bright(stars, exposure_s), stars.wavelength_nm.shape[1]
         self._id = star_id[bright]
         self._stars = replace(stars, direction=stars.direction[bright], photon_rate=stars.photon_rate[bright])
@@ -81,7 +81,7 @@ class GhostSources:
         if observer is None:
             return
         named = {*bodies} - {"earth"} if stray is None else {*bodies} - {"earth", "moon"}
-        if self._mean is not None and observer.from_sun_au is not None:
+        if stray is not None and stray.draws_ghosts and observer.from_sun_au is not None:
             named.add("moon")
             self._bodies.append(("sun", *sun_field(observer.from_sun_au, bands, nodes=nodes)))
         known = solar_system(epoch_year, observer=observer, bodies=sorted(named))
@@ -119,7 +119,7 @@ class GhostSources:
         others = replace(self._stars, direction=direction[beside], photon_rate=self._stars.photon_rate[beside])
         first, seconds = len(stars), self.exposure_s
         found.append(self.ghosting.add_beside(image, others, exposure_s=seconds, first=first))
-        mean = {} if self._mean is None else self._mean(attitude)
+        mean = {} if self._stray is None else self._stray.ghosts(attitude)
         for name, light, radius in self._bodies:
             own, number = np.zeros_like(image), first + len(names)
             inside = replace(light, direction=light.direction @ turn)

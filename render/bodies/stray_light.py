@@ -7,13 +7,13 @@ sphere in full light, a sum of points: PST adds up over a source that is extende
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import constants
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
@@ -90,96 +90,75 @@ def limb_pst(pst: PointSourceTransmittance, towards_centre: ArrayLike, radius_ra
     return float(EARTH_ALBEDO / np.pi * (pst.at(points) * solid).sum())
 
 
-def stray_electrons_per_s(
-    pst: PointSourceTransmittance,
-    attitude: Rotation,
-    *,
-    light: BandLight,
-    observer: Observer | None,
-    epoch_year: float,
-    earth: bool = False,
-) -> dict[str, float]:
-    """Stray light [e- s^-1 per pixel] of Sun, Moon and, for an observer above it, the Earth.
+class StrayLight:
+    """Stray light of Sun, Moon and, for an observer above it, the Earth, in an attitude [e- s^-1 per pixel].
 
     Parameters
     ----------
-    pst : PointSourceTransmittance
+    table : path or PointSourceTransmittance
         Of the camera.
-    attitude : Rotation
-        cam from icrs.
     light : BandLight
         Of its pass band.
-    observer : Observer
-        Where the camera is (that of the sky).
-    epoch_year : float
-        Julian year.
+    observer, epoch_year : Observer, float
+        Where the camera is (that of the sky), and when (Julian year).
     earth : bool
         Whether the observer is above the Earth and sees its disk.
+    ghosts : bool
+        Whether ghosts of Sun and Moon are drawn apart, if the table has the cause ``ghosts``.
 
     Raises
     ------
     ConfigError
-        No observer, or one whose place from the Sun is not known.
+        No observer, or one whose place from the Sun is not known; a table that cannot be read.
     """
-    if observer is None or observer.from_sun_au is None:
-        raise ConfigError(
-            "stray light needs an observer, from which the Sun's direction follows: load_sky(observer='earth')"
-        )
-    far = float(np.linalg.norm(observer.from_sun_au))
-    sun = light.sun_e_per_s / far**2
-    names = ("moon", "earth") if earth else ("moon",)
-    bodies = solar_system(epoch_year, observer=observer, bodies=names)
-    towards = attitude.apply(np.array(bodies.direction))
-    found = {"sun": float(sun * pst.at(attitude.apply(-observer.from_sun_au / far)))}
-    magnitude = float(bodies.magnitude_v[0])
-    if math.isfinite(magnitude):
-        found["moon"] = float(light.moon_zero_e_per_s * 10.0 ** (-0.4 * magnitude) * pst.at(towards[0]))
-    if earth:
-        radius = math.asin(min(1.0, RADIUS_KM["earth"] / _distance_km(bodies.to_observer_au[1])))
-        found["earth"] = sun * limb_pst(pst, towards[1], radius)
-    return found
 
+    def __init__(
+        self,
+        table: str | Path | PointSourceTransmittance,
+        light: BandLight,
+        *,
+        observer: Observer | None,
+        epoch_year: float,
+        earth: bool = False,
+        ghosts: bool = False,
+    ) -> None:
+        if observer is None or observer.from_sun_au is None:
+            raise ConfigError(
+                "stray light needs an observer, from which the Sun's direction follows: load_sky(observer='earth')"
+            )
+        self.pst = table if isinstance(table, PointSourceTransmittance) else read_pst(table)
+        self._drawn = self.pst.only("ghosts") if ghosts and "ghosts" in self.pst.causes else None
+        far, self._earth = float(np.linalg.norm(observer.from_sun_au)), earth
+        self._sun, self._to_sun = light.sun_e_per_s / far**2, -observer.from_sun_au / far
+        self._bodies = solar_system(epoch_year, observer=observer, bodies=("moon", "earth") if earth else ("moon",))
+        self._moon = light.moon_zero_e_per_s * 10.0 ** (-0.4 * float(self._bodies.magnitude_v[0]))
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StrayLight:
-    """Stray light of each body in an attitude [e- s^-1 per pixel]; made by `stray_light`."""
+    @property
+    def draws_ghosts(self) -> bool:
+        """Whether ghosts are drawn apart."""
+        return self._drawn is not None
 
-    whole: Callable[[Rotation], dict[str, float]]
-    ghosts: Callable[[Rotation], dict[str, float]] | None  # What of it are ghosts that are drawn, of Sun and Moon
+    def _of(self, pst: PointSourceTransmittance, attitude: Rotation) -> dict[str, float]:
+        towards = attitude.apply(np.array(self._bodies.direction))
+        found = {"sun": float(self._sun * pst.at(attitude.apply(self._to_sun)))}
+        if math.isfinite(self._moon):
+            found["moon"] = float(self._moon * pst.at(towards[0]))
+        return found
+
+    def whole(self, attitude: Rotation) -> dict[str, float]:
+        """All of it, by its source."""
+        found = self._of(self.pst, attitude)
+        if self._earth:
+            far_km = float(np.linalg.norm(self._bodies.to_observer_au[1])) * constants.au * 1e-3
+            radius, towards = math.asin(min(1.0, RADIUS_KM["earth"] / far_km)), self._bodies.direction[1]
+            found["earth"] = self._sun * limb_pst(self.pst, attitude.apply(np.array(towards)), radius)
+        return found
+
+    def ghosts(self, attitude: Rotation) -> dict[str, float]:
+        """What of it are ghosts that are drawn apart; empty where none are."""
+        return {} if self._drawn is None else self._of(self._drawn, attitude)
 
     def even(self, attitude: Rotation) -> dict[str, float]:
         """What lies evenly on the detector."""
-        drawn = {} if self.ghosts is None else self.ghosts(attitude)
+        drawn = self.ghosts(attitude)
         return {name: max(light - drawn.get(name, 0.0), 0.0) for name, light in self.whole(attitude).items()}
-
-
-def stray_light(
-    table: str | Path | PointSourceTransmittance,
-    detector: Detector,
-    band: Band,
-    *,
-    observer: Observer | None,
-    epoch_year: float,
-    earth: bool = False,
-    ghosts: bool = False,
-) -> StrayLight:
-    """Stray light by a table; ``ghosts``: its cause of that name is drawn apart. Others as `stray_electrons_per_s`.
-
-    Raises
-    ------
-    ConfigError
-        A table that cannot be read.
-    """
-    pst = table if isinstance(table, PointSourceTransmittance) else read_pst(table)
-    at = partial(stray_electrons_per_s, light=band_light(detector, band), observer=observer, epoch_year=epoch_year)
-    drawn = pst.only("ghosts") if ghosts and "ghosts" in pst.causes else None
-    return StrayLight(
-        whole=partial(at, pst, earth=earth),
-        ghosts=None if drawn is None else partial(at, drawn),
-    )
-
-
-def _distance_km(vector_au: FloatArray) -> float:
-    from scipy import constants
-
-    return float(np.linalg.norm(vector_au)) * constants.au * 1e-3

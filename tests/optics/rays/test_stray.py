@@ -160,11 +160,8 @@ def test_the_ghost_of_a_plane_plate_is_r2_t2() -> None:
     through = (1.0 - reflectance) ** 2
 
     def ghost(pair: tuple[int, int], detector: float) -> tuple[float, float]:
-        found = ghost_light(
-            lens, towards(0.0), (2.0, 2.0), detector_reflectance=detector, absorption=False, rings=60, arms=240
-        )
-        at = found.pairs.index(pair)
-        return float(found.value[at]), float(found.error[at])
+        settings = {"detector_reflectance": detector, "absorption": False, "rings": 60, "arms": 240}
+        return ghost_light(lens, towards(0.0), (2.0, 2.0), **settings)[pair]
 
     value, error = ghost((2, 1), 0.0)
     assert value == pytest.approx(reflectance**2 * through, abs=2.0 * error)

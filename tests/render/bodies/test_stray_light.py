@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError
 from optics.light.pst import PointSourceTransmittance, write_pst
-from render.bodies.stray_light import EARTH_ALBEDO, band_light, earth_points, limb_pst, stray_electrons_per_s
+from render.bodies.stray_light import EARTH_ALBEDO, StrayLight, band_light, earth_points, limb_pst
 from render.catalogue.motion import earth_observer
 from render.observation import SkySimulator
 from render.sensor import load_star_sensor
@@ -55,12 +55,13 @@ def test_the_sun_gives_its_photons_times_pst_and_efficiency() -> None:
     observer = earth_observer(2020.0)
     to_sun = -observer.from_sun_au / np.linalg.norm(observer.from_sun_au)
     towards, _ = Rotation.align_vectors([[np.sin(0.5), 0.0, np.cos(0.5)]], [to_sun])
-    found = stray_electrons_per_s(flat(), towards, light=light, observer=observer, epoch_year=2020.0)
+    stray = StrayLight(flat(), light, observer=observer, epoch_year=2020.0)
+    found = stray.whole(towards)
     assert found["sun"] == pytest.approx(1e-6 * light.sun_e_per_s / (observer.from_sun_au**2).sum(), rel=1e-9)
     behind, _ = Rotation.align_vectors([[0.0, 0.0, -1.0]], [to_sun])
-    assert stray_electrons_per_s(flat(), behind, light=light, observer=observer, epoch_year=2020.0)["sun"] == 0.0
+    assert stray.whole(behind)["sun"] == 0.0
     with pytest.raises(ConfigError, match="observer"):
-        stray_electrons_per_s(flat(), towards, light=light, observer=None, epoch_year=2020.0)
+        StrayLight(flat(), light, observer=None, epoch_year=2020.0)
 
 
 @pytest.mark.slow
