@@ -239,13 +239,13 @@ SIZES = (5, 7, 9, 11, 13, 15)
 """Points along either side that are tried."""
 RADIAL_SIZES = (5, 7, 9, 11, 13, 16, 20)
 """The same along a radius of the field of a lens of revolution, as far as no aperture cuts the beam."""
-BETWEEN_CUTS, MOST_BETWEEN = 4, 40
-"""Points between two cuts, at least, and most."""
+BETWEEN_CUTS, DENSITY, MOST_BETWEEN = 3, 0.9, 40
+"""Points between two cuts: at least so many more than a part of the size times the root of their distance, and most."""
 MOST_CUTS, CUT_STEPS, APART = 4, (128, 16), 0.01
 """Places where apertures begin to cut that are kept, the innermost; steps of the search for them, and of a second one
 in each of the steps found; their least distance, in parts of the radius."""
-CUT_PLACES = 45
-"""Points that such a grid is expected to need."""
+FIRST_CUT, CUT_PLACES = 2, 45
+"""Which size is tried first where apertures cut beams; points that such a grid is expected to need."""
 GAIN = 4.0
 """By how much the next size lowers the error, at least; sizes that would not do are passed over."""
 LEAST_GAIN = 0.7
@@ -329,7 +329,7 @@ def build_grid(
 ) -> WaveGrid | None:
     """The coarsest grid that is good enough; None where there is none."""
     field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
-    at, radial, last = (1, True, math.inf) if field.cuts else (0, False, math.inf)
+    at, radial, last = (FIRST_CUT, True, math.inf) if field.cuts else (0, False, math.inf)
     while True:
         sizes = RADIAL_SIZES if radial else SIZES
         grid = field.radial(sizes[at]) if radial else field.grid(sizes[at])
@@ -486,8 +486,12 @@ class _FieldImages:
         return np.concatenate(parts)
 
     def _counts(self, size: int) -> tuple[IntArray, float]:
-        """Points that light and means [px] of rays need between the cuts, ``size`` within the first; their error."""
-        counts = np.array([size, *[max(BETWEEN_CUTS, size // 2)] * len(self.cuts)])
+        """Points, ``size`` within the first cut, and beyond as many as light and means [px] of rays need; their error.
+
+        No fewer than the ``size`` asks for: images may need more than rays.
+        """
+        least = DENSITY * size * np.sqrt(np.diff([*self.cuts, 1.0]))
+        counts = np.array([size, *(BETWEEN_CUTS + np.ceil(least)).astype(int)])
         while True:
             error = self._ray_errors(counts)
             bad = error > TOLERANCE
