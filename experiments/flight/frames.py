@@ -128,7 +128,8 @@ class Camera:
         )
         stars = replace(stars, photon_rate=stars.photon_rate * self.budget.sensor.throughput_fraction)
         renderer = self.renderer(state_k)
-        trail = float(np.linalg.norm(path.rate(time_s)[:2])) * exposure / self.budget.pixel_rad
+        rate = path.rate(time_s + exposure * np.array([-0.5, 0.0, 0.5]))[:, :2]
+        trail = float(np.linalg.norm(rate, axis=1).max()) * exposure / self.budget.pixel_rad
         if trail > STILL_PX or self.config.jitter.rms_arcsec:
             motion = exposure_motion(path, start_s=time_s - 0.5 * exposure, exposure_s=exposure, camera=renderer.camera)
             traced = renderer.trace(stars, motion=motion)
