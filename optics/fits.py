@@ -18,12 +18,12 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
-
-from astropy.io import fits
-from astropy.utils.exceptions import AstropyUserWarning, AstropyWarning
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from optics.errors import ConfigError, StarbenchError
+
+if TYPE_CHECKING:
+    from astropy.io import fits
 
 _BLOCK, _CARD = 2880, 80
 _PACKED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
@@ -44,6 +44,9 @@ _GZIP_OR_ZLIB = 47
 @contextmanager
 def open_fits(path: str | Path, *, sums: bool = True) -> Iterator[fits.HDUList]:
     """A FITS file, plain or packed by gzip, bzip2 or xz; with ``sums`` held against CHECKSUM and DATASUM, if any."""
+    from astropy.io import fits  # slow to import
+    from astropy.utils.exceptions import AstropyUserWarning, AstropyWarning
+
     path = located(path)
     try:
         with warnings.catch_warnings():

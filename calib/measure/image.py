@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from astropy.io import fits
 from numpy.typing import ArrayLike, NDArray
 
 from calib.measure.background import estimate_background
@@ -319,6 +318,8 @@ def read_images(paths: Iterable[str | Path], **options: Any) -> Iterator[SensorI
 
 def _number(header: Any, keys: tuple[str, ...], positive: bool = False) -> float | None:
     """First usable number among ``keys``; text and nonsense count as absent."""
+    from astropy.io import fits  # slow to import
+
     for key in keys:
         try:
             value = float(header.get(key))
