@@ -23,12 +23,12 @@ _NOISE = ("false_alarm", "chance", "notices")
 _SIGNS = {"<=": "≤", "<": "<", ">=": "≥", ">": ">"}
 
 NOTICED_PART = 0.25
-"""Error, as a part of what is judged, that a criterion has to notice in half of all runs at least."""
+"""Largest relative error at which a criterion may fail in only half of all runs."""
 
 CRITERIA_NOTE = (
-    "False alarm: probability that noise alone makes the criterion fail. Notices: relative error of what is judged "
-    f"that makes it fail in half of all runs. Above {100 * NOTICED_PART:.0f} % the sample is too small: the value is "
-    "shown, not judged, unless it lies beyond even that limit."
+    "False alarm: probability that noise alone makes the criterion fail. Notices: relative error at which the "
+    f"criterion fails in half of all runs. Above {100 * NOTICED_PART:.0f} % the sample is too small: a "
+    "value within the limit is shown, not judged; a value beyond the limit fails."
 )
 """Small print of the table of criteria."""
 
@@ -46,7 +46,7 @@ class Criterion:
     advice: str = ""  # What is likely wrong where it does not hold
     false_alarm: float | None = None  # Probability that it fails by noise alone, if that is known
     chance: float | None = None  # Probability that noise alone takes the value as far, if that is known
-    notices: float | None = None  # Relative error of what is judged that makes it fail in half of all runs, if known
+    notices: float | None = None  # Relative error at which it fails in half of all runs, if known
 
     def __post_init__(self) -> None:
         if self.relation not in _RELATIONS:

@@ -344,7 +344,7 @@ def test_presets():
         assert get_preset(name).source
     own = ColumnPreset(name="mine", source="me", columns={"ra": ("x",)})
     assert get_preset(own) is own
-    with pytest.raises(ConfigError, match="known quantity"):
+    with pytest.raises(ConfigError, match="unknown meaning of a column"):
         ColumnPreset(name="mine", source="me", columns={"rightascension": ("x",)})
     with pytest.raises(ConfigError, match="a name"):
         get_preset(3)
