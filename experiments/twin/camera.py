@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-import erfa  # type: ignore[import-untyped]
+import erfa
 import numpy as np
 from astropy.time import Time
 from scipy.optimize import least_squares

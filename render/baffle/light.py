@@ -30,6 +30,7 @@ from optics.errors import ConfigError, DomainError
 from optics.rays.pupil import gauss_disk
 from render.baffle.geometry import BlackCoating, Mesh, VanedBaffle, check_closed, read_glb, vaned_mesh
 from render.engine import Engine
+from render.engine.upload import uploaded
 
 BOUNCES = 8
 """Surfaces that light meets at most."""
@@ -175,14 +176,14 @@ class BaffleScene:
         mi = self._mi
         o, d = (np.broadcast_to(v, np.broadcast_shapes(origin.shape, direction.shape)) for v in (origin, direction))
         return mi.Ray3f(
-            mi.Point3f(*(np.ascontiguousarray(v) for v in o.T)), mi.Vector3f(*(np.ascontiguousarray(v) for v in d.T))
+            mi.Point3f(*(uploaded(mi.Float, v) for v in o.T)), mi.Vector3f(*(uploaded(mi.Float, v) for v in d.T))
         )
 
     def blocked(self, origin: FloatArray, direction: FloatArray, far_mm: FloatArray | None = None) -> Any:
         """Whether rays (n, 3) along unit vectors meet the baffle, within lengths (n,)."""
         ray = self._ray(origin, direction)
         if far_mm is not None:
-            ray.maxt = self._mi.Float(np.ascontiguousarray(far_mm))
+            ray.maxt = uploaded(self._mi.Float, far_mm)
         return np.array(self._scene.ray_test(ray), dtype=bool)
 
     def _disk(self, rings: int, arms: int) -> tuple[FloatArray, FloatArray]:
