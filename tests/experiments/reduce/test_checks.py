@@ -159,7 +159,7 @@ def test_a_gain_ten_per_cent_off_is_named_by_flats(tmp_path, rng):
     said = failed(criteria)
     assert not any(name.startswith("gain by") for name in said)
     # pixels respond alike: all that the flat shows is the noise of four flats and four dark frames
-    flat = said["noise of the mean flat over the pattern from pixel to pixel that it shows"]
+    flat = said["noise of the mean flat over its pixel-to-pixel pattern"]
     alone = 100.0 * np.sqrt((20000.0 + 2.0 * READ**2) / 4.0) / 20000.0
     assert [float(one) for one in re.findall(r"([\d.]+)%", flat)] == pytest.approx([alone] * 2, rel=0.04)
     criteria, _ = judged(tmp_path / "a", frames, gain=1.1 * GAIN, more=more)
