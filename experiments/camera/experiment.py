@@ -53,44 +53,25 @@ class Setup:
     detector: str = col("Detector", json="")
     answer: str = col("Requirements in a sentence", json="")
     requirements_missed: int = col("Requirements that are missed")
-    saturated: bool = col("The quoted star saturates", json="")
-    top_e: float = col("Largest signal of a pixel", "e-", ".0f", json="")
-    converter_e: float = col("Signal at which the converter saturates", "e-", ".0f", json="")
-    full_well_e: float = col("Full well", "e-", ".0f", json="")
-    catalogue_ends: bool = col("The sensor detects fainter stars than the catalogue contains", json="")
-    magnitude_system: str = col("Magnitude system", json="")
-    depth_mag: float = col("Faintest catalogue stars used", "mag", ".1f", json="")
-    fwhm_px: float = col("FWHM of the detection filter", "px", ".2f", json="")
-    trail_px: float = col("Trail of a star in an exposure", "px", ".2g", json="")
-    state: OpticalState
+    prediction: CameraPrediction
 
 
 def setup(prediction: CameraPrediction, requirements: Sequence[Requirement]) -> Setup:
     """What the report says in words."""
-    state, processing, chip = prediction.state, prediction.processing, prediction.processing.detector
-    lens = state.instrument.camera.lens.name
+    lens, chip = prediction.state.instrument.camera.lens.name, prediction.processing.detector.name
     return Setup(
-        name=prediction.config.name or f"{lens} on {chip.name}",
+        name=prediction.config.name or f"{lens} on {chip}",
         lens=lens,
-        detector=chip.name,
+        detector=chip,
         answer=missed_words(requirements),
         requirements_missed=sum(not one.met for one in requirements),
-        saturated=prediction.saturated,
-        top_e=processing.top_e,
-        converter_e=prediction.adc_top_e,
-        full_well_e=chip.full_well_e,
-        catalogue_ends=prediction.catalogue_ends,
-        magnitude_system=state.light.magnitude_system,
-        depth_mag=prediction.view.depth_mag,
-        fwhm_px=processing.fwhm_px,
-        trail_px=state.trail_length_px,
-        state=state,
+        prediction=prediction,
     )
 
 
 def draw_section(outcome: Outcome) -> Figure:
     """Section through the lens with fans of rays to the middle, to 70 % of the half diagonal and to the corner."""
-    state: OpticalState = outcome.result["setup"].state
+    state: OpticalState = outcome.result["setup"].prediction.state
     fields, measured = state.performance.field_deg, state.instrument.camera.lens.measured
     if measured is not None:
         figure, (light, width) = new_figure(1, 2, aspect_ratio=0.38)
@@ -108,7 +89,7 @@ def draw_section(outcome: Outcome) -> Figure:
 
 def draw_spots(outcome: Outcome) -> Figure:
     """Rays of the pass band at three fields, the pixels of the detector behind them."""
-    state: OpticalState = outcome.result["setup"].state
+    state: OpticalState = outcome.result["setup"].prediction.state
     focused, pitch = state.instrument.camera.focused_lens, state.instrument.camera.pixel_pitch_mm
     chosen = [0, 2, 4]
     angles, waves = state.performance.field_deg[chosen], state.performance.wavelength_nm[[0, 2, 5]]

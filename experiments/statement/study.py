@@ -164,7 +164,11 @@ def _conditions(config: Any, number: _Numbers, setup: Any) -> list[tuple[str, st
         ("Centroid, detection", f"{config.centroid}, {config.window_px} px, {config.threshold_sigma:g} σ", INPUT),
         ("Stars", f"{config.catalogue.source}, epoch {config.catalogue.epoch_year:g}", INPUT),
         ("Sky", f"{config.sky.attitudes} attitudes, uniform over all rotations", INPUT),
-        ("Quoted star", f"{star.magnitude_mag:g} mag ({setup.magnitude_system}), {star.temperature_k:g} K", INPUT),
+        (
+            "Quoted star",
+            f"{star.magnitude_mag:g} mag ({setup.prediction.state.light.magnitude_system}), {star.temperature_k:g} K",
+            INPUT,
+        ),
         ("Life", "begin", INPUT),
     ]
 

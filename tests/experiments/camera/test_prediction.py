@@ -106,27 +106,6 @@ def test_attitude_follows_from_stars_and_their_errors(tracker):
     assert roll / cross == pytest.approx(np.sqrt(1.5) / half, rel=0.2)  # rms distance of a square is sqrt(2 / 3) half
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "better"),
-    [
-        ("instrument.exposure_s", 0.4, True),
-        ("detector.read_noise_e", 20.0, False),
-        ("throughput_fraction", 0.5, False),
-        ("instrument.f_number", 2.8, False),
-        ("background_e_per_s", 2000.0, False),
-    ],
-)
-def test_what_helps_and_what_harms(config, tracker, key, value, better):
-    other = predict(with_value(config, key, value))
-    for name, more_is_better in (
-        ("nea_arcsec", False),
-        ("limiting_magnitude_mag", True),
-        ("stars_mean_per_frame", True),
-        ("attitude_cross_noise_arcsec", False),
-    ):
-        assert (other.value(name) > tracker.value(name)) == (more_is_better == better), name
-
-
 def test_twice_the_light_is_three_quarters_of_a_magnitude(config, tracker):
     """Faint stars: the limit of half the throughput is brighter by 2.5 log 2."""
     half = predict(with_value(config, "throughput_fraction", 0.5))
