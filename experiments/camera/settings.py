@@ -124,7 +124,7 @@ experiment = with_what_if(
         takes="1 min (--quick: 40 s)",
         examples={
             "--sensor my.toml": "your own sensor",
-            "--sensor my.toml --predict-only": "the answer and the report without frames, in 10 s",
+            "--sensor my.toml --predict-only": "the answer and the report without frames, in 15 s",
             "--sensor my.toml --set instrument.exposure_s=0.2": "the same with another exposure",
             "--sensor my.toml --sweep instrument.exposure_s=0.05:0.4:8": "curves over the exposure time",
             "--sensor my.toml --sweep exposure_s=0.01:1:9:log": "logarithmic steps; a list: exposure_s=0.05,0.1,0.4",
