@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -257,32 +258,30 @@ def equation_svg(latex: str, *, prefix: str = "e") -> str:
         return figure_svg(figure, prefix=prefix)
 
 
-_WAVELENGTH_NM = np.arange(420.0, 690.0, 20.0)
-_OBSERVER = np.array(
-    [
-        [0.134, 0.348, 0.291, 0.0956, 0.0049, 0.0633, 0.29, 0.595, 0.916, 1.06, 0.854, 0.448, 0.165, 0.0468],
-        [0.004, 0.023, 0.06, 0.139, 0.323, 0.71, 0.954, 0.995, 0.87, 0.631, 0.381, 0.175, 0.061, 0.017],
-        [0.646, 1.75, 1.67, 0.813, 0.272, 0.0783, 0.0203, 0.0039, 0.00165, 0.0008, 0.00019, 1e-05, 1e-05, 1e-05],
-    ]
-)  # fmt: skip
-"""Colour-matching functions x, y, z of the CIE 1931 2 degree observer (CIE 015)."""
-_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
-_D65 = np.array([0.9505, 1.0, 1.0890])
-"""Matrix and white of IEC 61966-2-1."""
+@lru_cache(maxsize=1)
+def _cie() -> tuple[np.ndarray, np.ndarray]:
+    """CIE 1931 2 degree colour-matching functions: wavelength (n,) [nm], xyz (n, 3); from colour-science."""
+    import colour
+
+    functions = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    return np.asarray(functions.wavelengths, dtype=float), np.asarray(functions.values, dtype=float)
 
 
 def wavelength_colour(wavelength_nm: float, *, lightness: float = 55.0) -> str:
     """Colour of light on a screen: the hue is the light's, the lightness is chosen so that it can be read."""
     if not (np.isfinite(wavelength_nm) and wavelength_nm > 0):
         raise DomainError(f"wavelength_nm = {wavelength_nm} nm; it must be positive")
-    light = np.exp([np.interp(wavelength_nm, _WAVELENGTH_NM, row) for row in np.log(_OBSERVER)])
-    x, y, z = np.cbrt(0.3 * light / light[1] / _D65)  # CIELAB without its straight part near black
-    a, b = (v * np.linspace(1.0, 0.0, 201) for v in (x - y, y - z))
-    grey = (lightness + 16.0) / 116.0
-    linear = (np.stack([grey + a, np.full_like(a, grey), grey - b], axis=-1) ** 3 * _D65) @ _SRGB.T
-    inside = ((linear >= -1e-6) & (linear <= 1.0 + 1e-6)).all(axis=1)
-    shown = np.clip(linear[inside.argmax()], 0.0, 1.0)  # the least saturation is taken away
-    shown = np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * shown ** (1 / 2.4) - 0.055)
+    import colour
+
+    wavelengths, xyz = _cie()
+    band = np.abs(wavelengths - float(np.clip(wavelength_nm, 420.0, 690.0))) <= 10.0
+    tristimulus = xyz[band].mean(axis=0)
+    white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+    _, a, b = colour.XYZ_to_Lab(tristimulus / tristimulus[1] * 0.3, white)
+    lab = np.array([lightness, a, b]) * np.linspace([1.0, 1.0, 1.0], [1.0, 0.0, 0.0], 201)
+    shown = colour.XYZ_to_sRGB(colour.Lab_to_XYZ(lab, white), white)
+    inside = ((shown >= -1e-6) & (shown <= 1.0 + 1e-6)).all(axis=1)
+    shown = np.clip(shown[inside.argmax() if inside.any() else -1], 0.0, 1.0)  # the least that is taken away
     return "#" + "".join(f"{round(255 * float(channel)):02x}" for channel in shown)
 
 

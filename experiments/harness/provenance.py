@@ -28,6 +28,7 @@ _PACKAGES = (
     "numpy",
     "scipy",
     "astropy",
+    "colour-science",
     "scikit-image",
     "pydantic",
     "matplotlib",
