@@ -16,17 +16,20 @@ the finest grid fails there is none, and every star is summed by itself.
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from optics.arrays import FloatArray, IntArray
 from optics.light.collimation import Collimation
 from optics.rays.pupil import gauss_disk
 from render.camera import Camera
+from render.engine.jit import dr
 from render.tracing.motion.exposure import IdealLens
 from render.tracing.motion.paths import at_rest
 from render.tracing.pupil.outlines import Arcs
@@ -36,7 +39,7 @@ from render.tracing.truth import RayMoments, WaveStamps
 from render.tracing.waves.plane_waves import PlaneWaves
 from render.tracing.waves.polar import turning_shapes
 from render.tracing.waves.spectrum import lagrange, picked_wavelengths
-from render.tracing.waves.summed import LARGEST_RADIUS_PX, SummedImages, Trail
+from render.tracing.waves.summed import LARGEST_RADIUS_PX, Summands, SummedImages, Trail
 from render.tracing.waves.windows import COARSE_REACH_PX, FieldSampling, PixelTable, coarser, window_samples
 
 MOMENTS = 7
@@ -577,6 +580,7 @@ class _FieldImages:
         down, margin = coarser(fine, field, window, pad), pad + COARSE_REACH_PX
         light = np.zeros((bands, len(place), most, len(samples), len(samples)), np.float32)
         moment, origin = np.zeros((len(place), bands, most, MOMENTS)), np.zeros((len(place), bands, 2))
+        tasks: list[tuple[tuple[int, int, int], Summands, tuple[int, int], int, FloatArray]] = []
         for own in (one for probe in probes for one in images.summands(probe, radius)):
             if not (own.waves.weight.sum(-1) > 0.0).all():
                 return None
@@ -585,11 +589,17 @@ class _FieldImages:
                 moment[star, b, : len(which)] = every[s, b, which]
                 mean = own.waves.mean[s, b, which[len(which) // 2]]
                 origin[star, b] = mean - chief[star, b]
-                for q, k in enumerate(which):
-                    one = np.zeros(colours)
-                    one[k] = 1.0
-                    image = replace(own, fields=(fine,) * bands).light((s, b), one, mean - 0.5 * window, window, margin)
-                    light[b, star, q] = (down @ image @ down.T) * near
+                tasks += [((b, star, q), own, (s, b), k, mean) for q, k in enumerate(which)]
+
+        def image(task: tuple[tuple[int, int, int], Summands, tuple[int, int], int, FloatArray]) -> None:
+            to, own, at, k, mean = task
+            one = np.zeros(colours)
+            one[k] = 1.0
+            own = replace(own, fields=(fine,) * bands)
+            light[to] = (down @ own.light(at, one, mean - 0.5 * window, window, margin) @ down.T) * near
+
+        with ThreadPoolExecutor(dr.thread_count()) as pool, threadpool_limits(1, "blas"):
+            list(pool.map(image, tasks))
         spectral = np.zeros((bands, colours, most))
         for b, (which, _, weight) in enumerate(picked):
             spectral[b, :, : len(which)] = weight
