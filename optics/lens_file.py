@@ -72,7 +72,13 @@ def _builtin() -> dict[str, Path]:
 
 
 def list_lenses() -> tuple[str, ...]:
-    """Names of the built-in prescriptions."""
+    """Names of the built-in prescriptions.
+
+    Returns
+    -------
+    tuple of str
+        Names for `load_lens`, sorted.
+    """
     return tuple(_builtin())
 
 
@@ -99,6 +105,11 @@ def load_lens(name_or_path: str | Path, *, environment: Environment | None = Non
     environment : Environment, optional
         Temperature and pressure; `optics.glass.media.VACUUM` for space. Left out: that of the file, or
         `optics.glass.media.CATALOGUE_AIR`.
+
+    Returns
+    -------
+    LensSystem
+        The lens.
 
     Raises
     ------

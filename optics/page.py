@@ -170,6 +170,11 @@ def frame_page(
         Standard deviation of the background, which sets the rounding of values that are not integers; measured if
         left out.
 
+    Returns
+    -------
+    str
+        The page.
+
     Raises
     ------
     DomainError
@@ -233,6 +238,11 @@ def save_frame_page(path: str | Path, values: ArrayLike, layers: Sequence[Marks]
         Drawn in this order.
     **settings
         As in `frame_page`.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
 
     Raises
     ------

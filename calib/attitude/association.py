@@ -158,6 +158,11 @@ def match_stars(
     band : int
         Band of the frame.
 
+    Returns
+    -------
+    StarMatch
+        The pairs and the refined attitude.
+
     Raises
     ------
     DomainError

@@ -238,6 +238,11 @@ def solve_wahba_many(
     sigma_rad, weight, method : optional
         As in `solve_wahba`.
 
+    Returns
+    -------
+    AttitudeSolutions
+        The same per frame.
+
     Raises
     ------
     DomainError, ConfigError

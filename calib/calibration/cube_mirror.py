@@ -160,6 +160,10 @@ def cube_from_table(
         ``triad`` uses the first two directions; measurements of a direction already used are averaged into it.
         ``wahba`` weights all by the inverse of their mean variance.
 
+    Returns
+    -------
+    MirrorSolution
+
     Raises
     ------
     DomainError

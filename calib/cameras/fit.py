@@ -154,6 +154,11 @@ def camera_model(camera: Mapped | PixelMap) -> CameraModel:
     ----------
     camera : StarSensor or PixelMap
         The camera, or where it puts stars.
+
+    Returns
+    -------
+    CameraModel
+        Pixels to directions and back.
     """
     return fit_camera(camera).camera
 

@@ -125,6 +125,11 @@ def line_of_sight_map(
     band : int or (n,) int, optional
         Bands, for models that know them.
 
+    Returns
+    -------
+    LineOfSightMap
+        Errors and predicted standard deviations.
+
     Raises
     ------
     DomainError

@@ -165,6 +165,10 @@ def fit_fisher(vectors: ArrayLike, *, degrees_of_freedom: float | None = None) -
     degrees_of_freedom : float, optional
         Of the sum of squared chords; 2 (n - 1) for independent directions.
 
+    Returns
+    -------
+    FisherFit
+
     Raises
     ------
     DomainError

@@ -102,6 +102,11 @@ def estimate_background(
         Use every ``step_px``-th pixel of every ``step_px``-th row only: faster by its square, noisier by itself. A
         cell needs at least 8 x 8 of them.
 
+    Returns
+    -------
+    Background
+        In electrons.
+
     Raises
     ------
     DomainError

@@ -39,7 +39,13 @@ _REGISTRY: dict[str, str | type[Centroider]] = {
 
 
 def list_centroiders() -> tuple[str, ...]:
-    """Names that `get_centroider` knows."""
+    """Names that `get_centroider` knows.
+
+    Returns
+    -------
+    tuple of str
+        Names, in the order of registration.
+    """
     return tuple(_REGISTRY)
 
 
@@ -61,6 +67,11 @@ def register_centroider(new: type[Centroider]) -> type[Centroider]:
     ----------
     new : class
         A frozen dataclass with ``name``, ``label``, ``needs_epsf`` and ``measure``.
+
+    Returns
+    -------
+    class
+        The same.
 
     Raises
     ------
@@ -90,6 +101,11 @@ def get_centroider(name: str, **options: Any) -> Centroider:
         One of `list_centroiders`.
     **options
         Attributes of the centroider; those that need an ePSF take it as ``epsf=``.
+
+    Returns
+    -------
+    Centroider
+        With those options.
 
     Raises
     ------

@@ -90,6 +90,10 @@ def build_epsf(
     tolerance : float
         Done when the positions move by less than this part of their standard deviation (RMS).
 
+    Returns
+    -------
+    EpsfSolution
+
     Raises
     ------
     DomainError

@@ -268,6 +268,10 @@ def converter_steps(values: NDArray[Any], kind: str = "array") -> Conversion:
         Numbers as stored.
     kind : str
         Name of the format, for the record.
+
+    Returns
+    -------
+    Conversion
     """
     whole = values.dtype.kind in "ui" and values.dtype.itemsize <= 2
     bits = 8 * values.dtype.itemsize

@@ -259,6 +259,11 @@ def run_experiment(
     backend : {"auto", "llvm", "cuda"}
         Where rendering runs; it is chosen once per process.
 
+    Returns
+    -------
+    ExperimentRun
+        Numbers, tables, figures, verdicts.
+
     Raises
     ------
     StarbenchError

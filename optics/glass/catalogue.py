@@ -389,6 +389,11 @@ def list_glasses(maker: str | None = None, *, obsolete: bool = False) -> tuple[s
         SCHOTT, OHARA, CDGM or generic; all if left out.
     obsolete : bool
         The obsolete glasses in place of those that are made.
+
+    Returns
+    -------
+    tuple of str
+        Names for `get_glass`.
     """
     catalogue = _catalogue(_OBSOLETE) if obsolete else _catalogue()
     makers = {source["maker"] for source in catalogue["source"].values()}

@@ -132,6 +132,11 @@ def with_cover_glass(lens: LensSystem, glass: str, thickness_mm: float, gap_mm: 
     thickness_mm, gap_mm : float
         Thickness, and distance from its rear face to the image plane.
 
+    Returns
+    -------
+    LensSystem
+        The lens with its two more surfaces.
+
     Raises
     ------
     DomainError

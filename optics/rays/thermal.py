@@ -134,6 +134,11 @@ def thermal_sensitivity(
     step_k : float
         Step of the central differences [K].
 
+    Returns
+    -------
+    ThermalSensitivity
+        The derivatives.
+
     Raises
     ------
     DomainError
@@ -304,6 +309,11 @@ def athermal_spacer(lens: LensSystem, housing: Housing, *, spacer: str = DETECTO
         What holds its elements otherwise.
     spacer : str
         The element behind the spacer, or `DETECTOR`.
+
+    Returns
+    -------
+    Athermal
+        The expansion and what is left.
 
     Raises
     ------

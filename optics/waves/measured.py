@@ -43,6 +43,11 @@ def with_wavefront(lens: LensSystem, error: PathMap) -> LensSystem:
         Optical path [nm] over the pupil, positive where the light is late, axes as in the lens frame; read up to 1.04
         of the pupil's radius, or to where it ends.
 
+    Returns
+    -------
+    LensSystem
+        The changed lens.
+
     Raises
     ------
     DomainError
