@@ -62,7 +62,6 @@ def test_all_criteria_hold(outcome, summary):
 
 def test_every_frame_is_matched_and_no_star_wrongly(summary):
     for one in summary["results"]["rendered"].values():
-        assert 0 < one["map_error_arcsec"]["rms"] <= one["map_error_arcsec"]["max"]
         assert one["wrong_matches"] == 0
         assert one["frames_matched"] == 6
 

@@ -53,7 +53,7 @@ def test_focus_and_tilt_come_back_from_widths(moved):
         assert value.uncertainty < 0.1 * abs(true)
     assert found.residual_percent == pytest.approx(4.0, rel=0.2)
     assert found.before_percent > 5.0 * found.residual_percent
-    with pytest.raises(DomainError, match="take 30"):
+    with pytest.raises(DomainError, match="need 30"):
         pose_of_widths(build_instrument(CONFIG), place[:9], width[:9])
 
 
