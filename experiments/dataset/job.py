@@ -93,6 +93,7 @@ def prepare(job: Job, threads: int | None = None) -> tuple[FrameMaker, str]:
 
         if threads is not None:
             dr.set_thread_count(threads)
+            dr.set_log_level(dr.LogLevel.Error)  # it warns where two workers keep the same new kernel
         _MAKERS.clear()  # one dataset at a time; memory is better spent on its images
         config = Config.model_validate_json(job.config)
         _MAKERS[key] = FrameMaker(build_scene(config)), json.dumps(origin(config, job.backend))
