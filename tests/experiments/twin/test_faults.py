@@ -61,6 +61,7 @@ def frame(light, seed=3, level=LEVEL, **options):
 
 
 def solved(image):
+    pytest.importorskip("tetra3rs")
     solver = Solver(SIZE, SIZE, field_deg=round(FIELD_DEG, 1))
     return solve_all(["a"], [image], solver, Progress())[0]
 
@@ -117,6 +118,7 @@ def test_frames_of_two_cameras_and_clouds_are_notes_of_a_night():
     other = frame(light_of(5, focal_px=2950.0), 9)
     frames = [NightFrame(name=f"f{k}", image=one) for k, one in enumerate([*images, other])]
     config = Config(camera={"field_deg": round(FIELD_DEG, 1)}, orders=("pinhole",))
+    pytest.importorskip("tetra3rs")
     reduced, _ = reduce_night(frames, config, Progress())
     words = "\n".join(reduced.notes)
     assert "f4: frames of two cameras: solved with 29" in words
@@ -135,5 +137,6 @@ def test_a_pitch_that_the_stars_contradict_is_told():
 
 def test_nothing_but_trails_is_refused_in_a_sentence():
     frames = [NightFrame(name="a", image=frame(light_of(2, trail_px=30.0)))]
+    pytest.importorskip("tetra3rs")
     with pytest.raises(DomainError, match="trailed: stars are"):
         reduce_night(frames, Config(camera={"field_deg": round(FIELD_DEG, 1)}), Progress())
