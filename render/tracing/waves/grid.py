@@ -585,17 +585,16 @@ class _FieldImages:
             if not (own.waves.weight.sum(-1) > 0.0).all():
                 return None
             every = _ray_moments(own.waves, chief[own.stars], entrance[own.stars])
+            finely = replace(own, fields=(fine,) * bands)
             for (s, star), (b, (which, _, _)) in product(enumerate(own.stars), enumerate(picked)):
                 moment[star, b, : len(which)] = every[s, b, which]
                 mean = own.waves.mean[s, b, which[len(which) // 2]]
                 origin[star, b] = mean - chief[star, b]
-                tasks += [((b, star, q), own, (s, b), k, mean) for q, k in enumerate(which)]
+                tasks += [((b, star, q), finely, (s, b), k, mean) for q, k in enumerate(which)]
 
         def image(task: tuple[tuple[int, int, int], Summands, tuple[int, int], int, FloatArray]) -> None:
             to, own, at, k, mean = task
-            one = np.zeros(colours)
-            one[k] = 1.0
-            own = replace(own, fields=(fine,) * bands)
+            one = np.eye(colours)[k]
             light[to] = (down @ own.light(at, one, mean - 0.5 * window, window, margin) @ down.T) * near
 
         with ThreadPoolExecutor(dr.thread_count()) as pool, threadpool_limits(1, "blas"):
