@@ -113,26 +113,10 @@ def attitude_error_arcsec(estimated: Rotation, truth: Rotation) -> FloatArray:
 
 
 def aberrated(direction: ArrayLike, velocity_km_per_s: ArrayLike) -> FloatArray:
-    """Directions as a moving observer sees them; with the opposite velocity, the way back.
+    """Directions (n, 3) as an observer of a velocity (3,) sees them; with the opposite velocity, the way back.
 
-    The exact formula of special relativity: S. A. Klioner, AJ 125, 1580 (2003), eq. 10.
-
-    Parameters
-    ----------
-    direction : (n, 3)
-        Unit vectors as seen at rest.
-    velocity_km_per_s : (3,)
-        Velocity of the observer, same axes [km/s].
-
-    Returns
-    -------
-    (n, 3)
-        Unit vectors.
-
-    Raises
-    ------
-    DomainError
-        On other shapes, or a velocity that is not below that of light.
+    The exact formula of special relativity: S. A. Klioner, AJ 125, 1580 (2003), eq. 10. `DomainError` from the speed of
+    light on.
     """
     r = np.asarray(direction, np.float64)
     beta = np.asarray(velocity_km_per_s, np.float64) * 1e3 / constants.c

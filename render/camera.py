@@ -32,18 +32,10 @@ Diffraction = Literal["rays", "waves", "exact_waves"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathLosses:
-    """What surfaces and glasses take of rays off the axis, each along its own path; a response knows the axis alone.
+    """What surfaces and glasses take of rays off the axis, each along its own path; a response knows the axis alone."""
 
-    Attributes
-    ----------
-    coating : Coating or None
-        On air-glass surfaces for which the lens states none; bare glass if left out.
-    absorption : bool
-        Whether glass absorbs.
-    """
-
-    coating: Coating | None = None
-    absorption: bool = True
+    coating: Coating | None = None  # On air-glass surfaces for which the lens states none; bare glass if left out
+    absorption: bool = True  # Whether glass absorbs
 
     def along_axis(self, lens: LensSystem, wavelength_nm: FloatArray) -> FloatArray:
         """Transmission along the axis."""
@@ -56,18 +48,10 @@ FAR_NOISE = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FarLight:
-    """How far diffraction images of bright stars reach (`render.tracing.waves.far`); fainter ones end at their stamps.
+    """How far diffraction images of bright stars reach (`render.tracing.waves.far`); fainter ones end at stamps."""
 
-    Attributes
-    ----------
-    ends_e : float
-        Electrons of a pixel at which an image ends.
-    saturated_e : float
-        Electrons of a star's brightest pixel, the full well, above which at most 1e-3 of its light lie beyond.
-    """
-
-    ends_e: float
-    saturated_e: float
+    ends_e: float  # Electrons of a pixel at which an image ends
+    saturated_e: float  # Of a star's brightest pixel, the full well, above which at most 1e-3 of its light lie beyond
 
     def __post_init__(self) -> None:
         for name in ("ends_e", "saturated_e"):

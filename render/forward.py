@@ -41,22 +41,9 @@ def star_scene(
     by_grid: bool = False,
     contents: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Scene for ``mi.load_dict``: integrator, camera, stars, and whatever else it shall hold.
+    """Scene for ``mi.load_dict``: integrator, camera, stars in its world, and ``contents``, e.g. shapes [mm].
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera with its attitude.
-    stars : StarField
-        Stars in the camera's world frame.
-    exposure_s : float
-        Exposure time.
-    motion : ExposureMotion, optional
-        Attitudes during the exposure, in place of one.
-    sobol_log2_rays, tolerance, by_grid
-        Of ``star_tracer``.
-    contents : mapping, optional
-        Further entries of the scene, e.g. shapes that hide stars, in the camera's world frame and mm.
+    Sobol rays, tolerance and grid are those of ``star_tracer``; a motion takes the place of the attitude.
     """
     mi = Engine.active().mitsuba
     register_plugins()

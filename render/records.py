@@ -267,17 +267,12 @@ class WindowStack:
 class EffectivePsf:
     """Pixel-integrated point-spread function on a grid finer than the pixel (Anderson & King 2000, PASP 112, 1360).
 
-    Attributes
-    ----------
-    values : (m, m)
-        Fraction of the star's light that a pixel collects whose centre lies at offset
-        ``(column - (m-1)/2) / oversampling``, likewise for rows, from the star's position; m odd.
-    oversampling : int
-        Samples per pixel.
+    Values (m, m), m odd: fraction of the star's light that a pixel collects whose centre lies at offset
+    ``(column - (m-1)/2) / oversampling``, likewise for rows, from the star's position.
     """
 
     values: FloatArray
-    oversampling: int
+    oversampling: int  # Samples per pixel
 
     def __post_init__(self) -> None:
         values = freeze(self, "values", shape=("m", "m"), sizes={})

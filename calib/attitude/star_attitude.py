@@ -299,13 +299,7 @@ def _field_deg(model: CameraModel) -> float:
 
 
 def star_patterns(model: CameraModel) -> Any:
-    """Patterns of the whole sky for the field of a camera, kept on disk; ``database`` of `identify_stars`.
-
-    Raises
-    ------
-    ConfigError
-        tetra3rs is needed and missing.
-    """
+    """Patterns of the sky for a camera's field (needs tetra3rs), kept on disk: ``database`` of `identify_stars`."""
     return _database(round(_field_deg(model), 1))
 
 

@@ -83,32 +83,11 @@ def guide_catalogue(
     apart_rad: float,
     fainter_mag: float = 3.0,
 ) -> GuideCatalogue:
-    """Stars that stand alone, between two magnitudes of the instrument.
+    """Stars that stand alone, between two magnitudes of the instrument; brightest first.
 
-    Parameters
-    ----------
-    identifier : (n,)
-        Names of all stars of the sky.
-    direction : (n, 3)
-        Unit vectors along icrs.
-    magnitude : (n,)
-        Magnitudes as the instrument sees them: those of stars of the same electrons and one colour.
-    faintest_mag, brightest_mag : float
-        Limits: what is fainter is not measured, what is brighter saturates.
-    apart_rad : float
-        No other star may be nearer than this [rad] ...
-    fainter_mag : float
-        ... that is not fainter by so much.
-
-    Returns
-    -------
-    GuideCatalogue
-        Brightest first.
-
-    Raises
-    ------
-    DomainError
-        Limits in the wrong order, a distance that is not positive, or no star left.
+    Shapes: ``identifier``, ``magnitude`` (n,), ``direction`` (n, 3) along icrs, of all stars of the sky. Magnitudes are
+    as the instrument sees them: those of stars of the same electrons and one colour. No other star that is not fainter
+    by ``fainter_mag`` may be nearer than ``apart_rad``. `DomainError` without any star left.
     """
     direction, magnitude = np.asarray(direction, float), np.asarray(magnitude, float)
     if not brightest_mag < faintest_mag:
@@ -135,13 +114,7 @@ def guide_catalogue(
 
 
 def sky_coverage(guides: GuideCatalogue, model: CameraModel, *, attitudes: int = 1000, margin_px: float = 0.0) -> Any:
-    """Guide stars in the field, in attitudes that are spread evenly over the sky and all rolls.
-
-    Returns
-    -------
-    (attitudes,) int64
-        Number of guide stars at least ``margin_px`` inside the detector's edge.
-    """
+    """Number of guide stars in the field (attitudes,), in attitudes spread evenly over the sky and all rolls."""
     k = np.arange(attitudes)
     z = 1.0 - (2.0 * k + 1.0) / attitudes
     golden = np.pi * (3.0 - np.sqrt(5.0))
@@ -173,11 +146,8 @@ def expected_guides(
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Guide stars in the field of an attitude, cam from icrs; parameters as of `StarTracker`.
 
-    Returns
-    -------
-    (k,) int64, (k, 3), (k, 2)
-        Rows of the catalogue, brightest first; directions along icrs with aberration; places on the detector, at least
-        ``margin_px`` inside its edge.
+    Returns rows of the catalogue (k,), brightest first; directions (k, 3) along icrs with aberration; places (k, 2) on
+    the detector, at least ``margin_px`` inside its edge.
     """
     size = np.array([model.geometry.width_px, model.geometry.height_px])
     corner = model.unproject(np.array([[-0.5, -0.5], size - 0.5]))
@@ -199,38 +169,21 @@ def _apparent(direction: FloatArray, velocity: ArrayLike | None) -> FloatArray:
 class TrackedAttitude:
     """What the tracker says of one frame.
 
-    Attributes
-    ----------
-    time_s : float
-        Middle of the exposure, as the tracker was told.
-    mode : str
-        ``"acquisition"`` or ``"tracking"``: how the stars were found.
-    status : str
-        ``"ok"``; ``"few_stars"``: fewer than needed; ``"not_identified"``: stars, but of no known pattern;
-        ``"not_confirmed"``: a pattern, but most guide stars are missing in it.
-    attitude : Rotation or None
-        cam from icrs; None unless ok.
-    covariance_rad2 : (3, 3)
-        Of the error's rotation vector in cam; infinite unless ok.
-    star_id : (k,) int64
-        Guide stars that the attitude was made of.
-    pixel_px : (k, 2)
-        Their centroids.
-    rejected : int
-        Windows that held light, but no star that fits.
-    expected : int
-        Windows that were looked at.
+    Status: ``"ok"``; ``"few_stars"``: fewer than needed; ``"not_identified"``: stars, but of no known pattern;
+    ``"not_confirmed"``: a pattern, but most guide stars are missing in it.
     """
 
-    time_s: float
-    mode: str
+    time_s: float  # Middle of the exposure, as the tracker was told
+    mode: str  # "acquisition" or "tracking": how the stars were found
     status: str
-    attitude: Rotation | None = None
+    attitude: Rotation | None = None  # cam from icrs; None unless ok
+    # Of the error's rotation vector in cam; infinite unless ok
     covariance_rad2: FloatArray = field(default_factory=lambda: np.full((3, 3), np.inf))
+    # (k,) Guide stars that the attitude was made of
     star_id: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
-    pixel_px: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    rejected: int = 0
-    expected: int = 0
+    pixel_px: FloatArray = field(default_factory=lambda: np.empty((0, 2)))  # (k, 2) Their centroids
+    rejected: int = 0  # Windows that held light, but no star that fits
+    expected: int = 0  # Windows that were looked at
 
     def __post_init__(self) -> None:
         freeze(self, "covariance_rad2", shape=(3, 3), finite=False)

@@ -29,20 +29,9 @@ def verdict(
 ) -> tuple[str, str]:
     """Status and message of a finished fit.
 
-    Parameters
-    ----------
-    solution : Solution
-        The fit.
-    hint : callable
-        What could be the cause; asked only when the fit is refused or did not converge.
-    spread : float
-        Typical residual over the stated sigma.
-    degrees_of_freedom : int
-        Independent measurements minus unknowns, without the stars that were left out.
-    wrong : (n,) bool or None
-        Stars that do not fit; None where no robust loss has looked for them.
-    left_out : int
-        Stars without any weight.
+    ``hint`` tells what could be the cause, and is asked only when the fit is refused or did not converge; ``spread`` is
+    the typical residual over the stated sigma; ``wrong`` (n,) are the stars that do not fit, None where no robust loss
+    has looked for them; ``left_out`` stars have no weight, and count in no degree of freedom.
     """
     if solution.status == "refused":
         reason = solution.message

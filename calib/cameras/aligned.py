@@ -24,20 +24,10 @@ from optics.records import freeze
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignedCamera(CameraModel):
-    """A camera model with a fixed alignment; its parameters are those of the model.
+    """A camera model with a fixed alignment; geometry and parameters are those of the model."""
 
-    Attributes
-    ----------
-    geometry, parameters
-        Of the model.
-    model : CameraModel
-        The family; its parameters play no part beside ``parameters``.
-    rotation_model_from_cam : (3, 3)
-        Proper rotation.
-    """
-
-    model: CameraModel
-    rotation_model_from_cam: FloatArray
+    model: CameraModel  # The family; its parameters play no part beside ``parameters``
+    rotation_model_from_cam: FloatArray  # (3, 3)
 
     def __post_init__(self) -> None:
         freeze(self, "rotation_model_from_cam", shape=(3, 3))

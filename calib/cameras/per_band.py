@@ -34,17 +34,10 @@ from optics.errors import DomainError
 class PerBand(CameraModel):
     """Brown-Conrady camera with a focal length and a principal point per band; see the module.
 
-    Attributes
-    ----------
-    geometry : SensorGeometry
-        The detector.
-    parameters : (3 b + 5,)
-        x0, y0 [px], f [mm] of each band; q1 [mm^-2], q2 [mm^-4], q3 [mm^-6], p1, p2 [mm^-1].
-    bands : int
-        Number of bands b.
+    Parameters (3 b + 5,): x0, y0 [px], f [mm] of each band; q1 [mm^-2], q2 [mm^-4], q3 [mm^-6], p1, p2 [mm^-1].
     """
 
-    bands: int
+    bands: int  # Number of bands b
 
     def __post_init__(self) -> None:
         if isinstance(self.bands, bool) or not isinstance(self.bands, int | np.integer) or self.bands < 1:

@@ -105,25 +105,11 @@ def measure_noise(
     pixel: FloatArray | None = None,
     cut_off: bool = False,
 ) -> FilteredNoise:
-    """Noise of a filtered image.
+    """Noise of a filtered image; white where too few pixels are left to tell, or nothing speaks against it.
 
-    Parameters
-    ----------
-    signal_to_noise : (h, w)
-        Filtered image over the noise that it would have, were the pixels independent.
-    valid : (h, w) bool
-        Pixels that may be used.
-    fwhm_px : float
-        Width of the filter.
-    pixel : (h, w), optional
-        Image without background before the filter, for ``pixel_correlation``.
-    cut_off : bool
-        Whether many pixels have the lowest number there is, so that the noise is skewed.
-
-    Returns
-    -------
-    FilteredNoise
-        White where too few pixels are left to tell, or nothing speaks against it.
+    Shapes: ``signal_to_noise`` (h, w), filtered image over the noise that it would have, were the pixels independent;
+    ``valid`` (h, w); ``pixel`` (h, w), image without background before the filter, for ``pixel_correlation``.
+    ``cut_off``: many pixels have the lowest number there is, so that the noise is skewed.
     """
     pixels = int(np.count_nonzero(valid))
     own = kernel_correlation(fwhm_px)

@@ -260,18 +260,8 @@ def converter_steps(values: NDArray[Any], kind: str = "array") -> Conversion:
 
     Converters of 10 to 14 bits are stored in the upper bits of 16, with zeros below (steps of 4 to 64) or with the
     upper bits repeated there (65535 is full); a digital gain multiplies all numbers. The step is the greatest common
-    divisor of all differences, the full code apart, which some cameras set to 65535 whatever their step.
-
-    Parameters
-    ----------
-    values : (h, w) or (h, w, colours)
-        Numbers as stored.
-    kind : str
-        Name of the format, for the record.
-
-    Returns
-    -------
-    Conversion
+    divisor of all differences, the full code apart, which some cameras set to 65535 whatever their step. ``values`` are
+    (h, w) or (h, w, colours); ``kind`` is the name of the format.
     """
     whole = values.dtype.kind in "ui" and values.dtype.itemsize <= 2
     bits = 8 * values.dtype.itemsize

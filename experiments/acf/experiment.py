@@ -188,13 +188,7 @@ def failed(trials: Sequence[Trials], method: str) -> Failed:
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Simulate, calibrate, compare.
-
-    Raises
-    ------
-    DomainError
-        On a camera or a night that cannot determine the 14 unknowns.
-    """
+    """Simulate, calibrate, compare."""
     check_design(config)
     with progress.stage("implied pixel"):
         guess = implied()

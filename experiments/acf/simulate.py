@@ -81,13 +81,7 @@ class Scene:
 
 
 def build_camera(config: Config, pixel_um: float | None = None) -> BrownConrady:
-    """The true camera, with another pixel if one is given.
-
-    Raises
-    ------
-    DomainError
-        When the distortion folds the image over inside the detector.
-    """
+    """The true camera, with another pixel if one is given."""
     c = config.camera
     pitch_mm = 1e-3 * (c.pixel_um if pixel_um is None else pixel_um)
     camera = BrownConrady.create(

@@ -58,12 +58,8 @@ def parts_of_shift(
 ) -> Parts:
     """Least squares of the module's equation.
 
-    Parameters
-    ----------
-    shift_px, sigma_px, from_centre_px : (p, j, 2) float
-        Shifts of j points at p places, their standard deviations, and the points from the middle of the field.
-    filter_deg, reference_deg : (p,) float
-        Angle of filter and reference filter to the camera at every place.
+    Shapes: ``shift_px``, ``sigma_px``, ``from_centre_px`` (p, j, 2) of j points at p places; ``filter_deg``,
+    ``reference_deg`` (p,), angle of filter and reference filter to the camera.
     """
     places, points, _ = shift_px.shape
     design = np.zeros((places, 2, 6))

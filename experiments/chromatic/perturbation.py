@@ -202,15 +202,7 @@ def _root(excess: Callable[[float], float], limit: float) -> float:
 
 
 def choose(config: Config, bench: Bench, lens: LensSystem, solutions: Sequence[Solution]) -> Solution:
-    """The configured element, or the one whose movement of the wanted kind is smallest.
-
-    Raises
-    ------
-    ConvergenceError
-        If no movement gives the wanted entry.
-    DomainError
-        If the movement carries the target's image out of the search area or off the detector.
-    """
+    """The configured element, or the one whose movement of the wanted kind is smallest."""
     wanted = config.decentre
     able = [
         s

@@ -220,14 +220,8 @@ def _own_files(folder: Path) -> set[str]:
 class DatasetFolder:
     """A dataset on disk, new or begun.
 
-    Making the object only looks: it refuses a folder that holds something else, and changes nothing.
-
-    Attributes
-    ----------
-    repaired : str
-        What `open` mended, in words; empty if nothing.
-    digests : dict
-        SHA-256 of files by name, as far as they are known; `writing` reads the others.
+    Making the object only looks: it refuses a folder that holds something else, and changes nothing. ``repaired`` tells
+    what `open` mended; ``digests`` are SHA-256 of files by name, as far as known; `writing` reads the others.
     """
 
     url = ""

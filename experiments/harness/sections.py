@@ -212,13 +212,7 @@ class Section:
 
 
 def described(sections: Mapping[str, Section], q: Quantities, result: Mapping[str, Any]) -> Quantities:
-    """Quantities of all sections, in their order.
-
-    Raises
-    ------
-    DomainError
-        If the run gives a section that is not declared.
-    """
+    """Quantities of all sections, in their order."""
     unknown = set(result) - set(sections)
     if unknown:
         raise DomainError(f"no section is declared for {', '.join(sorted(unknown))}")
@@ -275,19 +269,8 @@ def chance_of(largest: float, count: int) -> float:
 def noticed(limit: float, part: Any, slack: float = 0.0) -> float:
     """Relative error, common to all, that takes one of several numbers beyond a limit in half of all runs.
 
-    Parameters
-    ----------
-    limit : float
-        Of the largest deviation, in standard deviations.
-    part : array-like
-        Standard deviation of each number over what an error is a part of; independent of each other.
-    slack : float
-        Relative error that the limit allows besides.
-
-    Returns
-    -------
-    float
-        Infinity where nothing can be noticed.
+    ``part`` is the standard deviation of each number over what an error is a part of, ``limit`` that of the largest
+    deviation in these units, ``slack`` a relative error that it allows besides. Infinite where nothing can be noticed.
     """
     from scipy.optimize import brentq
     from scipy.special import ndtr

@@ -34,13 +34,7 @@ def aged_detector(config: PredictedSensorConfig, part: float) -> Detector:
 
 
 def aged_config(config: Sensor, part: float) -> Sensor:
-    """The sensor at a part of its life.
-
-    Raises
-    ------
-    DomainError
-        A dose beyond the relation of `render.detector.radiation.aged`.
-    """
+    """The sensor at a part of its life."""
     chip = aged_detector(config, part)
     grown = {
         name: getattr(chip, name) for name in ("dark_current_e_per_s", "damage_centres_per_px", "damage_dark_e_per_s")

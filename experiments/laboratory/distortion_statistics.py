@@ -128,14 +128,8 @@ def cross_validated(place: FloatArray, offset_px: FloatArray, order: int, refere
     """How far fits are off at points that they have not seen (3, n, 2), camera and polynomial fitted together.
 
     First every point left out by itself; then with all points of its row, then of its column, but those of the
-    outermost ones, beyond which there is nothing. NaN where the other points do not determine the place.
-
-    Parameters
-    ----------
-    place, offset_px : (n, 2) float
-        Points in units of order 1; measured minus nominal pixels [px].
-    order, reference
-        Of the polynomial; how coordinates become pixels.
+    outermost ones, beyond which there is nothing. NaN where the other points do not determine the place. Shapes:
+    ``place`` (n, 2) in units of order 1, ``offset_px`` (n, 2) measured minus nominal.
     """
     count = len(place)
     polynomial = np.kron(polynomial_terms(place, order), np.eye(2))

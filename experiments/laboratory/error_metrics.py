@@ -85,24 +85,10 @@ def level_of(error: FloatArray, level: float, interpretation: Interpretation = "
 
 
 def metrics(error: FloatArray, window: int, level: float, interpretation: Interpretation = "mixed") -> dict[str, float]:
-    """Measurement errors of one axis (realisations, times) at a level.
+    """Measurement errors of one axis (realisations, times), measured less true, at a level: share of the errors below.
 
-    Parameters
-    ----------
-    error : (realisations, times)
-        Measured less true.
-    window : int
-        Times in a window; what does not fill the last one is left out.
-    level : float
-        Share of the errors below the number.
-    interpretation : {"temporal", "ensemble", "mixed"}
-        See the module.
-
-    Returns
-    -------
-    dict
-        AME: any error; MME: mean over a window; RME: about the mean of its window; MDE: change of that mean from one
-        window to the next (absent with a single one).
+    AME: any error; MME: mean over a window of so many times; RME: about the mean of its window; MDE: change of that
+    mean from one window to the next (absent with a single one). What does not fill the last window is left out.
     """
     series = np.atleast_2d(np.asarray(error, float))
     count = series.shape[1] // window if window > 0 else 0

@@ -13,17 +13,9 @@ from render.sensor import StarSensor
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredFilter(TabulatedBand):
-    """A measured curve with a nominal centre.
+    """A measured curve with a nominal centre."""
 
-    Attributes
-    ----------
-    name, source, wavelength_nm, value
-        As in `TabulatedBand`.
-    centre_nm : float
-        What the filter is called by [nm].
-    """
-
-    centre_nm: float
+    centre_nm: float  # What the filter is called by
 
 
 Filter = TopHat | MeasuredFilter

@@ -43,15 +43,7 @@ STAR_K = 5800.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Instrument(StarSensor):
-    """A star sensor that was configured.
-
-    Attributes
-    ----------
-    config : InstrumentConfig
-        What it was built from.
-    camera, detector, focal_length_mm
-        As in `StarSensor`; the focal length is that of the configured lens, perturbed or not.
-    """
+    """A star sensor that was configured; its focal length is that of the configured lens, perturbed or not."""
 
     config: InstrumentConfig
 

@@ -19,13 +19,7 @@ def dust_law(lens: LensSystem, level: float, dust: ContaminationConfig) -> Parti
 def surface_laws(
     lens: LensSystem, scatter: ScatterConfig, dust: ContaminationConfig
 ) -> dict[str, dict[int, HarveyShack | Particles]]:
-    """Laws of ``polish`` and ``dust`` by the number of the surface, at the design wavelength.
-
-    Raises
-    ------
-    DomainError
-        A lens without surfaces.
-    """
+    """Laws of ``polish`` and ``dust`` by the number of the surface, at the design wavelength."""
     lens.check_surfaces()
     wave, index, numbers = lens.design_wavelength_nm, lens.indices(lens.design_wavelength_nm), scattering_surfaces(lens)
     laws: dict[str, dict[int, HarveyShack | Particles]] = {"polish": {}, "dust": {}}

@@ -91,11 +91,6 @@ def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str |
         ``key=value`` of the configuration of `camera`.
     flight : str, optional
         Output folder of `flight`.
-
-    Raises
-    ------
-    StarbenchError
-        Whatever `camera` refuses; a folder that holds no flight.
     """
     camera = declared("camera")
     config = configuration(camera, Options(sensor=tuple(sensor), settings=tuple(settings)))
@@ -309,13 +304,7 @@ SAME = ("instrument", "passband", "centroid", "window_px", "threshold_sigma")
 
 
 def read_flight(folder: Path, config: Any) -> Mapping[str, Any]:
-    """Results of a flight of the same sensor, from its ``summary.json``.
-
-    Raises
-    ------
-    ConfigError
-        If the folder holds none, or one of another sensor.
-    """
+    """Results of a flight of the same sensor, from its ``summary.json``."""
     path = folder / "summary.json"
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))

@@ -317,13 +317,7 @@ def changes(
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Transmittance, background, frames, exclusion angle, variants.
-
-    Raises
-    ------
-    StarbenchError
-        A lens without surfaces, a baffle that cuts the field, an open mesh, a table that cannot be read.
-    """
+    """Transmittance, background, frames, exclusion angle, variants."""
     instrument = build_instrument(config.instrument)
     light = band_light(instrument.detector, open_band(config.passband, instrument))
     stray = _stray(config, instrument, progress)

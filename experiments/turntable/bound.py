@@ -58,31 +58,11 @@ def bound(
     star: bool = True,
     free: Sequence[str] | None = None,
 ) -> Bound:
-    """Smallest covariance of all unknowns together.
+    """Smallest covariance of all unknowns together, at the true camera and bench.
 
-    Parameters
-    ----------
-    model : CameraModel
-        The camera, at the truth.
-    bench : Bench
-        The bench, at the truth.
-    angle_rad : (n, k)
-        Angles of the table.
-    covariance_px2 : (n, 2, 2)
-        Of the measured images, whatever the cause.
-    map_direction : (m, 3)
-        Where in cam the line of sight is judged.
-    leans : bool
-        Whether the non-orthogonality of the axes is an unknown too.
-    star : bool
-        Whether the direction of the star is unknown.
-    free : sequence of str, optional
-        Camera parameters that are unknown; all of them by default.
-
-    Raises
-    ------
-    DomainError
-        If the places do not determine the unknowns.
+    Shapes: ``angle_rad`` (n, k) of the table, ``covariance_px2`` (n, 2, 2) of the images, ``map_direction`` (m, 3),
+    where in cam the line of sight is judged. Unknown: with ``leans`` the non-orthogonality of the axes, with ``star``
+    its direction, of the camera the parameters ``free`` (None: all).
     """
     columns = design(model, bench, angle_rad, leans=leans)
     names = (

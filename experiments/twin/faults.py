@@ -126,14 +126,7 @@ def _tiles(place_px: FloatArray, image: SensorImage, tiles: int) -> FloatArray:
 def clouded(image: SensorImage, expected_px: FloatArray, found: NDArray[np.bool_]) -> float:
     """Share of a frame in which most of the stars that clear sky shows are missing.
 
-    Parameters
-    ----------
-    image : SensorImage
-        The frame.
-    expected_px : (n, 2)
-        Places of stars well above the limit.
-    found : (n,) bool
-        Which of them were found.
+    Shapes: ``expected_px`` (n, 2) of stars well above the limit, ``found`` (n,) bool.
     """
     known = _tiles(expected_px, image, CLOUD_TILES)
     seen = _tiles(expected_px[np.asarray(found, bool)], image, CLOUD_TILES)

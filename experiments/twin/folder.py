@@ -35,11 +35,6 @@ def night_frames(folder: str | Path) -> tuple[tuple[NightFrame, ...], tuple[str,
     """Frames of a folder in the order of their names, and what was left out.
 
     All have the size of the commonest; files of another camera, links to nowhere and unreadable files are named.
-
-    Raises
-    ------
-    ConfigError
-        No folder, no frame in it, more than `MOST_FRAMES`.
     """
     folder = Path(folder)
     if not os.path.isdir(folder):

@@ -244,23 +244,7 @@ def measure_camera(
     noise: NoiseFit | None = None,
     near: CameraFit | None = None,
 ) -> CameraFit:
-    """The camera from some frames of the night.
-
-    Parameters
-    ----------
-    known : Prepared
-        The night.
-    order : str
-        Camera model.
-    used : sequence of int
-        Frames that take part.
-    black_level_dn : float, optional
-        Where it is known.
-    noise : NoiseFit, optional
-        Noise of just these frames, if it was measured before.
-    near : CameraFit, optional
-        A camera that is nearly the same, whose PSF is where the search starts.
-    """
+    """The camera from some frames of the night; the search for its PSF starts at that of ``near``."""
     night, start = known.night, list(known.attitudes)
     noise = noise_of(known, used, black_level_dn) if noise is None else noise
     gaussian = gaussian_centroids(night, known.camera, start, MATCH_PX)

@@ -110,22 +110,7 @@ class NoiseFit:
 
 
 def fit_noise(frames: Sequence[Blocks], *, lowest_dn: float, black_level_dn: float | None = None) -> NoiseFit:
-    """Photon transfer of all blocks of all frames.
-
-    Parameters
-    ----------
-    frames : sequence of Blocks
-        The frames.
-    lowest_dn : float
-        Lowest level of the background: the black level is not above it.
-    black_level_dn : float, optional
-        Where it is known.
-
-    Raises
-    ------
-    DomainError
-        If the backgrounds hardly differ, so that no slope can be told.
-    """
+    """Photon transfer of all blocks of all frames; the black level, if it is not known, is not above ``lowest_dn``."""
     black = (0.0, max(float(lowest_dn), 0.0)) if black_level_dn is None else (black_level_dn, black_level_dn)
     if black[0]:
         frames = [replace(one, level_dn=one.level_dn - black[0]) for one in frames]

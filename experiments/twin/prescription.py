@@ -128,13 +128,7 @@ def _focal(camera: CameraModel) -> float:
 
 
 def pose_of_widths(stated: Instrument, place_px: FloatArray, width_px: FloatArray) -> LensPose:
-    """Focus and tilt from widths (n,) of Gaussian fits to stars at places (n, 2); the decentre is left open.
-
-    Raises
-    ------
-    DomainError
-        Fewer than `FEWEST_STARS` stars.
-    """
+    """Focus and tilt from widths (n,) of Gaussian fits to stars at places (n, 2); the decentre is left open."""
     if len(width_px) < FEWEST_STARS:
         raise DomainError(f"{len(width_px)} bright stars; focus and tilt of a lens need {FEWEST_STARS}")
     pitch, light = stated.detector.pixel_pitch_mm, star_light([stated.passband()], nodes=4, magnitude_system="G")

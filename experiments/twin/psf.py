@@ -145,25 +145,9 @@ def fit_psf(
     width_px: float,
     start: FloatArray | None = None,
 ) -> PsfModel:
-    """Shape from stars at known places.
+    """Shape from isolated, unsaturated stars at known places; ``noise_dn2`` is a pixel's variance, constant and per DN.
 
-    Parameters
-    ----------
-    sample : StarSample
-        Isolated, unsaturated stars.
-    size_px : (int, int)
-        Columns and rows of the detector.
-    noise_dn2 : (float, float)
-        Variance of a pixel: constant, and per DN.
-    width_px : float
-        Typical width of a Gaussian fit, where the search starts.
-    start : (18,), optional
-        A PSF that is nearly right.
-
-    Raises
-    ------
-    DomainError
-        Fewer than `FEWEST_STARS` stars.
+    The search begins at ``start`` (18,), or at the typical width of a Gaussian fit.
     """
     if len(sample) < FEWEST_STARS:
         raise DomainError(

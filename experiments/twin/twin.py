@@ -398,20 +398,8 @@ class TwinRenderer:
     ) -> FloatArray:
         """Noiseless image (h, w) [e-] of one frame: its own sky, and the stars that the air lets through.
 
-        Parameters
-        ----------
-        stars : FieldStars
-            Stars in cam.
-        level_e : (h, w)
-            Light of the sky.
-        extinction_mag : float
-            Loss per airmass; 0 where it is not known and in the throughput.
-        scatter_mag : float
-            Standard deviation of the light of a star about what the catalogue lets expect.
-        motion_px : float
-            Standard deviation per axis of the place of a star about its own: seeing.
-        rng : numpy.random.Generator
-            Of both.
+        Extinction is per airmass, 0 where it is in the throughput; ``scatter_mag`` and ``motion_px`` are standard
+        deviations of a star's light and of its place per axis.
         """
         magnitude = stars.magnitude + scatter_mag * rng.standard_normal(len(stars))
         if extinction_mag:

@@ -60,16 +60,7 @@ class Coating(ABC):
     def split(
         self, wavelength_nm: ArrayLike, n_before: ArrayLike, n_after: ArrayLike, cos_incidence: ArrayLike = 1.0
     ) -> Split:
-        """Reflectance and transmittance; arrays that broadcast.
-
-        Parameters
-        ----------
-        wavelength_nm : array
-            Wavelengths [nm].
-        n_before, n_after : array
-            Indices of the media, relative to the surroundings.
-        cos_incidence : array
-            Cosine of the angle between ray and normal in the medium before.
+        """Reflectance and transmittance; arrays that broadcast. Indices are relative to the surroundings.
 
         Raises
         ------

@@ -75,31 +75,14 @@ BEYOND = 1.02
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GaussianMixture:
-    """PSF before the pixel: k Gaussians at w wavelengths and on a grid of places on the detector.
+    """PSF before the pixel: k Gaussians at w wavelengths and on a grid of r by c places on the detector."""
 
-    Attributes
-    ----------
-    wavelength_nm, y_mm, x_mm : (w,), (r,), (c,)
-        Nodes, increasing; places along rows and columns from the centre of the detector.
-    share : (w, r, c, k)
-        Light of each Gaussian; their sum is 1.
-    offset_mm : (w, r, c, k, 2)
-        Its middle from the place of the star, along columns and rows.
-    covariance_mm2 : (w, r, c, k, 3)
-        Variance along columns, along rows, and covariance.
-
-    Raises
-    ------
-    DomainError
-        Nodes that do not increase, shares that are negative or do not add up to 1, covariances that are not positive.
-    """
-
-    wavelength_nm: FloatArray
-    y_mm: FloatArray
-    x_mm: FloatArray
-    share: FloatArray
-    offset_mm: FloatArray
-    covariance_mm2: FloatArray
+    wavelength_nm: FloatArray  # (w,) Nodes, increasing
+    y_mm: FloatArray  # (r,) Places along rows and columns from the centre of the detector
+    x_mm: FloatArray  # (c,)
+    share: FloatArray  # (w, r, c, k) Light of each Gaussian; their sum is 1
+    offset_mm: FloatArray  # (w, r, c, k, 2) Its middle from the place of the star, along columns and rows
+    covariance_mm2: FloatArray  # (w, r, c, k, 3) Variance along columns, along rows, and covariance
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -164,56 +147,25 @@ def _bracket(nodes: FloatArray, at: FloatArray) -> list[tuple[Any, FloatArray]]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredLens:
-    """A measured lens; the module tells its file.
-
-    Attributes
-    ----------
-    name, source, date : str
-        What it is, where its numbers come from, when it was measured.
-    focal_length_mm : float
-        Of the camera model.
-    principal_point_mm : (2,)
-        Minus the centre of the detector, along columns and rows.
-    distortion : (5,)
-        Coefficients of `optics.brown_conrady`.
-    colour_nm, colour_scale, colour_shift_mm : (c,), (c,), (c, 2)
-        Lateral colour: scale of the distances from the principal point, and shift.
-    psf : GaussianMixture
-        Before the pixel.
-    includes_charge_diffusion : bool
-        Whether the PSF holds the charge diffusion of the detector.
-    vignetting_mm, relative_light : (v,), (v,)
-        Light of a star, relative to the axis, against the distance of its image from the principal point.
-    aperture_mm : float
-        Diameter of the entrance pupil.
-    transmission : Response
-        On the axis.
-    reference_wavelength_nm, max_field_deg : float
-        Wavelength of chief rays; half field that was measured.
-
-    Raises
-    ------
-    DomainError
-        A number outside of what makes sense, by name.
-    """
+    """A measured lens; the module tells its file."""
 
     name: str
-    source: str
-    date: str
-    focal_length_mm: float
-    principal_point_mm: FloatArray
-    distortion: FloatArray
-    colour_nm: FloatArray
-    colour_scale: FloatArray
-    colour_shift_mm: FloatArray
-    psf: GaussianMixture
-    includes_charge_diffusion: bool
-    vignetting_mm: FloatArray
-    relative_light: FloatArray
-    aperture_mm: float
-    transmission: Response
-    reference_wavelength_nm: float
-    max_field_deg: float
+    source: str  # Where its numbers come from
+    date: str  # When it was measured
+    focal_length_mm: float  # Of the camera model
+    principal_point_mm: FloatArray  # (2,) Minus the centre of the detector, along columns and rows
+    distortion: FloatArray  # (5,) Coefficients of `optics.brown_conrady`
+    colour_nm: FloatArray  # (c,) Lateral colour: scale of the distances from the principal point, and shift
+    colour_scale: FloatArray  # (c,)
+    colour_shift_mm: FloatArray  # (c, 2)
+    psf: GaussianMixture  # Before the pixel
+    includes_charge_diffusion: bool  # Whether the PSF holds the charge diffusion of the detector
+    vignetting_mm: FloatArray  # (v,) Distance of an image from the principal point
+    relative_light: FloatArray  # (v,) Light of a star there, relative to the axis
+    aperture_mm: float  # Diameter of the entrance pupil
+    transmission: Response  # On the axis
+    reference_wavelength_nm: float  # Of chief rays
+    max_field_deg: float  # Half field that was measured
 
     def __post_init__(self) -> None:
         for name in ("focal_length_mm", "aperture_mm", "reference_wavelength_nm"):
@@ -239,17 +191,8 @@ class MeasuredLens:
     def place_mm(self, direction: FloatArray, wavelength_nm: FloatArray | float | None = None) -> FloatArray:
         """Where stars land, from the centre of the detector along columns and rows (..., 2) [mm], float64.
 
-        Parameters
-        ----------
-        direction : (..., 3)
-            Vectors in cam, Z > 0, of any length.
-        wavelength_nm : (...), optional
-            Wavelengths, broadcastable with the directions; the reference wavelength if left out.
-
-        Returns
-        -------
-        (..., 2)
-            NaN beyond the field in which the distortion is known to be one-to-one.
+        Shapes: ``direction`` (..., 3) in cam, Z > 0, of any length; ``wavelength_nm`` broadcasts with it, the reference
+        wavelength if left out. NaN beyond the field in which the distortion is known to be one-to-one.
         """
         wave = np.asarray(self.reference_wavelength_nm if wavelength_nm is None else wavelength_nm, float)
         v = np.asarray(direction, float)
@@ -340,13 +283,7 @@ class _MeasuredFile(StrictTable):
 
 
 def measured_from_table(table: Mapping[str, Any], where: str) -> MeasuredLens:
-    """Measured lens of the tables of a file.
-
-    Raises
-    ------
-    ConfigError, DomainError
-        A key that is missing or unknown, tables of other sizes than their nodes, values that make no sense.
-    """
+    """Measured lens of the tables of a file; `ConfigError` or `DomainError` name a key that is wrong."""
     file = parse_model(_MeasuredFile, table, where)
     camera, light, dark = file.camera, file.throughput, file.vignetting
     count = len(camera.colour_nm)

@@ -26,32 +26,16 @@ FLOOR = 1e-30
 class PointSourceTransmittance:
     """Stray light against the angle between a source and the boresight.
 
-    Attributes
-    ----------
-    angle_deg : (a,)
-        Increasing angles, above 0 to 90.
-    azimuth_deg : (z,)
-        Increasing, 0 ... 90, from columns towards rows. Both axes of the detector are taken as mirrors: a source at any
-        azimuth has that of its quadrant; beyond the first or last the values there hold.
-    causes : tuple of str
-        Names of the c parts.
-    value, error : (c, z, a)
-        PST of each part, and standard errors, which count as independent.
-    source : str
-        Where the table comes from.
-
-    Raises
-    ------
-    DomainError
-        Angles that do not increase or lie outside, negative values or errors.
+    Both axes of the detector are taken as mirrors: a source at any azimuth has that of its quadrant; beyond the first
+    or last the values there hold.
     """
 
-    angle_deg: FloatArray
-    azimuth_deg: FloatArray
-    causes: tuple[str, ...]
-    value: FloatArray
-    error: FloatArray
-    source: str = ""
+    angle_deg: FloatArray  # (a,) Increasing, above 0 to 90
+    azimuth_deg: FloatArray  # (z,) Increasing, 0 ... 90, from columns towards rows
+    causes: tuple[str, ...]  # Names of the c parts
+    value: FloatArray  # (c, z, a) PST of each part
+    error: FloatArray  # (c, z, a) Standard errors, which count as independent
+    source: str = ""  # Where the table comes from
 
     def __post_init__(self) -> None:
         sizes = {"c": len(self.causes)}

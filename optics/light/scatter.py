@@ -46,21 +46,8 @@ def roughness_tis(
 ) -> FloatArray:
     r"""Share of the light that a smooth surface scatters, :math:`(2 \pi \sigma (n' \cos i' - n \cos i) / \lambda)^2`.
 
-    Parameters
-    ----------
-    sigma_nm : array
-        RMS roughness in the band of spatial frequencies that scatter [nm]; small against the wavelength.
-    wavelength_nm : array
-        Wavelength in vacuum [nm].
-    n_before, n_after : array
-        Indices; ``n_after = -n_before`` is a mirror.
-    cos_incidence : array
-        Cosine of the angle of incidence.
-
-    Raises
-    ------
-    DomainError
-        A negative roughness, a wavelength that is not positive, or more than 0.3, where the law no longer holds.
+    ``sigma_nm`` is the RMS roughness in the band of spatial frequencies that scatter; ``n_after = -n_before`` is a
+    mirror. All broadcast. `DomainError` above 0.3, where the law no longer holds.
     """
     sigma, wave, n1, n2, cosine = (
         np.asarray(v, dtype=np.float64) for v in (sigma_nm, wavelength_nm, n_before, n_after, cos_incidence)
@@ -84,21 +71,11 @@ def lens_scatter(lens: Any, sigma_nm: float, wavelength_nm: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HarveyShack:
-    """Angular law of polished surfaces.
+    """Angular law of polished surfaces."""
 
-    Attributes
-    ----------
-    b0 : float
-        BSDF at the specular direction [1/sr].
-    shoulder : float
-        l, the difference of sines where it begins to fall.
-    slope : float
-        s, negative: its power beyond.
-    """
-
-    b0: float
-    shoulder: float
-    slope: float
+    b0: float  # BSDF at the specular direction [1/sr]
+    shoulder: float  # l, the difference of sines where it begins to fall
+    slope: float  # s, negative: its power beyond
 
     def __post_init__(self) -> None:
         _positive(b0=self.b0, shoulder=self.shoulder, minus_slope=-self.slope)
@@ -161,22 +138,12 @@ def particles_per_mm2(level: float, size_um: ArrayLike) -> FloatArray:
 def area_coverage(level: float) -> float:
     r"""Share of a surface that particles of a cleanliness level cover; twice that is the light that they take out.
 
-    The integral of the distribution over disks as wide as the particles from 1 um to the level, with
+    The integral of the distribution over disks as wide as the particles from 1 um to the level L [um], 1 to 5000, with
     :math:`a = 0.926 / \ln 10`, :math:`u = \ln x`:
 
     .. math:: \int_0^U \frac{\pi}{4} e^{2 u} \, 2 a u \, e^{a (U^2 - u^2)} \, du
 
     Fibres cover less than disks as wide as they are long. One particle, the largest, remains and is counted as well.
-
-    Parameters
-    ----------
-    level : float
-        Cleanliness level L [um], 1 to 5000.
-
-    Raises
-    ------
-    DomainError
-        A level outside that.
     """
     counted = float(particles_per_mm2(level, 1.0))
     a, end = SLOPE / math.log(10.0), math.log(level)
@@ -200,19 +167,11 @@ class Particles:
               + \frac{g\, C}{\pi}, \qquad x = \pi D \Delta\beta / \lambda
 
     with the coverage C (`area_coverage`). The first term integrates to C; rings of disks of one size are not resolved.
-
-    Attributes
-    ----------
-    level : float
-        Cleanliness level (IEST-STD-CC1246) [um], 1 to 5000.
-    wavelength_nm : float
-        Wavelength [nm].
-    forward : float
-        g, the share of the intercepted light that goes on, evenly like that of a Lambertian sheet: an assumption.
     """
 
-    level: float
+    level: float  # Cleanliness level (IEST-STD-CC1246) [um], 1 to 5000
     wavelength_nm: float
+    # g, share of the intercepted light that goes on, like that of a Lambertian sheet: an assumption
     forward: float = 0.5
 
     def __post_init__(self) -> None:

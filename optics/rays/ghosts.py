@@ -73,34 +73,18 @@ class GhostRays:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ghosts:
-    """Ghosts of one source, brightest first; places in the frame of the image plane.
+    """Ghosts of one source, g of them, brightest first; places in the frame of the image plane."""
 
-    Attributes
-    ----------
-    back, forward : (g,) int
-        Surfaces that turn the light back, then forward again; ``len(lens.surfaces)`` is the detector.
-    flux : (g,)
-        Light on the detector plane as a share of the source's image.
-    x_mm, y_mm : (g,)
-        Centroids.
-    rms_mm, radius_mm : (g,)
-        Root mean square and largest distance of rays from the centroid.
-    image_x_mm, image_y_mm : float
-        Centroid of the image of the source.
-    ledger : FluxLedger
-        Where the light goes that enters the front of the lens.
-    """
-
-    back: IntArray
+    back: IntArray  # (g,) Surfaces that turn the light back, then forward again; ``len(lens.surfaces)`` is the detector
     forward: IntArray
-    flux: FloatArray
-    x_mm: FloatArray
+    flux: FloatArray  # (g,) Light on the detector plane as a share of the source's image
+    x_mm: FloatArray  # (g,) Centroids
     y_mm: FloatArray
-    rms_mm: FloatArray
+    rms_mm: FloatArray  # (g,) Root mean square and largest distance of rays from the centroid
     radius_mm: FloatArray
-    image_x_mm: float
+    image_x_mm: float  # Centroid of the image of the source
     image_y_mm: float
-    ledger: FluxLedger
+    ledger: FluxLedger  # Where the light goes that enters the front of the lens
 
     @property
     def magnitude(self) -> FloatArray:
@@ -199,12 +183,8 @@ class _Meeting:
 class GhostPath:
     """A way through the lens: its surfaces in the order light meets them, and what they do to its light.
 
-    Parameters
-    ----------
-    lens, coating, absorption
-        As `find_ghosts`.
-    back, forward : int or None
-        As `ghost_pairs`; both None: the image itself; the second None: light that leaves through the front.
+    Lens, coating and absorption as of `find_ghosts`; ``back``, ``forward`` as of `ghost_pairs`: both None, the image
+    itself; the second None, light that leaves through the front.
     """
 
     def __init__(
@@ -397,13 +377,7 @@ def entering_rays(
 
 
 def front_rays(lens: LensSystem, v_source: ArrayLike, wave: float, order: tuple[int, int]) -> tuple[Rays, FloatArray]:
-    """Rays of a distant source anywhere in front over all of the first surface, and areas [mm^2] that face it.
-
-    Raises
-    ------
-    DomainError
-        A source beside or behind the lens.
-    """
+    """Rays of a distant source anywhere in front over all of the first surface, and areas [mm^2] that face it."""
     source = np.asarray(v_source, dtype=np.float64)
     if not source[2] > 0.0:
         raise DomainError("a source at 90 deg or more from the boresight does not shine into the lens")

@@ -129,21 +129,8 @@ def imaging_rays(
 ) -> ImagingRays:
     """Rays of the stars at unit vectors (p, 3) in cam, which stand for the points of the detector that they fall on.
 
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens.
-    v_cam : (p, 3)
-        Directions in the field.
-    wavelength_nm, coating, absorption
-        As `optics.rays.ghosts.find_ghosts`.
-    rings, arms : int
-        Of the pupil (`optics.rays.beam.find_beams`).
-
-    Raises
-    ------
-    DomainError
-        A measured or ideal lens, which has no surfaces that scatter; directions that are not imaged.
+    Wavelength, coating and absorption as of `optics.rays.ghosts.find_ghosts`; rings and arms of the pupil as of
+    `optics.rays.beam.find_beams`. `DomainError` for a lens without surfaces that scatter, and beyond the field.
     """
     lens.check_surfaces()
     wave = lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
@@ -200,26 +187,10 @@ def imaging_rays(
 def lens_scatter_light(
     imaging: ImagingRays, v_source: ArrayLike, laws: Mapping[str, Mapping[int, ScatterLaw]]
 ) -> dict[str, FloatArray]:
-    """Scatter of a distant point source by all surfaces of a lens.
+    """Scatter of a distant point source in front of the lens, unit vector (3,) in cam, by all its surfaces.
 
-    Parameters
-    ----------
-    imaging : ImagingRays
-        Points of the detector, lens, wavelength, coatings.
-    v_source : (3,)
-        Unit vector towards the source in cam, in front of the lens.
-    laws : mapping
-        Cause -> number of a surface -> its law.
-
-    Returns
-    -------
-    dict of str to (p, k)
-        Cause -> irradiance on the points, over that of the source through a plane that faces it, by each surface.
-
-    Raises
-    ------
-    DomainError
-        A source beside or behind the lens.
+    ``laws``: cause -> number of a surface -> its law. Returns cause -> irradiance (p, k) on the points, over that of
+    the source through a plane that faces it, by each surface.
     """
     source = np.asarray(v_source, dtype=np.float64)
     if not source[2] > 0.0:

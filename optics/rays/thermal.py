@@ -70,24 +70,10 @@ class ThermalSensitivity:
             freeze(self, name, shape=(5,))
 
     def shift(self, state: ThermalState, direction: ArrayLike) -> FloatArray:
-        """Linear prediction of the shift of images on the detector.
+        """Linear prediction of the shift of images on the detector, along columns and rows (..., 2) [mm].
 
-        Parameters
-        ----------
-        state : ThermalState
-            The field.
-        direction : (..., 3)
-            Directions in cam of the stars; within the field for which the sensitivity was traced.
-
-        Returns
-        -------
-        (..., 2)
-            Shift along columns and rows [mm].
-
-        Raises
-        ------
-        DomainError
-            If a star is more than a tenth outside that field.
+        Stars at directions (..., 3) in cam, within a tenth of the field for which the sensitivity was traced
+        (`DomainError`).
         """
         v = np.asarray(direction, float)
         t = v[..., :2] / v[..., 2:]

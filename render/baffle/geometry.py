@@ -32,30 +32,13 @@ SIDES = 192
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlackCoating:
-    """A black surface: Lambertian, and a specular lobe (GGX) that grows towards grazing incidence as Fresnel's law.
-
-    Attributes
-    ----------
-    name, source : str
-        What it is, and where the numbers come from.
-    diffuse : float
-        Lambertian reflectance.
-    specular : float
-        Reflectance of the lobe at normal incidence, at most 0.04: that of the surface of a medium of index 1.5.
-    roughness : float
-        Of the lobe, GGX alpha.
-
-    Raises
-    ------
-    DomainError
-        A negative reflectance, or one that exceeds 1 at grazing incidence.
-    """
+    """A black surface: Lambertian, and a specular lobe (GGX) that grows towards grazing incidence as Fresnel's law."""
 
     name: str
-    diffuse: float
-    specular: float = 0.0
-    roughness: float = 0.3
-    source: str = ""
+    diffuse: float  # Lambertian reflectance
+    specular: float = 0.0  # Of the lobe at normal incidence, at most 0.04: a surface of index 1.5
+    roughness: float = 0.3  # Of the lobe, GGX alpha
+    source: str = ""  # Where the numbers come from
 
     def __post_init__(self) -> None:
         for name in ("diffuse", "specular"):
@@ -118,26 +101,14 @@ def black_coating(name: str) -> BlackCoating:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VanedBaffle:
-    """A tube of length L in front of the entrance, with vanes; the first one closes the front but for its opening.
+    """A tube of length L in front of the entrance, with vanes; the first one closes the front but for its opening."""
 
-    Attributes
-    ----------
-    entrance_mm : float
-        Radius of the lens's entrance, in the plane z = 0, around which the tube is closed.
-    length_mm, tube_mm : float
-        Length and inner radius of the tube.
-    vane_z_mm, vane_mm : (v,)
-        Places and inner radii of the vanes, from the front on; at least the front one.
-    edge_mm : float
-        Radius of their edges.
-    """
-
-    entrance_mm: float
+    entrance_mm: float  # Radius of the lens's entrance, in the plane z = 0, around which the tube is closed
     length_mm: float
-    tube_mm: float
-    vane_z_mm: FloatArray
+    tube_mm: float  # Inner radius of the tube
+    vane_z_mm: FloatArray  # (v,) Places and inner radii of the vanes, from the front on; at least the front one
     vane_mm: FloatArray
-    edge_mm: float
+    edge_mm: float  # Radius of their edges
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -310,13 +281,7 @@ def vaned_mesh(baffle: VanedBaffle, sides: int = SIDES) -> Mesh:
 
 
 def check_closed(mesh: Mesh) -> None:
-    """Refuse a mesh of the user's that is no closed surface: every edge belongs to two triangles.
-
-    Raises
-    ------
-    DomainError
-        With the number of open edges.
-    """
+    """Refuse a mesh of the user's that is no closed surface: every edge belongs to two triangles."""
     size = float(np.ptp(mesh.vertex_mm, axis=0).max()) or 1.0
     _, same = np.unique(np.round(mesh.vertex_mm / (1e-6 * size)), axis=0, return_inverse=True)
     corner: NDArray[Any] = np.ravel(same)[mesh.face]
@@ -331,13 +296,7 @@ def check_closed(mesh: Mesh) -> None:
 
 
 def read_glb(path: str | Path) -> Mesh:
-    """Triangles of a binary glTF file (``.glb``), its nodes placed; units as they are, to be mm.
-
-    Raises
-    ------
-    ConfigError
-        Not such a file, or one that keeps its numbers elsewhere or compressed.
-    """
+    """Triangles of a binary glTF file (``.glb``), its nodes placed; units as they are, to be mm."""
     import json
     import struct
 

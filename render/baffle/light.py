@@ -48,15 +48,7 @@ LensWeight = Callable[[FloatArray], FloatArray]
 
 
 def read_mesh(path: str | Path) -> Mesh:
-    """A closed mesh of the user's: PLY or OBJ by Mitsuba, binary glTF.
-
-    Raises
-    ------
-    ConfigError
-        No such file, another format.
-    DomainError
-        An open mesh.
-    """
+    """A closed mesh of the user's: PLY or OBJ by Mitsuba, binary glTF."""
     file = Path(path)
     if not file.is_file():
         raise ConfigError(f"{file}: no such file")
@@ -130,26 +122,7 @@ class WorstPaths:
 
 
 class BaffleScene:
-    """A baffle ready to be lit.
-
-    Parameters
-    ----------
-    parts : VanedBaffle or Mesh
-        The baffle, in its frame.
-    coating : BlackCoating
-        On all of it.
-    entrance_mm : float
-        Radius of the lens's entrance.
-    field_deg : float
-        Half angle of the field: beams within it have to pass.
-    seed : int
-        Of the rays.
-
-    Raises
-    ------
-    DomainError
-        A baffle that cuts the beams of the field.
-    """
+    """A baffle ready to be lit, in its frame; `DomainError` if it cuts the beams of the field (half angle)."""
 
     def __init__(
         self, parts: VanedBaffle | Mesh, coating: BlackCoating, *, entrance_mm: float, field_deg: float, seed: int = 0
@@ -230,20 +203,10 @@ class BaffleScene:
     def light(
         self, v_source: ArrayLike, weight: LensWeight, *, error: float = 0.05, number: int = 0, least: float = 0.0
     ) -> BaffleLight:
-        """PST of a distant point source at a unit vector (3,) in cam, seen through a lens.
+        """PST of a distant point source at a unit vector (3,) in cam, through a lens with its own (`lens_weight`).
 
-        Parameters
-        ----------
-        v_source : (3,)
-            Towards the source.
-        weight : callable
-            PST of the lens (`lens_weight`).
-        error : float
-            Relative standard error of the walls' part at which it is good enough.
-        number : int
-            Of the source; another number, other rays.
-        least : float
-            Or an absolute standard error.
+        Good enough at a relative standard error of the walls' part, or an absolute one (``least``). Another number of
+        the source takes other rays.
         """
         source = np.asarray(v_source, dtype=np.float64)
         start, area = self._disk(DIRECT_RINGS, DIRECT_ARMS)

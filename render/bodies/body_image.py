@@ -43,24 +43,12 @@ AIR_HEIGHTS = 12.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BodyImage:
-    """Expected electrons of a body, and what is known of them.
+    """Expected electrons of a body, and what is known of them."""
 
-    Attributes
-    ----------
-    image : ExpectedImage
-        Of the whole detector, charge diffusion included, without truth of stars.
-    electrons : (b,)
-        Sum over the detector.
-    photon_px : (b, 2)
-        Centroid (column, row) of that light; NaN where there is none.
-    noise_share : float
-        Square of the image's own error over the variance of its photons in the pixel where it is largest; 0 without
-        light.
-    """
-
-    image: ExpectedImage
-    electrons: FloatArray
-    photon_px: FloatArray
+    image: ExpectedImage  # Of the whole detector, charge diffusion included, without truth of stars
+    electrons: FloatArray  # (b,) Sum over the detector
+    photon_px: FloatArray  # (b, 2) Centroid (column, row) of that light; NaN where there is none
+    # Square of the image's error over the variance of its photons in the worst pixel; 0 without light
     noise_share: float
 
     def __post_init__(self) -> None:

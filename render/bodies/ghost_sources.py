@@ -37,26 +37,10 @@ def sun_field(from_sun_au: FloatArray, bands: Sequence[Band], *, nodes: int = 5)
 
 
 class GhostSources:
-    """Adds the ghosts of a sky to images.
+    """Adds the ghosts of a sky to images: of all its stars (along icrs), and of bodies that have a magnitude.
 
-    Parameters
-    ----------
-    ghosting : Ghosting
-        Of the camera.
-    stars : StarField
-        All stars of the sky, along icrs.
-    star_id : (n,)
-        Who they are.
-    exposure_s : float
-        Exposure time.
-    bands : sequence of Band
-        Pass bands of the frames.
-    observer, epoch_year : Observer or None, float
-        Where and when the sky is seen; without an observer there are stars alone.
-    bodies : sequence of str
-        Moon and planets; those without a magnitude, and the Earth, make no ghosts.
-    stray : StrayLight, optional
-        With ghosts of Sun and Moon: how much light they hold. A table that does not tell them apart holds them evenly.
+    Without an observer there are stars alone. Ghosts of Sun and Moon hold as much light as ``stray`` says; a table that
+    does not tell them apart holds them evenly.
     """
 
     def __init__(
@@ -93,23 +77,11 @@ class GhostSources:
     def add(
         self, image: NDArray[np.float32], attitude: Rotation, stars: StarField, star_id: IntArray, truth: Truth
     ) -> tuple[GhostTruth, tuple[str, ...]]:
-        """Add ghosts to an image (h, w, b).
+        """Add ghosts to an image (h, w, b) [e-]; attitude is cam from icrs.
 
-        Parameters
-        ----------
-        image : (h, w, b)
-            Electrons.
-        attitude : Rotation
-            cam from icrs.
-        stars : StarField
-            Stars that the frame shows, along icrs, with their truth; ``star_id`` (n,): who they are.
-
-        Returns
-        -------
-        GhostTruth
-            Rows from ``len(stars)`` on are sources beside them.
-        tuple of str
-            Their names: ids of stars, then bodies.
+        ``stars`` are those that the frame shows, along icrs, with their truth; ``star_id`` (n,) who they are. Returns
+        the ghosts, whose rows from ``len(stars)`` on are sources beside them, and the names of these: ids of stars,
+        then bodies.
         """
         turn = attitude.as_matrix().T
         found = [self.ghosting.add(image, stars.direction @ turn, stars.wavelength_nm, truth)]

@@ -109,21 +109,7 @@ class SolarSystem:
 
 
 def solar_system(epoch_year: float, *, observer: Observer | None = None, bodies: Sequence[str] = BODIES) -> SolarSystem:
-    """Look up the Moon and the planets.
-
-    Parameters
-    ----------
-    epoch_year : float
-        Julian year (TDB).
-    observer : Observer, optional
-        Place and velocity; the centre of the Earth if left out.
-    bodies : sequence of str
-        Which of them.
-
-    Returns
-    -------
-    SolarSystem
-        In the order of ``bodies``.
+    """Look up the Moon and the planets at a Julian year (TDB), from the Earth's centre or an observer's place.
 
     Raises
     ------

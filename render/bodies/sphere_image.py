@@ -60,40 +60,20 @@ class Cover:
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """What a direction meets; vectors along icrs.
+    """What a direction meets; vectors along icrs."""
 
-    Attributes
-    ----------
-    direction : (3,)
-        Unit vector to the centre.
-    sine : float
-        Of the angular radius.
-    law : str
-        ``lambert`` or ``lunar``.
-    lights : tuple of Light
-        What shines on it.
-    albedo_map : (rows, columns) or None
-        Factor on the albedo: latitudes from south to north, longitudes from -180 deg on, centres of cells.
-    rotation_icrs_from_body : (3, 3)
-        Attitude of the map.
-    covers : tuple of Cover
-        What hides it.
-    air : Air or None
-        Its air.
-    thickness, air_unit : (b k,)
-        Vertical thickness of the air and one over the sphere's albedo, at the wavelengths of all bands.
-    """
-
-    direction: FloatArray
-    sine: float
-    law: str
-    lights: tuple[Light, ...]
+    direction: FloatArray  # (3,) Unit vector to the centre
+    sine: float  # Of the angular radius
+    law: str  # "lambert" or "lunar"
+    lights: tuple[Light, ...]  # What shines on it
+    # Factor on the albedo: rows from south to north, columns from -180 deg of longitude on, centres of cells
     albedo_map: NDArray[np.float32] | None
-    rotation_icrs_from_body: FloatArray
-    covers: tuple[Cover, ...] = ()
+    rotation_icrs_from_body: FloatArray  # (3, 3) Attitude of the map
+    covers: tuple[Cover, ...] = ()  # What hides it
     air: Air | None = None
+    # (b k,) Vertical thickness of the air at the wavelengths of all bands
     thickness: FloatArray = field(default_factory=lambda: np.zeros(0))
-    air_unit: FloatArray = field(default_factory=lambda: np.zeros(0))
+    air_unit: FloatArray = field(default_factory=lambda: np.zeros(0))  # (b k,) One over the sphere's albedo
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,13 +44,7 @@ class BandLight:
 
 
 def band_light(detector: Detector, band: Band, *, nodes: int = 12) -> BandLight:
-    """Electrons per second and pixel of a pass band; transmission of the lens is part of the PST.
-
-    Raises
-    ------
-    DomainError
-        A band beyond what is known of the detector or the Sun.
-    """
+    """Electrons per second and pixel of a pass band; transmission of the lens is part of the PST."""
     rule = band_nodes([band], nodes)
     wave = rule.wavelength_nm[0]
     weight = rule.weight_nm[0] * rule.transmission[0] * detector.quantum_efficiency.interpolate(wave)
@@ -93,23 +87,8 @@ def limb_pst(pst: PointSourceTransmittance, towards_centre: ArrayLike, radius_ra
 class StrayLight:
     """Stray light of Sun, Moon and, for an observer above it, the Earth, in an attitude [e- s^-1 per pixel].
 
-    Parameters
-    ----------
-    table : path or PointSourceTransmittance
-        Of the camera.
-    light : BandLight
-        Of its pass band.
-    observer, epoch_year : Observer, float
-        Where the camera is (that of the sky), and when (Julian year).
-    earth : bool
-        Whether the observer is above the Earth and sees its disk.
-    ghosts : bool
-        Whether ghosts of Sun and Moon are drawn apart, if the table has the cause ``ghosts``.
-
-    Raises
-    ------
-    ConfigError
-        No observer, or one whose place from the Sun is not known; a table that cannot be read.
+    ``table`` is a file or record of the camera, ``light`` that of its pass band; ``ghosts``: those of Sun and Moon are
+    drawn apart, if the table has the cause ``ghosts``. `ConfigError` without an observer whose place is known.
     """
 
     def __init__(

@@ -167,33 +167,17 @@ def sphere_photons(body: SunlitBody, wavelength_nm: ArrayLike) -> FloatArray:
 
 
 def planet_body(system: SolarSystem, name: str, *, law: Literal["lambert", "lunar"] | None = None) -> SunlitBody:
-    """The Moon or a planet as a smooth sphere that has its published brightness and colour.
+    """The Moon or a planet of ``system`` as a smooth sphere that has its published brightness and colour.
 
     The Moon has its map (`render.bodies.lunar_map`), turned as the observer sees it, and the light of the Earth on it.
     The Earth, which is seen from nearby, is Lambertian of its Bond albedo in V, without clouds, with lit air above its
-    limb (`render.bodies.earth_air`).
+    limb (`render.bodies.earth_air`). Light falls off towards limb and terminator by a law: lunar for the Moon and
+    Mercury, Lambert for the others.
 
-    Parameters
-    ----------
-    system : SolarSystem
-        From `render.bodies.solar_system.solar_system`.
-    name : str
-        Which of its bodies.
-    law : {"lambert", "lunar"}, optional
-        How light falls off towards limb and terminator; lunar for the Moon and Mercury, Lambert for the others.
-
-    Returns
-    -------
-    SunlitBody
-        Its albedo is scaled so that the whole sphere has the magnitude of ``system``, the Moon's so that it has the
-        measured reflectance at every wavelength (`render.bodies.lunar_irradiance`, whose albedo at 150 deg stands
-        beyond). Where the magnitude is NaN, the geometric albedo stands with the phase function of the law. The
-        Earth's is not scaled.
-
-    Raises
-    ------
-    ConfigError
-        The body is not in ``system``.
+    The albedo is scaled so that the whole sphere has the magnitude of ``system``, the Moon's so that it has the
+    measured reflectance at every wavelength (`render.bodies.lunar_irradiance`, whose albedo at 150 deg stands beyond).
+    Where the magnitude is NaN, the geometric albedo stands with the phase function of the law. The Earth's is not
+    scaled.
     """
     if name not in system.name:
         raise ConfigError(f"{name!r} is not among the bodies of this solar system: {', '.join(system.name)}")

@@ -50,18 +50,7 @@ class SkyIndex:
 
 
 def build_index(catalog: StarCatalog) -> SkyIndex:
-    """Search tree of a catalogue.
-
-    Parameters
-    ----------
-    catalog : StarCatalog
-        At least one star.
-
-    Raises
-    ------
-    DomainError
-        The catalogue is empty.
-    """
+    """Search tree of a catalogue of at least one star."""
     from scipy.spatial import cKDTree
 
     if not len(catalog):

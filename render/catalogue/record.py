@@ -38,13 +38,7 @@ _POSSIBLE = {
 
 
 def direction_from_angles(ra_rad: ArrayLike, dec_rad: ArrayLike) -> FloatArray:
-    """Unit vectors (n, 3) of right ascension and declination (n,) [rad].
-
-    Raises
-    ------
-    DomainError
-        A declination beyond the poles: the angles are in another unit.
-    """
+    """Unit vectors (n, 3) of right ascension and declination (n,) [rad]."""
     ra, dec = np.asarray(ra_rad, np.float64), np.asarray(dec_rad, np.float64)
     if dec.size and np.nanmax(np.abs(dec)) > math.pi / 2 * (1 + 1e-12):
         worst = float(dec.flat[np.nanargmax(np.abs(dec))])

@@ -89,18 +89,7 @@ class _Recipe:
 
 
 def sensor_maps(detector: Detector) -> SensorMaps:
-    """Patterns of the whole detector.
-
-    Parameters
-    ----------
-    detector : Detector
-        Which one; its ``sensor_seed`` makes the individual.
-
-    Returns
-    -------
-    SensorMaps
-        NumPy arrays.
-    """
+    """Patterns of the whole detector, whose ``sensor_seed`` makes the individual."""
     maps = full_maps(detector, Engine.active().types)
     held = [np.array(value).reshape(detector.shape) for value in maps[:5]]
     return SensorMaps(

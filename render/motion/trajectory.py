@@ -43,23 +43,11 @@ class Trajectory(Protocol):
         ...
 
     def attitude(self, time_s: ArrayLike) -> Rotation:
-        """Body from reference at a time, or at n of them [s].
-
-        Raises
-        ------
-        DomainError
-            On a time that is not finite or outside of the trajectory.
-        """
+        """Body from reference at a time of the trajectory, or at n of them [s]."""
         ...
 
     def rate(self, time_s: ArrayLike) -> FloatArray:
-        """Angular velocity in body axes [rad/s], (3,) at a time or (n, 3) at n of them.
-
-        Raises
-        ------
-        DomainError
-            As `attitude`.
-        """
+        """Angular velocity in body axes [rad/s], (3,) at a time or (n, 3) at n of them."""
         ...
 
 
@@ -91,25 +79,10 @@ def _check_single(owner: str, name: str, rotation: Rotation) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConstantRate:
-    """A body that turns at a constant rate about an axis fixed in it (and therefore in the reference).
+    """A body that turns at a constant rate about an axis fixed in it (and therefore in the reference)."""
 
-    Attributes
-    ----------
-    initial : Rotation
-        Body from reference at ``start_s``.
-    rate_rad_per_s : (3,)
-        Angular velocity in body axes [rad/s]; zero for a body at rest.
-    end_s, start_s : float
-        Last and first time [s].
-
-    Raises
-    ------
-    DomainError
-        On values that are not finite, or an end that is not after the start.
-    """
-
-    initial: Rotation
-    rate_rad_per_s: FloatArray
+    initial: Rotation  # Body from reference at ``start_s``
+    rate_rad_per_s: FloatArray  # (3,) In body axes; zero for a body at rest
     end_s: float
     start_s: float = 0.0
 

@@ -29,13 +29,9 @@ _WEIGHTS = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0)
 
 
 class CameraNumbers:
-    """Tensors of a camera.
+    """Tensors of a camera: ``rotation``, ``attitude_rad``, ``rate_rad_per_s``, ``defocus_mm``, and the lens's own.
 
-    Attributes
-    ----------
-    tensors : dict of str to TensorXf64
-        ``rotation``, ``attitude_rad``, ``rate_rad_per_s``, ``defocus_mm`` and what
-        `optics.lens.parameters.lens_parameters` names.
+    The last are what `optics.lens.parameters.lens_parameters` names.
     """
 
     def __init__(self, mi: Any, camera: Camera, housing_cte_per_k: float) -> None:

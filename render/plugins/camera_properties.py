@@ -45,15 +45,7 @@ def find_motion(name: str) -> ExposureMotion:
 
 
 def lens_camera_properties(camera: Camera, **others: Any) -> dict[str, Any]:
-    """Dictionary for ``load_dict``: a ``lens_camera`` made of a record, with a grey float32 film of its size.
-
-    Parameters
-    ----------
-    camera : Camera
-        The record.
-    **others
-        Further properties, e.g. ``shutter_close``.
-    """
+    """Dictionary for ``load_dict``: a ``lens_camera`` of a record, a grey float32 film of its size, and ``others``."""
     film = {
         "type": "hdrfilm",
         "width": camera.width_px,

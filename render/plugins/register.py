@@ -9,20 +9,10 @@ _registered: dict[str, tuple[type, type, type]] = {}
 
 
 def register_plugins() -> tuple[type, type, type]:
-    """Make ``star_field``, ``lens_camera``, ``star_tracer`` and ``lunar_surface`` known to ``mi.load_dict``.
+    """Make ``star_field``, ``lens_camera``, ``star_tracer`` (returned) and ``lunar_surface`` known to ``load_dict``.
 
     Classes belong to a variant: call this after every change of variant (`render.engine.Engine.start`). Calling
     it again does nothing.
-
-    Returns
-    -------
-    tuple of type
-        The classes of the first three.
-
-    Raises
-    ------
-    BackendError
-        Mitsuba's variant is one without Dr.Jit arrays.
     """
     engine = Engine.active()
     mi, variant = engine.mitsuba, engine.variant

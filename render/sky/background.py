@@ -112,20 +112,7 @@ class BackgroundMap:
 
 
 def background_map(camera: Camera, bands: Sequence[Band], *, nodes: int = 5) -> BackgroundMap:
-    """Trace how much of a diffuse sky every pixel takes in; once per camera and set of bands.
-
-    Parameters
-    ----------
-    camera : Camera
-        Its attitude plays no part.
-    bands : sequence of Band
-        b filters.
-    nodes : int
-        Wavelength nodes per band, k.
-
-    Returns
-    -------
-    BackgroundMap
+    """Trace how much of a diffuse sky every pixel takes in; once per camera (whose attitude plays no part) and bands.
 
     Raises
     ------
@@ -172,27 +159,10 @@ def sky_background(
     zodiacal: bool = True,
     uniform: UniformSky | None = None,
 ) -> NDArray[np.float32]:
-    """Electrons per second of the diffuse sky in every pixel.
+    """Electrons per second of the diffuse sky in every pixel, (h, w, b) float32; the attitude is cam from icrs.
 
-    Parameters
-    ----------
-    background : BackgroundMap
-        Of the camera.
-    attitude : scipy.spatial.transform.Rotation
-        cam from icrs, at the middle of the exposure.
-    epoch_year : float, optional
-        Julian year, for an observer at the Earth.
-    observer : Observer, optional
-        Where the camera is, as seen from the Sun; takes the place of ``epoch_year``.
-    zodiacal : bool
-        Whether there is zodiacal light; it needs one of the two above.
-    uniform : UniformSky, optional
-        Light on top of it.
-
-    Returns
-    -------
-    (h, w, b) float32
-        Electrons s^-1 per pixel; times the exposure it is to be added to the `ExpectedImage` of the stars.
+    Zodiacal light needs an epoch (Julian year, for an observer at the Earth) or an observer, as seen from the Sun;
+    ``uniform`` comes on top of it.
 
     Raises
     ------

@@ -122,27 +122,11 @@ def _nodes() -> FloatArray:
 
 
 def field_of_view(camera: Camera, *, margin_px: float = 16.0) -> FieldOfView:
-    """Field of a camera from chief rays through its lens, distortion and all.
+    """Field of a camera (whose attitude plays no part) from chief rays through its lens, distortion and all.
 
-    Parameters
-    ----------
-    camera : Camera
-        Its attitude plays no part.
-    margin_px : float
-        Strip around the detector in which stars still count, so that light of stars beside it comes in: the size of the
-        spots.
-
-    Returns
-    -------
-    FieldOfView
-        With a polynomial of degree 9 for the chief ray at the design wavelength.
-
-    Raises
-    ------
-    DomainError
-        Margin negative or not finite.
-    ConvergenceError
-        The corner of the detector lies outside what the lens can image.
+    A polynomial of degree 9 stands for the chief ray at the design wavelength. Stars in a strip of ``margin_px``, the
+    size of the spots, around the detector count too, so that light of stars beside it comes in. `ConvergenceError`
+    where its corner lies outside what the lens can image.
     """
     if not (margin_px >= 0.0 and math.isfinite(margin_px)):
         raise DomainError(f"margin_px = {margin_px}; it must be finite and not negative")
@@ -211,34 +195,10 @@ def field_of(
     epoch_year: float | None = None,
     observer: Observer | None = None,
 ) -> SkyField:
-    """Stars that fall on the detector or the margin around it.
+    """Stars that fall on the detector or the margin around it; the attitude is cam from icrs.
 
-    Parameters
-    ----------
-    index : SkyIndex
-        Catalogue with its search tree.
-    view : FieldOfView
-        What the camera sees.
-    attitude : scipy.spatial.transform.Rotation
-        cam from icrs.
-    magnitude_limit : float, optional
-        Faintest magnitude; stars without a magnitude are left out.
-    epoch_year : float, optional
-        Julian year of the exposure; that of the catalogue if left out.
-    observer : Observer, optional
-        Adds parallax and aberration (`render.catalogue.motion.earth_observer`).
-
-    Returns
-    -------
-    SkyField
-        Empty where no star is.
-
-    Raises
-    ------
-    ConfigError
-        Not a single rotation.
-    DomainError
-        Epoch or limit out of range.
+    Stars without a magnitude are left out below a limit. The epoch is a Julian year, that of the catalogue if left out;
+    an observer adds parallax and aberration (`render.catalogue.motion.earth_observer`).
     """
     if not isinstance(attitude, Rotation) or not attitude.single:
         raise ConfigError("attitude must be one scipy Rotation, cam from icrs")
@@ -282,30 +242,10 @@ def star_field(
 ) -> StarField:
     """The stars of a field with their light, ready to be rendered by a camera whose world is icrs.
 
-    Parameters
-    ----------
-    field : SkyField
-        m stars.
-    light : StarLight
-        Bands, prepared for the magnitude system of the catalogue.
-    temperature : {"colour", "effective"}
-        Temperature of the black body that stands for a star: the one that has the star's colour, or the star's
-        effective temperature. A star without the one gets the other.
-    typical_temperature_k : float or None
-        For stars that have neither; None refuses them.
-
-    Returns
-    -------
-    StarField
-        Directions along icrs. Rotate the camera (`rotation_cam_from_world = field.rotation_cam_from_icrs`), not the
-        stars.
-
-    Raises
-    ------
-    ConfigError
-        Another magnitude system than the catalogue's, unknown kind of temperature.
-    DomainError
-        A star without magnitude, or without temperature where those are refused.
+    ``light`` is prepared for the magnitude system of the catalogue (`ConfigError`). A black body stands for a star, of
+    the temperature that has its colour, or of its effective temperature; a star without the one gets the other, one
+    that has neither the typical one; None refuses it (`DomainError`). Rotate the camera (`rotation_cam_from_world =
+    field.rotation_cam_from_icrs`), not the stars.
     """
     if light.magnitude_system != field.stars.magnitude_system:
         raise ConfigError(

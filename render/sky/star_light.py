@@ -37,13 +37,7 @@ class StarLight:
         freeze(self, "log_temperature", shape=("s",), sizes={})
 
     def photon_rate(self, magnitude: FloatArray, temperature_k: FloatArray) -> FloatArray:
-        """Photons s^-1 mm^-2 that each node stands for, (n, b, k), of n stars.
-
-        Raises
-        ------
-        DomainError
-            A magnitude or temperature that is not finite, or a temperature outside the knots.
-        """
+        """Photons s^-1 mm^-2 that each node stands for, (n, b, k), of n stars."""
         m, t = np.asarray(magnitude, np.float64), np.asarray(temperature_k, np.float64)
         low, high = np.exp(self.log_temperature[[0, -1]])
         for what, values, good, unit, advice in (

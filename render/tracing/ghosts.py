@@ -39,18 +39,10 @@ REACH, SMOOTH = 4.0, 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GhostLight:
-    """Which ghosts are rendered.
+    """Which ghosts are rendered."""
 
-    Attributes
-    ----------
-    least_e : float
-        Electrons in the brightest pixel of a ghost below which it is left out.
-    detector_reflectance : float
-        Share of the light that the detector reflects like a mirror; silicon 0.1 to 0.3.
-    """
-
-    least_e: float
-    detector_reflectance: float = 0.2
+    least_e: float  # Electrons in the brightest pixel of a ghost below which it is left out
+    detector_reflectance: float = 0.2  # Light that the detector reflects like a mirror; silicon 0.1 to 0.3
 
     def __post_init__(self) -> None:
         if not (self.least_e > 0.0 and math.isfinite(self.least_e)):
@@ -63,37 +55,19 @@ class GhostLight:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GhostTruth:
-    """Ghosts of one image, g of them, each of one star, path and band.
+    """Ghosts of one image, g of them, each of one star, path and band."""
 
-    Attributes
-    ----------
-    star, band : (g,) int
-        Row of the star in the truth, and number of the band. Sources beside the frame follow behind the stars.
-    back, forward : (g,) int
-        Surfaces that turn the light back, then forward again; the number of surfaces is the detector.
-    x_px, y_px : (g,)
-        Column and row of its centroid, on the detector or beside it.
-    radius_px : (g,)
-        Of the uniform disk with the same RMS radius.
-    electrons, electrons_image : (g,)
-        All of its light, and what of it lies on the detector.
-    peak_e : (g,)
-        Electrons in the brightest pixel, taken for a uniform disk.
-    sharp : (g,) bool
-        Whether it is small enough to be taken for a star: a candidate for a false one.
-    """
-
-    star: IntArray
+    star: IntArray  # (g,) Row in the truth; sources beside the frame follow behind the stars
     band: IntArray
-    back: IntArray
+    back: IntArray  # (g,) Surfaces that turn the light back, then forward again; the number of surfaces is the detector
     forward: IntArray
-    x_px: FloatArray
+    x_px: FloatArray  # (g,) Column and row of its centroid, on the detector or beside it
     y_px: FloatArray
-    radius_px: FloatArray
-    electrons: FloatArray
+    radius_px: FloatArray  # (g,) Of the uniform disk with the same RMS radius
+    electrons: FloatArray  # (g,) All of its light, and what of it lies on the detector
     electrons_image: FloatArray
-    peak_e: FloatArray
-    sharp: NDArray[np.bool_]
+    peak_e: FloatArray  # (g,) In the brightest pixel, taken for a uniform disk
+    sharp: NDArray[np.bool_]  # (g,) Small enough to be taken for a star: a candidate for a false one
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -106,20 +80,7 @@ class GhostTruth:
 
 
 class Ghosting:
-    """Adds ghosts of the sources of one camera.
-
-    Parameters
-    ----------
-    camera : Camera
-        Its lens with the cover glass of the detector (`optics.rays.ghosts.with_cover_glass`).
-    light : GhostLight
-        Which ghosts.
-
-    Raises
-    ------
-    DomainError
-        A lens without surfaces.
-    """
+    """Adds ghosts of the sources of one camera, its lens with the cover glass of the detector."""
 
     def __init__(self, camera: Camera, light: GhostLight) -> None:
         camera.lens.check_surfaces()
@@ -159,18 +120,7 @@ class Ghosting:
     ) -> GhostTruth:
         """Add ghosts of sources anywhere in front of the lens, in cam, whose images are drawn elsewhere or nowhere.
 
-        Parameters
-        ----------
-        image : (h, w, b)
-            Electrons.
-        stars : StarField
-            Their directions in cam, and their light.
-        exposure_s : float
-            Exposure time.
-        radius_rad : (n,) or float
-            Of the even disks that they are; 0 for points.
-        first : int
-            Number of the first source in the truth.
+        They are even disks of radius (n,) or points; ``first`` is the number of the first one in the truth.
         """
         facing_e, area = self._facing(stars, exposure_s), math.pi * entrance_radius_mm(self.lens) ** 2
         radius = np.broadcast_to(radius_rad, len(stars))

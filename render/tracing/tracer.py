@@ -78,22 +78,15 @@ class Tracer:
     ----------
     camera : Camera
         The camera; its attitude may be overridden per call.
-    sobol_log2_rays : int
-        Logarithm of the rays per star and band where quadrature does not serve; four times as many are taken where no
-        charge diffusion softens the edges of the pixels.
-    sobol_seed : int
-        Seed of the scrambling.
+    sobol_log2_rays, sobol_seed : int
+        Rays per star and band where quadrature does not serve, and their scrambling; four times as many are taken where
+        no charge diffusion softens the edges of the pixels.
     tolerance : float
         Of the quadrature, see `render.tracing.pupil.sampling`.
     general : bool
         Compile the lens with general poses, so that all perturbed copies of it share their kernels.
     by_grid : bool
         By waves: few stars too are taken from a grid of images over the field, which pays where many fields follow.
-
-    Raises
-    ------
-    ConvergenceError
-        If no ray of any field gets through the lens, or nothing limits a beam.
     """
 
     def __init__(
@@ -133,30 +126,17 @@ class Tracer:
         motion: ExposureMotion | None = None,
         shade: Shade | None = None,
     ) -> TracedStars:
-        """Trace all stars in all bands.
+        """Trace all stars (world frame) in all bands, in the camera's attitude, another one, or during a motion.
 
-        Parameters
-        ----------
-        stars : StarField
-            Stars in the world frame.
-        exposure_s : float
-            Exposure time.
-        rotation_cam_from_world : (3, 3), optional
-            Attitude; the camera's own if left out.
-        motion : ExposureMotion, optional
-            Attitudes during the exposure, in place of one. Truth then holds the chief ray in the middle of the exposure
-            (with a rolling shutter: of the star's row) and means over the exposure of everything else.
-        shade : Shade, optional
-            What stands between the sky and the lens (`render.plugins.occlusion`). Stars whose beam it meets are sampled
-            by Sobol points, as its edges are anywhere in the beam.
+        With a motion, truth holds the chief ray in the middle of the exposure (with a rolling shutter: of the star's
+        row) and means over the exposure of everything else. Stars whose beam a shade (`render.plugins.occlusion`) meets
+        are sampled by Sobol points, as its edges are anywhere in the beam.
 
         Raises
         ------
         DomainError
             Exposure not positive or not that of the motion, wavelength outside a glass's range, star behind the camera,
             an image of a star larger than 1024 px, an image that outruns a rolling shutter.
-        ConfigError
-            Both an attitude and a motion.
         """
         if not (exposure_s > 0 and math.isfinite(exposure_s)):
             raise DomainError(f"exposure {exposure_s} s; it must be positive and finite")
@@ -197,11 +177,6 @@ class Tracer:
         """Mean landing point (n, b, 2) [px] of every star and band, without an image; NaN where no ray arrives.
 
         A low quadrature order does: the mean of a bundle converges long before its image.
-
-        Raises
-        ------
-        DomainError
-            Wavelength outside a glass's range, star behind the camera.
         """
         paths = self._in_cam(stars, None)
         light = self.light(stars, paths, 1.0)
@@ -254,26 +229,10 @@ class Tracer:
         return np.stack(self.camera.to_pixel(*mean), axis=-1)
 
     def centred_cells(self, stars: StarField, *, half_size_px: int, cells_per_px: int) -> FloatArray:
-        """Light of every star and band on a fine grid around its bundle mean.
+        """Light of every star and band on a fine grid around its bundle mean: share of the collected light per cell.
 
-        Parameters
-        ----------
-        stars : StarField
-            Stars.
-        half_size_px : int
-            The grid reaches from ``-half_size_px - 0.5`` to ``half_size_px + 0.5`` px.
-        cells_per_px : int
-            Cells along a pixel.
-
-        Returns
-        -------
-        (n, b, m, m)
-            Share of the collected light per cell, ``m = (2 half_size_px + 1) * cells_per_px``.
-
-        Raises
-        ------
-        DomainError
-            Wavelength outside a glass's range, star behind the camera or without a way to the detector.
+        (n, b, m, m), m = (2 ``half_size_px`` + 1) * ``cells_per_px``: the grid ends half a pixel beyond
+        ``half_size_px``.
         """
         paths = self._in_cam(stars, None)
         light = self.light(stars, paths, 1.0)

@@ -53,15 +53,7 @@ SIZES = 1.4
 
 
 class MeasuredPlanner(PupilPlanner):
-    """Where the stars of a measured lens land, and how much light enters; shades know its aperture as an ideal lens's.
-
-    Parameters
-    ----------
-    camera : Camera
-        With a measured lens.
-    sobol_seed : int
-        Of the points that tell how much of a beam is hidden.
-    """
+    """Where stars of a measured lens land, and how much light enters; shades know its aperture as an ideal lens's."""
 
     def __init__(self, camera: Camera, sobol_seed: int) -> None:
         assert camera.lens.measured is not None

@@ -47,36 +47,17 @@ MOST_KNOTS = 1 << 14
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExposureMotion:
-    """Attitudes of a camera during an exposure; made by `exposure_motion`.
+    """Attitudes of a camera during an exposure; made by `exposure_motion`."""
 
-    Attributes
-    ----------
-    start_s : float
-        When the exposure of row 0 starts, on the trajectory.
-    exposure_s : float
-        How long every row is exposed.
-    line_time_s : float
-        How much later than its neighbour the next row starts; 0 for a global shutter.
-    time_s, weight : (t,)
-        Nodes from a row's start on, and their weights, sum 1.
-    rotation_cam_from_world : (t, 3, 3)
-        Attitude at the nodes, with a rolling shutter those of the middle row.
-    rotation_mid : (3, 3)
-        Attitude in the middle of the exposure (of the middle row).
-    length_px : float
-        Longest path of a star at the centre or a corner of the detector during the exposure of a row.
-    path : callable or None
-        Rotation vectors (n, 3) from ``rotation_mid`` at times (n,) [s] of the trajectory; None for a global shutter.
-    """
-
-    start_s: float
-    exposure_s: float
-    line_time_s: float
-    time_s: FloatArray
-    weight: FloatArray
-    rotation_cam_from_world: FloatArray
-    rotation_mid: FloatArray
-    length_px: float
+    start_s: float  # When the exposure of row 0 starts, on the trajectory
+    exposure_s: float  # How long every row is exposed
+    line_time_s: float  # How much later than its neighbour the next row starts; 0 for a global shutter
+    time_s: FloatArray  # (t,) Nodes from a row's start on
+    weight: FloatArray  # (t,) Sum 1
+    rotation_cam_from_world: FloatArray  # (t, 3, 3) At the nodes, with a rolling shutter those of the middle row
+    rotation_mid: FloatArray  # (3, 3) In the middle of the exposure (of the middle row)
+    length_px: float  # Longest path of a star at the centre or a corner of the detector during the exposure of a row
+    # Rotation vectors (n, 3) from ``rotation_mid`` at times (n,) [s] of the trajectory; None: global shutter
     path: Callable[[FloatArray], FloatArray] | None
 
     def __post_init__(self) -> None:
@@ -112,22 +93,10 @@ def exposure_motion(
     line_time_s: float = 0.0,
     tolerance: float = MOTION_TOLERANCE,
 ) -> ExposureMotion:
-    """Attitudes at which an exposure is sampled.
+    """Attitudes at which an exposure is sampled; the trajectory, camera from icrs, lasts for the exposure of all rows.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Camera from the world of the stars (icrs); has to last for the whole exposure of all rows.
-    start_s : float
-        When the exposure (of row 0) starts.
-    exposure_s : float
-        How long it lasts.
-    camera : Camera
-        The camera; its focal length, pixels and charge diffusion tell how many nodes the path needs.
-    line_time_s : float
-        Rolling shutter: how much later than its neighbour the next row starts. 0 is a global shutter.
-    tolerance : float
-        Of the damped characteristic function of the path.
+    ``start_s`` is that of row 0, ``line_time_s`` how much later the next row starts (0: global shutter), ``tolerance``
+    that of the damped characteristic function of the path.
 
     Raises
     ------

@@ -138,13 +138,7 @@ def _fields(reach_rad: float, count: int, shift: float, spread: bool) -> FloatAr
 
 
 def fit_transmission(camera: Camera, pupil: EntrancePupil, wavelength_nm: FloatArray) -> PupilTransmission | None:
-    """Fit for wavelengths (b, k); None where all rays lose what those of the axis lose, or the camera states nothing.
-
-    Raises
-    ------
-    DomainError
-        A wavelength outside the range of a glass, its transmittance or a coating.
-    """
+    """Fit for wavelengths (b, k); None where all rays lose what those of the axis do, or the camera states nothing."""
     if camera.losses is None:
         return None
     key = pickle.dumps((camera.focused_lens, camera.losses, pupil, camera.field_reach_rad))
