@@ -70,7 +70,7 @@ def doctor(as_json: bool) -> int:
         content = {"program": PROGRAM, "version": version, "healthy": not faults, "findings": listed}
         click.echo(json.dumps(content, indent=2))
         return bool(faults)
-    last = f"{len(faults)} to mend: {', '.join(faults)}" if faults else "Everything that is needed is there."
+    last = f"{len(faults)} to mend: {', '.join(faults)}" if faults else "All required components are present."
     click.echo("\n".join([f"{PROGRAM} {version or '(source tree, not installed)'}", *map(str, checked), last]))
     return bool(faults)
 
@@ -90,7 +90,7 @@ def findings() -> list[Finding]:
             checked.extend(check())
         except Exception as error:
             said = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            checked.append(Finding(name=name, state="fault", text=f"could not be looked at ({said})"))
+            checked.append(Finding(name=name, state="fault", text=f"could not be checked ({said})"))
     return checked
 
 
@@ -193,7 +193,7 @@ def engine_findings(known: dict[str, Any], status: int, said: str, cards: str) -
     else:
         what, _, advice = (known.get("error") or said or "the renderer gave no result").partition("; ")
         ended = f"the renderer was ended by signal {-status}: " if status < -1 else ""
-        advice = advice or "see LLVM and packages above; make a new environment if they are as they should be"
+        advice = advice or "see LLVM and packages above; if both are correct, create a new environment"
         yield Finding(name="backend", state="fault", text=ended + what, advice=advice, facts=known)
     if "threads" in known:
         from experiments.harness.system import THREADS, processors
@@ -219,7 +219,7 @@ def _llvm(known: dict[str, Any]) -> Finding:
     text, span = f"{known['llvm']}, {known['library'] or 'found by Dr.Jit'}", f"{KNOWN_LLVM[0]} to {KNOWN_LLVM[-1]}"
     if int(known["llvm"].partition(".")[0]) in KNOWN_LLVM:
         return Finding(name="LLVM", text=f"{text} ({span} work)")
-    advice = f"versions {span} are known to work; take one of them if a run ends without a word"
+    advice = f"versions {span} are known to work; use one of them if a run ends without a message"
     return Finding(name="LLVM", state="note", text=text, advice=advice)
 
 
@@ -252,7 +252,7 @@ def check_caches() -> Iterator[Finding]:
     """Folders of compiled kernels (drjit-core, init.cpp) and star patterns: size, and whether they can be written."""
     from calib.attitude.patterns import cache_folder
 
-    lost = "else every start compiles anew", "else patterns are made anew every time"
+    lost = "otherwise every start compiles anew", "otherwise star patterns are recomputed at every start"
     yield _cache("kernels", Path.home() / ".drjit", f"set HOME to a folder that can be written, {lost[0]}")
     yield _cache("patterns", cache_folder(), f"set STARBENCH_CACHE to a folder that can be written, {lost[1]}")
 
@@ -275,7 +275,7 @@ def check_disk() -> Iterator[Finding]:
     if min(free.values()) > LITTLE_MB:
         yield Finding(name="disk", text=text, facts=free)
         return
-    advice = "make room: a run writes up to 100 MB, a dataset 4 MB for each frame of 2048 x 2048 pixels"
+    advice = "free disk space: a run writes up to 100 MB, a dataset 4 MB for each frame of 2048 x 2048 pixels"
     state: Literal["note", "fault"] = "fault" if min(free.values()) < TOO_LITTLE_MB else "note"
     yield Finding(name="disk", state=state, text=text, advice=advice, facts=free)
 

@@ -123,7 +123,9 @@ def aberrated(direction: ArrayLike, velocity_km_per_s: ArrayLike) -> FloatArray:
     if r.ndim != 2 or r.shape[1] != 3 or beta.shape != (3,):
         raise DomainError(f"directions (n, 3) and a velocity (3,) are needed, got {r.shape} and {beta.shape}")
     if not float(beta @ beta) < 1.0:
-        raise DomainError(f"velocity {np.linalg.norm(beta) * constants.c / 1e3:g} km/s is not below that of light")
+        raise DomainError(
+            f"velocity {np.linalg.norm(beta) * constants.c / 1e3:g} km/s; it must be below the speed of light"
+        )
     inverse_gamma = math.sqrt(1.0 - float(beta @ beta))
     along = r @ beta
     seen = inverse_gamma * r + (1.0 + along / (1.0 + inverse_gamma))[:, None] * beta

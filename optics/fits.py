@@ -280,5 +280,8 @@ def _unpacks_within(content: bytes, most: int) -> bool:
 
 def _said(error: BaseException) -> str:
     if "verification failed" in str(error):
-        return f"{str(error).strip()} It was damaged or edited since it was written: copy it again or take the sums out"
+        return (
+            f"{str(error).strip()} It was damaged or edited since it was written: copy it again or remove the "
+            "checksum cards"
+        )
     return " ".join(str(error).split())[:160] or type(error).__name__

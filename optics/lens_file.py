@@ -168,7 +168,7 @@ def read_lens_file(
     if path.suffix.lower() in FOREIGN:
         return _of_program(import_lens(path, reading), path, environment, strict)
     if reading != Reading(strict=strict):
-        raise ConfigError(f"{name}: configurations, catalogues and glasses to replace belong to .zmx and .seq files")
+        raise ConfigError(f"{name}: configuration, catalogues and substitute glasses apply to .zmx and .seq files only")
     return _of_toml(path, where, environment)
 
 
@@ -287,7 +287,10 @@ def _within_surfaces(
     for table, row, rim in zip(tables["surface"], rows, rims, strict=True):
         radius = table.get("semi_diameter_mm", 0.0)
         if radius >= rim and not row.stop:
-            said = f"{radius:.6g} mm reaches beyond the rim where the surface ends, {rim:.6g} mm: now what light needs"
+            said = (
+                f"{radius:.6g} mm reaches beyond the rim where the surface ends, {rim:.6g} mm: replaced by the "
+                "radius that light needs"
+            )
             notes.append(_note(row.line, "clear aperture", said, row.number))
             surfaces.append({k: v for k, v in table.items() if k != "semi_diameter_mm"})
         else:
@@ -337,7 +340,7 @@ def _told(lens: LensSystem, needs: Sequence[int], mine: Mapping[int, Row], found
         within = max(100 * abs(apart[worst]), 1e-6)
         said = f"; within {within:.2g} % of what the file's program drew"
         if not abs(apart[worst]) < DRAWN_APART:
-            said = f"; the file's program drew others: surface {mine[worst].number}: {drawn[worst]:.5g} mm"
+            said = f"; the file's program shows other values: surface {mine[worst].number}: {drawn[worst]:.5g} mm"
     notes = [
         _note(0, "clear apertures", f"not stated, as wide as the light of the file's fields needs [mm]: {text}{said}")
     ]
@@ -364,7 +367,7 @@ def _uncrossed(
         lens, tables = _closed(lens, tables, found, list(stated))
         for i, radius in stated.items():
             closed = f"closed to {lens.surfaces[i].semi_diameter_mm:.6g} mm, which the light of the file's fields needs"
-            said = f"{radius:.6g} mm, where it would cross the surface beside it; {closed}"
+            said = f"{radius:.6g} mm, where it would cross the adjacent surface; {closed}"
             notes.append(_note(mine[i].line, "clear aperture", said, mine[i].number))
     return lens, tables
 
@@ -380,7 +383,7 @@ def _with_glass_files(tables: dict[str, Any], folder: Path, where: str) -> dict[
             continue
         for key, value in table.items():
             if key not in ("file", "name"):
-                raise ConfigError(f"{where}: glass.{name}.{key} beside file: only name may stand there")
+                raise ConfigError(f"{where}: glass.{name}.{key} is not allowed together with file; only name is")
             if not isinstance(value, str):
                 raise ConfigError(f"{where}: glass.{name}.{key} = {value!r}: text is needed, in quotation marks")
         try:
@@ -401,6 +404,5 @@ def _check_glasses(tables: Mapping[str, Any], where: str) -> None:
             raise ConfigError(f"{where}: no surface is of glass.{name}; leave the table out or name it as a medium")
         if name in list_glasses():
             raise ConfigError(
-                f"{where}: glass.{name} would hide the {name} of the catalogue; call it by another name, such as "
-                f"'{name}-melt'"
+                f"{where}: glass.{name} has the name of a catalogue glass; choose another name, such as '{name}-melt'"
             )

@@ -160,7 +160,7 @@ class Truth:
         """Why positions are NaN, (n, b); empty where none is."""
         dark = np.where(
             self.electrons_hidden > self.electrons_vignetted,
-            "what stands in front hides the star",
+            "a body in front hides the star",
             "apertures of the lens stop all light of the star",
         )
         chief = np.where(np.isnan(self.chief_x_px), "the chief ray is stopped by a rim or misses the stop's centre", "")

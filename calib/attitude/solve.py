@@ -425,7 +425,7 @@ def _message(found: AttitudeSolution) -> str:
         return f"{stars} stars do not fix a rotation: at least two in different directions are needed"
     if status == "exchanged":
         first, second = found.exchanged
-        return f"stars {first} and {second} (rows) have each other's names: exchanged, the {stars} stars fit"
+        return f"stars {first} and {second} (rows) are interchanged: with exchanged identities the {stars} stars fit"
     if status == "mirrored":
         return (
             f"mirrored sky: a reflection fits the {stars} stars better than any rotation; one image axis is flipped, "

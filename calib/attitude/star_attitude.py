@@ -85,7 +85,7 @@ class StarAttitude:
     def __repr__(self) -> str:
         x, y, z = self.sigma_arcsec
         text = f"{len(self)} stars, sigma {x:.3g}, {y:.3g}, {z:.3g} arcsec"
-        common = f"{self.common_px:.2g} px beside the stated noise" if self.common_px > 0 else ""
+        common = f"{self.common_px:.2g} px in addition to the stated noise" if self.common_px > 0 else ""
         note = self.solution.misfit.note if self.ok else self.solution.message
         return f"<StarAttitude {self.solution.status}: {joined(text, common, note)}>"
 

@@ -144,7 +144,7 @@ def _calibration(
         notes.append(_coverage(stars, model))
     if not _upright(camera):
         status = "refused"
-        notes.insert(0, "the fitted camera is mirrored, the star list must be")
+        notes.insert(0, "the fitted camera is mirrored: one axis of the star positions is flipped")
     covariance = np.zeros((len(mask), len(mask)))
     covariance[np.ix_(mask, mask)] = solution.covariance[:count, :count]
     used = selection.used.copy()

@@ -191,6 +191,6 @@ def _fit_weighted(start: Fit, stars: StarFrames, model: CameraModel, free: BoolA
         if outer and float(moved @ last.system.common @ moved) < SAME_WEIGHTS**2:
             break
     else:
-        solution = replace(last.solution, status="iteration_limit", message="the weights do not come to rest")
+        solution = replace(last.solution, status="iteration_limit", message="the weights do not converge")
         last = replace(last, solution=solution)
     return replace(last, solution=replace(last.solution, iterations=steps))

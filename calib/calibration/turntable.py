@@ -320,7 +320,7 @@ class TurntableAttitudes(RotationFamily):
         if turned <= LARGEST_TURN:
             return ""
         return (
-            f"the star comes out {np.degrees(turned):.0f} deg from where it was said to be: the image is mirrored "
+            f"the fitted star lies {np.degrees(turned):.0f} deg from its start value: the image is mirrored "
             "(exchange the axes or turn one of them round), or the start of the star or the axes of the table are wrong"
         )
 

@@ -250,7 +250,7 @@ def _judged(
         "status": status,
         "message": joined(
             undetermined,
-            "" if settled else f"not at rest after {STEPS} steps",
+            "" if settled else f"not converged after {STEPS} steps",
             f"{left_out} of {len(used)} points do not lie on the circle" if left_out else "",
             f"more than {100 * LARGEST_WRONG_PART:g} % of them" if many else "",
             misfit.note,

@@ -141,7 +141,7 @@ def sensor_image(
     valid = finite.copy()
     valid &= ~np.ma.getmaskarray(dn)
     if not valid.any():
-        raise DomainError(f"image {source!r} is masked all over; it cannot be measured")
+        raise DomainError(f"image {source!r} has no unmasked pixel; it cannot be measured")
     if defect is not None:
         if np.shape(defect) != values.shape:
             raise DomainError(f"defect has shape {np.shape(defect)}, the image {values.shape}; they must agree")
@@ -310,7 +310,7 @@ def read_images(paths: Iterable[str | Path], **options: Any) -> Iterator[SensorI
             if here.step % known.step:
                 raise ConfigError(
                     f"{path}: counted in steps of {here.step:g}, {first.source} in steps of {known.step:g}; "
-                    "state the step (step=1 takes numbers as they are)"
+                    "state the step (step=1: values unchanged)"
                 )
             image = read_image(path, **{**options, "step": known.step})  # few codes have a common step by chance
         yield image

@@ -108,7 +108,7 @@ def _check_point(config: Config, point: Point, key: str) -> None:
             raise DomainError(
                 f"the installation would be determined to {worst_deg:.1f} deg only (the body turns by "
                 f"{swept_deg:.2g} deg, "
-                f"{len(design.frame)} stars calibrate); at most {WORST_DEG:g} deg can be adjusted: a faster "
+                f"{len(design.frame)} stars calibrate); at most {WORST_DEG:g} deg can be calibrated: a faster "
                 f"gyro.angular_speed_deg_per_s, more frames or more stars ({key}) are needed"
             )
     raise DomainError(

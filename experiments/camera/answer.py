@@ -230,14 +230,14 @@ def answer_lines(
         "Field": f"{lens.field_width_deg:.2f}° × {lens.field_height_deg:.2f}°, diagonal {lens.field_diagonal_deg:.2f}°",
         "Scale": scale,
         "Focus": f"best {round(lens.best_focus_um):+d} µm from the detector, {abs(depths):.1f} depths of focus{put}",
-        "Limiting magnitude": f"{system} = {seen.limiting_magnitude_mag:.2f} mag, half of the stars are found",
+        "Limiting magnitude": f"{system} = {seen.limiting_magnitude_mag:.2f} mag, half of the stars are detected",
         "NEA": f"{nea} for {system} = {quoted:g} mag, one axis, 1σ",
         "Stars per frame": f"{seen.stars_mean_per_frame:.1f}, worst 1 % of the sky {seen.stars_worst_per_frame:.1f}",
         "Attitude": _two("1σ, median", seen.attitude_cross_arcsec, seen.attitude_roll_arcsec)
         + "; "
         + _two("99.7 %", mixture_bound(across, USUAL), mixture_bound(forecast.total_arcsec[:, 2], USUAL)),
         "Requirements": _verdict(requirements),
-        "Change first": first or "nothing of [tornado] lowers the attitude error",
+        "Change first": first or "no key of [tornado] lowers the attitude error",
     }
     return [f"{name:<19} {words}" for name, words in rows.items()]
 

@@ -206,7 +206,7 @@ def _limit(prediction: CameraPrediction, rendered: Rendered) -> Compared:
     spread = (seen - share(0.0)).std(ddof=1) / np.sqrt(len(seen))  # stars differ; readouts of one star share its place
     return compared(
         comparison="limiting_magnitude",
-        label="Limiting magnitude, half are found",
+        label="Limiting magnitude, half detected",
         unit="mag",
         measured=limit + shift,
         predicted=limit,
@@ -245,7 +245,7 @@ def _stars(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compared, 
             n=frames,
         )
         for name, words, seen, expected, share in (
-            ("stars", f"Stars found in {frames} frames of the sky", rendered.sky.found, forecast.found, 0.0),
+            ("stars", f"Stars detected in {frames} frames of the sky", rendered.sky.found, forecast.found, 0.0),
             ("fit_stars", "Stars fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_SHARE),
         )
     )
@@ -299,7 +299,7 @@ def frames_drawn(outcome: Outcome) -> Figure:
 JUDGED = {
     "nea": "scatter of readouts against prediction",
     "nea_moving": "scatter of readouts against prediction, camera turning",
-    "limiting_magnitude": "share of chart stars found against prediction",
+    "limiting_magnitude": "fraction of chart stars detected against prediction",
     "false_alarms": "counted against predicted",
     "stars": "counted against predicted",
 }

@@ -17,7 +17,7 @@ from experiments.laboratory.optical_state import longest_trail_px
 from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy, optics, predict_camera, sky
 
 MADE = ("lsfe_before_arcsec", "lsfe_after_arcsec")
-"""Requirements on lenses as made."""
+"""Requirements on manufactured lenses."""
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def _made(prediction: CameraPrediction, required: dict[str, tuple[float, bool]],
     if config.manufacture.lenses:
         from experiments.camera.manufacture import manufactured
 
-        with progress.stage("lenses as made", total=config.manufacture.lenses) as stage:
+        with progress.stage("manufactured lenses", total=config.manufacture.lenses) as stage:
             sections["manufactured"] = manufactured(prediction, required, advance=stage.advance)
     if config.predict_only:
         return sections
@@ -101,7 +101,7 @@ def _made(prediction: CameraPrediction, required: dict[str, tuple[float, bool]],
         rendered = render_frames(prediction, advance=stage.advance)
     sections |= {"frames": compare(prediction, rendered), "solved": solved_frames(prediction, rendered)}
     if "manufactured" in sections:
-        with progress.stage("frames of lenses as made", total=3 * config.frames.readouts) as stage:
+        with progress.stage("frames of manufactured lenses", total=3 * config.frames.readouts) as stage:
             made = sections["manufactured"]
             sections["rendered_lenses"] = rendered_lenses(prediction, made, advance=stage.advance)
     return sections

@@ -197,7 +197,7 @@ def _told(apart: bool, turned: bool) -> str:
 
 def _exchange_advice(outcome: Outcome) -> str:
     said = "; ".join(outcome.result["exchange"].said)
-    return f"{said} are exchanged: the other places have them the other way round; correct filter_nm"
+    return f"{said} are exchanged relative to the other places; correct filter_nm"
 
 
 def _axes(q: Quantities, pairs: Sequence[Pair]) -> None:

@@ -197,7 +197,9 @@ def _root(excess: Callable[[float], float], limit: float) -> float:
         return float("nan")
     root, state = brentq(excess, low, high, xtol=limit * 1e-6, full_output=True)
     if not state.converged:
-        raise ConvergenceError(f"no movement that gives the wanted shift was found within {state.iterations} steps")
+        raise ConvergenceError(
+            f"the search for a movement with the wanted shift did not converge in {state.iterations} steps"
+        )
     return float(root)
 
 

@@ -295,7 +295,7 @@ def _axes(q: Quantities, rows: Sequence[BudgetRow]) -> None:
 
 def _claim(name: str, title: str) -> Any:
     at = {"row": [case.name for case in CASES].index(name)}
-    advice = "the budget says which term makes most of it"
+    advice = "see the budget for the largest term"
     whole = "budget_claim_arcsec"
     return below("budget_measured", "budget_claimed_arcsec", at=at, whole=whole, title=title, advice=advice)
 

@@ -128,7 +128,7 @@ def _complete(scene: Scene, output: DatasetFolder, job: Job, progress: Progress)
         progress.note(f"{output.shown}: {output.repaired}")
     there = output.numbers()
     with prompt_pool() as pool:
-        checked = progress.track(pool.map(output.checked, there), "look at the frames there are", total=len(there))
+        checked = progress.track(pool.map(output.checked, there), "check existing frames", total=len(there))
         records = {record.frame: record for record in checked if record is not None}
     damaged = tuple(frame for frame in there if frame not in records)
     missing = [frame for frame in range(config.frames) if frame not in records]
@@ -138,7 +138,7 @@ def _complete(scene: Scene, output: DatasetFolder, job: Job, progress: Progress)
             bytes_each += 8 * camera.width_px * camera.height_px
         output.check_room(len(missing) * bytes_each)
     times: list[tuple[float, int]] = []
-    with progress.stage("make frames", total=len(missing)) as stage:
+    with progress.stage("render frames", total=len(missing)) as stage:
 
         def done(batch: Sequence[FrameRecord]) -> None:
             records.update({record.frame: record for record in batch})
@@ -163,7 +163,7 @@ def _complete(scene: Scene, output: DatasetFolder, job: Job, progress: Progress)
     apart = {frame_files(one.frame, config.files.truth)[2]: one.layers_sha256 for one in ordered if one.layers_sha256}
     output.digests |= apart
     if damaged:
-        progress.note(f"{output.shown}: frames that were damaged and are made again: {in_words(damaged)}")
+        progress.note(f"{output.shown}: damaged frames are rendered again: {in_words(damaged)}")
     stars = [record.stars for record in ordered]
     return {
         "records": ordered,
@@ -215,9 +215,9 @@ def _export(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress
 def _look_at(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, Any]:
     if not records:
         return {}
-    with progress.stage("star patterns of the sky (made once, then kept on disk)"):
+    with progress.stage("star patterns of the sky (computed once, then kept on disk)"):
         patterns = star_patterns(scene)
-    with progress.stage("look at frames", total=len(records)) as stage:
+    with progress.stage("evaluate frames", total=len(records)) as stage:
         return evaluate(folder, scene, records, patterns=patterns, advance=stage.advance)
 
 
@@ -312,7 +312,7 @@ def _baseline(config: Config, result: Mapping[str, Any]) -> dict[str, str]:
     texts = {
         f"detection at {config.threshold_sigma:g} sigma, first {seen.frames_looked_at} frames": (
             f"{100 * seen.bright_undisturbed:.2f} % of undisturbed stars of SNR 10 and more{faint}; "
-            f"{seen.false_not_flagged:.2f} false ones a frame"
+            f"{seen.false_not_flagged:.2f} false detections per frame"
         )
     }
     if bins and math.isfinite(ratio := detection.mean_ratio(bins)[0]):

@@ -426,14 +426,14 @@ class Checked:
         if SUMS in self.missing:
             text.append(f"without {SUMS} only frames and truth are checked, exports and reports are not")
         if self.unlisted:
-            text.append(f"{len(self.unlisted)} files of frames are whole and in no list yet: the run was interrupted")
-        text += [f"not of the dataset: {name}" for name in self.foreign[:20]]
+            text.append(f"{len(self.unlisted)} complete frame files are not listed yet: the run was interrupted")
+        text += [f"does not belong to the dataset: {name}" for name in self.foreign[:20]]
         others = [name for name in (*self.damaged, *self.missing) if not _OF_FRAME.fullmatch(name)]
         again = [f"frames {in_words(self.frames)}"] if self.frames else []
-        again += ["what is written at the end of a run, exports included"] if others else []
+        again += ["the final files of a run, exports included"] if others else []
         if again:
-            text.append(f"the same command makes again: {'; '.join(again)}")
-        return [*text, f"{self.files} files are whole"]
+            text.append(f"the same command restores: {'; '.join(again)}")
+        return [*text, f"{self.files} files are intact"]
 
 
 def check(folder: Path, progress: Progress) -> Checked:

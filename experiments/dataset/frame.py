@@ -34,9 +34,9 @@ from render.tracing.tracer import TracedStars
 LAYER_WORDS = {
     "stars": "stars and planets smaller than a pixel",
     "scatter": "halos of stars: polish and dust of the lens",
-    "ghosts": "light that surfaces reflect twice",
+    "ghosts": "ghosts: light reflected by two surfaces",
     "sky": "zodiacal light, uniform sky",
-    "stray": "Sun, Moon and Earth beside the field, even",
+    "stray": "uniform stray light of Sun, Moon and Earth outside the field",
     "bodies": "Moon and planets larger than a pixel",
     "dark": "dark current and uniform light of background.extra_e_per_s",
 }

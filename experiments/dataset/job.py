@@ -61,7 +61,7 @@ def check_worker(job: Job) -> None:
     where = f"worker {_address()}"
     if not (job.token in Store(job.url).names() if job.url else (Path(job.folder) / job.token).exists()):
         place, advice = (
-            (job.url, "it must reach it")
+            (job.url, "the worker must reach this URL")
             if job.url
             else ("the folder of the dataset", "it must be on a file system that all machines share, at the same path")
         )

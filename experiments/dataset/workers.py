@@ -44,7 +44,7 @@ ALONE_S, GIVE_UP_S = 10.0, 300.0
 CONNECT_S, START_S, CLOSE_S = 5.0, 120.0, 5.0
 KILL_S = 0.4
 """For the end of a cluster whose processes are killed: what is left of it then dies with this process."""
-GO_ON = "what was made is kept: run the same command again to go on"
+GO_ON = "finished frames are kept; run the same command again to continue"
 
 
 def make_frames(job: Job, frames: Sequence[int], *, workers: int, scheduler: str, done: Done) -> int:
@@ -311,7 +311,7 @@ def local_cluster(count: int) -> Iterator[Any]:
             until = time.monotonic() + START_S
             while not started.wait(0.02):
                 if time.monotonic() > until:
-                    raise TimeoutError(f"they are not up after {START_S:g} s")
+                    raise TimeoutError(f"not started after {START_S:g} s")
             if failed:
                 raise failed[0]
             yield up[1]

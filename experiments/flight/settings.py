@@ -202,7 +202,7 @@ class Config(SensorExperimentConfig, SensorConfig):
     @model_validator(mode="after")
     def _possible(self) -> Config:
         if self.frames.end_of_life and not self.life.years:
-            raise ValueError("frames.end_of_life needs life.years and what changes in them")
+            raise ValueError("frames.end_of_life needs life.years above 0")
         if self.instrument.line_time_us:
             raise ValueError("instrument.line_time_us: the flight is predicted for a global shutter; set it to 0")
         return self

@@ -124,7 +124,10 @@ def misplaced(seen_px: FloatArray, commanded_px: FloatArray, names: Sequence[str
     if tried[best] > LEFT * before:
         return []
     far = float(np.linalg.norm(commanded_px[best[0]] - commanded_px[best[1]]))
-    return [f"{names[best[0]]} and {names[best[1]]} stand each where the other was commanded, {far:.2g} px away"]
+    return [
+        f"{names[best[0]]} and {names[best[1]]} are interchanged: each lies at the commanded position of the "
+        f"other, {far:.2g} px away"
+    ]
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> Reduced:

@@ -122,7 +122,7 @@ def method_centroiders(
     for method in methods:
         name, which = _split(method)
         if which == _MEASURED and measured is None:
-            raise ConfigError(f"centroider {method!r} needs an ePSF built from frames; none was")
+            raise ConfigError(f"centroider {method!r} needs an ePSF built from frames; none was built")
         given = {"": own, _REFERENCE: reference, _MEASURED: [measured] * len(own)}
         options = {"epsf": list(given[which])} if needs_epsf(method) else {}
         found[method] = get_centroider(name, **options)

@@ -195,7 +195,8 @@ def _images(
     order = np.max([needed_order(pupil, half_mm), *needs], axis=0)
     if order.prod() > MOST_RAYS:
         raise DomainError(
-            f"they need {order[0]} x {order[1]} rays, {MOST_RAYS} at most are traced here; rays suffice for this lens"
+            f"they need {order[0]} x {order[1]} rays, at most {MOST_RAYS} are traced; geometric spots suffice for "
+            "this lens"
         )
     fine, all_fields = trace_pupil(lens, *chosen, order=(int(order[0]), int(order[1]))), range(len(SHOWN))
     grid = half_mm * np.linspace(-1.0, 1.0, SIDE)

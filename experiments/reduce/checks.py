@@ -360,7 +360,7 @@ def _copies_advice(outcome: Outcome) -> str:
     checks = _checks(outcome)
     return (
         f"{checks.copies} of {checks.frames} frames are copies ({_some(checks.copied)}): a frame was stored several "
-        "times, or the camera did not refresh; noise of copies is not noise: take them out"
+        "times, or the camera did not refresh; copies have no independent noise: remove them"
     )
 
 
@@ -376,7 +376,7 @@ def _shared_advice(outcome: Outcome) -> str:
 def _disorder_advice(outcome: Outcome) -> str:
     return (
         f"{_some(_checks(outcome).disorder)}, but taken earlier by DATE-OBS or FRAMENUM: frames are read in the order "
-        "of their names; list the files in the order of their exposure, or drift and correlation are not what they seem"
+        "of their names; list the files in the order of their exposure, otherwise drift and correlation are wrong"
     )
 
 
@@ -385,7 +385,7 @@ def _moved_advice(outcome: Outcome) -> str:
     moved = _checks(outcome).moved
     if moved is None or not moved.found:
         return ""
-    return f"{moved.words('+.3f', ' px')}: the target or the camera is not at rest; take the frames apart there"
+    return f"{moved.words('+.3f', ' px')}: the target or the camera is not at rest; split the series there"
 
 
 def _light_advice(outcome: Outcome) -> str:
@@ -402,22 +402,22 @@ def _lag_advice(outcome: Outcome) -> str:
     if lag.value < 0:
         return f"{where}: a vibration near half of the frame rate, which N frames average out better than white noise"
     return (
-        f"{where}: drift, air, or a vibration that the frame rate aliases; N frames are worth N (1 - r) / (1 + r), "
-        "which the stated errors have"
+        f"{where}: drift, air, or a vibration that the frame rate aliases; N frames equal N (1 - r) / (1 + r) "
+        "independent ones, as the stated errors assume"
     )
 
 
 def _step_advice(outcome: Outcome) -> str:
     return (
         f"all readings are {_checks(outcome).step_dn} DN apart or a multiple: a converter of fewer bits, shifted to "
-        "the left; divide the frames (and gain_dn_per_e, offset_dn, saturation_dn) by it"
+        "the left; divide the frames (and gain_dn_per_e, offset_dn, saturation_dn) by this step"
     )
 
 
 def _top_advice(outcome: Outcome) -> str:
     one = _checks(outcome)
     return (
-        f"the highest reading comes {one.top_count} times, chance lets it come {one.top_limit} times: pixels are "
+        f"the highest reading occurs {one.top_count} times, at most {one.top_limit} times by chance: pixels are "
         f"saturated there; state saturation_dn = {one.top_dn} and lower the lamp or the exposure"
     )
 
@@ -458,10 +458,10 @@ def _noise_advice(outcome: Outcome) -> str:
         cause = f"{checks.copies} frames are copies"
     elif not (cause := _gain_advice(outcome)):
         more = (
-            "points scatter more than photons and read noise make them (vibration, air, a flickering lamp, or "
+            "points scatter more than by photon and read noise (vibration, air, a flickering lamp, or "
             "read_noise_e is the median of pixels that differ, where the RMS is needed)"
         )
-        less = "points scatter less than photons and read noise make them (frames averaged or smoothed, read_noise_e)"
+        less = "points scatter less than by photon and read noise (frames averaged or smoothed, read_noise_e)"
         cause = more if ratio > 1.0 else less
     return f"the ratio is {ratio:.3g}: {cause}"
 
@@ -469,8 +469,8 @@ def _noise_advice(outcome: Outcome) -> str:
 def _flat_advice(outcome: Outcome) -> str:
     spread, noise = _checks(outcome).flat_pattern or (0.0, 0.0)
     return (
-        f"the flat shows {spread:.2%} from pixel to pixel, of which {noise:.2%} is its own noise: it adds more than it "
-        "takes away; average more or brighter flats, or leave it out"
+        f"the flat shows {spread:.2%} from pixel to pixel, of which {noise:.2%} is its own noise: it adds more "
+        "noise than it corrects; average more or brighter flats, or leave it out"
     )
 
 

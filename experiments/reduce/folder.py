@@ -277,7 +277,7 @@ def _find(
         match_px=settings.match_px,
         where=name,
         unseen=f"correct the coordinates or raise match_px ({settings.match_px:g})",
-        merged="lower match_px or part them",
+        merged="lower match_px or move the points apart",
     )
 
 

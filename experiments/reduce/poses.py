@@ -151,7 +151,7 @@ def _fit_advice(outcome: Outcome) -> str:
     fit = outcome.result["fit"]
     if fit.fit_ratio.value < 1.0:
         return f"{fit.misfit}: the reading noise or read_noise_e is smaller than stated"
-    more = "" if fit.flat else "; there is no flat, and prnu_fraction = 0 says that the pixels respond alike"
+    more = "" if fit.flat else "; there is no flat, and prnu_fraction = 0 assumes equal response of all pixels"
     return (
         f"{fit.misfit}: the reading noise is larger than stated, the star or the table moved during a pose, or the "
         f"lens has more distortion than five terms describe{more}"

@@ -20,7 +20,8 @@ from experiments.reduce.sequence import Lag, effective_frames, position_lags
 from optics.arrays import FloatArray
 
 _SATURATED = (
-    "lower the lamp or the exposure (saturated is what reaches saturation_dn, and what the bit SATURATE of a MASK says)"
+    "lower the lamp or the exposure (saturated: pixels at saturation_dn or above, and pixels with the bit SATURATE "
+    "of a MASK)"
 )
 
 

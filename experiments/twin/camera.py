@@ -111,7 +111,7 @@ def chosen_order(orders: Sequence[Order]) -> Order:
     """The simplest model whose predictions are within one standard error of the best ones (paired by frames)."""
     known = [one for one in orders if np.isfinite(one.chi2).sum() >= 2]
     if not known:
-        raise DomainError("no camera model converges on these frames; are they of one camera with one focus?")
+        raise DomainError("no camera model converges; frames of one camera with one focus are needed")
     best = min(known, key=lambda one: one.mean)
     for one in known:
         worse = one.chi2 - best.chi2
@@ -215,5 +215,5 @@ def fit_refraction(at: Sequence[float], chi2: Sequence[float], freedom: int) -> 
 def attitudes_of(made: Calibration) -> Rotation:
     """Attitudes of a calibration that has them."""
     if made.attitude is None:
-        raise DomainError(f"the frames give no camera: {made.solution.message}")
+        raise DomainError(f"no camera model fits the frames: {made.solution.message}")
     return made.attitude

@@ -228,7 +228,7 @@ def statistics_of(frames: Sequence[FrameStats], limit_mag: float, airmass: Float
         )
         add(
             f"limit_{words}_mag",
-            f"magnitude at which half is found, {words} sigma",
+            f"magnitude at which half are detected, {words} sigma",
             limit_of(frames, threshold),
             "mag",
             0.05,
@@ -239,7 +239,7 @@ def statistics_of(frames: Sequence[FrameStats], limit_mag: float, airmass: Float
     add("noise_dn", "noise of the background, mean of the frames", float(noise.mean()), "DN", 0.01)
     bright = magnitude < limit_mag - 1.5
     add("width_px", "width of stars, Gaussian fit", _mean(width[bright]), "px", 0.02)
-    add("width_spread_px", "its spread", _spread(width[bright]), "px", 0.25)
+    add("width_spread_px", "spread of the width", _spread(width[bright]), "px", 0.25)
     for k, words in enumerate(COLOUR_NAMES):
         add(f"width_{k}_px", f"width, stars {words}", _mean(width[bright & (colour == k)]), "px", 0.04)
     edges = (-np.inf, limit_mag - 2.0, limit_mag - 1.0, np.inf)
@@ -266,7 +266,7 @@ def statistics_of(frames: Sequence[FrameStats], limit_mag: float, airmass: Float
     add("attitude_arcsec", "attitude by every other star, across", _across(frames), "arcsec")
     add(
         "roll_arcsec",
-        "the same, roll",
+        "attitude by every other star, roll",
         float(np.sqrt(np.nanmean([one.halves_arcsec[2] ** 2 for one in frames]))),
         "arcsec",
     )

@@ -31,9 +31,9 @@ def what_is_wrong(one: Solved) -> str:
     if np.median(dn) > FILLED * max(full, 1.0):
         words = "daylight or twilight: the background takes more than half of the range; wait for dusk"
     elif "mirrored" in one.words:
-        words = f"{one.words}; widths and noise hold"
+        words = f"{one.words}; widths and noise remain valid"
     elif shape:
-        words = f"{shape}; {count} detections are not enough for their names"
+        words = f"{shape}; {count} detections are too few to identify them"
     elif count < FEWEST:
         words = f"no stars: fewer than {FEWEST} detections; lens cap, clouds or too short an exposure"
     elif empty > EMPTY_SHARE:
@@ -50,7 +50,7 @@ def _sky_words(one: Solved) -> str:
     noise, background = one.image.noise, one.seen.background
     level = noise.offset_dn + noise.gain_dn_per_e * float(np.median(background.level_e))
     return (
-        f"Measured all the same: background {level:.4g} DN, noise "
+        f"Measured nevertheless: background {level:.4g} DN, noise "
         f"{noise.gain_dn_per_e * float(np.median(background.sigma_e)):.3g} DN"
     )
 

@@ -492,10 +492,10 @@ def compared_words(statistics: Sequence[Compared], detected: Detected) -> list[s
         _, label, unit = one.key.split("|")
         if one.within:
             values = f"{one.real.value:.4g}, rendered {one.twin.value:.4g}{' ' + unit if unit else ''}"
-            out.append(f"{label}: real {values}{'' if one.within == 'yes' else ' (more than is allowed)'}")
+            out.append(f"{label}: real {values}{'' if one.within == 'yes' else ' (above the allowed difference)'}")
     if detected.area is not None:
         out.append(
-            f"star windows told apart with an area under the ROC curve of {detected.area.value:.2f} (0.5: not at all)"
+            f"star windows: area under the ROC curve of the classifier {detected.area.value:.2f} (0.5: not separable)"
         )
     return out
 
@@ -553,7 +553,7 @@ def _within(outcome: Outcome) -> list[Criterion]:
                 limit=limit,
                 false_alarm=FALSE_ALARM,
                 notices=limit if limit > 0 else None,
-                advice="what differs is in the table of causes and in the classifier's features",
+                advice="see the table of causes and the features of the classifier",
             )
         )
     return out

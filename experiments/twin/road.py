@@ -185,8 +185,8 @@ def _other_camera(one: Solved, solver: Solver) -> str:
         return ""
     focal = model.value("focal_length_mm")
     return (
-        f"frames of two cameras: solved with {focal:.1f} px per radian where the others show {solver.focal_px:.1f}; "
-        "left out. Folders of one camera and one focus are needed"
+        f"frames of two cameras: solved with {focal:.1f} px per radian, the other frames with "
+        f"{solver.focal_px:.1f}; left out. Folders of one camera and one focus are needed"
     )
 
 
@@ -196,14 +196,14 @@ def _faults(known: Prepared) -> list[str]:
     for k, frame in enumerate(known.night.frames):
         shape = shape_words(frame.image, frame.seen)
         if shape:
-            out.append(f"{frame.name}: {shape}. Solved all the same; the twin holds such images")
+            out.append(f"{frame.name}: {shape}. The frame was solved nevertheless; the twin includes such images")
         stars = field_stars(known.night, k, known.camera, known.attitudes[k])
         sure = (stars.magnitude < known.limit_mag - SURE_MAG) & known.camera.geometry.contains(stars.place_px)
         share = clouded(frame.image, stars.place_px[sure], (star_heights(frame.seen, stars) > 0.0)[sure])
         if share > 0.0:
             out.append(
-                f"{frame.name}: clouds or an obstacle over about {100 * share:.0f} % of the frame: most of its bright "
-                "stars are missing there. Attitude and camera hold; completeness and light are too low"
+                f"{frame.name}: clouds or an obstacle over about {100 * share:.0f} % of the frame: most of its "
+                "bright stars are missing there. Attitude and camera remain valid; completeness and light are too low"
             )
     return out
 
@@ -243,8 +243,7 @@ def _pitch_mm(config: Config, solver: Solver, words: list[str]) -> float:
         if abs(shown / stated - 1.0) > 0.03:
             words.append(
                 f"wrong pitch: stars show {focal_px:.1f} px per radian; with focal_length_mm = {focal:g} that is a "
-                f"pitch of {shown:.3g} um, pixel_pitch_um = {stated:g} is stated (binning?). Angles are "
-                "those of the stars"
+                f"pitch of {shown:.3g} um, pixel_pitch_um = {stated:g} is stated (binning?). Angles follow the stars"
             )
     if stated is not None:
         return stated * 1e-3
@@ -309,8 +308,8 @@ def _under_its_zenith(
             zenith = fit_zenith(boresight, np.array(altitude, float), known)
     if zenith is None:
         words.append(
-            "no zenith (site.latitude_deg and longitude_deg with times, or four altitudes): refraction and extinction "
-            "are not taken out, focal length and zero point hold them"
+            "no zenith (site.latitude_deg and longitude_deg with times, or four altitudes): refraction and "
+            "extinction are not corrected; focal length and zero point include them"
         )
         return night, made, None
     night = night.under(zenith.direction, site.refraction_arcsec)

@@ -101,7 +101,7 @@ def _checked_rows(draft: Draft) -> None:
         if first is None:
             raise ConfigError(f"{draft.report.file}: it contains only coordinate breaks, no surface")
         first.stop = True
-        draft.report.assumed("STOP", f"the file names no stop; surface {first.number} is taken, as programs do")
+        draft.report.assumed("STOP", f"the file names no stop; surface {first.number} is taken, as design programs do")
 
 
 def _checked_wavelengths(draft: Draft) -> None:
@@ -109,7 +109,10 @@ def _checked_wavelengths(draft: Draft) -> None:
         raise ConfigError(f"{draft.report.file}: no wavelength is stated")
     for wave, weight in draft.wavelengths:
         if not 100.0 < wave < 30000.0 or not weight >= 0.0:
-            raise ConfigError(f"{draft.report.file}: wavelength {wave:g} nm of weight {weight:g} is not possible")
+            raise ConfigError(
+                f"{draft.report.file}: wavelength {wave:g} nm, weight {weight:g}; 100 to 30000 nm "
+                "and a weight of 0 or more are needed"
+            )
     if not 0 <= draft.primary < len(draft.wavelengths):
         draft.report.assumed(
             "primary wavelength", f"number {draft.primary + 1} of {len(draft.wavelengths)} does not exist: 1 is taken"
@@ -165,19 +168,24 @@ def _stop(draft: Draft, data: FirstOrder) -> float:
     elif aperture.kind == "NAO":
         if math.isinf(draft.object_mm) or not 0.0 < aperture.value < 1.0:
             raise draft.fail(
-                aperture.line, f"object-side NA {aperture.value:g} with the object at {draft.object_mm:g} mm"
+                aperture.line,
+                f"object-side NA {aperture.value:g}, object at {draft.object_mm:g} mm; an NA "
+                "between 0 and 1 and a finite distance are needed",
             )
         pupil = 2.0 * math.tan(math.asin(aperture.value)) * abs(draft.object_mm + data.pupil_mm)
     else:
         pupil = aperture.value
     semi = 0.5 * pupil * share
     if not 0.0 < semi < 1e7:
-        raise ConfigError(f"{draft.report.file}: {where} gives the stop a semi-diameter of {semi:g} mm")
+        raise ConfigError(
+            f"{draft.report.file}: {where} gives the stop a semi-diameter of {semi:g} mm; it must be "
+            "positive and below 1e7 mm"
+        )
     if row.clear_mm is not None and row.clear_mm < semi * (1.0 - 1e-6):
         draft.report.approximated(
             aperture.line,
             "aperture",
-            f"it makes the stop {semi:.6g} mm, which has a clear aperture of {row.clear_mm:.6g} mm: that one counts",
+            f"it makes the stop {semi:.6g} mm; the smaller clear aperture of the stop, {row.clear_mm:.6g} mm, is used",
             row.number,
         )
         semi = row.clear_mm
@@ -194,12 +202,16 @@ def _field_angles(draft: Draft, data: FirstOrder, pupil_mm: float) -> list[tuple
             raise draft.fail(draft.fields_line, "a field is not finite")
         if draft.field_kind == "angle":
             if max(abs(point.x), abs(point.y)) >= 90.0:
-                raise draft.fail(draft.fields_line, f"a field of {max(abs(point.x), abs(point.y)):g} deg")
+                raise draft.fail(
+                    draft.fields_line, f"a field of {max(abs(point.x), abs(point.y)):g} deg; it must be below 90 deg"
+                )
             angles.append((point.x, point.y))
             continue
         base = data.efl_mm if draft.field_kind != "object" else draft.object_mm + data.pupil_mm
         if not math.isfinite(base) or base == 0.0:
-            raise draft.fail(draft.fields_line, "field heights, but object or focus is infinitely far")
+            raise draft.fail(
+                draft.fields_line, "fields are heights, but object or focus is at infinity; give field angles"
+            )
         angles.append((math.degrees(math.atan(point.x / base)), math.degrees(math.atan(point.y / base))))
     return angles
 
@@ -208,7 +220,7 @@ def _half_field(draft: Draft, angles: list[tuple[float, float]]) -> float:
     tangents = [math.hypot(*(math.tan(math.radians(a)) for a in angle)) for angle in angles]
     half = math.degrees(math.atan(max(tangents, default=0.0)))
     if half < 1e-6:
-        draft.report.assumed("field", f"the file knows the axis only; the half field is taken as {AXIS_ONLY_DEG:g} deg")
+        draft.report.assumed("field", f"the only field is the axis; a half field of {AXIS_ONLY_DEG:g} deg is taken")
         return AXIS_ONLY_DEG
     return min(half, WIDEST_DEG)
 
@@ -350,7 +362,8 @@ def _defaults(draft: Draft, angles: list[tuple[float, float]], pupil_mm: float) 
     if not draft.adjusted and (draft.temperature_c, draft.pressure_hpa) != (20.0, 1013.25):
         draft.report.assumed(
             "environment",
-            f"the file states {draft.temperature_c:g} C, {draft.pressure_hpa:g} hPa; indices stay those of 20 C in air",
+            f"the file states {draft.temperature_c:g} C, {draft.pressure_hpa:g} hPa; refractive indices stay at 20 "
+            "C in air",
             exact=True,
         )
     return FileDefaults(

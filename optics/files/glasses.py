@@ -99,8 +99,8 @@ class GlassFinder:
         if wanted is not None:
             glass, where = self._by_name(GlassName(name=wanted, line=asked.line, command=""), wanted) or (None, "")
             if glass is None:
-                raise self.draft.fail(asked.line, f"the glass {wanted!r} that was to replace {name!r} is not known")
-            return self._found(name, glass, f"{where}, in place of {name} by your order", meant, exact=False)
+                raise self.draft.fail(asked.line, f"glass {wanted!r}, given to replace {name!r}, is not known")
+            return self._found(name, glass, f"{where}, substituted for {name} as requested", meant, exact=False)
         if asked.nd and (asked.model or not _bare(name).replace("BLANK", "")):
             return self._model(asked, name, asked.nd, asked.vd or 0.0)
         exact = self._by_name(asked, name)
@@ -244,7 +244,7 @@ class GlassFinder:
         successor = self._built_in(f"N{_bare(base)}")
         if successor and _bare(base) and not base.upper().startswith("N-"):
             glass = successor[0]
-            where = f"{glass.name}, its successor without lead and arsenic, in its place"
+            where = f"{glass.name}, its successor without lead and arsenic, is used"
             return self._found(name, glass, where, meant, exact=False)
         known = {n.upper(): n for n in (*list_glasses(), *list_glasses(obsolete=True))}
         for catalogue in self.own.values():
@@ -254,8 +254,8 @@ class GlassFinder:
         hint = f" (nearest names: {', '.join(near)})" if near else ""
         raise self.draft.fail(
             asked.line,
-            f"glass {name!r} is in no catalogue at hand{hint}; the file lists {listed}: put the AGF file beside the "
-            f"lens file, or name a glass to take in its place",
+            f"glass {name!r} is in no available catalogue{hint}; the file lists {listed}: put the AGF file into "
+            "the folder of the lens file, or name a substitute glass",
         )
 
     def _found(self, name: str, glass: Glass, where: str, meant: Glass | None, *, exact: bool) -> Found:

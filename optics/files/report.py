@@ -58,7 +58,7 @@ class GlassChoice:
     def change_text(self) -> str:
         """The change of index and of first-order data in words."""
         if self.change is None:
-            return "change of index not known: the file states no index of its own at the design wavelengths"
+            return "change of index not known: the file states no index at the design wavelengths"
         text = ", ".join(f"{c:+.1e} at {w:g} nm" for w, c in zip(self.wavelength_nm, self.change, strict=True))
         if self.efl_mm is None or self.bfl_mm is None:
             return f"index {text}"

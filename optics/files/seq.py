@@ -137,7 +137,7 @@ class _Reader:
                 self.radius_mode = not (len(command.words) > 1 and command.words[1].upper().startswith("N"))
         known = {c.key for c in self.commands}
         if "DIM" not in known:
-            self.report.assumed("DIM", "the file states no dimension; millimetres, as the program would take them")
+            self.report.assumed("DIM", "the file states no dimension; millimetres are assumed, as by the program")
         if "RDM" not in known:
             self._radii_or_curvatures()
         for command in self.commands:
@@ -146,7 +146,7 @@ class _Reader:
             except (ValueError, IndexError, OverflowError) as error:
                 if isinstance(error, StarbenchError):
                     raise self.draft.fail(command.line, str(error)) from None
-                reason = "something is missing in it" if isinstance(error, IndexError) else error
+                reason = "a value is missing" if isinstance(error, IndexError) else error
                 raise self.draft.fail(command.line, f"{command.text[:60]!r}: {reason}") from None
         self._comments()
         self._settle()
@@ -216,7 +216,7 @@ class _Reader:
         elif key in ("EPD", "FNO", "NAO", "NA"):
             value = number(words, 1) * (draft.unit_mm if key == "EPD" else 1.0)
             if not 0.0 < value < math.inf:
-                raise ValueError(f"an aperture of {value:g} is not possible; it must be positive")
+                raise ValueError(f"an aperture of {value:g}; it must be positive")
             draft.aperture = Aperture(key, value, command.line)
             if key == "FNO":
                 draft.stated["F-number"] = (value, f"line {command.line}")
@@ -445,7 +445,7 @@ class _Reader:
                 scale, offset = number(words, 4, 1.0), number(words, 5, 0.0)
                 stored, wanted = self._find(target).value(what), scale * self._find(source).value(source_what)
             except (ValueError, IndexError, KeyError) as error:
-                raise self.draft.fail(command.line, f"{text[:60]!r}: a pickup that is not read ({error})") from None
+                raise self.draft.fail(command.line, f"{text[:60]!r}: this pickup is not supported ({error})") from None
             wanted += offset * self.draft.unit_mm
             if math.isclose(stored, wanted, rel_tol=1e-6, abs_tol=1e-9) or stored == wanted:
                 self.report.taken(command.line, text, "pickup; its stored result agrees")

@@ -110,7 +110,7 @@ class SurfaceData:
 
     def _filled(self, words: list[str], line: int, text: str, unit: float) -> str:
         self.set_glass(words[1], line, text)
-        return "what follows the surface"
+        return "medium behind the surface"
 
     def _mode(self, words: list[str], line: int, text: str, unit: float) -> str:
         self.mirror = words[1].upper().startswith("REFL")

@@ -31,7 +31,7 @@ _DISPLAY = dict.fromkeys(
     ),
     "display, analysis or tolerances",
 ) | {
-    "RAIM": "how rays are aimed there; here every ray is aimed at the real stop",
+    "RAIM": "ray aiming of the program; here every ray is aimed at the real stop",
     "VERS": "version of the program",
 }  # fmt: skip
 _SURFACE_DISPLAY = {
@@ -123,7 +123,7 @@ class _Reader:
         kinds = {"ENPD": "EPD", "FNUM": "FNO", "OBNA": "NAO", "FLOA": "STOP"}
         value = 0.0 if key == "FLOA" else number(words, 1)
         if key != "FLOA" and not 0.0 < value < math.inf:
-            raise ValueError(f"an aperture of {value:g} is not possible; it must be positive")
+            raise ValueError(f"an aperture of {value:g}; it must be positive")
         if key == "ENPD":
             value *= self.draft.unit_mm
         if key == "FNUM":
@@ -240,7 +240,7 @@ class _Reader:
                 else:
                     self.header(line, key, words, text)
             except (ValueError, IndexError, OverflowError) as error:
-                reason = "something is missing in it" if isinstance(error, IndexError) else error
+                reason = "a value is missing" if isinstance(error, IndexError) else error
                 raise self.draft.fail(line, f"{text[:60]!r}: {reason}") from None
         self._settle()
         return self.draft
@@ -249,7 +249,7 @@ class _Reader:
         """The lens unit comes first: every length is in it."""
         found = [(n, raw.split()) for n, raw in enumerate(self.lines, 1) if raw.split()[:1] == ["UNIT"]]
         if not found:
-            self.report.assumed("UNIT", "the file states no lens unit; millimetres, as the program would take them")
+            self.report.assumed("UNIT", "the file states no lens unit; millimetres are assumed, as by the program")
             return
         line, words = found[0]
         if len(words) < 2 or words[1].upper() not in UNITS_MM:

@@ -86,7 +86,9 @@ class Glass:
         if not self.source:
             raise ConfigError(f"glass {self.name}: a source is missing; say where its coefficients come from")
         if len(self.range_nm) != 2 or not 0.0 < self.range_nm[0] < self.range_nm[1]:
-            raise DomainError(f"glass {self.name}: range_nm {self.range_nm} is not a range of wavelengths [nm]")
+            raise DomainError(
+                f"glass {self.name}: range_nm = {self.range_nm}; two increasing wavelengths [nm] are needed"
+            )
         coldest, hottest = REFERENCE_RANGE_C
         if not coldest <= self.reference_temperature_c <= hottest:
             raise DomainError(
@@ -111,7 +113,7 @@ class Glass:
         if not (total >= _LEAST_INDEX).all():
             raise DomainError(f"glass {self.name}: {what} falls to {total.min():g} inside {low:g} ... {high:g} nm")
         if (self.transmittance is None) != (self.transmittance_mm is None):
-            raise ConfigError(f"glass {self.name}: transmittance and transmittance_mm belong together")
+            raise ConfigError(f"glass {self.name}: give transmittance and transmittance_mm together, or neither")
         if self.transmittance_mm is not None and not self.transmittance_mm > 0.0:
             raise DomainError(
                 f"glass {self.name}: transmittance_mm = {self.transmittance_mm:g} mm; it must be positive"
@@ -365,7 +367,7 @@ def _transmittance(name: str, table: Mapping[str, Any], source: str) -> tuple[Re
     if not present:
         return None, None
     if len(present) < 3:
-        raise ConfigError(f"glass {name}: transmittance_mm, transmittance_nm and transmittance belong together")
+        raise ConfigError(f"glass {name}: give transmittance_mm, transmittance_nm and transmittance together, or none")
     curve = Response(
         name=f"internal transmittance of {name}",
         source=source,

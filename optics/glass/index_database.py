@@ -49,7 +49,7 @@ def read_material(path: str | Path, name: str | None = None) -> Glass:
     except StarbenchError as error:
         raise type(error)(f"{path}: {error}") from None
     except (TypeError, ValueError, KeyError, IndexError, OverflowError) as error:
-        raise ConfigError(f"{path}: not as files of refractiveindex.info are written ({error})") from None
+        raise ConfigError(f"{path}: not in the format of refractiveindex.info ({error})") from None
 
 
 def _glass(file: Mapping[str, Any], name: str) -> Glass:
@@ -66,7 +66,7 @@ def _glass(file: Mapping[str, Any], name: str) -> Glass:
             table = _table(entry["data"])
             curve = _plate(table[:, 0], table[:, -1], name)
     if dispersion is None:
-        raise ConfigError("no refractive index is in it")
+        raise ConfigError("it contains no refractive index")
     conditions, properties = (file.get(key) or {} for key in ("CONDITIONS", "PROPERTIES"))
     specs = file.get("SPECS") or {}
     temperature = float(conditions.get("temperature", 293.15)) - _KELVIN

@@ -44,7 +44,7 @@ def _selected(lens: LensSystem, what: What) -> tuple[tuple[int, ...], bool]:
                 "of its file"
             )
     if not indices:
-        raise ConfigError(f"no surface of lens {lens.name!r} is named")
+        raise ConfigError(f"lens {lens.name!r}: no surface is named; at least one is needed")
     return tuple(sorted(set(indices))), False
 
 

@@ -280,7 +280,7 @@ def _opened(lens: LensSystem, pupil: PupilTable, where: str) -> LensSystem:
     stop = lens.surfaces[lens.stop_index]
     if not stop.inner_semi_diameter_mm < radius < stop.shape.rim_mm:
         raise ConfigError(
-            f"{where}: [pupil] asks for a stop of radius {radius:.6g} mm; it must lie between its hole, "
+            f"{where}: [pupil] requires a stop of radius {radius:.6g} mm; it must lie between its hole, "
             f"{stop.inner_semi_diameter_mm:g} mm, and the rim of its surface, {stop.shape.rim_mm:.6g} mm"
         )
     return lens.with_surfaces({lens.stop_index: replace(stop, semi_diameter_mm=radius)})

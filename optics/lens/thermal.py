@@ -367,7 +367,9 @@ def _at_rims(thermal: _Field, front: _Body, behind: _Body, grown: Surface) -> fl
             for one, r in ((lens.surfaces[index], radius), (new, radius * growth))
         ]
         if not np.all(np.isfinite(sags)):
-            raise DomainError(f"mount of {body.name} at radius {radius:g} mm: {lens.label(index)} ends before")
+            raise DomainError(
+                f"mount of {body.name} at radius {radius:g} mm: {lens.label(index)} ends inside this radius"
+            )
         change += sign * (sags[0] * growth - sags[1])
     return change
 

@@ -250,7 +250,7 @@ def _outline(
     reach = 0.0
     while len(lanes):
         if reach > WIDEST * apertures.scale_mm:
-            raise ConvergenceError(f"rays pass even {reach:.1f} mm from the axis; no aperture limits the beam")
+            raise ConvergenceError(f"rays pass up to {reach:.1f} mm from the axis; no aperture limits the beam")
         reach = next(steps, 1.1 * reach / apertures.scale_mm) * apertures.scale_mm
         value = excess(lanes, np.full(len(lanes), reach))
         outside = value >= 0.0

@@ -140,8 +140,8 @@ class PathMap:
             bad = np.argwhere(~np.isfinite(np.asarray(self.error_nm, float)))
             raise DomainError(
                 f"wavefront map: {len(bad)} of {np.size(self.error_nm)} values are not finite, the first at row "
-                f"{bad[0][0]}, column {bad[0][1]}; fill what the interferometer masked (the mean of the neighbours "
-                "does for points outside the pupil)"
+                f"{bad[0][0]}, column {bad[0][1]}; fill the points masked by the interferometer (outside the pupil "
+                "the mean of neighbours suffices)"
             )
         freeze(self, "error_nm", shape=("r", "c"), sizes=sizes)
         for name in ("x", "y"):

@@ -161,7 +161,7 @@ def sphere_photons(body: SunlitBody, wavelength_nm: ArrayLike) -> FloatArray:
     A second light and air are not in it.
     """
     if body.mesh is not None:
-        raise DomainError("the light of a mesh is known when it is rendered")
+        raise DomainError("the light of a mesh is known only after rendering")
     light = sunlight(wavelength_nm, distance_au=body.sun_distance_au) * body.albedo_at(wavelength_nm)
     return np.asarray(light * (_disk_factor(body) * (body.radius_km / body.distance_km) ** 2))
 

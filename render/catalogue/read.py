@@ -310,12 +310,14 @@ class _Columns:
         highest, lowest = np.nanmax(ra, initial=0.0), np.nanmin(ra, initial=0.0)
         if highest > 2.0 * math.pi * (1 + 1e-9) or lowest < -2.0 * math.pi * (1 + 1e-9):
             raise DomainError(
-                f"{self.name}: ra up to {max(highest, -lowest) / DEG_RAD:g} deg, 360 is most; state its unit, units="
+                f"{self.name}: ra up to {max(highest, -lowest) / DEG_RAD:g} deg; at most 360 deg is allowed; state "
+                "its unit with units="
             )
         steepest = float(np.nanmax(np.abs(dec), initial=0.0))
         if steepest > math.pi / 2 * (1 + 1e-9):
             raise DomainError(
-                f"{self.name}: dec up to {steepest / DEG_RAD:g} deg, 90 is most; state its unit with units="
+                f"{self.name}: dec up to {steepest / DEG_RAD:g} deg; at most 90 deg is allowed; state its unit "
+                "with units="
             )
         if "ra" not in self.unstated or np.isfinite(ra).sum() < _FEWEST_TO_JUDGE:
             return
@@ -327,8 +329,8 @@ class _Columns:
         else:
             return
         raise DomainError(
-            f"{self.name} states no unit, and ra up to {raw:.4g} looks like {guess}, not {unit}; say which with "
-            "units={'ra': ..., 'dec': ...}"
+            f"{self.name} states no unit, and ra up to {raw:.4g} looks like {guess}, not {unit}; state the unit "
+            "with units={'ra': ..., 'dec': ...}"
         )
 
     def epoch(self, given: float | None) -> float:
@@ -339,7 +341,7 @@ class _Columns:
         if stated is not None and len(stated):
             if np.nanmin(stated) != np.nanmax(stated):
                 raise ConfigError(
-                    f"{self.name}: epochs from {np.nanmin(stated):g} to {np.nanmax(stated):g}; one for all is needed"
+                    f"{self.name}: epochs from {np.nanmin(stated):g} to {np.nanmax(stated):g}; a single epoch is needed"
                 )
             return float(np.nanmax(stated))
         if self.preset.epoch_year is None:

@@ -158,7 +158,7 @@ class StarCatalog:
                 at = int(np.argmax(beyond))
                 raise DomainError(
                     f"{self.name}: {name} of star {at} (id {self.id[at]}) is {values[at]:g} {unit}, outside "
-                    f"{low:g} ... {high:g}; a code for a missing value?"
+                    f"{low:g} ... {high:g}; is it a code for a missing value?"
                 )
 
     def __len__(self) -> int:

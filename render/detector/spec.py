@@ -536,7 +536,7 @@ def _with_curves(mapping: dict[str, Any], path: Path) -> dict[str, Any]:
     efficiency, dark = mapping.get("quantum_efficiency"), mapping.get("dark_current")
     if isinstance(efficiency, dict) and "file" in efficiency:
         if extra := {"wavelength_nm", "value"} & efficiency.keys():
-            raise ConfigError(f"{path}: quantum_efficiency: file and {min(extra)}; one of them is enough")
+            raise ConfigError(f"{path}: quantum_efficiency: give either file or {min(extra)}, not both")
         curve = load_band(_beside(path, efficiency["file"], "quantum_efficiency"))
         rest = {key: value for key, value in efficiency.items() if key != "file"}
         lists = {"wavelength_nm": curve.wavelength_nm.tolist(), "value": curve.value.tolist()}
@@ -546,12 +546,12 @@ def _with_curves(mapping: dict[str, Any], path: Path) -> dict[str, Any]:
     if "file" in dark:
         mapping = {**mapping, "dark_current": _dark_rows(_beside(path, dark["file"], "dark_current"))}
     if extra_key := next((key for key in DARK_KEYS if key in mapping and key != "dark_reference_c"), None):
-        raise ConfigError(f"{path}: {extra_key} and a table [dark_current]; one of them is enough")
+        raise ConfigError(f"{path}: give either {extra_key} or a table [dark_current], not both")
     table = parse_model(DarkTable, mapping["dark_current"], f"{path}: dark_current")
     reference = mapping.get("dark_reference_c", table.temperature_c[-1])
     low, high = table.temperature_c[0], table.temperature_c[-1]
     if not isinstance(reference, int | float) or not low <= reference <= high:
-        raise ConfigError(f"{path}: dark_reference_c = {reference!r}; the table has {low:g} to {high:g} C")
+        raise ConfigError(f"{path}: dark_reference_c = {reference!r} C is outside the table's {low:g} to {high:g} C")
     at = _tabulated(tuple(table.temperature_c), tuple(table.e_per_s), reference)
     return {**mapping, "dark_reference_c": reference, "dark_current_e_per_s": at}
 

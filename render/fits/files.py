@@ -396,14 +396,18 @@ def _check_whole(path: Path | str, image: NDArray[Any]) -> None:
     """Refuse what is no raw frame of up to 16 bits, and say why."""
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         fault = (
-            f"{int((~np.isfinite(image)).sum())} pixels are NaN or infinite (name them in a MASK or a bad-pixel map)"
+            f"{int((~np.isfinite(image)).sum())} pixels are NaN or infinite (mark them in a MASK or a bad-pixel map)"
         )
     elif float(image.min()) < 0:
-        fault = f"values go down to {float(image.min()):g} (signed numbers without BZERO, or a dark frame taken away)"
+        fault = (
+            f"the lowest value is {float(image.min()):g} (signed numbers without BZERO, or a dark frame was subtracted)"
+        )
     elif float(image.max()) > 65535:
-        fault = f"values go up to {float(image.max()):g}, more than 16 bits hold (a sum of frames, or another scale)"
+        fault = (
+            f"the highest value is {float(image.max()):g}, above the 16-bit range (a sum of frames, or another scale)"
+        )
     elif not (np.issubdtype(image.dtype, np.integer) or np.array_equal(image, np.rint(image))):
-        fault = "values have fractions (a mean of frames, or an image that was calibrated)"
+        fault = "values are not whole numbers (a mean of frames, or a calibrated image)"
     else:
         return
     raise ConfigError(f"{path}: image is not made of whole numbers from 0 to 65535: {fault}; a raw frame is needed")

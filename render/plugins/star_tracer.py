@@ -94,8 +94,8 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             self.bodies = props.get("bodies")
             if self.bodies is not None and (mi.is_spectral or mi.is_rgb):
                 raise BackendError(
-                    f"star_tracer: bodies in the variant {mi.variant()}; bands are rendered one by one in llvm_ad_mono "
-                    "or cuda_ad_mono"
+                    f"star_tracer: bodies cannot be rendered in the variant {mi.variant()}; use llvm_ad_mono or "
+                    "cuda_ad_mono, one band at a time"
                 )
             # out of sight of Dr.Jit: records that are attributes it walks through at every mi.render, 1 ms for a lens
             self._kept = SimpleNamespace(traced=None, by={})

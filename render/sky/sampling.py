@@ -40,7 +40,9 @@ class SkySample:
 def sample_sky(index: SkyIndex, view: FieldOfView, attitudes: Rotation) -> SkySample:
     """Stars on the detector (without its margin) in each attitude, at the epoch of the catalogue."""
     if attitudes.single:
-        raise ConfigError("sample_sky: many attitudes are needed; Rotation.from_matrix([...])")
+        raise ConfigError(
+            "sample_sky: one Rotation of several attitudes is needed, such as Rotation.from_matrix([...])"
+        )
     matrix = attitudes.as_matrix()
     boresight = matrix[:, 2] / np.linalg.norm(matrix[:, 2], axis=1, keepdims=True)
     chord = 2.0 * np.sin(min(view.radius_rad, np.pi) / 2.0)

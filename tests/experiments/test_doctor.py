@@ -49,7 +49,7 @@ def test_missing_llvm_and_missing_packages_are_told_without_a_traceback(tmp_path
     assert (done.returncode, done.stderr) == (1, "")
     told = {one["name"]: one for one in json.loads(done.stdout)["findings"]}
     assert {"Python", "packages", "LLVM", "backend", "threads", "GPU", "stars", "caches", "disk"} <= set(told)
-    assert "could not be looked at" in told["stars"]["text"]
+    assert "could not be checked" in told["stars"]["text"]
     assert told["LLVM"]["state"] == ("note" if "cuda_ad_mono" in told["GPU"]["text"] else "fault")
     assert "install" in told["LLVM"]["advice"]
 

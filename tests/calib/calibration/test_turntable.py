@@ -261,4 +261,4 @@ def test_bad_input(scenes):
     mirrored = replace(bench.observations, pixel_px=bench.observations.pixel_px[:, ::-1])
     found = calibrate(mirrored, scenes.START, TurntableAttitudes(table_rotation=table)).solution
     assert found.status == "refused"
-    assert "180 deg from where it was said to be: the image is mirrored" in found.message
+    assert "180 deg from its start value: the image is mirrored" in found.message

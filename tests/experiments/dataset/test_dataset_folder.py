@@ -327,10 +327,10 @@ def test_check_names_what_is_damaged_and_what_is_made_again(dataset, tmp_path, c
         "damaged: truth/frame_000001.parquet",
         "missing: frames/frame_000002.fits",
     ]
-    assert "not of the dataset: notes.txt" in said
-    assert "the same command makes again: frames 1, 2; what is written at the end of a run" in "\n".join(said)
+    assert "does not belong to the dataset: notes.txt" in said
+    assert "the same command restores: frames 1, 2; the final files of a run" in "\n".join(said)
     assert run(folder) == 0
-    assert "frames that were damaged and are made again: 1, 2" in capsys.readouterr().err
+    assert "damaged frames are rendered again: 1, 2" in capsys.readouterr().err
     assert main(["check", str(folder)]) == 0
     assert data(folder) == data(dataset)
     assert (folder / "notes.txt").read_text() == "mine"

@@ -211,7 +211,7 @@ def test_a_scheduler_that_is_killed(tmp_path):
         scheduler.kill()
         _, error = process.communicate(timeout=60)
     assert process.returncode == 2, error
-    assert "is gone; what was made is kept: run the same command again to go on" in error
+    assert "is gone; finished frames are kept; run the same command again to continue" in error
     assert error.count("\n") == 1, error
 
 

@@ -129,7 +129,7 @@ def test_at_a_url_as_in_a_folder(url, engine, tmp_path, capsys):
     store.write("truth/frame_000002.parquet", there["truth/frame_000002.parquet"][:-3])
     capsys.readouterr()
     assert main(["check", url]) == 1
-    assert "the same command makes again: frames 1, 2" in capsys.readouterr().out
+    assert "the same command restores: frames 1, 2" in capsys.readouterr().out
     assert main([*RUN, "--workers", "1", "--out", url], own_process=False) == 0
     again = objects(url)
     assert {name for name in same if again.get(name) != here[name]} == set()

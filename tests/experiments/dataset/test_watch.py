@@ -34,7 +34,9 @@ def test_workers_that_are_gone(cluster, capsys):
     assert list(told.values()) == ["scheduler tcp://head:8786: no workers for 10 s; waiting for some\n"]
     assert 10 <= min(told) <= 12
     cluster.now = 402.0
-    with pytest.raises(BackendError, match="no workers for 300 s; what was made is kept: run the same command again"):
+    with pytest.raises(
+        BackendError, match="no workers for 300 s; finished frames are kept; run the same command again"
+    ):
         watch.look()
 
 
@@ -54,7 +56,7 @@ def test_workers_that_come_and_go(cluster, capsys):
 def test_a_scheduler_that_is_gone(cluster):
     watch = workers._Watch(cluster, "scheduler tcp://head:8786")
     cluster.status, cluster.now = "closed", 200.0
-    with pytest.raises(BackendError, match=r"^scheduler tcp://head:8786 is gone; what was made is kept"):
+    with pytest.raises(BackendError, match=r"^scheduler tcp://head:8786 is gone; finished frames are kept"):
         watch.look()
 
 

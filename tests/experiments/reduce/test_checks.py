@@ -221,7 +221,7 @@ def test_noise_beside_that_of_the_model_is_named(tmp_path, rng):
     """Read noise of 23 e- where 12 are stated, the gain right; then means of four frames, as cameras store them."""
     loud = [np.rint(readout(expected(), rng) + 20.0 * GAIN * rng.standard_normal((SIZE, SIZE))) for _ in range(FRAMES)]
     criteria, _ = judged(tmp_path / "loud", np.array(loud, np.uint16))
-    assert all("points scatter more than photons" in one for one in failed(criteria).values()), failed(criteria)
+    assert all("points scatter more than by photon" in one for one in failed(criteria).values()), failed(criteria)
     assert failed(criteria)
     frames = [
         np.rint(np.mean([readout(expected(), rng) for _ in range(4)], axis=0)).astype(np.uint16) for _ in range(FRAMES)

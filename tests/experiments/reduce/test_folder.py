@@ -380,7 +380,7 @@ def raw(path, dn, **cards):
         ("points = 1\nseries_table = 'wrong.csv'\n", ConfigError, "row 1: .*outer"),
         ("points = 1\n", ConfigError, "series_table is needed"),
         ("points = 1\n[[series]]\nfiles = 'nan.fits'", ConfigError, "NaN or infinite"),
-        ("points = 1\n[[series]]\nfiles = 'sum.fits'", ConfigError, "more than 16 bits hold"),
+        ("points = 1\n[[series]]\nfiles = 'sum.fits'", ConfigError, "above the 16-bit range"),
     ],
 )
 def test_files_that_do_not_fit_are_one_line(folder, text, error, said):

@@ -134,7 +134,7 @@ def test_positions_in_the_wrong_order_are_named():
     assert misplaced(seen, commanded, names) == []
     seen[[3, 8]] = seen[[8, 3]]
     (said,) = misplaced(seen, commanded, names)
-    assert said == "step3 and step8 stand each where the other was commanded, 0.99 px away"
+    assert said == "step3 and step8 are interchanged: each lies at the commanded position of the other, 0.99 px away"
 
 
 def test_common_motion_widens_the_error_of_a_scatter():

@@ -258,7 +258,7 @@ GOOD = {"B": [1.0, 0.2], "C": [0.01, 90.0], "range_nm": [400, 700], "source": "t
         ({"reference_temperature_c": 2e301}, DomainError, "-273.15 ... 1000 C"),
         ({"dndt": [0.0, 0.0, 0.0, 0.0, 0.0, 1e299]}, DomainError, "at most 1000 um"),
         ({"nd": "high"}, DomainError, "nd"),
-        ({"transmittance": [0.9]}, ConfigError, "belong together"),
+        ({"transmittance": [0.9]}, ConfigError, "together, or neither"),
         ({"transmittance": [0.9, 1.2], "transmittance_nm": [400, 700], "transmittance_mm": 10}, DomainError, "1.2"),
         (
             {"transmittance": [0.9, 0.9], "transmittance_nm": [700, 400], "transmittance_mm": 10},
@@ -293,7 +293,7 @@ def test_missing_coefficients_and_paths() -> None:
         ThermalDispersion(D0=1.86, D1=1.31e-8, D2=-1.37e-11, E0=4.34e-7, E1=6.27e-10, lambda_tk_um=0.17)
     with pytest.raises(ConfigError, match="formula"):
         Dispersion("conradi", (1.5,))
-    with pytest.raises(ConfigError, match="belong together"):
+    with pytest.raises(ConfigError, match="together, or neither"):
         Glass(
             name="x",
             source="s",

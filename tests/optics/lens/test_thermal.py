@@ -267,7 +267,7 @@ def test_input_that_cannot_be():
         heated_lens(LENS, ThermalState(mean_k=110.0, axial_k=40.0), housing)
     with pytest.raises(ConfigError, match="did you mean L1"):
         heated_lens(LENS, ThermalState(mean_k=1.0), with_spacers(housing, L11=1e-6))
-    with pytest.raises(DomainError, match="ends before"):
+    with pytest.raises(DomainError, match="ends inside this radius"):
         heated_lens(LENS, ThermalState(mean_k=1.0), replace(housing, mounts={"L6": Mount(front_radius_mm=90.0)}))
     with pytest.raises(DomainError, match="diameter_mm"):
         Housing(expansion_per_k=0.0, diameter_mm=0.0)

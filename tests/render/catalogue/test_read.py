@@ -305,7 +305,7 @@ def test_stated_units_are_believed():
         (lambda t: None, {"units": {"ra": "degrees of arc"}}, "not convertible to rad"),
         (lambda t: None, {"epoch_year": None}, "no epoch"),
         (lambda t: None, {"magnitude_system": None}, "no magnitude system"),
-        (lambda t: t.add_column(np.linspace(2000, 2016, 30), name="epoch"), {"epoch_year": None}, "one for all"),
+        (lambda t: t.add_column(np.linspace(2000, 2016, 30), name="epoch"), {"epoch_year": None}, "a single epoch"),
         (lambda t: t.add_column(["x"] * 30, name="parallax"), {}, "does not hold numbers"),
     ],
 )

@@ -260,9 +260,9 @@ def test_cube_and_extensions_are_frames(tmp_path: Path) -> None:
     ("image", "words"),
     [
         (np.array([[1.0, np.nan]]), "1 pixels are NaN"),
-        (np.array([[1, 70000]], np.int32), "values go up to 70000, more than 16 bits hold"),
-        (np.array([[-3, 5]], np.int16), "values go down to -3"),
-        (np.array([[0.5, 5.0]]), "values have fractions"),
+        (np.array([[1, 70000]], np.int32), "the highest value is 70000, above the 16-bit range"),
+        (np.array([[-3, 5]], np.int16), "the lowest value is -3"),
+        (np.array([[0.5, 5.0]]), "values are not whole numbers"),
     ],
 )
 def test_what_is_no_raw_frame_is_said(tmp_path: Path, image: Any, words: str) -> None:
