@@ -43,8 +43,8 @@ One TOML file describes a star sensor, and every experiment takes it:
 [An example](examples/triplet_50mm/sensor.toml) includes a lens file and measured filter curves.
 
 * Paths are relative to the file. A name without suffix or folder is a built-in lens or detector.
-* A missing key has the default below, in every experiment; the defaults of `centroid`, `window_px` and
-  `threshold_sigma` depend on the experiment.
+* A missing key has the default below; only the defaults of `centroid`, `window_px` and `threshold_sigma` depend on
+  the experiment.
 * Later layers override earlier ones, key by key: defaults < `--quick` < `--sensor` < `--config` < `--set` < `--seed`.
 * An unknown key is an error that names the nearest one.
 * A rolling shutter (`line_time_us`) has an effect in `dataset` only, where the image moves during a frame; `skycal` and
@@ -56,8 +56,8 @@ One TOML file describes a star sensor, and every experiment takes it:
 LABORATORY = """## [collimator], in a run's settings
 
 The laboratory's collimator is not part of the sensor file but of the settings of `chromatic`, `budget`, `temporal`,
-`hsfe` and `distortion` (`--set collimator.pinhole_um=10`, or a table of a `--config` file). By default it has no
-errors. Only `chromatic` and `budget` have filters, and so wedges. Example: a refractive collimator, an achromat of 1 m:
+`hsfe` and `distortion` (`--set collimator.pinhole_um=10`, or a table of a `--config` file). By default the collimator
+has no errors; filter wedges exist in `chromatic` and `budget` only. Example: an achromat of 1 m focal length:
 
     [collimator]
     focal_length_mm = 1000.0
@@ -72,14 +72,14 @@ errors. Only `chromatic` and `budget` have filters, and so wedges. Example: a re
 """
 
 MEASURED = """
-Each of its numbers can be swept: `--sensor ideal.toml --sweep instrument.lens.f_number=1.4:4:6`. Of `[instrument]`,
-coatings and absorption have no effect, and `defocus_mm` is 0 unless it is set.
+Each number of this table can be swept: `--sensor ideal.toml --sweep instrument.lens.f_number=1.4:4:6`. With an ideal
+lens, coatings and absorption of `[instrument]` have no effect, and `defocus_mm` is 0 by default.
 
-A lens that was **measured** is a file, `lens = "camera.lens.toml"`, with `kind = "measured"`, name, source and date, and:
+A **measured** lens is a file, `lens = "camera.lens.toml"`, with `kind = "measured"`, name, source and date, and:
 
 | table | keys |
 |---|---|
-| top | `reference_wavelength_nm`, `max_field_deg` (the half field that was measured) |
+| top | `reference_wavelength_nm`, `max_field_deg` (measured half field) |
 | `[camera]` | `focal_length_mm`, `principal_point_um`, `q1_per_mm2` ... `p2_per_mm` ([distortion](conventions.md#distortion)); lateral colour: `colour_nm`, `colour_scale`, `colour_shift_um` |
 | `[psf]` | `includes_charge_diffusion` (`true`), nodes `wavelength_nm`, `x_mm`, `y_mm` |
 | `[[component]]` | Gaussians of the PSF before the pixel: `share`, `sigma_x_um`, `sigma_y_um`, `correlation`, `offset_x_um`, `offset_y_um`; a number, or a table over wavelength, row and column of the nodes |
@@ -87,23 +87,23 @@ A lens that was **measured** is a file, `lens = "camera.lens.toml"`, with `kind 
 | `[throughput]` | `aperture_mm`, `wavelength_nm`, `transmission` |
 
 `optics/lens/measured.py` contains a complete example; `optics.export.write.write_measured_lens` writes a file from a
-record. A measured lens cannot be changed: another focus, F-number, temperature or wavefront is an error, as is any use
-that needs surfaces.
+record. Focus, F-number, temperature and wavefront of a measured lens cannot be set; using it where surfaces are needed
+is an error.
 
 | | ideal | measured |
 |---|---|---|
 | acf, camera, dataset, distortion, fisher, hsfe, skycal, temporal, turntable; `observe`, `SkySimulator` | yes | yes |
 | budget | yes | no: tolerances and temperature need the elements |
-| chromatic, pages of lens files | no: no glass | no |
+| chromatic, pages of lens files | no: they need glass | no |
 | Mitsuba scenes | yes | stars by `star_tracer`, without derivatives; no integrator that traces surfaces (`path`, `ptracer`) |
 | collimator with errors | yes | no |
 """  # noqa: E501  # rows of a table of the page are one line each
 
 
 OWN_WAYS = {
-    "acf": "focal length, distortion and detector of `[instrument]`, as a Brown-Conrady model fitted to its rays",
+    "acf": "`[instrument]`: the detector, and a Brown-Conrady model fitted to the rays of the lens",
     "twin": "pixel pitch of the detector and exposure time of `[instrument]`; the frames give the rest",
-    "skycal": "`[instrument]` as the camera `own`, `[catalogue]` for the faintest magnitude",
+    "skycal": "`[instrument]` as the camera `own`, the faintest magnitude of `[catalogue]`",
 }
 
 
@@ -163,11 +163,11 @@ DETECTOR_HEAD = """# Detector files
 
 <!-- made by docs/make_sensor_file_page.py from the model of the file; change that -->
 
-A detector is a TOML file, typed in from its data sheet. `load_detector("my_chip.toml")` reads it,
-`instrument.detector = "my_chip.toml"` of a [sensor file](sensor_file.md) gives it to every experiment.
+A detector is a TOML file with the values of its data sheet. `load_detector("my_chip.toml")` reads it;
+`instrument.detector = "my_chip.toml"` in a [sensor file](sensor_file.md) gives it to every experiment.
 Parameters are defined as in EMVA 1288; [theory](theory/detector.md) gives the order in which they act.
 
-A whole file, from an EMVA 1288 data sheet of a camera:
+A complete file, from the EMVA 1288 data sheet of a camera:
 
 ```toml
 name = "my chip"
@@ -191,18 +191,18 @@ source = "curve of the sheet, read off"
 file = "qe.csv"                # or two lists: wavelength_nm = [400, ...], value = [0.28, ...]
 ```
 
-* A misspelt key is an error with the nearest name; a missing required key is an error that names it.
+* A misspelt key is an error that names the nearest key; a missing required key is an error that names it.
 * `base = "cmv4000"` at the head: keys missing in the file have the values of that detector.
-* **Nothing is inherited silently**: every report lists the keys that came from the base, have a default, or are
-  `assumed`, and a converter that saturates below half the full well (`gain_dn_per_e` too high for `adc_bits`). For a
-  file of your own the list is also on the terminal; in Python it is `load_detector(...).remarks()`.
+* **Nothing is inherited silently**: every report lists the keys that have the base's value, a default or an `assumed`
+  value, and warns of a converter that saturates below half the full well (`gain_dn_per_e` too high for `adc_bits`).
+  For your own file the list also appears on the terminal; in Python it is `load_detector(...).remarks()`.
 * Curves are CSV files, named relative to the detector file, with or without a header line:
   `wavelength_nm, quantum_efficiency` (or `quantum_efficiency_percent`), `temperature_c, e_per_s`.
   Quantum efficiencies include the fill factor. From a responsivity in A/W:
   QE = R h c / (e wavelength) = 1239.84 R / wavelength in nm.
 * Dark current is `dark_current_e_per_s` at `dark_reference_c` and doubles every `dark_doubling_c`. A table
-  `[dark_current]` replaces the first and the last key: its logarithm is interpolated linearly in 1/T, and
-  temperatures outside it are refused. From nA/cm2: e-/s = 62.4 x nA/cm2 x (pitch in um)^2.
+  `[dark_current]` replaces `dark_current_e_per_s` and `dark_doubling_c`: the logarithm of the current is interpolated
+  linearly in 1/T, and temperatures outside the table are refused. From nA/cm2: e-/s = 62.4 x nA/cm2 x (pitch in um)^2.
 
 ## Keys
 
@@ -223,8 +223,8 @@ SHEET = {
     "full_well_e": "full well charge; EMVA: saturation capacity; saturation voltage / conversion gain in uV/e-",
     "read_noise_e": "temporal (dark) noise at the gain that is used",
     "read_noise_spread": "rarely given; CMOS about 0.1 to 0.3 (noise histogram)",
-    "gain_dn_per_e": "conversion gain in LSB/e-, of the same bits as `adc_bits`; EMVA's K; 1 over e-/DN",
-    "adc_bits": "resolution of the converter, not of the file",
+    "gain_dn_per_e": "EMVA's K; conversion gain in LSB/e- at `adc_bits`; reciprocal of e-/DN",
+    "adc_bits": "bits of the converter, not of the image file",
     "offset_dn": "a register; black level",
     "nonlinearity": "EMVA: linearity error",
     "dark_current_e_per_s": "dark current, typical, beginning of life",
@@ -282,8 +282,8 @@ def built_in() -> Iterator[str]:
     yield ""
     yield (
         "Compare with your issue of the data sheet. Values of CCD42-40, GSENSE400BSI, IMX174, IMX250 and IMX455 are\n"
-        "second-hand quotations of the sheet or paper; of CMV2000 and CMV12000 only the main figures were read. HAS2,\n"
-        "FaintStar2, STAR1000, CCD47-20, IMX249, IMX264 and IMX265 are missing, because no data sheet was available."
+        "quoted from secondary sources; for CMV2000 and CMV12000 only the main figures come from the sheet. HAS2,\n"
+        "FaintStar2, STAR1000, CCD47-20, IMX249, IMX264 and IMX265 are missing: no data sheet was available."
     )
 
 
