@@ -35,7 +35,7 @@ def frame() -> None:
     "--out",
     metavar="HTML",
     type=click.Path(readable=False, path_type=Path),
-    help="the page; default: the file's name with .html",
+    help="path of the page; default: the file's name with .html",
 )
 @click.option("--hdu", metavar="N", help="extension, by number or name; default: the first image")
 @click.option("--plane", type=int, metavar="N", help="plane of an image cube")

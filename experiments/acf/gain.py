@@ -48,7 +48,7 @@ class Gain:
     linked_bound: FloatArray = col("Bound", "", ".2f", "factor")
     # Of the logarithm of the gain, in standard deviations of gains that are drawn from the design of every sky
     linked_z: FloatArray = col("Deviation", "sigma", "+.2f", "factor", json="", shown=False)
-    linked_whole: FloatArray = col("Deviation by an error of 100 %", "sigma", ".1f", "factor", json="", shown=False)
+    linked_whole: FloatArray = col("Deviation for an error of 100 %", "sigma", ".1f", "factor", json="", shown=False)
 
 
 def gains(config: Config, trials: Mapping[str, Trials]) -> list[Gain]:
@@ -121,7 +121,7 @@ GAIN = {
                 by="factor",
                 level=1.0,
                 log="xy",
-                y="Gain of ACC, which trusts the gyro",
+                y="Gain of ACC (gyro taken as perfect)",
                 aspect_ratio=0.5,
             )
         },

@@ -288,7 +288,7 @@ METHODS = {
                 within=0.05,
                 at={"method": method},
                 title="line-of-sight error over that expected from the design",
-                advice="did every calibration converge?",
+                advice="check that every calibration converged",
             )
             for method in ("acc", "free")
         ],

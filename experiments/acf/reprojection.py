@@ -162,7 +162,7 @@ class Fig4:
         "Published from expected", "sigma", "+.1f", json=of_case("published_deviation_sigma"), shown=False, default=None
     )
     largest_px: float = col("Largest, median", "px", ".4f", json=of_case("largest_px"), shown=False)
-    inside: float = col("Part < 0.04 px", "", ".3f", json=of_case("part_below_0_04_px"), shown=False)
+    inside: float = col("Fraction below 0.04 px", "", ".3f", json=of_case("part_below_0_04_px"), shown=False)
 
 
 def fig4(config: Config, trials: Mapping[str, Trials], inferred: Point) -> list[Fig4]:

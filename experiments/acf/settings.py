@@ -149,7 +149,9 @@ class Config(SensorExperimentConfig):
         default=(0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5),
         description="noise of a star's position per axis (Fig. 3, Fig. 5)",
     )
-    table_noise_px: float = Field(default=0.1, gt=0, le=10, description="the same for Fig. 4 and Table 2")
+    table_noise_px: float = Field(
+        default=0.1, gt=0, le=10, description="noise of a star's position per axis (Fig. 4, Table 2)"
+    )
     bias_deg_per_h: GyroSizes = Field(
         default=(0.001, 0.01, 0.1), description="bias values of Fig. 3a, without random walk"
     )

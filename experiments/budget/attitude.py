@@ -37,7 +37,7 @@ from render.engine.random import Streams
 
 READINGS = {
     "independent": "LSFE independent",
-    "as it is": "chromatic common, distortion smooth",
+    "as it is": "chromatic LSFE common, distortion smooth",
     "common": "LSFE common",
 }
 FAR_FROM_THE_AXIS = 0.1
@@ -302,7 +302,7 @@ SECTIONS = {
                 "attitude_over_expected",
                 1.0,
                 slack=FAR_FROM_THE_AXIS,
-                title="Attitude from stars with the errors measured, over total / √N for the same stars",
+                title="Attitude error from stars with the measured errors over total / √N for the same stars",
             )
         ],
     ),

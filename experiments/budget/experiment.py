@@ -66,7 +66,7 @@ class Setup:
         json="collimator.line_of_sight_between_arcsec_3sigma",
         default=None,
     )
-    no_thermal: str | None = col("Why there is no thermal term", json="", default=None)
+    no_thermal: str | None = col("Reason for no thermal term", json="", default=None)
 
 
 def setup(lab: Laboratory) -> Setup:
@@ -201,7 +201,7 @@ class Tuned:
     """An instrument that is meant to have the published budget (``published_within_fraction``)."""
 
     over_published: Sequence[Sequence[Measured]] = col("Measured over published", dims="aimed axis", json="")
-    within_fraction: float = col("Wanted within", json="")
+    within_fraction: float = col("Required agreement", json="")
 
 
 def tuned(config: Config, frames: Measurement) -> Tuned | None:

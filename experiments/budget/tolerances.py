@@ -64,7 +64,7 @@ class Built:
     nominal_arcsec: FloatArray = col("Entry of the nominal lens", "arcsec", dims="pair axis", json="")
     # Scatter of the signed entries by the sum of squares of the sensitivities
     linear_arcsec: FloatArray = col("Scatter, linear", "arcsec", ".3f", "pair axis", json="")
-    sensitivity_arcsec: FloatArray = col("Chromatic term by one σ", "arcsec", ".3f", "element movement", json="")
+    sensitivity_arcsec: FloatArray = col("Chromatic term per 1σ", "arcsec", ".3f", "element movement", json="")
     largest_cause: str = col("Largest cause", json="")
 
 

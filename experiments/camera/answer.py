@@ -53,7 +53,7 @@ class ThermalRange:
     focus_shift_um: float = col("Change of the best focus over temperature", "um", ".1f", default=math.nan)
     spot_thermal_px: float = col("Spot radius (RMS), largest over temperature", "px", ".3f", default=math.nan)
     scale_change_ppm: float = col("Change of the plate scale over temperature", "ppm", ".1f", default=math.nan)
-    refusal: str = col("Why there is no answer", json="", default="")
+    refusal: str = col("Reason for no answer", json="", default="")
 
 
 def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:

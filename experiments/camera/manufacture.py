@@ -67,13 +67,15 @@ class Manufactured:
     built_yield: float = col(
         "Fraction of lenses that meets the nea, attitude_cross, spot and lsfe requirements", "", ".3f"
     )
-    built_arcsec: FloatArray = col("Of so many lenses below", "arcsec", ".3f", "built percentile")
+    built_arcsec: FloatArray = col("Not exceeded by this fraction of lenses", "arcsec", ".3f", "built percentile")
     built_nominal_arcsec: FloatArray = col("Nominal", "arcsec", ".3f", "built")
-    built_spot_px: FloatArray = col("Spot radius, largest, below", "px", ".3f", "percentile", shown=False)
+    built_spot_px: FloatArray = col(
+        "Largest spot radius, not exceeded by this fraction of lenses", "px", ".3f", "percentile", shown=False
+    )
     built_rms_arcsec: float = col("Distortion not calibrated, RMS of the lenses", "arcsec", ".3f")
-    built_linear_arcsec: float = col("The same by sensitivities", "arcsec", ".3f")
-    offender_lsfe_arcsec: FloatArray = col("Distortion not calibrated by 1σ", "arcsec", ".3f", "offender")
-    offender_spot_um2: FloatArray = col("Growth of the squared spot radius by 1σ", "um²", ".3f", "offender")
+    built_linear_arcsec: float = col("Distortion not calibrated, by sensitivities", "arcsec", ".3f")
+    offender_lsfe_arcsec: FloatArray = col("Distortion not calibrated per 1σ", "arcsec", ".3f", "offender")
+    offender_spot_um2: FloatArray = col("Growth of the squared spot radius per 1σ", "um²", ".3f", "offender")
     offenders: tuple[str, ...]
     chosen: tuple[tuple[LensSystem, float], ...]  # Lenses in their focus, and their NEA over that of the nominal one
 

@@ -40,7 +40,7 @@ class ThermalConfig(StrictModel):
 class LostConfig(StrictModel):
     """Lost-in-space identification of simulated star lists."""
 
-    attitudes: int = Field(default=200, ge=0, le=10_000, description="number of attitudes, of those of [sky]")
+    attitudes: int = Field(default=200, ge=0, le=10_000, description="number of attitudes taken from [sky]")
 
 
 class FramesConfig(StrictModel):
@@ -68,7 +68,9 @@ Parameter = Literal[
 class TornadoConfig(StrictModel):
     """Keys changed to find the most effective design change, and by how much."""
 
-    parameters: tuple[Parameter, ...] = Field(default=typing.get_args(Parameter), description="keys; empty: no chart")
+    parameters: tuple[Parameter, ...] = Field(
+        default=typing.get_args(Parameter), description="keys that are varied; empty: no chart"
+    )
     change_fraction: float = Field(default=0.2, gt=0, lt=1, description="relative change of keys with a natural zero")
     chip_k: float = Field(default=10.0, gt=0, le=50, description="change of the chip temperature")
 

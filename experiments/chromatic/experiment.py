@@ -118,7 +118,7 @@ class Entries:
     )
     published_px: FloatArray | None = col("Published", "px", ".4f", "pair axis", json="", default=None)
     rms_shift_px: FloatArray = col("RMS shift of a point", "px", ".3f", "pair axis", json=both("rms_shift_px"))
-    table1_n: int = col("Frames behind an entry", json=both("table1_n"), shown=False)
+    table1_n: int = col("Frames per entry", json=both("table1_n"), shown=False)
     lsfe_arcsec: Any = col(
         "Chromatic LSFE, 3 σ", "arcsec", dims="axis", json=both("lsfe_s_arcsec_3sigma", moved=""), shown=False
     )

@@ -43,10 +43,10 @@ class Residual:
 class Constant:
     """The part of a pair's shift that is the same everywhere, first centroider: of the lens, and of the filters."""
 
-    constant_px: Sequence[Measured] = col("The same everywhere", "px", dims="axis")
-    lens_px: Sequence[Measured] = col("of it the lens", "px", dims="axis")
-    wedge_px: Sequence[Measured] = col("the filters", "px", dims="axis")
-    told_text: str = col("Told apart", json="told_apart[pair]")
+    constant_px: Sequence[Measured] = col("Uniform part", "px", dims="axis")
+    lens_px: Sequence[Measured] = col("by the lens", "px", dims="axis")
+    wedge_px: Sequence[Measured] = col("by the filters", "px", dims="axis")
+    told_text: str = col("Separated", json="told_apart[pair]")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,7 +27,7 @@ class DecentreConfig(StrictModel):
     """Published number that a displaced element has to reproduce."""
 
     wanted_px: float = Field(
-        default=0.12, ge=-100, le=100, description="half the mean shift (ACC18 Table 1); 0: no search"
+        default=0.12, ge=-100, le=100, description="wanted entry of ACC18 Table 1 (half the mean shift); 0: no search"
     )
     pair: str = Field(
         default="auto", description="pair of bands, such as 800-600; auto: the longest minus the reference"

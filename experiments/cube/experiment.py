@@ -126,7 +126,7 @@ class Noise:
     detector_noise_px: Sequence[Measured] = col(
         "Scatter of an offset by the detector alone, predicted", "px", dims="reduced"
     )
-    squareness_sigma_arcsec: float = col("Squareness known to", "arcsec", ".2f", json="")
+    squareness_sigma_arcsec: float = col("Standard deviation of the squareness", "arcsec", ".2f", json="")
     sensor_rms_arcsec: FloatArray = col("Part of R_sr, improved reduction", "arcsec", ".2f", "axis", json="")
 
 
@@ -162,8 +162,8 @@ class Shown:
     face_angle_deg: float = col("Faces", "deg", ".5f", json="face_angle_shown_bench.measured_deg")
     true_face_angle_deg: float = col("Faces, true", "deg", ".5f", json="face_angle_shown_bench.true_deg")
     # Spot minus aperture where the faces were left, and by the law of reflection
-    offset_px: Sequence[Measured] = col("Offset left", "px", dims="face direction", json="")
-    true_offset_px: FloatArray = col("Offset left, true", "px", dims="face direction", json="")
+    offset_px: Sequence[Measured] = col("Remaining offset", "px", dims="face direction", json="")
+    true_offset_px: FloatArray = col("Remaining offset, true", "px", dims="face direction", json="")
     rotation_arcsec: FloatArray = col("R_sr", "arcsec", dims="component", json="r_sr.rotation_vector_arcsec")
     covariance_arcsec2: FloatArray = col("Covariance of R_sr", dims="component other", json="r_sr.covariance_arcsec2")
     r_sr_error_arcsec: FloatArray = col("Error of R_sr", "arcsec", ".2f", "component", json="r_sr.error_arcsec")
@@ -173,7 +173,7 @@ class Shown:
     mask_gap_true_mm: float = col("Mask to detector, true", "mm", ".5f", json="r_sr.mask_gap_true_mm")
     free_beam_arcsec: Sequence[Measured] = col("Beam off the Z axis", "arcsec", dims="angle", json="")
     spot_px: FloatArray = col("Spot of the sun sensor", "px", dims="position direction", json="")
-    residual_px: FloatArray = col("Spots less fit", "px", dims="position direction", json="")
+    residual_px: FloatArray = col("Spots minus fit", "px", dims="position direction", json="")
 
 
 def shown_bench(laboratory: Laboratory, truth: Truth, bench: BenchResult, spots: SensorRun) -> Shown:
@@ -325,7 +325,7 @@ SECTIONS = {
             ratio_near(
                 "r_sr_error_over_predicted",
                 within=SENSOR_RELATIVE,
-                title="errors of R_sr over what the noise of the spots predicts, RMS",
+                title="errors of R_sr over their prediction from spot noise, RMS",
             )
         ],
     ),
@@ -337,7 +337,7 @@ SECTIONS = {
             agree(
                 "shown_offset_px",
                 "shown_true_offset_px",
-                title="offsets left on the shown bench, circle fits against the law of reflection",
+                title="remaining offsets of the shown bench, circle fits against the law of reflection",
             )
         ],
     ),

@@ -276,27 +276,25 @@ class Example:
 class Detection:
     """Bright stars, false detections, world coordinates."""
 
-    frames_looked_at: int = col("Frames looked at")
+    frames_looked_at: int = col("Frames evaluated")
     bright_stars: int = col("Stars of SNR 10 and more", json="completeness.stars")
-    bright_share: float = col("Their share detected", json="completeness.share")
+    bright_share: float = col("Fraction of these detected", json="completeness.share")
     bright_undisturbed: float = col("Fraction of the undisturbed stars", json="completeness.undisturbed")
     bright_missed: float | None = col("Share of undisturbed stars of SNR 10 and more not detected", json="")
     bright_missed_limit: float = col("Largest fraction consistent with 1 % of stars missed", json="")
     magnitude_of_half: float = col(
         "Magnitude at which half of the stars are detected", "mag", ".2f", json="completeness.magnitude_of_half"
     )
-    false_all: float = col("Detections without a star, per frame", format=".2f", json="false_detections_per_frame.all")
+    false_all: float = col("False detections per frame", format=".2f", json="false_detections_per_frame.all")
     false_not_flagged: float = col(
-        "Detections without star and flag, per frame", format=".2f", json="false_detections_per_frame.not_flagged"
+        "Unflagged false detections per frame", format=".2f", json="false_detections_per_frame.not_flagged"
     )
     false_in_empty_frames: float = col(
-        "Detections without flag in frames without stars, per frame",
+        "Unflagged detections in frames without stars, per frame",
         format=".2f",
         json="false_detections_per_frame.in_empty_frames",
     )
-    false_excess: float | None = col(
-        "Detections without star and flag, excess over frames without stars", "sigma", json=""
-    )
+    false_excess: float | None = col("Unflagged false detections, excess over frames without stars", "sigma", json="")
     bound_ratio: Measured | None = col(
         f"Centroid error over its Cramér-Rao bound, SNR {BOUND_SNR[0]:g} to {BOUND_SNR[1]:g}", json=""
     )
@@ -519,7 +517,7 @@ SECTIONS = {
             below(
                 "false_excess",
                 4.0,
-                title="detections without star and flag, more than in frames without stars",
+                title="unflagged false detections, excess over frames without stars",
                 advice="other light is detected as stars: raise threshold_sigma",
             ),
             below(

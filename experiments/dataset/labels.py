@@ -23,9 +23,9 @@ IntArray = NDArray[np.int64]
 
 Class = Literal["star", "planet", "moon", "hot_pixel", "cosmic_ray"]
 CLASSES: dict[str, str] = {
-    "star": "of the catalogue",
-    "planet": "of the solar system, as a point or as a disk",
-    "moon": "the Earth's, as a disk",
+    "star": "star of the catalogue",
+    "planet": "planet of the solar system, as a point or a disk",
+    "moon": "the Earth's Moon, as a disk",
     "hot_pixel": "a pixel that the detector's map calls defective and whose dark charge exceeds five times its noise",
     "cosmic_ray": "neighbouring pixels in which cosmic rays left at least an electron each",
 }

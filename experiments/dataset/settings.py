@@ -39,7 +39,7 @@ class ConePointing(StrictModel):
 
     kind: Literal["cone"] = "cone"
     ra_deg: float = Field(default=83.8, ge=0, le=360, description="right ascension of the cone's axis")
-    dec_deg: float = Field(default=0.0, ge=-90, le=90, description="its declination")
+    dec_deg: float = Field(default=0.0, ge=-90, le=90, description="declination of the axis")
     radius_deg: float = Field(default=10.0, ge=0, le=180, description="half angle of the cone")
     roll_deg: float | None = Field(
         default=None, ge=-360, le=360, description="position angle of up in the image; default: random"
@@ -77,7 +77,7 @@ class ScanPointing(StrictModel):
         default="", description="CSV or ECSV with time_s and quaternions; default: a constant rate from ra, dec, roll"
     )
     ra_deg: float = Field(default=83.8, ge=0, le=360, description="right ascension of the boresight at the start")
-    dec_deg: float = Field(default=0.0, ge=-90, le=90, description="its declination")
+    dec_deg: float = Field(default=0.0, ge=-90, le=90, description="declination of the boresight at the start")
     roll_deg: float = Field(default=0.0, ge=-360, le=360, description="position angle of up in the image at the start")
     rate_deg_per_s: Vector = Field(default=(0.0, 0.5, 0.0), description="angular velocity in camera axes")
     frame_rate_hz: float = Field(default=1.0, gt=0, le=1e4, description="frames per second")
@@ -166,7 +166,8 @@ class BackgroundConfig(StrictModel):
     )
     ghosts: bool = Field(
         default=False,
-        description="ghosts of stars in and beside the frame, of Moon and planets, and of Sun and Moon by a table of "
+        description="ghosts of stars inside and outside the frame, of Moon and planets, and of Sun and Moon by a "
+        "table of "
         "stray_light with the cause ghosts",
     )
     earth_direction_deg: tuple[AngleDeg, DeclinationDeg] = Field(
@@ -234,7 +235,7 @@ class FilesConfig(StrictModel):
         default="saturated", description="which frames get a mask of saturated and defective pixels"
     )
     layers: bool = Field(
-        default=False, description="expected electrons of stars, ghosts, sky ... apart, 4 bytes a pixel each"
+        default=False, description="expected electrons by source (stars, ghosts, sky ...), 4 bytes per pixel each"
     )
 
 

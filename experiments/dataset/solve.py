@@ -252,7 +252,7 @@ class Attitudes:
     mirrored: int = col("Mirrored", shown=False)
     wrong: int = col("Wrong", json="", shown=False)
     unsolved: int = col("Frames that are not solved", json="", shown=False)
-    unsolved_limit: int = col("Most that may fail", json="", shown=False)
+    unsolved_limit: int = col("Largest allowed number of failures", json="", shown=False)
     median_arcsec: Measured = col("Boresight, median", "arcsec", ".2f", json_error="median_sigma_arcsec")
     p95_arcsec: float = col("95 % below", "arcsec")
     largest_arcsec: float = col("Largest", "arcsec", json="")
@@ -269,7 +269,7 @@ class Attitudes:
 class Unsolved:
     """Why no frame was tried."""
 
-    without_solver: str = col("Why none was tried", json="why")
+    without_solver: str = col("Reason for no attempt", json="why")
 
 
 def attitudes(frames: Sequence[SolvedFrame]) -> Attitudes:

@@ -35,7 +35,7 @@ INDEX_COLUMNS = (
     Column("file", "str", "", "the frame, relative to this folder"),
     Column("truth", "str", "", "its truth, relative to this folder"),
     Column("ra_deg", "float64", "deg", "right ascension of the boresight in the middle of the exposure"),
-    Column("dec_deg", "float64", "deg", "its declination"),
+    Column("dec_deg", "float64", "deg", "declination of the boresight in the middle of the exposure"),
     Column("roll_deg", "float64", "deg", "position angle of up in the image, from north through east"),
     *(Column(f"quat_{axis}", "float64", "", "attitude cam from icrs, scalar last, w >= 0") for axis in "xyzw"),
     *(Column(f"rate_{axis}_deg_per_s", "float64", "deg / s", "angular velocity in camera axes") for axis in "xyz"),

@@ -151,7 +151,7 @@ class Points:
 
     nominal_px: FloatArray = col("Nominal", "px", dims="point axis", json="", key="nominal_{axis}_px")
     measured_px: FloatArray = col("Measured", "px", dims="point axis", json="", key="measured_{axis}_px")
-    light_px: FloatArray = col("Light", "px", dims="point axis", json="", key="light_{axis}_px")
+    light_px: FloatArray = col("Centroid of the light", "px", dims="point axis", json="", key="light_{axis}_px")
     ray_trace_px: FloatArray = col("Ray trace", "px", dims="point axis", json="", key="ray_trace_{axis}_px")
     d_px: FloatArray = col("Before", "px", dims="point axis", json="", key="d_{axis}_px")
     left_px: FloatArray = col("After", "px", dims="point axis", json="", key="left_{axis}_px")
@@ -193,12 +193,12 @@ class TrueMap:
     )
     forecast_arcsec: FloatArray = col("Predicted", "arcsec", ".3f", "axis", json="forecast_map_arcsec_3sigma")
     # Its parts: distortion that the polynomial cannot follow, errors of the points carried into the map
-    bias_arcsec: FloatArray = col("Distortion left", "arcsec", ".3f", "axis", json="")
-    carried_arcsec: FloatArray = col("Errors carried in", "arcsec", ".3f", "axis", json="")
-    ratio: Any = col("Left, all surveys / predicted", dims="axis", json="")
+    bias_arcsec: FloatArray = col("Distortion after the correction", "arcsec", ".3f", "axis", json="")
+    carried_arcsec: FloatArray = col("Propagated point errors", "arcsec", ".3f", "axis", json="")
+    ratio: Any = col("After correction, all surveys / predicted", dims="axis", json="")
     place_px: FloatArray = col("Place", "px", dims="cell axis", json="")
     distortion_px: FloatArray = col("Distortion", "px", dims="cell axis", json="")
-    left_px: FloatArray = col("Left by the correction", "px", dims="cell axis", json="")
+    left_px: FloatArray = col("After the correction", "px", dims="cell axis", json="")
 
 
 def true_map(

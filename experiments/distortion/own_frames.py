@@ -48,7 +48,7 @@ class Grid:
     # First method, last reference
     nominal_px: FloatArray = col("Target", "px", ".2f", "point axis", json="")
     found_arcsec: FloatArray = col("Residual", "arcsec", ".3f", "point axis", json="")
-    left_arcsec: FloatArray = col("Left after the polynomial", "arcsec", ".3f", "point axis", json="")
+    left_arcsec: FloatArray = col("After the polynomial", "arcsec", ".3f", "point axis", json="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +56,7 @@ class Order:
     """A polynomial of another order for the same points, first method, last reference; 3 sigma, both axes together."""
 
     tried: int = col("Order", format="d", json="")
-    tried_left_arcsec: float = col("Left after the polynomial", "arcsec", ".3f", json="orders[tried].sigma_Dd")
+    tried_left_arcsec: float = col("After the polynomial", "arcsec", ".3f", json="orders[tried].sigma_Dd")
     tried_point_arcsec: float = col("A point left out", "arcsec", ".3f", json="orders[tried].point_left_out")
     tried_row_arcsec: float = col("A row or column left out", "arcsec", ".3f", json="orders[tried].row_left_out")
 
@@ -207,7 +207,7 @@ own_frames = FramesTest(
         **POINTS,
     },
     head={
-        "Left after the polynomial (3 σ)": ("sigma_left_arcsec", {"method": 0, "reference": -1}),
+        "After the polynomial (3 σ)": ("sigma_left_arcsec", {"method": 0, "reference": -1}),
         "Map, at points left out": ("left_out_arcsec", {"method": 0, "reference": -1}),
         "Map, at rows left out": ("row_out_arcsec", {"method": 0, "reference": -1}),
     },

@@ -53,7 +53,7 @@ class WideField:
     marking_arcsec: FloatArray = col(
         "Marking errors alone", "arcsec", ".3f", "number axis", json="marking_alone", key="wide_marking_arcsec"
     )
-    residual_ratio: Any = col("Residuals less the prescription's, over what noise and marking give", json="")
+    residual_ratio: Any = col("Residuals minus prescription, over expectation from noise and marking", json="")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".1f", json="")
 
 
@@ -76,7 +76,7 @@ WIDE = Section(
             "wide_residual_ratio",
             within=0.0,
             false_alarm=1e-4,
-            title="Wide field: residuals less the prescription's, RMS over its expectation",
+            title="Wide field: residuals minus prescription, RMS over its expectation",
         ),
     ],
 )

@@ -251,7 +251,7 @@ class Accuracy:
     sigma_predicted_arcsec: float = col("Predicted", "arcsec", ".4f", key="predicted")
     z_score: float = col("Deviation", "sigma", "+.2f")  # By the distribution of the sum of squared chords
     # The deviation that an error of 100 % of the standard deviation makes, to first order
-    z_of_whole: float = col("Deviation by an error of 100 %", "sigma", ".1f", json="", shown=False)
+    z_of_whole: float = col("Deviation for an error of 100 %", "sigma", ".1f", json="", shown=False)
     # Readings and clocks of the table taken off in quadrature; NaN where they are all of it
     sigma_without_table_arcsec: float = col("Without table", "arcsec", ".4f", key="camera")
     # Uncertainty: scatter of the ratio from covariances; both methods share the noise

@@ -54,7 +54,7 @@ class FieldPoint:
     baseline_bias_percent: Measured = col("Pixel method", "percent", key="baseline")
     closed_form_percent: float = col("closed form", "percent", ".4f", key="closed_form")
     fisher_bias_percent: Measured = col("Fisher", "percent", key="fisher")
-    vectors_needed: float = col("Vectors to see it", format=".2g")
+    vectors_needed: float = col("Vectors to detect it", format=".2g")
     # Noise isotropic in pixels: Fisher over the pixel method, which gives the noise on the axis, on the same images
     pixel_noise_fisher_percent: Measured = col("Pixel noise", "percent", key="opposite")
     pixel_noise_quadrature_percent: float = col("quadrature", "percent", ".4f", key="quadrature")
@@ -176,7 +176,7 @@ FIELDS = Section(
             points="baseline_bias_percent pixel_noise_fisher_percent",
             lines="closed_form_percent pixel_noise_quadrature_percent",
             log="x",
-            y="Ratio of the methods' σ, less 1",
+            y="Ratio of the methods' σ, minus 1",
         )
     },
     verdicts=[

@@ -41,12 +41,12 @@ class Vectors:
     interval_arcsec: Sequence[float] = col("95 % interval", "arcsec", ".4f", "end", shown=False)
     # By the covariances of images, readings and calibration
     predicted_arcsec: float = col("Predicted", "arcsec", ".4f")
-    centroids_arcsec: float = col("of it centroids", "arcsec", ".4f", json="predicted_parts_arcsec.centroids")
-    readings_arcsec: float = col("of it readings", "arcsec", ".4f", json="predicted_parts_arcsec.readings")
+    centroids_arcsec: float = col("by centroids", "arcsec", ".4f", json="predicted_parts_arcsec.centroids")
+    readings_arcsec: float = col("by readings", "arcsec", ".4f", json="predicted_parts_arcsec.readings")
     pixel_method_arcsec: float = col("Pixel residuals", "arcsec", ".4f")
     z_score: float = col("Measured against predicted", "sigma", shown=False)
     # The deviation that an error of 100 % of the standard deviation makes, to first order
-    z_of_whole: float = col("Deviation by an error of 100 %", "sigma", json="", shown=False)
+    z_of_whole: float = col("Deviation for an error of 100 %", "sigma", json="", shown=False)
     calibration_poses: int = col("Poses that calibrated", shown=False)
     place_px: FloatArray = col("Image", "px", ".2f", "vector axis", json="")
     left_arcsec: FloatArray = col("Residual", "arcsec", ".2f", "vector axis", json="")
@@ -58,7 +58,7 @@ class Distribution:
 
     vectors: int = col("Star vectors")
     outliers: int = col("Outliers left out")
-    isotropy_p: float = col("Chance of an ellipse as long", format=".3g")
+    isotropy_p: float = col("Probability of an ellipse at least as elongated", format=".3g")
     tails: float = col("Kolmogorov statistic of the tails", format=".3g")
 
 

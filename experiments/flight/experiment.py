@@ -50,12 +50,12 @@ class Mission:
     guide_mean: float = col("Guide stars in the field, mean over the sky", "", ".1f")
     guide_worst: float = col("Guide stars in the field, worst 1 % of the sky", "", ".1f")
     covered_percent: float = col("Sky with enough guide stars", "percent", ".2f")
-    star_error_arcsec: float = col("Error of a guide star besides noise, median", "arcsec", ".3g")
+    star_error_arcsec: float = col("Error of a guide star without noise, median", "arcsec", ".3g")
     available_percent: float = col("Availability over the orbit, predicted", "percent", ".1f")
     # None without frames
     solved_percent: Measured | None = col("Fraction of unblinded frames tracked", "percent", default=None)
     acquired: Measured | None = col("Successful lost-in-space acquisitions", default=None)
-    acquired_least: float | None = col("the same, lower limit at 90 % confidence", "", ".3f", default=None)
+    acquired_least: float | None = col("Acquisition success, lower limit at 90 % confidence", "", ".3f", default=None)
     acquisition_s: Measured | None = col("Time of an acquisition on this machine", "s", default=None)
     wrong_attitudes: int | None = col("Wrong attitudes", default=None)
     rejected_per_frame: float | None = col("Windows rejected per frame", "", ".3g", default=None)
@@ -210,7 +210,7 @@ class Metric:
     """An error metric at the confidence level, for a normal error of the predicted terms."""
 
     metric: str = col("Metric", json="")
-    meaning: str = col("Of", json="")
+    meaning: str = col("Meaning", json="")
     predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4g", "component")
     measured_arcsec: Sequence[float] | None = col("Measured", "arcsec", ".4g", "component", default=None)
 

@@ -26,7 +26,7 @@ class OrbitConfig(StrictModel):
     perigee_deg: float = Field(default=0.0, ge=-360, le=360, description="argument of the perigee")
     anomaly_deg: float = Field(default=0.0, ge=-360, le=360, description="mean anomaly at time 0")
     tle: tuple[()] | tuple[str, str] = Field(
-        default=(), description="two-line elements, in place of all above: propagated by SGP4, epoch theirs"
+        default=(), description="two-line elements in place of the keys above; SGP4 propagates them from their epoch"
     )
 
 
@@ -40,8 +40,10 @@ class AttitudeLawConfig(StrictModel):
     ra_deg: float = Field(
         default=135.0, ge=-360, le=360, description="inertial, turn: right ascension of the boresight at time 0"
     )
-    dec_deg: float = Field(default=-15.0, ge=-90, le=90, description="the same")
-    roll_deg: float = Field(default=0.0, ge=-360, le=360, description="the same")
+    dec_deg: float = Field(default=-15.0, ge=-90, le=90, description="inertial, turn: declination")
+    roll_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="inertial, turn: position angle of up in the image"
+    )
     rate_deg_per_s: float = Field(default=0.01, ge=0, le=5, description="turn: rate, across the line of sight")
     direction_deg: float = Field(
         default=20.0, ge=-360, le=360, description="turn: direction of the star trails, from column towards row"
@@ -110,8 +112,10 @@ class StraylightConfig(StrictModel):
     sun_file: FileName = Field(
         default="", description="light of the Sun: CSV with angle_deg, e_per_px_s; default: none"
     )
-    earth_file: FileName = Field(default="", description="the same for the sunlit Earth, by the angle to its limb")
-    moon_file: FileName = Field(default="", description="the same for the Moon")
+    earth_file: FileName = Field(
+        default="", description="light of the sunlit Earth by angle to its limb: CSV as for the Sun"
+    )
+    moon_file: FileName = Field(default="", description="light of the Moon: CSV as for the Sun")
     sun_exclusion_deg: float = Field(default=35.0, ge=0, le=180, description="exclusion angle of the Sun")
     earth_exclusion_deg: float = Field(default=10.0, ge=0, le=90, description="exclusion angle of the Earth's limb")
     moon_exclusion_deg: float = Field(default=0.0, ge=0, le=180, description="exclusion angle of the Moon")
@@ -170,8 +174,8 @@ class FramesConfig(StrictModel):
         description="number of traced thermal states; segments of similar temperature share their mean",
     )
     psf_grid: int = Field(default=9, ge=3, le=33, description="PSFs of the tracker's grid along the longer side")
-    planets: bool = Field(default=True, description="planets shine as points of light, false stars to the tracker")
-    cosmic_rays: Environment = Field(default="none", description="tracks in every readout, 10 um of silicon")
+    planets: bool = Field(default=True, description="planets rendered as points, false stars to the tracker")
+    cosmic_rays: Environment = Field(default="none", description="cosmic rays in every readout, 10 um of silicon")
     end_of_life: bool = Field(default=False, description="render the sensor at the end of life")
 
 

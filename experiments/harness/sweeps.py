@@ -101,7 +101,7 @@ def _comparison(declared: Experiment, renders: bool) -> Experiment:
 
     single: Any = declared.config
     sensors = Field(
-        default_factory=lambda: (single(),), min_length=1, max_length=MOST_SENSORS, description="side by side"
+        default_factory=lambda: (single(),), min_length=1, max_length=MOST_SENSORS, description="sensors to compare"
     )
     config = create_model(
         "ComparisonConfig", __base__=_Comparison, __module__=single.__module__, sensors=(tuple[single, ...], sensors)

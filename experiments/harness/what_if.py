@@ -161,7 +161,7 @@ class Swept:
     words: str = col("Range", json="")
     first: str = col("Key", json="keys.first")
     second: str | None = col("Second key", json="keys.second", default=None)
-    left_out: str = col("Requirements without a prediction here", json="")
+    left_out: str = col("Requirements without a prediction", json="")
     keys: tuple[_Key, ...]
     points: tuple[_Point, ...]
     shown: tuple[str, ...]  # Quantities of the figures

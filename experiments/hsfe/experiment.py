@@ -64,7 +64,7 @@ class Test:
         "Published", "arcsec", ".2f", "axis", json="published_arcsec_3sigma", default=None
     )
     # True motion of the light in the steps without the mean over the stars: roll and distortion
-    motion_px: FloatArray = col("Motion left", "px", ".5f", "axis", json="motion_left_px")
+    motion_px: FloatArray = col("Residual motion", "px", ".5f", "axis", json="motion_left_px")
     residual_arcsec: FloatArray = col("Residuals of the steps", "arcsec", ".3f", "step star axis", json="")
 
 

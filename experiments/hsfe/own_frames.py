@@ -67,7 +67,7 @@ class Order:
 class Position:
     """Shift of the whole image since the first position."""
 
-    seen_px: FloatArray = col("Seen", "px", ".4f", "axis", json="common_shift_px", key="seen_{axis}_px")
+    seen_px: FloatArray = col("Measured", "px", ".4f", "axis", json="common_shift_px", key="seen_{axis}_px")
     commanded_px: FloatArray = col("Commanded", "px", ".4f", "axis", json="", key="commanded_{axis}_px")
 
 

@@ -21,7 +21,7 @@ class Config(StarTargetConfig):
     subtraction: Literal["dark", "raw"] = Field(
         default="dark", description="dark: the mean dark frame is subtracted; raw: nothing, fixed patterns remain"
     )
-    draws: int = Field(default=100, ge=10, le=5000, description="drawn chips for the prediction")
+    draws: int = Field(default=100, ge=10, le=5000, description="random chips for the prediction")
 
 
 rendered = Experiment(

@@ -128,7 +128,7 @@ COLLIMATOR = Section(
         ratio_near(
             "collimator_spot_ratio",
             within=SPOT_RATIO,
-            title="rendered spots over those of a refocused camera and a disk",
+            title="radius of rendered spots over its closed form (refocused camera, disk)",
         ),
     ],
 )

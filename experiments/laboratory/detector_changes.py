@@ -35,13 +35,13 @@ class DetectorConfig(StrictModel):
     dead_fraction: float | None = Field(default=None, ge=0, le=1, description="fraction of dead pixels")
     full_well_e: float | None = Field(default=None, ge=1, le=_HIGHEST, description="saturation capacity")
     crosstalk_horizontal: float | None = Field(
-        default=None, ge=0, le=0.2, description="charge fraction in each such neighbour"
+        default=None, ge=0, le=0.2, description="charge share of a left or right neighbour"
     )
     crosstalk_vertical: float | None = Field(
-        default=None, ge=0, le=0.2, description="charge fraction in each such neighbour"
+        default=None, ge=0, le=0.2, description="charge share of an upper or lower neighbour"
     )
     crosstalk_diagonal: float | None = Field(
-        default=None, ge=0, le=0.1, description="charge fraction in each such neighbour"
+        default=None, ge=0, le=0.1, description="charge share of a diagonal neighbour"
     )
     read_noise_e: float | None = Field(default=None, ge=0, le=1e5, description="median temporal dark noise")
     read_noise_spread: float | None = Field(

@@ -52,7 +52,7 @@ class HousingConfig(StrictModel):
 
     material: str | float = Field(
         default=DEFAULT_HOUSING,
-        description="of the barrel, or its linear expansion in 1e-6/K: " + ", ".join(EXPANSION_PPM_PER_K),
+        description="material of the barrel, or its linear expansion in 1e-6/K: " + ", ".join(EXPANSION_PPM_PER_K),
     )
     diameter_mm: float = Field(
         default=0.0,

@@ -14,25 +14,27 @@ from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentCon
 class StarConfig(StrictModel):
     """The stars that numbers are quoted for."""
 
-    magnitude_mag: float = Field(default=6.0, ge=-2, le=20, description="star that the accuracy is quoted for")
-    temperature_k: float = Field(default=5800.0, ge=1000, le=60000, description="its colour, that of a black body")
+    magnitude_mag: float = Field(
+        default=6.0, ge=-2, le=20, description="magnitude of the star for which accuracy is quoted"
+    )
+    temperature_k: float = Field(default=5800.0, ge=1000, le=60000, description="its colour temperature (black body)")
     colours_k: tuple[Annotated[float, Field(ge=1000, le=60000)], ...] = Field(
-        default=(3500.0, 5800.0, 10000.0), min_length=1, max_length=6, description="colours of the curves"
+        default=(3500.0, 5800.0, 10000.0), min_length=1, max_length=6, description="colour temperatures of the curves"
     )
 
 
 class SkyConfig(StrictModel):
     """Attitudes, uniform over all rotations, for which the sky is looked up."""
 
-    attitudes: int = Field(default=600, ge=10, le=100_000, description="how many")
+    attitudes: int = Field(default=600, ge=10, le=100_000, description="number of attitudes")
 
 
 class SlewConfig(StrictModel):
     """How the sensor turns, evenly and across its line of sight, during every exposure; its processing knows."""
 
-    rate_deg_per_s: float = Field(default=0.0, ge=0, le=100, description="how fast")
+    rate_deg_per_s: float = Field(default=0.0, ge=0, le=100, description="slew rate across the line of sight")
     direction_deg: float = Field(
-        default=0.0, ge=-360, le=360, description="where stars trail to on the detector, from columns towards rows"
+        default=0.0, ge=-360, le=360, description="direction of the star trails, from column towards row"
     )
 
 
@@ -41,15 +43,15 @@ class PredictedSensorConfig(SensorExperimentConfig, SensorConfig):
 
     detector: DetectorConfig = DetectorConfig()
     throughput_fraction: float = Field(
-        default=1.0, gt=0, le=1, description="light that is left after what lens, pass band and chip do not know of"
+        default=1.0, gt=0, le=1, description="transmission of losses that lens, pass band and detector do not include"
     )
-    background_e_per_s: float = Field(default=0.0, ge=0, le=1e6, description="even light in every pixel: straylight")
+    background_e_per_s: float = Field(
+        default=0.0, ge=0, le=1e6, description="uniform light per pixel, such as stray light"
+    )
     false_alarms_per_frame: float | None = Field(
         default=None, gt=0, le=1e4, description="sets the detection limit in place of threshold_sigma"
     )
-    dark_frames: int = Field(
-        default=20, ge=1, le=1000, description="frames without light in the mean that is subtracted"
-    )
+    dark_frames: int = Field(default=20, ge=1, le=1000, description="dark frames averaged and subtracted")
     star: StarConfig = StarConfig()
     slew: SlewConfig = SlewConfig()
     sky: SkyConfig = SkyConfig()

@@ -46,10 +46,14 @@ class RequirementsConfig(StrictModel):
     sky_coverage_percent: float | None = _asked("share of the sky with 4 guide stars or more, at least")
     lost_success_percent: float | None = _asked("share of the sky identified lost in space, at least")
     attitude_cross_arcsec: float | None = _asked("attitude error across the boresight, median over the sky, at most")
-    attitude_cross_worst_arcsec: float | None = _asked("the same in the worst 1 % of the sky, at most")
+    attitude_cross_worst_arcsec: float | None = _asked(
+        "attitude error across the boresight, worst 1 % of the sky, at most"
+    )
     attitude_roll_arcsec: float | None = _asked("attitude error about the boresight, median over the sky, at most")
-    attitude_roll_worst_arcsec: float | None = _asked("the same in the worst 1 % of the sky, at most")
-    update_rate_hz: float | None = _asked("attitudes per second that exposure and [timing] allow, at least")
+    attitude_roll_worst_arcsec: float | None = _asked(
+        "attitude error about the boresight, worst 1 % of the sky, at most"
+    )
+    update_rate_hz: float | None = _asked("update rate that exposure and [timing] allow, at least")
     latency_s: float | None = _asked("age of an attitude at its output, at most")
     slew_rate_deg_per_s: float | None = _asked(
         "slew rate up to which there is an attitude and all other requirements are met, at least"
@@ -59,7 +63,9 @@ class RequirementsConfig(StrictModel):
     lsfe_before_arcsec: float | None = _asked(
         "distortion of a lens drawn by [manufacture] minus the design's, RMS, at most"
     )
-    lsfe_after_arcsec: float | None = _asked("the same after calibration of each lens, at most")
+    lsfe_after_arcsec: float | None = _asked(
+        "distortion of lenses drawn by [manufacture] after calibration, RMS, at most"
+    )
     lateral_colour_px: float | None = _asked("largest separation of wavelengths of the pass band, at most")
     vignetting_percent: float | None = _asked("largest loss of light over the field against the axis, at most")
     focus_shift_um: float | None = _asked("change of the best focus over [thermal], largest, at most")

@@ -30,13 +30,15 @@ class ManufactureConfig(StrictModel):
     distribution: Literal["normal", "uniform"] = Field(
         default="normal", description="uniform: within sqrt(3) times the tolerance"
     )
-    decentre_um: float = Field(default=10.0, ge=0, le=1000, description="of every element, along each axis")
-    tilt_arcmin: float = Field(default=0.5, ge=0, le=60, description="of every element, about each axis")
-    wedge_arcmin: float = Field(default=0.3, ge=0, le=60, description="of every element of glass: its last surface")
-    thickness_um: float = Field(
-        default=10.0, ge=0, le=1000, description="of every element; all surfaces behind move along"
+    decentre_um: float = Field(default=10.0, ge=0, le=1000, description="decentre of every element per axis")
+    tilt_arcmin: float = Field(default=0.5, ge=0, le=60, description="tilt of every element per axis")
+    wedge_arcmin: float = Field(
+        default=0.3, ge=0, le=60, description="wedge of every glass element: tilt of its last surface"
     )
-    radius_percent: float = Field(default=0.05, ge=0, le=10, description="of every curved surface")
+    thickness_um: float = Field(
+        default=10.0, ge=0, le=1000, description="thickness of every element; all surfaces behind move with it"
+    )
+    radius_percent: float = Field(default=0.05, ge=0, le=10, description="radius of every curved surface")
     index: float = Field(
         default=1e-4, ge=0, le=0.1, description="refractive index of every glass, the same error at all wavelengths"
     )
@@ -49,8 +51,8 @@ class ManufactureConfig(StrictModel):
 class TimingConfig(StrictModel):
     """From the end of an exposure to the attitude."""
 
-    readout_s: float = Field(default=0.0, ge=0, le=1000, description="reading a frame")
-    processing_s: float = Field(default=0.0, ge=0, le=1000, description="from a frame to its attitude")
+    readout_s: float = Field(default=0.0, ge=0, le=1000, description="read-out of a frame")
+    processing_s: float = Field(default=0.0, ge=0, le=1000, description="processing of a frame to its attitude")
     overlapped: bool = Field(default=True, description="exposure, read-out and processing of successive frames overlap")
 
     def period_s(self, exposure_s: float) -> float:

@@ -33,12 +33,12 @@ class IdealLensConfig(StrictModel):
     psf_fwhm_px: float = Field(
         default=0.0, ge=0, le=100, description="the same by its full width at half maximum, in place of spot_um"
     )
-    transmission: float = Field(default=1.0, gt=0, le=1, description="of the lens, at all wavelengths")
+    transmission: float = Field(default=1.0, gt=0, le=1, description="transmission at all wavelengths")
     transmission_file: FileName = Field(
         default="", description="CSV file with wavelength_nm, transmission in place of it"
     )
     design_wavelength_nm: WavelengthNm = Field(
-        default=550.0, description="of chief rays, focal length and depth of focus"
+        default=550.0, description="wavelength of chief rays, focal length and depth of focus"
     )
     max_field_deg: float = Field(default=30.0, gt=0, le=80, description="half field up to which the detector may reach")
 
@@ -300,7 +300,9 @@ class StepConfig(StrictModel):
         default=12, ge=2, le=200, description="number M; ACC18 states 12 for 0, 0.2 ... 2.0 px, which are 11"
     )
     step_px: float = Field(default=0.2, gt=0, le=1e5, description="length of a step of the image")
-    direction_deg: float = Field(default=45.0, ge=-360, le=360, description="of the motion, from column towards row")
+    direction_deg: float = Field(
+        default=45.0, ge=-360, le=360, description="direction of the motion, from column towards row"
+    )
 
 
 class StarsConfig(StrictModel):

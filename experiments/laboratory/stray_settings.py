@@ -72,7 +72,9 @@ class ContaminationConfig(StrictModel):
     dimensionless: ClassVar[frozenset[str]] = frozenset({"level", "inner_level"})
 
     level: float = Field(default=300.0, ge=1, le=5000, description="cleanliness level of the first surface")
-    inner_level: float = Field(default=100.0, ge=1, le=5000, description="of all other surfaces next to air")
+    inner_level: float = Field(
+        default=100.0, ge=1, le=5000, description="cleanliness level of all other surfaces next to air"
+    )
     forward_fraction: float = Field(
         default=0.5,
         ge=0,

@@ -66,7 +66,7 @@ def lens() -> None:
 
 @lens.command(help="One HTML page: prescription, first-order data, drawing, spots, distortion, colour, MTF, report.")
 @click.argument("file", type=click.Path(readable=False))
-@click.option("--out", default=None, metavar="HTML", help="the page; default: the file's name with .html")
+@click.option("--out", default=None, metavar="HTML", help="path of the page; default: the file's name with .html")
 @_reading
 def show(file: str, out: str | None, strict: bool, glass: tuple[str, ...], catalogue: tuple[str, ...]) -> None:
     read = _read(file, strict, glass, catalogue)

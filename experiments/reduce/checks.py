@@ -103,10 +103,10 @@ class FrameChecks:
     shared_noise: float | None = col("Correlation of the noise of two frames")
     shared_limit: float | None = col("Tolerated correlation of the noise of two frames", json="")
     disorder: Sequence[str]  # "FILE after FILE", of frames that were taken before the one that they follow
-    disordered: int = col("Frames taken before the one that they follow", json="")
+    disordered: int = col("Frames out of the order of exposure", json="")
     frames: int  # Of all series
     copied: Sequence[str]  # "FILE = FILE", of frames that equal an earlier one of the folder
-    copies: int = col("Frames that equal another one", json="")
+    copies: int = col("Frames identical to another frame", json="")
     step_dn: int = col("Largest number that divides all differences of readings", "DN", json="")
     top_dn: int = col("Highest reading", "DN", json="")
     top_count: int = col("Pixels at the highest reading", json="")
@@ -479,7 +479,7 @@ CHECKS = Section(
     verdicts=[
         below("copies", 0, title="frames identical to another frame", advice=_copies_advice),
         below("shared_noise", "shared_limit", title="common noise of two frames", advice=_shared_advice),
-        below("disordered", 0, title="frames that were taken before the one that they follow", advice=_disorder_advice),
+        below("disordered", 0, title="frames out of the order of exposure", advice=_disorder_advice),
         below("step_dn", 1, title="common step of all readings", advice=_step_advice),
         below("top_count", "top_limit", title="pixels at the highest reading of all", advice=_top_advice),
         below(
@@ -492,7 +492,7 @@ CHECKS = Section(
             "gain_ratio",
             within=GAIN_ALLOWANCE,
             false_alarm=FALSE_ALARM,
-            title="gain by the frames' own photon transfer over the stated one",
+            title="gain by photon transfer over stated gain",
             advice=_gain_advice,
         ),
         below(
@@ -526,7 +526,7 @@ CHECKS = Section(
             "noise_ratio",
             within=NOISE_ALLOWANCE,
             false_alarm=FALSE_ALARM,
-            title="scatter of the centroids over what the stated noise gives",
+            title="centroid scatter over its prediction from the stated noise",
             advice=_noise_advice,
         ),
         below(

@@ -125,7 +125,7 @@ class Folder:
     frame_size_px: Sequence[int] = col("Size of a frame", "px", dims="side")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec")
     fewest_frames: int = col("Frames of the shortest series")
-    few_text: str = col("Said of them", json="few_frames", shown=False)  # "" where they are enough
+    few_text: str = col("Remarks on the frames", json="few_frames", shown=False)  # "" where they are enough
     prnu_fraction: float = col("Stated residual PRNU", json="")
     # Where there are no flats
     percent_px: float | None = col(

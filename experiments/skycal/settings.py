@@ -76,7 +76,7 @@ class SkyConfig(StrictModel):
     """Where the sky is first seen, and in which light."""
 
     ra_deg: float = Field(default=260.0, ge=0, le=360, description="right ascension of the first boresight")
-    dec_deg: float = Field(default=30.0, ge=-89, le=89, description="its declination")
+    dec_deg: float = Field(default=30.0, ge=-89, le=89, description="declination of the first boresight")
     nodes: int = Field(default=12, ge=4, le=64, description="number of wavelengths that sample the pass band")
     reference_k: float = Field(
         default=4800.0, ge=1000, le=1e5, description="star colour that the map, the PSF and the truth refer to"

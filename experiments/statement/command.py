@@ -14,7 +14,7 @@ from optics.textfile import write_text
 @click.option("--sensor", default=None, metavar="TOML", help="sensor file; default: the built-in tracker")
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="setting of the experiment camera")
 @click.option("--flight", default=None, metavar="DIR", help="output folder of the experiment flight")
-@click.option("--out", default="statement.html", show_default=True, metavar="HTML", help="the document")
+@click.option("--out", default="statement.html", show_default=True, metavar="HTML", help="path of the page")
 @click.option("--force", is_flag=True, help="overwrite an existing file")
 def statement(sensor: str | None, settings: tuple[str, ...], flight: str | None, out: str, force: bool) -> None:
     """Write the performance of a sensor by the clauses of ECSS-E-ST-60-20C: an HTML page, printable to PDF.

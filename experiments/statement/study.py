@@ -233,7 +233,7 @@ def _terms(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
     for clause, what, values in (
         ("temporal_noise", "noise-equivalent angle", (number("nea_arcsec"),)),
         ("pixel_spatial", "pixel patterns and pixel phase", (number("pattern_arcsec"), number("phase_arcsec"))),
-        ("fov_spatial", "star colours; distortion is taken as calibrated", (number("colour_arcsec"),)),
+        ("fov_spatial", "star colours (distortion calibrated)", (number("colour_arcsec"),)),
     ):
         yield Line(
             clause=clause,
@@ -287,8 +287,18 @@ def _detection(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
         conditions=frame,
     )
     for clause, what, value, statistic in (
-        ("detection", "limiting magnitude", f"{number('limiting_magnitude_mag'):.2f} mag", "half of the stars found"),
-        ("detection", "limiting magnitude", f"{number('complete_magnitude_mag'):.2f} mag", "90 % of the stars found"),
+        (
+            "detection",
+            "limiting magnitude",
+            f"{number('limiting_magnitude_mag'):.2f} mag",
+            "half of the stars detected",
+        ),
+        (
+            "detection",
+            "limiting magnitude",
+            f"{number('complete_magnitude_mag'):.2f} mag",
+            "90 % of the stars detected",
+        ),
         ("detection", "brightest star", f"{number('saturation_mag'):.2f} mag", "brightest pixel full on the axis"),
         ("detection", "stars in a frame", f"{number('stars_mean_per_frame'):.1f}", "mean over the sky"),
         ("detection", "stars in a frame", f"{number('stars_worst_per_frame'):.1f}", "1 % quantile of the sky"),
@@ -376,8 +386,8 @@ def _availability(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
     for clause, key, what, unit, derivation in (
         ("tracking", "available_percent", "availability over the orbit", " %", ANALYSIS),
         ("tracking", "solved_percent", "frames with an attitude, of those not blinded", " %", RENDERED),
-        ("acquisition", "acquired", "share of acquisitions that succeed", "", RENDERED),
-        ("acquisition", "acquired_least", "the same, lower limit at 90 % confidence", "", RENDERED),
+        ("acquisition", "acquired", "successful acquisitions", "", RENDERED),
+        ("acquisition", "acquired_least", "successful acquisitions, lower limit at 90 % confidence", "", RENDERED),
         ("acquisition", "wrong_attitudes", "wrong attitudes", "", RENDERED),
     ):
         value = _number(results.get(key))

@@ -77,7 +77,7 @@ class Setup:
     rays: int = col("Rays through the baffle")
     sun_e: float = col("Sun, electrons per pixel for a PST of 1", "e-", ".3g")
     walls_error_percent: float = col("Standard error of walls and vanes, largest", "percent", ".1f")
-    walls_limit_percent: float = col("Standard error asked for", "percent", ".1f", json="")
+    walls_limit_percent: float = col("Standard error requested", "percent", ".1f", json="")
     whole_baffle: bool = col("No baffle was stated", json="")
     stray: Any
     worst: WorstPaths | None
@@ -149,12 +149,12 @@ class SunAngle:
 
     sun_deg: float = col("Sun", "deg", ".2f")
     light_e: float = col("Stray light", "e-", ".3g")
-    found: Measured = col("Stars found", format=".1f", json="found_per_frame")
+    found: Measured = col("Stars detected", format=".1f", json="found_per_frame")
     lost: Measured = col("Lost", "percent", ".1f", json="lost_percent")
     false: Measured = col("False detections", format=".2f", json="false_per_frame")
     saturated: float = col("Saturated pixels", "percent", ".1f", json="saturated_percent")
     centroid_px: float = col("Centroid, RMS", "px", ".3f")
-    solved: float = col("Attitude found", "percent", ".0f", json="solved_percent")
+    solved: float = col("Attitudes solved", "percent", ".0f", json="solved_percent")
     cross_arcsec: float = col("Attitude across", "arcsec", ".2f", json="cross_arcsec_rms")
     roll_arcsec: float = col("Roll", "arcsec", ".2f", json="roll_arcsec_rms")
     frames: SunFrames
@@ -267,7 +267,7 @@ class Change:
 
     change: str = col("Change", json="")
     outside_pst: float = col("PST 5 deg outside the shade", format=".2e")
-    outside_e: float = col("Sun there", "e-", ".3g")
+    outside_e: float = col("Sun at this angle", "e-", ".3g")
     inside_pst: float = col("PST 5 deg inside", format=".2e")
     exclusion_deg: float = col("Exclusion angle of the Sun", "deg", ".1f")
 

@@ -31,10 +31,10 @@ class PstConfig(StrictModel):
         default=(0.0, 45.0), min_length=1, description="azimuths of the source, from column towards row, increasing"
     )
     points: int = Field(default=4, ge=3, le=15, description="points along each side of the detector")
-    rings: int = Field(default=3, ge=1, le=32, description="of the pupil quadrature")
-    arms: int = Field(default=8, ge=4, le=128, description="of the pupil quadrature")
-    ghost_rings: int = Field(default=12, ge=4, le=200, description="of the ghost rays over the first surface")
-    ghost_arms: int = Field(default=32, ge=8, le=512, description="of the ghost rays over the first surface")
+    rings: int = Field(default=3, ge=1, le=32, description="rings of the pupil quadrature")
+    arms: int = Field(default=8, ge=4, le=128, description="azimuths of the pupil quadrature")
+    ghost_rings: int = Field(default=12, ge=4, le=200, description="rings of ghost rays on the first surface")
+    ghost_arms: int = Field(default=32, ge=8, le=512, description="azimuths of ghost rays on the first surface")
     walls_error: float = Field(default=0.05, gt=0, lt=1, description="relative standard error for walls and vanes")
 
     @field_validator("angles_deg", "azimuths_deg")

@@ -90,7 +90,7 @@ def over(measured: Errors, expected: FloatArray, uncertainty: FloatArray) -> Err
 class Star:
     """Standard deviation of a star's centroid at the signal of the source, first centroider, per axis."""
 
-    light_px: FloatArray = col("Light", "px", dims="axis", json="", key="light_{axis}_px")
+    light_px: FloatArray = col("Centroid of the light", "px", dims="axis", json="", key="light_{axis}_px")
     sigma_px: Sequence[Measured] = col("Measured σ", "px", dims="axis", json="", key="sigma_{axis}_px")
     predicted_px: FloatArray = col("Predicted σ", "px", dims="axis", json="", key="predicted_{axis}_px")
     bound_px: FloatArray = col("Cramér-Rao σ", "px", dims="axis", json="", key="bound_{axis}_px")

@@ -15,7 +15,7 @@ class BrightnessConfig(StrictModel):
     """Levels of the brightness control, evenly spaced in the logarithm."""
 
     lowest_e: float = Field(default=700.0, gt=0, le=1e6, description="electrons per star and frame, lowest level")
-    highest_e: float = Field(default=20000.0, gt=0, le=1e6, description="the same, highest level")
+    highest_e: float = Field(default=20000.0, gt=0, le=1e6, description="electrons per star and frame, highest level")
     levels: int = Field(default=8, ge=2, le=50, description="number of levels")
     setting_error_ratio: float = Field(
         default=0.01, ge=0, lt=0.3, description="standard deviation of the level reached / level set - 1"

@@ -460,7 +460,7 @@ SECTIONS = {
                 1.0,
                 at={"reduction": "estimated"},
                 square=True,
-                title="mean square of the residuals over what centroids and readings make them",
+                title="mean square of the residuals over its prediction from centroids and readings",
                 advice="the noise of readings or centroids differs from the stated noise",
             ),
             agree(

@@ -224,7 +224,7 @@ class ColourPoint:
     """Colour term at a knot."""
 
     colour: float = col("5040 K / T", "", ".2f")
-    measured_mag: Measured = col("Brighter than G tells", "mag")
+    measured_mag: Measured = col("Excess brightness over G", "mag")
     twin_mag: float = col("The twin's response", "mag", ".3f")
 
 
@@ -723,7 +723,7 @@ SECTIONS: dict[str, Section] = {
         caption="Fraction of the catalogue stars detected, per half magnitude.",
         figures={
             "completeness_plot": curves(
-                "bin", points="real_5 real_6", lines="twin_5 twin_6", y="Share found", aspect_ratio=0.42
+                "bin", points="real_5 real_6", lines="twin_5 twin_6", y="Fraction detected", aspect_ratio=0.42
             )
         },
         verdicts=[_verdict(_complete, "real_5", "twin_5", "real_6", "twin_6")],

@@ -354,7 +354,7 @@ class DetectorFile(BaseModel):
     base: str | None = Field(default=None, description="detector that supplies the keys left out here")
     name: str = Field(min_length=1, description="name of the detector")
     source: str = Field(min_length=1, description="source of the values")
-    assumed: list[str] = Field(default=[], description="keys whose values are assumed")
+    assumed: list[str] = Field(default=[], description="keys with assumed values")
     quantum_efficiency: ResponseTable
     dark_current: DarkTable | None = None
     chip_width_px: int = _in_range("chip_width_px", "columns of a chip")

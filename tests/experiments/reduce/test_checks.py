@@ -168,7 +168,7 @@ def test_a_gain_ten_per_cent_off_is_named_by_flats(tmp_path, rng):
 
 def test_two_frames_are_not_judged_and_a_fifth_more_scatter_is_not_let_pass(tmp_path, rng):
     criteria, results = judged(tmp_path / "a", [readout(expected(), rng) for _ in range(2)])
-    noise = next(one for name, one in criteria.items() if name.startswith("scatter of the centroids"))
+    noise = next(one for name, one in criteria.items() if name.startswith("centroid scatter"))
     assert noise.passed is None
     assert "Only 2 frames in still, fewer than 30" in results["few_frames"]
     interval = results["interval_arcsec_3sigma"][0]["gaussian"]["x"]

@@ -258,7 +258,7 @@ GOOD = {"B": [1.0, 0.2], "C": [0.01, 90.0], "range_nm": [400, 700], "source": "t
         ({"reference_temperature_c": 2e301}, DomainError, "-273.15 ... 1000 C"),
         ({"dndt": [0.0, 0.0, 0.0, 0.0, 0.0, 1e299]}, DomainError, "at most 1000 um"),
         ({"nd": "high"}, DomainError, "nd"),
-        ({"transmittance": [0.9]}, ConfigError, "together, or neither"),
+        ({"transmittance": [0.9]}, ConfigError, "together, or none"),
         ({"transmittance": [0.9, 1.2], "transmittance_nm": [400, 700], "transmittance_mm": 10}, DomainError, "1.2"),
         (
             {"transmittance": [0.9, 0.9], "transmittance_nm": [700, 400], "transmittance_mm": 10},

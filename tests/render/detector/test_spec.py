@@ -87,7 +87,7 @@ def test_a_data_sheet_with_curves_from_csv(tmp_path: Path) -> None:
     ("text", "words"),
     [
         (CURVES, "keys are missing: name, source, chip_width_px"),
-        (SHEET + "dark_current_e_per_s = 3.0\n" + CURVES, "dark_current_e_per_s and a table [dark_current]"),
+        (SHEET + "dark_current_e_per_s = 3.0\n" + CURVES, "either dark_current_e_per_s or a table [dark_current]"),
         (SHEET + 'gain_dn_per_e = 0.3\nassumed = ["adc_bit"]\n' + CURVES, "did you mean adc_bits"),
         (SHEET + "dark_reference_c = 25.0\n" + CURVES, "dark_reference_c = 25.0 C is outside the table's 0 to 20 C"),
     ],
