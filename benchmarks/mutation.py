@@ -42,6 +42,8 @@ from cosmic_ray.plugins import get_operator, operator_names
 ROOT = Path(__file__).resolve().parents[1]
 STUDIES = ["laboratory", "reduce", "fisher", "turntable", "temporal", "acf", "cube", "skycal", "hsfe", "distortion"]
 STUDIES += ["chromatic", "budget", "camera", "dataset", "twin"]
+ALSO = {"experiments/laboratory": ["experiments/camera", "experiments/chromatic", "experiments/distortion"]}
+"""Tests of other rooms that a room is tried with: what experiments share is tested where it is used."""
 ROOMS = ["calib", "render/detector", "optics/rays", *(f"experiments/{name}" for name in STUDIES)]
 NO_SCIENCE = ("__*", "*settings*", "*figures*", "*sketch*", "*tables*", "*quantities*", "*criteria*", "own_frames*")
 NO_SCIENCE += ("card*", "command*", "exports*", "folder*", "frames_toml*", "job*", "pictures*", "remote*", "workers*")
@@ -194,7 +196,7 @@ def measure(copy: Path, room: str, kept: Path) -> int:
     measured = coverage.Coverage(data_file=None, source=[str(copy / room)])
     plugin = Executed(measured)
     measured.start()
-    status = pytest.main([*PYTEST, f"tests/{room}"], plugins=[plugin])
+    status = pytest.main([*PYTEST, *(f"tests/{one}" for one in [room, *ALSO.get(room, [])])], plugins=[plugin])
     measured.stop()
     data = measured.get_data()
     lines = {str(Path(file).relative_to(copy)): data.contexts_by_lineno(file) for file in data.measured_files()}

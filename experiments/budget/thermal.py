@@ -120,20 +120,15 @@ def thermal_term(lab: Laboratory, streams: Streams) -> Thermal | str:
     basis, centred = cubic_basis(place), place - lab.instrument.camera.centre_px
     predicted, shift = (traced[1] - traced[0]) / 2.0, (seen[1] - seen[0]) / (read[1] - read[0]) * span
     scale = lab.instrument.pixel_arcsec  # the excursion is three sigma already
-    noise = _left(basis, shift)
-    count, free = basis.shape
-    smooth = basis @ np.linalg.lstsq(basis, shift, rcond=None)[0]
-    square = smooth.var(axis=0) - noise**2 * (free - 1) / count
+    size, error = _smooth_rms(basis, shift)
     slope, spread = _slopes(centred, shift)
     paraxial = [_paraxial(one.instrument.camera.focused_lens) for one in slopes]
     return Thermal(
         calibrated_at_c=thermometer_c(lab),
-        stars=count,
+        stars=len(basis),
         signal_e=max(lab.bench.signal_e, BRIGHT_E),
         predicted_arcsec=predicted.std(axis=0) * scale,
-        measured_arcsec=measured(
-            np.sqrt(np.maximum(square, 0.0)) * scale, noise / np.sqrt(count) * scale, 2 * count * lab.bench.frames
-        ),
+        measured_arcsec=measured(size * scale, error * scale, 2 * len(basis) * lab.bench.frames),
         scale_ppm_per_k=_slopes(centred, predicted)[0] * 1e6 / span,
         measured_scale_ppm_per_k=measured(slope * 1e6 / span, spread * 1e6 / span),
         paraxial_ppm_per_k=float(np.log(paraxial[1][0] / paraxial[0][0]) / (2.0 * STEP_K) * 1e6),
@@ -161,6 +156,14 @@ def _left(basis: FloatArray, shift_px: FloatArray) -> FloatArray:
     """RMS (2,) about a smooth map, free parameters counted: noise, S-curve and response of the chip."""
     left = shift_px - basis @ np.linalg.lstsq(basis, shift_px, rcond=None)[0]
     return np.asarray(np.sqrt((left**2).sum(0) / (len(basis) - basis.shape[1])))
+
+
+def _smooth_rms(basis: FloatArray, shift_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """RMS (2,) of a smooth map less its mean, without what noise adds, and its standard deviation."""
+    noise, (count, free) = _left(basis, shift_px), basis.shape
+    smooth = basis @ np.linalg.lstsq(basis, shift_px, rcond=None)[0]
+    square = smooth.var(axis=0) - noise**2 * (free - 1) / count
+    return np.sqrt(np.maximum(square, 0.0)), noise / np.sqrt(count)
 
 
 def _slopes(place_px: FloatArray, shift_px: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -9,7 +9,7 @@ import pytest
 
 from experiments.budget.attitude import _smooth
 from experiments.budget.experiment import pulls
-from experiments.budget.thermal import PLACES, _left, _slopes, field_directions
+from experiments.budget.thermal import PLACES, _left, _slopes, _smooth_rms, field_directions
 from experiments.budget.tolerances import _fitted, cubic_basis
 
 
@@ -35,11 +35,16 @@ def test_what_a_fit_leaves_counts_its_parameters():
     rng, place = np.random.default_rng(2), np.random.default_rng(1).uniform(0.0, 4000.0, (48, 2))
     basis = cubic_basis(place)
     smooth = basis @ rng.standard_normal((basis.shape[1], 2))
+    smooth *= [0.05, 0.08] / smooth.std(0)
     noise = np.array([0.03, 0.05])
     drawn = smooth + noise * rng.standard_normal((300, 48, 2))
     for of in (_left, _fitted):
         squares = np.mean([of(basis, one) ** 2 for one in drawn], axis=0)
         np.testing.assert_allclose(np.sqrt(squares), noise, rtol=4.0 / np.sqrt(2 * 38 * 300))
+    # the smooth map itself, of this RMS about its mean, without what the noise of its terms adds
+    found, stated = np.transpose([_smooth_rms(basis, one) for one in drawn], (1, 0, 2))
+    np.testing.assert_allclose(found.mean(0), [0.05, 0.08], atol=4.0 * 0.05 / np.sqrt(48 * 300))
+    np.testing.assert_allclose(found.std(0), stated.mean(0), rtol=4.0 / np.sqrt(600))
 
 
 def test_growth_and_its_standard_deviation():

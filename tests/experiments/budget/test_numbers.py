@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from experiments.budget import predict as predict_module
 from experiments.budget.chromatic import ChromaticTerm, table1_of
 from experiments.budget.combine import Value, combine
 from experiments.budget.experiment import (
@@ -185,6 +186,49 @@ def test_predicted_steps_over_places():
     sessions = np.array([[1.0, 1.0], [3.0, 3.0]]) * 1e-5
     shared, *_ = predicted_over_places(lab, [place(sessions)] * 2)
     assert (shared.uncertainty_arcsec > found.uncertainty_arcsec).all()
+
+
+def test_prediction_is_put_together_from_its_parts(monkeypatch):
+    """Terms are 3 sigma in arcsec; the mean standard deviation of five frames is 0.94 of the error's."""
+    table = chromatic(0.06, 0.003)
+    temporal = SimpleNamespace(
+        sampled_te_arcsec=lambda _: np.array([1.0, 2.0]),
+        te_uncertainty_arcsec=lambda _: np.array([0.1, 0.2]),
+        bound_te_arcsec=lambda: np.array([0.9, 1.8]),
+    )
+    of_steps = value([0.5, 0.6], [0.01, 0.02]), {"PRNU": np.ones(2)}, np.array([0.7, 0.8])
+    c1_px = np.array([[0.1, 0.2], [0.02, 0.03], [0.01, 0.04]])  # before the fit, after it, in the map
+    for name, result in {
+        "psfs": None,
+        "sensor_maps": SimpleNamespace(defect=None),
+        "target_place": None,
+        "trace_target": None,
+        "rendered_once": None,
+        "predict_temporal": temporal,
+        "_steps": {"cog": of_steps},
+        "predicted_terms": {"cog": table},
+        "_distortion": {"cog": (c1_px, 0.1 * c1_px)},
+        "_marking_alone_px": np.array([0.005, 0.006]),
+        "marking": value([0.3, 0.3], [0.0, 0.0]),
+    }.items():
+        monkeypatch.setattr(predict_module, name, lambda *_, result=result, **__: result)
+    lab = SimpleNamespace(
+        instrument=SimpleNamespace(pixel_arcsec=PIXEL_ARCSEC, detector=None),
+        bench=SimpleNamespace(methods=("cog",)),
+        filtered=None,
+        config=SimpleNamespace(seed=1, frames=5, attitude=SimpleNamespace(stars=16)),
+    )
+    (found,) = predict_module.predict_terms(lab).values()
+    budget = found.budget
+    assert budget["TE"].arcsec == pytest.approx([0.94, 1.88], rel=1e-4)
+    assert budget["TE"].uncertainty_arcsec == pytest.approx([0.094, 0.188], rel=1e-4)
+    assert (budget["HSFE"].arcsec[1], budget["LSFE-C2"].arcsec[0]) == (0.6, 0.3)
+    assert budget["LSFE-C1"].arcsec == pytest.approx([0.165, 0.66])  # 3 x 5.5 arcsec
+    assert budget["LSFE-C1"].uncertainty_arcsec == pytest.approx([0.0165, 0.066])
+    assert (found.found_arcsec[0], found.left_arcsec[1]) == pytest.approx((1.65, 0.495))
+    assert found.marking_alone_arcsec == pytest.approx([0.0825, 0.099])
+    lsfe = np.hypot(PIXEL_ARCSEC * 0.06, 0.165 + 0.3)
+    assert budget.attitude.arcsec[0] == pytest.approx(np.linalg.norm([0.94, 0.5, lsfe]) / 4.0, rel=1e-4)
 
 
 def test_surveys_and_the_marking_error():

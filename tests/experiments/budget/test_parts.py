@@ -132,6 +132,24 @@ def test_attitude_of_independent_errors_is_what_the_estimator_states(star_camera
     np.testing.assert_allclose(error[1, 0], rule[1], rtol=0.05 + 4 * part)
 
 
+def test_unequal_errors_on_an_oblong_detector_by_hand():
+    """Half width 1/20, half height 1/50 of the focal length; 3 and 1 arcsec; 60 stars, whose second moments are known.
+
+    Stars apart along y turn the field by their errors along x, and the other way round.
+    """
+    camera = SimpleNamespace(width_px=2000, height_px=800, pixel_pitch_mm=0.005)
+    instrument, none = SimpleNamespace(camera=camera, focal_length_mm=100.0), np.zeros(2)
+    errors = StarErrors(random_arcsec=np.array([3.0, 1.0]), chromatic_arcsec=none, distortion_arcsec=none)
+    xx, yy = 0.05**2 / 3.0, 0.02**2 / 3.0
+    expected = np.array([3.0, 1.0, np.sqrt(9.0 * yy + 1.0 * xx) / (xx + yy)]) / np.sqrt(60.0)
+    settings = AttitudeConfig(stars=60, counts=(60,), trials=600)
+    study = attitude_study(instrument, errors, settings, Streams(8))
+    part = 1.0 / np.sqrt(1200.0)
+    np.testing.assert_allclose(study["attitude"].rule_arcsec, expected, rtol=1e-9)
+    np.testing.assert_allclose(study["attitude_curve"][0].arcsec[0], expected, rtol=0.03 + 4.0 * part)
+    np.testing.assert_allclose([one.value for one in study["attitude"].over_expected], 1.0, atol=4.0 * part)
+
+
 @pytest.mark.parametrize("power", [0.5, 1.0])
 def test_verdict_notices_another_power_of_the_number_of_stars(star_camera, monkeypatch, power):
     """Rationale: attitudes are solved, the rule has no part in them. Expected: it holds for sqrt(N), not for N."""
