@@ -132,7 +132,9 @@ def test_defaults_are_the_published_run():
     assert (gyro.rate_hz, gyro.angular_speed_deg_per_s, gyro.bias_deg_per_h) == (100.0, 0.5, 0.03)
     assert gyro.angle_random_walk_deg_per_sqrt_h == 0.005
     assert config.start.focal_length_mm == 20.0
-    assert 3600 * (PRINTED - TRUE)[8] == pytest.approx(26.64, abs=0.01)  # printed error of phi1
+    error = np.abs(PRINTED - TRUE)
+    assert 3600 * error[8:] == pytest.approx([26.64, 13.68, 3.6, 6.84, 18.0, 0.36], abs=0.01)  # as printed
+    assert error[:4] == pytest.approx([0.19, 0.51, 2e-4, 4e-6], rel=1e-6)
 
 
 @pytest.mark.slow

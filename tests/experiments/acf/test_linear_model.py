@@ -1,5 +1,6 @@
 """Predictions of the attitude-correlated-frames experiment: derivatives, closed forms, limits, sampled statistics."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -239,3 +240,7 @@ def test_normalised_errors_notice_a_wrong_covariance_and_a_bias(design, scene, g
     runs = Trials(point=point, values={"linked@0.error": grown * drawn @ root.T})
     every = Covariances(perfect=covariance, acc=covariance, linked=covariance, free=covariance[:8, :8])
     assert nees_ratio([runs], [every]).value == pytest.approx(expected, rel=0.01)
+    if expected == 1.0:  # a hundred nights of 40 runs each
+        nights = [replace(runs, values={"linked@0.error": part}) for part in np.split(drawn @ root.T, 100)]
+        ratios = [nees_ratio([one], [every]) for one in nights]
+        assert np.std([one.value for one in ratios]) == pytest.approx(ratios[0].uncertainty, rel=4.0 / np.sqrt(200))

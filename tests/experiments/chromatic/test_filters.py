@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.chromatic.filters import exchanged, parts_of_shift
+from experiments.chromatic.filters import _width_px, exchanged, parts_of_shift
 
 PLACE = np.stack(
     [np.stack(np.meshgrid([-20.0, 0, 20], [-20.0, 0, 20]), -1).reshape(-1, 2) + at for at in (0, 90, -60, 10)]
@@ -56,6 +56,14 @@ def test_what_was_not_turned_is_not_told_apart():
     alone = np.array([0.0, 90.0, 180.0])  # the reference filter's own wedge stands still: it goes with the lens
     found = parts_of_shift(shifts(rng, alone), sigma, PLACE[:3], alone, still)
     assert np.isnan([found.wedge_px, found.lens_px]).all()
+
+
+def test_width_of_a_spot_is_its_rms_radius():
+    """Gaussians of 1.0 and 1.4 px beside the middle, on an even background: the mean of their radii, root two each."""
+    axis = np.arange(21) - 10.0
+    spots = [np.exp(-np.add.outer((axis - 0.7) ** 2, (axis + 0.4) ** 2) / (2 * s**2)) for s in (1.0, 1.4)]
+    found = _width_px(SimpleNamespace(mean_e=20.0 + 1e4 * np.stack(spots)))
+    assert found == pytest.approx(1.2 * np.sqrt(2.0), rel=2e-3)
 
 
 def grid(rng, places, swap=None):

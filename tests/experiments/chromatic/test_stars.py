@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.constants import c, h, k
 
 from experiments.chromatic.stars import stars_of, stellar_shift
 from experiments.laboratory.filter_wheel import open_band
@@ -12,6 +13,7 @@ from experiments.laboratory.signal import electrons_of_star, signal_of
 from optics.errors import DomainError
 from optics.lens.perturb import decentre
 from optics.light.band import TopHat
+from optics.rays.spots import trace_spots
 
 PASSBAND = TopHat(centre_nm=675.0, width_nm=450.0, edge_nm=20.0)
 TEMPERATURES_K = (3000.0, 4500.0, 5800.0, 9000.0, 30000.0)
@@ -38,6 +40,24 @@ def test_shift_grows_with_the_distance_in_temperature(shift):
     # nothing across the radius in a centred lens
     across = shift.shift_px[..., 0] * radial[:, 1] - shift.shift_px[..., 1] * radial[:, 0]
     assert np.abs(across).max() < 1e-5 * np.abs(radial).max()
+
+
+def test_shift_is_that_of_colours_weighted_by_a_black_body(shift, star_camera):
+    """Another sum: rays of 46 colours through the lens at a corner, weighted by Planck's law, pass band and response."""
+    wave, camera = np.linspace(440.0, 910.0, 48), star_camera.camera
+    place = shift.direction[0]
+    field = np.degrees(np.arctan(place[:2] / place[2]))[:, None]
+    spots = trace_spots(camera.focused_lens, *field, wave, order=(12, 24))
+    area = spots.area_mm2[0]
+    x = camera.to_pixel((area * spots.rays.x[0]).sum(1) / area.sum(1), 0.0 * wave)[0]
+
+    def mean(kelvin):
+        photons = wave**-4.0 / np.expm1(h * c / (wave * 1e-9 * k * kelvin))
+        weight = photons * PASSBAND.transmission(wave) * camera.response_at(wave) * area.sum(1)
+        return (weight * x).sum() / weight.sum()
+
+    expected = [mean(kelvin) - mean(5800.0) for kelvin in TEMPERATURES_K]
+    np.testing.assert_allclose(shift.shift_px[:, 0, 0], expected, atol=2e-3, rtol=0.02)
 
 
 def test_shift_has_the_symmetry_of_the_lens(shift):

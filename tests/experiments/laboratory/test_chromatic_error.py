@@ -23,6 +23,7 @@ from experiments.laboratory.ray_prediction import bundle_prediction
 from experiments.laboratory.readout.search import common_shift
 from experiments.laboratory.settings import InstrumentConfig
 from optics.lens.perturb import decentre
+from optics.rays.spots import trace_spots
 from render.engine.random import Streams
 
 
@@ -129,6 +130,21 @@ def with_sensor(instrument, sensor_seed, **changes):
 @pytest.fixture(scope="module")
 def measured(engine, bench_of, small_camera):
     return quick_measure(bench_of(rows=1, columns=2, frames=2, dark_frames=2), small_camera, 1)
+
+
+def test_record_of_every_position_point_and_filter(measured, small_camera):
+    """Shapes as documented; spots at 800 nm are those of the lens's diagram at the points."""
+    for of in (measured.mean_px, measured.sigma_px):
+        assert of["epsf"].shape == measured.noise_px.shape == (4, 2, 3, 2)
+    assert np.abs(measured.mean_px["epsf"] - measured.photon_px).max() < 0.1
+    assert measured.pattern_px["epsf"].shape[1:] == (4, 2, 3, 2)
+    direction = measured.direction.reshape(-1, 3)
+    field = np.degrees(np.arctan(direction[:, :2] / direction[:, 2:])).T
+    spots = trace_spots(small_camera.camera.focused_lens, *field, np.array([800.0]), order=(12, 24))
+    x, y, light = spots.rays.x, spots.rays.y, spots.area_mm2
+    total = light.sum(-1, keepdims=True)
+    square = sum((light * (v - (light * v).sum(-1, keepdims=True) / total) ** 2).sum(-1) for v in (x, y))
+    assert measured.rms_spot_um[2] == pytest.approx(1e3 * np.sqrt(square / total[..., 0]).mean(), rel=0.02)
 
 
 @pytest.mark.slow

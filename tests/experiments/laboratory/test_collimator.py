@@ -129,6 +129,22 @@ def test_a_pinhole_spreads_the_psf_over_its_disk():
     np.testing.assert_allclose(seen, expected / len(there), atol=1e-3)
 
 
+def test_motion_of_the_line_of_sight_over_its_prediction_scatters_as_stated():
+    """Two levels of 30 frames move by 0.02 px along both axes; means of the stars' own errors add 0.01 px."""
+    rng, runs = np.random.default_rng(5), 2000
+    bench = SimpleNamespace(power_px2=lambda _: (4e-4, 1e-4), frames=30)
+    instrument = SimpleNamespace(pixel_arcsec=5.0)
+    seen = np.hypot(0.02, 0.01) * rng.standard_normal((runs, 2, 30, 2))
+    own = np.full((runs, 2, 2), 1e-4)
+    every = np.stack([seen.var(2, ddof=1) - own, own], axis=2)  # levels, (motion, own), axes
+    found = [effects.sight_of(bench, instrument, one) for one in every]
+    assert (found[0].between_arcsec, found[0].within_arcsec) == pytest.approx((0.3, 0.15))
+    ratio, stated = np.array([[(m.value, m.uncertainty) for m in one.ratio] for one in found]).transpose(2, 0, 1)
+    assert (ratio**2).mean() == pytest.approx(1.0, abs=4.0 * 2.0 * stated.mean() / np.sqrt(2 * runs))
+    assert ratio.std() == pytest.approx(stated.mean(), rel=4.0 / np.sqrt(4 * runs) + 0.03)
+    assert effects.sight_of(SimpleNamespace(power_px2=lambda _: (0.0, 0.0)), instrument, every[0]) is None
+
+
 def test_common_motion_of_points():
     rng = np.random.default_rng(4)
     common, own = rng.standard_normal((4000, 1, 2)) * [0.2, 0.1], 0.3 * rng.standard_normal((4000, 9, 2))

@@ -183,10 +183,10 @@ def test_a_star_is_found_off_the_middle_and_at_the_corners():
 
 
 def test_centroids_of_windows_start_near_the_light_whatever_glows_elsewhere():
-    """Gravity over the 7 x 7 px around the detection; the corner of the window and the defect do not count."""
+    """Gravity over the 7 x 7 px around the detection; the upper edge of the window and the defect do not count."""
     light = 3000.0 * spot(7.3, 6.8, 0.7, 15, 15)
     dn, defect = 100.0 + 0.5 * light[None, None], np.zeros((1, 15, 15), bool)
-    dn[0, 0, 1, 2], dn[0, 0, 6, 5], defect[0, 6, 5] = 900.0, 4000.0, True
+    dn[0, 0, 1, 7], dn[0, 0, 6, 5], defect[0, 6, 5] = 900.0, 4000.0, True
     stack = SimpleNamespace(
         dn=dn,
         defect=defect,

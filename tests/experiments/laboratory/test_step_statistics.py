@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.laboratory.step_statistics import (
+    _degrees,
     document_rms_px,
     halved_px,
     jackknife_px,
@@ -57,6 +58,16 @@ def test_the_jackknife_gives_the_scatter_from_one_set_of_stars_to_the_next():
     scatter = np.std([document_rms_px(run) for run in runs], axis=0)
     estimate = np.sqrt(np.mean([jackknife_px(run) ** 2 for run in runs], axis=0))
     np.testing.assert_allclose(estimate, scatter, rtol=0.25)  # 200 runs: 5 % each, and the jackknife's bias upwards
+
+
+def test_degrees_of_freedom_of_correlated_steps():
+    """Scatter of a sum of squares is sqrt(2 / degrees): of five stars in 12 steps that share half with the next one."""
+    rng, free = np.random.default_rng(4), 5
+    drawn = rng.standard_normal((4000, 13, free))
+    left = drawn[:, 1:] + drawn[:, :-1]
+    square = (left**2).sum((1, 2))
+    degrees = 1.0 / np.mean([1.0 / _degrees(one, free) for one in left])
+    assert degrees == pytest.approx(2.0 * square.mean() ** 2 / square.var(), rel=0.08)
 
 
 @pytest.mark.parametrize("shape", [(1, 5, 2), (4, 1, 2), (4, 2)])

@@ -196,6 +196,8 @@ def test_records(made, scene, sky):
         / (record.part_rms_arcsec[0] * record.part_rms_arcsec[2])
     )
     assert all(-1.0 <= one <= 1.0 for one in record.part_correlation)
+    assert len(tables.PAIRS) == len(record.part_correlation)
+    assert tables.PAIRS[1] == "mismatch, noise"
     error = tables.map_error([made, made], "free")
     assert error.noise_map_rms_arcsec == pytest.approx([made.of("corrected").rms_arcsec] * 2, rel=1e-4)
     assert error.measured_predicted_arcsec[0].value == made.of("measured").predicted_arcsec
