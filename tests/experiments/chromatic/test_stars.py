@@ -43,7 +43,7 @@ def test_shift_grows_with_the_distance_in_temperature(shift):
 
 
 def test_shift_is_that_of_colours_weighted_by_a_black_body(shift, star_camera):
-    """Another sum: rays of 46 colours through the lens at a corner, weighted by Planck's law, pass band and response."""
+    """Rays of 48 colours through the lens at a corner, weighted by Planck's law, pass band and response."""
     wave, camera = np.linspace(440.0, 910.0, 48), star_camera.camera
     place = shift.direction[0]
     field = np.degrees(np.arctan(place[:2] / place[2]))[:, None]
