@@ -91,20 +91,20 @@ WORDS: dict[str, tuple[str, str]] = {
     "optics/frames": (YES, "a star towards +X lands at a larger column; conversions against FITS, tetra3, Mitsuba"),
     "render/camera": (YES, "pixels of chief rays against a trace in other coordinates (chromatic, tests)"),
     "render/sensor": (YES, "angle of a pixel against focal length and pitch"),
-    "render/forward": (NO, "passes arguments on"),
+    "render/forward": (NO, "it only passes arguments"),
     "render/tracing": (
-        "yes, where the prediction uses the renderer's PSF: hsfe does not notice too much charge diffusion",
+        "yes, where the prediction uses the renderer's PSF: hsfe does not detect too much charge diffusion",
         "pixels within 1e-5 of a NumPy trace with integrals by the error function; moments in closed form",
     ),
     "render/detector": (
         "no: only the data sheet and a pixel's mean and variance; the read-out chain runs on the measured side alone",
         "photon transfer of frames; each effect of the chain against its law",
     ),
-    "render/engine": (NO, "named random streams, of different names on the two sides"),
+    "render/engine": (NO, "random streams, with different names on the two sides"),
     "render/sky": (YES, "light of a star against one spectrum at a time; magnitudes against published zero points"),
     "render/bench": (NO, "dimensions of the bench, and the position of the mask's spot, against traced particles"),
     "calib/measure": (
-        "yes: a bias of the centroider is in both; only hsfe compares it (centre of gravity) with the light",
+        "yes: both sides contain the centroider's bias; only hsfe compares a centroid (cog) with the light",
         "every centroider against truth, bound and scatter on stars of other code; photutils, sep; injected shifts",
     ),
     "calib/cameras": (
@@ -163,7 +163,7 @@ COMPARISONS = (
     ),
     Comparison(
         experiment="hsfe",
-        what="high-frequency error",
+        what="high spatial frequency error",
         predicted=(f"{LABORATORY}.high_frequency_model:predict_high_frequency",),
         measured=(f"{LABORATORY}.high_frequency:measure_high_frequency",),
         both=PSFS,
@@ -395,7 +395,7 @@ def in_words(rooms: Sequence[str]) -> list[str]:
     unsaid = [room for room in rooms if room not in WORDS]
     if unsaid:
         sys.exit(f"shared, and nothing is said of them in WORDS: {', '.join(unsaid)}")
-    lines = ["| shared room | can an error hide? | what covers it |", "|---|---|---|"]
+    lines = ["| shared room | can an error hide? | independent test |", "|---|---|---|"]
     return lines + [f"| `{room}` | {WORDS[room][0]} | {WORDS[room][1]} |" for room in rooms]
 
 
@@ -405,10 +405,10 @@ def page(found: Found) -> str:
     parts = [
         ["# What predictions and measurements share"],
         [
-            "Functions that ran on both sides of each comparison, traced in quick runs by",
-            "`python benchmarks/independence.py` (`--only NAME` lists the functions of an experiment); records, input",
-            "checks, units, the harness and array backends are not counted. An agreement says nothing about an",
-            "equation that both sides use. Such equations are tested separately;",
+            "The table counts the functions that ran on both sides of each comparison, traced in quick runs by",
+            "`python benchmarks/independence.py` (`--only NAME` lists the functions of an experiment), without records,",
+            "input checks, units, harness and array backends. Agreement of prediction and measurement does not test an",
+            "equation that both use. Such equations are tested separately;",
             "[random mutants](validation/evidence.md) measure how many errors these tests notice.",
         ],
         overview(found),
