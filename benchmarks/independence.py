@@ -406,7 +406,7 @@ def page(found: Found) -> str:
         ["# What predictions and measurements share"],
         [
             "The table counts the functions that ran on both sides of each comparison, traced in quick runs by",
-            "`python benchmarks/independence.py` (`--only NAME` lists the functions of an experiment), without records,",
+            "`python benchmarks/independence.py` (`--only NAME` lists an experiment's functions), without records,",
             "input checks, units, harness and array backends. Agreement of prediction and measurement does not test an",
             "equation that both use. Such equations are tested separately;",
             "[random mutants](validation/evidence.md) measure how many errors these tests notice.",
