@@ -1,11 +1,11 @@
 """A star tracker's own work: a frame and a time in, a quaternion with its covariance out.
 
-Lost in space, all stars of the frame are detected and identified (`calib.attitude.star_attitude.identify_stars`). From
-then on only windows are looked at, around the places where guide stars are predicted: the last attitude, carried on by
-the rate of a gyro or by the turn between the last two attitudes. A window whose star is not where it should be after
-the common shift of all (hot pixel, cosmic ray, planet, wrong star) is rejected, then stars that lie farther than 3.5
-sigma from the best attitude. Too few stars left: the frame is searched as a whole; too few there: no attitude, said by
-a status.
+Lost in space, all stars of the frame are detected and identified (`calib.attitude.star_attitude.identify_stars`); light
+of another shape than a star's (tracks of cosmic rays) is left out (`unlike_stars`). From then on only windows are
+looked at, around the places where guide stars are predicted: the last attitude, carried on by the rate of a gyro or by
+the turn between the last two attitudes. A window whose star is not where it should be after the common shift of all
+(hot pixel, cosmic ray, planet, wrong star) is rejected, then stars that lie farther than 3.5 sigma from the best
+attitude. Too few stars left: the frame is searched as a whole; too few there: no attitude, said by a status.
 
 Times are those of the middle of the exposures. Directions of the guide stars are turned by the aberration of the
 velocity that the tracker is told; the quaternion is cam from icrs.
@@ -50,6 +50,8 @@ SEEN_SHARE = 0.5
 BRIGHTEST = (20, 12)
 """Detections that are asked for their names when all of them make no pattern."""
 DOUBTFUL = StarFlag.SPIKE | StarFlag.TRAIL | StarFlag.UNDETERMINED
+MISFIT = 0.3
+"""Residual of a fit over the star fitted, root of their powers against the noise, above which light is no star's."""
 LONGEST_GAP_S = 5.0
 """A turn is carried on for so long; then the sky is searched anew."""
 
@@ -205,6 +207,17 @@ class TrackedAttitude:
     def sigma_arcsec(self) -> FloatArray:
         """Standard deviation (3,) about cam x, y (across the boresight) and z (roll) [arcsec]."""
         return np.asarray(np.sqrt(np.diag(self.covariance_rad2)) * RAD_ARCSEC)
+
+
+def unlike_stars(stars: StarTable) -> NDArray[np.bool_]:
+    """Detections (n,) of another shape than a star's (tracks of cosmic rays): residual above `MISFIT`, beyond noise.
+
+    By the chi-square of a fitted PSF; a centroider that fits none rejects nothing.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        excess = (stars.chi2 - 1.0) * stars.freedom
+        star = stars.flux_e**2 / stars.covariance[:, 2, 2]
+        return np.asarray(excess > 4.0 * np.sqrt(2.0 * stars.freedom) + MISFIT**2 * star)
 
 
 class StarTracker:
@@ -478,6 +491,8 @@ class StarTracker:
             return TrackedAttitude(time_s=time_s, mode="acquisition", status="few_stars")
         stamps = replace(stamps, psf_index=self._nearest_psf(stamps.start_px))
         stars = self._fitted(stamps, image.noise)
+        flags = stars.flags | np.uint32(StarFlag.SPIKE) * unlike_stars(stars)
+        stars = replace(stars, flags=flags.astype(np.uint32))
         known = replace(self.guides, direction=_apparent(self.guides.direction, velocity))
         found = identify_stars(stars, self.model, known, database=self._database)
         # bright stars in sharp focus look like hot pixels; then all that shines is asked, at last the brightest alone

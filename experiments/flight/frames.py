@@ -40,7 +40,10 @@ from render.records import Frame
 from render.sky.field import field_of_view
 from render.tracing.motion.exposure import exposure_motion
 
-MARGIN_PX = 16.0
+MARGIN_PX = 32.0
+"""Strip around the detector, and around trails, whose stars are rendered: their light may reach it."""
+ABERRATED_RAD = 1.3e-4
+"""Largest aberration, in a low orbit about the Earth."""
 PLANETS = tuple(name for name in BODIES if name != "moon")
 BLENDED = 4
 """Steps between rendered PSFs of the tracker; those between are blended."""
@@ -116,9 +119,11 @@ class Camera:
         """Noiseless electrons (h, w) of an exposure about a time."""
         path = self.flight.trajectory if trajectory is None else trajectory
         exposure, attitude = self.config.instrument.exposure_s, path.attitude(time_s)
-        boresight = attitude.as_matrix()[2]
-        row = np.flatnonzero(self.budget.direction @ boresight > self._cos_reach)
-        near = self.planets.direction @ boresight > self._cos_reach
+        rate = path.rate(time_s + exposure * np.array([-0.5, 0.0, 0.5]))[:, :2]
+        trail = float(np.linalg.norm(rate, axis=1).max()) * exposure / self.budget.pixel_rad
+        row, near = (
+            self._near(attitude, directions, trail) for directions in (self.budget.direction, self.planets.direction)
+        )
         seen = aberrated(self.budget.direction[row], self.flight.velocity_km_per_s(time_s))
         stars = joined(
             self.budget.nominal.state.light.stars(
@@ -128,14 +133,21 @@ class Camera:
         )
         stars = replace(stars, photon_rate=stars.photon_rate * self.budget.sensor.throughput_fraction)
         renderer = self.renderer(state_k)
-        rate = path.rate(time_s + exposure * np.array([-0.5, 0.0, 0.5]))[:, :2]
-        trail = float(np.linalg.norm(rate, axis=1).max()) * exposure / self.budget.pixel_rad
         if trail > STILL_PX or self.config.jitter.rms_arcsec:
             motion = exposure_motion(path, start_s=time_s - 0.5 * exposure, exposure_s=exposure, camera=renderer.camera)
             traced = renderer.trace(stars, motion=motion)
         else:
             traced = renderer.trace(stars, rotation_cam_from_world=attitude.as_matrix())
         return np.array(traced.electrons[:, :, 0])
+
+    def _near(self, attitude: Rotation, direction: FloatArray, trail_px: float) -> NDArray[np.int64]:
+        """Rows of directions along icrs whose light may reach the detector."""
+        row = np.flatnonzero(direction @ attitude.as_matrix()[2] > self._cos_reach)
+        if self.nominal.camera.scatter is not None:
+            return row
+        geometry, margin = self.budget.model.geometry, MARGIN_PX + trail_px + ABERRATED_RAD / self.budget.pixel_rad
+        off = np.abs(self.budget.model.project(attitude.apply(direction[row])) - geometry.centre_px)
+        return row[(off < 0.5 * np.array([geometry.width_px, geometry.height_px]) + margin).all(axis=1)]
 
     def read(self, electrons: FloatArray, time_s: float, number: int, label: str) -> Frame:
         """One readout; the same number and label: the same noise."""

@@ -143,9 +143,9 @@ class SegmentErrors:
     available: bool
     stars: float  # Guide stars, with their chance to be fit
     noise_arcsec2: FloatArray  # (3,) Variance by temporal noise
-    pixel_arcsec2: FloatArray  # (3,) Variance by pixel patterns and pixel phase
+    pixel_arcsec2: FloatArray  # (3,) Variance by pixel patterns
     fov_arcsec: FloatArray  # (3,) Error by colour and distortion
-    spot_arcsec2: FloatArray  # (3,) Variance by spots of other colours at the phases of the pixels
+    spot_arcsec2: FloatArray  # (3,) Variance by pixel phase: of the fit, and of spots of other colours
     focus_arcsec2: FloatArray  # (3,) The same by those of the heated lens
     thermal_arcsec: FloatArray  # (3,) Error by the heated lens
     aberration_arcsec: FloatArray  # (3,) Error by the velocity that is not known
@@ -350,7 +350,7 @@ class Budget:
                 thermal_arcsec=nothing,
                 aberration_arcsec=nothing,
             )
-        noise, pixel, spot, shift = self._star_errors(
+        noise, pixel, phase, spot, shift = self._star_errors(
             float(flight.background_e_per_s(time_s, attitude)), rate_rad_per_s, rows, v
         )
         weight = fit / (self.pixel_rad**2 * (noise**2 + self.told_px2(rows, v)))
@@ -369,7 +369,7 @@ class Budget:
             noise_arcsec2=variance(noise),
             pixel_arcsec2=variance(pixel),
             fov_arcsec=RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, shift)),
-            spot_arcsec2=variance(spot),
+            spot_arcsec2=variance(np.hypot(phase, spot)),
             focus_arcsec2=variance(blurred),
             thermal_arcsec=RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, warm)),
             aberration_arcsec=self.aberration_arcsec(time_s, attitude),
@@ -382,8 +382,8 @@ class Budget:
 
     def _star_errors(
         self, background_e_per_s: float, rate_rad_per_s: FloatArray, rows: NDArray[np.int64], v: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Noise, pixel patterns and phase, spots of other colours (n,), shift by colour and distortion (n, 2) [px]."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Noise, pixel patterns, phase, spots of other colours (n,), shift by colour and distortion (n, 2) [px]."""
         camera = self.camera(background_e_per_s, rate_rad_per_s)
         away = self._away(v)
         radius = np.hypot(*away.T)
@@ -393,10 +393,12 @@ class Budget:
         star = camera.stars
         shown = star.effective(electrons, kelvin, radius, self.config.star_temperature_k)
         noise = star.sigma_at(star.centroid.noise_px, shown, radius)
-        pixel = star.sigma_at(np.hypot(star.centroid.pattern_px, star.centroid.phase_px), electrons, radius)
+        pixel, phase = (
+            star.sigma_at(each, electrons, radius) for each in (star.centroid.pattern_px, star.centroid.phase_px)
+        )
         colour, spot = self.colour_px(kelvin, radius)
         shift = colour[:, None] * away / np.maximum(radius, 1e-9)[:, None] + self._residual.at(v)
-        return noise, pixel, spot, shift
+        return noise, pixel, phase, spot, shift
 
     def _thermal_shift(self, state_k: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Shift of stars by the heated lens (n, 2), and RMS (n,) over pixel phases by its spots [px]."""
@@ -451,7 +453,7 @@ class Budget:
             if len(rows) <= 2:
                 continue
             rate = np.asarray(self.flight.trajectory.rate(float(time)))
-            _, pixel, _, _ = self._star_errors(0.0, rate, rows, v)
+            _, pixel, phase, _, _ = self._star_errors(0.0, rate, rows, v)
             warm, blurred = self._thermal_shift(self.flight.thermal.at(float(time)), v)
             # shift, roll and scale of the image: the first two are the attitude's
             x, y = self._away(v).T
@@ -459,7 +461,7 @@ class Budget:
             basis = np.concatenate([np.stack([one, none, -y, x], 1), np.stack([none, one, x, y], 1)])
             found = np.linalg.lstsq(basis, warm.T.ravel(), rcond=None)[0]
             left = (warm.T.ravel() - basis @ found).reshape(2, -1) + self._residual.at(v).T
-            squares += list(pixel**2 + blurred**2 + 0.5 * (left**2).sum(0))
+            squares += list(pixel**2 + phase**2 + blurred**2 + 0.5 * (left**2).sum(0))
             scales.append(found[3])
         return float(np.mean(squares)), float(np.sqrt(np.mean(np.square(scales))))
 

@@ -14,11 +14,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from experiments.flight.frames import Segment
 from experiments.flight.prediction import TERMS, Budget, SegmentErrors
 from experiments.harness.quantities import Outcome
-from experiments.harness.sections import Verdict, agree, col, ratio_near
+from experiments.harness.sections import FALSE_ALARM, Verdict, agree, col, ratio_near
 from experiments.harness.summary import Criterion, Measured
 from optics.arrays import FloatArray
 
@@ -99,19 +101,28 @@ VERDICTS = [
 ]
 
 
-def within_share(budget: Budget, start_s: float, frames: int | None = None) -> float:
-    """Share of the variance of pixel spatial errors that shows within a segment: 1 less their mean correlation.
+def correlations(budget: Budget, start_s: float, frames: int | None = None) -> tuple[FloatArray, FloatArray]:
+    """Correlation between frames (n, n) of errors by pixel patterns; (3, n, n) by pixel phase, about x, y and roll.
 
-    ``frames``: the same within so many of its first frames.
+    Errors by pixel phase have the period of a pixel, and all stars cross pixels alike: the attitude error oscillates
+    as each star's does. A turn about x moves stars along y.
+
+    ``frames``: of so many of its first frames.
     """
     times = budget.flight.frame_times_s(start_s)[:frames]
-    if len(times) < 2:
-        return 0.0
-    rate = np.linalg.norm(np.asarray(budget.flight.trajectory.rate(start_s))[:2]) / budget.pixel_rad
-    apart = np.abs(times[:, None] - times) * rate
-    correlation = np.clip(1.0 - apart / DWELL_PX, 0.0, None)
-    count = len(times)
-    return float(1.0 - (correlation.sum() - count) / (count * (count - 1)))
+    rate = np.asarray(budget.flight.trajectory.rate(start_s))[:2] / budget.pixel_rad
+    moved = rate[:, None, None] * (times[:, None] - times)
+    patterns = np.clip(1.0 - np.hypot(*moved) / DWELL_PX, 0.0, None)
+    x, y = np.cos(2.0 * np.pi * moved)
+    return patterns, np.stack([x, y, 0.5 * (x + y)])
+
+
+def within_share(correlation: FloatArray) -> FloatArray:
+    """Share (...) of the variance that shows within a segment: 1 less the mean correlation of frames (..., n, n)."""
+    count = correlation.shape[-1]
+    if count < 2:
+        return np.zeros(correlation.shape[:-2])
+    return np.asarray(1.0 - (correlation.sum(axis=(-2, -1)) - count) / (count * (count - 1)))
 
 
 def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tuple[int, ...]) -> dict[str, float]:
@@ -124,17 +135,24 @@ def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tup
     fov = np.array([one.fov_arcsec[pick] for one in errors])
     middle = fov.mean(axis=0)
     bias = budget.bias_arcsec()[pick] + middle
-    shown = np.array([within_share(budget, one.time_s) for one in errors])
-    pixel, focus = (
-        np.array([values[pick].mean() for values in each])
-        for each in ([one.pixel_arcsec2 + one.spot_arcsec2 for one in errors], [one.focus_arcsec2 for one in errors])
+    within = [[within_share(each) for each in correlations(budget, one.time_s)] for one in errors]
+    stays = mean(
+        [
+            one.pixel_arcsec2 * (1.0 - patterns) + one.spot_arcsec2 * (1.0 - phases)
+            for one, (patterns, phases) in zip(errors, within, strict=True)
+        ]
     )
-    kept = _kept_focus(budget, errors, axes)
+    shows = mean(
+        [
+            one.pixel_arcsec2 * patterns + (one.spot_arcsec2 + one.focus_arcsec2) * phases
+            for one, (patterns, phases) in zip(errors, within, strict=True)
+        ]
+    )
     found = {
         "bias": float((bias**2).mean()),
-        "thermo_elastic": mean([one.thermal_arcsec**2 for one in errors]) + kept,
-        "fov_spatial": float(((fov - middle) ** 2).mean() + (pixel * (1.0 - shown)).mean()),
-        "pixel_spatial": float(((pixel + focus) * shown).mean()),
+        "thermo_elastic": max(mean([one.thermal_arcsec**2 for one in errors]) + _kept_focus(budget, errors, axes), 0.0),
+        "fov_spatial": max(float(((fov - middle) ** 2).mean()) + stays, 0.0),
+        "pixel_spatial": shows,
         "temporal_noise": mean([one.noise_arcsec2 for one in errors]),
         "aberration": mean([one.aberration_arcsec**2 for one in errors]),
     }
@@ -148,8 +166,9 @@ def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tup
 
 def _kept_focus(budget: Budget, errors: Sequence[SegmentErrors], axes: tuple[int, ...]) -> float:
     """Mean square by the focus at pixel phases that stay in the frames rendered cold too: thermo-elastic there."""
-    stays = [1.0 - within_share(budget, one.time_s, budget.config.frames.switched) for one in errors]
-    return float(np.mean([s * one.focus_arcsec2[list(axes)].mean() for s, one in zip(stays, errors, strict=True)]))
+    switched = budget.config.frames.switched
+    stays = [1.0 - within_share(correlations(budget, one.time_s, switched)[1]) for one in errors]
+    return float(np.mean([(s * one.focus_arcsec2)[list(axes)] for s, one in zip(stays, errors, strict=True)]))
 
 
 def predicted_terms(budget: Budget, errors: Sequence[SegmentErrors]) -> list[Term]:
@@ -198,15 +217,14 @@ def _component(
     # temporal noise: half of the mean square difference of the readouts
     each_noise = np.array([((one[0] - one[1]) ** 2).mean() / 2.0 for one in both])
     noise = float(np.average(each_noise, weights=counts))
-    spread = {"temporal_noise": noise * math.sqrt(2.0 / (parts * counts.sum()))}
+    spread = {"temporal_noise": max(noise, predicted["temporal_noise"]) * math.sqrt(2.0 / (parts * counts.sum()))}
     # pixel spatial: what varies within a segment in both readouts alike
     products = np.array(
         [((one[0] - one[0].mean(0)) * (one[1] - one[1].mean(0))).sum() / parts / (one.shape[1] - 1) for one in both]
     )
     freedom = counts - 1
     pixel = float(np.average(products, weights=freedom))
-    known = predicted["pixel_spatial"]
-    spread["pixel_spatial"] = math.sqrt(((known + noise) ** 2 + known**2) / (parts * freedom.sum()))
+    spread["pixel_spatial"] = _pixel_spread(budget, segments, told, pick)
     # low frequency: means of the segments, by switching
     middle = np.array([one.mean(axis=(0, 1)) for one in both])
     of_mean = float(np.mean((0.5 * each_noise + max(pixel, 0.0)) / counts))
@@ -227,10 +245,11 @@ def _component(
     unknown = max(scatter, of_mean + warm_error)
     random = {"thermo_elastic": _kept_focus(budget, told, axes), "aberration": 0.0}
     for name, own in (("thermo_elastic", warm_error), ("aberration", moving_error)):
-        error = own + random[name]
+        error = own + max(random[name], 0.0)
         power = 4.0 * (predicted[name] - random[name]) * error + 2.0 * error**2
         spread[name] = math.sqrt(power / (parts * len(segments)))
-    spread["bias"] = 2.0 * math.sqrt(predicted["bias"] * unknown / (parts * len(segments)))
+    of_bias = unknown / len(segments)
+    spread["bias"] = math.sqrt((4.0 * predicted["bias"] * of_bias + 2.0 * of_bias**2) / parts)
     spread["fov_spatial"] = math.sqrt((4.0 * predicted["fov_spatial"] * unknown + 2.0 * unknown**2) / free)
     square["total"] = float(np.average([(one**2).mean() for one in both], weights=counts))
     spread["total"] = math.sqrt(sum(spread[name] ** 2 for name in TERMS))
@@ -252,6 +271,21 @@ def _component(
             slopes.get(name, UNKNOWN) if large else UNKNOWN,
         )
     return rows
+
+
+def _pixel_spread(budget: Budget, segments: Sequence[Segment], told: Sequence[SegmentErrors], pick: list[int]) -> float:
+    """Standard deviation of the pixel spatial mean square: of products of two normal errors, correlated over frames."""
+    power, freedom = 0.0, 0
+    for segment, one in zip(segments, told, strict=True):
+        patterns, phases = correlations(budget, segment.start_s)
+        seen, count = np.ix_(segment.solved, segment.solved), int(segment.solved.sum())
+        centred = np.eye(count) - 1.0 / count
+        for axis in pick:
+            phase = (one.spot_arcsec2 + one.focus_arcsec2)[axis] * phases[axis][seen]
+            static = centred @ (one.pixel_arcsec2[axis] * patterns[seen] + phase) @ centred
+            power += (static**2).sum() + ((static + one.noise_arcsec2[axis] * centred) ** 2).sum()
+        freedom += len(pick) * (count - 1)
+    return math.sqrt(power) / freedom
 
 
 def _switched(values: Sequence[FloatArray]) -> tuple[FloatArray, float]:
@@ -277,6 +311,8 @@ def _slope(measured: FloatArray, predicted: FloatArray) -> Measured:
     power = float((predicted**2).sum())
     if power <= 0.0:
         return UNKNOWN
-    slope = float((measured * predicted).sum()) / power
-    left = float(((measured - slope * predicted) ** 2).sum()) / max(measured.size - 1, 1)
-    return Measured(value=slope, uncertainty=math.sqrt(left / power), n=measured.size)
+    slope, freedom = float((measured * predicted).sum()) / power, max(measured.size - 1, 1)
+    left = float(((measured - slope * predicted) ** 2).sum()) / freedom
+    # of few values: wider by Student's distribution at the level of a verdict
+    few = float(student.isf(0.5 * FALSE_ALARM, freedom) / norm.isf(0.5 * FALSE_ALARM))
+    return Measured(value=slope, uncertainty=few * math.sqrt(left / power), n=measured.size)

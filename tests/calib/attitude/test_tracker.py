@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.tracker import StarTracker, guide_catalogue, sky_coverage
+from calib.attitude.tracker import StarTracker, guide_catalogue, sky_coverage, unlike_stars
 from calib.cameras import BrownConrady, SensorGeometry
+from calib.measure.find import find_stars
 from calib.measure.gaussian import draw_gaussian
 from optics.attitude import aberrated, attitude_error_arcsec, attitude_from_angles
 from optics.errors import DomainError
@@ -103,6 +104,21 @@ def test_false_stars_are_rejected_and_do_not_move_the_attitude(sky, guides):
     assert len(found.star_id) < len(clean.star_id)
     error = attitude_error_arcsec(found.attitude, TRUTH)
     assert (np.abs(error) < 5.0 * found.sigma_arcsec).all()
+
+
+def test_tracks_of_cosmic_rays_are_told_from_stars_by_their_shape(sky):
+    """Straight tracks of 1 to 8 px at random angles, in the pixels that they cross."""
+    rng, tracks, count = np.random.default_rng(9), [], 16
+    for length, turn, x, y in rng.uniform([1, 0, 20, 20], [8, 7, 235, 235], (count, 4)):
+        steps = np.arange(0.0, length, 0.1)
+        tracks += [(int(x + s * np.cos(turn)), int(y + s * np.sin(turn)), 80.0) for s in steps]
+    stars = find_stars(frame_of(sky, TRUTH, seed=9, extra=tracks), "gaussian")
+    away = np.linalg.norm(stars.pixel_px[:, None] - np.array(tracks)[:, :2], axis=2).min(axis=1)
+    assert (away < 2.0).sum() >= count
+    assert unlike_stars(stars)[away < 2.0].mean() > 0.8
+    alone = stars.fit & (away > 8.0)  # no track in the window
+    assert alone.sum() > 12
+    assert not unlike_stars(stars)[alone].any()
 
 
 @pytest.mark.parametrize("off_px", [2.0, 4.5])
