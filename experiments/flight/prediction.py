@@ -14,7 +14,7 @@ by z x dV / c (z: the boresight).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -154,6 +154,9 @@ class SegmentErrors:
     def static_arcsec2(self) -> FloatArray:
         """Variance (3,) by everything that depends on the pixels and their phases."""
         return self.pixel_arcsec2 + self.spot_arcsec2 + self.focus_arcsec2
+
+
+VECTORS = tuple(one.name for one in fields(SegmentErrors) if one.name.endswith(("arcsec", "arcsec2")))
 
 
 class Budget:
@@ -336,20 +339,9 @@ class Budget:
         flight, config = self.flight, self.config
         rows, v = self.expected(attitude, flight.velocity_km_per_s(time_s))
         fit = (1.0 - self._bad) ** (config.window_px**2)
-        nothing = np.full(3, np.nan)
         if len(rows) * fit < config.tracker.fewest or bool(flight.blinded(time_s, attitude)):
-            return SegmentErrors(
-                time_s=time_s,
-                available=False,
-                stars=len(rows) * fit,
-                noise_arcsec2=nothing,
-                pixel_arcsec2=nothing,
-                fov_arcsec=nothing,
-                spot_arcsec2=nothing,
-                focus_arcsec2=nothing,
-                thermal_arcsec=nothing,
-                aberration_arcsec=nothing,
-            )
+            nothing = dict.fromkeys(VECTORS, np.full(3, np.nan))
+            return SegmentErrors(time_s=time_s, available=False, stars=len(rows) * fit, **nothing)
         noise, pixel, phase, spot, shift = self._star_errors(
             float(flight.background_e_per_s(time_s, attitude)), rate_rad_per_s, rows, v
         )

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from experiments.flight.orbit import Orbit, build_orbit
@@ -298,8 +299,5 @@ def _eclipse(step_k: float, constant_s: float, orbit: Orbit, time_s: FloatArray)
     """Answer of the first order to the shadow, in its periodic state: two revolutions before."""
     own = np.linspace(-2.0 * orbit.period_s, orbit.period_s, 3 * (len(time_s) - 1) + 1)
     forced = np.where(orbit.shadowed(own), step_k, 0.0)
-    keep = np.exp(-(own[1] - own[0]) / constant_s)
-    value = np.zeros(len(own))
-    for n in range(1, len(own)):
-        value[n] = keep * value[n - 1] + (1.0 - keep) * forced[n]
-    return np.asarray(value[-len(time_s) :])
+    keep = float(np.exp(-(own[1] - own[0]) / constant_s))
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], forced)[-len(time_s) :])
