@@ -1,8 +1,8 @@
 """What of ECSS-E-ST-60-20C a statement refers to: numbers of clauses that were read, and what is not covered.
 
 The wording is ours. Read were: the terms of Rev. 2 (15 May 2019) in the public glossary of ECSS, which has no numbers
-of its own but names clauses, and the clauses 3.2.8.2 to 3.2.8.4 of Rev. 1 (15 November 2008). A number that was not
-read is not stated.
+of its own but names clauses, the contents up to 4.1.6 of EN 16603-60-20:2020, which adopts Rev. 2, and the clauses
+3.2.8.2 to 3.2.8.4 of Rev. 1 (15 November 2008). A number that was not read is not stated.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ CLAUSES = {
     "field": Clause("Half-rectangular field of view", "Rev. 2: term, Figure 3-9"),
     "false_star": Clause("False stars", "Rev. 2: term"),
     "detection": Clause("Detection of stars"),
-    "acquisition": Clause("Autonomous attitude determination"),
-    "tracking": Clause("Autonomous attitude tracking", "Rev. 2: term"),
+    "acquisition": Clause("Autonomous attitude determination", "Rev. 2: 4.1.5"),
+    "tracking": Clause("Autonomous attitude tracking", "Rev. 2: term, 4.1.6"),
 }
 
 NOT_COVERED = (
