@@ -1,7 +1,7 @@
-"""Array types, and the few array operations the ray trace needs so that one source runs on NumPy and on Dr.Jit.
+"""Array types, and the array operations by which one source of the ray trace runs on NumPy and on Dr.Jit.
 
-Arithmetic, comparison and mask operators are shared by both libraries; only what follows differs. The Dr.Jit
-counterpart is `render.engine.arrays.DrJitArrays`; nothing here imports it.
+Arithmetic, comparison and mask operators are common to both libraries. The Dr.Jit counterpart of the functions here is
+`render.engine.arrays.DrJitArrays`, which this module does not import.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Attitudes: from right ascension, declination and roll to a rotation and back, the error of one against another, and
-where a moving observer sees the stars that attitudes are measured with.
+"""Attitudes: conversion between angles and rotations, attitude errors, directions of stars for a moving observer.
 
 An attitude is a `scipy.spatial.transform.Rotation`, cam from icrs: ``v_cam = R v_icrs``. Roll is the position angle of
-*up* in the image (towards smaller rows) at the boresight, from north through east. At roll 0 north is up and, as the
-sky is seen, east is to the left.
+*up* in the image (towards smaller rows) at the boresight, from north through east. At roll 0 north is up and east, as
+seen on the sky, is to the left.
 """
 
 from __future__ import annotations

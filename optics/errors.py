@@ -1,4 +1,4 @@
-"""Errors a caller can make; what happens to the data (lost rays, saturated stars) is recorded as data, not raised.
+"""Errors of the caller. Effects on data (lost rays, saturated stars) are recorded as data, not raised.
 
 Every message is one line: what is wrong, the value with its unit, the allowed range, what to do.
 """

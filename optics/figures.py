@@ -1,7 +1,6 @@
-"""Drawings an optics engineer expects: the lens with ray fans, spot diagrams, distortion; images of stars.
+"""Lens drawings with ray fans, spot diagrams, distortion plots and star images.
 
-Every function returns a `matplotlib.figure.Figure`, or the axes it drew into, made without pyplot, so nothing global is
-touched and nothing leaks.
+Every function returns a `matplotlib.figure.Figure`, or the axes it drew into, without pyplot and its global state.
 """
 
 from __future__ import annotations

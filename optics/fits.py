@@ -1,8 +1,8 @@
-"""FITS files opened with care: what the headers claim is held against the file before anything is allocated.
+"""Opening of FITS files: claims of the headers are checked against the file before memory is allocated.
 
-A header of a few bytes can ask for any amount of memory or time: 2^31 axes or columns, an image of petabytes, a gzip
-stream that unpacks to a thousand times its size. Here the headers are walked through first (FITS standard 4.0,
-sec. 4.4), and whatever astropy raises on damage becomes one line.
+A header of a few bytes can claim any amount of memory or time: 2^31 axes or columns, an image of petabytes, a gzip
+stream that unpacks to a thousand times its size. The headers are read first (FITS standard 4.0, sec. 4.4), and every
+exception of astropy for damaged files becomes a one-line error.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-r"""Forbes' polynomials for aspheres of revolution (Forbes 2007, Opt. Express 15, 5218; 2010, Opt. Express 18, 13851).
+"""Forbes' polynomials for aspheres of revolution (Forbes 2007, Opt. Express 15, 5218; 2010, Opt. Express 18, 13851).
 
-Sums of them are computed from the high orders down (Clenshaw), with their derivative.
+Sums and their derivatives are evaluated from the highest order downwards (Clenshaw).
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Frames and pixel conventions; the only place where one is turned into another.
+"""Frames and pixel conventions; all conversions between them.
 
 * ``cam``: right-handed, +Z boresight into the sky, +X along increasing column, +Y along increasing row.
 * ``lens``: right-handed, light travels towards +z; x_lens = -X_cam, y_lens = +Y_cam, z_lens = -Z_cam.
 * ``pix``: (x, y) = (column, row), an integer is a pixel centre, the centre of the image is ((W-1)/2, (H-1)/2).
 
-The lens inverts the image, and the lens frame is turned by 180 deg about Y_cam: a star towards +X_cam lands at a
+The lens inverts the image, and the lens frame is turned by 180 deg about Y_cam: a star towards +X_cam is imaged at a
 larger column, a star towards +Y_cam at a larger row.
 """
 

@@ -1,7 +1,7 @@
-"""Lens files of any kind, with the report on what became of them and what they say beside the lens.
+"""Lens files of all formats, with a report on every line and the file's settings that are not part of the lens.
 
-What a file leaves out is found here, where rays can be traced: a clear aperture that is not stated is as wide as the
-light of the whole field needs. Then the geometry is looked at: what no lens can be is refused, of whatever file.
+Clear apertures missing in the file are computed by ray trace: as wide as the light of the whole field needs. The
+geometry is then checked (`optics.lens.geometry`).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""A frame as one HTML page without server: pixels to zoom into, with marks for stars, identifications and residuals.
+"""A frame as one self-contained HTML page: zoomable pixels with marks for stars, identifications and residuals.
 
-The page holds the pixels themselves, not a picture of them: numbers of one to four bytes, their planes deflated, which
-a browser undoes exactly (a canvas would give back 8 bits of a 16-bit PNG). Whole numbers stay as they are; others are
-rounded to a 64th of the noise of their background, which the page states.
+The page contains the pixel values, not a picture of them: integers of one to four bytes in deflated byte planes, which
+a browser restores exactly (a canvas would return 8 bits of a 16-bit PNG). Integers are stored unchanged; other values
+are rounded to a 64th of the background noise, which the page states.
 """
 
 from __future__ import annotations

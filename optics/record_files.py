@@ -1,7 +1,7 @@
-"""Records of this project as JSON files that come back bit by bit: frozen dataclasses, arrays, numbers, names.
+"""Records of this project as JSON files with bit-exact round trip: frozen dataclasses, arrays, numbers, names.
 
 A record is an object with ``record``, its class, and its fields; an array ``{"array": nested lists, "type": ...}``.
-Numbers are written with as many digits as bring them back. Only records of this project are read.
+Numbers are written with all significant digits. Only records of this project are read.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How records keep their arrays: copied in, shape-checked, finite, write-locked."""
+"""Arrays of records: copied, shape-checked, finite, write-locked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Text of files that other programs wrote, in whatever encoding they use, and of our own; a fault is one clear line."""
+"""Text files in any encoding, ours and those of other programs; faults are one-line errors."""
 
 from __future__ import annotations
 

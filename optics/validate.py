@@ -1,4 +1,4 @@
-"""Checked configuration: a mapping (from TOML or a command line) becomes a pydantic model, or one line per fault."""
+"""Validated configuration: a mapping (from TOML or a command line) becomes a pydantic model; one line per fault."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Lenses as files: TOML, Zemax (.zmx), CODE V (.seq), and the AGF catalogue of glasses that those programs lack."""
+"""Writers of lens files: TOML, Zemax (.zmx), CODE V (.seq), and an AGF catalogue of glasses that those programs lack."""

@@ -1,4 +1,4 @@
-"""A prescription as design programs write it: surfaces and coordinate breaks in turn, glasses by catalogue."""
+"""A prescription in the form of design programs: surfaces and coordinate breaks in sequence, glasses by catalogue."""
 
 from __future__ import annotations
 

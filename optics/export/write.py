@@ -1,4 +1,4 @@
-"""Write a lens as TOML, .zmx or .seq, by the ending of the file."""
+"""Writer of a lens as TOML, .zmx or .seq, chosen by the file suffix."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Lens files of other programs: readers, what became of every line, glasses by catalogue, writers."""
+"""Lens files of other programs: readers, a report on every line, glasses by catalogue."""

@@ -1,4 +1,4 @@
-"""From what a lens file says to our own prescription: glasses, stop, field, and the report on all of it."""
+"""Conversion of a parsed lens file into a prescription: glasses, stop, field, report."""
 
 from __future__ import annotations
 

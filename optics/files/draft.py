@@ -1,4 +1,4 @@
-"""What a lens file says, in millimetres and in the words of our own prescription; glasses and stop are still open."""
+"""Contents of a lens file in millimetres and in the terms of our prescription, before glasses and stop are assigned."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-r"""Paraxial rays through the rows of a lens file, to settle its stop and its fields and to compare with what it states.
+r"""Paraxial rays through the rows of a lens file: stop size, fields, and a comparison with the values stated in the
+file.
 
-Heights and :math:`\nu = n u` as in `optics.rays.paraxial`, which starts from the finished lens; indices here are those
-of the catalogues, relative to air, and mirrors turn the sign of the index. Coordinate breaks are passed over.
+Heights and :math:`\nu = n u` as in `optics.rays.paraxial`, which starts from the finished lens. Indices are those of
+the catalogues, relative to air; mirrors reverse the sign of the index; coordinate breaks are skipped.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which glass a lens file means: by its catalogues in their order, and never another one in silence."""
+"""Glass assignment in lens files: catalogues in the order of the file; every substitution is reported."""
 
 from __future__ import annotations
 

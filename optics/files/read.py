@@ -1,4 +1,4 @@
-"""Lens files by what they are: Zemax or CODE V, told by content rather than by name."""
+"""Reading of lens files. Content, not the file name, decides between Zemax and CODE V."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What became of every line of a lens file: taken, approximated, or ignored and why."""
+"""Report on every line of a lens file: taken, approximated, or ignored, with the reason."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Reader of CODE V sequence files (.seq).
 
-Commands are words of three letters in capitals or not, several to a line between semicolons, going on after ``&``, with
-comments behind ``!``. Numbers follow the command; ``Sk`` as first word names the surface, otherwise it is the last one
-that was opened by ``S``, ``SO`` or ``SI`` (CODE V, *Lens System Setup Reference Manual*).
+Commands are words of three letters in either case, several to a line between semicolons, continued after ``&``;
+comments follow ``!``. Numbers follow the command. ``Sk`` as first word selects surface k, otherwise the command applies
+to the last surface opened by ``S``, ``SO`` or ``SI`` (CODE V, *Lens System Setup Reference Manual*).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One surface of a .seq file, and what it is in our own prescription (`optics.lens.tables`)."""
+"""One surface of a .seq file, and its conversion to our prescription (`optics.lens.tables`)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Reader of Zemax OpticStudio's sequential lens files (.zmx).
 
-The format is not published; what the keywords mean follows files of many versions and the program's help. A line that
-belongs to no known keyword is named in the report, and counts as a possible difference unless it stands behind the
-surfaces, where merit functions and tolerances are kept.
+The format is not published; the meaning of keywords follows files of many versions and the program's help. Unknown
+keywords are listed in the report and count as possible differences, unless they follow the surfaces, where merit
+functions and tolerances are stored.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Kinds of surface in .zmx files, and what they are in our own prescription (`optics.lens.tables`)."""
+"""Surface types of .zmx files, and their conversion to our prescription (`optics.lens.tables`)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Glass catalogues in AGF format, as lens design programs keep them (Zemax OpticStudio Help, *format of AGF files*).
+"""Glass catalogues in AGF format of lens design programs (Zemax OpticStudio Help, *format of AGF files*).
 
-One record per glass, a line per kind of datum: ``NM`` name, number of the dispersion formula, code, n_d, v_d; ``ED``
+One record per glass, one line per type of datum: ``NM`` name, number of the dispersion formula, code, n_d, v_d; ``ED``
 expansion and density; ``CD`` coefficients; ``TD`` thermal constants and reference temperature; ``LD`` range; ``IT``
-internal transmittances. A glass whose data make no sense is refused when it is asked for, and only then.
+internal transmittances. A glass with invalid data is refused only when it is requested.
 """
 
 from __future__ import annotations

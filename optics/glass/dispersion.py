@@ -1,13 +1,14 @@
-r"""Dispersion formulas of glass catalogues, all brought into one form that runs on any array library.
+r"""Dispersion formulas of glass catalogues in one common form for any array library.
 
-Every published formula is a sum of powers of the wavelength and of resonances, for the index or for its square:
+Every published formula is a sum of powers of the wavelength and of resonances, for the index or its square:
 
 .. math:: F(n) = c_0 + \sum_j a_j \lambda^{p_j} + \sum_k \frac{b_k \lambda^{q_k}}{(\lambda^2 - L_k)^{m_k}}, \quad
           F(n) = n^2 \text{ or } n, \quad \lambda \text{ in um}
 
-The exponents are the structure (`Form`, hashable), the numbers are what a perturbation may change. `FORMULAS` holds the
-thirteen formulas of AGF catalogues (Zemax OpticStudio Help, *Glass dispersion formulas*) and those of
-refractiveindex.info (M. Polyanskiy, Sci. Data 11, 94 (2024), 1 to 7) by name, with coefficients in the published order.
+The exponents are the structure (`Form`, hashable), the coefficients are numbers that perturbations may change.
+`FORMULAS` contains the thirteen formulas of AGF catalogues (Zemax OpticStudio Help, *Glass dispersion formulas*) and
+formulas 1 to 7 of refractiveindex.info (M. Polyanskiy, Sci. Data 11, 94 (2024)) by name, coefficients in the published
+order.
 """
 
 from __future__ import annotations

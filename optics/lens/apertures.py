@@ -1,6 +1,6 @@
-"""Outlines that let light through or block it: circle, rectangle, ellipse, polygon, spider.
+"""Clear apertures and obscurations: circle, rectangle, ellipse, polygon, spider.
 
-They are measured in x and y of the surface's own frame, at the point where a ray meets the surface. Each is a record
+Outlines are stated in x and y of the surface's own frame, at the point where a ray meets the surface. Each is a record
 whose fields are its keys in a lens file; `Aperture.inside` runs on every array library.
 """
 

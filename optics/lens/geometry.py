@@ -1,7 +1,7 @@
-"""What no lens can be: an image plane inside it, rims that cross, a stop that stops nothing.
+"""Checks for impossible lenses: an image plane inside the lens, crossing surfaces, a stop that does not limit the beam.
 
-Such a lens can be traced, often without a sign that anything is wrong. What is said here is said of lenses whose
-surfaces stand on one axis; what tilts and decentres do is the designer's affair.
+Such lenses can often be traced without an error. The checks apply to surfaces on one common axis; effects of tilts and
+decentres are not checked.
 """
 
 from __future__ import annotations

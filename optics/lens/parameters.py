@@ -1,7 +1,7 @@
-"""The numbers of a lens as arrays: what an optimiser turns, and the lens that is made of them.
+"""The numbers of a lens as arrays for optimisers, and the lens built from changed arrays.
 
 Arrays have a row per surface. A number that a surface does not have (the curvature of a plane, the conic constant of a
-sphere) stands as 0 and cannot be changed.
+sphere) is 0 and cannot be changed.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Perturbations: each returns a new lens.
+"""Perturbations of a lens; each function returns a new lens.
 
-What moves is named by ``what``: an element's name, the index of a surface, a sequence of indices, `ALL_SURFACES` (the
-lens against its detector) or `EVERYTHING` (surfaces and image plane). What is not named stays where it is, except where
-a function says so. Rotations are rotation vectors in the lens frame [deg], so that opposite ones cancel exactly; poses
-add up in the lens frame, in the order of the calls. The numbers of a shape are those of the surface as light meets it:
-behind an odd number of mirrors radii have the opposite sign of those in the lens file.
+``what`` selects the moving part: the name of an element, the index of a surface, a sequence of indices, `ALL_SURFACES`
+(the lens relative to its detector) or `EVERYTHING` (surfaces and image plane). All other parts stay, unless the
+function states otherwise. Rotations are rotation vectors in the lens frame [deg], so that opposite rotations cancel
+exactly; poses add up in the lens frame, in the order of the calls. Shape parameters are those seen by the light: behind
+an odd number of mirrors radii have the opposite sign of the lens file.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Lens prescriptions as TOML: the file says what every number is and where it comes from.
+"""Lens prescriptions in TOML files, with the meaning and source of every number.
 
-Signs are those of every design program: the z axis does not turn round at a mirror, so that behind an odd number of
-mirrors thicknesses are negative; a radius is positive when its centre lies towards +z. `optics.lens.system` holds the
-same lens with every surface in a frame whose +z light travels along.
+Signs follow design programs: the z axis keeps its direction at mirrors, so that thicknesses are negative behind an odd
+number of mirrors; a radius is positive if the centre of curvature lies towards +z. `optics.lens.system` contains the
+same lens with every surface in a frame in which light travels along +z.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A lens as data: surfaces with their poses in the lens frame, media, stop, image plane.
 
-Light enters towards +z of the lens frame, and meets every surface, and the image plane, towards +z of its own frame:
-behind an odd number of mirrors the frame of a surface is turned by half a turn. The image plane keeps its x and y
-there: columns are counted so that the picture is not mirrored, and its axes are left-handed.
+Light enters towards +z of the lens frame and meets every surface and the image plane towards +z of their own frames:
+behind an odd number of mirrors the frame of a surface is turned by 180 deg. The image plane keeps its x and y there:
+columns are counted so that the picture is not mirrored, and its axes are left-handed.
 """
 
 from __future__ import annotations

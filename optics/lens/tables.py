@@ -1,4 +1,4 @@
-"""The tables of a lens file: what may be written, checked key by key; no geometry."""
+"""Tables of a lens file with all allowed keys, validated without geometry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lenses without glass: an ideal one, of focal length and aperture alone, and one that was measured from outside."""
+"""Lenses without glass: an ideal lens of given focal length and aperture, and a measured lens."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Light and how much of it: spectra, filter bands, photometry, transmission of a lens."""
+"""Spectra, filter bands, photometry and transmission of a lens."""

@@ -1,4 +1,4 @@
-"""Light of point sources behind a collimator: by how much it is not the plane wave that the sources' directions say."""
+"""Deviation of the light behind a collimator from the plane waves of its point sources."""
 
 from __future__ import annotations
 

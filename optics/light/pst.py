@@ -1,7 +1,7 @@
-"""Point-source transmittance: stray light of a source against its angle, by cause, as a table that can be kept.
+"""Point-source transmittance (PST): a table of stray light by cause against the angle of the source, with file format.
 
-PST is the mean irradiance on the detector over the irradiance of the source through a plane that faces it, without the
-source's own image.
+PST is the mean irradiance on the detector over the irradiance of the source through a plane normal to its light; the
+direct image of the source is excluded.
 """
 
 from __future__ import annotations

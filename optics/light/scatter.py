@@ -1,6 +1,6 @@
-r"""How much light surfaces scatter: total integrated scatter (TIS) by roughness and by dust, and its angular law.
+r"""Total integrated scatter (TIS) of surfaces by roughness and by dust, and its angular law.
 
-Two programs mean different things by the same letters; here (Stover, *Optical Scattering*, 3rd ed.; Pfisterer,
+Design programs use the same letters for different quantities; here (Stover, *Optical Scattering*, 3rd ed.; Pfisterer,
 "Approximated scatter models for stray light analysis", Optics & Photonics News 22 (10), 16, 2011), with
 :math:`\Delta\beta` the difference of the sines of scatter and specular angle:
 

@@ -1,7 +1,7 @@
-"""Spectral energy distributions: how many photons a source sends out per nanometre.
+"""Spectral energy distributions: photons emitted per nanometre.
 
-Only the shape matters where a magnitude sets the scale (`optics.light.photometry`), but both kinds carry a unit:
-photons s^-1 mm^-2 nm^-1, emitted by a blackbody's surface or as tabulated.
+Only the shape matters where a magnitude sets the scale (`optics.light.photometry`). Both types have the unit photons
+s^-1 mm^-2 nm^-1, emitted by the surface of a blackbody or tabulated.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-r"""How much light a lens lets through along its axis: reflections at every surface, absorption in every glass.
+r"""Transmission of a lens along its axis: reflection at every surface, absorption in every glass.
 
 .. math:: T(\lambda) = \prod_{surfaces} T_i \prod_{glasses} \tau_j^{d_j / d_{j,0}}
 
-Light reflected twice is not followed here (it lands as a ghost, not in the image of the star).
+Light reflected twice is not included; it forms ghosts outside the star's image.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Chief rays by real ray aiming: which ray of a star passes the centre of the stop.
+"""Real ray aiming: the chief ray of a star through the centre of the stop.
 
-A Newton iteration that starts on the axis of a wide lens ends on whatever ray it meets, often one that no light takes.
-So every ray is followed from the axis outwards: the field angle grows in steps, each starts where the steps before
-point to, and a step counts only if Newton's corrections shrink fast and no surface is missed on the way; else it is
-halved (natural continuation; Allgower and Georg 1990, *Numerical Continuation Methods*, ch. 2). What becomes of one ray
-does not depend on which others are aimed with it. Where on the stop a ray passes is counted on the stop's own surface.
+Newton's iteration started on the axis of a wide lens may end on a spurious ray. Every ray is therefore followed from
+the axis outwards: the field angle grows in steps, each started by extrapolation from the previous ones. A step is
+accepted only if Newton's corrections shrink fast and no surface is missed on the way, otherwise it is halved (natural
+continuation; Allgower and Georg 1990, *Numerical Continuation Methods*, ch. 2). Rays do not influence each other.
+Positions on the stop are measured on the stop's own surface.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Light on the axis: that it gets through a lens at all."""
+"""Check that light on the axis passes a lens."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""The beam of a star as the apertures of the lens cut it out: its outline in the launch plane, and points inside.
+"""The beam of a star behind all apertures: its outline in the launch plane, and quadrature points inside.
 
-About an inner point, the chief ray's if that gets through, the outline is one radius per azimuth: the one at which a
-ray touches the rim of an aperture, the stop's or another's. It is found by false position within a bracket; a ray that
-misses a surface counts as outside. Inside the outline points lie by Gauss-Legendre in the square of the relative radius
-and evenly in azimuth (Peirce 1957, J. Soc. Indust. Appl. Math. 5, 66). Where the stop alone
-limits the beam the outline is smooth and this converges as fast as `optics.rays.pupil.gauss_disk`; a kink, where
-another aperture takes over, costs its change of slope times the square of the step in azimuth.
+About an inner point (the chief ray's, if the chief ray passes) the outline is one radius per azimuth, at which a ray
+touches the rim of the stop or of another aperture. It is solved by false position within a bracket; a ray that misses a
+surface counts as outside. Points inside follow Gauss-Legendre in the square of the relative radius and are equidistant
+in azimuth (Peirce 1957, J. Soc. Indust. Appl. Math. 5, 66). If the stop alone limits the beam, the outline is smooth
+and the quadrature converges as fast as `optics.rays.pupil.gauss_disk`; at a kink between two apertures its error is the
+change of slope times the square of the azimuth step.
 """
 
 from __future__ import annotations

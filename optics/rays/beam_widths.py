@@ -1,4 +1,4 @@
-"""How wide the light of some fields is on every surface, by its real marginal rays."""
+"""Beam radii of given fields on every surface, by real marginal rays."""
 
 from __future__ import annotations
 

@@ -1,14 +1,14 @@
-r"""Ghosts: light that two surfaces of a lens reflect on its way to the detector, the detector itself among them.
+r"""Ghosts: light reflected by two surfaces on its way to the detector, including the detector itself.
 
-Every pair of surfaces that differ in index across them is a path of its own: forward to the surface where light turns
-back, back to an earlier one, forward again to the detector. Each is a lens whose surfaces stand in the order light
-meets them, and is traced by `optics.rays.trace` with all its apertures. A ray carries its share of the light:
+Every pair of surfaces with a change of index defines a path: forward to the later surface, back to the earlier one,
+forward again to the detector. Each path is a lens whose surfaces are in the order of the light, traced by
+`optics.rays.trace` with all its apertures. A ray has the weight
 
 .. math:: w = \prod_{passed} T_k \; R_j R_i \prod_{glasses} \tau(l)
 
-with R and T of unpolarised light at the angle of that ray at that surface (the mean of s and p at each surface: what
-one surface polarises is not carried to the next) and internal transmittances over real path lengths. Light that is
-reflected a third time is counted and not followed.
+with R and T of unpolarised light at the ray's angle (mean of s and p at each surface; polarisation by previous surfaces
+is neglected) and internal transmittances over real path lengths. Light reflected a third time is counted but not
+traced.
 """
 
 from __future__ import annotations

@@ -1,14 +1,12 @@
-r"""Paraxial (Gaussian) optics by ABCD matrices; an oracle that shares no code with the ray trace.
+r"""Paraxial (Gaussian) optics by ABCD matrices; independent of the code of the ray trace.
 
 A ray is :math:`(y, \nu)` with :math:`\nu = n u`. Refraction: :math:`\nu' = \nu - (n' - n) c\, y`; transfer over a
 distance t: :math:`y' = y + (t / n) \nu` (Kloos 2007, *Matrix Methods for Optical Layout*, SPIE TT77). With the matrix
-[[A, B], [C, D]] from the first to the last refracting vertex and the surroundings' index n: f = -n/C, back focus
+[[A, B], [C, D]] from the first to the last refracting vertex and the index n of the surroundings: f = -n/C, back focus
 -n A/C, front focus n D/C.
 
-Indices are absolute, so a lens in air has the focal length it has in air, in vacuum the one in vacuum.
-
-Light travels towards +z of every surface's own frame, so distances are unfolded: they count along the axis as the
-mirrors turn it (`LensSystem.axis`), and a mirror of curvature c has the power -2 n c.
+Indices are absolute: the focal length is that in the surrounding air or vacuum. Distances are unfolded, counted along
+the light through all mirrors (`LensSystem.axis`); a mirror of curvature c has the power -2 n c.
 """
 
 from __future__ import annotations

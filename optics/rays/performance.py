@@ -1,6 +1,7 @@
-"""What a lens does, from one trace: scale, distortion, spots through focus, colour, vignetting over field and band.
+"""Lens performance from one trace: scale, distortion, spots through focus, colour, vignetting over field and band.
 
-Fields lie along +X of cam, so that positions are x in the image plane; a lens of revolution shows there all it has.
+Fields lie along +X of cam, so that positions are x in the image plane; for lenses of revolution this is the whole
+field.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""A lens compiled for tracing: a structure (which steps) and one flat vector of numbers (which values).
+"""A lens compiled for tracing: a structure (sequence of steps) and one flat vector of numbers.
 
-The structure decides what code runs, the vector what it computes. Two lenses of the same structure (a perturbed copy,
-another temperature) differ only in the vector, so a just-in-time compiled trace is compiled once for both, and the
-gradient with respect to every number of the prescription is one vector.
+Lenses of the same structure (a perturbed copy, another temperature) differ only in the vector. A just-in-time compiled
+trace is therefore compiled once for all of them, and the gradient with respect to the prescription is one vector.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where starlight enters a lens, and at which points of that disk it is sampled."""
+"""Entrance pupil of a lens, and sampling points of its disk."""
 
 from __future__ import annotations
 

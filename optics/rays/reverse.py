@@ -1,9 +1,9 @@
-"""The same lens for light that goes the other way, from the image plane to the sky.
+"""The lens traversed backwards, from the image plane to the sky.
 
-The reversed lens has its own lens frame: its origin is the image plane's origin of the original lens. Without mirrors
-its axes are those of the lens frame turned half a turn about y, so that light travels towards +z again: (x, y, z) ->
-(-x, y, z_image - z). With mirrors, behind which light may travel any way, they are those of the image plane, turned
-likewise (right-handed). Its image plane is the plane z = 0 of the original lens.
+The origin of its lens frame is the origin of the original image plane. Without mirrors its axes are those of the lens
+frame turned by 180 deg about y, so that light travels towards +z again: (x, y, z) -> (-x, y, z_image - z). With
+mirrors, behind which light may travel in any direction, they are the axes of the image plane, turned in the same way
+(right-handed). Its image plane is the plane z = 0 of the original lens.
 """
 
 from __future__ import annotations

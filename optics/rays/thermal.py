@@ -1,4 +1,4 @@
-"""What a temperature field does to the image, per kelvin of each of its components, from traced lenses."""
+"""Image changes per kelvin of each component of the temperature field, from traced lenses."""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
 """Sequential ray trace, written once for NumPy and Dr.Jit arrays.
 
-Each surface: into its vertex frame, to the vertex plane, to the surface, apertures, Snell's law or the law of
-reflection in vector form. Points are kept relative to the current vertex, which keeps rounding at 1e-14 mm however long
-the lens. Light travels towards +z in every vertex frame (`optics.lens.system`), so that paths count positive on both
-sides of a mirror.
-Rays that fail are carried on with numbers that mean nothing; ``status`` and ``failed_at`` tell the first thing that
-happened to them: the intersection is checked first, then the clear aperture, then refraction.
+Steps per surface: transformation to its vertex frame, propagation to the vertex plane, intersection, apertures, Snell's
+law or reflection in vector form. Points are relative to the current vertex, so that rounding stays at 1e-14 mm for any
+length of lens. Light travels towards +z in every vertex frame (`optics.lens.system`), so that path lengths are positive
+on both sides of a mirror.
+
+Failed rays are carried on with meaningless numbers; ``status`` and ``failed_at`` state the first failure in the order
+intersection, clear aperture, refraction.
 """
 
 from __future__ import annotations

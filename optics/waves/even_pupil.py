@@ -1,9 +1,9 @@
-"""The pupil on an even grid of directions: fast images and transfer functions of wavefronts that are smooth.
+"""The pupil on a regular grid of directions: fast images and transfer functions of smooth wavefronts.
 
-Rays sample a pupil unevenly, so that every one of them is a plane wave of its own in the image. Phase and amplitude of
-a clear pupil are smooth: as polynomials of the twelfth degree, fitted to some hundred rays, they are known on an even
-grid of direction cosines, and the field in the image is a product of three matrices (the "matrix Fourier transform" of
-Soummer et al. 2007, Opt. Express 15, 15935). Cells at the rim count in part.
+Rays sample a pupil irregularly, and each is a separate plane wave of the image. Phase and amplitude of a clear pupil
+are smooth: polynomials of degree twelve, fitted to some hundred rays, give them on a regular grid of direction cosines,
+and the field in the image is a product of three matrices ("matrix Fourier transform", Soummer et al. 2007, Opt. Express
+15, 15935). Cells at the rim have partial weight.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a diffraction image is judged by: Strehl ratio, encircled energy, MTF, all of them through focus too."""
+"""Metrics of diffraction images: Strehl ratio, encircled energy, MTF, also through focus."""
 
 from __future__ import annotations
 

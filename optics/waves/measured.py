@@ -1,9 +1,9 @@
-"""A measured wavefront error, given to a lens as the figure error of a surface next to its stop.
+"""A measured wavefront error, applied to a lens as the figure error of a surface next to its stop.
 
-Interferometers measure the error of a whole lens over its pupil. Added to the surface next to the stop it acts on all
-fields and wavelengths nearly alike, bends rays and delays waves together (so that the mean of the light stays the mean
-of the rays), and moves with its element. The height that makes a path of the map follows from the path that a small
-constant height adds to every ray, which by Fermat's principle does not depend on how rays bend further on.
+Interferometers measure the error of a whole lens over its pupil. On the surface next to the stop it acts on all fields
+and wavelengths nearly alike, bends rays and delays waves consistently (the centroid of the light stays the mean of the
+rays), and moves with its element. The height for a path difference follows from the path change of every ray per small
+constant height, which by Fermat's principle is independent of the bending of rays behind the surface.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Wavefront error of a lens at one field and wavelength: map, RMS, Zernike coefficients; measured maps to be added.
 
 The error of a ray is its optical path to a reference point of the image, measured on a sphere about that point (in the
-sum of plane waves: a sphere of infinite radius), less the mean over the pupil. Positive: the light is late there.
+sum of plane waves: of infinite radius), minus the mean over the pupil. Positive: the light is late.
 """
 
 from __future__ import annotations

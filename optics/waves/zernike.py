@@ -1,9 +1,9 @@
-"""Zernike polynomials in the three orders that optics people use, and their fit to a wavefront.
+"""Zernike polynomials in three orders, and their fit to a wavefront.
 
 ``noll``: "standard" (Noll 1976, J. Opt. Soc. Am. 66, 207), index from 1, each of RMS 1 over the unit disk; the Zernike
 Standard Coefficients of ray-tracing programs. ``ansi``: ISO 24157 / OSA, index from 0, RMS 1. ``fringe``: University of
-Arizona, index from 1, 37 terms, amplitude 1 at the rim (ISO 14999-2 lists them). Sine terms belong to the azimuth
-counted from +x towards +y.
+Arizona, index from 1, 37 terms, amplitude 1 at the rim (ISO 14999-2 lists them). The azimuth of sine terms is measured
+from +x towards +y.
 """
 
 from __future__ import annotations

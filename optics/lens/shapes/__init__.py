@@ -1,1 +1,1 @@
-"""Kinds of surface, one file each: `registry` lists them, `base` says what each owes."""
+"""Types of surface, one file each: `registry` lists them, `base` is their interface."""

@@ -1,8 +1,8 @@
-"""What every kind of surface has to say for itself; trace, lens files, tolerances and drawings ask nothing else.
+"""Interface of surface types, used by trace, lens files, tolerances and drawings.
 
-A shape is a record: its fields are its keys in a lens file and what a tolerance can change, its `Shape.parameters` are
-what the trace reads. It is given in the frame of its own vertex: light travels towards +z, the vertex is the origin,
-the sag is z(x, y). A shape knows geometry only; what the surface does to light belongs to the lens.
+A shape is a record. Its fields are its keys in a lens file and the quantities that tolerances change; its
+`Shape.parameters` are the input of the trace. Its frame is that of its vertex: light travels towards +z, the vertex is
+the origin, the sag is z(x, y). A shape is geometry only; refraction and reflection belong to the lens.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The kinds of surface that lens files may name; a new kind is one more entry (docs/extending/add_a_surface.md)."""
+"""Types of surface in lens files; a new type is one more entry (docs/extending/add_a_surface.md)."""
 
 from __future__ import annotations
 
