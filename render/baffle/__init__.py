@@ -1,1 +1,1 @@
-"""Baffle in front of a lens: its geometry and coatings, and the light that it lets and throws into the lens."""
+"""Baffle in front of a lens: geometry and coatings, direct and scattered light at the entrance of the lens."""

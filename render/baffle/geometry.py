@@ -1,12 +1,12 @@
-r"""Baffles: a tube with vanes by the standard construction, or a mesh of the user's, and their black coatings.
+r"""Baffles and their black coatings: a tube with vanes by the standard construction, or a mesh of the user.
 
 Frame: cam with its origin at the vertex of the first surface: +z towards the sky, x along columns, y along rows, mm.
 
-**Construction** (e.g. R. P. Breault, "Control of stray light", Handbook of Optics, vol. I, ch. 38): vane tips stand on
-the cone that the beams of the field fill; every next vane, from the front towards the lens, stands where the lens,
-looking past its tip, begins to see the wall just where light from outside, past the tip of the vane in front, ends to
-fall on it. No wall is lit by the sky and seen by the lens. The front opening a and the entrance r shade the lens from
-sources beyond :math:`\tan\epsilon = (a + r) / L`.
+**Construction** (e.g. R. P. Breault, "Control of stray light", Handbook of Optics, vol. I, ch. 38): vane tips lie on
+the cone of the field's beams. From the front towards the lens, each vane stands where the wall seen from the lens past
+its tip begins at the end of the wall lit from outside past the tip of the previous vane. No part of the wall is both
+lit by the sky and seen by the lens. The front opening a and the entrance r shade the lens from sources beyond
+:math:`\tan\epsilon = (a + r) / L`.
 """
 
 from __future__ import annotations

@@ -1,16 +1,14 @@
-r"""Light that a baffle lets and throws into a lens: Mitsuba's ``path`` integrator, backwards from the entrance.
+r"""Direct and scattered light of a baffle at the lens, by Mitsuba's ``path`` integrator backwards from the entrance.
 
-Points of the entrance and directions into the baffle are drawn; along each the radiance L is that of the stock ``path``
-integrator, which looks the Sun (a directional emitter) up at every surface it meets, so that its cost does not depend
-on how little light arrives. What the lens makes of light from a direction is its own point-source transmittance, which
-weighs the directions:
+Points of the entrance and directions into the baffle are drawn. The radiance L along each is that of the stock ``path``
+integrator, which samples the Sun (a directional emitter) at every surface it meets, so that its cost does not depend on
+the amount of light. The lens's own point-source transmittance weights the directions:
 
 .. math:: PST_{walls} = \frac{1}{A} \int dA \int L(x, \omega)\, PST_{lens}(\theta_\omega)\, d\omega
 
-for a source of unit irradiance through a plane that faces it. The direct light is PST_lens times the part of the
-entrance that the source shines on. Edges of vanes are too thin to be met by chance: each is a Lambertian cylinder of
-the edge's radius in closed form, its shadows by rays. Light that the lens throws back into the baffle, and light that
-bends around edges, are not taken.
+for a source of unit irradiance through a plane normal to its light. The direct light is PST_lens times the lit part of
+the entrance. Edges of vanes are too thin for random hits: each is a Lambertian cylinder of the edge's radius in closed
+form, its shadows by rays. Light returned by the lens into the baffle and diffraction at edges are neglected.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The camera that looks at the screen of the bench: where a point of the screen is seen, in float64 and for Mitsuba.
+"""The camera that images the screen of the bench: projection of screen points, in float64 and for Mitsuba.
 
-A 1:1 lens: one pixel of the detector is one pixel pitch on the screen where the optical axis meets it (CUBE09's budget
-takes its 15 um pixel as 15 um on the screen, eq. 13). The camera stands beside the beam, on the side of the cube, and
-looks obliquely; the homography between the screen and the pixels is exact and known, as from a calibration target.
+A 1:1 lens: on the optical axis one detector pixel covers one pixel pitch of the screen (CUBE09's budget takes its 15 um
+pixel as 15 um on the screen, eq. 13). The camera stands off the beam, on the side of the cube, and views the screen
+obliquely; the homography between screen and pixels is exact and known, as from a calibration target.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """The cube-mirror bench as Mitsuba shapes: sun simulator, screen with its aperture, cube mirror, camera (CUBE09).
 
 Laboratory frame, mm: origin in the centre of the aperture, +Z towards the sun simulator, so that its light travels
-along -Z; +Y up. The two axes of the turntable cross on the Z axis at ``(0, 0, -(distance + cube/2))``: a face of a cube
-centred there stands ``distance`` from the aperture whichever face is turned to the light.
+along -Z; +Y up. The two axes of the turntable cross on the Z axis at ``(0, 0, -(distance + cube/2))``: any face of a
+cube centred there, turned to the light, has the same ``distance`` from the aperture.
 
-The aperture is a hole in a mesh, a polygon of `HOLE_SIDES` sides; everything that reflects is an analytic rectangle,
-whose normal comes from its transformation and not from differences of float32 vertices. With the origin in the
-aperture, the screen has the finest float32 numbers where it matters: spots land to 1e-4 mm (tests).
+The aperture is a hole in a mesh, a polygon of `HOLE_SIDES` sides. All reflecting parts are analytic rectangles, whose
+normals come from their transformations and not from differences of float32 vertices. The origin in the aperture gives
+float32 its finest resolution where it matters: spots are accurate to 1e-4 mm (tests).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""An aperture-mask sun sensor, rendered: a plate with a round hole over a detector, sunlight through it.
+"""An aperture-mask sun sensor, rendered: sunlight through a round hole in a plate onto a detector.
 
 Sensor frame (CUBE09: X'' and Y'' along the rows and columns of the detector): +Z towards the Sun, +X along increasing
 column, +Y along increasing row. The hole is the origin of the render; the detector lies ``height`` behind it. Light
-from (X, Y, Z) lands at (-X, -Y) height / Z; the detector counts its columns against X and its rows against Y, as a
+from (X, Y, Z) is imaged at (-X, -Y) height / Z; the detector counts its columns against X and its rows against Y, as a
 camera does behind its lens, so that
 
     column = (W - 1)/2 + x0 + (height / pitch) X / Z,    row likewise:

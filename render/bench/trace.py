@@ -1,13 +1,12 @@
-"""Light of the sun simulator followed through the bench, particle by particle, with Mitsuba's shapes and BSDFs.
+"""Particle tracing of the sun simulator's light through the bench, with Mitsuba's shapes and BSDFs.
 
-A collimated beam through a small aperture onto a mirror is out of reach of paths that start at the camera: none would
-find the tiny sun. So particles start in the simulator, as in Mitsuba's ``ptracer``, and wherever they meet something
-that scatters, the camera is looked up and the light it gets is added to its pixel (Veach 1997, sec. 10.1). Two things
-differ from ``ptracer``: the sun has an angular radius, and only particles are started that can pass the aperture
-at all; those that could not would end on the back of the screen. Start point and slope are points of one Sobol net.
+Paths started at the camera would not find the tiny sun through a small aperture and a mirror. Particles therefore start
+in the simulator, as in Mitsuba's ``ptracer``; at every scattering surface the contribution to the camera's pixel is
+added (Veach 1997, sec. 10.1). Differences to ``ptracer``: the sun has an angular radius, and only particles that can
+pass the aperture are started; all others would end on the back of the screen. Start point and slope are points of one
+Sobol net.
 
-The unit of light is the irradiance of the beam: an image is the radiance seen by each pixel per unit of it. A matt
-screen of reflectance rho in the full beam shows rho / pi.
+Images are radiances per unit irradiance of the beam. A matt screen of reflectance rho in the full beam has rho / pi.
 """
 
 from __future__ import annotations

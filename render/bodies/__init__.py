@@ -1,1 +1,1 @@
-"""Extended bodies: the Moon, planets and sunlit meshes, where they are and how bright."""
+"""Extended bodies: positions and brightness of the Moon, planets and sunlit meshes."""

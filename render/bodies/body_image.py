@@ -1,4 +1,4 @@
-"""A body through the lens: in which window it is seen, its image in electrons, and what is true of it."""
+"""A body through the lens: its window, its image in electrons, its truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Edge of a disk as a small cell of the sky sees it, in Dr.Jit arrays."""
+"""Overlap of a small cell of the sky with the edge of a disk, in Dr.Jit arrays."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Ghosts of all that shines into a lens: stars in the frame and beside it, Sun, Moon and planets wherever they stand.
+"""Ghosts of all sources of a lens: stars inside and outside the frame, Sun, Moon and planets in any direction.
 
-Of Sun and Moon a table of point-source transmittance (`optics.light.pst`) tells how much ghost light gets past the
-baffle, the traced paths where it falls: their image is scaled to the mean of the table. Without a table the lens is
-bare. Both are even disks.
+For Sun and Moon a table of point-source transmittance (`optics.light.pst`) states the ghost light behind the baffle,
+and the traced paths its distribution: their image is scaled to the mean of the table. Without a table the lens has no
+baffle. Both bodies are uniform disks.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""Image of a mesh in the light of the Sun: Mitsuba's ``path`` integrator, backwards through ``lens_camera``.
+r"""Image of a mesh in sunlight: Mitsuba's ``path`` integrator, backwards through ``lens_camera``.
 
 Single scattering, the Sun a point. The image is the irradiance E on each pixel for a Sun of unit irradiance and a
 surface of unit albedo; at every wavelength node of the band
@@ -6,10 +6,10 @@ surface of unit albedo; at every wavelength node of the band
 .. math:: N = E\, a(\lambda)\, F_\odot(\lambda) r^{-2}\, w\, A_{pixel}\, t
 
 with the albedo a, the Sun's photons at 1 au, its distance r in au, the weights w of filter, quadrature and the camera's
-response, pixel area and exposure. It is made in passes with random numbers of their own, as many as bring the spread of
-their mean below the asked share of the photon noise, or as there may be.
+response, pixel area and exposure. Passes with independent random numbers are averaged until the standard error of the
+mean is below the requested share of the photon noise, or the largest number of passes is reached.
 
-Interreflections, a penumbra, and the gradient of sunlight over the body are left out.
+Interreflections, a penumbra, and the gradient of sunlight over the body are neglected.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Which direction of the sky a point of the detector sees through a point of the pupil, as polynomials per tile.
+r"""Directions of the sky seen by points of the detector through points of the pupil, as polynomials per tile.
 
-For a grid of directions that covers a tile the beams through the lens are traced (`optics.rays.spots.trace_spots`): the
-n-th ray of every beam goes through the same part of it, so that its landing point and the area it stands for vary
-smoothly over the tile. Their inverse, X/Z and Y/Z of the direction against column and row, is fitted for every
-wavelength and ray, and with it the etendue per pixel,
+For a grid of directions that covers a tile the beams through the lens are traced (`optics.rays.spots.trace_spots`). The
+n-th ray of every beam passes the same part of the lens, so that its landing point and its share of the pupil area vary
+smoothly over the tile. The inverse, X/Z and Y/Z of the direction against column and row, is fitted for every wavelength
+and ray, and with it the etendue per pixel,
 
-.. math:: dE = A \\cos\\theta\\, d\\Omega = A \\cos^4\\theta\\,
-          \\left|\\frac{\\partial(X/Z, Y/Z)}{\\partial(x, y)}\\right|\\, dx\\, dy .
+.. math:: dE = A \cos\theta\, d\Omega = A \cos^4\theta\,
+          \left|\frac{\partial(X/Z, Y/Z)}{\partial(x, y)}\right|\, dx\, dy .
 
-A tile whose fit is not good to `FIT_PX` is divided.
+A tile whose fit error exceeds `FIT_PX` is divided.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""The Moon and the planets for an epoch and an observer: where they are seen, how large, how bright.
+"""The Moon and the planets for an epoch and an observer: directions, sizes, brightness.
 
-Places: astropy's built-in ephemeris, offline (ERFA: ``epv00`` for Earth and Sun, ``plan94`` for the planets,
-``moon98`` for the Moon). Against JPL's ephemerides they err by some arcseconds for Mercury to Mars and the Moon, by up
-to 10" for Neptune, 80" for Jupiter, Saturn and Uranus (J. L. Simon et al., A&A 282, 663 (1994), 1900 ... 2100).
-Directions are those at which the light arrives: the place of the body one light time before, and the aberration of
-`render.catalogue.motion`. Deflection by the Sun, below 0.1" outside five degrees from it, is left out.
+Places: astropy's built-in ephemeris, offline (ERFA: ``epv00`` for Earth and Sun, ``plan94`` for the planets, ``moon98``
+for the Moon). Errors against JPL's ephemerides are some arcseconds for Mercury to Mars and the Moon, up to 10" for
+Neptune, 80" for Jupiter, Saturn and Uranus (J. L. Simon et al., A&A 282, 663 (1994), 1900 ... 2100). Directions include
+light time and the aberration of `render.catalogue.motion`. Deflection by the Sun, below 0.1" beyond five degrees from
+it, is neglected.
 
-A body smaller than about a pixel joins the stars (`planet_field`, `joined`); a larger one is rendered
+A body smaller than about a pixel is added to the stars (`planet_field`, `joined`); a larger one is rendered
 (`render.bodies.sunlit_body`).
 """
 

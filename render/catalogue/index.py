@@ -1,4 +1,4 @@
-"""All stars around a direction, quickly: a k-d tree on the unit vectors of a catalogue."""
+"""Stars around a direction: a k-d tree on the unit vectors of a catalogue."""
 
 from __future__ import annotations
 

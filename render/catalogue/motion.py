@@ -1,15 +1,15 @@
-"""Where stars are seen: space motion to another epoch, parallax, deflection by the Sun and aberration for an observer.
+r"""Observed directions of stars: space motion to another epoch, parallax, deflection by the Sun and aberration.
 
 Space motion is the standard model of the Hipparcos and Gaia catalogues, uniform motion in space (The Hipparcos and
 Tycho Catalogues, ESA SP-1200, vol. 1, sec. 1.5.5, 1997): with the direction r, the vector of proper motion mu and the
 radial motion mu_r = v_r parallax / A, A = 4.740470463 km/s per au/year,
 
-.. math:: u(t) = r (1 + \\mu_r t) + \\mu t, \\qquad r(t) = u / |u|, \\qquad \\varpi(t) = \\varpi / |u|
+.. math:: u(t) = r (1 + \mu_r t) + \mu t, \qquad r(t) = u / |u|, \qquad \varpi(t) = \varpi / |u|
 
-Observed motions are per year of arrival of the light, and a star that comes nearer shows later years of its path
-sooner; a moving clock goes slower. All of it is counted in as ERFA's ``starpm`` does (A. G. Butkevich and L. Lindegren,
-A&A 570, A62 (2014)): together 0.5 mas in 50 years for Kapteyn's star. An observer away from the barycentre sees the
-star where it was when the light passed him, not the barycentre: up to 8 min, 0.16 mas for Barnard's star.
+Observed motions are per year of arrival of the light, which differs from the year of emission for a star with radial
+velocity, and moving clocks are slower. Both are included as in ERFA's ``starpm`` (A. G. Butkevich and L. Lindegren, A&A
+570, A62 (2014)): together 0.5 mas in 50 years for Kapteyn's star. The light time between observer and barycentre is
+included: up to 8 min, 0.16 mas for Barnard's star.
 
 Deflection: S. A. Klioner, AJ 125, 1580 (2003), eq. 70, for the Sun alone. Aberration: his eq. 10, the exact formula of
 special relativity. `erfa.ab` adds the potential of the Sun, below 0.001 mas.

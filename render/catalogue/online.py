@@ -1,4 +1,4 @@
-"""Catalogues from the archives, VizieR and Gaia, by astroquery; optional, and one line where it cannot be."""
+"""Star catalogues from the archives VizieR and Gaia, by astroquery (optional)."""
 
 from __future__ import annotations
 

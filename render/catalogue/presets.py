@@ -1,5 +1,4 @@
-"""What the columns of well-known star catalogues are called, and in which units they stand where a file does not
-say."""
+"""Column names and default units of well-known star catalogues."""
 
 from __future__ import annotations
 

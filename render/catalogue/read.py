@@ -1,7 +1,7 @@
-"""Any star catalogue that astropy reads (FITS, VOTable, ECSV, CSV, CDS/MRT) into a `StarCatalog`; units are checked.
+"""Any star catalogue that astropy reads (FITS, VOTable, ECSV, CSV, CDS/MRT) as a `StarCatalog`; units are checked.
 
-A unit that the file states counts; where it states none, that of the preset is assumed, and numbers that look like
-another unit are refused.
+Units stated in the file take precedence; otherwise the preset's units are assumed, and numbers that look like another
+unit are refused.
 """
 
 from __future__ import annotations

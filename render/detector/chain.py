@@ -1,6 +1,6 @@
 """The detector chain on Dr.Jit arrays: expected electrons to digital numbers, in one kernel (two with crosstalk).
 
-`render.detector.readout` is the public side; here are only arrays of pixels, from whichever frame and window they come.
+`render.detector.readout` is the public interface; here are arrays of pixels only, of frames and windows alike.
 """
 
 from __future__ import annotations

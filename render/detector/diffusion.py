@@ -1,4 +1,4 @@
-"""Charge diffusion on an image that was rendered without it."""
+"""Charge diffusion on an image rendered without it."""
 
 from __future__ import annotations
 

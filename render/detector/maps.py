@@ -1,7 +1,7 @@
-"""What is particular to one chip: its patterns, as a function of the detector's ``sensor_seed`` and the pixel.
+"""Fixed patterns of one chip, as a function of the detector's ``sensor_seed`` and the pixel.
 
-Every map is a pure function of (sensor seed, map name, pixel index in the whole detector), so a window computes only
-its own pixels and gets the values of the full map.
+Every map is a pure function of (sensor seed, map name, pixel index in the whole detector), so that a window computes
+only its own pixels, with the values of the full map.
 """
 
 from __future__ import annotations

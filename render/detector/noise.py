@@ -1,16 +1,16 @@
-"""Mean and variance of a pixel, as the detector's description and the conditions say: the only statement of either.
+"""Mean and variance of a pixel, from the detector's description and the conditions.
 
 A pixel that expects ``light`` photo-electrons reads, in electrons above the nominal offset,
 
     light (1 + PRNU) + dark charge + offset pattern + temporal noise,
 
-and its temporal variance is that of photons and dark charge (their sum is a Poisson variate), of the read noise and of
-rounding to whole DN (EMVA 1288 Release 4.0: K^2 (sigma_d^2 + light) + 1/12 in DN^2). Read noise and dark current differ
-from pixel to pixel; here stand means over the pixels, and how much single pixels differ from them. Fixed patterns are
-no temporal noise and are kept apart: response (PRNU), offset (DSNU, dark current), columns.
+and its temporal variance is the sum of photons and dark charge (Poisson), read noise and rounding to whole DN (EMVA
+1288 Release 4.0: K^2 (sigma_d^2 + light) + 1/12 in DN^2). Read noise and dark current are means over the pixels, with
+their pixel-to-pixel scatter. Fixed patterns are separate from temporal noise: response (PRNU), offset (DSNU, dark
+current), columns.
 
-Pixels are those that the map of defects leaves: without the maker's hot pixels, without known displacement damage. Full
-well, crosstalk and the ends of the converter are left out; the non-linearity too, which bends mean and noise alike.
+Pixels listed as defects are excluded (the maker's hot pixels, known displacement damage). Full well, crosstalk and the
+limits of the converter are neglected; so is the non-linearity, which affects mean and noise alike.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-"""What displacement damage does to a detector in space: hot pixels.
+"""Displacement damage of a detector in space: hot pixels.
 
-A particle that knocks atoms out of the lattice of a depleted volume leaves a centre that generates dark current. The
-number of centres per pixel is a Poisson variate, the dark current of each is exponentially distributed (Virmontois et
-al. 2012, IEEE Trans. Nucl. Sci. 59, 927; Belloir et al. 2016, Opt. Express 24, 4299):
+A particle that displaces atoms in the depleted volume leaves a centre that generates dark current. The number of
+centres per pixel is a Poisson variate, the dark current of each is exponentially distributed (Virmontois et al. 2012,
+IEEE Trans. Nucl. Sci. 59, 927; Belloir et al. 2016, Opt. Express 24, 4299):
 
     centres per pixel = gamma V D,   mean dark current of a centre = K(T, t) / gamma
 
 with the depleted volume V and the displacement damage dose D (fluence times non-ionising energy loss). K is the
 universal damage factor of silicon (Srour & Lo 2000, IEEE Trans. Nucl. Sci. 47, 2451): 1.9e5 e-/s per cm^3 and MeV/g at
-300 K one week after the irradiation; the mean increase is K V D whatever gamma is. Dark current by ionising dose at
-interfaces and random telegraph signals are left out.
+300 K one week after the irradiation; the mean increase K V D does not depend on gamma. Dark current by ionising dose at
+interfaces and random telegraph signals are neglected.
 """
 
 from __future__ import annotations

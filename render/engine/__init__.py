@@ -1,4 +1,4 @@
-"""Where arrays live and how they get their random numbers: the engine, its array types, Philox, Poisson, streams."""
+"""The compute engine: array types, backends, random numbers (Philox, Poisson, named streams)."""
 
 from render.engine.engine import Engine
 

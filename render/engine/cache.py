@@ -1,4 +1,4 @@
-"""Where Dr.Jit keeps compiled kernels: it ends the process if that folder cannot be made."""
+"""Folder of Dr.Jit's compiled kernels; Dr.Jit ends the process if the folder cannot be created."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Where Dr.Jit and Mitsuba run: one record, chosen once per process, that whatever computes asks for.
+"""The backend of Dr.Jit and Mitsuba: one record, chosen once per process.
 
-The choice is a fact of the process, as Mitsuba's variant is: nobody hands it through. `Engine.start` makes it after a
-check of the machine; who computes calls `Engine.active`.
+The choice belongs to the process, like Mitsuba's variant. `Engine.start` makes it after a check of the machine;
+computing code calls `Engine.active`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Dr.Jit for all of render: ``from render.engine.jit import dr``.
 
-Dr.Jit looks for LLVM once, when it is first imported, and says what went wrong on the standard error stream of the
-process, below Python. The first import therefore happens here, with that stream caught, so that a caller of
-`render.engine.Engine.start` sees one sentence that says what to do.
+Dr.Jit looks for LLVM once, at its first import, and reports faults on the process's standard error stream below Python.
+The first import therefore happens here with that stream captured, so that `render.engine.Engine.start` can raise a
+one-line error.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The LLVM library that Dr.Jit needs on a processor: found, checked, and its absence said in one line."""
+"""Search and check of the LLVM library that Dr.Jit needs on a processor; one-line errors."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Named random streams: every number is a function of (seed, stream name, frame, pixel), whatever else is drawn.
+"""Named random streams: every number is a function of (seed, stream name, frame, pixel) alone.
 
 A stream's 64-bit key comes from `numpy.random.SeedSequence` with the seed as entropy and the name and the frame number
 in the spawn key. The key drives Philox4x32-10 (`render.engine.philox`) with the pixel's index in the whole detector in
-the counter. So a window equals the crop of the full frame, and neither the number of threads, nor the order of the
-frames, nor one more source of noise changes what another source draws.
+the counter. A window therefore equals the crop of the full frame, and neither the number of threads, the order of
+frames, nor an additional noise source changes the numbers of another source.
 """
 
 from __future__ import annotations

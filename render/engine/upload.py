@@ -1,4 +1,4 @@
-"""Arrays of NumPy as arrays of Dr.Jit."""
+"""NumPy arrays as Dr.Jit arrays."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Text of FITS headers, card by card.
 
-`astropy.io.fits.Header` builds a hundred cards in milliseconds, more than a small image takes to be written. Here a
-card is formatted by astropy once and remembered: from one frame to the next most cards do not change.
+`astropy.io.fits.Header` builds a hundred cards in milliseconds, longer than a small image takes to write. Here each
+card is formatted once by astropy and cached, because most cards are the same in all frames.
 """
 
 from __future__ import annotations

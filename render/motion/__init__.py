@@ -1,1 +1,1 @@
-"""How a camera moves: trajectories, jitter, gyros."""
+"""Motion of the camera: trajectories, jitter, gyros."""

@@ -1,4 +1,4 @@
-"""Numbers of a camera as parameters of a scene: what ``mi.traverse`` shows of ``lens_camera``."""
+"""Numbers of a camera as scene parameters of ``lens_camera`` (``mi.traverse``)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Properties of ``lens_camera``, whose meaning `render.plugins.lens_camera` tells: camera, motion and place of them."""
+"""Camera, motion and placement from the properties of ``lens_camera`` (`render.plugins.lens_camera`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records in Mitsuba's scene dictionaries: properties hold no Python objects, so a handle or a file stands for them."""
+"""Records in Mitsuba's scene dictionaries: handles or files in place of Python objects."""
 
 from __future__ import annotations
 

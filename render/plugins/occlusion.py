@@ -1,9 +1,9 @@
-"""What stands between the sky and a lens: bodies of a Mitsuba scene, ray by ray (`render.tracing.rays.kernel.Shade`).
+"""Bodies of a Mitsuba scene between the sky and a lens, tested ray by ray (`render.tracing.rays.kernel.Shade`).
 
-A star's ray leaves the plane of the first vertex for its star; whatever `Scene.ray_test` meets on the way hides it, as
-it hides lights from ``path``: transparent bodies too. Mitsuba's rays are float32, so an edge at the distance L stands
-right to some 1e-7 L. The limb of a sphere would not: its equation is solved from where the ray starts, and at 200 radii
-its roots are off by 3e-3 of the radius. A ray is therefore tested in parts, each of which starts close to a far body.
+A star's ray leaves the plane of the first vertex towards its star; any hit of `Scene.ray_test`, of transparent bodies
+too, hides the star, as it hides lights from ``path``. Mitsuba's rays are float32, so that an edge at the distance L is
+accurate to some 1e-7 L. The limb of a sphere would not be: its equation is solved from the origin of the ray, and at
+200 radii its roots are off by 3e-3 of the radius. A ray is therefore tested in parts that start close to far bodies.
 """
 
 from __future__ import annotations

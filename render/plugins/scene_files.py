@@ -1,8 +1,8 @@
-"""Scenes as files: what a dictionary for ``mi.load_dict`` says, as XML for ``mi.load_file``, our records beside it.
+"""Scenes as files: a dictionary for ``mi.load_dict`` as XML for ``mi.load_file``, with our records in separate files.
 
-Tensors of star fields and records that handles stand for go into files of their own, named after the scene file and
-their place in the scene. Numbers are written with as many digits as bring them back, so that a scene that was written
-renders to the same bytes; transforms as matrices, as Mitsuba's own way to write them, in factors, loses digits.
+Tensors of star fields and records behind handles go into files named after the scene file and their place in the scene.
+Numbers are written with all significant digits, so that a written scene renders to the same bytes; transforms are
+written as matrices, because Mitsuba's factors lose digits.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The image of a scene's stars with derivatives: from the parameters of `mi.traverse` to `render.tracing.gradient`."""
+"""Derivatives of the image of a scene's stars: from `mi.traverse` parameters to `render.tracing.gradient`."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""From the sky to the renderer: which stars fall on the detector, and their light at the wavelength nodes.
+"""Stars on the detector and their light at the wavelength nodes.
 
-`field_of_view` asks a camera once what it sees, `field_of` finds the stars of an attitude and where they are seen,
-`star_field` gives them their light (`render.sky.star_light`): the `StarField` that `render.forward` renders, directions
-along icrs, the camera's world being the sky.
+`field_of_view` determines the field of a camera once, `field_of` selects the stars of an attitude with their
+directions, `star_field` adds their light (`render.sky.star_light`). The result is the `StarField` that `render.forward`
+renders, with directions in icrs; the camera's world is the sky.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a camera sees in many attitudes at once: the stars of a catalogue on its detector, without rendering them."""
+"""Catalogue stars on the detector in many attitudes at once, without rendering."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sky of one observer at one time: which stars there are, where they are seen, and in which light."""
+"""The sky of one observer at one time: stars, their observed directions and their light."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""When a sum over rays is converged: frequencies that a pixel value can hold, and how much charge diffusion leaves of
-each."""
+"""Convergence of sums over rays: frequencies that a pixel value can contain, and their damping by charge diffusion."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Ghosts as images: the enumerated paths of two reflections (`optics.rays.ghosts`), each as it lands.
+"""Ghosts as images: the enumerated paths of two reflections (`optics.rays.ghosts`), each rendered at its place.
 
-Which paths can be seen of a source is told by coarse rays at angles on both sides of its own, found once per camera;
-those are traced at the mean wavelength of each band. A path's rays, each a Gaussian as wide as rays lie apart (and no
-narrower than charge diffusion), make its image. Over the disk of an extended source the place of every ray is linear in
-the direction, and its light that of the middle. A ghost is light that the response of the camera counts as reflected:
-it comes on top of what is a star's own.
+Coarse rays at angles on both sides of a source's angle, traced once per camera, select its visible paths; these are
+traced at the mean wavelength of each band. A path's rays, each a Gaussian as wide as the spacing of rays (and at least
+as wide as charge diffusion), form its image. Over the disk of an extended source the position of every ray is linear in
+the direction, its light is that of the centre. The response of the camera counts ghost light as reflection loss, so
+that it is added to the image of a star.
 """
 
 from __future__ import annotations

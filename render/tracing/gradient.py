@@ -1,15 +1,14 @@
-"""The image of stars as a function that Dr.Jit differentiates: lens, focus, directions and rates.
+"""The image of stars as a differentiable function of lens, focus, directions and rates (Dr.Jit).
 
-The same rays as those of `render.tracing.tracer` are traced once more, in arrays with derivatives: pixel values are
-sums over rays of what diffusion leaves on a pixel, so their derivatives are exact, of the quadrature itself. What
-quadrature and lens have in common moves too: where the stop lies inside, the chief ray and the outline of the beam are
-where a function of lens and direction is zero, and one Newton step from the point that is known there has its
-derivative. A beam that other apertures cut (arcs, or Sobol points that are lost at an edge) has none that sampling can
-tell, and is _refused.
+The rays of `render.tracing.tracer` are traced once more in arrays with derivatives. Pixel values are sums over rays, so
+that their derivatives are exact for the quadrature itself. The quadrature moves with the lens too: for a stop inside
+the lens, the chief ray and the outline of the beam are zeros of a function of lens and direction, and one Newton step
+from the known zero has its derivative. A beam cut by other apertures (arcs, or Sobol points lost at an edge) has no
+derivative by sampling, and is refused.
 
 Diffraction images are sums of plane waves over windows (`render.tracing.waves.adjoint`). Stamps, pixels and motion are
-those of `render.tracing.waves.images`, in double precision; images that the renderer interpolates, between few rays or
-between few places of the field, are summed ray by ray here.
+those of `render.tracing.waves.images`, in double precision; images that the renderer interpolates between rays or
+between places of the field are summed ray by ray.
 """
 
 from __future__ import annotations

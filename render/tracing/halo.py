@@ -1,9 +1,9 @@
-"""The halo of light that the surfaces of a lens scatter around each star: taken from its core, drawn about its place.
+"""The halo of light scattered by the surfaces of a lens around each star: removed from its core, added around it.
 
-A law of all surfaces together (`optics.light.scatter`) tells the radiance at differences of sines from the star. A
-pixel holds BSDF times its solid angle, (pitch / focal length)^2, times the light that passes the lens; near the star
-the law is averaged over pixels. The halo ends where a pixel holds ``Camera.far.ends_e`` of it (`LEAST_E` without), but
-all that the law takes (TIS) is missing in the core and stands in ``Truth.electrons_scattered``.
+One law for all surfaces (`optics.light.scatter`) gives the radiance against differences of sines from the star. A pixel
+receives BSDF times its solid angle, (pitch / focal length)^2, times the light that passes the lens; near the star the
+law is averaged over pixels. The halo ends where a pixel receives ``Camera.far.ends_e`` (`LEAST_E` without), but the
+whole TIS is removed from the core and counted in ``Truth.electrons_scattered``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Effective PSFs: the pixel-integrated image of a star at every sub-pixel phase.
 
-`render_epsf` has them from the renderer, by rays or waves as its camera says. `ray_epsf` and `wave_images` make them of
-traced rays and of traced wavefronts by NumPy alone: no renderer takes part.
+`render_epsf` renders them by rays or waves as its camera states. `ray_epsf` and `wave_images` compute them from traced
+rays and traced wavefronts in NumPy, without the renderer.
 """
 
 from __future__ import annotations

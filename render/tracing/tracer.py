@@ -1,9 +1,9 @@
-"""The road from a star field and a camera to the noiseless image and its truth.
+"""From a star field and a camera to the noiseless image and its truth.
 
-Directions during the exposure and the light of every node (`render.tracing.motion.paths`), the points that stand for
-each beam (`render.tracing.pupil.planning`), then the images, which a maker adds up together with the truth: by rays
-(`render.tracing.rays.images`) or by waves (`render.tracing.waves.images`), as the camera says. A lens that was measured
-tells places and images itself (`render.tracing.measured.images`).
+Directions during the exposure and the light of every node (`render.tracing.motion.paths`), sampling points of each beam
+(`render.tracing.pupil.planning`), then the images and the truth, by rays (`render.tracing.rays.images`) or waves
+(`render.tracing.waves.images`) as the camera states. A measured lens gives positions and images itself
+(`render.tracing.measured.images`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Stamps into the image, and sums into the truth."""
+"""Stamps added to the image; sums converted to the truth."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Images of stars through a lens that was measured: places and Gaussians in place of traced rays."""
+"""Images of stars through a measured lens: positions and Gaussians in place of traced rays."""

@@ -1,1 +1,1 @@
-"""Where stars are seen during an exposure."""
+"""Star directions during an exposure."""

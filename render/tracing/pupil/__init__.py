@@ -1,1 +1,1 @@
-"""How a star's beam is sampled: its outline, points inside, and orders found by trial."""
+"""Sampling of a star's beam: outline, points inside, adaptive orders."""

@@ -1,10 +1,10 @@
-"""Pupils of lenses whose stop lies inside: chief rays and outlines of the beam, found by aiming rays at the apertures.
+"""Pupils of lenses with an inner stop: chief rays and beam outlines by ray aiming at the apertures.
 
-A star's beam meets the launch disk in a region whose outline is the image of the stop through the front of the lens,
-or, where other apertures cut in, an arc of each. About the chief ray's launch point that outline is one radius per
-azimuth, the first at which a ray touches an aperture. The height of a ray on a surface is nearly proportional to that
-radius, so a secant iteration in units of the aperture's radius, every surface on its own and the nearest crossing
-taken, ends at rounding after a few steps. Points of launch are in units of the launch disk's radius.
+A star's beam crosses the launch disk in a region whose outline is the image of the stop through the front of the lens,
+or consists of arcs of several apertures. About the chief ray's launch point the outline is one radius per azimuth, the
+smallest at which a ray touches an aperture. The height of a ray on a surface is nearly proportional to that radius, so
+that a secant iteration in units of the aperture's radius, for every surface separately with the nearest crossing taken,
+reaches rounding after a few steps. Launch points are in units of the launch disk's radius.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which stars are sampled how: outlines, quadrature orders found by trial, and groups of stars."""
+"""Sampling plan of stars: outlines, adaptive quadrature orders, groups of stars."""
 
 from __future__ import annotations
 

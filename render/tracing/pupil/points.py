@@ -1,6 +1,6 @@
-"""Points of the launch disk as a kernel asks for them: from a table, inside outlines, or computed in place.
+"""Points of the launch disk for a kernel: from a table, inside outlines, or computed in place.
 
-Sobol points are computed from their index, so the memory of a render does not grow with the number of rays: bit
+Sobol points are computed from their index, so that the memory of a render does not grow with the number of rays: bit
 reversal and the second Sobol dimension (Sobol 1967; its matrix is Pascal's triangle modulo 2), each under a nested
 uniform scrambling (Owen 1995) by hashing (Laine & Karras 2011; Burley 2020, JCGT 9(4), 1; constants by N. Vegdahl,
 "Building a better LK hash", 2021).

@@ -1,14 +1,14 @@
-"""How the pupil is sampled: quadrature where its outline is known, scrambled Sobol where it is not.
+"""Sampling of the pupil: quadrature inside a known outline, scrambled Sobol points otherwise.
 
-The quadrature order is found by trial on stars spread over the field: the first whose pixels, wherever their edges
-lie, agree to `TOLERANCE` of the star's light with those of an order of twice as many rays. Where none does (no charge
-diffusion, so that a pixel's edge cuts the bundle; an image dozens of pixels wide) Sobol points serve too.
+The quadrature order is determined on stars spread over the field: the first order whose pixels, for any position of
+their edges, agree to `TOLERANCE` of the star's light with an order of twice as many rays. If none does (no charge
+diffusion, so that pixel edges cut the bundle; an image dozens of pixels wide), Sobol points are used.
 
-Under motion the order is lowered as far as the characteristic function of the landing points allows, times the
-transfer of the diffusion kernel and of the pixel.
+Under motion the order is lowered as far as the characteristic function of the landing points, times the transfer of
+diffusion kernel and pixel, allows.
 
-The azimuths of each wavelength node are turned by a golden-ratio fraction of their spacing: the nodes fill each other's
-gaps, which halves the number of azimuths needed.
+The azimuths of each wavelength node are turned by a golden-ratio fraction of their spacing, so that the nodes fill each
+other's gaps; this halves the number of azimuths.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Images by rays: stamps sized by their bounds, traced, added to the image, done again where they were too small."""
+"""Images by rays: stamps sized by their bounds, traced, added to the image, repeated with larger stamps where needed."""
 
 from __future__ import annotations
 

@@ -1,14 +1,14 @@
 """Forward tracing of stars on Dr.Jit: star -> pupil -> lens -> pixels of a small stamp per star and band.
 
-One ray is one lane of a fused kernel; nothing per ray is kept. Its light, a Gaussian of the charge-diffusion width
-around the landing point, is integrated exactly over pixels, so a stamp is the pixel integral of (ray density convolved
-with the diffusion kernel), with no other blur. The same light is also integrated over narrow strips along columns and
-along rows, fine enough that their first moment, which is all that is kept of them, is the centroid of the light. Inside
-outlines and under motion that moment is taken in closed form.
+One ray is one lane of a fused kernel; nothing per ray is stored. The light of a ray, a Gaussian of the charge-diffusion
+width around the landing point, is integrated exactly over pixels, so that a stamp is the pixel integral of (ray density
+convolved with the diffusion kernel), without other blur. The same light is integrated over narrow strips along columns
+and rows, fine enough that their first moment is the centroid of the light. Inside outlines and under motion that moment
+has a closed form.
 
-Sums are 64-bit integers (2^-50 of the star's light): their order does not matter, so the result is the same to the last
-bit whatever the number of threads. Counts that change from call to call reach the kernel from memory, so that one
-compiled kernel serves every star field and every sampling of the pupil.
+Sums are 64-bit integers (2^-50 of the star's light), independent of order, so that the result is bit-identical for any
+number of threads. Counts that change between calls are read from memory, so that one compiled kernel serves every star
+field and every sampling of the pupil.
 """
 
 from __future__ import annotations

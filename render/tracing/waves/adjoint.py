@@ -1,11 +1,11 @@
-"""Sums of plane waves over windows, and what their derivatives have in closed form.
+"""Sums of plane waves over windows, and their derivatives in closed form.
 
 With P the phase at the middle of the samples [turns], A the amplitude and E the light of a wavelength,
 
     U(X) = sum_j sqrt(pi) A_j exp{2 pi i [P_j + f_j X]},   I = sum E |U|^2,   dI = sum 2 E Re{conj(U) dU} + |U|^2 dE
 
 so that the adjoint of a weight G over the samples is one more sum, of G conj(U) over the window, for every ray. Both
-sums go by a grid of frequencies as those of `render.tracing.waves.windows`, there and back.
+sums use a grid of frequencies as in `render.tracing.waves.windows`, forward and transposed.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-r"""The image of a bright star beyond its stamp: the far diffraction image of its aperture, spikes of vanes included.
+r"""The far diffraction image of a bright star beyond its stamp, with the spikes of vanes.
 
-Far from the core an image is what edges of the aperture make of it, whatever the aberrations. The aperture on the axis
-is traced on a grid of cells, those at its edges in parts; the square of its Fourier transform is the image in units of
-lambda N, the same for all wavelengths. Running sums of it tell the light of a pixel anywhere:
+Far from the core the image is determined by the edges of the aperture, independent of aberrations. The aperture on the
+axis is traced on a grid of cells, edge cells with partial weight; the square of its Fourier transform is the image in
+units of lambda N, the same for all wavelengths. Running sums of it give the light of any pixel:
 
 .. math:: P(q) = |\mathrm{FT}[m](q)|^2, \qquad q = a x / \lambda, \qquad \int P \, dq = 1
 
-It begins where the stamp has ended and is scaled so that stamp and far image, followed to infinity, hold all light of
+It begins at the end of the stamp and is scaled so that stamp and far image, extended to infinity, contain all light of
 the star. It ends where a pixel of its mean over a few degrees, the brightest ones, holds ``FarLight.ends_e``, and for
 stars whose brightest pixel holds more than ``FarLight.saturated_e`` no nearer than where `BEYOND` of the light is left.
-Charge diffusion, which moves light by less than a pixel, and the change of the aperture over the field are left out.
+Charge diffusion, which moves light by less than a pixel, and the change of the aperture over the field are neglected.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""Diffraction images of many stars by interpolation between few: a grid over the field for one state of a lens.
+"""Diffraction images of many stars by interpolation: a grid of images over the field for one state of a lens.
 
-At Chebyshev points of the detector's field, or of a radius of it, some wavelengths have their images, summed as for
-stars of their own and centred on the mean of the rays of a middle wavelength. A star's image is their interpolant at
-its place, weighed by its spectrum, and put where its chief ray and the interpolated way from there to that mean tell.
-The images differ little: some tens of principal components hold them all, and a frame is one product of matrices. Mean,
-spread and losses of a star's rays are interpolated alike, so that none is traced but the chief ray.
+At Chebyshev points of the detector's field, or of a radius of it, images of some wavelengths are summed as for single
+stars and centred on the mean of the rays of a middle wavelength. A star's image is their interpolant at its place,
+weighted by its spectrum, placed by its chief ray and the interpolated offset from the chief ray to that mean. The
+images differ little: some tens of principal components represent them, and a frame is one product of matrices. Mean,
+spread and losses of a star's rays are interpolated too, so that only the chief ray is traced.
 
-Nothing is taken on trust: a grid is made finer until images and means of rays at places between its points, of light at
-either end of a band and of that which its wavelengths follow worst, differ from exact ones by less than `TOLERANCE`,
-and along a radius light and means of few rays of all wavelengths at many places. A mixture of wavelengths is nearer
-still. Where an aperture begins to cut the beams the field has a kink, and a polynomial of its own begins there. Where
-the finest grid fails there is none, and every star is summed by itself.
+The grid is refined until images and ray means at places between its points, for light at either end of a band and at
+its worst-represented wavelength, differ from exact ones by less than `TOLERANCE`, and along a radius light and means of
+few rays of all wavelengths at many places. A mixture of wavelengths is closer still. Where an aperture begins to cut
+the beams the field has a kink, and a separate polynomial begins. If the finest grid fails, every star is summed
+individually.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Images by diffraction of a star field: which stars a grid over the field serves, and the others one by one."""
+"""Diffraction images of a star field: stars served by a grid over the field, and stars summed individually."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Few wavelengths whose diffraction images tell those of a band."""
+"""A few wavelengths whose diffraction images represent a band."""
 
 from __future__ import annotations
 

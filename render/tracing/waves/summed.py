@@ -1,9 +1,9 @@
-"""Diffraction images of stars: which rays they need, their stamps, and what of their light these hold.
+"""Diffraction images of single stars: required rays, stamps, and light outside the stamps.
 
-Every star has a stamp of its own size, a disk of pixels about the centroid: so far out that a pixel beyond would hold
-less than `WING` of the light, by the mean fall of the rings of a round pupil, lambda N / (pi^3 r^3) per pixel. The
-number of rays follows from the phases between neighbouring ones at the rim of that disk (`optics.waves.pupil_field`
-has the rule); light beyond the disk is accounted for and not rendered.
+Every star has a stamp of its own size, a disk of pixels about the centroid. Beyond it a pixel would hold less than
+`WING` of the light, by the mean decay of the rings of a round pupil, lambda N / (pi^3 r^3) per pixel. The number of
+rays follows from the phase differences of neighbouring rays at the rim of that disk (rule in
+`optics.waves.pupil_field`). Light beyond the disk is accounted for and not rendered.
 """
 
 from __future__ import annotations

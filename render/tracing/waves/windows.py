@@ -1,10 +1,10 @@
-"""Diffraction images over windows of the detector: plane waves summed on samples, and samples made pixels.
+"""Diffraction images over windows of the detector: plane waves summed on samples, samples converted to pixels.
 
-|U|^2 holds no frequency beyond twice the aperture of the light, so samples of it hold all of it, and an integral over a
-pixel after charge diffusion is a sum with a band-limited kernel. The rays' frequencies lie anywhere in the aperture;
-each is spread over a few points of a regular grid of frequencies with a narrow kernel, from there a matrix product
-leads to the samples, and what the kernel did is divided out (the non-uniform Fourier transform of Dutt & Rokhlin 1993,
-SIAM J. Sci. Comput. 14, 1368; kernel of Barnett, Magland & af Klinteberg 2019, SIAM J. Sci. Comput. 41, C479).
+|U|^2 has no frequency beyond twice the aperture of the light, so that samples represent it completely, and an integral
+over a pixel after charge diffusion is a sum with a band-limited kernel. The rays' frequencies are irregular; each is
+spread over a few points of a regular grid of frequencies with a narrow kernel, a matrix product leads to the samples,
+and the kernel is divided out (the non-uniform Fourier transform of Dutt & Rokhlin 1993, SIAM J. Sci. Comput. 14, 1368;
+kernel of Barnett, Magland & af Klinteberg 2019, SIAM J. Sci. Comput. 41, C479).
 """
 
 from __future__ import annotations
