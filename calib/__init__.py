@@ -1,12 +1,12 @@
 """The inverse model: from images to stars, camera models, attitudes and calibrations. Runs on any FITS image.
 
-`find_stars` measures the stars of an image, `camera_model` is what a known camera does (`fit_camera` tells how well),
-`identify_stars` tells which stars they are, `solve_attitude` where the camera looks, `calibrate` finds camera and
-attitudes from many frames, for a family of attitudes (`FreeAttitudes`, `AttitudeCorrelated`, `GyroLinked`,
-`NoAttitude`, `TurntableAttitudes`), and `bound` how well that can be done; each is one function over parts below it.
+`find_stars` measures the stars of an image; `camera_model` is the model of a known camera (`fit_camera` with its
+residuals); `identify_stars` identifies stars; `solve_attitude` solves the attitude; `calibrate` fits camera and
+attitudes of many frames for a family of attitudes (`FreeAttitudes`, `AttitudeCorrelated`, `GyroLinked`, `NoAttitude`,
+`TurntableAttitudes`); `bound` gives its Cramer-Rao bound. Each is one function over modules below it.
 
-The public names of the package stand in ``__init__.pyi`` and are loaded when they are first used, so that importing one
-small module stays cheap; everything else is imported from its module:
+The public names of the package are listed in ``__init__.pyi`` and loaded on first use, so that importing one small
+module stays fast; everything else is imported from its module:
 
 =================  =====================================================================================================
 calib.measure      background, detection, stamps, centroiders, their bound, circles

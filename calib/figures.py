@@ -1,4 +1,4 @@
-"""Drawings of what was measured: stars marked in an image, residuals of an attitude. Axes are made without pyplot."""
+"""Drawings of measurements, without pyplot: stars marked in an image, residuals of an attitude."""
 
 from __future__ import annotations
 

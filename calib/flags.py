@@ -1,4 +1,4 @@
-"""Bits that say what is wrong with a star; the data keep the star, the flag lets the user decide."""
+"""Flag bits for faults of a star; flagged stars stay in the data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records of the inverse model: what detection and centroiding take and give."""
+"""Records of the inverse model: inputs and outputs of detection and centroiding."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The experiments, one package each, and what they share: the laboratory and the frame that makes commands of them.
+"""The experiments, one package each, with their common laboratory and harness.
 
-Commands (``python -m experiments.NAME``) run them; `run_experiment` does the same from Python and gives their numbers,
-tables and figures.
+Commands (``python -m experiments.NAME``) run them; `run_experiment` does the same from Python and returns their
+numbers, tables and figures.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""``python -m experiments`` and the console command ``starbench``: what can be run, and running it."""
+"""``python -m experiments`` and the console command ``starbench``: list and run experiments and commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``starbench doctor``: what this machine has, what is missing, and what to do."""
+"""``starbench doctor``: installed components, missing ones, and remedies."""
 
 from __future__ import annotations
 

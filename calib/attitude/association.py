@@ -1,16 +1,16 @@
-"""Which detection is which catalogue star, when the attitude is known roughly.
+"""Association of detections with catalogue stars, for an approximately known attitude.
 
-`associate` trusts the attitude: the catalogue is projected, every detection with exactly one catalogue star within the
-radius, which has no other detection within it, is a match. Whatever has two candidates is ambiguous and left out: a
-wrong match costs a calibration more than a missing one.
+`associate` assumes a correct attitude: the catalogue is projected, and a detection with exactly one catalogue star
+within the radius, which has no other detection within it, is a match. Detections with two candidates are ambiguous and
+left out: a wrong match costs a calibration more than a missing one.
 
-`match_stars` does not trust it. All pairs within a wide radius are candidates; two of them whose angle in the camera
-equals that in the catalogue propose an attitude (Fischler and Bolles 1981, Commun. ACM 24, 381; all pairs or an even
-selection of them, no random draw), and the one that explains most detections wins. `associate` and Wahba's problem are
-then iterated until the matches stay. The result is accepted if chance would not give as many matches: with p the
-probability that a detection falls within the tolerance of some catalogue star, the binomial probability of the matches
-beyond the two that fixed the attitude, times the number of proposals. Otherwise the same is tried with the image
-flipped, to tell a mirrored sky from an empty one.
+`match_stars` tolerates an attitude error. All pairs within a wide radius are candidates; two of them whose angle in the
+camera equals the angle in the catalogue propose an attitude (Fischler and Bolles 1981, Commun. ACM 24, 381; all pairs
+or an even selection of them, no random draw), and the attitude that explains most detections is taken. `associate` and
+Wahba's problem are then iterated until the matches are stable. The result is accepted if the number of matches is
+improbable by chance: with p the probability that a detection falls within the tolerance of some catalogue star, the
+binomial probability of the matches beyond the two that fixed the attitude, times the number of proposals. Otherwise the
+flipped image is tried, to distinguish a mirrored sky from an empty one.
 """
 
 from __future__ import annotations

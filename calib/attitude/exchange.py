@@ -1,13 +1,13 @@
-"""Two stars of a frame that were given each other's names: found by trying.
+"""Two stars of a frame with interchanged identities, detected by trying all pairs.
 
-Wahba's problem for a frame with an exchanged pair has a large loss, and among few stars a reflection may even fit
+Wahba's problem for a frame with an interchanged pair has a large loss, and with few stars a reflection may even fit
 better than any rotation, so that the sky looks mirrored. Exchanging the references of stars i and j changes the profile
 matrix by one product,
 
     B' = B + (w_i v_i - w_j v_j) (r_j - r_i)^T,
 
 and its best rotation has the loss ``sum w - (s1 + s2 + d s3)`` with the singular values s of B' and its parity d. All
-pairs are tried at once. A mirrored sky is not mended so, unless its stars lie symmetrically.
+pairs are tried at once. An exchange does not repair a mirrored sky, unless its stars lie symmetrically.
 """
 
 from __future__ import annotations

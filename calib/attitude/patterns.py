@@ -1,7 +1,7 @@
-"""Star patterns kept on disk: made once for a field of view, in the user's cache folder, verified when they are read.
+"""Star patterns on disk: computed once per field of view, in the user's cache folder, verified on reading.
 
-A file is named after what it was made from (versions of tetra3rs and its catalogue, field of view) and after its own
-digest, and takes its place by one rename: two processes may make the same at once, and a damaged file is made again.
+A file name contains the versions of tetra3rs and its catalogue, the field of view and the file's digest. Files are put
+in place by one rename: two processes may compute the same file at once, and a damaged file is computed again.
 """
 
 from __future__ import annotations

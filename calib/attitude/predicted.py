@@ -1,4 +1,4 @@
-"""Covariance of attitudes before anything was measured: from the directions of the stars and the errors expected."""
+"""Predicted covariance of attitudes from the directions of the stars and their expected errors, without measurements."""
 
 from __future__ import annotations
 

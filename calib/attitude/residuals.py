@@ -1,9 +1,8 @@
-"""How far identified stars lie from their places, and whether their noise and the stated error of the model allow it.
+"""Residuals of identified stars, tested against their noise and the stated model error.
 
-A match within a tolerance of some pixels says which star it is, and no more: with a camera model that is off by pixels,
-or beside a wrong partner, the tolerance is met and the attitude wrong. The stars are therefore brought together by a
-rotation that a minority of wrong ones cannot turn (least distances, then least squares of the stars within 5 sigma),
-and every residual is judged by the centroid's covariance and the stated error of the model.
+A match within a tolerance of some pixels identifies a star, but a camera model that is off by pixels or a wrong partner
+may meet the tolerance too. A robust rotation is therefore fitted to the stars (least distances, then least squares of
+the stars within 5 sigma), and every residual is tested against the centroid's covariance and the stated model error.
 """
 
 from __future__ import annotations

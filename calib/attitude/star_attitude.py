@@ -1,8 +1,8 @@
-"""From the measured stars of one frame to its attitude: identify them, then let all of them vote.
+"""Attitude from the measured stars of one frame: identification, then a weighted fit of all stars.
 
-The weights are the centroids' own covariances and a common error that nobody modelled (undersampling, colour): the one
-with which the residuals are as large as they should be, after R. C. Paule and J. Mandel, J. Res. NBS 87, 377 (1982),
-here by their median. Stars farther off than 3.5 sigma are left out: undetected blends, wrong partners.
+The weights combine the centroids' own covariances and an unmodelled common error (undersampling, colour), chosen such
+that the residuals match their expectation, after R. C. Paule and J. Mandel, J. Res. NBS 87, 377 (1982), here by their
+median. Stars beyond 3.5 sigma are left out: undetected blends, wrong partners.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Star vectors in the table's frame at zero angles (FISHER23, step S300).
 
-A single star stands still in the laboratory while a table turns the camera. Each image, made a direction in the camera
-by the calibrated model, then brought to the table's frame at zero angles by the installation and the table's attitude,
-should give the same vector: what they scatter is the accuracy of the star vectors (S400).
+A single star is fixed in the laboratory while a table turns the camera. Each image is converted to a direction in the
+camera by the calibrated model, then transformed to the table's frame at zero angles by the installation and the table's
+attitude. All vectors should be equal; their scatter is the accuracy of the star vectors (S400).
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""A star tracker's own work: a frame and a time in, a quaternion with its covariance out.
+"""A star tracker: frame and time in, quaternion with covariance out.
 
-Lost in space, all stars of the frame are detected and identified (`calib.attitude.star_attitude.identify_stars`); light
-of another shape than a star's (tracks of cosmic rays) is left out (`unlike_stars`). From then on only windows are
-looked at, around the places where guide stars are predicted: the last attitude, carried on by the rate of a gyro or by
-the turn between the last two attitudes. A window whose star is not where it should be after the common shift of all
-(hot pixel, cosmic ray, planet, wrong star) is rejected, then stars that lie farther than 3.5 sigma from the best
-attitude. Too few stars left: the frame is searched as a whole; too few there: no attitude, said by a status.
+Lost in space, all stars of the frame are detected and identified (`calib.attitude.star_attitude.identify_stars`)
+without detections unlike stars (tracks of cosmic rays, `unlike_stars`). Afterwards only windows around predicted guide
+stars are measured; the prediction extrapolates the last attitude by the rate of a gyro or the turn between the last two
+attitudes. A window is rejected if its star is off its place after the common shift of all (hot pixel, cosmic ray,
+planet, wrong star); then stars beyond 3.5 sigma of the best attitude are rejected. With too few stars left the whole
+frame is searched; if that fails, the status states the reason and there is no attitude.
 
-Times are those of the middle of the exposures. Directions of the guide stars are turned by the aberration of the
-velocity that the tracker is told; the quaternion is cam from icrs.
+Times are the middles of the exposures. Directions of the guide stars include the aberration of the given velocity; the
+quaternion is cam from icrs.
 """
 
 from __future__ import annotations

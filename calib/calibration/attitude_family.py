@@ -1,8 +1,8 @@
-"""What a calibration assumes of the attitudes: the interface of the families, and the body of those that have them.
+"""Attitude families: the interface of assumptions on the attitudes of a calibration, and the base class of most of
+them.
 
-`calibrate` fits one camera to many frames. What it may assume of their attitudes is a record of its own, an attitude
-family, which knows its unknowns, where they start, their residuals beyond those of the stars, and the structure of the
-normal equations:
+`calibrate` fits one camera to many frames. Assumptions on their attitudes are a record, an attitude family, with its
+unknowns, their start values, residuals in addition to the stars' residuals, and the structure of the normal equations:
 
 ======================  ==============================================
 `FreeAttitudes`         a rotation of its own in every frame

@@ -1,11 +1,12 @@
 """Cramer-Rao bound of a calibration: the covariance at the truth, without noise in the data.
 
 For normal errors of known covariance the Fisher information is J^T J of the whitened residuals at the true unknowns;
-its inverse bounds the covariance of every unbiased estimator. Frames' own unknowns are eliminated exactly. The truth is
-the camera and what the attitude family holds (attitudes, installation); the family's gyro or table errors are zero.
+its inverse bounds the covariance of every unbiased estimator. Unknowns of single frames are eliminated exactly. The
+truth is the camera and the numbers of the attitude family (attitudes, installation); the family's gyro or table errors
+are zero.
 
-``NoAttitude(weighting="none")`` does not reach the bound of what it is given, by construction; what it should scatter
-by is told instead.
+``NoAttitude(weighting="none")`` does not reach the bound of its data by construction; its expected scatter is returned
+instead.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a calibration is made from: measured star positions with their directions, frame by frame."""
+"""Input of a calibration: measured star positions with their directions, frame by frame."""
 
 from __future__ import annotations
 

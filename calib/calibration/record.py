@@ -1,4 +1,4 @@
-"""What a calibration gives back: the camera, its covariance, the fit behind it."""
+"""Result of a calibration: camera, covariance, and the fit."""
 
 from __future__ import annotations
 

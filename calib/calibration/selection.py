@@ -1,4 +1,4 @@
-"""Stars that a calibration can use: checks before the fit."""
+"""Usable stars of a calibration: checks before the fit."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Stages of a fit, and how a robust loss finds its scale.
+"""Stages of a fit, and the scale of a robust loss.
 
-Two-step calibrations (ACF17, sec. 2.2) first fit without distortion. A robust loss with a poor start would leave good
-stars out, so its scale starts at the typical residual of the start and comes down as the fit improves; the last fit is
-at the stated sigma.
+Two-step calibrations (ACF17, sec. 2.2) first fit without distortion. With poor start values a robust loss would leave
+good stars out, so that its scale starts at the typical residual and decreases with the fit; the last fit uses the
+stated sigma.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Judgement of a finished fit: whether it may be used, and what is wrong with it if not.
+"""Judgement of a finished fit: usable or refused, with the reason.
 
-A calibration is refused, with its reason, when the typical residual is far above the stated sigma, when too many stars
-do not fit, when those that fit are too few to tell wrong stars from right ones, or when the sky is mirrored. The
-numbers stay in the record, for whoever wants to see what went wrong.
+A calibration is refused if the typical residual is far above the stated sigma, if too many stars do not fit, if the
+remaining stars are too few to identify wrong ones, or if the sky is mirrored. The numbers stay in the record.
 """
 
 from __future__ import annotations

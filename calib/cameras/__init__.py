@@ -1,4 +1,4 @@
-"""Camera models: directions in cam to pixels and back, each one file with its mathematics."""
+"""Camera models: directions in cam to pixels and back, one file per model with its mathematics."""
 
 from __future__ import annotations
 

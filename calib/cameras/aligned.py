@@ -1,11 +1,11 @@
-"""A camera model whose axes are turned against those of the camera, as one model.
+"""A camera model with a rotation between its axes and the camera's axes, as one model.
 
-Some models cannot put their axis where the camera has it (`calib.cameras.polynomial`), and a fit then finds a small
-rotation beside the parameters: the model's cam from the camera's, v_model = R v_cam. Here
+Some models cannot place their axis where the camera has it (`calib.cameras.polynomial`), and a fit then has a small
+rotation in addition to the parameters: the model's cam from the camera's, v_model = R v_cam. Here
 
     project(v) = model.project(R v),   unproject(pixel) = R^T model.unproject(pixel)
 
-so that directions mean those of the camera, and attitudes solved with them are the camera's.
+so that directions and solved attitudes refer to the camera's axes.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Fit of a camera model to a map of directions to pixels that is known without noise, such as a traced lens.
+"""Fit of a camera model to a noise-free map of directions to pixels, such as a traced lens.
 
-What is left is the part of the map that the model cannot follow: the mismatch of the distortion model. The model may
-be turned against the map by a small rotation exp(w), w in cam, because a model with a fixed gauge (the polynomial) puts
-its axis elsewhere than the lens does, and because a line of sight is judged after the best rotation anyway:
+The residual is the part of the map that the model cannot represent: the mismatch of the distortion model. The model may
+be turned against the map by a small rotation exp(w), w in cam, because a model with a fixed gauge (the polynomial)
+places its axis elsewhere than the lens, and because lines of sight are compared after the best rotation:
 
     minimise  sum |project(exp(w) d_i) - pixel_i|^2
 
-over the model's parameters and w. With v = exp(w) d and V the left Jacobian of the rotation group at w,
-d pixel / d w = -A [v] V, A = d pixel / d v.
+over the model's parameters and w. With v = exp(w) d and V the left Jacobian of the rotation group at w, d pixel / d w =
+-A [v] V, A = d pixel / d v.
 """
 
 from __future__ import annotations

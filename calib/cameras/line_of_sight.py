@@ -1,18 +1,18 @@
-"""How well a calibrated camera knows where its pixels look: the map error, and the map its covariance predicts.
+"""Line-of-sight error of a calibrated camera: the map error, and its prediction from the covariance.
 
-A camera and its attitude can be turned against one another without any star moving; parameters that differ by such a
-turn are equally good. So the map is compared with the truth t_i (unit vectors of the same pixels) after the best
-rotation was removed (Kabsch 1976, Acta Crystallographica A32, 922): with d_i the model's directions,
+A camera and its attitude can be rotated against one another without moving any star; parameters that differ by such a
+rotation are equivalent. The map is therefore compared with the truth t_i (unit vectors of the same pixels) after the
+best rotation (Kabsch 1976, Acta Crystallographica A32, 922): with d_i the model's directions,
 
     R = argmin sum |R d_i - t_i|^2,   e_i = R d_i - t_i.
 
-The same turn is taken out of the prediction. Parameter errors dtheta with covariance C move the directions by
-J_i dtheta (J_i perpendicular to d_i); the small rotation w that fits these movements best, w x d_i = -[d_i] w, is
+The same rotation is removed from the prediction. Parameter errors dtheta with covariance C move the directions by J_i
+dtheta (J_i perpendicular to d_i); the small rotation w that fits these movements best, w x d_i = -[d_i] w, is
 
     w = M^-1 sum [d_i] J_i dtheta,   M = sum of (1 - d_i d_i^T),   [d] v = d x v,
 
-and what remains is K_i dtheta with K_i = J_i + [d_i] M^-1 sum [d_j] J_j. The predicted covariance of e_i is
-K_i C K_i^T. Whatever combination of parameters acts as a rotation drops out of both.
+and K_i dtheta remains, with K_i = J_i + [d_i] M^-1 sum [d_j] J_j. The predicted covariance of e_i is K_i C K_i^T.
+Combinations of parameters that act as a rotation cancel in both.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-r"""Whether directions follow a Fisher distribution of high concentration at all: isotropy, tails, outliers.
+"""Tests of the Fisher distribution of high concentration: isotropy, tails, outliers.
 
 Under it the coordinates on the tangent plane are independent normal variables of equal variance, and k (1 - cos) of the
-angles from the mean follows the exponential distribution of mean 1. Three things of a real bench break that: noise that
-is larger along one direction (a moving table whose clock jitters), noise that differs from place to place (a mixture:
-heavier tails), and single wrong measurements.
+angles from the mean follows the exponential distribution of mean 1. A real bench violates this by noise that is larger
+along one direction (a moving table with clock jitter), noise that differs between places (a mixture: heavier tails),
+and single wrong measurements.
 
-The tests are those of Fisher, Lewis & Embleton, *Statistical Analysis of Spherical Data* (1987), sec. 5.3, in the limit
-of high concentration, where the distribution of two of them is known exactly.
+The tests are from Fisher, Lewis & Embleton, *Statistical Analysis of Spherical Data* (1987), sec. 5.3, in the limit of
+high concentration, in which the distribution of two of them is known exactly.
 """
 
 from __future__ import annotations

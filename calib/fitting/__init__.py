@@ -1,1 +1,1 @@
-"""The least-squares core: block-arrow equations, robust losses, what a fit gives back."""
+"""The least-squares core: block-arrow equations, robust losses, solutions."""

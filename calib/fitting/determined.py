@@ -1,8 +1,8 @@
-"""Covariance of what the data determine, and the names of what they do not; for every estimator.
+"""Covariance of the determined unknowns, and the names of undetermined ones; for every estimator.
 
-An eigenvalue of the scaled information that is rounding is no information. A pseudo-inverse would drop its direction
-and call it known without error; here every unknown that takes part in it has an infinite variance and is named, with
-the combination that may be changed at will.
+An eigenvalue of the scaled information at rounding level is no information. A pseudo-inverse would treat its direction
+as known without error; here every unknown involved has an infinite variance and is named, with the undetermined
+combination.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Whether residuals are as large as the stated noise makes them: chi-square beside its expectation, in one place.
+"""Chi-square of residuals against its expectation.
 
-A covariance is only as good as the noise that was stated. The sum of squares of residuals over their stated sigma is
-chi-square of as many degrees of freedom as there are measurements beyond the unknowns; its mean is that number, its
-variance twice it. A note is made where chance gives so large *or so small* a sum in less than one of a thousand fits
-and the noise is off by more than a fifth: with thousands of degrees of freedom no statement is right to the last digit.
+A covariance is valid only for the stated noise. The sum of squares of residuals over their stated sigma is chi-square
+distributed, its mean the degrees of freedom, its variance twice that. A note is given if so large *or so small* a sum
+has a probability below 0.001 and the noise is off by more than a fifth: with thousands of degrees of freedom no stated
+noise is exact to the last digit.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Robust losses of least squares: what a residual counts, so that a wrong match cannot pull the fit away.
+"""Robust losses of least squares: the weight of a residual, bounded so that a wrong match cannot distort the fit.
 
 A loss rho acts on the squared length s of one whitened residual, a scalar or the two coordinates of a star. The
-least-squares core minimises the sum of rho(s); its normal equations carry the weight w(s) = rho'(s).
+least-squares core minimises the sum of rho(s); its normal equations contain the weight w(s) = rho'(s).
 
 =========  ===================================  ==========================  =========
-name       rho(s)                               w(s)                        far out
+name       rho(s)                               w(s)                        large s
 =========  ===================================  ==========================  =========
 linear     s                                    1                           grows as s
 huber      s, then 2 c sqrt(s) - c^2            1, then c / sqrt(s)         sqrt(s)
@@ -13,8 +13,8 @@ cauchy     c^2 log(1 + s/c^2)                   1 / (1 + s/c^2)             log(
 tukey      c^2/3 (1 - (1 - s/c^2)^3), c^2/3     (1 - s/c^2)^2, 0            constant
 =========  ===================================  ==========================  =========
 
-Only "tukey" (Beaton & Tukey 1974, Technometrics 16, 147) forgets a wrong match altogether; it needs a good start,
-which `calib.fit.fit` prepares by lowering the scale step by step.
+Only "tukey" (Beaton & Tukey 1974, Technometrics 16, 147) ignores a wrong match completely; it needs good start values,
+which the stages of a fit prepare by lowering the scale step by step.
 """
 
 from __future__ import annotations

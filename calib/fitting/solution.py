@@ -1,4 +1,4 @@
-"""What a fit gives back: values, status, covariance, statistics."""
+"""Result of a fit: values, status, covariance, statistics."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The one interface of all centroiders, and their names.
+"""The interface and registry of all centroiders.
 
 A centroider is one file in `calib.measure.centroiders` and one line in `_REGISTRY` below, see
-``docs/extending/add_a_centroider.md``. Reading the names imports none of them, so that a command line answers at once.
+``docs/extending/add_a_centroider.md``. Reading the names imports none of them, for fast command lines.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Errors of a centroider against the star's electrons, predicted from PSFs and the noise of a pixel, without frames.
+"""Centroid errors against the star's electrons, predicted from PSFs and pixel noise without frames.
 
 To first order a centroid moves by its response to the pixels (`calib.measure.linear_response`). An ePSF fit has the
-closed response of weighted least squares, (J W J^T)^-1 J W; for others it comes from finite differences. Where noise
-decides which pixels count (a threshold) the response says too little; such a centroider is refused.
+closed response of weighted least squares, (J W J^T)^-1 J W; other responses are finite differences. If noise selects
+the pixels (a threshold), a linear response is not valid; such a centroider is refused.
 
 The noise-equivalent angle of a star is its noise here times the angle of a pixel: one axis, one standard deviation.
 """

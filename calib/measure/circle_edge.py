@@ -1,12 +1,12 @@
-"""Edge of a round spot to a fraction of a pixel: crossings of one brightness along spokes from a rough centre.
+"""Sub-pixel edge of a round spot: crossings of one brightness level along spokes from an approximate centre.
 
-Every point of a contour of equal brightness counts, so a spot with a soft edge is located as well as a sharp one: a
-blurred disk that is round has round contours about its own centre. Each spoke is the mean of several rays; around the
-crossing a straight line is fitted to brightness against radius, which uses all pixels there, gives a standard error,
-and leaves the same small error of curvature at every angle, where it changes the radius and not the centre.
+A spot with a soft edge is located as well as a sharp one, because any contour of equal brightness serves: a blurred
+round disk has round contours about its own centre. Each spoke is the mean of several rays; around the crossing a
+straight line is fitted to brightness against radius, which uses all pixels there, gives a standard error, and leaves
+the same small curvature error at every angle, which changes the radius and not the centre.
 
-Points are measured in a plane (mm on a screen, say); a mapping takes them to pixels, so that a picture taken at an
-angle is measured in the plane and not in its projection, whose ellipses have their centres elsewhere.
+Points are measured in a plane (such as mm on a screen) through a mapping to pixels, so that an oblique picture is
+measured in the plane and not in its projection, whose ellipses have displaced centres.
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
 """Circle through edge points: orthogonal distances, weights, outliers, covariance.
 
-The sum of squared orthogonal distances is what is made smallest (Gander, Golub & Strebel 1994, BIT 34, 558), by
-Gauss-Newton from an algebraic start: Taubin's fit (1991, IEEE PAMI 13, 1115) in the form of Chernov (2010,
-*Circular and Linear Regression*, sec. 5.9).
+The sum of squared orthogonal distances is minimised (Gander, Golub & Strebel 1994, BIT 34, 558) by Gauss-Newton from an
+algebraic start: Taubin's fit (1991, IEEE PAMI 13, 1115) in the form of Chernov (2010, *Circular and Linear Regression*,
+sec. 5.9).
 
-Wrong points. Circles through three points each, an even selection of all such sets and no random draw, are judged by
-the distance within which most points lie (least median of squares, Rousseeuw 1984, JASA 79, 871); the points that fit
-the best of them are the start of a fit that lets points in and out until they stay. Up to 40 % of the points may lie
-elsewhere, on another circle even; with more the fit is refused.
+Outliers. Circles through three points each, an even selection of all such sets and no random draw, are ranked by the
+distance within which most points lie (least median of squares, Rousseeuw 1984, JASA 79, 871); the points that fit the
+best circle start a fit that includes and excludes points until they are stable. Up to 40 % of the points may be
+outliers, even on another circle; with more the fit is refused.
 
 The covariance of the parameters is ``(J^T W J)^-1`` with the stated errors of the points, scaled up by the reduced
-chi-square where the points scatter more than they say, and by the variance of the estimated scatter where it was
-estimated (Student's law). An arc that cannot be told from a line has no circle: its curvature 1/r must differ from zero
-by three of its sigmas, r > 3 sigma_r, else the status is "singular" and the sigmas are infinite.
+chi-square if the points scatter more than stated, and by the variance of an estimated scatter (Student's law). An arc
+that is indistinguishable from a line determines no circle: its curvature 1/r must differ from zero by three sigma, r >
+3 sigma_r, otherwise the status is "singular" and the sigmas are infinite.
 """
 
 from __future__ import annotations

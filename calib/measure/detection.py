@@ -1,4 +1,4 @@
-"""Finding stars: matched filter, threshold, connected regions and their peaks."""
+"""Detection of stars: matched filter, threshold, connected regions and their peaks."""
 
 from __future__ import annotations
 

@@ -1,14 +1,13 @@
-"""What `calib.measure.detection.detect` finds: false alarms of noise alone, and the chance that a star is found.
+"""Statistics of `calib.measure.detection.detect`: false alarms by noise alone, and the probability of detection.
 
 The image is filtered with a Gaussian; a detection is a local maximum above the threshold. In white noise the filtered
 pixels are normal with the autocorrelation of the kernel. A maximum of height z needs both its neighbours along each
-axis below z; with a kernel that is a product of its axes the chance is about the product of theirs (K. J. Worsley,
-J. E. Taylor, F. Gosselin,
-Biometrika 94, 1 (2007), "Maxima of discretely sampled random fields"). At low thresholds more than
-one neighbour is high and the diagonal ones count too; above 3 sigma the number is right within a few percent.
+axis below z; for a kernel that is a product of its axes the probability is about the product of theirs (K. J. Worsley,
+J. E. Taylor, F. Gosselin, Biometrika 94, 1 (2007), "Maxima of discretely sampled random fields"). At low thresholds
+several neighbours are high and diagonal ones matter too; above 3 sigma the number is correct within a few percent.
 
-A star is found when one of the nine filtered pixels around it exceeds the threshold: their joint normal distribution is
-sampled with common random numbers, so that the probability is a smooth function of everything else.
+A star is detected if one of the nine filtered pixels around it exceeds the threshold. Their joint normal distribution
+is sampled with common random numbers, so that the probability is a smooth function of all parameters.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Stars drawn from effective PSFs: a known pixel-integrated PSF, shifted and scaled, and its derivatives.
+"""Star images from effective PSFs: a known pixel-integrated PSF, shifted and scaled, with derivatives.
 
-Between its samples the PSF is a cubic B-spline. All pixels of a window sit at the same fraction of a sample, because
-the pixel pitch is a whole number of samples; the 16 spline weights are therefore common to the window, and signal and
+Between its samples the PSF is a cubic B-spline. All pixels of a window have the same fraction of a sample, because the
+pixel pitch is a whole number of samples; the 16 spline weights are therefore common to the window, and signal and
 derivatives are one small matrix product, (3 x 16) times (16 x pixels), per star and step.
 """
 

@@ -1,15 +1,14 @@
-"""An effective PSF from star images that sample it at different fractions of a pixel.
+"""An effective PSF from star images at different fractions of a pixel.
 
 After Anderson & King (2000, PASP 112, 1360): from first positions and fluxes build the PSF on a grid finer than the
-pixel, measure positions and fluxes with it, and repeat. Where they average residuals into grid cells and smooth, the
-spline coefficients are here the solution of one weighted, slightly smoothed linear least-squares problem, which has no
-cell to blur over.
+pixel, measure positions and fluxes with it, and repeat. They average residuals in grid cells and smooth; here the
+spline coefficients solve one weighted, slightly smoothed linear least-squares problem, without blur over cells.
 
-What one set of stars cannot tell is a common error that depends on the position within the pixel: move every star by
-g(phase) and warp the PSF alike, and every pixel is predicted as before. Only stars seen at several phases fix it, so
-that their place in one frame must be their place in another plus a shift of the whole frame. Hand in ``star_index`` and
-``frame_index`` to use this (Anderson & King's dithers), or ``position_px``, places known from elsewhere: of catalogue
-stars through a calibrated camera. Without either the S-curve of the first Gaussian fit survives.
+One set of stars does not determine a common error that depends on the position within the pixel: moving every star by
+g(phase) and warping the PSF accordingly leaves all predicted pixels unchanged. Only stars at several phases fix it: the
+position in one frame must equal the position in another plus a shift of the whole frame. Pass ``star_index`` and
+``frame_index`` for this (Anderson & King's dithers), or ``position_px``, independently known positions (catalogue stars
+through a calibrated camera). Without either the S-curve of the first Gaussian fit remains.
 """
 
 from __future__ import annotations

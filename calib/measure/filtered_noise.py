@@ -1,20 +1,20 @@
-"""Noise of a real image after the filter of the detection, and the false detections that follow from it.
+"""Noise of a real image after the detection filter, and the resulting false detections.
 
 Pixels of real cameras are neither independent nor normal: demosaicing and compression correlate neighbours, a black
-level above the darkest noise cuts it off at zero, some amplifiers have tails. The noise of one pixel then tells little
-of the filtered image, in which stars are sought. Here it is measured in the filtered image itself, from quantiles of
-its signal-to-noise ratio s (in units of white noise) against normal quantiles z. From -1.5 to 1.5, where few stars are,
+level above the darkest noise clips it at zero, some amplifiers have tails. The noise of one pixel then says little
+about the filtered image in which stars are detected. Here it is measured in the filtered image, from quantiles of its
+signal-to-noise ratio s (in units of white noise) against normal quantiles z. From -1.5 to 1.5, where few stars are,
 
     s(z) = offset + scale z.
 
-Where pixels are cut off at their lowest number, or these quantiles bend, the noise is skewed:
+If pixels are clipped at their lowest number, or these quantiles bend, the noise is skewed:
 
     s(z) = offset + scale z + curvature z^2,
 
-fitted from 0.3 to 2.6 around whatever exceeds 5 sigma, and continued by its tangent beyond 3.5: noise that was cut off
-below has a normal tail above. For white normal noise s = z. A threshold of 5 sigma means z = 5: as rare as 5 sigma of
-normal noise, whatever the pixels are. The number of local maxima above it follows as in
-`calib.measure.detection_statistics`, with the correlation of the filtered noise as measured in place of the kernel's.
+fitted from 0.3 to 2.6 without values beyond 5 sigma, and continued by its tangent beyond 3.5: noise clipped below has a
+normal tail above. For white normal noise s = z. A threshold of 5 sigma means z = 5: as rare as 5 sigma of normal noise
+for any distribution of the pixels. The number of local maxima above it follows as in
+`calib.measure.detection_statistics`, with the measured correlation of the filtered noise in place of the kernel's.
 """
 
 from __future__ import annotations

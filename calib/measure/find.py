@@ -1,4 +1,4 @@
-"""From an image to its stars in one call: background, detection, windows, centroids."""
+"""From an image to its stars: background, detection, windows, centroids."""
 
 from __future__ import annotations
 

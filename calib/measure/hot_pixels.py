@@ -1,11 +1,10 @@
-"""Hot and dead pixels, told from stars by their shape and by standing still while the stars move.
+"""Hot and dead pixels, distinguished from stars by their shape and by their fixed position while stars move.
 
-A star gives light to its neighbours, a hot pixel does not. With e the excess of a pixel over the mean of its eight
+A star illuminates its neighbours, a hot pixel does not. With e the excess of a pixel over the mean of its eight
 neighbours and r the excess of these over the background, both in units of the noise of a pixel, a star of sigma 0.45 px
-in the middle of its pixel has r = 0.12 e, a wider one more, a hot pixel r = 0. In several frames a pixel is hot if the
-median of e over the frames is large and that of r is not; stars of frames that point elsewhere do not come into the
-median. A pixel that blinks is high and alone in at least two frames,
-and as low as its neighbours in at least two.
+in the middle of its pixel has r = 0.12 e, a wider star more, a hot pixel r = 0. In several frames a pixel is hot if the
+median of e over the frames is large and the median of r is not; frames of other fields do not affect the median. A
+blinking pixel is high and isolated in at least two frames, and at the level of its neighbours in at least two.
 """
 
 from __future__ import annotations

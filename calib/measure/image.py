@@ -1,4 +1,4 @@
-"""Images from elsewhere: our own frames, arrays, and files that nobody here made."""
+"""Images as input: our own frames, arrays, and files of other programs."""
 
 from __future__ import annotations
 

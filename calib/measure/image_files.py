@@ -1,7 +1,7 @@
-"""Numbers of the pixels as files hold them: TIFF, PNG, JPEG, NumPy, FITS; and the steps in which they were counted.
+"""Pixel values of image files, with their digital steps: TIFF, PNG, JPEG, NumPy, FITS.
 
-What a file is, its first bytes tell and not its name. Nothing is scaled, stretched or rounded on the way: 16 bits stay
-16 bits. A gamma curve, white balance or compression that the camera applied cannot be undone, and is said.
+The first bytes determine the format, not the name. Values are not scaled, stretched or rounded: 16 bits stay 16 bits.
+Gamma curve, white balance or compression applied by the camera cannot be undone, and are reported.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""From the variance of pixels to the covariance of a centroid, through the estimator's linear response.
+"""Covariance of a centroid from the variance of pixels, through the estimator's linear response.
 
-To first order a centroid moves by the sum over the pixels of g x disturbance, g being its derivative by the pixel. It
-holds for any estimator, also for one that is told another noise than there is; not where the estimator is not smooth (a
-threshold in the noise).
+To first order a centroid moves by the sum over the pixels of g x disturbance, with g its derivative by the pixel. This
+holds for any smooth estimator, also with a wrong noise model; not for a threshold in the noise.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Sums that moment centroids are made of: light above the background, its moments, their noise.
+"""Sums for moment centroids: light above the background, its moments, their noise.
 
-No PSF is needed; the price is noise from the whole window, or a bias that depends on where in its pixel the star sits
-(S-curve). The covariance propagates the temporal noise, sum over pixels of (dx/dd)^2 variance(d); the bias stands
-beside it (`calib.measure.pixel_phase`).
+No PSF is needed; the price is noise of the whole window, or a bias that depends on the star's position in its pixel
+(S-curve). The covariance propagates the temporal noise, sum over pixels of (dx/dd)^2 variance(d); the bias is separate
+(`calib.measure.pixel_phase`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Options of a centroider with the range in which they hold."""
+"""Options of a centroider with their allowed ranges."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""The error of a centroid that depends on where in its pixel the star sits (its S-curve), which no noise model holds.
+"""Pixel-phase error of a centroid (its S-curve), which noise models do not contain.
 
-Whole pixels sample a narrow star too coarsely for a moment to find its middle, and a window that ends within a wide
-star cuts off more on one side; both depend on the phase of the pixel grid. For a star of given width the error is
-fixed, and over many stars, or a star that drifts over many pixels, it is a scatter beside the noise. Its size is found
-by measuring noiseless pixel-integrated Gaussians of many widths at many phases with the centroider itself, once for
-every centroider and window; the width of a real star is told from its second moment, measured in the same way.
+Whole pixels sample a narrow star too coarsely for moments, and a window that truncates a wide star cuts off more on one
+side; both depend on the phase of the pixel grid. For a star of given width the error is fixed; over many stars, or a
+star that drifts over many pixels, it is a scatter in addition to the noise. Its size is computed once per centroider
+and window, by measuring noiseless pixel-integrated Gaussians of many widths at many phases; the width of a real star is
+determined from its second moment, measured in the same way.
 """
 
 from __future__ import annotations

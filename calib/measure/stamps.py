@@ -1,4 +1,4 @@
-"""Cutting windows around stars, out of an image or out of a windowed readout."""
+"""Windows around stars, cut from an image or a windowed readout."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Detections that are pieces of a line of light: satellites and aeroplanes.
+"""Detections that belong to a line of light: satellites and aeroplanes.
 
 Noise and threshold break a trail into many detections. Two of them belong together if light lies between them: the
-median of the filtered image along the way exceeds that of the parallels on both sides. Single stars on the way do not
-move a median, and a bright background is the same on the parallels.
+median of the filtered image along the connecting line exceeds that of parallel lines on both sides. Single stars on the
+line do not move a median, and a bright background is the same on the parallels.
 """
 
 from __future__ import annotations

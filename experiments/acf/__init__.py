@@ -2,7 +2,7 @@
 
 Star positions with noise and gyro rates are simulated as in Table 1 of ACF17 and calibrated by the document's method
 (ACC), with a gyro of stated noise, by interstar angles (IAC, as published and fully weighted) and with free attitudes,
-a hundred times each; its Fig. 3 to 5 and Table 2 are compared with the truth and the Cramer-Rao bound. Then what the
-document lacks: the pixel and the number of stars that its numbers imply, and from how many stars per frame on the gyro
-gains nothing. The experiment ``skycal`` makes the same calibrations from rendered frames.
+a hundred times each; its Fig. 3 to 5 and Table 2 are compared with the truth and the Cramer-Rao bound. In addition: the
+pixel size and number of stars implied by its numbers, and the number of stars per frame above which the gyro gives no
+gain. The experiment ``skycal`` makes the same calibrations from rendered frames.
 """

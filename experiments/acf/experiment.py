@@ -1,7 +1,7 @@
-"""Calibration of a star sensor with attitude-correlated frames (ACF17): the night, the runs, and what failed.
+"""Calibration of a star sensor with attitude-correlated frames (ACF17): simulated night, runs, convergence.
 
-Fig. 3 and 4 are in `experiments.acf.reprojection`, Table 2 and the pixel it implies in `experiments.acf.table2`, Fig. 5
-in `experiments.acf.methods`, the sweep of stars per frame in `experiments.acf.gain`.
+Fig. 3 and 4 are in `experiments.acf.reprojection`, Table 2 and the implied pixel size in `experiments.acf.table2`, Fig.
+5 in `experiments.acf.methods`, the sweep of stars per frame in `experiments.acf.gain`.
 """
 
 from __future__ import annotations

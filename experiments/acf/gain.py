@@ -1,4 +1,4 @@
-"""From how many stars per frame on a gyro gains nothing, and when trusting it harms: gain over free attitudes."""
+"""Gain of a gyro over free attitudes against stars per frame, and the loss by a gyro taken as perfect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the calibrations must reach, from the design alone: no star is drawn, no adjustment is run.
+"""Expected calibration errors from the design alone, without drawn stars or adjustments.
 
 Linear model of star j in frame k, all perturbations small and to the left (cam from reference):
 
@@ -6,8 +6,8 @@ Linear model of star j in frame k, all perturbations small and to the left (cam 
 
 with the camera parameters p, the frame's attitude error d_k [rad], u = (first attitude, installation) and the gyro's
 accumulated error e_k in the first body frame. From eq. 6 of ACF17, with M_k = C G_k C^T the camera's rotation since the
-first frame, S_k = [M_k, I - M_k] and T_k = -M_k C. Stars have noise sigma per axis; e has the covariance of a bias
-(a size per axis, sign unknown) and an angle random walk:
+first frame, S_k = [M_k, I - M_k] and T_k = -M_k C. Stars have noise sigma per axis; e has the covariance of a bias (a
+size per axis, sign unknown) and an angle random walk:
 
     E[e_k e_l^T] = bias^2 P_k P_l^T + walk^2 min(t_k, t_l) I,       P_k = integral of G^T dt from the first frame to k.
 """

@@ -1,7 +1,7 @@
-"""Fig. 5 of ACF17: attitudes linked by a gyro (ACC) against interstar angles (IAC), and against what the bound allows.
+"""Fig. 5 of ACF17: attitudes linked by a gyro (ACC) against interstar angles (IAC), and against the bound.
 
 Further methods: a gyro of stated noise, free attitudes in every frame, and interstar angles with their full covariance,
-which keep 2n - 3 measurements of a frame and are as good as free attitudes.
+which keep 2n - 3 measurements of a frame and are as accurate as free attitudes.
 """
 
 from __future__ import annotations

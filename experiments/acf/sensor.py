@@ -1,4 +1,4 @@
-"""The camera of a sensor file as this experiment knows cameras: a Brown-Conrady model of its chief rays."""
+"""The camera of a sensor file for this experiment: a Brown-Conrady model of its chief rays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated night of ACF17: a turning body with gyro and star sensor, a sky of known stars, noise."""
+"""The simulated night of ACF17: a turning body with gyro and star sensor, known stars, noise."""
 
 from __future__ import annotations
 

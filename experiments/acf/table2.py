@@ -1,9 +1,9 @@
-"""Table 2 of ACF17: errors of the 14 unknowns, and the pixel that the printed numbers imply.
+"""Table 2 of ACF17: errors of the 14 unknowns, and the pixel size implied by the printed numbers.
 
 Principal point and attitude are nearly degenerate: the printed errors of both must cancel in the image, x0 in pixels
-against phi in arcseconds, and they do so for one size of the pixel only. So their likelihood under the covariance of
-eq. 11 tells the pixel that the document does not give, and their size tells the number of stars in a frame. The angles
-theta are left out, because what they do depends on a motion that is not given.
+against phi in arcseconds, which they do for one pixel size only. Their likelihood under the covariance of eq. 11
+therefore determines the pixel size, which the document does not state, and their magnitude the number of stars per
+frame. The angles theta are left out, because their effect depends on the unpublished motion.
 """
 
 from __future__ import annotations

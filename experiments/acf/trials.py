@@ -1,7 +1,8 @@
-"""Monte-Carlo runs: every method calibrates the same noisy stars; on several processes, in any division the same.
+"""Monte-Carlo runs: every method calibrates the same noisy stars; the result does not depend on the number of
+processes.
 
-Random streams are named by point and run, not shared; workers use one thread for linear algebra, and results come back
-in the order of the tasks. An interrupt ends the workers and is passed on.
+Random streams are named by point and run; workers use one thread for linear algebra, and results keep the order of the
+tasks. An interrupt ends the workers and is passed on.
 """
 
 from __future__ import annotations

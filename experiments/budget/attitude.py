@@ -1,16 +1,16 @@
 """Attitude from N stars by Monte-Carlo through the estimator, against the rule total / sqrt(N) (ACC18 section 2.4).
 
-Stars lie evenly over the detector. Temporal and pixel errors are independent from star to star. Of the low-frequency
-error three readings are tried:
+Stars are uniform over the detector. Temporal and pixel errors are independent from star to star. The low-frequency
+error has three interpretations:
 
-* independent from star to star, which is what dividing the *total* by sqrt(N) takes for granted;
+* independent from star to star, as dividing the *total* by sqrt(N) assumes;
 * as it is: the chromatic part moves all stars alike (eq. 16 is a mean over the field), the distortion part is a smooth
-  map, here a random cubic polynomial over the field, new in every trial;
+  map, here a random cubic polynomial over the field in every trial;
 * common: all of it moves all stars alike.
 
-Pointing errors are given as the displacement of the boresight along x and y (a turn about y displaces along x), roll
-about the boresight. The attitude of the measured budget is that of stars with its errors, solved; ``total / sqrt(N)``
-has no part in it. What the stars of a field should give follows in closed form from where they lie (`_expected2`).
+Pointing errors are displacements of the boresight along x and y (a turn about y displaces along x), and roll about the
+boresight. The attitude of the measured budget is solved from stars with the measured errors, without the rule ``total /
+sqrt(N)``. The expected attitude error of a field follows in closed form from its star positions (`_expected2`).
 """
 
 from __future__ import annotations

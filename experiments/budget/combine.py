@@ -1,4 +1,4 @@
-"""How the terms add up (ACC18, eq. 31-32), with uncertainties.
+"""Sum of the terms (ACC18, eq. 31-32), with uncertainties.
 
     sigma_LSFE = sqrt(sigma_S^2 + (sigma_C1 + sigma_C2)^2)
     total      = sqrt(TE^2 + HSFE^2 + sigma_LSFE^2)

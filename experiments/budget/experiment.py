@@ -1,6 +1,6 @@
-"""The error budget: every term predicted without frames, measured in the virtual laboratory, and added up.
+"""The error budget: every term predicted without frames, measured in the virtual laboratory, and summed.
 
-The terms and their sum stand here; each further part of the study has its own module: `chromatic` (Table 1), `thermal`,
+Terms and sum are here; further parts of the study have their own modules: `chromatic` (Table 1), `thermal`,
 `tolerances`, `attitude`.
 """
 

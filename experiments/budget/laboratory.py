@@ -1,4 +1,4 @@
-"""From the configuration to instrument, benches and tests of the budget, and what is refused before long work."""
+"""Instrument, benches and tests of the budget from its configuration; checks before long work."""
 
 from __future__ import annotations
 

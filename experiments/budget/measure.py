@@ -1,7 +1,7 @@
-"""Every term measured in the virtual laboratory, for every centroider of the bench on the same frames.
+"""Every term measured in the virtual laboratory, for every centroider on the same frames.
 
-Where the document's test is one sample of something random (one path of the platform, one survey of the target), the
-measurement is repeated and its RMS taken, so that its uncertainty is small against 10 %.
+Where the document's test is one random sample (one path of the platform, one survey of the target), it is repeated and
+its RMS taken, so that its uncertainty is small against 10 %.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Every term predicted without frames, for every centroider of the bench, by `experiments.laboratory`.
+"""Every term predicted without frames, for every centroider, by `experiments.laboratory`.
 
-Where many settings are predicted, each is made cheaper (`coarse_terms`): the centroider that counts alone, a target of
-3 x 3 points over the same area, behind the filters with the PSF of its middle point, half the positions of the step
-test on an ideal platform at one place, fewer draws, and the same ones everywhere. The star mean that eq. 8 removes
-takes 1/W of an independent error; the pixel term is scaled from W = 9 to the target's own.
+For sweeps a cheaper prediction is used (`coarse_terms`): the main centroider alone, a target of 3 x 3 points over the
+same area, filters with the PSF of its middle point, half the positions of the step test on an ideal platform at one
+place, fewer draws, the same everywhere. The star mean that eq. 8 removes takes 1/W of an independent error; the pixel
+term is scaled from W = 9 to the target's own number of stars.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Settings and declaration of the error budget: one instrument, how it is measured, and what is asked of it."""
+"""Settings and declaration of the error budget."""
 
 from __future__ import annotations
 

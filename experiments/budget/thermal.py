@@ -1,17 +1,16 @@
-"""Focal length against temperature, ACC18's second source of LSFE (section 1.1), for which it has no test: LSFE-T.
+"""Focal length against temperature (LSFE-T), ACC18's second source of LSFE (section 1.1), for which it has no test.
 
-A camera is calibrated at one temperature of lens and housing and used at others. What its calibration has not seen is
-the change of the map from directions to pixels; the common shift is taken out, since an attitude takes it. To first
-order that change is e = s dT, so that over a field of stars and a temperature of standard deviation sigma_T
+A camera is calibrated at one temperature of lens and housing and used at others. The error is the change of the map
+from directions to pixels; the common shift is removed, because the attitude absorbs it. To first order the change is e
+= s dT, so that over a field of stars and a temperature of standard deviation sigma_T
 
     LSFE-T (3 sigma) = RMS over the field of s x 3 sigma_T
 
-with ``thermal.stability_k`` for 3 sigma_T. Predicted by ray trace of the warmed and the cooled lens, and set beside the
-paraxial chief ray, which shares no trace with it. Measured in a chamber at either end: the camera is calibrated anew by
-a cubic polynomial through centres of gravity of rendered frames, and the difference of both calibrations is taken
-against the temperatures that the thermometer of the lens shows. The centre of gravity is taken whatever centroider
-counts: it is what the traced mean predicts. A PSF that is fitted follows the core of a spot whose focus has changed,
-and that may grow at another rate.
+with ``thermal.stability_k`` for 3 sigma_T. The prediction traces the warmed and the cooled lens, and is compared with
+the paraxial chief ray, which is independent of the trace. The measurement calibrates the camera in a chamber at either
+end by a cubic polynomial through centres of gravity of rendered frames, and divides the difference of both calibrations
+by the temperature difference of the lens's thermometer. The centre of gravity is used for every main centroider,
+because the traced mean predicts it; a fitted PSF follows the core of a defocused spot, which may grow at another rate.
 """
 
 from __future__ import annotations

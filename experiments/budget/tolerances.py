@@ -1,9 +1,9 @@
-"""Lenses as built: Monte-Carlo over decentre, tilt and despace of every element, by ray trace.
+"""Manufactured lenses: Monte-Carlo over decentre, tilt and despace of every element, by ray trace.
 
-Of every lens the document's chromatic statistic (eq. 16, over the target in four corners) and the distortion over the
-field are found from traced bundle means. Distortion counts twice: what is left when each lens is calibrated with a
-cubic polynomial of its own (ACC18 eq. 19), and what a camera shows that still uses the design's map, a common shift and
-roll apart (elements that moved after the calibration).
+For every lens the document's chromatic statistic (eq. 16, over the target in four corners) and the distortion over the
+field follow from traced bundle means. Distortion is stated twice: the residual after a cubic polynomial for each lens
+(ACC18 eq. 19), and the error of the design's map after a common shift and roll (elements that moved after the
+calibration).
 
 The linear prediction of the chromatic entries adds the sensitivities of all movements, each traced once, in quadrature.
 """

@@ -1,6 +1,6 @@
-"""The answer: what a sensor does against its requirements, and what to change first, printed before anything is drawn.
+"""The answer in the terminal: performance against requirements, and the most effective change.
 
-Light to import, as the answer is due in seconds: no figures, no renderer.
+Light to import: no figures, no renderer.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""My camera: what a star sensor will do, its requirements, what to change first, and frames that confirm it."""
+"""Camera report: predicted performance, requirements, the most effective change, and frames that confirm it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Rendered frames against the prediction: an artificial chart read out many times, and frames of the real sky.
 
-The chart has stars of one brightness, whose scatter from readout to readout is the noise, and stars about the limiting
-magnitude, of which a share is found. The sky is seen in the first attitudes that were predicted; the camera is
-calibrated without error (a model fitted to its traced map), the attitude roughly known, as by a sensor that tracks.
+The chart has stars of one brightness, whose scatter over the readouts is the noise, and stars about the limiting
+magnitude, of which a fraction is detected. The sky is rendered in the first predicted attitudes; the camera is
+calibrated without error (a model fitted to its traced map), the attitude approximately known, as for a tracking sensor.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Guide stars, and lost in space: who is in the field, and how often the sky is known from stars alone.
+"""Guide stars in the field, and identification lost in space.
 
-Guide stars (`experiments.laboratory.guide_stars`) do not saturate and are found nine times of ten. Lost in space, lists
-of stars are drawn as the prediction has it (who is found, how far its centroid is off, false alarms among them) and
-identified by tetra3rs with the calibrated camera: thousands of times cheaper than frames (`experiments.camera.frames`).
+Guide stars (`experiments.laboratory.guide_stars`) do not saturate and have a detection probability of 0.9. For lost in
+space, star lists are drawn from the prediction (detections, centroid errors, false alarms) and identified by tetra3rs
+with the calibrated camera: thousands of times cheaper than frames (`experiments.camera.frames`).
 """
 
 from __future__ import annotations

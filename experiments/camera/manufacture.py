@@ -1,12 +1,12 @@
-"""Lenses as they are made: drawn within the tolerances, focused again, and each traced.
+"""Manufactured lenses: drawn within the tolerances, refocused, and traced.
 
-Of every lens follow its spots, its light and its distortion by rays. The noise-equivalent angle is that of the nominal
-sensor times the ratio of two predictions alike, of this lens and of the nominal one, from their spots by rays blurred
-by diffraction as a Gaussian, which is up to 12 % off for fast lenses (rendered frames show it); the attitude follows
-with its noise, for the stars that the nominal sensor finds.
+Spots, light and distortion of every lens follow by rays. Its noise-equivalent angle is the nominal sensor's times the
+ratio of two predictions, of this lens and of the nominal one, from spots by rays blurred by diffraction as a Gaussian
+(up to 12 % off for fast lenses, as rendered frames show); the attitude follows from this noise for the stars that the
+nominal sensor detects.
 
-The distortion that a camera has which still uses the design's map (a common shift, roll and, with the focus, scale
-apart) counts before calibration; after it, what a cubic polynomial of its own leaves.
+Before calibration, the distortion is the error of the design's map after a common shift, roll and, with the focus,
+scale; after calibration, the residual of a cubic polynomial for each lens.
 """
 
 from __future__ import annotations

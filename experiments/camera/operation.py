@@ -1,8 +1,8 @@
-"""In motion and over life: the prediction against slew rate and age, where requirements are missed, what fails first.
+"""Slew and life: the prediction against slew rate and age, and the first requirement missed.
 
-A star of a camera that turns at w trails over w t in the exposure t; an acceleration a moves the mean of its light by
-a t^2 / 24 from where it is in the middle of the exposure, alike for all stars. A tracker that carries the last turn on
-expects it a T^2 from its place after the period T, which has to stay within half the window.
+A star of a camera that turns at w trails over w t in the exposure t; an acceleration a moves the mean of its light by a
+t^2 / 24 from its position in the middle of the exposure, alike for all stars. A tracker that extrapolates the last turn
+is off by a T^2 after the period T, which has to stay within half the window.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A run of the camera report: the answer first, then what its page shows, and frames. Light to import."""
+"""A run of the camera report: the answer first, then the page and the frames. Light to import."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Configuration of the camera report: a sensor file, and what is looked at."""
+"""Configuration of the camera report: a sensor file, and the studies of the report."""
 
 from __future__ import annotations
 

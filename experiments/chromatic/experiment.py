@@ -1,8 +1,8 @@
 """Chromatic error (ACC18 eq. 13-16, Table 1): the lens as designed, and moved so that it gives the published value.
 
-The published statistic first, then what it hides (how far points shift), what is left when every band has a camera
-model of its own, and what other centroiders make of the same frames. `perturbation` searches the movement, `stars`
-holds the shift of stars against the rule of one third.
+The published statistic first, then the shift of single points, the residual with a camera model for each band, and
+other centroiders on the same frames. `perturbation` searches the movement, `stars` compares the shift of stars with the
+rule of one third.
 """
 
 from __future__ import annotations

@@ -1,17 +1,17 @@
-"""What own frames say of the filters themselves: a wedge told from the lens, files of two filters exchanged.
+"""Filters in own frames: a wedge separated from the lens, exchanged files of two filters.
 
-The shift of a point at r between a filter and the reference one, at a place of the field whose filters stand at the
+The shift of a point at r between a filter and the reference filter, at a place of the field whose filters have the
 angle t to the camera, is
 
     shift = lens + scale (r - centre) + R(t) wedge,
 
-``lens`` that of a decentred element (prism: the same everywhere, it turns with the camera), ``wedge`` that of the
-filter over the reference one's (it turns with the filter), R the rotation from +x to +y. At one angle only the sum of
-both is known. Where the angles of filter and reference filter differ, ``(R(t) - R(t of the reference)) wedge of the
-reference`` comes in; what the design then does not determine is NaN.
+``lens`` the shift by a decentred element (prism: uniform, turns with the camera), ``wedge`` the shift by the filter
+relative to the reference filter (turns with the filter), R the rotation from +x to +y. At one angle only the sum of
+both is known. If the angles of filter and reference filter differ, ``(R(t) - R(t of the reference)) wedge of the
+reference`` is added; undetermined quantities are NaN.
 
-Exchanged files: the light and the width of a spot are those of the filter times those of the place. Where exchanging
-two filters at a place makes the places agree that did not, they are exchanged.
+Exchanged files: light and width of a spot are a product of filter and place. If exchanging two filters at a place makes
+places agree that otherwise disagree, the filters are exchanged.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which movement of which lens element gives a wanted entry of Table 1, by ray trace."""
+"""Search of the movement of a lens element that gives a wanted entry of Table 1, by ray trace."""
 
 from __future__ import annotations
 

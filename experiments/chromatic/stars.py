@@ -1,4 +1,4 @@
-"""Stars through the full pass band: how far their colour really shifts them, against ACC18's rule of one third."""
+"""Stars through the full pass band: their colour shift, against ACC18's rule of one third."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The benches: what is true on each, the one rendered laboratory that they all are put into, what is refused."""
+"""The benches: true values of each, the common rendered laboratory, checks."""
 
 from __future__ import annotations
 

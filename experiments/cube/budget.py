@@ -1,18 +1,18 @@
-"""The error budget: what geometry predicts for each term on each axis, without a picture, beside CUBE09's eq. 13 and
-14.
+"""The error budget per term and axis, predicted by geometry without pictures, compared with CUBE09's eq. 13 and 14.
 
-Eq. 14 adds four numbers as if each hit every axis. They do not: R_pr gets its x and y from the first face and its z
-from the second, one component each, so an error of a normal across one direction is an error of one axis. Per axis:
+Eq. 14 adds four numbers as if each acted on every axis. In fact R_pr gets its x and y from the first face and its z
+from the second, one component each, so that an error of a normal across one direction is an error of one axis. Per
+axis:
 
 * one pixel: arctan(pixel / distance) / 2 on every axis (eq. 13);
-* trim: what the stop rule leaves, from playing it with the operator's gain and the table's steps on numbers;
-* axes out of square: nothing on x and y; on z what the second face gets (all of it) less what the sun sensor, which was
-  calibrated on the same table, got too: from the reduction of positions that geometry gives;
+* trim: the remainder of the stop rule, simulated with the operator's gain and the table's steps;
+* axes out of square: none on x and y; on z the effect on the second face (all of it) minus that on the sun sensor,
+  which was calibrated on the same table: from the reduction of exact positions;
 * camera mount: on every axis;
 * reading: the outer axis on x and z, the inner one on y.
 
-What eq. 14 leaves out, sun sensor and pictures, follows from the noise of their detectors (`experiments.cube.noise`):
-nothing that was fitted or measured enters a prediction.
+Terms missing in eq. 14, sun sensor and pictures, follow from the noise of their detectors (`experiments.cube.noise`):
+no fitted or measured value enters a prediction.
 """
 
 from __future__ import annotations

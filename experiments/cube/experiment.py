@@ -1,4 +1,4 @@
-"""Sun sensor to cube mirror: the run, the shown bench, and what stands next to the budget (`budget`)."""
+"""Sun sensor to cube mirror: the run and the shown bench; the budget is in `budget`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Every bench through every case: all pictures rendered and read out, R_sp from what was read and measured.
+"""All benches in all cases: pictures rendered and read out, R_sp from the measured values.
 
 Reduction as in CUBE09, steps 4 and 5: normals of the faces from the angles of the table, R_pr from them, R_sp = R_pr
-R_sr^-1, and how far it is from the truth.
+R_sr^-1, and its error against the truth.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What pictures and sun sensor scatter by, predicted from detector, light and geometry; no picture, no fit.
+"""Noise of pictures and sun sensor, predicted from detector, light and geometry without pictures or fits.
 
 Pictures. A circle fitted to a contour through points at every angle moves by the sum over the light of g times its
 noise. With the window W(x) of the lines, ``3 (1 - x^2 / h^2) / (4 h)``, the contour's radius R and the slope s of the
@@ -6,17 +6,17 @@ brightness there,
 
     g = W(r - R) cos(theta) / (pi R |s|)           per unit area, for x; sin(theta) for y.
 
-For noise of a pixel of variance v, sampled along n rays between which pixels are left out, bilinear interpolation
-leaves 2/3 of the variance across a ray, and 3 / (5 h) of it along:  var = (2 / n) (2/3) 3 v / (5 h s^2). A spoke of the
-hole's edge takes half of its own brightness beside the edge for level, whose noise adds to that. The particles of the
-rendering are no noise of a laboratory, but they are in its pictures: the sum of g over the landing points of a Sobol
-net, scrambled anew each time, gives their part to first order; it is a quarter or so of what independent particles
-would do, so that what they do to the slopes, where nothing cancels, is as large. The rim and its slope follow from the
-overlap of two circles (`experiments.cube.bench.spot_profile`).
+For pixel noise of variance v, sampled along n rays with pixels left out between them, bilinear interpolation leaves 2/3
+of the variance across a ray, and 3 / (5 h) of it along:  var = (2 / n) (2/3) 3 v / (5 h s^2). A spoke of the hole's
+edge takes half of the brightness next to the edge as its level, whose noise is added. The particles of the rendering
+add noise that a laboratory does not have: to first order the sum of g over the landing points of a Sobol net, scrambled
+anew each time. It is about a quarter of the noise of independent particles, so that the effect of particles on the
+slopes, without such cancellation, is as large. The rim and its slope follow from the overlap of two circles
+(`experiments.cube.bench.spot_profile`).
 
 Sun sensor. The centre of light of a window moves by ``(x - x_c) / F`` times the noise of a pixel, F its electrons. The
-spots' noise, and that of the readings at each position, go through the least squares of a pinhole on a table by
-differences of its equations.
+noise of spots and readings at each position is propagated through the least squares of a pinhole on a table by finite
+differences.
 """
 
 from __future__ import annotations

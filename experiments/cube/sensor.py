@@ -1,9 +1,9 @@
-"""Step 1: the sun sensor against the table, R_sr, by turning the table over the sensor's field (CUBE09, step 1).
+"""Step 1: calibration of the sun sensor against the table, R_sr, by turning the table over its field (CUBE09, step 1).
 
-The method of patent 200510112553.7 as `calib.calibration.turntable` has it: hole against detector, mask distance,
-sensor against table, direction of the beam and, if wanted, the table's axes are fitted together to the spots of all
-positions. As published, the simulator is taken as aligned: its beam lies along the Z axis of the table at zero. It is
-held there by conditioning the solution on it, the best estimate given that two of the unknowns are known.
+The method of patent 200510112553.7 as in `calib.calibration.turntable`: hole against detector, mask distance, sensor
+against table, direction of the beam and, optionally, the table's axes are fitted together to the spots of all
+positions. As published, the simulator is taken as aligned: its beam lies along the Z axis of the table at zero, which
+conditions the solution.
 """
 
 from __future__ import annotations

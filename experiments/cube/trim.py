@@ -1,13 +1,12 @@
-"""Trimming a face until spot and aperture are concentric: pictures, circle fits, and the operator (CUBE09, step 2).
+"""Trimming of a face until spot and aperture are concentric: pictures, circle fits, and the operator (CUBE09, step 2).
 
-Two pictures, one after the other, as published: the reflected light is kept away and the aperture is imaged (here a
-sheet of tracing paper covers it and glows); then the light comes back and the spot is imaged around the hole. The spot
-is as wide as the aperture plus the sun's image over twice the distance, so only its rim shows around the hole; the
-contour fitted to it is taken low on the rim. The edge of the hole in the same picture also gives the aperture (the
-improved procedure uses that).
+Two pictures, as published: first the reflected light is blocked and the aperture is imaged (here glowing behind a sheet
+of tracing paper); then the light is admitted and the spot is imaged around the hole. The spot is as wide as the
+aperture plus the sun's image over twice the distance, so that only its rim is visible around the hole; the contour
+fitted to it is low on the rim. The edge of the hole in the same picture also gives the aperture (improved procedure).
 
-Edges are taken from the picture to the plane of the screen before the circles are fitted, so that the oblique view
-plays no part. Offsets are (x, y) in the laboratory, spot minus aperture, in pixels of the screen.
+Edges are transformed from the picture to the plane of the screen before the circles are fitted, so that the oblique
+view has no effect. Offsets are (x, y) in the laboratory, spot minus aperture, in pixels of the screen.
 """
 
 from __future__ import annotations

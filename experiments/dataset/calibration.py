@@ -1,4 +1,4 @@
-"""Calibration products as one would take them with this detector: masters of a few frames, each with its own noise.
+"""Calibration products of the detector: masters of a few frames, each with its own noise.
 
 ``calibration/``: ``bias`` (shortest exposure, no light), ``dark`` (the exposure and temperature of the frames),
 ``flat`` (uniform light, over its median), ``gain_map`` (photon transfer in blocks), each a float32 image with its

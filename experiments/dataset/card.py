@@ -1,4 +1,4 @@
-"""What whoever finds the folder reads first: data card, index, Croissant, contact sheet, a frame to zoom into."""
+"""Description of a dataset: data card, index, Croissant, contact sheet, a zoomable frame."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Detections beside the truth: which stars are found, what is found that is no star, how far off centroids are.
+"""Detections against the truth: completeness, false detections, centroid errors.
 
-Centroid errors are held against the Cramer-Rao bound of the same stars: the best that their light on the pixels allows.
+Centroid errors are compared with the Cramer-Rao bound of the same stars.
 """
 
 from __future__ import annotations

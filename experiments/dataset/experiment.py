@@ -1,4 +1,4 @@
-"""Datasets of star frames with exact truth: what is missing is made, exported, and looked at as others will."""
+"""Datasets of star frames with exact truth: missing frames are rendered, exported and evaluated."""
 
 from __future__ import annotations
 

@@ -1,14 +1,14 @@
-"""Copies for learning programs: COCO (PNG images, objects with box, mask and one keypoint) and WebDataset (tar files).
+"""Exports for machine learning: COCO (PNG images, objects with box, mask and one keypoint) and WebDataset (tar files).
 
 COCO counts from the outer corner of the first pixel, whose centre therefore is (0.5, 0.5)
 (https://cocodataset.org/#format-data; the same as Mitsuba's film): half a pixel more than ``photon_x_px`` and
-``photon_y_px`` of the truth. Masks are uncompressed run lengths over the columns, which ``pycocotools`` reads as they
-are: of a star the ellipse that its footprint fills, of a body its disk, of detector faults their pixels.
+``photon_y_px`` of the truth. Masks are uncompressed run lengths over the columns, readable by ``pycocotools``: the
+ellipse of a star's footprint, the disk of a body, the pixels of detector faults.
 
 WebDataset: samples of image, truth, record and FITS file, one series of shards per split, for streaming. The image is a
-NumPy array, key ``npy``: webdataset, datasets and torch read it alike, 16 bits, first row first. By PIL they would turn
-FITS upside down and ignore BZERO, and make 8 bits of 16-bit PNG; so the FITS file has the key ``fts``, the standard's
-third suffix, which they hand on as bytes.
+NumPy array, key ``npy``, which webdataset, datasets and torch read alike: 16 bits, first row first. Through PIL they
+would flip FITS, ignore BZERO, and reduce 16-bit PNG to 8 bits; the FITS file therefore has the key ``fts``, the
+standard's third suffix, which they pass on as bytes.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""The folder of a dataset: what is in it is whole, and what was made stays.
+"""The folder of a dataset: complete files only; finished frames are kept.
 
-A file is written beside its place and moved there by one rename. A frame counts as made when its truth file is there,
-which is written last and holds size and digest of the frame's file, and both are as it says; so neither ``kill -9`` nor
-a full disk nor a lost machine can leave anything that would be taken for a frame and is none.
-``dataset.json`` comes first and says which configuration the frames are of; every truth file says it too, so that it
-can be written anew. ``SHA256SUMS`` comes last and covers every file. Nothing is deleted but temporary files whose names
-only this program gives; frames that nobody vouches for are only ever replaced by the same frames.
+A file is written under a temporary name and renamed into place. A frame is complete if its truth file, which is written
+last and holds size and digest of the frame's file, exists and both files match; ``kill -9``, a full disk or a lost
+machine therefore leave no incomplete frame that would be taken for complete. ``dataset.json`` comes first and states
+the configuration of the frames; every truth file repeats it, so that it can be restored. ``SHA256SUMS`` comes last and
+covers every file. Only temporary files with names of this program are deleted; unverified frames are only replaced by
+the same frames.
 """
 
 from __future__ import annotations

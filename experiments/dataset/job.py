@@ -1,4 +1,4 @@
-"""Making frames in whatever process: looked up if they are there, otherwise made and written, with their digests."""
+"""Rendering of frames in any process: existing frames are checked, missing ones rendered and written with digests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a frame shows besides stars: disks of the Moon and the planets, hot pixels, tracks of cosmic rays."""
+"""Objects of a frame other than stars: disks of the Moon and the planets, hot pixels, tracks of cosmic rays."""
 
 from __future__ import annotations
 

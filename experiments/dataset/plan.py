@@ -1,4 +1,4 @@
-"""What each frame is: attitude, motion, split. A pure function of configuration and frame number."""
+"""Plan of each frame: attitude, motion, split, as a pure function of configuration and frame number."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""A dataset at a URL (``s3://``, ``gs://``, ``memory://``, whatever fsspec knows): a protocol without renames.
+"""A dataset at a URL (``s3://``, ``gs://``, ``memory://`` and others of fsspec): a protocol without renames.
 
-Stores of objects have neither renames nor locks. What makes a dataset whole there: every frame is written as one object
-before its truth, which holds the frame's size and digest and its own; so whatever was cut short is noticed and made
-again. ``SHA256SUMS`` is written last. Two runs at once are no danger, only twice the work: they write the same bytes.
+Object stores have neither renames nor locks. Every frame is written as one object before its truth, which holds the
+frame's size and digest and its own; truncated frames are therefore noticed and rendered again. ``SHA256SUMS`` is
+written last. Two runs at once are safe: they write the same bytes.
 
-The work is done in a folder of this machine, which holds truth and index of all frames and, of the frames, those that
-are looked at or exported; workers of a cluster need no common file system.
+The work is done in a local folder with truth and index of all frames and with the frames that are evaluated or
+exported; workers of a cluster need no common file system.
 """
 
 from __future__ import annotations

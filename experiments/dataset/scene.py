@@ -1,4 +1,4 @@
-"""All that frames of a dataset have in common, without the renderer: camera, stars, light of the sky, attitudes."""
+"""Common parts of the frames of a dataset, without the renderer: camera, stars, light of the sky, attitudes."""
 
 from __future__ import annotations
 

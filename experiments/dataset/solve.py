@@ -1,12 +1,12 @@
-"""Frames solved by their stars alone: tetra3rs identifies them blind, attitudes follow, the truth judges them.
+"""Blind solution of the frames: tetra3rs identifies the stars, attitudes are solved and compared with the truth.
 
-tetra3rs gets centroids and a calibrated camera, no attitude, and the whole sky. Two attitudes are made of what it
-matched: one in which all stars weigh the same, and one from all detections near a star of the catalogue, weighted by
-their own covariance and a common error that nobody modelled (undersampling, colour): the one with which the residuals
-are as large as they should be, after R. C. Paule and J. Mandel, J. Res. NBS 87, 377 (1982), here by their median.
-Neither uses the truth. Fields below `NARROWEST_BLIND_DEG` hold too few stars of the sky that tetra3rs knows (to G = 10)
-for patterns of four, and the patterns for them take minutes: there stars are identified from a rough attitude, which is
-the written one turned by `PRIOR_OFF_PX` pixels, and reports say so.
+tetra3rs gets centroids and a calibrated camera, no attitude, and the whole sky. Two attitudes follow from its matches:
+one with equal weights, and one from all detections near a catalogue star, weighted by their own covariance and an
+unmodelled common error (undersampling, colour), chosen such that the residuals match their expectation, after R. C.
+Paule and J. Mandel, J. Res. NBS 87, 377 (1982), here by their median. Neither uses the truth. Fields below
+`NARROWEST_BLIND_DEG` contain too few stars known to tetra3rs (to G = 10) for patterns of four, and their patterns take
+minutes: there stars are identified from an approximate attitude, the written one turned by `PRIOR_OFF_PX` pixels, and
+reports state this.
 """
 
 from __future__ import annotations

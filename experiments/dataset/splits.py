@@ -1,11 +1,11 @@
-"""Which frame is for training, validation or test: by the sky it shows, so that none is tested on stars it was taught.
+"""Training, validation and test splits by the sky, so that no star of a test frame occurs in training.
 
-Random attitudes over the sky: a cap about a random pole is for the test, the cap opposite to it for validation, the
-rest for training; between them lie gaps as wide as the field's diagonal, so that no star is in two splits. A turning
-scan runs along a circle, once or many times over: it is cut into arcs, with the same gaps. A cone, or the attitudes of
-a list, are cut across: one side is for the test, the other for validation, what lies between the gaps for training.
-Frames in gaps belong to no split; they count as ``gap``. Where gaps would leave less than half of the frames, and
-everywhere else, frames are shared out at random, and the leakage is what it is (`leakage`).
+Random attitudes over the sky: a cap about a random pole is for the test, the opposite cap for validation, the rest for
+training; gaps as wide as the field's diagonal separate them, so that no star is in two splits. A scan runs along a
+circle, once or many times: it is cut into arcs with the same gaps. A cone, or the attitudes of a list, are cut across:
+one side is for the test, the other for validation, the middle for training. Frames in gaps belong to no split
+(``gap``). If gaps would leave less than half of the frames, and in all other cases, frames are assigned at random, and
+the leakage is reported (`leakage`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Truth and index as Parquet or ECSV: typed columns with units; the record of a frame is metadata of its truth.
 
-A truth file vouches for itself: its metadata hold its own SHA-256, computed with zeros in the place of the digest, and
-say of which dataset it is.
+A truth file verifies itself: its metadata hold its own SHA-256, computed with zeros in place of the digest, and the
+identity of its dataset.
 """
 
 from __future__ import annotations

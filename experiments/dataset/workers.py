@@ -1,4 +1,4 @@
-"""Who makes which frame: this process, a few on this machine, or a Dask cluster. The frames do not depend on it."""
+"""Workers of a dataset: this process, several processes, or a Dask cluster; the frames do not depend on the choice."""
 
 from __future__ import annotations
 

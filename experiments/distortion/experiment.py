@@ -1,8 +1,8 @@
 """Distortion error (ACC18 eq. 17-30, Fig. 8): a surveyed grid, its residuals, the polynomial, and the true map.
 
 Mean centroids of a grid target over the whole detector minus surveyed coordinates are reduced as printed. The three
-numbers are labelled with what they are (found, left, removed), predicted by ray trace, and judged by the error that the
-correction really has between the points. `wide_field` repeats the test where distortion decides the numbers.
+numbers are labelled by their meaning (before, after, removed), predicted by ray trace, and compared with the true error
+of the correction between the points. `wide_field` repeats the test with dominant distortion.
 """
 
 from __future__ import annotations

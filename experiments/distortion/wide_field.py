@@ -1,8 +1,8 @@
-"""A lens whose distortion decides C1: the grid test on a wide field, against the prescription.
+"""The grid test on a wide field, where distortion dominates C1, against the prescription.
 
-With the camera of the document the polynomial takes little but marking errors, and frames that showed another
-distortion would pass. Here the distortion is hundreds of times the marking error: with shift, roll and scale fitted,
-what is found, left and removed is that of the traced lens, and the comparison is one of the rendered distortion.
+With the document's camera the polynomial removes little but marking errors, and frames with a wrong distortion would
+pass. Here the distortion is hundreds of times the marking error: with shift, roll and scale fitted, the numbers before,
+after and removed are the distortion of the traced lens, and the comparison tests the rendered distortion.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The bench from the calibration to the accuracy of star vectors, rendered: at rest, and on the move.
+"""Rendered bench from the calibration to the accuracy of star vectors, at rest and in motion.
 
 Steps of FISHER23: S100 joint calibration, S200 acquisition, S300 star vectors in the table's frame, S400 concentration,
-S500 standard deviation per axis. Frames of their own calibrate the camera; single frames at other places become star
-vectors. Their scatter is compared with what covariances predict (`experiments.fisher.predict`), and with the
+S500 standard deviation per axis. Separate frames calibrate the camera; single frames at other places become star
+vectors. Their scatter is compared with the prediction from covariances (`experiments.fisher.predict`), and with the
 pixel-residual method on the same frames.
 """
 

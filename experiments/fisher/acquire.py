@@ -1,12 +1,11 @@
-"""Acquisition of star vectors (S200): one frame and one reading of the table at every place, at rest or on the move.
+"""Acquisition of star vectors (S200): one frame and one table reading at every place, at rest or in motion.
 
-On the move the second axis turns at a constant rate while the shutter is open, and the image is a streak. It is
-rendered as such: the star at several instants of the exposure, all in one expectation image, each with its share of the
-light. The reading belongs to the middle of the exposure; the clocks of table and camera jitter against each other, so
-that a reading is off by the rate times that.
+In motion the second axis turns at a constant rate during the exposure, and the image is a streak, rendered as the star
+at several instants of the exposure with equal shares of the light. The reading belongs to the middle of the exposure;
+the clocks of table and camera jitter against each other, so that a reading is off by the rate times the time error.
 
-What the reduction knows: the calibrated camera, the readings, the rate. It sets its windows where these put the star,
-and centroids with the PSF of the lens, smeared along the path of the image for a moving table.
+The reduction uses the calibrated camera, the readings and the rate. Windows are placed at the predicted star, and
+centroids use the PSF of the lens, smeared along the path of the image for a moving table.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-r"""What scatter of the star vectors to expect, from covariances alone.
+r"""Expected scatter of the star vectors from covariances alone.
 
-An image moves by its centroid's noise and by what the readings of the table are off; both make a covariance C_i on the
-detector. To first order a star vector is off, on the plane tangent at the star, by
+An image moves by centroid noise and by errors of the table readings; both form a covariance C_i on the detector. To
+first order the error of a star vector, on the plane tangent at the star, is
 
 .. math:: e_i = T_i\, (n_i - A_i\, \delta), \qquad n_i \sim N(0, C_i)
 
 with T_i the derivative of the vector by the image, A_i that of the image by the unknowns of the calibration that enter
-a vector (camera, installation, axes; not the star) and delta the error of the calibration. For data of its own delta is
-independent of the n_i and has the covariance that the calibration states. For the data that it was calibrated with,
-delta = G n with G = (A^T W A)^{-1} A^T W, star included, W = C^{-1}; the residuals are what is left of the noise after
-q unknowns have eaten their part.
+a vector (camera, installation, axes; not the star) and delta the error of the calibration. For separate data delta is
+independent of the n_i and has the covariance of the calibration. For the calibration's own data delta = G n with G =
+(A^T W A)^{-1} A^T W, star included, W = C^{-1}; the residuals then have q degrees of freedom less, q the number of
+unknowns.
 
 The sum of squared chords is then a quadratic form of normal variables; its mean and variance follow from the covariance
 of all e_i about their mean, and the chi-square with the same mean and variance (Satterthwaite) gives its interval.

@@ -1,8 +1,8 @@
-"""Reduction of star vectors (S300-S500), and the method they are compared with.
+"""Reduction of star vectors (S300-S500), and the pixel-residual method for comparison.
 
-S300 brings every image to the table's frame at zero angles, S400 estimates the concentration, S500 makes a standard
-deviation per axis of it. Beside it what FISHER23 calls the usual method: the residuals of the images against the
-reprojected star, as a standard deviation in pixels, times one angle per pixel.
+S300 transforms every image to the table's frame at zero angles, S400 estimates the concentration, S500 converts it to a
+standard deviation per axis. FISHER23's usual method: the residuals of the images against the reprojected star, as a
+standard deviation in pixels, times one angle per pixel.
 """
 
 from __future__ import annotations

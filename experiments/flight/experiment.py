@@ -1,4 +1,4 @@
-"""The flight: its budget, its frames, the terms of both, and what the mission asks of them."""
+"""The flight: its budget, its frames, the terms of both, and the metrics of the mission."""
 
 from __future__ import annotations
 

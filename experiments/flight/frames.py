@@ -1,10 +1,10 @@
-"""Rendered segments of the orbit, and the tracker's attitudes: each error beside what it is made of, by switching.
+"""Rendered segments of the orbit, the tracker's attitudes, and the split of each error by switching causes.
 
 Every frame is rendered with the lens at its temperatures and read out twice, with independent noise. With errors a and
 b of both attitudes, (a - b)^2 / 2 is temporal noise and a b everything else, both without bias. A few frames of every
-segment are rendered a second time through the lens as calibrated, with the same noise: the difference is the
-thermo-elastic error. They are solved a second time with the true velocity: the difference is the aberration that is
-left. What remains of the mean of a segment is spatial error of the field and the constant bias.
+segment are rendered again through the lens as calibrated, with the same noise: the difference is the thermo-elastic
+error. They are solved again with the true velocity: the difference is the residual aberration. The rest of the mean of
+a segment is spatial error of the field and the constant bias.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The sensor as a plain function, to sit in a control loop: attitude, rate and time in; quaternion and covariance out.
+"""The sensor as a function for control loops: attitude, rate and time in; quaternion and covariance out.
 
-By frames (`by_frames`): each call renders the exposure, reads it out and lets the tracker solve it. By budget
-(`by_budget`): each call draws the error that the budget predicts, thousands of times a second. Both answer with the
-same record, and both know the truth that they were given.
+By frames (`by_frames`): each call renders the exposure, reads it out, and the tracker solves it. By budget
+(`by_budget`): each call draws an error with the budget's predicted covariance, thousands of times per second. Both
+return the same record, with the given truth.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the sensor flies: position and velocity, Sun, Moon and Earth, the shadow."""
+"""Orbit of the sensor: position and velocity, Sun, Moon and Earth, the shadow."""
 
 from __future__ import annotations
 

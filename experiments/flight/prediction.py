@@ -1,14 +1,14 @@
-"""The error budget in flight, without frames: what every guide star errs by, and the attitude that follows.
+"""The error budget in flight without frames: errors of guide stars, and the resulting attitude error.
 
 A star's errors come from the camera report's prediction (noise, pixel patterns and pixel phase against its electrons)
-and from ray traces (colour, distortion that the camera model leaves, heated lens). An attitude of stars v with weights
-w = 1 / sigma^2 errs, to first order, by
+and from ray traces (colour, distortion left by the camera model, heated lens). The attitude error from stars v with
+weights w = 1 / sigma^2 is, to first order,
 
     e = M^-1 sum w (v x dv),   M = sum w (I - v v^T)
 
-where stars are displaced by known dv, and with the covariance M^-1 [sum w^2 s^2 (I - v v^T)] M^-1 where they err
-independently by s across each direction. A velocity that is not known by dV displaces all stars alike, and the attitude
-by z x dV / c (z: the boresight).
+for known displacements dv of the stars, with the covariance M^-1 [sum w^2 s^2 (I - v v^T)] M^-1 for independent errors
+s across each direction. An unknown velocity dV displaces all stars alike, and the attitude by z x dV / c (z: the
+boresight).
 """
 
 from __future__ import annotations

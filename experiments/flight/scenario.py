@@ -1,4 +1,4 @@
-"""What the flight does to the sensor at any time: attitude, temperatures, velocity known and true, stray light."""
+"""Conditions of the flight at any time: attitude, temperatures, velocity known and true, stray light."""
 
 from __future__ import annotations
 

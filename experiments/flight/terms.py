@@ -1,10 +1,10 @@
-"""The measured split of the attitude error, term by term, beside the prediction for the same times.
+"""The measured split of the attitude error, term by term, with the prediction for the same times.
 
-Within a segment the stars cross several pixels, and no noticeable part of the field: what varies there is temporal
-noise (told by the two readouts) and pixel spatial error (common to both); what stays is of low frequency. Between
-segments the sky changes. The part of the pixel spatial error that stays within a segment, where stars move by less than
-a pixel from its first frame to its last, is of low frequency in measurement and prediction alike; so is what the focus
-of a heated lens makes of pixel phases, which is thermo-elastic as far as it stays within the frames rendered cold.
+Within a segment the stars cross several pixels, but no noticeable part of the field: temporal noise (differs between
+the two readouts) and pixel spatial error (common to both) vary there; constant errors are of low frequency. Between
+segments the sky changes. The part of the pixel spatial error that is constant within a segment, where stars move by
+less than a pixel, counts as low-frequency in measurement and prediction alike; so does the change of pixel phase errors
+by the focus of a heated lens, which is thermo-elastic as far as it is constant over the frames rendered cold.
 """
 
 from __future__ import annotations

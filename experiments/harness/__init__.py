@@ -1,1 +1,1 @@
-"""What makes a command of an experiment: configuration, output folder, progress, tables, figures, report."""
+"""Harness of the experiments: configuration, output folder, progress, tables, figures, report."""

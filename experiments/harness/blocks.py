@@ -1,4 +1,4 @@
-"""Blocks of a report beside its prose and tables: figures, equations, rows of them, numbers shown large."""
+"""Blocks of a report other than prose and tables: figures, equations, rows of them, headline numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line that all experiments share: options, help, and what a run shows in the terminal."""
+"""The command line common to all experiments: options, help, and terminal output of a run."""
 
 from __future__ import annotations
 

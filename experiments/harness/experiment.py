@@ -1,8 +1,8 @@
-"""An experiment, declared: its name, settings, run, sections and report.
+"""Declaration of an experiment: its name, settings, run, sections and report.
 
-A package ``experiments/NAME`` holds
+A package ``experiments/NAME`` contains
 
-* ``__init__.py``: a docstring whose first line says what the experiment answers (``python -m experiments`` lists it);
+* ``__init__.py``: a docstring whose first line states what the experiment answers (``python -m experiments`` lists it);
 * ``settings.py``, light to import: ``Config(ExperimentConfig)``, whose defaults are the published run, and::
 
       experiment = Experiment(name="NAME", config=Config, run="experiment:run", sections="experiment:SECTIONS")
@@ -10,10 +10,10 @@ A package ``experiments/NAME`` holds
 
 * ``experiment.py``, read from top to bottom: records of `experiments.harness.sections.col` fields, the computation,
   ``run(config, *, progress) -> {section: record or records}`` without side effects, and ``SECTIONS``;
-* ``report.md``: what ``report.html`` says (`experiments.harness.document`).
+* ``report.md``: the text of ``report.html`` (`experiments.harness.document`).
 
-Parts are named as "module:function", relative to the package, and imported when work begins: ``--help`` and mistakes
-answer at once.
+Parts are named as "module:function", relative to the package, and imported when work begins, so that ``--help`` and
+error messages are fast.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Short words of the field, explained where a report first uses them."""
+"""Glossary of abbreviations, explained at their first use in a report."""
 
 from __future__ import annotations
 

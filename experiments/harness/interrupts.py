@@ -1,4 +1,4 @@
-"""How a command ends: its exit status, one line for what the user can mend, and nothing half-written after Ctrl-C."""
+"""End of a command: exit status, a one-line error, and no partial output after Ctrl-C."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables made from quantities: which run down, which run across; heads, units and formats are the quantities' own."""
+"""Tables from quantities by dimensions in rows and columns; heads, units and formats come from the quantities."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress of long work: bars on a terminal, now and then a line elsewhere, and the time each stage took."""
+"""Progress of long work: bars on a terminal, occasional lines elsewhere, and the time of each stage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``provenance.json``: what made these files, with which versions, where and how long; no path of the machine."""
+"""``provenance.json``: configuration, versions, backend and times of a run; no path of the machine."""
 
 from __future__ import annotations
 

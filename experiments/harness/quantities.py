@@ -1,9 +1,9 @@
 """The numbers of a result, each described once: values, uncertainty, sample size, dimensions, label, unit, format.
 
-They are an `xarray.Dataset` whose variables carry ``long_name`` and ``units`` as the CF conventions have them (sec. 3.1
-to 3.3); the uncertainty and the sample size of a variable are ancillary variables (sec. 3.4) ``NAME_error`` and
-``NAME_n``. From this one description follow ``summary.json`` (`to_results`), tables (`experiments.harness.pivot`), the
-axes of figures and the numbers in the text of a report (`Outcome`), and ``results.nc``.
+They are an `xarray.Dataset` whose variables have ``long_name`` and ``units`` of the CF conventions (sec. 3.1 to 3.3);
+uncertainty and sample size of a variable are ancillary variables (sec. 3.4) ``NAME_error`` and ``NAME_n``. From this
+description follow ``summary.json`` (`to_results`), tables (`experiments.harness.pivot`), the axes of figures, the
+numbers in the text of a report (`Outcome`), and ``results.nc``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A sweep as text: which number of the configuration, and its values.
+"""Sweeps as text: a key of the configuration and its values.
 
 ``KEY=LOW:HIGH:POINTS`` is evenly spaced, ``KEY=LOW:HIGH:POINTS:log`` evenly in the logarithm, ``KEY=A,B,C`` a list.
 """

@@ -1,4 +1,4 @@
-"""Which experiments and commands there are; each is loaded when it is called for, its work when it runs."""
+"""Registry of experiments and commands, each loaded when it is called."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run of an experiment: its settings from their layers, the work, what is written; by command and from Python."""
+"""A run of an experiment, by command or from Python: settings, work, output."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A configuration as text: a commented TOML file that reads back the same, and the same comments for pages."""
+"""A configuration as a commented TOML file with exact round trip, and its comments for documentation pages."""
 
 from __future__ import annotations
 

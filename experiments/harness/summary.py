@@ -1,4 +1,4 @@
-"""``summary.json``: what was asked, what came out, and which criteria hold, as valid JSON without NaN."""
+"""``summary.json``: configuration, results and criteria, as valid JSON without NaN."""
 
 from __future__ import annotations
 

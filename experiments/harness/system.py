@@ -1,4 +1,4 @@
-"""What a process takes from its machine: processors, threads of linear algebra, locks, and signals held back."""
+"""Process resources: processors, threads of linear algebra, locks, deferred signals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Result tables: one record that becomes a terminal table, a table of the report, or an ECSV file."""
+"""Result tables: one record for terminal, report and ECSV file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``starbench --all``: every experiment in turn, each a process of its own; one page links the reports."""
+"""``starbench --all``: every experiment in turn, each in its own process; one page links the reports."""
 
 from __future__ import annotations
 

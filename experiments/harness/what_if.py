@@ -1,6 +1,6 @@
-"""What if: a prediction over one or two numbers of the configuration, and of several sensors next to each other.
+"""Predictions over one or two swept settings, and of several sensors in comparison.
 
-Works on every experiment that declares ``predict`` and ``swept``; what its ``limits`` require is judged at every point.
+For every experiment that declares ``predict`` and ``swept``; its ``limits`` (requirements) are judged at every point.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The sensor at a part of its life: light that glass and films leave, dark current and damage of the detector."""
+"""The sensor at an age: transmission of glass and films, dark current and damage of the detector."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands in the laboratory for a test with point targets, and the light it sends."""
+"""Devices of a test with point targets, and their light."""
 
 from __future__ import annotations
 

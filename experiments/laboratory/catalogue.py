@@ -1,4 +1,4 @@
-"""The star catalogue that a configuration names."""
+"""The star catalogue of a configuration."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Centroiders as configurations name them.
+"""Centroiders of configurations.
 
-Names, their checks and their labels come from the registry (`calib.measure.centroid`): a centroider that is added there
-can be named in every experiment. A centroider that needs an ePSF makes two *methods* where an experiment has several
-PSFs: under its own name every place and filter is measured with the PSF of that place and filter, as ``NAME_reference``
-all are measured with the PSF of one place or one filter. As ``NAME_measured`` all are measured with one PSF that was
-built from frames (`experiments.laboratory.epsf_session`), where an experiment takes such frames.
+Names, checks and labels come from the registry (`calib.measure.centroid`): a centroider added there is available in
+every experiment. A centroider that needs an ePSF makes two *methods* if an experiment has several PSFs: under its own
+name every place and filter is measured with its own PSF; as ``NAME_reference`` all are measured with the PSF of one
+place or one filter. As ``NAME_measured`` all are measured with one PSF built from frames
+(`experiments.laboratory.epsf_session`), where an experiment takes such frames.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is said before long work: target points that the camera cannot see, stars far out of focus."""
+"""Checks before long work: target points outside the camera's field, stars far out of focus."""
 
 from __future__ import annotations
 

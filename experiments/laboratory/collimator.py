@@ -1,16 +1,15 @@
-"""The laboratory's collimator with its errors: what its light looks like to the camera, frame by frame.
+"""The laboratory's collimator with its errors: its light at the camera, frame by frame.
 
-Four things happen to the light of a target:
+The light of a target has four errors:
 
-* it is bent by an angle and a vergence that depend on the wavelength: the wedge of a filter, air that is not of one
-  temperature, and a target that is not in the focus for this colour (`Collimator.light`);
+* an angle and a vergence that depend on the wavelength: the wedge of a filter, a temperature gradient of the air, and a
+  target out of focus at this colour (`Collimator.light`);
 * a point is a pinhole, which is convolved into the image (`Collimator.motion`, `Collimator.pinhole_psf`);
 * vibration above the frequency of the exposures is a blur (`seen_camera`);
-* below it, with the seeing, the line of sight stands elsewhere in every frame, for all points alike
-  (`Collimator.offsets_px`).
+* below it, with the seeing, the line of sight differs in every frame, for all points alike (`Collimator.offsets_px`).
 
-Angles that depend on where the camera's pupil stands in the beam are those of one place: target points away from the
-collimator's axis, whose beams walk over its aperture, see the same.
+Angles that depend on the position of the camera's pupil in the beam are those of one position, also for target points
+off the collimator's axis, whose beams shift over its aperture.
 """
 
 from __future__ import annotations

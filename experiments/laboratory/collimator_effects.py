@@ -1,16 +1,16 @@
-"""What the collimator's errors do to the document's numbers: in closed form, and as frames show it.
+"""Effects of the collimator's errors on the document's numbers: in closed form, and as measured on frames.
 
-The closed forms share no equation with the light that is rendered (`experiments.laboratory.collimator`):
+The closed forms share no equation with the rendered light (`experiments.laboratory.collimator`):
 
 * a thin prism turns light by (n - 1) times the angle between its faces, n the maker's index;
 * air of a gradient dT/dx bends it over the path L by L (n - 1) / T dT/dx (Gladstone-Dale, ideal gas);
-* a target that is p behind the focus F has the vergence -p / F^2: seen from d beside the axis of the beam it stands
-  p d / F^2 away, and the focus of a camera of focal length f moves by f^2 p / F^2;
+* a target that is p behind the focus F has the vergence -p / F^2: seen at a distance d from the axis of the beam it is
+  displaced by p d / F^2, and the focus of a camera of focal length f moves by f^2 p / F^2;
 * a disk of the radius R adds R^2 / 4 to the variance of the image along an axis;
 * the mean over the exposure T of a vibration at f keeps the part sinc(f T)^2 of its power (`Collimator.power_arcsec2`).
 
-All but the vergence's blur is constant over the field, where the lateral colour of a centred lens is odd: eq. 16 shows
-half of the difference of two filters, in full.
+All but the blur by vergence is constant over the field, where the lateral colour of a centred lens is odd: eq. 16
+contains the full half difference of two filters.
 """
 
 from __future__ import annotations

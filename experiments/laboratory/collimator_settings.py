@@ -1,4 +1,4 @@
-"""The table ``[collimator]`` of a configuration: what the laboratory's collimator adds. Light to import."""
+"""The table ``[collimator]`` of a configuration: errors of the laboratory's collimator. Light to import."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A detector that differs from its data file: the table ``[detector]`` of a configuration."""
+"""Changes of a detector from its data file: the table ``[detector]`` of a configuration."""
 
 from __future__ import annotations
 

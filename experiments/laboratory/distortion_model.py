@@ -1,12 +1,12 @@
 """Distortion error predicted without frames: traced bundles, noise, response pattern, S-curve and marking error.
 
-The document's squares are quadratic forms of what is read and surveyed. With H the projector onto the polynomials and J
+The document's squares are quadratic forms of centroids and coordinates. With H the projector onto the polynomials and J
 that onto constants, residuals d at W points have
 
     (W - 1) sigma_d^2 = |(1 - J) d|^2,    (W - 1) sigma_D^2 = |(1 - H) d|^2,    (W - 1) sigma_C1^2 = |(H - J) d|^2,
 
 and with P the projector onto the terms of the camera behind the coordinates, s and t the errors of the earlier and of
-the test session, c what both share (response pattern), m the marking error and u what is no noise (distortion,
+the test session, c their common error (response pattern), m the marking error and u the deterministic part (distortion,
 S-curve),
 
     d = (1 - P) (u + c - m) + t - P s   (camera of an earlier session),    d = (1 - P) (u + c + t - m)   (of the same).
@@ -15,11 +15,11 @@ Mean and variance of |Q d|^2 for normal d = u + noise of covariance C are u'Qu +
 Nothing is drawn, and no code of the reduction takes part: projectors are made by QR of other bases of the same
 polynomials.
 
-The chip, and the frames of a run, are the same for all surveys of it: the RMS over surveys has the scatter that is
-*frozen* (from chip to chip and from run to run) however many surveys there are.
+The chip and the frames of a run are the same for all its surveys: the RMS over surveys keeps a *frozen* scatter (from
+chip to chip and from run to run) for any number of surveys.
 
-How good a map is over the whole field: with B the polynomial terms at the target points and A those at the field
-points, an error e of the residuals becomes A (B^T B)^-1 B^T e in the map.
+Map error over the field: with B the polynomial terms at the target points and A those at the field points, an error e
+of the residuals becomes A (B^T B)^-1 B^T e in the map.
 """
 
 from __future__ import annotations

@@ -1,29 +1,30 @@
-"""Reduction of a grid target (ACC18 eq. 17-30): residuals, their polynomial, and what the three printed numbers mean.
+"""Reduction of a grid target (ACC18 eq. 17-30): residuals, their polynomial, and the meaning of the three printed
+numbers.
 
     d        = mean centroid - target coordinate                                   (eq. 19-20)
-    sigma_d  = standard deviation of d over the points                             (eq. 21-24)
+    sigma_d  = standard deviation of d over the points: *before*                   (eq. 21-24)
     D        = d - cubic polynomial fitted to d                                    (eq. 25-26)
-    sigma_D  = standard deviation of D: what is *left*                             (eq. 27-28)
-    sigma_C1 = sqrt(sigma_d^2 - sigma_D^2): the size of what the polynomial *removed*  (eq. 29-30)
+    sigma_D  = standard deviation of D: *after*                                    (eq. 27-28)
+    sigma_C1 = sqrt(sigma_d^2 - sigma_D^2): *removed* by the polynomial            (eq. 29-30)
 
-A target coordinate has to be in pixels before anything can be subtracted from it, and the document does not say how
-(scale, roll, shift). Three ways are offered, each a set of terms linear in its coefficients:
+A target coordinate has to be in pixels before anything can be subtracted from it, and the document does not state the
+conversion (scale, roll, shift). Three conversions are offered, each a set of terms linear in its coefficients:
 
 ``nominal``
-    Through an ideal lens of the design focal length, no roll: d holds focal length, roll and pointing errors.
+    Through an ideal lens of the design focal length, no roll: d contains focal length, roll and pointing errors.
 ``aligned``
-    Shift, roll and scale fitted: d holds distortion.
+    Shift, roll and scale fitted: d contains distortion.
 ``calibrated``
     Shift, roll, scale and the radial and tangential terms of Brown and Conrady (ACF17 eq. 4), fitted in an earlier
-    session: d is the residual of a distortion calibration, which is what the document's heading says.
+    session: d is the residual of a distortion calibration, as the document's heading states.
 
-The cubic polynomial contains shift, roll and scale, so sigma_D is the same for the first two (to the order of products
-of small quantities); sigma_d and with it sigma_C1 are not.
+The cubic polynomial contains shift, roll and scale, so that sigma_D is the same for the first two (to the order of
+products of small quantities), but sigma_d and sigma_C1 differ.
 
-None of the three says how far the map is off where no point was. With H the projector onto camera terms and
-polynomials and e what they leave of the points, points b that a fit has not seen are off by ``(1 - H_bb)^-1 e_b`` (Cook
-and Weisberg 1982, Residuals and Influence in Regression, sec. 2.2): b is a point, or the points of an inner row or
-column, without which a polynomial may pass through all others and do as it likes where they were.
+None of the three is the error of the map between the points. With H the projector onto camera terms and polynomials and
+e the residuals, points b left out of the fit are off by ``(1 - H_bb)^-1 e_b`` (Cook and Weisberg 1982, Residuals and
+Influence in Regression, sec. 2.2): b is a point, or the points of an inner row or column, without which a polynomial
+may pass through all others and be arbitrary at b.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""One effective PSF built from frames of the point target, and the same from what is known without frames.
+"""One effective PSF built from frames of the point target, and its prediction without frames.
 
-As a laboratory does it before its tests: the target stands at one place of the field, the platform steps the image to
-other fractions of a pixel, and the frames of each position are added up. The PSF that comes out is the mean over the
-target, with the noise of those frames and the response pattern of those pixels in it, and it serves the whole field.
+As in a laboratory before its tests: the target is at one place of the field, the platform steps the image to other
+fractions of a pixel, and the frames of each position are averaged. The resulting PSF is the mean over the target, with
+the noise of those frames and the response pattern of those pixels, and is used over the whole field.
 """
 
 from __future__ import annotations

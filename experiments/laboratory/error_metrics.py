@@ -1,8 +1,8 @@
-r"""Attitude errors as numbers at a confidence level, in the terms of ECSS-E-ST-60-20C, annex B.
+"""Attitude errors at a confidence level, in the terms of ECSS-E-ST-60-20C, annex B.
 
-A series :math:`e_r(t)` has realisations r (sensors, places in the sky) and times t. A level P is that of the share of
-errors :math:`|e|` below the stated number; over which of them it is taken is the interpretation: *temporal*, over time
-for the worst realisation; *ensemble*, over realisations at the worst time; *mixed*, over both.
+A series :math:`e_r(t)` has realisations r (sensors, places in the sky) and times t. A level P is the share of errors
+:math:`|e|` below the stated number; the interpretation states over which errors: *temporal*, over time for the worst
+realisation; *ensemble*, over realisations at the worst time; *mixed*, over both.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether a lens is in focus as it is. Light to import."""
+"""Check of the focus of a lens. Light to import."""
 
 from __future__ import annotations
 

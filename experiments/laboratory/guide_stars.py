@@ -1,4 +1,4 @@
-"""Guide stars of a sensor: those of a catalogue that it finds, alone in their window, by its own magnitudes."""
+"""Guide stars of a sensor: detectable catalogue stars, alone in their window, in the sensor's own magnitudes."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """A hexapod (Stewart platform) that carries the camera and turns it in small steps.
 
-The camera turns, the target stands: the image moves over the detector. A pose is a rotation vector [rad] of the target
-seen from the camera, ``v_cam = R(pose) v_cam at rest``: a pose (0, a, 0) moves the image of an axial point by a along
-increasing column, (-a, 0, 0) by a along increasing row, (0, 0, a) rolls the image.
+The camera turns, the target is fixed: the image moves over the detector. A pose is a rotation vector [rad] of the
+target seen from the camera, ``v_cam = R(pose) v_cam at rest``: a pose (0, a, 0) moves the image of an axial point by a
+along increasing column, (-a, 0, 0) by a along increasing row, (0, 0, a) rolls the image.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """High spatial frequency error (ACC18 eq. 3-12) measured: small steps of a hexapod, causes switched off one by one.
 
-Every cause is measured twice on the same random streams: *alone* (a detector with nothing but it, against one with
-nothing at all) and *switched off* (everything, against everything but it). Both are differences of mean centroids from
-frames with the same noise, which therefore largely cancels; what is left of it (another rounding, another Poisson
-variate) shows in the scatter of the difference over the frames and is taken away.
+Every cause is measured twice on the same random streams: *alone* (a detector with only this cause, against one without
+any) and *switched off* (all causes, against all but this). Both are differences of mean centroids from frames with the
+same noise, which therefore largely cancels; its remainder (another rounding, another Poisson variate) is estimated from
+the scatter of the difference over the frames and subtracted.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
 """High spatial frequency error predicted without frames: S-curve by PSF sampling, patterns by the influence function.
 
-A pattern value p of a pixel (variance s^2, independent from pixel to pixel, standing still while the image moves) moves
-the centroid at position k by h_k p, h_k being the influence of the pixel times what p multiplies: the light for PRNU, 1
-for an offset. In the document's number the pattern counts by h_{k+1} - h_k, in the error of one position by h_k:
+A pattern value p of a pixel (variance s^2, independent from pixel to pixel, fixed while the image moves) moves the
+centroid at position k by h_k p, h_k being the influence of the pixel times the factor of p: the light for PRNU, 1 for
+an offset. The document's number contains h_{k+1} - h_k, the error of one position h_k:
 
     document:  s^2 sum (h_{k+1} - h_k)^2 (1 - 1/W),        one position:  s^2 sum h_k^2.
 
-The S-curve and masked pixels are known functions of where the star lies; they enter as they are. Where it lies depends
-on the hexapod: its errors move all stars together and drop out of the differences as motion, but neither as S-curve nor
-as pattern: longer and shorter steps sample both otherwise. So a prediction is made either for many drawn paths of the
-hexapod (before the test), or for the common motion that was seen in the images (after it). On a drawn path h_k follows
-from its derivatives by the place, as the errors of a step are small against a star image.
+The S-curve and masked pixels are known functions of the star's position, which depends on the hexapod: its errors move
+all stars together and cancel in the differences as motion, but not in S-curve and pattern, which longer and shorter
+steps sample differently. A prediction is therefore made either for many drawn paths of the hexapod (before the test),
+or for the measured common motion of the images (after it). On a drawn path h_k follows from its derivatives by the
+position, as the errors of a step are small against a star image.
 """
 
 from __future__ import annotations

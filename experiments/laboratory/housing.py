@@ -1,4 +1,4 @@
-"""Lens housings in sensor files: what they are made of, and where they touch the elements."""
+"""Lens housings in sensor files: materials, and contacts with the elements."""
 
 from __future__ import annotations
 

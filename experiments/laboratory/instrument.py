@@ -1,4 +1,4 @@
-"""The instrument under test, as configuration: which lens, which detector, how focused, how cold."""
+"""The instrument under test, as configuration: lens, detector, focus, temperature."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""What a lens file of a design program says beside the lens, as settings of experiments that have none of their own.
+"""Settings taken from the lens file of a design program, for experiments without own settings.
 
-Aperture, fields and design wavelength are in the lens already: its stop, its half field, the wavelength of its first
-order. Here are the two that belong to the rest of a star sensor: the pass band, from the shortest to the longest
-wavelength in use, and the window of the detector that the half field fills.
+Aperture, fields and design wavelength are part of the lens: its stop, its half field, the wavelength of its first
+order. Here are two settings of the rest of a star sensor: the pass band, from the shortest to the longest wavelength of
+the file, and the window of the detector that the half field fills.
 """
 
 from __future__ import annotations

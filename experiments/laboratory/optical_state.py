@@ -1,4 +1,4 @@
-"""Lens, pass band and detector in one state: what depends neither on exposure nor on noise, computed once and kept."""
+"""Lens, pass band and detector in one state: quantities that depend neither on exposure nor on noise, computed once."""
 
 from __future__ import annotations
 

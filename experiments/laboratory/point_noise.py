@@ -1,14 +1,14 @@
-"""What noise and fixed patterns do to centroids, predicted without frames: PSFs, positions, the detector's data sheet.
+"""Effect of noise and fixed patterns on centroids, predicted without frames from PSFs, positions and the data sheet.
 
-A pixel's electrons, as the reduction sees them, are
+A pixel's electrons, as seen by the reduction, are
 
     light (1 + PRNU) + offset pattern + temporal noise,
 
 temporal noise being photons, dark current, read noise and rounding. To first order a centroid moves by the sum over the
-pixels of g x disturbance; g is the influence of a pixel, found by raising one pixel after the other in a noiseless
-window (`calib.measure.linear_response`). Where that is not enough (a threshold is no linear
-operation), noise is drawn on the noiseless windows and centroided. Positions come from the NumPy trace, PSFs from
-traced bundles; no image is rendered, and the detector chain takes no part.
+pixels of g x disturbance; g is the influence of a pixel, computed by raising one pixel after the other in a noiseless
+window (`calib.measure.linear_response`). Where a linear response is not valid (a threshold), noise is drawn on the
+noiseless windows and centroided. Positions come from the NumPy trace, PSFs from traced bundles; no image is rendered,
+and the detector chain takes no part.
 """
 
 from __future__ import annotations

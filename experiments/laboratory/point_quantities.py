@@ -1,4 +1,4 @@
-"""What the numbers of the tests with point targets have in common."""
+"""Common quantities of the tests with point targets."""
 
 from __future__ import annotations
 

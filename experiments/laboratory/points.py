@@ -1,4 +1,4 @@
-"""Point targets behind several filters, measured as the laboratory does it: read out, detect, centroid, average."""
+"""Point targets behind several filters, measured as in the laboratory: read out, detect, centroid, average."""
 
 from __future__ import annotations
 

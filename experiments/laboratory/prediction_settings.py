@@ -1,4 +1,4 @@
-"""Settings of a predicted star sensor: its file, and the light, motion and sky that it is predicted for."""
+"""Settings of a predicted star sensor: its file, and the light, motion and sky of the prediction."""
 
 from __future__ import annotations
 

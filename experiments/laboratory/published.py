@@ -1,4 +1,4 @@
-"""Published results of the laboratory test that the experiments repeat, in one place."""
+"""Published results of the laboratory test that the experiments repeat."""
 
 from __future__ import annotations
 

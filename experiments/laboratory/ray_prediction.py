@@ -1,4 +1,4 @@
-"""Where target points are imaged, predicted by ray trace alone: no renderer, image or noise takes part."""
+"""Image positions of target points, predicted by ray trace alone: no renderer, image or noise takes part."""
 
 from __future__ import annotations
 

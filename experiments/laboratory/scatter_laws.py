@@ -1,4 +1,4 @@
-"""What `[scatter]` and `[contamination]` of a sensor file mean: laws of the surfaces of its lens, halos about stars."""
+"""Surface scatter laws and star halos from `[scatter]` and `[contamination]` of a sensor file."""
 
 from __future__ import annotations
 

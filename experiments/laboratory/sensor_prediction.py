@@ -1,8 +1,8 @@
-"""What a star sensor will do, by prediction alone: lens, light, detection, centroids, attitude over the sky.
+"""Predicted performance of a star sensor: lens, light, detection, centroids, attitude over the sky.
 
-Everything is for stars at rest or trailing evenly (`slew`), alone in their window, and a camera whose geometry was
-calibrated without error: what a laboratory adds (marking error of a target, its survey) belongs to the budget of the
-laboratory (experiment ``budget``).
+Stars are at rest or trail uniformly (`slew`), alone in their window; the camera's geometry is calibrated without error.
+Errors of a laboratory (marking error of a target, its survey) belong to the laboratory's budget (experiment
+``budget``).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How bright a target is: electrons per frame, and the star that gives as many of them to this camera."""
+"""Brightness of a target: electrons per frame, and the star of the same signal for this camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The real sky as the sensor sees it in many attitudes, without noise: which stars, how bright, of what colour."""
+"""Stars in the field in many attitudes, without noise: identities, brightness, colour."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """Statistics of ACC18's step test (eq. 3-12) on mean centroids of m positions and W stars.
 
-The document differences *consecutive* positions, removes the mean over the stars, and takes the RMS. Two things are in
-that number which are not the error of a position: averaged temporal noise, and a factor that depends on how alike the
-errors of two neighbouring positions are. With independent errors the factor is sqrt(2); at steps of 0.2 px it is not.
+The document takes differences of *consecutive* positions, removes the mean over the stars, and takes the RMS. That
+number contains two effects other than the error of a position: averaged temporal noise, and a factor that depends on
+the correlation of the errors at neighbouring positions. For independent errors the factor is sqrt(2); at steps of 0.2
+px it is not.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Laboratory target: a grid of point sources in the focal plane of a collimator, brought to a place in the field."""
+"""Laboratory target: a grid of point sources in the focal plane of a collimator, placed in the field."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The light of a point target as the camera sees it: images and PSFs, and what stands elsewhere in every frame."""
+"""The light of a point target at the camera: images and PSFs, and offsets that differ from frame to frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Targets in the focal plane of the collimator: where their points are, and where they were measured to be."""
+"""Targets in the focal plane of the collimator: true and surveyed positions of their points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Temporal error of a star camera (ACC18 eq. 1-2): measured on frames of a static target, predicted without them."""
+"""Temporal error of a star camera (ACC18 eq. 1-2): measured on frames of a static target, predicted without frames."""
 
 from __future__ import annotations
 

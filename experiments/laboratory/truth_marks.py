@@ -1,4 +1,4 @@
-"""Truth of a dataset's frame, or any table of places, as marks of a page to zoom into."""
+"""Truth of a dataset's frame, or any table of positions, as marks of a zoomable page."""
 
 from __future__ import annotations
 

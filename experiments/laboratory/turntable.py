@@ -1,16 +1,16 @@
-"""A turntable of two or three axes, as it is built, set and read.
+"""A turntable of two or three axes: true axes, setting, readings.
 
 Convention. At zero angles the frame of the table top and the laboratory frame agree ("initial table frame"). The outer
-axis stands in the laboratory, each further axis is carried by the one before it; axis directions are those at zero
-angles. Every angle counts by the right-hand rule about its axis, and rotations act outermost last::
+axis is fixed in the laboratory, each further axis is carried by the previous one; axis directions are those at zero
+angles. Every angle follows the right-hand rule about its axis, and rotations act outermost last::
 
     v_lab = R(outer, angle_0) [R(middle, angle_1)] R(inner, angle_last) v_table
 
-For outer X', inner Y' this is Rot(X', theta_1) Rot(Y', theta_2) of CUBE09 (eq. 5-8); with three axes it plays the part
-of eq. 3.2 of FISHER23.
+For outer X', inner Y' this is Rot(X', theta_1) Rot(Y', theta_2) of CUBE09 (eq. 5-8); with three axes it corresponds to
+eq. 3.2 of FISHER23.
 
-Non-orthogonality. Two neighbouring axes enclose 90 deg minus ``non_orthogonality``: the carried one leans towards its
-carrier. A lean in the other direction only shifts the zero of the carrier's angle, so it is not an error of its own.
+Non-orthogonality. Two neighbouring axes enclose 90 deg minus ``non_orthogonality``: the carried axis leans towards its
+carrier. A lean in the other direction only shifts the zero of the carrier's angle, and is not a separate error.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What a lens file holds, as one page, and lens files turned into one another: ``starbench lens``."""
+"""Lens files: a page on their contents, and conversion between formats (``starbench lens``)."""

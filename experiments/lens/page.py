@@ -1,4 +1,4 @@
-"""The page of a lens: study, tables and figures in the frame of the reports."""
+"""The page of a lens: study, tables and figures in the layout of the reports."""
 
 from __future__ import annotations
 

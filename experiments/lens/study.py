@@ -1,4 +1,4 @@
-"""Everything the page of a lens tells, computed once; what a lens does not have is told by its reason."""
+"""All results on the page of a lens, computed once; missing ones with the reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames from a laboratory: a folder of FITS files, and ``frames.toml``, which says which frame is which.
+"""Frames from a laboratory: a folder of FITS files with ``frames.toml``, which assigns them.
 
 A series is a number of frames of a target, or a star, at rest: a brightness level (temporal), a position (hsfe), a
 session (distortion), a filter at a place (chromatic), a pose of the table (turntable, fisher). Points are detected in

@@ -1,8 +1,8 @@
-"""Frames of a folder, read one at a time; mean frames of them: dark frames, flats, bad-pixel maps.
+"""Frames of a folder, read one at a time, and their means: dark frames, flats, bad-pixel maps.
 
-As `ccdproc` has it: a frame minus the mean dark frame, over the mean flat (minus its own dark, over its mean). In the
-mean dark frame is left the noise of a pixel without light over the number of dark frames, in the flat the noise of its
-pixels over the number of flats; both move a centroid, the same in every frame of a series.
+As in `ccdproc`: a frame minus the mean dark frame, over the mean flat (minus its own dark, over its mean). The mean
+dark frame keeps the dark noise of a pixel over the number of dark frames, the flat the noise of its pixels over the
+number of flats; both move a centroid equally in every frame of a series.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``frames.toml``: which frame of a folder is which, and what the camera is said to have (docs/frames.md)."""
+"""``frames.toml``: assignment of the frames of a folder, and stated properties of the camera (docs/frames.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The road of own frames: folder -> centroids of every series -> what the frames say of themselves -> the method.
+"""Sequence of the reduction of own frames: folder, centroids of every series, consistency checks, method.
 
-No rendering, no truth. Sections common to all methods stand here; a method adds its own (`FramesTest`).
+No rendering, no truth. Sections common to all methods are here; a method adds its own (`FramesTest`).
 """
 
 from __future__ import annotations

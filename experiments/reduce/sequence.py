@@ -1,10 +1,10 @@
-"""What the frames of a series say of their order: jumps, drift, correlation from frame to frame, noise that repeats.
+"""Tests of the sequence of frames: jumps, drift, correlation from frame to frame, repeated noise.
 
 ``largest_change``
-    Least squares of a step between two frames, of a single frame that is off, of a trend, against the scatter that each
-    leaves; Student's t, with Bonferroni's factor for all places that a change may have.
+    Least squares of a step between two frames, of a single outlying frame, of a trend, against the residual scatter of
+    each; Student's t, with Bonferroni's factor for all possible positions of a change.
 ``lag_one``
-    Correlation of a frame with the next one. For white noise its moments are known whatever its variance (Henshaw 1966,
+    Correlation of a frame with the next one. For white noise its moments are known for any variance (Henshaw 1966,
     Econometrica 34, 646, who also has the beta distribution between the extreme eigenvalues).
 ``shared_noise``
     Correlation of the noise of all pixels between two frames.

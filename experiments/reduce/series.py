@@ -1,4 +1,4 @@
-"""Centroids of a series of own frames, and what noise the frames' own light and the stated camera give them."""
+"""Centroids of a series of own frames, and their expected noise from the frames' own light and the stated camera."""
 
 from __future__ import annotations
 

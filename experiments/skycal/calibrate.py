@@ -1,9 +1,9 @@
-"""Calibrations of one camera from one set of stars, each compared with the traced lens; what the error is made of.
+"""Calibrations of one camera from one set of stars, compared with the traced lens; contributions to the error.
 
-The same stars, frames and weights are calibrated again and again, and one more error is switched on each time
-(`experiments.skycal.positions`): ``reference`` leaves what the camera model cannot describe, ``light`` adds the star
-colours, ``own`` noise and pixels, ``measured`` the PSF of one colour. Each part is the difference of one map and the
-one before, so that they add up as vectors; whether their squares add up depends on whether they are independent.
+The same stars, frames and weights are calibrated repeatedly, with one more error switched on each time
+(`experiments.skycal.positions`): ``reference`` leaves the misfit of the camera model, ``light`` adds the star colours,
+``own`` noise and pixels, ``measured`` the PSF of one colour. Each part is the difference of successive maps, so that
+they add up as vectors; their squares add up only if they are independent.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Calibration of star cameras under a rendered sky: from frames to the map of the line of sight, and its parts.
 
-Frames are made and measured in `experiments.skycal.measure`, named in `experiments.skycal.match`, calibrated in
-`experiments.skycal.calibrate`. What every camera has runs along the dimension ``camera``; what differs in number from
-camera to camera (models, parameters, places of the map, stars) has a section of its own, named after the camera.
+Frames are rendered and measured in `experiments.skycal.measure`, matched in `experiments.skycal.match`, calibrated in
+`experiments.skycal.calibrate`. Results common to all cameras have the dimension ``camera``; results whose size differs
+between cameras (models, parameters, places of the map, stars) have one section per camera.
 """
 
 from __future__ import annotations

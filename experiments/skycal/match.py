@@ -1,4 +1,4 @@
-"""Which detection is which star, from a data-sheet camera and an attitude that is wrong by arcminutes."""
+"""Star identification from a data-sheet camera and an attitude with an error of arcminutes."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Where stars are: by ray trace, by the mean of all light, by centroids with the PSF of their own colour or of one.
+"""Star positions: by ray trace, by the mean of all light, by centroids with the PSF of their own colour or of one.
 
-Positions of the matched stars come in kinds, with one more error in each: ``reference``, where light of the reference
-colour would fall; ``light``, where the star's light fell; ``own``, the centroid with the PSF of the star's own colour;
-``measured``, the centroid with the PSF of one colour. ``corrected`` is ``own`` less the colour shift of the star.
+Positions of the matched stars come in kinds, each with one more error: ``reference``, position of light of the
+reference colour; ``light``, position of the star's light; ``own``, centroid with the PSF of the star's own colour;
+``measured``, centroid with the PSF of one colour. ``corrected`` is ``own`` minus the colour shift of the star.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One camera under the moving sky: lens and detector, stars and their light, attitudes and what is known of them."""
+"""One camera under the moving sky: lens and detector, stars and their light, true and a priori attitudes."""
 
 from __future__ import annotations
 

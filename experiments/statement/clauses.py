@@ -1,8 +1,8 @@
-"""What of ECSS-E-ST-60-20C a statement refers to: numbers of clauses that were read, and what is not covered.
+"""Clauses of ECSS-E-ST-60-20C to which a statement refers, and clauses that it does not cover.
 
-The wording is ours. Read were: the terms of Rev. 2 (15 May 2019) in the public glossary of ECSS, which has no numbers
-of its own but names clauses, the contents up to 4.1.6 of EN 16603-60-20:2020, which adopts Rev. 2, and the clauses
-3.2.8.2 to 3.2.8.4 of Rev. 1 (15 November 2008). A number that was not read is not stated.
+The wording is ours. Sources: the terms of Rev. 2 (15 May 2019) in the public glossary of ECSS, which names clauses
+without numbers; the contents up to 4.1.6 of EN 16603-60-20:2020, which adopts Rev. 2; the clauses 3.2.8.2 to 3.2.8.4 of
+Rev. 1 (15 November 2008). Numbers that were not read in a source are not stated.
 """
 
 from __future__ import annotations

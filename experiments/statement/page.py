@@ -1,4 +1,4 @@
-"""The statement as a page that prints, in the frame of the reports."""
+"""The statement as a printable page in the layout of the reports."""
 
 from __future__ import annotations
 

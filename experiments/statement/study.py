@@ -1,4 +1,4 @@
-"""Numbers of a performance statement: from the prediction of `camera`, the lens, and a flight if there is one."""
+"""Numbers of a performance statement: from the prediction of `camera`, the lens, and optionally a flight."""
 
 from __future__ import annotations
 

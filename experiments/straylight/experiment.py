@@ -1,4 +1,4 @@
-"""Stray light: transmittance by cause, background, frames under the Sun, exclusion angle, what to change."""
+"""Stray light: transmittance by cause, background, frames under the Sun, exclusion angle, effective changes."""
 
 from __future__ import annotations
 

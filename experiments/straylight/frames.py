@@ -1,7 +1,7 @@
-"""Frames of the real sky under the light of the Sun: stars found, lost and false, centroids, attitude.
+"""Frames of the real sky under the light of the Sun: stars detected, lost and false, centroids, attitude.
 
 The sky is rendered once per attitude; every angle of the Sun adds its light, and the frame is read out and measured
-again. The camera is calibrated without error (a model fitted to its traced map), the attitude roughly known.
+again. The camera is calibrated without error (a model fitted to its traced map), the attitude approximately known.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Point-source transmittance of a configured sensor, by cause; from the lens to its baffle, and variants of both."""
+"""Point-source transmittance of a configured sensor by cause, of its lens and baffle and their variants."""
 
 from __future__ import annotations
 

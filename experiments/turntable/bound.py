@@ -1,7 +1,7 @@
-"""Cramer-Rao bound of the joint calibration, from first principles: what the data can tell, whatever the estimator.
+"""Cramer-Rao bound of the joint calibration from first principles, for any estimator.
 
-Independent of the estimator in `calib`: the readings' noise is carried to the images and the information summed there,
-with derivatives of the table and of the star of its own. Only the camera's derivatives are shared.
+Independent of the estimator in `calib`: the readings' noise is propagated to the images and the information summed
+there, with separate derivatives of the table and of the star. Only the camera's derivatives are shared.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Joint calibration with a single star on tables of two and three axes: rendered, judged, repeated on coordinates."""
+"""Joint calibration with a single star on tables of two and three axes: rendered, tested, repeated on coordinates."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 r"""Principal point against line of sight, over the field of view: bounds of ideal cameras on perfect tables.
 
 A shift of the principal point moves every image by (1, 0); a turn of the installation moves it by (1 + t_x^2, t_x t_y)
-with t the tangents of the field angles. What tells them apart is of second order in the field: the error of the
-principal point of an undistorted camera with known star is :math:`\sigma / \sqrt{n \langle t^4 \rangle}` [px] for
-images of standard deviation sigma at n places, while that of the line of sight does not depend on the field.
+with t the tangents of the field angles. Their difference is of second order in the field: the error of the principal
+point of an undistorted camera with known star is :math:`\sigma / \sqrt{n \langle t^4 \rangle}` [px] for images of
+standard deviation sigma at n places, while that of the line of sight does not depend on the field.
 """
 
 from __future__ import annotations

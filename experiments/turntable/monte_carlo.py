@@ -1,4 +1,4 @@
-"""Many calibrations on coordinates: is the covariance honest, and which reading noise counts like the centroids?"""
+"""Many calibrations on coordinates: test of the covariance, and reading noise equivalent to the centroid noise."""
 
 from __future__ import annotations
 

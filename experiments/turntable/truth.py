@@ -1,4 +1,4 @@
-"""The truth of the camera under test, a traced lens without any camera model, and calibrations set against it."""
+"""The truth of the camera under test, a traced lens without a camera model, and errors of calibrations against it."""
 
 from __future__ import annotations
 

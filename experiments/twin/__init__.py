@@ -2,7 +2,7 @@
 
 The frames are solved blind and measured: camera model with its order, PSF over the field and against colour, zero
 point, colour, vignetting, extinction, gain, noise, fixed pattern. The twin is a sensor file that every experiment
-without glass takes. The same attitudes are rendered with it and reduced by the same code, each frame by a twin that has
-not seen it, and every statistic stands as real | twin with its error and a verdict. Without ``--frames`` the frames are
-rendered first, by a camera that is known: then the measured parameters stand beside the truth.
+without glass takes. The same attitudes are rendered with it and reduced by the same code, each frame by a twin measured
+without it, and every statistic is compared, real with twin, with its error and a verdict. Without ``--frames`` frames
+of a known camera are rendered first, and the measured parameters are compared with the truth.
 """

@@ -1,8 +1,8 @@
 """The camera model: its order by leave-one-frame-out cross-validation, the zenith, and refraction towards it.
 
-Every frame is predicted from the others: the camera is calibrated without it, its attitude alone is then fitted, and
-the squared residuals over their variances tell how well the camera was known. The simplest model within one standard
-error of the best (paired by frames) is taken.
+Every frame is predicted from the others: the camera is calibrated without it, only its attitude is then fitted, and the
+squared residuals over their variances measure the accuracy of the camera. The simplest model within one standard error
+of the best (paired by frames) is taken.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Can real stars be told from rendered ones? Features of star windows, logistic regression, cross-validated area.
+"""Separability of real and rendered stars: features of star windows, logistic regression, cross-validated area.
 
-The same stars in the same attitudes: half of an area under the ROC curve of 0.5 is by chance, 1 is certain. Frames are
+The same stars in the same attitudes: an area under the ROC curve of 0.5 is chance, 1 complete separation. Frames are
 left out in turn, so that no star is in training and test.
 """
 

@@ -1,7 +1,7 @@
-"""Real frames and the twin's, reduced by the same code: one set of statistics for each, and how far they differ.
+"""Real frames and the twin's, reduced by the same code: statistics of each, and their differences.
 
 Every statistic is computed from a set of frames. The twin renders the set several times; the scatter of these sets is
-the standard deviation of one set, real or rendered, and over the root of their number that of the twin's mean.
+the standard deviation of one set, real or rendered, and divided by the root of their number that of the twin's mean.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""From frames to a twin: the road of a run.
+"""From frames to a twin: the sequence of a run.
 
 Frames are read or rendered (`folder`, `synthetic`), solved (`solve`), measured (`camera`, `noise`, `psf`, `photometry`,
 by `measure` and `road`), every frame is held out in turn (`hold_out`), and the twin is written (`twin`).

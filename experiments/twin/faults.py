@@ -1,4 +1,4 @@
-"""What is wrong with a frame, in a sentence, and what it still tells."""
+"""Faults of a frame in one sentence each, with the measurements that remain valid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The frames of a folder: which files they are, when they were taken, where the mount says it pointed."""
+"""The frames of a folder: files, times, and pointing of the mount."""
 
 from __future__ import annotations
 

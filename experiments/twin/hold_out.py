@@ -1,10 +1,9 @@
-"""Every frame by a twin that has not seen it: cameras without one frame, rendered sets, statistics of both.
+"""Hold-out: every frame by a twin measured without it; cameras without one frame, rendered sets, statistics of both.
 
-Shared by all twins, and therefore seen by all: detections and identification of the frames, the order of the camera
-model, the mask of hot pixels, and what the method itself does to widths and residuals of bright stars: a rendered set
-is measured like the real one, and what comes out differently is taken off (forward folding, by the other frames).
-The sky of a frame (its background, the limit of detection that its noise sets) and its attitude are its own: they are
-no property of the camera.
+Common to all twins: detections and identification of the frames, the order of the camera model, the mask of hot pixels,
+and the effect of the method on widths and residuals of bright stars: a rendered set is measured like the real one, and
+the difference is subtracted (forward folding, by the other frames). The sky of a frame (its background, the detection
+limit by its noise) and its attitude are its own: they are no property of the camera.
 """
 
 from __future__ import annotations

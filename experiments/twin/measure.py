@@ -1,7 +1,7 @@
-"""The camera from its frames: one road for all frames, for all but one, and for rendered frames.
+"""The camera from its frames: one sequence for all frames, for all but one, and for rendered frames.
 
-Camera model by Gaussian centroids, noise of the sky without stars, PSF at the places that the camera tells, centroids
-by that PSF, camera again, light of the stars. Every step uses the ones before it alone: frames can be left out.
+Camera model by Gaussian centroids, noise of the sky without stars, PSF at the camera's star positions, centroids by
+that PSF, camera again, light of the stars. Every step uses only previous steps, so that frames can be left out.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the frames of a night share: stars with names, the sky above them, where each catalogue star falls."""
+"""Common data of the frames of a night: identified stars, the sky above them, image positions of catalogue stars."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""Gain, noise and fixed pattern from the sky's own photon transfer: no lamp, no dark frame.
+"""Gain, noise and fixed pattern from photon transfer on the sky, without lamp and dark frames.
 
-Blocks of 32 px have a level and a variance once a quadratic surface is taken out, stars are masked and outliers are
-clipped (the variance is corrected for the truncation). The pattern that all frames share is told apart by the
-covariance of two frames' residuals, pixel by pixel: DSNU^2 + PRNU^2 m_i m_j. What is left follows EMVA 1288,
+Blocks of 32 px have a level and a variance after a quadratic surface is subtracted, stars are masked and outliers are
+clipped (the variance is corrected for the truncation). The pattern common to all frames is separated by the covariance
+of two frames' residuals, pixel by pixel: DSNU^2 + PRNU^2 m_i m_j. The rest follows EMVA 1288,
 
     var = read noise^2 + 1/12 + (mean - black level) / gain         [DN^2; gain in e-/DN].
 
-The black level alone cannot be told from frames of the sky: read noise and black level are given as an interval.
+Frames of the sky do not determine the black level: read noise and black level are given as an interval.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Zero point, colour, vignetting and extinction from the light of stars at known places.
+"""Zero point, colour, vignetting and extinction from the light of stars at known positions.
 
-The flux of a star is that of its PSF at its catalogue place. Its difference to the catalogue is, in magnitudes,
+The flux of a star is that of its PSF at its catalogue position. Its difference to the catalogue is, in magnitudes,
 
     G + 2.5 lg(flux) = zero point(frame) + colour(5040 K / T) + vignetting(r),
 

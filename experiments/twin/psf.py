@@ -1,9 +1,9 @@
-"""The PSF over the field and against colour: three Gaussians integrated over pixels, at places that are held.
+"""The PSF over the field and against colour: three Gaussians integrated over pixels, at fixed positions.
 
-A star at its calibrated catalogue place has no freedom to move, so that the wings and the core show. The core and the
-halo are round and of the same width everywhere; the widths of the middle part change with the place in the field
-(linear and quadratic) and from one colour class to the next, and so does the share of the core. Flux and background of
-every star are eliminated (they are linear), the remaining parameters are common to all frames.
+A star at its calibrated catalogue position cannot move, so that wings and core are determined. The core and the halo
+are round and of the same width everywhere; the widths of the middle part change over the field (linear and quadratic)
+and between colour classes, and so does the share of the core. Flux and background of every star are eliminated (they
+are linear), the remaining parameters are common to all frames.
 """
 
 from __future__ import annotations

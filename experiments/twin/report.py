@@ -1,4 +1,4 @@
-"""What a run tells: records of numbers, tables, curves, verdicts, pictures."""
+"""Results of a run: records of numbers, tables, curves, verdicts, pictures."""
 
 from __future__ import annotations
 

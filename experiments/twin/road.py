@@ -1,4 +1,4 @@
-"""From frames to a measured camera: solved, under their zenith, without hot pixels, with the order of the model."""
+"""From frames to a measured camera: solution, zenith, hot pixels, order of the model."""
 
 from __future__ import annotations
 

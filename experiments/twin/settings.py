@@ -1,4 +1,4 @@
-"""What the twin is made from: a folder of frames, and what is known of the camera and its place beforehand."""
+"""Inputs of the twin: a folder of frames, and known properties of camera and site."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames to stars with names: detection, blind identification with a scale that nobody states, matching in depth."""
+"""From frames to identified stars: detection, blind identification without a stated scale, deep matching."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Night frames of a camera that is known: rendered through glass, read out, handed on as a folder's frames would be.
+"""Night frames of a known camera: rendered through glass, read out, passed on like a folder's frames.
 
-Nothing of the truth reaches the reduction but the black level of the data sheet; what it finds stands beside the truth.
+Of the truth only the data sheet's black level reaches the reduction; the results are compared with the truth.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The twin: a measured lens, a detector and a sensor file from what the frames told; and frames rendered with it."""
+"""The twin: a measured lens, a detector and a sensor file from the frames; frames rendered with it."""
 
 from __future__ import annotations
 

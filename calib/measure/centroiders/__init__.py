@@ -1,1 +1,1 @@
-"""The centroiders, one per file; `calib.measure.centroid` is the interface and knows their names."""
+"""The centroiders, one per file; `calib.measure.centroid` is their interface and registry."""

@@ -1,1 +1,1 @@
-"""From light on the detector to centroids, as a laboratory measures: windows or frames, dark frames, detection."""
+"""From light on the detector to centroids, as in a laboratory: windows or frames, dark frames, detection."""

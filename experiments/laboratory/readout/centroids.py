@@ -1,4 +1,4 @@
-"""Centroids of every window in every frame, and of the noiseless light; what frames say together."""
+"""Centroids of every window in every frame, and of the noiseless light; statistics over frames."""
 
 from __future__ import annotations
 

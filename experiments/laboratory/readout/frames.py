@@ -1,4 +1,4 @@
-"""Whole frames of the detector without stars, their mean, and frames without it."""
+"""Frames of the detector without stars, their mean, and its subtraction."""
 
 from __future__ import annotations
 

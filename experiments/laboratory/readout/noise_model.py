@@ -1,4 +1,4 @@
-"""Noise of a pixel as a reduction knows it: from the data sheet, or from dark frames."""
+"""Pixel noise as known to a reduction: from the data sheet, or from dark frames."""
 
 from __future__ import annotations
 

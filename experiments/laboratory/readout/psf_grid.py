@@ -1,4 +1,4 @@
-"""Effective PSFs of one star colour on a grid over the detector, from the lens: what stars are compared with."""
+"""Effective PSFs of one star colour on a grid over the detector, from the lens, for star fits."""
 
 from __future__ import annotations
 

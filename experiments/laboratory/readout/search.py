@@ -1,4 +1,4 @@
-"""Finding the light before it is measured: the points of a target in a region, a star in windows that are wide."""
+"""Search of the light before measurement: the points of a target in a region, a star in wide windows."""
 
 from __future__ import annotations
 

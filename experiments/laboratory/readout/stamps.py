@@ -1,4 +1,4 @@
-"""Stamps of a windowed readout, without what is not light; where centroiders start."""
+"""Stamps of a windowed readout without background and fixed pattern; start positions of centroiders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Windows of a detector: where they stand, the light in them, their readout."""
+"""Windows of a detector: positions, light, readout."""
 
 from __future__ import annotations
 

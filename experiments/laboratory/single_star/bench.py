@@ -1,7 +1,7 @@
-"""The bench on paper: which angles bring the star's image where, and what the camera then sees.
+"""Geometry of the bench: table angles for image positions, and the resulting view of the camera.
 
-Three frames: the laboratory, in which the star stands still and which is the table's frame at zero angles; the table
-top; the camera. With the installation M (cam from table top) and the table's attitude R (laboratory from table top)::
+Three frames: the laboratory, in which the star is fixed and which is the table's frame at zero angles; the table top;
+the camera. With the installation M (cam from table top) and the table's attitude R (laboratory from table top)::
 
     v_cam = M R^T s
 """

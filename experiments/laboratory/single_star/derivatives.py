@@ -1,6 +1,7 @@
-"""What angles and leans of the table, and every unknown of the joint calibration, do to the star and to its image.
+"""Derivatives of the star and its image by angles and leans of the table, and by every unknown of the joint
+calibration.
 
-Of its own, apart from the estimator in `calib`; only the camera's derivatives are shared.
+Independent of the estimator in `calib`; only the camera's derivatives are shared.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Rendering and reading the star at every place that its image visits."""
+"""Rendering and measurement of the star at all places of its image."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The joint calibration: from images and readings to the camera, the star, the installation and the table's axes.
 
-What goes in is what a laboratory has: images with their covariance, readings with their noise, the axes of the table as
-believed, a poor start.
+The inputs are those of a laboratory: images with their covariance, readings with their noise, the assumed axes of the
+table, poor start values.
 """
 
 from __future__ import annotations

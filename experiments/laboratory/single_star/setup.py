@@ -1,4 +1,4 @@
-"""Camera, star, table and places of a configuration; what can be refused before anything is rendered."""
+"""Camera, star, table and places of a configuration; checks before rendering."""
 
 from __future__ import annotations
 

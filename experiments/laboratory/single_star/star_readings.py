@@ -1,10 +1,10 @@
-"""A star that visits many places of the detector: windows around it, read out, reduced, with the noise predicted.
+"""A star at many places of the detector: windows around it, read out, reduced, with predicted noise.
 
-At every place the star is looked for in one wide window, then a small window around it is read out many times, and as
-often with the lamp off. What is measured is the mean centroid over the frames. Its covariance is predicted from the
+At every place the star is searched in one wide window, then a small window around it is read out many times, and as
+often with the lamp off. The measurement is the mean centroid over the frames. Its covariance is predicted from the
 linear response of the centroider to each pixel, by the noise of that pixel: photons, read noise, rounding and dark
-current over the number of frames, the same of the dark frames, and the response pattern (PRNU), which no averaging
-removes.
+current over the number of frames, the same of the dark frames, and the response pattern (PRNU), which averaging does
+not reduce.
 """
 
 from __future__ import annotations
