@@ -1,4 +1,4 @@
-"""Predicted covariance of attitudes from the directions of the stars and their expected errors, without measurements."""
+"""Predicted covariance of attitudes from star directions and expected errors, without measurements."""
 
 from __future__ import annotations
 

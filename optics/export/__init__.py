@@ -1,1 +1,1 @@
-"""Writers of lens files: TOML, Zemax (.zmx), CODE V (.seq), and an AGF catalogue of glasses that those programs lack."""
+"""Writers of lens files: TOML, Zemax (.zmx), CODE V (.seq), AGF catalogues of glasses missing there."""

@@ -1,4 +1,4 @@
-"""Images by rays: stamps sized by their bounds, traced, added to the image, repeated with larger stamps where needed."""
+"""Images by rays: stamps sized by their bounds, traced, added to the image, repeated where a stamp was too small."""
 
 from __future__ import annotations
 
