@@ -2,7 +2,7 @@
 Your own lens from Zemax
 ========================
 
-A ``.zmx`` file is read line by line; the report lists each line as taken, approximated or ignored. Unsupported features
+A ``.zmx`` file is read line by line; the report lists each line as read, approximated or ignored. Unsupported features
 are refused with their line.
 """
 

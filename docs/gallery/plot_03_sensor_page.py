@@ -3,7 +3,7 @@ What a star sensor will do
 ==========================
 
 `run_experiment` is ``python -m experiments.camera --sensor sensor.toml`` from Python. The prediction takes seconds and
-needs no frames. The sensor file is the example of the manual.
+needs no frames. The sensor file is the example of the user guide.
 """
 
 from experiments import run_experiment
