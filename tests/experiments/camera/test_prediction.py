@@ -74,38 +74,6 @@ def test_a_star_that_saturates_has_no_accuracy_and_meets_no_requirement(config):
     assert not judge({"nea_arcsec": (100.0, False)}, numbers_of(accuracy(long)))[0].met
 
 
-def test_pairs_that_merge_are_found_once(tracker):
-    """In pixels, frame by frame: the fainter star of a pair nearer than 1.2 FWHM has no detection of its own."""
-    view, sample = tracker.view, tracker.view.sample
-    shown = tracker.state.electrons_per_s(view.magnitude, view.temperature_k, view.radius_px) * 0.2
-    shown = tracker.stars.effective(shown, view.temperature_k, view.radius_px, 5800.0)
-    found = tracker.stars.found_at(shown, view.radius_px)
-    lost = 0.0
-    for frame in range(sample.frames):
-        here = np.flatnonzero(sample.frame == frame)
-        apart = np.linalg.norm(sample.pixel_px[here, None] - sample.pixel_px[here], axis=2)
-        brighter = view.magnitude[here] < view.magnitude[here, None]
-        lost += found[here][((apart < 1.2 * tracker.state.fwhm_px) & brighter).any(axis=1)].sum()
-    assert lost > 5.0
-    assert found.sum() - tracker.attitude.found.sum() == pytest.approx(lost, rel=0.1)
-
-
-def test_nea_lies_between_its_limits(tracker):
-    """At least sigma / SNR of a spot as wide as the pixelated one, at most twice that for a matched fit."""
-    spot_px = tracker.state.fwhm_px / 2.3548
-    least = tracker.value("pixel_arcsec") * spot_px / tracker.value("snr")
-    assert 0.7 * least < tracker.value("nea_arcsec") < 2.5 * least
-
-
-def test_attitude_follows_from_stars_and_their_errors(tracker):
-    """N like stars: across sigma / sqrt(N), roll by the spread of the field; the brightest few make it better."""
-    forecast = tracker.attitude
-    assert np.all(forecast.total_arcsec >= forecast.noise_arcsec)
-    cross, roll = tracker.value("attitude_cross_noise_arcsec"), tracker.value("attitude_roll_noise_arcsec")
-    half = np.radians(tracker.value("field_deg") / 2.0)
-    assert roll / cross == pytest.approx(np.sqrt(1.5) / half, rel=0.2)  # rms distance of a square is sqrt(2 / 3) half
-
-
 def test_twice_the_light_is_three_quarters_of_a_magnitude(config, tracker):
     """Faint stars: the limit of half the throughput is brighter by 2.5 log 2."""
     half = predict(with_value(config, "throughput_fraction", 0.5))
