@@ -1,4 +1,5 @@
-"""Attitude from star directions: accuracy over the Cramer-Rao bound and time per frame, beside scipy on the same stars.
+"""Attitude from star directions: accuracy over the Cramer-Rao bound and time per frame, compared with scipy on the same
+stars.
 
     python benchmarks/attitude.py [--frames N] [--stars N ...] [--seed N]
 

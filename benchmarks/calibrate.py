@@ -1,20 +1,20 @@
-"""Camera calibration from identified stars: map error and time, ours beside tetra3rs, OpenCV and SciPy.
+"""Camera calibration from identified stars: map error and time of ours, tetra3rs, OpenCV and SciPy.
 
     python benchmarks/calibrate.py [--fov 22.6 12] [--frames 30] [--stars 34] [--sigma 0.05] [--trials 100] [--seed 1]
 
 Frames of a sky of real stars (the catalogue of tetra3rs where it is installed, else random ones) are seen by a camera
-with Brown-Conrady distortion and measured with normal noise; every method gets the same lists: positions, and which
-star each of them is. Each field is run with the principal point 14 px off the centre and tangential distortion, as in
-ACF17, and once more centred, with radial distortion alone, which is all that tetra3rs's models are made for. The figure
-of merit is the map error: RMS over the detector of the angle between where a pixel looks by the calibrated camera and
-where it looks in truth, after the best rotation was removed (`calib.cameras.line_of_sight`), in arcsec; it stands
-beside the Cramer-Rao bound of a free attitude in every frame. RMS over the trials; SciPy and OpenCV get only the first
-3 of them (dense SciPy 1), so that their error is a sample. Times are medians over the trials, of the calibration alone.
+with Brown-Conrady distortion and measured with normal noise; every method gets the same lists of positions and star
+identities. Each field is run with the principal point 14 px off the centre and tangential distortion, as in ACF17, and
+once more centred, with radial distortion alone, which is all that tetra3rs's models are made for. The figure of merit
+is the map error: RMS over the detector of the angle between calibrated and true line of sight of a pixel, after the
+best rotation (`calib.cameras.line_of_sight`), in arcsec, compared with the Cramer-Rao bound of free attitudes. RMS over
+the trials; SciPy and OpenCV get only the first 3 of them (dense SciPy 1), so that their error is a sample. Times are
+medians over the trials, of the calibration alone.
 
-* ours: "free" fits an attitude of its own to every frame, "ACC" gets the turns of a perfect gyro besides, "interstar"
+* ours: "free" fits an attitude of its own to every frame, "ACC" also gets the turns of a perfect gyro, "interstar"
   knows no attitude. All start from 20 mm, no distortion, and nothing known of the attitudes.
-* SciPy: `scipy.optimize.least_squares` on the same residuals with derivatives by finite differences, dense and with the
-  sparsity told; start camera as ours, attitudes by Wahba's problem.
+* SciPy: `scipy.optimize.least_squares` on the same residuals with derivatives by finite differences, dense and with
+  known sparsity; start camera as ours, attitudes by Wahba's problem.
 * tetra3rs: `calibrate_camera` with its default options, with a polynomial of order 5 and little clipping, and with its
   radial model. The frames are solved in its tracking mode with the true attitude as hint; that time is not counted.
 * OpenCV: `calibrateCamera` on the star directions as points at unit distance, started at the *true* camera. It has no

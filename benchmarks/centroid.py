@@ -1,13 +1,13 @@
-"""Centroiders against the Cramer-Rao bound, beside photutils and sep on the same stamps.
+"""Centroiders against the Cramer-Rao bound, compared with photutils and sep on the same stamps.
 
     python benchmarks/centroid.py [--psf NAME] [--stars N] [--peer-stars N] [--seed N]
 
 For every PSF source: RMS position error over the bound at matched-filter SNR 20, 50, 100 and 500
 (`calib.measure.crlb`), S-curve (largest position error against sub-pixel phase without noise, constant offset removed)
 and time per star, the slowest of the four SNRs, best of three; CPU time is summed over the cores and depends less on
-what else is running. The bound is for known background, which all methods are told. A constant offset (an asymmetric
-PSF has no obvious centre) is taken from the noiseless S-curve and removed, for all methods alike; what depends on the
-phase stays in the RMS.
+other processes. The bound is for known background, which all methods know. A constant offset (an asymmetric PSF has no
+obvious centre) is taken from the noiseless S-curve and removed, for all methods alike; the phase-dependent part stays
+in the RMS.
 
 A PSF source is a function without arguments that returns a `PsfSource`; put your own into `SOURCES`, or hand a finely
 sampled `EffectivePsf` (for instance a rendered one) to `source_from_fine`.

@@ -1,13 +1,13 @@
 """Frames per second of `python -m experiments.dataset`, from attitude to files on disk: against stars, pixels, workers.
 
 Run from the repository root: ``python benchmarks/dataset.py`` (some minutes); ``--figure`` also draws
-docs/pictures/dataset_cost.png. The first two rows are the two rates that were asked for: 1024 x 1024 px of 12.4 deg to
-G = 8 on two workers (20 frames/s), and 4096 x 2048 px to G = 10 (2 frames/s).
+docs/pictures/dataset_cost.png. The first two rows are the required rates: 1024 x 1024 px of 12.4 deg to G = 8 on two
+workers (20 frames/s), and 4096 x 2048 px to G = 10 (2 frames/s).
 
-What is timed is the command itself, without its look at the finished frames: from the first finished frame to the
-last, all workers together. Frames are noisy, written with truth and digest, uncompressed. One process per worker, each
-with one thread where there are as many workers as processors. The parts are those of one process, medians of
-processor time: they hold on a busy machine too, the rates do not.
+The time is that of the command without the evaluation of finished frames: from the first finished frame to the last,
+all workers together. Frames are noisy, written with truth and digest, uncompressed. One process per worker, each with
+one thread where there are as many workers as processors. The parts are those of one process, medians of processor time:
+they hold on a busy machine too, the rates do not.
 """
 
 from __future__ import annotations
@@ -126,13 +126,13 @@ def main() -> None:
     """Print the tables; draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--figure", action="store_true", help=f"draw {FIGURE.relative_to(ROOT)}")
-    parser.add_argument("--quick", action="store_true", help="the two asked for only")
+    parser.add_argument("--quick", action="store_true", help="the two required rates only")
     parser.add_argument("--parts", action="store_true", help="the parts of a frame of 1024 x 1024 px only")
     arguments = parser.parse_args()
     if arguments.parts:
         _print_parts(SMALL)
         return
-    print("asked for: 20 and 2 frames/s on two cores")
+    print("required: 20 and 2 frames/s on two cores")
     for name, settings, frames in (("1024 x 1024, G < 8", SMALL, 200), ("4096 x 2048, G < 10", LARGE, 24)):
         for workers in (1, 2):
             _print(name, workers, rate(settings, frames, workers))

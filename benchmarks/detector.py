@@ -1,12 +1,11 @@
 """Detector readout against GalSim's CCDNoise, 4096 x 2048 pixels, and frames to disk; medians, megapixels per second.
 
-Run from the repository root: ``python benchmarks/detector.py`` or ``python -m benchmarks.detector``.
-starbench: every effect of `render.detector.readout` at once, crosstalk included, from float32 NumPy electrons to a
-`Frame` with its uint16 NumPy array and flags, all cores. GalSim (if installed): ``CCDNoise`` (Poisson, gain, read
-noise) on an ImageF of the same expectation, then ``quantize`` and conversion to uint16; one core, its generator is
-sequential. Repetitions of the two alternate, so that both see the same machine. ``--threads 1`` is what one worker of
-many gets. Frames to disk: `render.fits.files.write_frame` into a temporary folder, without mask, 40 cards of world
-coordinates.
+Run from the repository root: ``python benchmarks/detector.py`` or ``python -m benchmarks.detector``. starbench: every
+effect of `render.detector.readout` at once, crosstalk included, from float32 NumPy electrons to a `Frame` with its
+uint16 NumPy array and flags, all cores. GalSim (if installed): ``CCDNoise`` (Poisson, gain, read noise) on an ImageF of
+the same expectation, then ``quantize`` and conversion to uint16; one core, its generator is sequential. Repetitions of
+the two alternate, so that both see the same machine. ``--threads 1`` is the rate of one worker of many. Frames to disk:
+`render.fits.files.write_frame` into a temporary folder, without mask, 40 cards of world coordinates.
 """
 
 from __future__ import annotations

@@ -4,7 +4,8 @@
     python benchmarks/false_alarm.py fisher --seeds 40 --set instrument.detector=chip_{seed}.toml --out alarms_chips
 
 Every run is the ``--quick`` run with another seed; ``{seed}`` in a setting is replaced by it. Finished runs are
-appended to ``EXPERIMENT.jsonl`` in the output folder, and the same command goes on from there. ``--table`` only prints.
+appended to ``EXPERIMENT.jsonl`` in the output folder, and the same command continues from there. ``--table`` only
+prints.
 """
 
 from __future__ import annotations
@@ -83,11 +84,11 @@ def main() -> None:
     """Run the seeds that are not done yet, print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("experiments", nargs="+", help="names")
-    parser.add_argument("--seeds", type=int, default=40, help="how many")
-    parser.add_argument("--first", type=int, default=1, help="the first of them")
+    parser.add_argument("--seeds", type=int, default=40, help="number of seeds")
+    parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--set", dest="settings", action="append", default=[], help="KEY=VALUE of the experiment")
-    parser.add_argument("--out", type=Path, default=Path("alarms"), help="folder of what is done")
-    parser.add_argument("--table", action="store_true", help="only print what is done")
+    parser.add_argument("--out", type=Path, default=Path("alarms"), help="folder of finished runs")
+    parser.add_argument("--table", action="store_true", help="only print finished runs")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     for name in options.experiments:

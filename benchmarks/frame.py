@@ -1,4 +1,4 @@
-"""Noiseless star frames of 4096 x 2048 pixels: time against stars, memory against rays, beside GalSim.
+"""Noiseless star frames of 4096 x 2048 pixels: time against stars, memory against rays, compared with GalSim.
 
 Run from the repository root: ``python benchmarks/frame.py`` (about two minutes); ``--figure`` also draws
 docs/pictures/frame_cost.png, ``--only tracker`` leaves all but the star tracker's lens out.
@@ -7,12 +7,12 @@ starbench: `StarRenderer.render`, from a `StarField` to an `ExpectedImage` with 
 ``mi.render``: the built-in 206 mm lens, one 100 nm band with 5 wavelength nodes, diffusion of the shipped detector, all
 cores; median after two warm-up frames of each size. GalSim (if installed): the same number of stars of 10^5 photons of
 one Airy disk, the same everywhere in the field and in one colour, shot photon by photon, or drawn with its Fourier
-method, into the same image; one core, its way of working. The two alternate, so that both see the same machine.
+method, into the same image; one core, as it works. The two alternate, so that both see the same machine.
 
 Star tracker: the built-in 26 mm lens, whose stop lies inside, on 1024 x 1024 pixels of 5.5 um (12 deg), on one thread;
-at rest, smeared over so many pixels with a global and a rolling shutter, and as it was before outlines of beams were
-known (2^16 Sobol rays a star), beside the 206 mm lens on as many pixels; how far image and truth of each way are from
-2^20 Sobol rays.
+at rest, smeared over so many pixels with a global and a rolling shutter, and by 2^16 Sobol rays per star without beam
+outlines, compared with the 206 mm lens on as many pixels; errors of image and truth of each method against 2^20 Sobol
+rays.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-"""What predictions and measurements share: the functions of this repository that both sides of a comparison run.
+"""Functions of this repository that both sides of a comparison, prediction and measurement, run.
 
 Run from the repository root: ``python benchmarks/independence.py`` (some ten minutes); it writes docs/independence.md.
-``--only NAME`` runs one experiment and prints what it finds.
+``--only NAME`` runs one experiment and prints its result.
 
 Every experiment runs as ``--quick`` in this process, under a profiler (`sys.setprofile`) that notes which Python
-functions are called. A comparison names the functions with which its two sides begin; what they call belongs to their
-side, and what both sides call is shared. Caches are emptied when a side begins, so that none lives on what the other
-one computed; processes of a Monte Carlo are run in this one. Not counted: the harness, records, checks of input, units,
-array backends, and what is prepared for both sides (instrument, target, source). Kernels of Dr.Jit count through the
-Python functions that write them. What sharing can hide is said in words, room by room (`WORDS`); a shared room without
-words ends the run.
+functions are called. A comparison names the functions with which its two sides begin; functions called from there
+belong to that side, functions called from both are shared. Caches are emptied when a side begins, so that none uses
+results of the other; processes of a Monte Carlo are run in this one. Not counted: the harness, records, checks of
+input, units, array backends, and the common preparation of both sides (instrument, target, source). Kernels of Dr.Jit
+count through the Python functions that write them. `WORDS` states for every shared room which errors sharing can hide;
+a room without such a text ends the run.
 """
 
 from __future__ import annotations
@@ -394,7 +394,7 @@ def in_words(rooms: Sequence[str]) -> list[str]:
     """A line for each shared room: what sharing can hide, and what covers it."""
     unsaid = [room for room in rooms if room not in WORDS]
     if unsaid:
-        sys.exit(f"shared, and nothing is said of them in WORDS: {', '.join(unsaid)}")
+        sys.exit(f"shared rooms without a text in WORDS: {', '.join(unsaid)}")
     lines = ["| shared room | can an error hide? | independent test |", "|---|---|---|"]
     return lines + [f"| `{room}` | {WORDS[room][0]} | {WORDS[room][1]} |" for room in rooms]
 

@@ -1,12 +1,12 @@
-"""What becomes of a folder of Zemax and CODE V files, as a table, and their rays beside optiland's.
+"""Import of a folder of Zemax and CODE V files, as a table, with rays compared with optiland's.
 
     python benchmarks/lens_files.py FOLDER [--catalogues FOLDER] [--peer]
 
 Every .zmx and .seq below FOLDER is read: exactly, with approximations, or refused with its reason. With ``--peer`` the
 files are read by optiland's own reader too (pip install optiland), its glasses are given our indices, and 49 parallel
-rays are traced by both: what then differs is geometry. A file in which the other reader finds other surfaces is told.
-batoid (pip install batoid) reads no such files: its coordinate systems, surfaces and media are put together from the
-prescription that was read, by its own turns and shifts, and traced with the same rays.
+rays are traced by both, so that differences are of geometry. Files in which the other reader has other surfaces are
+listed. batoid (pip install batoid) reads no such files: its coordinate systems, surfaces and media are put together
+from the prescription that was read, by its own turns and shifts, and traced with the same rays.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Every built-in lens: focal length, spots, lateral colour, and what `chromatic` and `dataset` make of it, as a table.
+"""Every built-in lens: focal length, spots, lateral colour, and results of `chromatic` and `dataset`, as a table.
 
 Focal length, F-number, half field, RMS spots and lateral colour are of the lens alone (light from 500 to 800 nm at 0,
 0.7 and 1 of the half field, about its own mean; shift of the mean from 500 to 800 nm at 0.7 of the field, outwards).

@@ -1,4 +1,4 @@
-"""Random mutants of the science, and the share of them that the default tests of the same room notice.
+"""Random mutants of the science, and the fraction detected by the default tests of the same room.
 
 ``python benchmarks/mutation.py --count 200 --seed 24 --out out/mutation`` needs ``pip install '.[dev,test]'``.
 
@@ -8,7 +8,7 @@ decorators, messages, refusals (``if ...: raise``), ``__all__``, changes that on
 in a copy of the last commit with the default tests of its room that execute its statement, the fastest first, then with
 the rest of the same test files, which share fixtures and caches. Written: ``lines-ROOM.json`` (which test executes
 what, and its cost), ``mutants.jsonl``, ``mutants.txt`` (shares by room, then each survivor as a diff). A repeated run
-keeps what is killed and tries survivors again; delete ``lines-ROOM.json`` after a change of tests.
+keeps killed mutants and tries survivors again; delete ``lines-ROOM.json`` after a change of tests.
 """
 
 from __future__ import annotations
@@ -366,7 +366,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--count", type=int, default=200, help="mutants drawn over all rooms")
     parser.add_argument("--seed", type=int, default=24)
-    parser.add_argument("--rooms", nargs="+", default=ROOMS, choices=ROOMS, help="only these")
+    parser.add_argument("--rooms", nargs="+", default=ROOMS, choices=ROOMS, help="only these rooms")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "mutation")
     options = parser.parse_args()
     out = options.out.resolve()

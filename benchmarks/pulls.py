@@ -4,8 +4,8 @@
     python benchmarks/pulls.py --seeds 20 --set instrument.lens=my_triplet.toml --out pulls_triplet
 
 Right predictions with right uncertainties have pulls of mean 0 and RMS 1, for every term and every centroider. The test
-is smaller than the published one (fewer frames, one place of the step test), so that a seed takes some 20 s. What is
-done is kept in the output folder, and the same command goes on from there.
+is smaller than the published one (fewer frames, one place of the step test), so that a seed takes some 20 s. Finished
+runs are kept in the output folder, and the same command continues from there.
 """
 
 from __future__ import annotations
@@ -89,11 +89,11 @@ def table(found: list[dict[str, dict[str, list[float]]]]) -> str:
 def main() -> None:
     """Run the seeds that are not done yet, print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=20, help="how many")
-    parser.add_argument("--first", type=int, default=1, help="the first of them")
+    parser.add_argument("--seeds", type=int, default=20, help="number of seeds")
+    parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--set", dest="settings", action="append", default=[], help="KEY=VALUE of the budget")
-    parser.add_argument("--out", type=Path, default=Path("pulls"), help="folder of what is done")
+    parser.add_argument("--out", type=Path, default=Path("pulls"), help="folder of finished runs")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     files = {seed: options.out / f"{seed:03d}.json" for seed in range(options.first, options.first + options.seeds)}

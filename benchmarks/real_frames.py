@@ -1,4 +1,4 @@
-"""Night frames of a camera: noise, false detections, limiting magnitude, time per frame, what the epoch is worth.
+"""Night frames of a camera: noise, false detections, limiting magnitude, time per frame, effect of the epoch.
 
 ``python benchmarks/real_frames.py FOLDER --focal-mm 35.287 --pitch-um 6.9 --year 2019.57`` from the repository root
 (eight frames in ``test_data`` of github.com/esa/tetra3). Needs tetra3rs. Hot pixels are found over all frames and

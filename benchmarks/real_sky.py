@@ -1,4 +1,4 @@
-"""A real camera's twin in figures: python benchmarks/real_sky.py FOLDER [--pitch-um 6.9] [--realisations 5].
+"""Statistics of a real camera's twin: python benchmarks/real_sky.py FOLDER [--pitch-um 6.9] [--realisations 5].
 
 FOLDER holds night frames of one camera. A set that anyone can fetch (ESA's tetra3, Apache License 2.0; eight frames):
 

@@ -1,4 +1,4 @@
-"""What it costs that star frames go through ``mi.render`` of a scene: beside the bare tracer on the same stars.
+"""Cost of star frames by ``mi.render`` of a scene, compared with the bare tracer on the same stars.
 
 Run from the repository root: ``python benchmarks/scene.py`` (two minutes); ``--repeat N`` for more pairs of frames.
 
@@ -7,9 +7,9 @@ rendered by ``mi.render``. Tracer: `render.tracing.tracer.Tracer.render`, plain 
 image from the same rays. Dataset: 1024 x 1024 px, 240 stars in one band, another field and attitude in every frame.
 Chromatic: the star grid of ``experiments.chromatic`` with its bands on its detector, the same in every frame.
 
-In one process the two take turns, each frame in the other order than the last. Of every pair the ratio of processor
-times; the median of these and its standard error (1.25 sigma / sqrt(n), sigma from the quartiles). Exit status 1 if
-the cost is above 5 % by more than three of these errors.
+In one process the two take turns, each frame in the other order than the last. The result is the median of the pairs'
+ratios of processor time and its standard error (1.25 sigma / sqrt(n), sigma from the quartiles). Exit status 1 if the
+cost is above 5 % by more than three of these errors.
 """
 
 from __future__ import annotations

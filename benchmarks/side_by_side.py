@@ -1,7 +1,7 @@
 """Four experiments at once: linear algebra on one thread each, against as many threads as there are processors.
 
-Each round runs the same command once alone and four times at once, both ways, in turn. The figure that counts is how
-much longer the slowest of the four takes than the command alone, against what the processors allow.
+Each round runs the same command once alone and four times at once, both ways, in turn. The result is the time of the
+slowest of the four over the time of the command alone, compared with the limit set by the processors.
 
     python benchmarks/side_by_side.py [--names acf turntable] [--rounds 2] [--copies 4]
 """

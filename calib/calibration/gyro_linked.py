@@ -10,7 +10,7 @@ so that e_k is a plain random walk whose steps have the variance N^2 dt in every
 
     R_k = A G_k exp([B_k b + e_k]x) A^T R_1,      e_1 = 0,
 
-with the residuals (e_k - e_(k-1)) / (N sqrt(dt)) and b / sigma_b beside those of the stars. The walk couples
+with the residuals (e_k - e_(k-1)) / (N sqrt(dt)) and b / sigma_b in addition to the stars' residuals. The walk couples
 neighbouring frames only: the frames' part of the normal equations is a band. N -> 0 is ACC
 (`calib.calibration.attitude_correlated`); N -> infinity is a free attitude in every frame
 (`calib.calibration.free_attitudes`), where the installation is no longer seen.

@@ -1,4 +1,4 @@
-r"""A lens known by what was measured of it, not by its glass: where stars land, their images, how much light arrives.
+r"""A measured lens without a prescription: positions, images and relative light of stars.
 
 The file (TOML; `optics.export.write.write_measured_lens` writes one, `load_lens` reads it; keys without a default are
 needed):
@@ -18,18 +18,14 @@ needed):
     colour_scale = [1.00001, 1.0, 0.99998]    # of distances from the principal point
     colour_shift_um = [[0.0, 0.1], [0.0, 0.0], [0.0, -0.1]]   # along columns and rows; default 0
 
-    [psf]                                     # before the pixel
-    includes_charge_diffusion = true          # default; false: that of the detector is added
-    wavelength_nm = [500.0, 750.0]            # nodes of the tables; default one wavelength: the same for all
-    x_mm = [-4.0, 0.0, 4.0]                   # on the detector from its centre, along columns; default [0]: everywhere
-    y_mm = [-3.0, 0.0, 3.0]                   # and along rows
-    [[component]]                             # of the PSF: Gaussians; a number, or [wavelength][y][x]
-    share = 0.86                              # of the light; those of all components add up to 1 (to 1e-6)
-    sigma_x_um = [[[4.1, 4.0, 4.1], ...], ...]
-    sigma_y_um = 4.4
-    correlation = 0.0                         # of x and y, -1 ... 1, for oriented ellipses; default 0
-    offset_x_um = 0.0                         # of its middle from the place the camera model tells; default 0
-    offset_y_um = 0.0
+    [psf]                                     # before the pixel includes_charge_diffusion = true          # default;
+    false: that of the detector is added wavelength_nm = [500.0, 750.0]            # nodes of the tables; default one
+    wavelength: the same for all x_mm = [-4.0, 0.0, 4.0]                   # on the detector from its centre, along
+    columns; default [0]: everywhere y_mm = [-3.0, 0.0, 3.0]                   # and along rows [[component]] # of the
+    PSF: Gaussians; a number, or [wavelength][y][x] share = 0.86                              # of the light; the shares
+    of all components add up to 1 (to 1e-6) sigma_x_um = [[[4.1, 4.0, 4.1], ...], ...] sigma_y_um = 4.4 correlation =
+    0.0                         # of x and y, -1 ... 1, for oriented ellipses; default 0 offset_x_um = 0.0 # of its
+    middle from the place by the camera model; default 0 offset_y_um = 0.0
 
     [vignetting]                              # default: none
     radius_mm = [0.0, 2.0, 4.0]               # on the detector from the principal point
@@ -40,10 +36,10 @@ needed):
     wavelength_nm = [400.0, 600.0, 1000.0]
     transmission = [0.8, 0.93, 0.9]           # on the axis; 0 ... 1, linear in between
 
-Between nodes shares, offsets and covariances are linear; beyond the first and last one they stay what they are there.
-A class of stars (5040 K / T) enters by its effective wavelength: places and variances are linear in the light, so that
-a table that is linear in wavelength gives the class its mean. A sampled PSF is a mixture too: one narrow Gaussian per
-sample, with its offset.
+Between nodes shares, offsets and covariances are linear; beyond the first and last node they are constant. A class of
+stars (5040 K / T) enters by its effective wavelength: places and variances are linear in the light, so that a table
+that is linear in wavelength gives the class its mean. A sampled PSF is a mixture too: one narrow Gaussian per sample,
+with its offset.
 """
 
 from __future__ import annotations

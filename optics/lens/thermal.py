@@ -9,7 +9,7 @@ housing (diameter D), r from the axis of an element that ends at R:
 * Air gaps follow their spacers, at the temperature of their middle. A spacer that touches a face at a radius, where the
   face lies at its sag and not at its vertex, moves along the face as it grows.
 * A transverse gradient bends the housing: curvature alpha dT / D, away from the warm side, from the plane at which the
-  sensor is mounted. Elements and image plane follow as rigid bodies. An element becomes a wedge besides, of thickness
+  sensor is mounted. Elements and image plane follow as rigid bodies. An element also becomes a wedge, of thickness
   (alpha t) and of index; the latter is that of a tilted last face with the same deviation at the design wavelength.
 * A radial gradient makes an element a lens, n(r) and thickness t(r) = t [1 + alpha (1 + nu) dT(r)], that of a free
   thin disc without stress in its faces (Timoshenko and Goodier 1970, *Theory of Elasticity*, art. 150). The quadratic

@@ -11,8 +11,8 @@ tangential part of n times a direction, and S(q) the BSDF per such direction (`o
    T_{\to k} \cos\theta \left| \frac{\partial(u, v)}{\partial(x, y)_k} \right| |N_z|
 
 where :math:`dA_\perp d\Omega / dA_p` is the throughput of the pupil element in object space, (u, v) the plane of start,
-:math:`(x, y)_k` and N the vertex plane and normal of the surface. What is scattered back, scattered twice, or scattered
-inside glass is not taken; nor are walls and edges of the lens barrel.
+:math:`(x, y)_k` and N the vertex plane and normal of the surface. Light scattered back, scattered twice or inside glass
+is neglected; so are walls and edges of the lens barrel.
 
 **Ghosts** are those of `optics.rays.ghosts`, traced for light over the whole first surface.
 """

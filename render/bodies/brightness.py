@@ -1,10 +1,10 @@
-r"""How bright planets and the Moon are: V against distance and phase, and the colour of their light.
+r"""Brightness of the planets and the Moon: V against distance and phase, and the colour of their light.
 
 Planets: A. Mallama and J. L. Hilton, "Computing apparent planetary magnitudes for The Astronomical Almanac", Astronomy
 and Computing 25, 10 (2018), eq. 2-17, :math:`V = V_1(\alpha) + 5 \log_{10} (r \Delta)` with r and :math:`\Delta` in au.
-What depends on the turn and the season of Mars (their tables of 0.06 and 0.09 mag at most) is left out. Where no
-equation holds V is NaN: Mercury and Venus beyond 179 deg, Mars beyond 120, Jupiter beyond 130, Saturn (with its rings)
-beyond 6.5, Neptune beyond 133 or, before 2000, beyond 1.9 deg; nobody has seen them from there.
+The dependence on rotation and season of Mars (their tables of 0.06 and 0.09 mag at most) is neglected. Outside the
+range of the equations V is NaN: Mercury and Venus beyond 179 deg, Mars beyond 120, Jupiter beyond 130, Saturn (with its
+rings) beyond 6.5, Neptune beyond 133 or, before 2000, beyond 1.9 deg, where no observations exist.
 
 Earth: T. D. Robinson, Planet. Sci. J. 7, 12 (2026; arXiv:2507.22258), eq. 14: 0.23 as geometric albedo and a
 Henyey-Greenstein function of -0.33, fitted to what was seen from ground and spacecraft at 5 to 144 deg (400 to

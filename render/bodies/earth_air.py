@@ -8,11 +8,11 @@ Over that of a white Lambertian surface lit square on, the radiance at tangent h
 once scattered light by Rayleigh's phase function P = 3/4 (1 + cos^2 Theta) and light that a Lambertian ground of the
 planet's albedo A throws upwards. The vertical thickness :math:`\tau_R` is that of J. E. Hansen and L. D. Travis, Space
 Sci. Rev. 16, 527 (1974), eq. 2.30; the scale height H = 7 km is that of the U.S. Standard Atmosphere 1976 between 10
-and 60 km; A = 0.297 is Bond's albedo (P. R. Goode et al., Geophys. Res. Lett. 28, 1671 (2001)). S is what is left of
+and 60 km; A = 0.297 is Bond's albedo (P. R. Goode et al., Geophys. Res. Lett. 28, 1671 (2001)). S is the remaining
 direct sunlight there, by Chapman's function for grazing light; it ends some degrees behind the terminator.
 
 No ozone (it takes some 10 % at 600 nm below 25 km), no aerosol and no cloud above the limb, no airglow (1e-6 of it).
-Beside SASKTRAN2 with all orders of scattering, U.S. Standard Atmosphere and albedo 0.3: within 25 % from 2 to 60 km,
+Against SASKTRAN2 with all orders of scattering, U.S. Standard Atmosphere and albedo 0.3: within 25 % from 2 to 60 km,
 400 to 800 nm, the Sun at 0 to 80 deg from the zenith.
 """
 

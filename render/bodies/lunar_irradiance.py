@@ -1,4 +1,4 @@
-r"""How much light the Moon throws back: the irradiance model of the Robotic Lunar Observatory (ROLO).
+r"""Irradiance of the Moon: the model of the Robotic Lunar Observatory (ROLO).
 
 H. H. Kieffer and T. C. Stone, "The spectral irradiance of the Moon", AJ 129, 2887 (2005), eq. 10 and table 4: the
 reflectance A of a flat disk in place of the Moon, lit and seen square on,
@@ -8,13 +8,13 @@ reflectance A of a flat disk in place of the Moon, lit and seen square on,
 
 with the phase angle g (in radians in the polynomial, in degrees elsewhere), the selenographic longitude of the Sun
 :math:`\Phi` [rad], latitude and longitude of the observer :math:`\theta, \varphi` [deg]. It was fitted to more than
-1000 observations at every wavelength, to 1 %, from 1.55 to 97 deg. The bands err by 4 % against each other: in place of
-them stands a cubic polynomial of ln A in the logarithm of the wavelength. The scale is 2 to 5 % below that of LIME
-(C. Toledano et al., Atmos. Chem. Phys. 24, 3649 (2024)), which is tied to the SI within 2 %.
+1000 observations at every wavelength, to 1 %, from 1.55 to 97 deg. The bands err by 4 % against each other and are
+replaced by a cubic polynomial of ln A in the logarithm of the wavelength. The scale is 2 to 5 % below that of LIME (C.
+Toledano et al., Atmos. Chem. Phys. 24, 3649 (2024)), which is tied to the SI within 2 %.
 
-What is not published and stands here all the same: the equation as it is below 1.55 deg (eclipses, earthshine), the law
-of C. W. Allen, Astrophysical Quantities, 3rd ed. (1973), sec. 66, from 97 to 150 deg, joined at 97 deg in its colour,
-and the libration that comes next for observers to whom the Moon shows another side than to the Earth.
+Unpublished extrapolations: the equation unchanged below 1.55 deg (eclipses, earthshine), the law of C. W. Allen,
+Astrophysical Quantities, 3rd ed. (1973), sec. 66, from 97 to 150 deg, joined at 97 deg in its colour, and the nearest
+libration for observers who see another side of the Moon than the Earth does.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""The Moon's face: where its axes point, and a map of its albedo with the maria where they are.
+"""The Moon's face: direction of its axes, and a map of its albedo with the maria.
 
 Axes: B. A. Archinal et al., Celestial Mechanics and Dynamical Astronomy 130, 22 (2018), table 2 (that of the 2009
-report), right to some 0.01 deg; libration follows from them and from where the observer is. The map is made by a
-program, not by a camera: highland and mare have the normal albedos 0.135 and 0.07 (Lunar Sourcebook, G. H. Heiken et
-al. 1991, sec. 3), maria are circles of the IAU's gazetteer with edges roughened at random, four young craters have
-rays. Places are right to a few degrees; no feature of it is a landmark.
+report), right to some 0.01 deg; libration follows from them and the observer's position. The map is made by a program,
+not by a camera: highland and mare have the normal albedos 0.135 and 0.07 (Lunar Sourcebook, G. H. Heiken et al. 1991,
+sec. 3), maria are circles of the IAU's gazetteer with edges roughened at random, four young craters have rays.
+Positions are accurate to a few degrees; no feature is a landmark.
 """
 
 from __future__ import annotations

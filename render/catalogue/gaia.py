@@ -3,8 +3,8 @@
 The file is ``GDR3``, version (u32), number of stars (u64), then 36 bytes per star: source_id (i64), ra, dec (f64, deg,
 epoch 2016.0), G (f32) and two more f32. The format calls these two pmra and pmdec. In the package as published (0.1.2)
 they hold the magnitudes BP and RP: its file was made from a table with other columns than the converter expects.
-Neither the version in the header nor anything else in the file tells the two apart, so the reader looks at the values
-and refuses what is neither.
+Neither the version in the header nor anything else in the file tells the two apart, so the reader decides by the values
+and refuses files that are neither.
 
 Stars too bright for Gaia come from Hipparcos with the id -HIP, no colour and no motion; within 3 deg of the pole
 (Polaris) even at the place of 1991.25. ``bright_hipparcos.csv`` gives them colour and motion and moves them to 2016.0

@@ -1,4 +1,5 @@
-"""Temperatures of stars from their colours: the effective one, and that of the black body which has the colour.
+"""Temperatures of stars from their colours: effective temperature, and colour temperature (black body of the same
+colour).
 
 *Effective temperature* is a property of the star: the black body of the same radius and luminosity. Its Planck curve
 does not have the star's colour: within 0.05 mag in BP-RP for dwarfs of 5100 to 5900 K, but 0.25 mag too red for an A

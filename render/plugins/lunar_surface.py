@@ -1,4 +1,4 @@
-r"""Mitsuba BSDF ``lunar_surface``: how dust without an atmosphere scatters light, after Lommel and Seeliger.
+r"""Mitsuba BSDF ``lunar_surface``: scattering of light by dust without an atmosphere, after Lommel and Seeliger.
 
 .. math:: \frac{I}{F} = 2 A \frac{\mu_0}{\mu_0 + \mu}
 

@@ -1,7 +1,7 @@
 r"""Ideal thin lens.
 
-It is a plane that turns light as paraxial optics says at any height and angle: with slopes t = (dx/dz, dy/dz), heights
-h, indices n and n' in front and behind, and :math:`n_0` of the air or vacuum in which the whole lens stands,
+A plane that refracts light by paraxial optics at any height and angle: with slopes t = (dx/dz, dy/dz), heights h,
+indices n and n' in front and behind, and :math:`n_0` of the air or vacuum around the whole lens,
 
 .. math:: n' t' = n t - n_0 h / f .
 

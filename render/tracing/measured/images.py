@@ -7,9 +7,9 @@ Gaussians, :math:`\Sigma` each. The part of their covariance that makes ellipses
           \quad v = \sqrt{|\rho|}\,(\sigma_x, \pm\sigma_y),
 
 along which Gauss-Hermite nodes stand for it: an oblique Gaussian is a sum of upright ones, whose integrals over pixels
-are products of error functions. Light, mean and covariance are exact, values to `LINE_ERROR` of the peak. What lies
-beyond `REACH` standard deviations of the widest Gaussian is not on the stamp (1e-10 of its light) and is accounted for.
-Charge diffusion adds to every covariance. Under a rolling shutter Gaussians are sheared as spots are
+are products of error functions. Light, mean and covariance are exact, values to `LINE_ERROR` of the peak. Light beyond
+`REACH` standard deviations of the widest Gaussian is not on the stamp (1e-10 of its light) and is accounted for. Charge
+diffusion adds to every covariance. Under a rolling shutter Gaussians are sheared as spots are
 (`render.tracing.motion.paths`).
 """
 

@@ -1,6 +1,6 @@
 r"""Transmission of every ray along its own path, over that of the axis, as a polynomial in the launch disk.
 
-What surfaces and glasses take of a ray (`optics.rays.ghosts.trace_ghost`: reflection at the angle of that ray,
+The loss of a ray in surfaces and glasses (`optics.rays.ghosts.trace_ghost`: reflection at the angle of that ray,
 absorption along its path, the mean of s and p light at each surface) is a smooth function of its direction and of the
 point where it starts. It is traced once per wavelength, at a few fields and points of their beams, and fitted:
 
@@ -8,8 +8,8 @@ point where it starts. It is traced once per wavelength, at a few fields and poi
 
 with p a point of the launch disk (of radius 1) and t the direction of the light across the axis over the largest one.
 Lenses of revolution have the first pair and coefficients that are polynomials in t^2; others the second pair and
-polynomials in both components of t. The kernel adds up ten to some thirty terms for a ray. What the fit leaves is
-measured at rays that it does not know.
+polynomials in both components of t. The kernel adds up ten to some thirty terms for a ray. The error of the fit is
+measured at rays outside its data.
 """
 
 from __future__ import annotations
