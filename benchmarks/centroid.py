@@ -50,7 +50,7 @@ Measure = Callable[[Stamps], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class PsfSource:
-    """A PSF: what the estimators are told (``epsf``) and what the stars really look like (``draw``).
+    """A PSF as known to the estimators (``epsf``), and true images of stars (``draw``).
 
     ``draw(x, y)`` gives unit stars (n, SIZE, SIZE) at columns x and rows y (n,) of the window.
     """

@@ -79,7 +79,7 @@ def make_stars(camera: Camera, count: int) -> StarField:
 
 
 def galsim_frame(camera: Camera, method: str) -> Callable[[int], Any] | None:
-    """Draws a frame of so many stars with GalSim, or None where it is not installed."""
+    """Draws a frame of a number of stars with GalSim, or None where it is not installed."""
     try:
         import galsim
     except ImportError:

@@ -49,7 +49,7 @@ PREDICTED, MEASURED = 1, 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """A prediction beside a measurement.
+    """A prediction and its measurement.
 
     Attributes
     ----------
@@ -309,7 +309,7 @@ class Recorder:
 
 
 class Here(concurrent.futures.Executor):
-    """Does at once what processes of their own would do, where nobody sees them."""
+    """Executor that works at once in this process, under the profiler."""
 
     def __init__(self, *_: Any, **__: Any) -> None:
         pass

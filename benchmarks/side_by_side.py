@@ -38,7 +38,7 @@ def command_of(name: str, out: Path) -> list[str]:
 
 
 def seconds(name: str, copies: int, threads: int | None, folder: Path) -> tuple[float, float]:
-    """Wall and processor time [s] of so many runs at once; ``threads`` None leaves the choice to the program."""
+    """Wall and processor time [s] of a number of runs at once; ``threads`` None leaves the choice to the program."""
     environment = {key: value for key, value in os.environ.items() if key not in THREADS}
     if threads is not None:
         environment |= dict.fromkeys(THREADS, str(threads))

@@ -50,7 +50,7 @@ def mark_stars(axes: Axes, stars: StarTable, identified: Identification | StarAt
     stars : StarTable
         Circles; crosses where a flag speaks against the star.
     identified : Identification or StarAttitude, optional
-        Green circles around those that were identified or made the attitude.
+        Green circles around identified stars, or the stars of the attitude.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def star_marks(stars: StarTable, identified: Identification | StarAttitude | Non
     Parameters
     ----------
     stars : StarTable
-        Those that were identified, those that may count, those that a flag speaks against.
+        Shown in three layers: identified, usable, flagged.
     identified : Identification or StarAttitude, optional
         What they were identified as; with residuals, if it has them, as arrows from the catalogue's place.
 

@@ -64,7 +64,7 @@ class NoiseModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conversion:
-    """What became of the numbers of a file on their way to DN, and what they tell of the converter."""
+    """Conversion of the numbers of a file to DN, and properties of the converter."""
 
     kind: str  # Format of the file
     stored: str  # Type of the stored numbers, as NumPy calls it

@@ -35,7 +35,7 @@ for _name in ("optics", "render", "calib"):  # a user's module of that name make
 
 
 def _no_such_module() -> None:
-    """Python says of ``-m experiments.camra`` that there is no such module; say which one is near."""
+    """Error for an unknown module (``-m experiments.camra``), with the nearest name."""
     words = [word.removeprefix("-m") for word in sys.orig_argv[1:]]
     name = next((word.removeprefix("experiments.") for word in words if word.startswith("experiments.")), "")
     home = Path(__file__).parent

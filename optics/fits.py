@@ -265,7 +265,7 @@ def _tiles(
 
 
 def _unpacks_within(content: bytes, most: int) -> bool:
-    """Whether all members of a gzip stream together unpack to so many bytes at most; damage is left to the reader."""
+    """Whether all members of a gzip stream together unpack within a number of bytes; damage is left to the reader."""
     while content:
         unpack = zlib.decompressobj(_GZIP_OR_ZLIB)
         try:

@@ -38,7 +38,7 @@ TOML_FIELDS = (0.0, 0.7, 1.0)
 TOML_WAVES = (0.85, 1.0, 1.2)
 """Shares of the half field, and of the design wavelength, whose light has to pass where a TOML file states no rim."""
 DRAWN_APART = 0.02
-"""Clear apertures that differ from those of the file's own program by less agree with them."""
+"""Relative difference up to which clear apertures agree with the file's program."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +101,7 @@ def load_lens(name_or_path: str | Path, *, environment: Environment | None = Non
     ----------
     name_or_path : str or path
         A built-in name (`list_lenses`), a TOML file, or a lens file of Zemax (.zmx) or CODE V (.seq), of which
-        ``zoom.zmx#2`` is the second configuration. `read_lens_file` tells what became of every line of such a file.
+        ``zoom.zmx#2`` is the second configuration. `read_lens_file` reports on every line of such a file.
     environment : Environment, optional
         Temperature and pressure; `optics.glass.media.VACUUM` for space. Left out: that of the file, or
         `optics.glass.media.CATALOGUE_AIR`.
@@ -328,7 +328,7 @@ def _found(lens: LensSystem, defaults: FileDefaults) -> BeamWidths:
 
 
 def _told(lens: LensSystem, needs: Sequence[int], mine: Mapping[int, Row], found: BeamWidths) -> list[ReportLine]:
-    """What was found, beside what the file's program drew; and light that did not get through."""
+    """Report on computed clear apertures, those of the file's program, and lost light."""
     if not needs:
         return []
     text = ", ".join(f"{mine[i].number}: {lens.surfaces[i].semi_diameter_mm:.5g}" for i in needs)

@@ -81,7 +81,7 @@ def _is_value(given: Any, location: list[int | str]) -> bool:
 
 
 def _faults(model_class: type[BaseModel], error: ValidationError) -> list[dict[str, Any]]:
-    """What is wrong; where a value may be one of several types, what the nearest one says of it."""
+    """Faults of a value; of several allowed types, the fault by the nearest one."""
     faults: list[dict[str, Any]] = [dict(fault) for fault in error.errors(include_url=False)]
     of_types: dict[Location, dict[Any, list[dict[str, Any]]]] = {}
     for fault in faults:
@@ -128,7 +128,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def _deeper(table: Any, levels: int) -> bool:
-    """Whether tables and lists go deeper than so many levels; without recursion, which has a limit of its own."""
+    """Whether tables and lists exceed a number of levels; without recursion, which has a limit of its own."""
     inside = [table]
     for _ in range(levels):
         inside = [
@@ -141,7 +141,7 @@ def _deeper(table: Any, levels: int) -> bool:
 
 
 class _Lax:
-    """Stands for a value that pydantic would convert and nobody meant; no field takes it, messages show the value."""
+    """A value that pydantic would convert unintentionally; no field takes it, messages show the value."""
 
     def __init__(self, value: Any, needed: str) -> None:
         self.value, self.needed = value, needed
@@ -182,13 +182,13 @@ def _leaves(annotation: Any) -> set[Any]:
 
 
 def _follows(fault: dict[str, Any], faults: list[dict[str, Any]]) -> bool:
-    """Whether a list is only too short because its items are at fault, which is said of them."""
+    """Whether a list is only too short because of faults of its items, which have their own messages."""
     at = fault["loc"]
     return fault["type"] == "too_short" and any(other["loc"][: len(at)] == at for other in faults if other != fault)
 
 
 def _misspelt(model_class: type[BaseModel], fault: dict[str, Any], faults: list[dict[str, Any]]) -> bool:
-    """Whether a key is missing because an unknown one of the same table is meant for it, which is said of that one."""
+    """Whether a key is missing because an unknown key of the same table is meant for it, which has its own message."""
     if fault["type"] != "missing":
         return False
     *table, name = fault["loc"]
@@ -305,7 +305,7 @@ def _owners(model_class: type[BaseModel], location: Location) -> list[type[BaseM
 
 
 def _is_tag(owners: list[type[BaseModel]], step: int | str) -> bool:
-    """Whether a step of a location is the ``kind`` of a model that stands beside other types, which is no key."""
+    """Whether a step of a location is the ``kind`` of a model among other types, which is no key."""
     kinds = [owner.model_fields["kind"].default for owner in owners if "kind" in owner.model_fields]
     is_key = len(owners) == 1 and step in owners[0].model_fields  # a model's only kind may be called as one of its keys
     return step in kinds and not is_key
@@ -353,7 +353,7 @@ def _number(value: Any) -> str:
 
 
 def _constraints(field: FieldInfo) -> Iterator[Any]:
-    """Constraints of the field itself, or of the one kind of value that it may hold beside nothing."""
+    """Constraints of the field itself, or of the single type that it may hold other than None."""
     yield from field.metadata
     for part in typing.get_args(field.annotation):
         if typing.get_origin(part) is typing.Annotated:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 NODES = 6
 MARGIN_PX = 16.0
-"""Stars beside the detector within this distance are rendered too: their spots reach onto it."""
+"""Distance from the detector within which stars are rendered too: their spots reach onto it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

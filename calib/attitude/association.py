@@ -60,7 +60,7 @@ class Association:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarMatch:
-    """What `match_stars` found."""
+    """Result of `match_stars`."""
 
     # ``"matched"``; ``"too_few"``: fewer than three detections or catalogue stars to work with; ``"no_match"``;
     # ``"mirrored"``: no attitude fits, but one does after an axis of the image was flipped
@@ -346,7 +346,7 @@ def _refined(
 
 
 def _chance(matches: int, detections: int, each: float, tried: int) -> float:
-    """Probability that chance matches so many beyond the two that fix the attitude, in as many trials."""
+    """Probability of as many chance matches beyond the two that fix the attitude, in as many trials."""
     if matches < 3:
         return 1.0
     return float(min(1.0, max(tried, 1) * bdtrc(matches - 3, detections - 2, each)))

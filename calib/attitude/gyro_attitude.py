@@ -50,7 +50,7 @@ class _Quaternions(NamedTuple):
         )
 
     def at(self, index: NDArray[np.int64] | slice) -> _Quaternions:
-        """Those of some intervals (last axis)."""
+        """Quaternions of some intervals (last axis)."""
         return _Quaternions(*(part[..., index] for part in self))
 
 

@@ -299,7 +299,7 @@ def _accepted(
 
 
 def _trimmed(v_cam: FloatArray, v_ref: FloatArray) -> tuple[NDArray[np.int64], AttitudeSolution]:
-    """Rows of the matches without those that lie far off (a false detection finds a partner, too), and the attitude."""
+    """Rows of the matches without distant ones (a false detection may have a partner, too), and the attitude."""
     kept = np.arange(len(v_cam))
     solution = solve_wahba(v_cam, v_ref)
     for _ in range(TRIM_ROUNDS):

@@ -29,7 +29,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 LOCKED_COSINE = 1e-9
-"""Cosine of a1 below which a2 and a3 can no longer be told apart: a change of 1e-9 rad moves them by a radian."""
+"""Cosine of a1 below which a2 and a3 are no longer separable: a change of 1e-9 rad moves them by a radian."""
 
 
 def rotation_of_angles(angle_rad: ArrayLike) -> Rotation:

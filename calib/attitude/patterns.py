@@ -37,9 +37,8 @@ def cache_folder() -> Path:
 
 
 def kept_database(*, min_fov_deg: float, max_fov_deg: float) -> Any:
-    """Pattern database for a range of fields: from disk, or made and kept there if that can be.
-
-    It is made beside the main thread, so that an interrupt need not wait for it.
+    """Pattern database for a range of fields: from disk, or computed and kept there if possible. It is computed in a
+    separate thread, so that an interrupt need not wait for it.
     """
     folder, key = cache_folder(), _key(min_fov_deg, max_fov_deg)
     found = _kept(folder, key)
@@ -61,7 +60,7 @@ def _key(*fields: float) -> str:
 
 
 def _kept(folder: Path, key: str) -> Any:
-    """The database of a key, if there is one whose bytes are those that were written; others are removed."""
+    """The database of a key, if there is an intact one; damaged files are removed."""
     for file in sorted(folder.glob(f"patterns-{key}-*.bin")):
         with contextlib.suppress(OSError, ConfigError):
             if _digest(file) == file.stem.rpartition("-")[2]:

@@ -107,7 +107,7 @@ class AttitudeSolution:
 
     @property
     def misfit(self) -> ChiSquare:
-        """Twice the loss beside its expectation 2n - 3; not tested without a stated sigma."""
+        """Twice the loss against its expectation 2n - 3; not tested without a stated sigma."""
         freedom = 0 if np.isnan(self.probability) else round(2.0 * self.expected_loss)
         return ChiSquare(value=2.0 * self.loss, degrees_of_freedom=freedom)
 

@@ -46,9 +46,9 @@ ROUGH_PX = 1.0
 SNR = 5.0
 """Signal-to-noise ratio of the flux below which a window holds no star."""
 SEEN_SHARE = 0.5
-"""Of the predicted stars, so many have to be there after an acquisition, or it was a chance match."""
+"""Smallest fraction of the predicted stars to be found after an acquisition; below, it was a chance match."""
 BRIGHTEST = (20, 12)
-"""Detections that are asked for their names when all of them make no pattern."""
+"""Number of brightest detections to identify if all of them form no pattern."""
 DOUBTFUL = StarFlag.SPIKE | StarFlag.TRAIL | StarFlag.UNDETERMINED
 MISFIT = 0.3
 """Residual of a fit over the star fitted, root of their powers against the noise, above which light is no star's."""
@@ -169,7 +169,7 @@ def _apparent(direction: FloatArray, velocity: ArrayLike | None) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackedAttitude:
-    """What the tracker says of one frame.
+    """Result of the tracker for one frame.
 
     Status: ``"ok"``; ``"few_stars"``: fewer than needed; ``"not_identified"``: stars, but of no known pattern;
     ``"not_confirmed"``: a pattern, but most guide stars are missing in it.

@@ -94,7 +94,7 @@ def _davenport(profile: FloatArray) -> FloatArray:
 
 
 def _largest_root(profile: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Largest root (f,) of the characteristic equation, and whether Newton's method came to rest."""
+    """Largest root (f,) of the characteristic equation, and whether Newton's method converged."""
     square = np.einsum("fij,fij->f", profile, profile)
     determinant = np.linalg.det(profile)
     adjugate = adjugate3(profile)

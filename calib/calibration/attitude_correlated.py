@@ -87,7 +87,7 @@ class AttitudeCorrelated(RotationFamily):
         return ANGLE_NAMES
 
     def start_pose(self, stars: Observations, model: CameraModel, *, robust: bool) -> LinkState:
-        """What is given as it is; the first attitude from all stars, each turned back to the first frame."""
+        """Given values unchanged; the first attitude from all stars, each turned back to the first frame."""
         seen = model.unproject(stars.pixel_px, stars.band)
         installation = np.eye(3)
         if self.installation is not None:

@@ -74,7 +74,7 @@ class AttitudeFamily(ABC):
         return ""
 
     def names(self, stars: Observations) -> tuple[str, ...]:
-        """Names of the unknowns beside the camera that all frames share, as reported (a,)."""
+        """Names of the common unknowns other than the camera's, as reported (a,)."""
         return ()
 
     def frame_unknowns(self, stars: Observations) -> int:
@@ -83,7 +83,7 @@ class AttitudeFamily(ABC):
 
     @property
     def prior_terms(self) -> int:
-        """Number of residuals beyond those of the stars."""
+        """Number of residuals in addition to the stars' residuals."""
         return 0
 
     def independent(self, stars: Observations) -> int:
@@ -96,7 +96,7 @@ class AttitudeFamily(ABC):
 
     @abstractmethod
     def start(self, stars: Observations, model: CameraModel, *, robust: bool = False) -> Any:
-        """State where a fit begins; what the record holds is taken as it is, the rest comes from the stars."""
+        """Start state of a fit; values of the record are unchanged, the rest comes from the stars."""
 
     @abstractmethod
     def problem(self, stars: Observations, model: CameraModel, free: BoolArray) -> Problem:
@@ -188,7 +188,7 @@ class RotationFamily(AttitudeFamily, FrameRotations):
         return Outcome(state=fit.state, solution=replace(solution, status=status, message=message), kept=kept)
 
     def attitudes(self, state: Any, stars: Observations, camera: CameraModel) -> tuple[FloatArray, Rotation | None]:
-        """Those of the state."""
+        """Attitudes of the state."""
         return self.rotations(state.pose), self.installation_of(state.pose)
 
 

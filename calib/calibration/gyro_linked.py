@@ -181,7 +181,7 @@ class GyroLinked(RotationFamily):
         return np.asarray(self.link.turn @ exponential(self._error(pose)))
 
     def rates(self, pose: WalkState, rotation: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-        """Those of ACC, then the bias; the walk of each frame."""
+        """Rates of ACC, then of the bias; of the walk of each frame."""
         common, _ = self.link.rates(pose.link, rotation)
         block = pose.link.installation @ self._body(pose) @ right_jacobian(self._error(pose))
         if self._bias_names:

@@ -29,7 +29,7 @@ from optics.arrays import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prior:
-    """Normal equations of prior knowledge; those of the frames are added to the frames' blocks."""
+    """Normal equations of prior knowledge; their frame part is added to the frames' blocks."""
 
     common: FloatArray  # (a, a) Information on the common unknowns
     gradient: FloatArray  # (a,) Its gradient

@@ -24,7 +24,7 @@ from optics.records import freeze
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignedCamera(CameraModel):
-    """A camera model with a fixed alignment; geometry and parameters are those of the model."""
+    """A camera model with a fixed alignment; geometry and parameters are the model's."""
 
     model: CameraModel  # The family; its parameters play no part beside ``parameters``
     rotation_model_from_cam: FloatArray  # (3, 3)

@@ -63,7 +63,7 @@ class Problem(Protocol):
 
     @property
     def unknowns(self) -> int:
-        """Number of all unknowns, those of the frames included."""
+        """Number of all unknowns, including the frames' unknowns."""
         ...
 
     @property
@@ -90,7 +90,7 @@ class Problem(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
-    """Where the core came to rest."""
+    """Result of the core."""
 
     state: Any  # State of the problem
     evaluation: Any  # Residuals there

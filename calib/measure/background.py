@@ -17,7 +17,7 @@ from optics.errors import DomainError
 from optics.records import freeze_all
 
 _FIRST_STEP, _FIRST_BOX = 2, 32
-"""The first pass, which only tells stars, takes every second pixel of every second row of cells of so many px."""
+"""Cell size [px] of the first pass, which only finds stars, in every second pixel of every second row."""
 
 
 SLOPE_PART, LEAST_PART = 0.15, 0.2
@@ -287,8 +287,8 @@ def _coarse_statistics(values: FloatArray, quantum: float) -> tuple[float, float
 
     Where the normal distribution behind them must lie to be cut into these shares follows from a straight line: edges
     between numbers against the normal quantiles of the shares below them, from 2 to 97 %. What is 4 standard deviations
-    above it is no background. Mean and deviation are those of the numbers as they are, cut off and rounded, since the
-    filter of the detection and the likelihood of the fits see these.
+    above it is no background. Mean and deviation are of the unchanged numbers, cut off and rounded, since the filter of
+    the detection and the likelihood of the fits see these.
     """
     if not quantum:  # means of colours, say
         apart = np.diff(values)

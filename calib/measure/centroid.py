@@ -35,7 +35,7 @@ _REGISTRY: dict[str, str | type[Centroider]] = {
     "gaussian": "calib.measure.centroiders.gaussian:GaussianCentroider",
     "epsf": "calib.measure.centroiders.epsf:EpsfCentroider",
 }
-"""By name: ``module:class``, imported when it is asked for, or a class that was registered."""
+"""By name: ``module:class``, imported on request, or a registered class."""
 
 
 def list_centroiders() -> tuple[str, ...]:
@@ -100,7 +100,7 @@ def get_centroider(name: str, **options: Any) -> Centroider:
     name : str
         One of `list_centroiders`.
     **options
-        Attributes of the centroider; those that need an ePSF take it as ``epsf=``.
+        Attributes of the centroider; an ePSF is passed as ``epsf=``.
 
     Returns
     -------

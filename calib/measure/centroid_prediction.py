@@ -108,7 +108,7 @@ def predict_centroids(
     electrons : (k,)
         Electrons of the star.
     noise : NoiseModel
-        True noise of a pixel, dark charge and subtracted darks included; the centroider is told the same.
+        True noise of a pixel, dark charge and subtracted darks included; the centroider uses the same.
     background_e : float
         Further light in every pixel; its mean is known.
     prnu, offset_e : float
@@ -170,7 +170,7 @@ def psf_mismatch(
     window_px: int = 11,
     phases: int = 4,
 ) -> FloatArray:
-    """Bias of an ePSF fit that is told other PSFs than the stars have, root mean square over phases and axes, (f, k).
+    """Bias of an ePSF fit with PSFs other than the stars', root mean square over phases and axes, (f, k).
 
     Both PSFs are centred on the mean of the light. To first order the bias is the response of the fit to the difference
     of the two images; parameters as of `predict_centroids`.
@@ -243,7 +243,7 @@ class CentroidResponse:
             self.gain.append(value * linear_response(chosen, stamps, noise, light))
 
     def at(self, flux: float) -> tuple[FloatArray, FloatArray]:
-        """Response (n, 2, h, w) and bias (n, 2) of a star of so many electrons."""
+        """Response (n, 2, h, w) and bias (n, 2) of a star of given electrons."""
         share = np.interp(np.log(flux), self.log_flux, np.arange(len(self.log_flux)))
         low = min(int(share), len(self.log_flux) - 1)
         high, part = min(low + 1, len(self.log_flux) - 1), share - low

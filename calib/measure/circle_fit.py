@@ -80,9 +80,7 @@ class CircleFit:
 def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma: float = CLIP_SIGMA) -> CircleFit:
     """Circle of least squared orthogonal distance.
 
-    Examples
-    --------
-    A line with some noise: a circle comes out, and it says that it is none.
+    Examples -------- A line with noise gives a circle with the status "singular".
 
     >>> x = np.arange(40.0)
     >>> line = fit_circle(np.column_stack([x, 2 * x + 0.1 * np.cos(37 * x**2)]), sigma=0.1)
@@ -178,7 +176,7 @@ def _distance(point: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _gauss_newton(point: FloatArray, error: FloatArray, start: FloatArray) -> tuple[FloatArray, bool]:
-    """Levenberg's damped iteration on the weighted distances, and whether it came to rest."""
+    """Levenberg's damped iteration on the weighted distances, and whether it converged."""
     value, damping = start.copy(), 1e-6
     distance, jacobian = _distance(point, value)
     cost = float(np.sum((distance / error) ** 2))

@@ -126,7 +126,7 @@ def detection_noise(
     -------
     FilteredNoise
         ``.false_alarms(5.0)`` is the number of false detections per image that are to be expected, ``.threshold(0.1)``
-        the limit that makes so many; ``str()`` says both in a line.
+        the limit for 0.1 of them; ``str()`` states both in a line.
     """
     image = as_image(image)
     return _Search(image, estimate_background(image) if background is None else background, fwhm_px).noise()

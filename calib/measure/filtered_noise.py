@@ -34,15 +34,15 @@ from optics.errors import DomainError
 CENTRE_Z, LOW_Z, FIRST_Z, HIGH_Z, LINEAR_FROM_Z = 1.5, 0.3, 2.0, 2.6, 3.5
 """Normal quantiles: of the fit of normal noise, of skewed noise before and after stars are left out, of its tangent."""
 STAR_Z, STAR_PX = 5.0, 4
-"""What exceeds this is left out of the fit of skewed noise, with so many pixels around."""
+"""Limit [sigma] above which pixels, with a margin [px], are left out of the fit of skewed noise."""
 SKEWED, CUT_OFF = 0.03, 0.005
 """Curvature over scale, and share of pixels with the lowest number, from which noise is skewed."""
 FEWEST_PIXELS = 4000
 SPREAD = np.array([1.6, 1.0, 0.75])
-"""RMS deviation of offset, scale and curvature from those of white noise, times the root of the number of pixels, per
-px of FWHM (40 images each of 256 and 512 px, FWHM 1.2 to 4 px: at most 1.60, 0.98, 0.75)."""
+"""RMS deviation of offset, scale and curvature from their values in white noise, times the root of the number of
+pixels, per px of FWHM (40 images each of 256 and 512 px, FWHM 1.2 to 4 px: at most 1.60, 0.98, 0.75)."""
 SURE = 4.0
-"""Deviations from white noise by less than so many standard deviations are none."""
+"""Significance of a deviation from white noise [standard deviations]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,7 +150,7 @@ def measure_noise(
 
 
 def _parabola(ratio: FloatArray, low: float, high: float) -> tuple[float, float, float]:
-    """Curvature, scale and offset of quantiles; of those that bend down a straight line."""
+    """Curvature, scale and offset of quantiles; a straight line for quantiles that bend down."""
     z = np.linspace(low, high, 24)
     quantile = np.quantile(ratio, ndtr(z))
     curvature, scale, offset = np.polyfit(z, quantile, 2)

@@ -12,7 +12,7 @@ from optics.arrays import FloatArray
 LN_SIGMA_X, LN_SIGMA_Y = 3, 4
 """Parameters after x, y and flux."""
 LN_SIGMA_LIMIT = 3.0
-"""Widths stay within e^-3 to e^3 px, whatever step a hopeless star asks for."""
+"""Limits of the logarithm of a width [px]."""
 WIDTH_PRIOR_PX, WIDTH_PRIOR_LN = 0.4, 0.5
 """Below the first [px], ln sigma is taken as normal about it with the second as its standard deviation.
 

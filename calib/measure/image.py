@@ -285,7 +285,7 @@ def read_images(paths: Iterable[str | Path], **options: Any) -> Iterator[SensorI
     Yields
     ------
     SensorImage
-        The frames, in the order of the paths; each is read when it is asked for.
+        The frames, in the order of the paths; each is read on request.
 
     Raises
     ------

@@ -20,7 +20,7 @@ from optics.errors import ConfigError, StarbenchError
 from optics.fits import located, open_fits, unpacked
 
 MOST_PIXELS = 1 << 28
-"""A picture may have so many, which is 2 GB as float64; a header of a few bytes can announce any number."""
+"""Largest number of pixels, 2 GB as float64; a header of a few bytes can announce any number."""
 FEWEST_CODES = 8
 """Different numbers from which a common step is no accident."""
 PILED_UP, PILED_OVER = 8, 10.0
@@ -31,7 +31,7 @@ _WHITE_IS_ZERO, _PALETTE, _SEPARATE = 0, 3, 2  # photometric interpretation, pla
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredPixels:
-    """What a file holds, and nothing made of it."""
+    """Contents of a file, unchanged."""
 
     values: NDArray[Any]  # (h, w), or (h, w, colours), in the type in which they are stored
     opaque: NDArray[np.bool_] | None = None  # (h, w) Where an alpha channel is not 0

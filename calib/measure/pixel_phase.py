@@ -77,7 +77,7 @@ def phase_table(centroider: MomentCentroider, shape: tuple[int, int]) -> PhaseTa
 
 
 def measure_with_phase(centroider: MomentCentroider, stamps: Stamps, noise: NoiseModel) -> StarTable:
-    """Measured stars with their width, the error by pixel phase, and the flag where it matters beside the noise."""
+    """Measured stars with their width, the error by pixel phase, and the flag where it matters against the noise."""
     if not len(stamps):
         return StarTable.empty()
     known = phase_table(centroider, (stamps.electrons.shape[1], stamps.electrons.shape[2]))

@@ -45,8 +45,8 @@ class PixelModel(Protocol):
     """(k,) Largest change of each parameter in one step."""
 
     def prior(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """What is known of ``parameters`` (n, k) beside the pixels: slope (n, k) of the logarithm of its density, and
-        its negative curvature (n, k); None if nothing is."""
+        """Prior of ``parameters`` (n, k): slope (n, k) of the logarithm of its density, and its negative curvature (n,
+        k); None if nothing is."""
         ...
 
     def evaluate(self, parameters: FloatArray, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
@@ -140,7 +140,7 @@ def fit_pixels(
 
 
 def _add_prior(known: tuple[FloatArray, FloatArray] | None, score: FloatArray, information: FloatArray) -> None:
-    """Add what is known beside the pixels, in place."""
+    """Add the prior, in place."""
     if known is not None:
         slope, curvature = known
         index = np.arange(slope.shape[1])
@@ -236,7 +236,7 @@ class LikelihoodFit:
         return self._table(stamps, concatenated(parts), noise)
 
     def shape_columns(self, fit: PixelFit) -> dict[str, Any]:
-        """Columns of the table that follow from parameters after the flux; ``flags`` are added to those of the fit."""
+        """Columns of the table that follow from parameters after the flux; ``flags`` are added to the fit's flags."""
         del fit
         return {}
 

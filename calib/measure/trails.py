@@ -18,7 +18,7 @@ from optics.arrays import FloatArray
 REACH_PX, END_PX, BESIDE_PX, STEPS = 50.0, 5.0, 6.0, 24
 """Longest way between two pieces, what is left out at its ends, distance of the parallels, samples of a way."""
 LIGHT, SURE = 1.5, 5.0
-"""Least light along the way [sigma], and in standard deviations of the median of so many independent pixels."""
+"""Least light along the way [sigma], and in standard deviations of the median of this number of independent pixels."""
 INDEPENDENT_PX, MEDIAN_SPREAD = 2.5, 1.2533
 FEWEST, SHORTEST_PX, WIDEST_PX = 4, 40.0, 2.5
 """Pieces of a trail, its length and its RMS width."""

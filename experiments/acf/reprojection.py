@@ -26,7 +26,7 @@ FIG4_RMS_PX = np.array([0.0132, 0.0123])
 FIG4_LARGEST_PX = 0.04
 """ACF17 Fig. 4: all reprojection errors are below."""
 ASSUMED, INFERRED = "assumed", "inferred"
-"""Pixel and stars of the settings; those that Table 2 implies (`experiments.acf.table2.implied`)."""
+"""Pixel and stars of the settings, and as implied by Table 2 (`experiments.acf.table2.implied`)."""
 
 Row = Sequence[Measured]
 

@@ -34,7 +34,7 @@ def _ascending(values: tuple[Number, ...], least: int = 1) -> tuple[Number, ...]
 
 
 ONE, TWO = AfterValidator(_ascending), AfterValidator(partial(_ascending, least=2))
-"""Of increasing values, at least so many."""
+"""Check of a list: increasing values, and their smallest number."""
 GyroSizes = Annotated[tuple[Annotated[float, Field(ge=0, le=1000)], ...], ONE]
 
 

@@ -59,7 +59,7 @@ class Rendered:
 
 WIDEST_MAG = 3.0
 UNFIT_SHARE = 0.05
-"""Stars whose fit does not converge, or that look too sharp: known to so much of their number."""
+"""Stars whose fit does not converge, or that look too sharp: relative uncertainty of their number."""
 MODEL_SHARE, MODEL_MAG = 0.03, 0.05
 """What the prediction leaves out (fields between five, PSFs in cells, a linear response), three standard deviations."""
 FEWEST_STARS = 8
@@ -104,7 +104,7 @@ class Solved:
 
 
 def solved_frames(prediction: CameraPrediction, rendered: Rendered) -> Solved:
-    """What became of the frames of the sky."""
+    """Solution statistics of the frames of the sky."""
     error = rendered.sky.error_arcsec
     enough = prediction.attitude.stars[: len(error)] >= FEWEST_STARS
     known = np.isfinite(error).all(axis=1)
@@ -141,7 +141,7 @@ def bright_stars(chart: ChartFrames) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 def _electrons(prediction: CameraPrediction, rendered: Rendered) -> Compared:
-    """Light of the renderer, beside lens area times throughput by another trace with other rays."""
+    """Light of the renderer, against lens area times throughput by another trace with other rays."""
     chart = rendered.chart
     whole = chart.magnitude == chart.bright_mag
     kelvin = prediction.config.star.temperature_k
@@ -252,7 +252,7 @@ def _stars(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compared, 
 
 
 def _attitude(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compared, ...]:
-    """Root mean square of the errors, beside that of the standard deviations predicted for the same attitudes."""
+    """Root mean square of the errors, against that of the standard deviations predicted for the same attitudes."""
     error = rendered.sky.error_arcsec
     solved = np.isfinite(error).all(axis=1)
     sigma = prediction.attitude.total_arcsec[: len(error)][solved]

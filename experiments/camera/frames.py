@@ -44,14 +44,14 @@ from render.records import Frame, StarField
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 
 MATCH_PX, MATCH_WIDTHS = 2.0, 0.6
-"""A detection this near to the light of a star, or so many widths of the filter, is that star."""
+"""Largest distance of a detection from the light of its star: in px, and in widths of the filter."""
 CROWDED = 0.02
 """Share of the chart that stars take up in squares of four widths, above which bright and faint ones are apart."""
 FAINTER_MAG, BRIGHTER_MAG = 0.8, 1.2
 """Chart stars about the limiting magnitude."""
 ROUGH_PX = 5.0
 LONG_SIDE, FEWER = 17, 9
-"""PSFs along the longer side of the detector; fewer where the noise alone is looked at."""
+"""PSFs along the longer side of the detector; fewer for noise alone."""
 TURNING = 0.5
 """Slew rate of the chart in motion, of that at which trails fill the window."""
 
@@ -135,7 +135,7 @@ class _Bench:
 
 
 def _slew(config: Config, camera: Camera) -> ExposureMotion | None:
-    """Turn during an exposure; the attitude asked for is that of its middle."""
+    """Turn during an exposure; the given attitude is that of its middle."""
     rate, towards = math.radians(config.slew.rate_deg_per_s), math.radians(config.slew.direction_deg)
     if not rate:
         return None
@@ -176,7 +176,7 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
 
 
 def _turning(prediction: CameraPrediction, advance: Callable[[], None]) -> tuple[CameraPrediction, ChartFrames] | None:
-    """The chart at half of the slew rate at which trails fill the window; None where no motion is asked for."""
+    """The chart at half of the slew rate at which trails fill the window; None without motion."""
     config = prediction.config
     if not config.motion.points or config.slew.rate_deg_per_s or config.instrument.line_time_us:
         return None

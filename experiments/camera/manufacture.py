@@ -52,7 +52,7 @@ SHOWN = {
 JUDGED = ("nea_arcsec", "attitude_cross_arcsec", "spot_px", "lsfe_before_arcsec", "lsfe_after_arcsec")
 """Requirements that a lens may miss."""
 CHOSEN = (0.1, 0.5, 0.9)
-"""Of all lenses in the order of their NEA: those that are rendered."""
+"""Rendered lenses, as fractions of all in the order of their NEA."""
 MOST = 8
 """Offenders that are listed."""
 Move = Callable[[LensSystem, float], LensSystem]
@@ -60,7 +60,7 @@ Move = Callable[[LensSystem, float], LensSystem]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manufactured:
-    """Lenses as made, one standard deviation; beside them the same by the sensitivities of all tolerances."""
+    """Manufactured lenses, one standard deviation, and the same by the sensitivities of all tolerances."""
 
     built_lenses: int = col("Lenses that were traced")
     built_lost: int = col("Lenses without an image")

@@ -28,7 +28,7 @@ from optics.arrays import FloatArray
 LIGHT_FLOOR, WIDTH_FLOOR = 0.03, 0.02
 """How far filters may differ from place to place: vignetting and aberrations that hang on the wavelength."""
 LEAST, LEFT = 25.0, 0.25
-"""An exchange is named where it lowers the squares over these floors by so much, and to this part of what they were."""
+"""Least reduction of the squares over these floors by an exchange, absolute and as a ratio."""
 DETERMINED = 1e-6
 
 

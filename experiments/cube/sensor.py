@@ -37,7 +37,7 @@ FREE = ("x0_px", "y0_px", "focal_length_mm")
 LEAN_NAME = "lean_rad"
 EXPOSURE_S = 0.01
 CENTROID_SIGMA_PX = 0.05
-"""Stated for all spots alike; what the fit says of errors is scaled to the scatter that it finds."""
+"""Stated for all spots alike; the errors of the fit are scaled to its residual scatter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,7 +31,7 @@ SHORTEST_S = 1e-6
 FLAT_FRACTION = 0.5
 """Of the range to saturation."""
 BLOCK_PX = 32
-"""A pixel's own gain from 20 frames would be known to a third; that of a block of so many pixels a side to 1 %."""
+"""A pixel's own gain from 20 frames would be known to a third; that of a block of this side [px] to 1 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ def _master(scene: Scene, name: str, frames: int, electrons: float, exposure_s: 
 def _photon_transfer(light: _Master, dark: _Master) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Gain K [DN/e-] in blocks, variance over mean (EMVA 1288 4.0, sec. 6.6), and its standard error.
 
-    The variance of n frames is uncertain by sqrt(2 / (n - 1)) of itself; the mean's own error does not count beside it.
+    The variance of n frames is uncertain by sqrt(2 / (n - 1)) of itself; the error of the mean is negligible.
     """
     shape = light.mean.shape
     edges = [np.arange(0, size, BLOCK_PX) for size in shape]

@@ -44,7 +44,7 @@ from render.engine import Engine
 from render.fits.files import read_frame
 
 EXPORTS = (COCO, WEBDATASET)
-"""Their names are those of their folders."""
+"""Exports; names as of their folders."""
 EMPTY = "empty"
 """Random streams of frames without stars."""
 SMALLEST_SHARE = {"none": 1.0, "rice": 0.1, "gzip": 0.1}
@@ -84,7 +84,7 @@ class Solver:
 
 
 def run(config: Config, *, progress: Progress, output: DatasetFolder) -> dict[str, Any]:
-    """Make the frames that are missing, write the exports, look at the first frames."""
+    """Render missing frames, write the exports, evaluate the first frames."""
     with progress.stage("prepare"):
         if "webdataset" in config.exports:
             check_webdataset()
@@ -111,7 +111,7 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> dict[st
 
 
 def _check_window(config: Config, scene: Scene) -> None:
-    """Refuse a detector that is too small to look at its frames, before they are made."""
+    """Refuse a detector too small for the evaluation, before rendering."""
     camera = scene.instrument.camera
     if config.verify.frames and min(camera.width_px, camera.height_px) < config.window_px:
         raise ConfigError(
@@ -122,7 +122,7 @@ def _check_window(config: Config, scene: Scene) -> None:
 
 
 def _complete(scene: Scene, output: DatasetFolder, job: Job, progress: Progress) -> dict[str, Any]:
-    """A dataset brought to the frames wanted: those that are there and whole are kept, the others are made."""
+    """A dataset completed to the requested frames: intact frames are kept, missing ones rendered."""
     config, camera = scene.config, scene.instrument.camera
     if output.repaired:
         progress.note(f"{output.shown}: {output.repaired}")
@@ -178,7 +178,7 @@ def _complete(scene: Scene, output: DatasetFolder, job: Job, progress: Progress)
 
 
 def _needed(config: Config, output: DatasetFolder, records: Sequence[FrameRecord]) -> list[str]:
-    """Files that are looked at on this machine: every truth, and frames for exports, report and contact sheet."""
+    """Files needed on this machine: every truth, and frames for exports, report and contact sheet."""
     exported = bool(config.exports) or any((output.path / name).is_dir() for name in EXPORTS)
     some = records if exported else (*records[: config.verify.frames], *chosen(records))
     return list(dict.fromkeys([*(record.truth for record in records), *(record.file for record in some)]))
@@ -289,7 +289,7 @@ def extra(result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def files(result: Mapping[str, Any], folder: Path) -> None:
-    """Index, data card and contact sheet, beside what the command line writes."""
+    """Index, data card and contact sheet, in addition to the files of every run."""
     frames, seen = result["frames"], result.get("detection")
     write_closing_files(
         frames.scene,
@@ -303,7 +303,7 @@ def files(result: Mapping[str, Any], folder: Path) -> None:
 
 
 def _baseline(config: Config, result: Mapping[str, Any]) -> dict[str, str]:
-    """What simple methods reach in the frames: for whoever wants to do better."""
+    """Baseline results of simple methods on the frames."""
     seen, solved, bins = (result.get(name) for name in ("detection", "attitudes", "centroids"))
     if seen is None or not seen.bright_stars:
         return {}

@@ -117,7 +117,7 @@ def _cone(config: Config) -> FloatArray | None:
 def _by_side(splits: SplitsConfig, streams: Streams, looks: FloatArray, gap_rad: float) -> Splits:
     """One side of where frames look for the test, the other for validation, the middle for training.
 
-    The sides are told by the latitude above a great circle through the middle, across which the boresights spread
+    The sides are defined by the latitude above a great circle through the middle, across which the boresights spread
     farthest (for a cone: a random one); two boresights are at least as far apart as their latitudes.
     """
     middle = looks.mean(0) / max(float(np.linalg.norm(looks.mean(0))), 1e-9)

@@ -137,7 +137,7 @@ def star_rows(
 
 
 def _worth_a_row(values: dict[str, FloatArray], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Stars (n,) that give light to the detector or should: those whose chief ray passes far beside it are left out."""
+    """Stars (n,) with light on the detector or near it: without stars whose chief ray passes far outside."""
     x, y = values["chief_x_px"], values["chief_y_px"]
     near = (x >= -0.5 - BESIDE_PX) & (x <= shape[1] - 0.5 + BESIDE_PX)
     near &= (y >= -0.5 - BESIDE_PX) & (y <= shape[0] - 0.5 + BESIDE_PX)

@@ -128,7 +128,8 @@ async def _greet(address: str) -> None:
 
 @contextlib.contextmanager
 def _marked(job: Job) -> Iterator[Job]:
-    """The job for workers elsewhere, with a file beside the frames by which each of them is checked when it starts."""
+    """The job for workers elsewhere, with a file in the folder of the frames by which each of them is checked at its
+    start."""
     token = f".token-{secrets.token_hex(8)}.partial"
     path = Path(job.folder) / token
     Store(job.url).write(token, b"") if job.url else path.touch()
@@ -165,7 +166,7 @@ def _try_worker(client: Any, job: Job, address: str) -> None:
 
 
 class _Watch:
-    """Looks at a cluster now and then: how many frames it takes at once, and whether it is still there.
+    """Monitors a cluster: how many frames it takes at once, and whether it is still there.
 
     Workers may come and go (adaptive scaling); without any for `ALONE_S` seconds a note is printed, after `GIVE_UP_S`
     the run ends.
@@ -245,7 +246,7 @@ def _gather(
 
 
 def _reason(error: BaseException) -> str:
-    """Text of an error and of the first of its causes: "Nanny failed to start" helps nobody."""
+    """Text of an error and of the first of its causes ("Nanny failed to start" is no help)."""
     first = error
     while before := first.__cause__ or (None if first.__suppress_context__ else first.__context__):
         first = before
@@ -261,10 +262,9 @@ def _hush() -> None:
 
 @contextlib.contextmanager
 def local_cluster(count: int) -> Iterator[Any]:
-    """A Dask client of so many worker processes of this machine; they end with it.
-
-    The cluster starts beside the main thread, which takes interrupts meanwhile. After one (or any other exception) the
-    processes are killed, whatever they are at: they may have been starting, or amid a frame.
+    """A Dask client with worker processes on this machine, which end with it. The cluster starts in a separate thread;
+    the main thread takes interrupts. After one (or any other exception) the processes are killed, whatever they are at:
+    they may have been starting, or amid a frame.
     """
     import dask
     import distributed
@@ -323,7 +323,7 @@ def local_cluster(count: int) -> Iterator[Any]:
 
 
 def _kill(up: list[Any], started: threading.Event, others: set[Any]) -> None:
-    """End the processes, also those that start meanwhile, then what is left of the cluster."""
+    """End the processes, also those just starting, then the rest of the cluster."""
     _hush()
 
     def close() -> None:

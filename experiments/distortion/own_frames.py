@@ -30,7 +30,7 @@ PLACE = "distortion_arcsec_3sigma[method][reference]"
 DIMS = "method reference axis"
 HIGHEST = 9
 OVER_BEST = 2.0
-"""So many times the error of the best order is a wrong order, and not a target of few points."""
+"""Ratio to the error of the best order above which the order is wrong, and not a target of few points."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +71,7 @@ class Choice:
 
 
 def orders(place: FloatArray, offset_px: FloatArray, order: int, reference: Reference, scale: float) -> list[Order]:
-    """Every order that the points determine, up to two above the one asked for."""
+    """Every order that the points determine, up to two above the requested one."""
     rows = []
     for one in range(1, min(order + 2, HIGHEST) + 1):
         if len(place) <= (one + 1) * (one + 2) // 2:
@@ -91,7 +91,7 @@ def orders(place: FloatArray, offset_px: FloatArray, order: int, reference: Refe
 
 
 def choice(rows: Sequence[Order], order: int) -> Choice:
-    """What the orders say of the one that was asked for; an order counts by the worse of both errors."""
+    """Comparison of the requested order with the others, by the larger of both errors."""
     worst = np.array([np.fmax(one.tried_point_arcsec, one.tried_row_arcsec) for one in rows])
     tested = np.array([np.isfinite(one.tried_row_arcsec) for one in rows])
     best = int(np.argmin(np.where(tested | ~tested.any(), worst, np.inf)))

@@ -101,7 +101,7 @@ ADVICE = (
     "too few places (grid.columns, grid.rows) or too little motion for the unknowns, errors of the table that are not "
     "in its reading noise (table.encoder_amplitude_arcsec), or a lens that the camera model does not describe"
 )
-"""What to look at when a calibration does not fit."""
+"""Advice for a calibration that does not fit."""
 
 
 def check_config(config: Config) -> Instrument:

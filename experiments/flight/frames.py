@@ -227,7 +227,7 @@ def build_tracker(camera: Camera) -> StarTracker:
 
 
 def _patterns(budget: Budget) -> Any:
-    """Star patterns for an oblong field; None where those of a square one serve (`identify_stars`)."""
+    """Star patterns for an oblong field; None where patterns of a square field serve (`identify_stars`)."""
     wide, high = (budget.nominal.value(f"field_{side}_deg") for side in ("width", "height"))
     if max(wide, high) < OBLONG * min(wide, high):
         return None

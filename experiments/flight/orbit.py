@@ -90,7 +90,7 @@ def build_orbit(config: OrbitConfig, epoch_year: float) -> Orbit:
 
 
 def _kepler(config: OrbitConfig) -> tuple[Callable[[ArrayLike], tuple[FloatArray, FloatArray]], float]:
-    """Kepler's orbit, its axes those of the equator of J2000, icrs to 0.02 arcsec; and its period."""
+    """Kepler's orbit in axes of the equator of J2000, icrs to 0.02 arcsec; and its period."""
     e, a = config.eccentricity, (EARTH_RADIUS_KM + config.perigee_km) / (1.0 - config.eccentricity)
     motion = math.sqrt(GM_KM3_PER_S2 / a**3)
     node, tilt, perigee = (math.radians(v) for v in (config.node_deg, config.inclination_deg, config.perigee_deg))

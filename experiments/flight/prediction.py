@@ -307,7 +307,7 @@ class Budget:
         return np.asarray(shift + apart * bias), np.asarray(apart * spot)
 
     def heat_px(self, mean_k: float, radius_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Radial bias (n,) of the fit through a lens warmer by so much, and its RMS over pixel phases."""
+        """Radial bias (n,) of the fit through a warmer lens, and its RMS over pixel phases."""
         ends, *both = self._heat_bias
         part, end = abs(mean_k) / abs(ends[int(mean_k > 0.0)]), int(mean_k > 0.0)
         bias, spot = (part * np.interp(radius_px, self.nominal.state.radius_px, rows[end]) for rows in both)
@@ -316,7 +316,7 @@ class Budget:
     # --- Stars of an attitude
 
     def expected(self, attitude: Rotation, velocity: FloatArray | None) -> tuple[NDArray[np.int64], FloatArray]:
-        """Guide stars that a tracker looks at, rows of `guides`, and their directions in cam."""
+        """Guide stars of a tracker, rows of `guides`, and their directions in cam."""
         rows, seen, _ = expected_guides(
             self.guides,
             self.model,
@@ -404,7 +404,7 @@ class Budget:
         return total, spot
 
     def _turned(self, v: FloatArray, shift_px: FloatArray) -> FloatArray:
-        """Shifts on the detector as changes of direction (n, 3): what the camera model makes of them."""
+        """Shifts on the detector as changes of direction (n, 3) by the camera model."""
         place = self.model.project(v)
         return np.asarray(self.model.unproject(place + shift_px) - self.model.unproject(place))
 
@@ -424,7 +424,7 @@ class Budget:
 
     @cached_property
     def star_error_px(self) -> FloatArray:
-        """Error per axis of every guide star besides noise and scale, RMS over field and flight, by its own colour."""
+        """Error per axis of every guide star without noise and scale, RMS over field and flight, by its own colour."""
         radius, kelvin = detector_radii(self.nominal.state), self.temperature_k[self.guides.row]
         known, index = np.unique(kelvin.round(-1), return_inverse=True)
         colour, spot = self.colour_px(np.repeat(known, len(radius)), np.tile(radius, len(known)))
@@ -438,7 +438,7 @@ class Budget:
 
     @cached_property
     def _alike(self) -> tuple[float, float]:
-        """Of stars of any colour: variance per axis besides noise and scale [px2], and error of the scale, RMS."""
+        """Of stars of any colour: variance per axis without noise and scale [px2], and error of the scale, RMS."""
         squares, scales = [0.0], [0.0]
         for time in self.flight.segments_s:
             rows, v = self.expected(self.flight.trajectory.attitude(float(time)), None)
@@ -481,7 +481,7 @@ def _kept(text: str) -> CameraPrediction:
 
 
 def build_budget(config: Config, flight: Flight, *, old: bool = False) -> Budget:
-    """Prediction at the beginning of life, or of the sensor as it is ``old``.
+    """Prediction at the beginning of life, or of the ``old`` sensor.
 
     Raises
     ------

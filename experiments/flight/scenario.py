@@ -30,9 +30,9 @@ SAMPLES = 721
 BEFORE_S, AFTER_S = 60.0, 600.0
 """The trajectory begins before and ends after the orbit, for segments at its ends."""
 LONGEST_GAP = 0.05
-"""Of the orbit: tables of temperature may leave out so much."""
+"""Largest gap of a temperature table, as a fraction of the orbit."""
 GAP_DEG = 90.0
-"""Attitudes of a table may turn by so much from row to row."""
+"""Largest turn of an attitude table between rows."""
 
 
 def read_columns(file: str, key: str, needed: tuple[str, ...], may: tuple[str, ...] = ()) -> dict[str, FloatArray]:
@@ -78,7 +78,7 @@ def _covers(time_s: FloatArray, end_s: float, what: str) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ThermalHistory:
-    """Temperatures of lens and housing against those of the calibration, over the orbit."""
+    """Temperatures of lens and housing relative to the calibration, over the orbit."""
 
     time_s: FloatArray  # (t,) Increasing
     values_k: FloatArray  # (t, 5) In the order of `STATES`
@@ -130,7 +130,7 @@ class Flight:
         return self.orbit.velocity_km_per_s(time_s)
 
     def known_velocity_km_per_s(self, time_s: float) -> FloatArray | None:
-        """Velocity (3,) that the tracker is told; None: it corrects none."""
+        """Velocity (3,) known to the tracker; None: no correction."""
         setting = self.config.aberration
         if setting.corrected == "none":
             return None

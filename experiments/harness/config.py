@@ -140,7 +140,7 @@ class ExperimentConfig(StrictModel):
         return ()
 
     def notes(self) -> tuple[str, ...]:
-        """What the terminal says of these settings before the run; nothing here."""
+        """Remarks on these settings in the terminal before the run; none here."""
         return ()
 
     def as_sensor(self, file: Path | None) -> StrictModel | None:
@@ -309,7 +309,7 @@ def _laid(
 
 
 def _several_kinds(model_class: type[BaseModel], keys: Sequence[str]) -> bool:
-    """Whether the table at a key may be one of several models, told apart by their field ``kind``."""
+    """Whether the table at a key may be one of several models, distinguished by their field ``kind``."""
     models = [part for part in alternatives(_annotation_at(model_class, keys)) if _is_model(part)]
     return len(models) > 1 and all("kind" in model.model_fields for model in models)
 
@@ -333,7 +333,7 @@ def _annotation_at(model_class: type[BaseModel], keys: Sequence[str]) -> Any:
 
 
 def alternatives(annotation: Any) -> Iterator[Any]:
-    """Members of a union, of ``Annotated`` and so on; anything else as it is."""
+    """Members of a union, of ``Annotated`` and so on; anything else unchanged."""
     if isinstance(annotation, type) or typing.get_origin(annotation) in (list, tuple, dict):
         yield annotation
     else:

@@ -78,7 +78,7 @@ def _coordinate(data: xr.Dataset, dim: str, at: int) -> Any:
 def _spread(
     data: xr.Dataset, across: Sequence[str], quantities: Sequence[Quantity]
 ) -> list[tuple[Column, Quantity, Mapping[str, int]]]:
-    """Column, quantity, and place along those of its dimensions that are spread; one column if it has none of them."""
+    """Column, quantity, and place along its spread dimensions; one column if it has none."""
     out: list[tuple[Column, Quantity, Mapping[str, int]]] = []
     for one in quantities:
         for place in positions(data.sizes, [dim for dim in across if dim in one.dims]):

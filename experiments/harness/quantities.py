@@ -118,7 +118,7 @@ class Quantities:
 
 
 def _split(values: Any) -> tuple[Any, Any, Any, str]:
-    """Values, uncertainties, sample sizes and unit of nested sequences of `Measured`; others as they are."""
+    """Values, uncertainties, sample sizes and unit of nested sequences of `Measured`; others unchanged."""
     if hasattr(values, "dtype") and values.dtype != object:
         return np.asarray(values), None, None, ""
     array = np.empty((), dtype=object)

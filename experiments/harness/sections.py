@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 FALSE_ALARM = 0.001
 """Chance that a verdict fails by noise alone, unless it says another one."""
 PREDICTION_SIGMA = 3.0
-"""The stated error of a prediction (``slack``) is taken as so many standard deviations."""
+"""Standard deviations for which the stated error of a prediction (``slack``) stands."""
 
 
 Advice = str | Callable[[Outcome], str]
@@ -126,7 +126,7 @@ class Section:
     verdicts: Sequence[Verdict] = ()
 
     def columns_of(self) -> dict[str, Mapping[str, Any]]:
-        """Fields of the record that are quantities -> what `col` says of them."""
+        """Fields of the record that are quantities -> their `col` descriptions."""
         return {one.name: one.metadata for one in fields(self.record) if "col" in one.metadata}
 
     def describe(self, q: Quantities, value: Any) -> None:
@@ -270,7 +270,7 @@ def noticed(limit: float, part: Any, slack: float = 0.0) -> float:
     """Relative error, common to all, that takes one of several numbers beyond a limit in half of all runs.
 
     ``part`` is the standard deviation of each number over what an error is a part of, ``limit`` that of the largest
-    deviation in these units, ``slack`` a relative error that it allows besides. Infinite where nothing can be noticed.
+    deviation in these units, ``slack`` a relative error allowed in addition. Infinite where nothing can be noticed.
     """
     from scipy.optimize import brentq
     from scipy.special import ndtr

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 IN_TABLE = 5
-"""So many of the swept quantities stand in the table that fits a terminal, two fewer where there are requirements; the
-ECSV file has all of them."""
+"""Number of swept quantities in the table of the terminal, two fewer where there are requirements; the ECSV file has
+all of them."""
 PLACES = ("first", "second")
 FINE = 120
 """Points along each side of a map that its lines are drawn with."""
@@ -87,7 +87,7 @@ def _margin(excess: float, unit: str) -> str:
 
 
 NEAR = 0.02
-"""A crossing is known to so much of its distance from the value that meets the requirements, or of itself."""
+"""Accuracy of a crossing, as a fraction of its distance from the value that meets the requirements, or of itself."""
 
 
 def crossing(met: Callable[[float], bool], held: float, lost: float) -> float:
@@ -380,7 +380,7 @@ def _map(figure: Figure, panel: Any, outcome: Outcome, swept: Swept, name: str) 
 
 
 def _finer(first: FloatArray, second: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A map (second, first) on a fine grid, by cubic splines of logarithms; as it is where some points are refused."""
+    """A map (second, first) on a fine grid, by cubic splines of logarithms; unchanged where some points are refused."""
     from scipy.interpolate import RectBivariateSpline
 
     if not (np.isfinite(values).all() and (values > 0.0).all()):

@@ -40,7 +40,7 @@ PARTS = {"wedge": "wedge", "air": "air", "decollimation": "decollimation"}
 """What moves the image by an angle that depends on the wavelength."""
 KELVIN = 273.15
 MOTION_RATIO = 0.01
-"""What a motion of the line of sight may be off besides noise: it is that of some sixty rays of each bundle."""
+"""Relative error of a line-of-sight motion in addition to noise, for some sixty rays of each bundle."""
 SPOT_RATIO = 0.03
 """What a paraxial change of focus may be off in the radius of a spot."""
 FIELD_RATIO = 0.03
@@ -142,7 +142,7 @@ def collimator_shift(
     sigma_px: FloatArray,
     seen_spot_um: FloatArray | None = None,
 ) -> CollimatorShift | None:
-    """Closed forms beside Table 1 as measured (pair, 2) and the spots (b,) of the light; None for a perfect one."""
+    """Closed forms against measured Table 1 (pair, 2) and the spots (b,) of the light; None for a perfect one."""
     if bench.collimator is None:
         return None
     without = shifts(bundle_prediction(replace(bench, collimator=None), instrument, direction), bench.pairs)

@@ -58,7 +58,7 @@ from render.records import EffectivePsf
 class Numbers(NamedTuple):
     """What the document's numbers should be (3, 2) [px]: sigma_d, sigma_Dd, sigma_C1 by axis.
 
-    Root mean square; standard deviation of the number of one survey, and of the RMS over ever so many surveys of one
+    Root mean square; standard deviation of the number of one survey, and of the RMS over infinitely many surveys of one
     chip and one run.
     """
 
@@ -97,7 +97,7 @@ class DistortionPrediction:
     marking_px: float  # Standard deviation per axis of a surveyed coordinate
 
     def of_surveys_px(self, method: str, reference: Reference, surveys: int) -> FloatArray:
-        """Standard deviation (3, 2) of the RMS over so many surveys of one chip and one run."""
+        """Standard deviation (3, 2) of the RMS over a number of surveys of one chip and one run."""
         one, frozen = self.scatter_px[method][reference], self.frozen_px[method][reference]
         return np.sqrt(frozen**2 + np.maximum(one**2 - frozen**2, 0.0) / surveys)
 
@@ -250,7 +250,7 @@ def _over_sessions(
 
 
 def _covariance(drawn_px: FloatArray) -> FloatArray:
-    """Covariance (n, 2, 2) of positions (draws, n, 2); those that gave none are left out."""
+    """Covariance (n, 2, 2) of positions (draws, n, 2); draws without a position are left out."""
     apart = drawn_px - np.nanmean(drawn_px, axis=0)
     count = np.isfinite(apart[..., 0]).sum(0)[:, None, None]
     filled = np.nan_to_num(apart)

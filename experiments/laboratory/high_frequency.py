@@ -272,7 +272,7 @@ def _own_sigma_px(frames: PointFrames, method: str, moving: bool) -> FloatArray:
 
 
 def _noiseless(lights: Sequence[PointLight], bench: Bench, instrument: Instrument) -> dict[str, FloatArray]:
-    """What each method makes of the rendered light itself."""
+    """Results of each method on the rendered light."""
     noise, out = nominal_noise(instrument), {}
     for name, centroider in centroiders(bench, lights[0].psf).items():
         found = [

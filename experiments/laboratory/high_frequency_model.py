@@ -51,7 +51,7 @@ FIT_NOISE_PX = 0.03
 """Noise of a fit from which on its bias is drawn: below, it is less than some (0.03 px)^2 = 1e-3 px."""
 
 PATHS = 24
-"""Drawn paths of a hexapod with errors; roll is small enough to leave S-curve and pattern as they are."""
+"""Drawn paths of a hexapod with errors; roll is too small to change S-curve and pattern."""
 
 NEAR_PX = 0.1
 """Over which derivatives of influences by the place are taken: the error of a step is of that size."""

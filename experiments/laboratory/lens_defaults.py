@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from optics.lens_file import LensFile
 
 STEP_PX = 4
-"""Windows are so many pixels wide or a multiple."""
+"""Unit of the width of windows [px]."""
 
 
 def _of_program(lens: Any) -> LensFile | None:
-    """The lens file, if it is one of a design program; what cannot be read is told where it is needed."""
+    """The lens file, if it is one of a design program; unreadable files are reported where needed."""
     from optics.files.read import SUFFIXES, split_configuration
 
     if not isinstance(lens, str) or not split_configuration(lens)[0].lower().endswith(SUFFIXES):
@@ -64,7 +64,7 @@ def _window_px(file: LensFile, detector: Any) -> tuple[int, int] | None:
 
 
 def lens_defaults(values: Mapping[str, Any], usual: Any = "star_camera_206mm") -> dict[str, Any]:
-    """Settings that the lens of an instrument decides where nobody else does.
+    """Settings determined by the instrument's lens where not stated.
 
     Another lens than the ``usual`` one, whose focus is among the defaults, stands in its best focus.
     """

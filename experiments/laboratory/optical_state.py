@@ -245,7 +245,7 @@ def _farthest_mm(spots: Spots, middle_mm: FloatArray) -> float:
 
 
 def _window(config: PredictedSensorConfig) -> tuple[str, int]:
-    """Pixels that the centroider looks at, and the setting that says so."""
+    """Width of the centroider's window, and its setting."""
     half = None if needs_epsf(config.centroid) else getattr(get_centroider(config.centroid), "half_width_px", None)
     if half is not None and 2 * half + 1 < config.window_px:
         return f"centroid = {config.centroid}, which looks at", 2 * half + 1

@@ -52,7 +52,7 @@ PLAIN = NoiseModel(read_noise_e=10.0)
 FAINTEST_E, BRIGHTEST_E = 20.0, 1e6
 FOUND_KNOTS, FOUND_RANGE = 32, (0.2, 8.0)
 DEEPER_MAG = 1.0
-"""Stars that the sky is searched for are so much fainter than what half of the time is found."""
+"""Magnitudes below the limiting magnitude to which the sky is searched."""
 BRIGHTEST_MAG = -1.5
 """No star is brighter (Sirius: V = -1.46 mag)."""
 WORST = 0.01
@@ -61,7 +61,7 @@ WORST = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Processing:
-    """How frames are measured, and the noise that counts there."""
+    """Processing of frames, and its noise."""
 
     detector: Detector  # With the changes of the configuration, cut to the window
     pixel: PixelNoise  # Of a pixel in one exposure
@@ -190,7 +190,7 @@ class CameraPrediction:
 
 
 def exposed_s(config: PredictedSensorConfig) -> float:
-    """Exposure time, shortened by light that is lost where nobody knows."""
+    """Exposure time, reduced by the unexplained loss of light."""
     return config.instrument.exposure_s * config.throughput_fraction
 
 
@@ -328,7 +328,7 @@ def _star_errors(config: PredictedSensorConfig, state: OpticalState, processing:
 
 
 def _sharpness(psfs: tuple[EffectivePsf, ...], reference: tuple[EffectivePsf, ...]) -> FloatArray:
-    """Root of the sum of squares, relative: what a matched filter makes of the same light in white noise (f,)."""
+    """Root of the sum of squares, relative: response of a matched filter in white noise (f,)."""
     return np.array([np.sqrt((a.values**2).sum() / (b.values**2).sum()) for a, b in zip(psfs, reference, strict=True)])
 
 

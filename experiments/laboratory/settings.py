@@ -119,7 +119,7 @@ class InstrumentConfig(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _in_focus(cls, values: Any) -> Any:
-        """A lens that is in focus as it is stays there unless a focus is stated."""
+        """A lens in focus by definition stays there unless a focus is stated."""
         if isinstance(values, Mapping) and "defocus_mm" not in values and in_focus(values.get("lens")):
             return {**values, "defocus_mm": 0.0}
         return values

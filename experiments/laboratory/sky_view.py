@@ -24,7 +24,7 @@ from render.sky.sampling import SkySample, sample_sky
 
 DEPTH_STEP_MAG = 0.5
 SIGHTINGS = 400_000
-"""Attitudes are looked up until there are so many; wide fields need fewer to be known as well."""
+"""Number of stars up to which attitudes are looked up; wide fields need fewer attitudes."""
 FEWEST = 100
 _LAYERS = 32
 

@@ -31,12 +31,12 @@ ZERNIKES = 15
 MOST_RAYS = 6000
 """Rays of a pupil that a page waits for."""
 FOCUS_STEPS, DEPTHS = 11, 3.0
-"""Image planes on both sides, to so many times the depth of focus 2 wavelength F^2 (a quarter wave at the rim)."""
+"""Image planes on both sides, in units of the depth of focus 2 wavelength F^2 (a quarter wave at the rim)."""
 SIDE, CIRCLES = 121, 33
 COARSE, FINE = (5.0, 0.25), (0.25, 0.05)
 """Half side and step of grids that look for the brightest point, in wavelengths over the numerical aperture."""
 AIRY_RADII, SPOT_RADII = 3.0, 2.5
-"""Images reach so many Airy radii and so many RMS radii of the largest spot from their middle."""
+"""Half widths of images, in Airy radii and in RMS radii of the largest spot."""
 BAND_SHARES = (0.85, 1.0, 1.2)
 """Wavelengths over the design wavelength, where the file states none or one."""
 

@@ -117,7 +117,7 @@ class FrameChecks:
 
 
 def check_frames(folder: FrameFolder, reduced: Sequence[SeriesFrames], method: str) -> FrameChecks:
-    """Look at all series of a folder; ``method`` is the centroider that counts."""
+    """Check all series of a folder; ``method`` is the main centroider."""
     series, stated, tests = folder.series, folder.settings.gain_dn_per_e, len(reduced)
     several = [one for one in series if len(one.windows.dn) > 1]
     motions = [

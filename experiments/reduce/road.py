@@ -141,7 +141,7 @@ ENOUGH = 30
 
 
 def _few(test: FramesTest, shortest: SeriesFrames) -> str:
-    """What is said of series with fewer frames; poses are not judged by theirs."""
+    """Remark on series with fewer frames; poses are not judged by their number."""
     if test.layout.fewest < 2 or shortest.frames >= ENOUGH:
         return ""
     scatter = 100.0 / np.sqrt(2.0 * (shortest.frames - 1))

@@ -27,7 +27,7 @@ from optics.arrays import FloatArray
 FALSE_ALARM = 1e-3
 """Probability that a check objects to frames that are as they should be."""
 FEWEST = 4
-"""Frames below which nothing can be said of their order."""
+"""Smallest number of frames for tests of their order."""
 FEWEST_FOR_LAG = 6
 """With fewer the beta distribution is not that of the correlation (three times the stated false alarm with four)."""
 SHIFTS = (-2, -1, 1, 2)

@@ -23,7 +23,7 @@ from optics.errors import DomainError
 from optics.records import concatenated, freeze, freeze_all
 
 BRIGHTEST = 40
-"""Detections and catalogue stars that the first matching looks at."""
+"""Number of detections and catalogue stars in the first matching."""
 FIRST_TOLERANCE_PX = 12.0
 """How far the camera of the data sheet may be off: its focal length, and a distortion that it does not state."""
 FINAL_RADIUS_PX = 2.0
@@ -149,7 +149,7 @@ def _first_match(
 
 
 def _brightest_near(scene: Scene, attitude: Rotation) -> IntArray:
-    """Rows of the brightest catalogue stars around a boresight: about as many as detections are looked at."""
+    """Rows of the brightest catalogue stars around a boresight: about as many as detections."""
     width, height = scene.instrument.field_deg
     reach = np.radians(0.5 * np.hypot(width, height) + 0.2)
     near = np.flatnonzero(scene.sky.direction @ attitude.as_matrix()[2] > np.cos(reach))
@@ -160,7 +160,7 @@ def _brightest_near(scene: Scene, attitude: Rotation) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class _FinalMatch:
-    """Second matching of one frame, and what becomes of its detections."""
+    """Second matching of one frame, with the fate of its detections."""
 
     scene: Scene
     stars: FrameStars
@@ -223,5 +223,5 @@ class _FinalMatch:
 
 
 _REASONS = ("not converged", "saturated", "blended", "at the edge", "defective pixel", "too faint", "not matched")
-"""For which a detection is rejected, in the order in which they are asked for."""
+"""Reasons to reject a detection, in the order of tests."""
 OUTCOMES = ("used", *_REASONS)

@@ -102,7 +102,7 @@ class Angle:
 
 
 def by_angle(stray: Stray, light: BandLight, exposure_s: float) -> list[Angle]:
-    """The table, with what Sun and Moon make of it."""
+    """The table, with electrons from Sun and Moon."""
     pst = stray.pst
     total, error = pst.total, pst.total_error
     return [
@@ -273,7 +273,7 @@ class Change:
 
 
 NEAR_DEG = 7.0
-"""Variants are computed from so much inside the shade on."""
+"""Margin inside the shade from which variants are computed."""
 
 
 def changes(

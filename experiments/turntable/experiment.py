@@ -87,7 +87,7 @@ ADVICE = (
     "the axes (reduction.axes), the start of the star (reduction.star_deg), the reading noise or the camera model are "
     "wrong, or too little of the field is visited"
 )
-"""What to look at when a calibration does not fit."""
+"""Advice for a calibration that does not fit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

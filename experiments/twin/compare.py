@@ -32,7 +32,7 @@ PAIR_PX = 1.5
 """A detection within this distance of a catalogue star is that star."""
 HIGH_SIGMA = 6.0
 TRAIL_PX, TRAIL_LEAST = 2.5, 6
-"""So many detections without a star along one line are a satellite or an aircraft."""
+"""Number of detections without a star along one line that are a satellite or an aircraft."""
 CLIP_PX = 0.7
 FEWEST = 8
 TAIL_SIGMA = 3.0

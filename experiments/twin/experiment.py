@@ -100,7 +100,7 @@ def files(result: Mapping[str, Any], folder: Path) -> None:
 
 
 def _told(reduced: Reduced, compared: HeldOut) -> Told | None:
-    """Whether real and rendered stars can be told apart."""
+    """Separability of real and rendered stars."""
     real = [(one.image, stats) for one, stats in zip(reduced.known.night.frames, compared.real, strict=True)]
     rendered = list(zip(compared.images, compared.sets[0], strict=True))
     return tell_apart(real, rendered, reduced.known.limit_mag - 1.0)

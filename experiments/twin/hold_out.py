@@ -29,7 +29,7 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 
 BRIGHTER_MAG = 1.5
-"""Stars so much brighter than the limit tell the motion of single stars."""
+"""Magnitudes above the limit of the stars used for the motion of single stars."""
 FEWEST = 8
 SKY_DEGREE, BLOCKS_PER_TERM = 10, 6
 """Polynomial of the sky of a rendered frame: finer structure would carry the real frame's noise."""

@@ -31,13 +31,13 @@ from optics.errors import DomainError
 FIRST_RADII_PX = (5.0, 2.0, 1.2)
 MATCH_PX = 1.2
 FLOOR_PX = 0.03
-"""Error per axis that every centroid has beside its noise: seeing, PSF, catalogue."""
+"""Error per axis of every centroid in addition to its noise: seeing, PSF, catalogue."""
 PSF_MAG = 1.5
 """The PSF comes from stars so much brighter than the limit, photometry from stars 0.8 mag brighter than that."""
 PHOTOMETRY_MAG = 0.8
 PSF_STARS = 900
 PSF_WINDOW_PX = 21
-"""So wide that wings and background are told apart."""
+"""Wide enough to separate wings and background."""
 ZONES = 3
 """Places per axis at which the PSF is sampled for centroids."""
 
@@ -274,7 +274,7 @@ def measure_camera(
 
 
 def _with_floor(fitted: Centroids, camera: CameraModel, order: str, used: Sequence[int]) -> tuple[Calibration, float]:
-    """Calibration with the error per axis beside the noise that makes the residuals as large as they should be."""
+    """Calibration with the additional error per axis for which the residuals match their expectation."""
     mine = np.isin(fitted.observations.frame, used)
     stars = fitted.observations.select(mine)
     noise = stars.covariance_px2 - FLOOR_PX**2 * np.eye(2)

@@ -31,7 +31,7 @@ LINEAR_SHARE = 0.85
 """Pixels above this share of the highest one of all frames may be full, though the converter is not at its end."""
 REACH_PX = 9.0
 FAINTER_MAG, OTHER_PX = 1.5, 5.0
-"""Pixels about stars up to so much fainter than a sample's faintest are left out of the windows of others."""
+"""Magnitudes below a sample's faintest star up to which pixels about stars are left out of the windows of others."""
 REFERENCE_K = 5040.0
 
 

@@ -166,8 +166,8 @@ def _root(square: Measured) -> Measured:
 
 
 def _line(x: FloatArray, y: FloatArray, weight: FloatArray, frame: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-    """Slope and intercept of variances, each as uncertain as it is large, and their covariance, with errors that the
-    blocks of a frame share (sandwich over frames) if there are enough frames."""
+    """Slope and intercept of variances, each with an uncertainty equal to its value, and their covariance, with errors
+    that the blocks of a frame share (sandwich over frames) if there are enough frames."""
     coefficients = np.array([0.0, float(np.median(y))])
     design = np.stack([x, np.ones_like(x)], axis=1)
     w = weight

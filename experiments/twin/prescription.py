@@ -39,7 +39,7 @@ STAR_K = 5000.0
 STEPS = 9
 LONG_SIDE = 5
 REACH_DEPTHS = 6.0
-"""Shifts of the detector that are searched: so many pixels times the F-number to both sides of the stated focus."""
+"""Range of searched detector shifts on both sides of the stated focus, in pixels times the F-number."""
 WINDOW_PX = 11
 FEWEST_STARS = 30
 BRIGHTER_MAG = 1.5

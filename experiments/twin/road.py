@@ -40,7 +40,7 @@ FEWEST_FOR_HOT = 3
 FEWEST_FOR_OTHER = 12
 """Detections from which a frame is tried as one of another camera."""
 SURE_MAG = 1.2
-"""Stars so much brighter than the limit are found in clear sky."""
+"""Magnitudes above the limit at which all stars are detected in clear sky."""
 CATALOGUE_MAG = 10.0
 REFRACTIONS_ARCSEC = (20.0, 58.3, 90.0)
 

@@ -37,7 +37,7 @@ FIELD_REACH, STATED_REACH = 0.3, 0.06
 """Part by which the field may differ from the one that is tried, or from a stated one."""
 FEWEST = 4
 BRIGHTEST = 80
-"""Detections that the blind search may look at."""
+"""Largest number of detections in the blind search."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +104,7 @@ class Solved:
 
 
 class Solver:
-    """Blind identification; what the first frame tells of the scale narrows the search for the next ones."""
+    """Blind identification; the scale of the first frame narrows the search for the next ones."""
 
     def __init__(
         self, width_px: int, height_px: int, *, field_deg: float | None = None, fields_deg: Sequence[float] = ()

@@ -30,7 +30,7 @@ from render.sky.sky import Sky, load_sky
 
 FAINTEST_MAG = 10.0
 EDGE_PX = 12.0
-"""Stars nearer to the edge lose light beside it."""
+"""Stars nearer to the edge lose light beyond it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

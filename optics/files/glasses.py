@@ -35,7 +35,7 @@ SYNONYMS = {
 }  # fmt: skip
 """Names of common materials in design programs; their formulas need not be the same."""
 STATED_ND = 2e-4
-"""An index that a file states beside a catalogue name may differ so much by rounding and melt."""
+"""Largest difference by rounding and melt of an index stated with a catalogue name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +171,7 @@ class GlassFinder:
     # --- what is made of it -------------------------------------------------------------------------------------------
 
     def _checked(self, asked: GlassName, name: str, glass: Glass, where: str, meant: Glass | None) -> Found:
-        """A glass found by name, held against what the file states beside it."""
+        """A glass found by name, compared with the numbers in the file."""
         exact = "which" not in where and not any(asked.offset)
         synonym = _bare(glass.name) != _bare(self._split(name)[0]) and _bare(glass.name) != _bare(name)
         if synonym:
@@ -222,7 +222,7 @@ class GlassFinder:
         return model_glass(name, *code) if code else None
 
     def _model(self, asked: GlassName, name: str, nd: float, vd: float) -> Found:
-        """A glass from n_d and v_d; beside a name that is known, the remark how far that one is."""
+        """A glass from n_d and v_d, with the difference from the glass of its name, if known."""
         shown = name if _bare(name).replace("BLANK", "") else f"model-{nd:.6g}-{vd:.5g}"
         try:
             glass = model_glass(f"{shown}", nd, vd, partial=asked.partial)

@@ -321,7 +321,7 @@ class _Reader:
             raise self.draft.fail(data.kind_line, f"surface {data.number} ({data.kind}): {error}") from None
 
     def _configure(self) -> None:
-        """Values of the configuration that is asked for; the surfaces hold those of the active one."""
+        """Values of the requested configuration; the surfaces hold the active one."""
         draft, report = self.draft, self.report
         chosen = draft.configuration if self.wanted is None else self.wanted
         if not 1 <= chosen <= draft.configurations:

@@ -19,7 +19,7 @@ D_NM, F_NM, C_NM, G_NM = 587.5618, 486.1327, 656.2725, 435.8343
 MODEL_ERROR = 3.3e-4
 RANGE_NM = (365.0, 1100.0)
 CONSTANT_RANGE_NM = (100.0, 30000.0)
-"""Where a constant index may be asked for: a statement of the file, no fit that could leave its range."""
+"""Range of a constant index, which is stated and no fit of limited range."""
 
 
 def model_glass(name: str, nd: float, vd: float, *, partial: float = 0.0) -> Glass:

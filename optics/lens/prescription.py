@@ -197,7 +197,7 @@ def glasses_of(file: Prescription) -> dict[str, Glass]:
 
 
 def _parsed(mapping: Mapping[str, Any], where: str, labels: Sequence[str] | None) -> Prescription:
-    """A prescription's tables; what is wrong with a surface is told by its label."""
+    """A prescription's tables; errors name a surface by its label."""
     try:
         return parse_model(Prescription, mapping, where)
     except ConfigError as error:

@@ -388,7 +388,7 @@ def _own_glasses(thermal: _Field, lens: LensSystem) -> LensSystem:
 
 
 def _warmer(glass: Glass, name: str, kelvin: float) -> Glass:
-    """A glass that is warmer than the lens by so much, as the lens sees it."""
+    """A glass warmer than the lens, in terms of the lens temperature."""
     reference = glass.reference_temperature_c
     ratio = kohlrausch_density(reference, 1.0) / kohlrausch_density(reference - kelvin, 1.0)
     dndt = glass.dndt

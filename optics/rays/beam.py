@@ -135,7 +135,7 @@ def find_beams(lens: LensSystem, v_cam: FloatArray, wavelength_nm: ArrayLike, *,
 
 
 def beam_outlines(lens: LensSystem, v_cam: FloatArray, wavelength_nm: FloatArray, *, arms: int) -> BeamOutlines:
-    """Outlines of beams at so many azimuths; parameters and errors as `find_beams`."""
+    """Outlines of beams at a number of azimuths; parameters and errors as `find_beams`."""
     lens.check_wavelength(wavelength_nm)
     apertures = _Apertures(lens)
     direction = np.repeat(light_direction(v_cam)[:, None], len(wavelength_nm), axis=1)
@@ -166,7 +166,7 @@ def _shares(radius: FloatArray, rim: IntArray) -> FloatArray:
 
     At a kink between two azimuths, a steps after the first and b before the second, the sum of a periodic function is
     short of the integral by (a b / 2 - 1 / 12) times the drop of its slope per step: the triangle above the chord, less
-    the end terms of the Euler-Maclaurin formula on both sides. The slopes are those of the steps beside it.
+    the end terms of the Euler-Maclaurin formula on both sides. The slopes are from the adjacent steps.
     """
     before, after, beyond = (np.roll(radius, -k, axis=-1) - np.roll(radius, -k + 1, axis=-1) for k in (0, 1, 2))
     bend = before - beyond

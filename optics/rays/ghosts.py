@@ -32,7 +32,7 @@ from optics.rays.trace import OK, TOTAL_REFLECTION, Rays, trace
 RINGS, ARMS = 24, 48
 """Points of the beam, and as many of the rest of the first surface."""
 SLACK = 1.25
-"""Where a first surface has no rim, light falls on so much more than the entrance pupil."""
+"""Lit radius over the entrance pupil's, for a first surface without rim."""
 SHARP_MM = 0.02
 """RMS radius of a ghost below which it looks like a star [mm]."""
 

@@ -20,7 +20,7 @@ from optics.rays.trace import Rays, trace
 from optics.records import freeze
 
 ARMS = 24
-"""Azimuths at which the outlines of beams are looked at."""
+"""Number of azimuths of beam outlines."""
 MARGIN = 1.01 / math.cos(math.pi / ARMS)
 """Room of a disk: for the arc between two of those points, and 1 %."""
 INSIDE = 1e-7

@@ -38,7 +38,7 @@ MARGIN_PX = 24
 STEPS = 257
 """Attitudes over the exposure of a moving camera; between them the path is an arc."""
 AIR_HEIGHTS = 12.0
-"""Scale heights of a body's air that are looked at."""
+"""Rendered height of a body's air [scale heights]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -31,7 +31,7 @@ from optics.arrays import FloatArray
 from render.bodies.lunar_map import moon_rotation
 
 LIBRATION_DEG = 8.0
-"""Its largest, about; beyond it the terms of libration stay as they are."""
+"""Largest libration, about; beyond it the terms of libration are constant."""
 FITTED_DEG, KNOWN_DEG = 97.0, 150.0
 DEGREE = 3
 _C = (0.00034115, -0.0013425, 0.00095906, 0.00066229)

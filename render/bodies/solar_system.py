@@ -36,7 +36,7 @@ RADIUS_KM = {
 """Mean radii: B. A. Archinal et al., Celestial Mechanics and Dynamical Astronomy 130, 22 (2018), tables 4 and 5."""
 
 BODIES = ("mercury", "venus", "moon", "mars", "jupiter", "saturn", "uranus", "neptune")
-"""What is looked up if nothing else is asked for; an observer off the Earth may add ``"earth"``."""
+"""Default bodies; an observer off the Earth may add ``"earth"``."""
 
 HIDING_MM = 2.0**30
 _LIGHT_DAYS_PER_AU = constants.au / constants.c / 86400.0

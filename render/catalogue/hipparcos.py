@@ -32,9 +32,9 @@ _COLUMNS = {
     "hp": (129, 136), "b_v": (152, 158),
 }  # fmt: skip
 _SAME_ARCSEC, _SAME_MAG = (0.5, 1.5), (3.0, 1.6)
-"""Distances within which magnitudes may differ by so much: G of red giants is 2.3 mag brighter than Hp."""
+"""Distances, and allowed differences of magnitudes: G of red giants is 2.3 mag brighter than Hp."""
 _MOST_CORRECTION = 20.0 * MAS_RAD
-"""Beyond it [rad per year] the places are those of different parts of a double star, and tell no motion."""
+"""Largest motion [rad per year]; beyond it the places belong to different parts of a double star."""
 
 
 def read_hip2(path: str | Path | None = None) -> StarCatalog | None:

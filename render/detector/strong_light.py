@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from render.detector.spec import Detector
 
 SURELY_FULL_SIGMA = 6.0
-"""A full well is expected to hold so many standard deviations more: it is full in every draw."""
+"""Standard deviations above the full well from which it is full in every draw."""
 
 
 def column_effects(detector: Detector) -> bool:

@@ -43,7 +43,7 @@ def _holds_cache(home: Path) -> bool:
 
 
 def _temporary() -> Path:
-    """A folder of this user below the temporary one, the same each time if nobody else can have made it."""
+    """A folder of this user below the temporary one, the same each time if no other user can have created it."""
     try:
         folder = Path(tempfile.gettempdir()) / f"starbench-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)

@@ -142,13 +142,13 @@ def _variant() -> str | None:
 
 
 def _of_variant(variant: str | None) -> Engine | None:
-    """Engine of a variant; None for those that compute one ray at a time."""
+    """Engine of a variant; None for scalar variants."""
     backend, _, suffix = (variant or "").partition("_")
     return Engine(backend, suffix) if backend in BACKENDS else None
 
 
 def _usable(backend: str) -> str:
-    """``llvm`` or ``cuda``, as asked for, after a check that it works here; ``drjit.llvm`` can be imported then."""
+    """``llvm`` or ``cuda``, as requested, after a check that it works here; ``drjit.llvm`` can be imported then."""
     if backend not in BACKENDS:
         raise BackendError(f"backend = {backend!r} does not exist; choose one of {', '.join(BACKENDS)}")
     from render.engine.jit import SAID, dr

@@ -84,7 +84,7 @@ def _inversion(types: Any, mean: Any, u: Any, active: Any) -> Any:
 
 
 class _Proposal:
-    """The hat of PTRS for given means; `attempt` says what two uniforms make of it."""
+    """The hat of PTRS for given means; `attempt` draws from it by two uniforms."""
 
     def __init__(self, types: Any, mean: Any) -> None:
         self.types, self.mean = types, mean

@@ -402,7 +402,7 @@ def define(mi: Any) -> type:
             return ds, (spectrum * mi.Float(weight)) & ok
 
         def projection_transform(self) -> Any:
-            """Asked for by integrators that move silhouettes: a lens has none."""
+            """Projection for integrators that move silhouettes: a lens has none."""
             raise ConfigError(
                 "lens_camera: prb_projective and direct_projective sample silhouettes by a pinhole projection, "
                 "which does not apply to a lens; use prb, whose derivatives omit silhouettes"

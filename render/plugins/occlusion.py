@@ -23,7 +23,7 @@ from render.engine.upload import uploaded
 
 MOST = 3e38
 CLOSE = 20.0
-"""Bodies farther away than so many times their size have a part of the ray to themselves."""
+"""Distance over size above which a body is tested by a separate part of the ray."""
 
 
 class SceneShade:

@@ -28,11 +28,11 @@ from render.camera import Camera, PathLosses
 from render.records import StarField, Truth
 
 ANGLES, ORDER = (0.1, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 16.0), (6, 12)
-"""Angles, in parts of the field, whose ghosts tell which can be seen, by so many rays."""
+"""Angles, in parts of the field, and number of rays of the search for visible ghosts."""
 ROOM = 5.0
-"""By how much brighter those of other angles are taken to be, at most."""
+"""Largest assumed ratio of ghost brightness to that at other angles."""
 FRONT, DISK = (24, 48), (4, 16)
-"""Rays of a source beside the frame, and points of the disk of an extended one."""
+"""Rays of a source outside the frame, and points of the disk of an extended source."""
 REACH, SMOOTH = 4.0, 3.0
 """Standard deviations to which the light of a ray reaches, and steps of the grid to one."""
 

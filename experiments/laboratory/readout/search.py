@@ -18,7 +18,7 @@ from optics.errors import DomainError
 MATCH_PX = 4.0
 """A detection this close to a target point's nominal place is that point, whatever the lens."""
 DISTORTED_FRACTION = 0.03
-"""By this part of its distance from the middle of the target a lens may displace a point besides."""
+"""Additional tolerance by distortion, as a fraction of the distance from the middle of the target."""
 SEARCH_MARGIN_PX = 80
 """How far the whole target may be displaced."""
 SEARCH_PX = 48

@@ -250,7 +250,7 @@ class Beams:
         return radius, (dr.abs(_largest(at) - 1.0) < 1e3 * RIM_TOLERANCE) & (_largest(centre) < 1.0)
 
     def _rims(self, radius: Any, found: Any, numbers: tuple[int, ...], largest: bool = False) -> Rims:
-        """What becomes of rays at these radii in the whole lens; heights on some surfaces, or the largest of them."""
+        """Fate of rays at these radii in the whole lens; heights on some surfaces, or the largest of them."""
         lens = self.lens
         rays, heights = self._heights(radius * (1.0 - INSIDE), lens.full, numbers)
         heights = [_largest(heights)] if largest and heights else heights  # a stop may be the only aperture

@@ -150,7 +150,7 @@ class Outlines:
     shadow: FloatArray | None = None  # (n, b, picked nodes, m) Outlines of the shadow in the middle, where there is one
 
     def points(self, order: tuple[int, int], stars: IntArray) -> OutlinePoints:
-        """Quadrature points of so many rings and azimuths inside smooth outlines."""
+        """Quadrature points of a number of rings and azimuths inside smooth outlines."""
         count, arms = order
         turn = np.repeat(self.turns(2), arms, axis=1)
         azimuth = np.asarray(2.0 * np.pi / arms * (np.tile(np.arange(arms), 2) + turn), np.float64)
@@ -171,7 +171,7 @@ class Outlines:
         )
 
     def turns(self, count: int) -> FloatArray:
-        """First azimuths (k, rings) on so many rings, in parts of their distance."""
+        """First azimuths (k, rings) on the rings, in parts of their distance."""
         turn = node_turns(self.picks.colours.shape[1], self.picks.times.shape[1])[:, None]
         return np.asarray((turn + 0.5 * (np.arange(count) % 2)) % 1.0)
 
@@ -251,7 +251,7 @@ class Arcs:
     length: FloatArray
 
     def points(self, order: tuple[int, int], stars: IntArray) -> OutlinePoints:
-        """Quadrature points of so many rings and azimuths for some of the stars."""
+        """Quadrature points of a number of rings and azimuths for some of the stars."""
         at = np.searchsorted(self.stars, stars)
         picks = self.picks
         azimuth, share = _rule(self.start[at], self.length[at], order[1], alike=not picks.every)
@@ -298,7 +298,7 @@ def _gauss_rule(count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _gauss_tables(sizes: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Nodes and weights of rules of so many points, each in the row of its number; the other rows are empty."""
+    """Nodes and weights of rules by number of points, each in the row of its number; the other rows are empty."""
     most = int(sizes.max())
     nodes, weights = np.zeros((2, most + 1, most))
     for n in np.unique(sizes[sizes > 0]).tolist():
@@ -307,7 +307,7 @@ def _gauss_tables(sizes: IntArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _rule(start: FloatArray, length: FloatArray, arms: int, alike: bool) -> tuple[FloatArray, FloatArray]:
-    """Azimuths and weights (s, b, k, arms), sum 1: as many on every arc as its length asks for, two at least.
+    """Azimuths and weights (s, b, k, arms), sum 1: on every arc a number in proportion to its length, two at least.
 
     ``alike``: the same for all nodes of a star, which all have as many arcs, so that they can be interpolated; an arc
     has as many as it needs where it is longest.
@@ -411,7 +411,7 @@ def _between(kinks: _Kinks) -> tuple[FloatArray, FloatArray]:
 def find_arcs(lens: AimedLens, picks: NodePicks, centre: FloatArray, stars: IntArray) -> Arcs:
     """Outlines of stars whose beams are cut.
 
-    Left out are those that have none, or too many kinks, or where nodes are interpolated between such with other kinks.
+    Stars with no outline or too many kinks are left out, or where nodes are interpolated between such with other kinks.
     """
     # centre (n, b, 2), stars (s,)
     azimuth = np.tile(_coarse_azimuth(), (picks.count, 1))

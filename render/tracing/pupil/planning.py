@@ -79,7 +79,7 @@ SHADE_LOG2_RAYS, SHADE_RAYS = 14, 1 << 27
 all stars at a time."""
 BOUND_RAYS = 1 << 20
 DISTORTION = 0.05
-"""Part of the way of an image by which a lens may lead it beside where an ideal one does; more is found by redoing."""
+"""Assumed deviation of an image path from that of an ideal lens, as a fraction; larger ones are rendered again."""
 SHORTEST_PX = 0.25
 """Path below which the order is that of a star at rest."""
 
@@ -290,7 +290,7 @@ class PupilPlanner:
         )
 
     def _shaded(self, exposure: Exposure, shade: Shade) -> BoolArray:
-        """Stars (n,) whose beam, or the disk beside it, something stands in."""
+        """Stars (n,) with an obstacle in their beam or in the disk around it."""
         shaded = np.zeros(exposure.mid.count, np.bool_)
         near = np.flatnonzero(shade.near(launch_disk(self.camera)))
         pupil, step = SobolPoints(SHADE_LOG2_RAYS, self.sobol_seed), SHADE_RAYS >> SHADE_LOG2_RAYS

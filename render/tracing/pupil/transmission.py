@@ -34,7 +34,7 @@ TOLERANCE = 2e-5
 ENOUGH = 1e-4
 """Error of a lens of revolution's fit at which no other is tried."""
 RIDGE = 1e-14
-"""Of the squares of the unknowns that is added to those of the errors."""
+"""Weight of the squared unknowns added to the squared errors."""
 HELPED = 0.7
 """Part of the error that a higher order has to leave at most for another one to be tried."""
 FIELDS, JUDGES = 8, 4

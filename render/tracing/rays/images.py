@@ -187,7 +187,7 @@ class _Passes:
         return passes
 
     def _check_size(self, stars: IntArray, low: FloatArray, high: FloatArray) -> None:
-        """Refuse stars larger than the largest stamp, unless they are beside the image anyway."""
+        """Refuse stars larger than the largest stamp, unless they are outside the image."""
         edge = np.array([self.camera.width_px, self.camera.height_px]) - 0.5
         touches = np.asarray(np.any(np.all((high > -0.5) & (low < edge), axis=2), axis=1))
         if touches.any():

@@ -84,7 +84,7 @@ class _Grid:
 
 @lru_cache(maxsize=16)
 def _grid(count: int, sample_px: float, highest: float) -> _Grid:
-    """Grid for so many samples, of frequencies up to half the highest."""
+    """Grid for a number of samples, of frequencies up to half the highest."""
     samples = (np.arange(count) - 0.5 * (count - 1)) * sample_px
     step = 1.0 / (OVERSAMPLING * count * sample_px)
     reach = math.ceil(0.5 * highest / step + 0.5 * SPREAD + 1.0)
@@ -195,7 +195,7 @@ def summed_waves(
     # energy (s b k,) [e-], offset (s b t,) [px], weight (s b t,)
 
     class Sum(dr.CustomOp):
-        """The sum; arrays are those of `_Stamps`."""
+        """The sum; arrays as in `_Stamps`."""
 
         def eval(
             self, phase: Any, fx: Any, fy: Any, amplitude: Any, energy: Any, right: Any, down: Any, part: Any

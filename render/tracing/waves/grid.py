@@ -209,7 +209,7 @@ class WaveGrid:
         return quarters
 
     def _pixels(self, images: list[NDArray[np.float32]], shift_px: FloatArray, stamp_px: int) -> NDArray[np.float32]:
-        """Pixels (s, n, n) of images whose middle lies beside the window's by a shift (s, 2)."""
+        """Pixels (s, n, n) of images whose middle is off the window's by a shift (s, 2)."""
         samples = len(window_samples(self.field, self._window, self._table.pad_px))
         first = 0.5 - 0.5 * self._window + 0.5 * (samples - 1) * self.field.light_step  # pixel 0 from sample 0
         column, row = (self._table.rows(first - shift_px[:, axis], stamp_px, samples) for axis in (0, 1))
@@ -256,7 +256,7 @@ LEAST_GAIN = 0.7
 LEAST_STARS = 8
 """Stars on the detector below which no grid is made unasked."""
 PAYS = ((2.0, math.inf), (4.0, 5.0), (10.0, 1.0))
-"""A grid is made that pays within so many frames, if it takes no longer than so many seconds."""
+"""Frames within which a grid must pay, and its longest time [s]."""
 RINGS_S = 0.3
 """Processor time of what makes components that turn of images."""
 CENTROID_PX = 6
@@ -273,11 +273,11 @@ PIXEL_BLUR_PX = 0.14
 MOST_IMAGES = 1900
 """Images of a band that a grid is made of, whose matrix of products is still cheap."""
 WING_PX = 30.0
-"""How far beside the detector a star may be for its image to be rendered; so far the grid reaches."""
+"""How far outside the detector a star may be for its image to be rendered; so far the grid reaches."""
 RADII = 24
 """Places along each part of a radius at which light and means of rays are judged."""
 CENTRED = 0.05
-"""How far beside the axis the middle of the field may lie, in terms of its size, to be taken to be there."""
+"""How far off the axis the middle of the field may lie, in terms of its size, to be taken to be there."""
 SYMMETRIC_PX = 1e-6
 """Difference of rays from mirrored ones below which a quarter of the field tells the rest."""
 
@@ -291,7 +291,8 @@ class GridPlan:
     grid_s: float  # The same of the grid; infinite where there is none
 
     def pays(self, stars: int) -> bool:
-        """Whether so many stars on the detector cost less by a grid, over a few frames; the same on every machine."""
+        """Whether a number of stars on the detector costs less by a grid, over a few frames; the same on every
+        machine."""
         alone_s = stars * self.images.colours * self.image_s
         soon = any(self.grid_s <= min(frames * alone_s, limit_s) for frames, limit_s in PAYS)
         return stars >= LEAST_STARS and soon
@@ -408,7 +409,7 @@ class _FieldImages:
         return middle, np.maximum(high - middle, middle - low) * (1.0 + 1e-3)
 
     def _symmetry(self) -> tuple[bool, bool]:
-        """Whether rays of mirrored fields are mirrored ones, and whether those of turned fields are turned ones."""
+        """Whether rays of mirrored fields are mirrored, and rays of turned fields turned."""
         if self.collimation is not None:
             return False, False
         angle = np.pi / 8.0 * np.array([1, 7, -1, -7, 0, 4])  # by which the points of the disk are turned onto others
@@ -481,7 +482,7 @@ class _FieldImages:
         return self._judged(self._made(found, points, moment, origin, parts), found.judges)
 
     def _radii(self, counts: IntArray) -> FloatArray:
-        """Points of a grid along a radius: so many from the axis on, and mirrored ones before; between cuts."""
+        """Points of a grid along a radius: from the axis on, and mirrored ones before; between cuts."""
         ends = (*self.cuts, 1.0)
         parts = [ends[0] * chebyshev(2 * int(counts[0]))]
         for (low, high), count in zip(pairwise(ends), counts[1:].tolist(), strict=True):
@@ -559,7 +560,7 @@ class _FieldImages:
         return None if grid is None else replace(grid, error_px=max(grid.error_px, ray_error))
 
     def _summed(self, place: FloatArray, finer: float, points: int) -> _Summed | None:
-        """Images at places of the field; None for a lens or field without a grid of so many points."""
+        """Images at places of the field; None for a lens or field without a grid of this number of points."""
         bands, colours = self.wavelength_nm.shape
         picked = [picked_wavelengths(band, finer) for band in self.wavelength_nm]
         most = max(len(which) for which, _, _ in picked)

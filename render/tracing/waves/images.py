@@ -36,7 +36,7 @@ _plans: dict[GridKey, GridPlan] = {}
 
 
 def _state(wavelength_nm: FloatArray, collimation: Collimation | None) -> tuple[bytes, bytes]:
-    """What images at some places depend on, besides the camera and the shares of wavelengths."""
+    """Parameters of images at some places other than the camera and the shares of wavelengths."""
     return wavelength_nm.tobytes(), b"" if collimation is None else collimation.at(wavelength_nm).tobytes()
 
 

@@ -29,7 +29,7 @@ BATCH = 32
 NOTHING = 0.3
 """Part of what may be left out that azimuthal orders without components may hold together."""
 CENTROID_PX, MOMENT = 6.5, 1.0
-"""Radius in which centroids are looked at, and the error of light [share] that an error of them [px] counts as."""
+"""Radius of centroid tests, and the error of light [share] that an error of them [px] counts as."""
 TAPS = 6
 """Samples on either side that such a point takes."""
 

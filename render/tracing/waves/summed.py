@@ -198,7 +198,7 @@ class SummedImages:
             yield from self.probes(Group("cells", left, None))
 
     def traced(self, group: Group, order: tuple[int, int]) -> Iterator[tuple[IntArray, PlaneWaves]]:
-        """Stars of a group, in batches, and their rays on so many rings and azimuths."""
+        """Stars of a group, in batches, and their rays on a number of rings and azimuths."""
         return ((stars, self._traced(group, order, stars)) for stars in self._batches(group.members, order))
 
     def summands(self, probe: Probe, radius_px: float | None = None) -> Iterator[Summands]:
@@ -333,7 +333,7 @@ class SummedImages:
         return self.kernel.direction[star].round(13).tobytes(), self.share[star, band].round(10).tobytes(), band
 
     def _still(self, light: StarLight, shift_px: FloatArray, size: int) -> FloatArray:
-        """Pixels of a disk in a window whose middle the mean of the light lies beside."""
+        """Pixels of a disk in a window whose middle is off the mean of the light."""
         kernel = light.field.pixel(1.0, self.camera.blur_px)
         centres = np.arange(0.5, size) - 0.5 * size
         column, row = (
