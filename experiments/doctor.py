@@ -76,7 +76,7 @@ def doctor(as_json: bool) -> int:
 
 
 def findings() -> list[Finding]:
-    """All findings, in the order in which they are told; a check that fails is a finding itself."""
+    """All findings in their order of output; a failing check is a finding itself."""
     checks: dict[str, Callable[[], Iterable[Finding]]] = {
         "packages": check_packages,
         "backend": check_backend,
@@ -123,7 +123,7 @@ def _wrong(extra: str) -> tuple[dict[str, str], dict[str, str | None]]:
 
 
 def check_packages() -> Iterator[Finding]:
-    """Python, the packages that are needed, and those of the extras that add abilities."""
+    """Python, required packages, and packages of the extras."""
     system = f"{platform.system()} {platform.machine()}"
     yield Finding(name="Python", text=f"{platform.python_version()} ({platform.python_implementation()}, {system})")
     wrong, versions = _wrong("")

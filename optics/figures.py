@@ -358,7 +358,7 @@ def draw_image(
     grow: int = 2,
     widest_px: int = 700,
 ) -> Axes:
-    """Image of a star field, made to be looked at: faint stars visible, bright ones not burnt out, none lost.
+    """Image of a star field with a stretch for display: faint stars visible, bright ones not burnt out, none lost.
 
     Shapes: ``values`` (h, w), ``percentiles`` (float, float), returns (column, row).
     """

@@ -15,7 +15,7 @@ Record = TypeVar("Record")
 
 
 def concatenated(parts: Sequence[Record], **others: Any) -> Record:
-    """One record whose arrays are those of several of its kind, one after the other."""
+    """One record with the concatenated arrays of several of its kind."""
     kind: Any = type(parts[0])
     names = [one.name for one in fields(kind) if one.name not in others]
     joined: Record = kind(**{name: np.concatenate([getattr(one, name) for one in parts]) for name in names}, **others)

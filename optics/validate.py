@@ -151,7 +151,8 @@ class _Lax:
 
 
 def without_lax(values: Any, model_class: type[BaseModel]) -> Any:
-    """Values of a model without those that pydantic would convert: true for a number, "1.5" for one, "yes" for true."""
+    """Values of a model without values that pydantic would convert: true for a number, "1.5" for one, "yes" for
+    true."""
     if not isinstance(values, Mapping):
         return values
     fields = model_class.model_fields

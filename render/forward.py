@@ -43,7 +43,7 @@ def star_scene(
 ) -> dict[str, Any]:
     """Scene for ``mi.load_dict``: integrator, camera, stars in its world, and ``contents``, e.g. shapes [mm].
 
-    Sobol rays, tolerance and grid are those of ``star_tracer``; a motion takes the place of the attitude.
+    Sobol rays, tolerance and grid as in ``star_tracer``; a motion takes the place of the attitude.
     """
     mi = Engine.active().mitsuba
     register_plugins()
@@ -96,7 +96,7 @@ class StarRenderer:
     traced : TracedStars or None
         Ray and pupil data of the last image.
     label : str
-        Name of the next image's scene file where `SCENES` asks for one; numbered where it is empty.
+        Name of the next image's scene file if `SCENES` is set; numbered where it is empty.
 
     Raises
     ------

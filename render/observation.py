@@ -126,7 +126,7 @@ class Observation:
         axes : matplotlib.axes.Axes, optional
             Where; in a new figure if left out. ``axes.figure.savefig("frame.png")`` keeps it.
         brightest : int
-            So many stars are named by their magnitude.
+            Number of stars labelled with their magnitude.
 
         Returns
         -------
@@ -251,7 +251,7 @@ class SkySimulator:
         has it, as the observer of the sky sees them, add even light to every pixel; their images are not drawn.
     ghosts : bool or GhostLight
         Whether ghosts are rendered: those whose brightest pixel holds a quarter of the read noise, with a detector that
-        reflects 20 %, or what a record says; of stars in the frame and beside it, of Moon and planets in ``bodies``,
+        reflects 20 %, or what a record says; of stars inside and outside the frame, of Moon and planets in ``bodies``,
         and of Sun and Moon with a table ``stray_light`` that has the cause ``ghosts``: its mean of them, where they
         fall; the rest of the table is even light.
 
@@ -488,7 +488,7 @@ class SkySimulator:
                 yield self._points.name[index], image, (float(x), float(y), float(electrons))
 
     def dark_dn(self, *, frames: int = 20) -> NDArray[np.float32]:
-        """Mean (h, w) [DN] of so many frames without light, exposed like the others: a master dark.
+        """Mean (h, w) [DN] of dark frames with the exposure of the others: a master dark.
 
         `calib.subtract_dark` takes the fixed pattern and the dark current out of a frame with it.
         """

@@ -80,7 +80,9 @@ class CircleFit:
 def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma: float = CLIP_SIGMA) -> CircleFit:
     """Circle of least squared orthogonal distance.
 
-    Examples -------- A line with noise gives a circle with the status "singular".
+    Examples
+    --------
+    A line with noise gives a circle with the status "singular":
 
     >>> x = np.arange(40.0)
     >>> line = fit_circle(np.column_stack([x, 2 * x + 0.1 * np.cos(37 * x**2)]), sigma=0.1)

@@ -75,7 +75,7 @@ def maxima_per_pixel(
 ) -> FloatArray:
     """Local maxima above ``threshold`` [sigma] per pixel of a normal field.
 
-    ``correlation_x`` and ``correlation_y`` are those of pixels one and two apart along the axes.
+    ``correlation_x`` and ``correlation_y`` are for pixels one and two apart along the axes.
     """
     z = np.asarray(threshold, np.float64)[..., None] + np.linspace(0.0, 6.0, 121)
     density = _density(z)
@@ -101,8 +101,8 @@ def false_alarms(
 def clipped_noise(noise_spread: float, clip_sigma: float = 3.0) -> float:
     """Noise that clipping finds (`calib.measure.background.estimate_background`) over the root mean square.
 
-    Pixels of unlike noise make tails; clipping takes them for outliers, corrects for those of a normal distribution,
-    and finds less. The detection limit, stated in that noise, is lower by as much.
+    Pixels of unlike noise make tails; clipping takes them for outliers, corrects as for a normal distribution, and
+    gives a smaller value. The detection limit, stated in that noise, is lower by as much.
     """
     width = np.sqrt(np.log1p(noise_spread**2))
     node, weight = np.polynomial.hermite_e.hermegauss(SPREADS)

@@ -253,7 +253,7 @@ class Matching:
 
 
 def matching_stars(config: Config, pixel_um: float, stars: int = 40) -> Matching:
-    """Solve for the number of stars: their part of the mean square goes with 1 / n, the gyro's does not."""
+    """Solve for the number of stars: their part of the mean square is proportional to 1 / n, the gyro's is not."""
     sigma_px, pair = config.table_noise_px, table1_gyro(config)
     point = Point(name="", runs=0, noise_px=sigma_px, gyro=(pair,), methods=(), stars=stars, pixel_um=pixel_um)
     sky = sky_of(config, point, 0)

@@ -153,7 +153,7 @@ def _swept(trajectory: TurningAxis, time_s: FloatArray, substeps: int = 20) -> F
 def gyro_rotations(
     scene: Scene, config: Config, streams: Streams, runs: range, noise: tuple[float, float]
 ) -> list[Rotation]:
-    """What the gyro says of the body's rotation, frame by frame from the first, for each run."""
+    """The gyro's rotations of the body, frame by frame from the first, for each run."""
     bias, walk = noise
     if bias == 0.0 and walk == 0.0:
         return [scene.body] * len(runs)

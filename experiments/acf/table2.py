@@ -123,7 +123,7 @@ def table2(config: Config, trials: Mapping[str, Trials], expected: Covariances) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sums:
-    """What the coefficients that cannot be told apart do together."""
+    """Joint effect of the inseparable coefficients."""
 
     correlation: Sequence[float] = col("Correlation", "", "+.3f", "coefficients")
     sight_arcsec: float = col("Line of sight, RMS over the detector", "arcsec", ".1f", json="")

@@ -94,7 +94,7 @@ class Errors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Number:
-    """Attitude errors from so many stars."""
+    """Attitude errors from a number of stars."""
 
     stars: int = col("Stars", json="", key="stars")
     arcsec: FloatArray = col(

@@ -30,7 +30,7 @@ ROUNDING_PX = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChromaticTerm:
-    """ACC18's Table 1, and what becomes of it in the budget."""
+    """ACC18's Table 1, and its term of the budget."""
 
     table1_px: Mapping[str, FloatArray]  # (2,) Eq. 16 per pair of bands, signed
     sigma_px: Mapping[str, FloatArray]  # (2,) Its standard deviation
@@ -162,7 +162,7 @@ def measured_terms(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table1:
-    """An entry of ACC18's Table 1, centroider that counts."""
+    """An entry of ACC18's Table 1, main centroider."""
 
     pair: str = col("Bands", "nm", json="", key="bands")
     predicted_px: FloatArray = col("Predicted", "px", ".5f", "axis", json="predicted")

@@ -205,7 +205,7 @@ class Tuned:
 
 
 def tuned(config: Config, frames: Measurement) -> Tuned | None:
-    """Measured over published, where the configuration asks for it."""
+    """Measured over published, if requested in the configuration."""
     if config.published_within_fraction is None:
         return None
     seen, wanted = [frames.budget[name] for name in AIMED], np.array([PUBLISHED_ARCSEC[name] for name in AIMED])
@@ -243,7 +243,7 @@ class Cause:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parts:
-    """Parts of the terms by the centroider that counts, 3 sigma."""
+    """Parts of the terms by the main centroider, 3 sigma."""
 
     bound_te_arcsec: FloatArray = col("TE: Cramér-Rao bound", "arcsec", ".3f", "axis", json="cramer_rao_te")
     predicted_single_arcsec: FloatArray = col(
@@ -307,7 +307,7 @@ def axes(config: Config) -> Quantities:
 
 
 def predict(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """The budget without frames, of the centroider that counts (`experiments.budget.predict.coarse_terms`)."""
+    """The budget without frames, of the main centroider (`experiments.budget.predict.coarse_terms`)."""
     with progress.stage("predict"):
         terms = coarse_terms(config)
     return {"setup": setup(build_laboratory(config)), **of_prediction(config, {config.centroid: terms})}

@@ -120,7 +120,7 @@ def predict_terms(
 
 
 def coarse_terms(config: Config) -> PredictedTerms:
-    """A budget predicted cheaply (see the module), of the centroider that counts.
+    """A budget predicted cheaply (see the module), of the main centroider.
 
     Raises
     ------

@@ -141,7 +141,7 @@ class Config(SweptConfig, SensorExperimentConfig):
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """All centroiders, the one that counts first."""
+        """All centroiders, the main one first."""
         return tuple(dict.fromkeys((self.centroid, *self.compare)))
 
 

@@ -81,7 +81,7 @@ def chamber(lab: Laboratory, temperature_c: float) -> Laboratory:
 
 
 def warmed(lab: Laboratory, kelvin: float) -> Laboratory:
-    """The laboratory with lens and housing warmer by so much than they were calibrated."""
+    """The laboratory with lens and housing warmer than at their calibration."""
     return chamber(lab, thermometer_c(lab) + kelvin)
 
 

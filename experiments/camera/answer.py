@@ -97,7 +97,7 @@ def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Swing:
-    """One key moved down and up, the others as they are: relative changes, for magnitudes the difference."""
+    """One key moved down and up, the others unchanged: relative changes, for magnitudes the difference."""
 
     key: str = col("Key", json="")
     low: float = col("From", format=".3g", json="", shown=False)

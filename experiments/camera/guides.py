@@ -90,7 +90,7 @@ class LostInSpace:
 
 
 def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> LostInSpace | None:
-    """Draw and identify; None where no attitudes are asked for."""
+    """Draw and identify; None without attitudes."""
     config, state, view = prediction.config, prediction.state, prediction.view
     count = min(config.lost.attitudes, view.sample.frames)
     if not count:

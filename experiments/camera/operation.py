@@ -103,7 +103,7 @@ class Motion:
 
 
 def in_motion(prediction: CameraPrediction, limits: Limits) -> Motion | None:
-    """From rest to where stars leave their window; None with a rolling shutter, or where no rates are asked for."""
+    """From rest to where stars leave their window; None with a rolling shutter, or without rates."""
     config, setting = prediction.config, prediction.config.motion
     exposure_s = config.instrument.exposure_s
     if config.instrument.line_time_us or not setting.points:

@@ -71,7 +71,7 @@ class Lens:
 
     @property
     def method(self) -> str:
-        """The centroider that counts."""
+        """The main centroider."""
         return self.bench.methods[0]
 
     def shift_px(self, place_px: FloatArray) -> FloatArray:
@@ -134,7 +134,7 @@ class Entries:
 
 
 def entries(lens: Lens, *, published: bool) -> Entries:
-    """Table 1, the angle that the document makes of it, and how the single shifts scatter."""
+    """Table 1, its angle in the document, and the scatter of single shifts."""
     frames, pairs, names = lens.frames, lens.bench.pairs, lens.bench.pair_names
     shift, sigma = lens.measured_px
     traced, pixels = lens.shift_px(lens.traced_px), lens.shift_px(frames.pixels_px)
@@ -263,7 +263,7 @@ def calibration(lens: Lens) -> Calibration:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Centroiders:
-    """What every centroider makes of the same frames; NaN where it does not converge on some point."""
+    """Results of every centroider on the same frames; NaN where it does not converge for some point."""
 
     noise_px: FloatArray = col("Noise", "px", ".4f", "method", json="")
     error_px: FloatArray = col("RMS error", "px", ".4f", "method", json="", key="rms_bias_px")

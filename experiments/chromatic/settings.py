@@ -70,7 +70,7 @@ class Config(OwnFramesConfig, SignalConfig):
 
     @property
     def methods(self) -> tuple[MethodName, ...]:
-        """All centroiders, the one that counts first."""
+        """All centroiders, the main one first."""
         return tuple(dict.fromkeys((self.centroid, *self.compare)))
 
     @property

@@ -107,7 +107,7 @@ class Stars:
 
 
 def stars_of(shift: StellarShift, filter_shift_px: Mapping[str, FloatArray]) -> Stars:
-    """Statistics of stars over the field, beside the shifts (g, 2) between the filters at the same places."""
+    """Statistics of stars over the field, and the shifts (g, 2) between the filters at the same places."""
     half = max(np.sqrt((one**2).sum(-1).mean()) for one in filter_shift_px.values()) / 2.0
     mean = shift.shift_px.mean(1)
     return Stars(

@@ -51,7 +51,7 @@ from render.bench.scene import CubePose
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
-    """Sizes, equations 13 and 14, and what geometry says of errors that eq. 14 leaves out."""
+    """Sizes, equations 13 and 14, and errors by geometry that eq. 14 leaves out."""
 
     r_sp_error_arcsec_1sigma: Sequence[Measured] = col("R_sp, as performed", "arcsec", dims="axis")
     improved_arcsec: Sequence[Measured] = col("R_sp, reduced better", "arcsec", dims="axis", json="")

@@ -78,7 +78,7 @@ def about(config: Config, catalogue: StarCatalog) -> dict[str, str]:
 def data_card(
     scene: Scene, records: Sequence[FrameRecord], *, exports: Mapping[str, str], baseline: Mapping[str, str], page: bool
 ) -> str:
-    """Markdown; the same dataset gives the same text, whoever made how much of it and when."""
+    """Markdown; the text depends on the dataset alone, not on its makers or the time."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(

@@ -51,7 +51,7 @@ NEAR_PX = 4.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundStars:
-    """Stars of one or more frames, and what the detection made of them."""
+    """Stars of one or more frames, and their detections."""
 
     magnitude: FloatArray  # (n,) Of every star of which light reaches the detector
     snr: FloatArray  # (n,)
@@ -92,7 +92,7 @@ class FoundStars:
 def compare_frame(
     frame: int, measured: MeasuredFrame, truth: dict[str, Any], *, width_px: int, height_px: int
 ) -> FoundStars:
-    """Lay the detections of a frame beside its truth."""
+    """Match the detections of a frame to its truth."""
     lit = (np.asarray(truth["flags"]) & FLAGS["no_light"][0]) == 0
     star = np.column_stack([truth["photon_x_px"], truth["photon_y_px"]])[lit]
     detected = measured.detected_px
@@ -306,7 +306,7 @@ class Detection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Share:
-    """Stars detected in a bin; stars that lie beside the detector's edge do not count."""
+    """Stars detected in a bin; stars cut by the detector's edge are excluded."""
 
     bin: Any  # Magnitude, its range, or signal-to-noise ratio
     stars: int = col("Stars", json="")
@@ -389,7 +389,7 @@ def detection(
 
 
 def shares(stars: FoundStars, value: FloatArray, edges: FloatArray, name: str = "") -> list[Share]:
-    """Share of detected stars in bins of a value per star, those that hold some; Wilson intervals."""
+    """Fraction of detected stars in non-empty bins of a value per star; Wilson intervals."""
     inside = ~stars.has("off_edge")
     total, _ = np.histogram(value[inside], edges)
     detected, _ = np.histogram(value[inside & stars.matched], edges)
@@ -433,7 +433,7 @@ def mean_of(values: NDArray[np.bool_], which: NDArray[np.bool_]) -> float:
 
 
 def flag_groups(stars: FoundStars) -> list[FlagGroup]:
-    """What the detection made of the stars that the truth says something of."""
+    """Detection of the flagged stars, by flag."""
     groups = {name: (about, stars.has(name)) for name, (_, about) in FLAGS.items()}
     groups = {name: group for name, group in groups.items() if group[1].any()} | {"none": ("undisturbed", stars.clean)}
     return [

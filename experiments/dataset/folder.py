@@ -141,7 +141,7 @@ def frame_files(frame: int, truth: str) -> tuple[str, str, str]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file beside its place and move it there."""
+    """Write a file under a temporary name and rename it."""
     beside = path.with_name(f".{path.name}.{os.getpid()}-{next(_COUNT)}.partial")
     try:
         try:
@@ -158,7 +158,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def numbers(names: Iterable[str]) -> list[int]:
-    """Frames of a dataset by the names of its files, relative to its folder: those that have a truth."""
+    """Frames of a dataset that have a truth, by the names of its files relative to its folder."""
     parts = (name.rpartition("/") for name in names)
     matches = (_TRUTH_FILE.fullmatch(file) for folder, _, file in parts if folder == TRUTH)
     return sorted(int(match[1]) for match in matches if match)

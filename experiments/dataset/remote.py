@@ -137,7 +137,7 @@ def _fetch(store: Store, names: Iterable[str], folder: Path) -> None:
 
 @contextlib.contextmanager
 def working_copy(url: str) -> Iterator[Path]:
-    """All of a dataset in a folder of this machine, for as long as it is looked at."""
+    """All of a dataset in a temporary local folder."""
     store = Store(url)
     names = store.names()
     if not names:
@@ -186,7 +186,7 @@ class RemoteDataset(DatasetFolder):
         super().close()
 
     def check_room(self, needed_bytes: float) -> None:
-        """Nobody knows how much a store takes."""
+        """No check: the capacity of a store is unknown."""
 
     def checked(self, frame: int) -> FrameRecord | None:
         """Record of a frame if it is there and whole, otherwise None; the frame is read, and not kept."""

@@ -74,7 +74,7 @@ class Scene:
 
     @property
     def faintest_mag(self) -> float:
-        """Faintest star that is rendered: what was asked for, or where the catalogue ends."""
+        """Faintest rendered star: the requested magnitude, or the catalogue's faintest."""
         faintest = float(np.ceil(100.0 * self.catalogue.catalog.magnitude.max()) / 100.0)
         return min(self.config.catalogue.faintest_mag, faintest)
 

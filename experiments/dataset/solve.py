@@ -69,7 +69,7 @@ class SkyMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolvedFrame:
-    """What became of a frame; errors are rotation vectors in cam: across the boresight x, y, and roll z."""
+    """Result of a frame; errors are rotation vectors in cam: across the boresight x, y, and roll z."""
 
     frame: int = col("Frame", json="")
     # Of `calib.attitude.identify.identify`; "wrong" for an attitude that is off by more than a pixel

@@ -63,7 +63,7 @@ class Numbers:
 
 
 def numbers(frames: DistortionMeasurement, predicted: DistortionPrediction, method: str) -> Numbers:
-    """Eq. 19-30 with the first survey and with all of them, beside the prediction."""
+    """Eq. 19-30 with the first survey and with all of them, and the prediction."""
     scale, surveys = frames.arcsec_3sigma, len(frames.surveyed)
     every = scale * np.array([frames.over_surveys(method, r) for r in REFERENCES])  # (reference, survey, number, axis)
     expected = scale * np.array([predicted.mean_px[method][r] for r in REFERENCES])

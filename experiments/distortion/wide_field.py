@@ -121,7 +121,7 @@ def wide_run(config: Config, streams: Streams, *, progress: Progress) -> WideRun
 
 
 def wide_field(run: WideRun) -> WideField:
-    """Numbers of the first survey beside the prescription's, and its residuals point by point."""
+    """Numbers of the first survey and of the prescription, and its residuals point by point."""
     frames, predicted, scale = run.frames, run.predicted, run.frames.arcsec_3sigma
     found, place_px = frames.statistics(run.method, REFERENCE), predicted.position_px[run.method]
     _, expected, _ = residual_px(frames.instrument, frames.direction, place_px, place_px, REFERENCE)

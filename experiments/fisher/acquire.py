@@ -90,7 +90,7 @@ class Places:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Acquisition:
-    """Star images of one acquisition, those of n places that gave a position."""
+    """Star images of one acquisition, of n places with a position."""
 
     name: str  # "static" or "dynamic"
     places: Places  # Angles

@@ -171,7 +171,7 @@ class Part:
 
 
 def parts(segments: Sequence[Segment], errors: Sequence[SegmentErrors]) -> list[Part]:
-    """Segments beside their prediction."""
+    """Segments and their prediction."""
 
     def switched(values: FloatArray) -> list[Measured]:
         known = values[np.isfinite(values).all(axis=1)]

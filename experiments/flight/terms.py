@@ -181,7 +181,7 @@ def predicted_terms(budget: Budget, errors: Sequence[SegmentErrors]) -> list[Ter
 
 
 def measured_terms(budget: Budget, segments: Sequence[Segment], errors: Sequence[SegmentErrors]) -> list[Term]:
-    """Measured beside predicted, over the segments that have both."""
+    """Measured and predicted terms, over the segments with both."""
     pairs = [
         (segment, error)
         for segment, error in zip(segments, errors, strict=True)

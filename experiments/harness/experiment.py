@@ -120,7 +120,7 @@ class Experiment:
         return Outcome(config=config, result=result, data=described(self.parts(result), q, result).dataset)
 
     def results(self, outcome: Outcome) -> dict[str, Any]:
-        """The ``results`` of ``summary.json``; they end with what the process took, if nobody described that."""
+        """The ``results`` of ``summary.json``; they end with the process's resources, if not described otherwise."""
         from experiments.harness.provenance import peak_memory_mb, process_seconds
         from experiments.harness.quantities import to_results
 

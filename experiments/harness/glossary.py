@@ -58,7 +58,7 @@ _NAME = re.compile(r"</?([A-Za-z0-9]+)")
 
 
 class Glossary:
-    """Marks terms of one page at their first use, and lists those that were met."""
+    """Marks terms of one page at their first use, and lists them."""
 
     def __init__(self, terms: Mapping[str, Term] = GLOSSARY) -> None:
         self.terms = terms

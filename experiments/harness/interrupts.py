@@ -75,7 +75,7 @@ interrupts = _Interrupts()
 def invoke(command: click.Command, argv: Sequence[str] | None, *, prog: str, alone: bool) -> int:
     """Run a command and give its exit status.
 
-    An interrupt in the middle of an import may come out as another error (an extension module that failed to load), so
+    An interrupt in the middle of an import may appear as another error (an extension module that failed to load), so
     any error after one counts as the interrupt.
     """
     for stream in (sys.stdout, sys.stderr) if alone else ():

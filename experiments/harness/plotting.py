@@ -286,7 +286,7 @@ def wavelength_colour(wavelength_nm: float, *, lightness: float = 55.0) -> str:
 
 
 def band_colours(centres_nm: Sequence[float]) -> tuple[str, ...]:
-    """One colour per band, its own hue, darker towards the red: told apart in grey and by every eye."""
+    """One colour per band, its own hue, darker towards the red: distinguishable in grey and with colour blindness."""
     order = np.argsort(np.argsort(centres_nm))
     steps = max(len(centres_nm) - 1, 1)
     return tuple(

@@ -32,7 +32,7 @@ class Progress:
     times_s : dict
         Seconds spent in each stage, in order; stages of the same label add up.
     say : callable or None
-        Takes what `answer` is told.
+        Receives the text of `answer`.
 
     Examples
     --------

@@ -73,13 +73,13 @@ def file_digests(folder: Path) -> dict[str, str]:
 
 
 def peak_memory_mb() -> float:
-    """Largest resident memory of this process so far, and of those that worked for it [MB = 10^6 bytes]."""
+    """Largest resident memory of this process and its workers so far [MB = 10^6 bytes]."""
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
     return largest / 1e6 + sum(_WORKERS_MB)
 
 
 def count_memory_of_workers(peaks_mb: Iterable[float]) -> None:
-    """Add the peaks of processes that work beside this one; earlier ones of less memory no longer count."""
+    """Add the peaks of parallel worker processes; earlier smaller sums are dropped."""
     peaks = list(peaks_mb)
     if sum(peaks) > sum(_WORKERS_MB):
         _WORKERS_MB[:] = peaks
@@ -91,7 +91,7 @@ def process_seconds() -> float:
 
 
 def without_paths(value: Any) -> Any:
-    """Copy in which every absolute path is cut to its last part: it tells of one machine only."""
+    """Copy in which every absolute path is cut to its last part, without folders of the machine."""
     if isinstance(value, Mapping):
         return {key: without_paths(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -66,7 +66,7 @@ class Quantities:
         names: Mapping[Any, str] | Sequence[str] | None = None,
         units: Sequence[str] = (),
     ) -> None:
-        """Describe a dimension; ``units`` are those of quantities along it whose unit is "{NAME}", one by one."""
+        """Describe a dimension; ``units`` are the units, one by one, of quantities along it whose unit is "{NAME}"."""
         coordinates = np.asarray(values)
         attrs = {"long_name": label or name, "units": unit, "format": format, "key": key}
         self.dataset.coords[name] = (name, coordinates, attrs)

@@ -88,7 +88,7 @@ class Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click has it; an unknown name is told with the nearest known one."""
+        """As in click; the error for an unknown name states the nearest known one."""
         if args[0] not in self._lines() and not args[0].startswith("-") and not ctx.resilient_parsing:
             raise unknown_name("experiment", args[0], self._lines())
         return super().resolve_command(ctx, args)

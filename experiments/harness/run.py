@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """What a command line asks for."""
+    """Options of a command line."""
 
     sensor: tuple[str, ...] = ()
     file: str | None = None

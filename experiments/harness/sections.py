@@ -398,7 +398,8 @@ def ratio_near(
 ) -> Verdict:
     """A ratio: the farthest of several from ``about`` (or their mean) within a part of it, plus what noise may do.
 
-    Parameters as of `agree`; ``within`` is what the prediction may be off besides the noise of the measurement.
+    Parameters as of `agree`; ``within`` is the allowed error of the prediction in addition to the noise of the
+    measurement.
     """
 
     def judge(outcome: Outcome) -> list[Criterion]:

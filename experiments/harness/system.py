@@ -45,7 +45,7 @@ def one_thread(*, unless_told: bool = False) -> Iterator[None]:
 
 @contextlib.contextmanager
 def prompt_pool(threads: int | None = None) -> Iterator[ThreadPoolExecutor]:
-    """Threads (one per processor if left out) for work that writes nothing: after an exception nobody waits for it."""
+    """Threads (one per processor if left out) for work that writes nothing: it is not waited for after an exception."""
     pool = ThreadPoolExecutor(threads or processors())
     try:
         yield pool

@@ -187,7 +187,7 @@ def _typeset(text: str) -> str:
 
 
 def significant(value: float, digits: int) -> str:
-    """A number with so many significant digits, set as in tables."""
+    """A number with a number of significant digits, set as in tables."""
     if not math.isfinite(value):
         return _NOTHING if math.isnan(value) else ("∞" if value > 0 else f"{_MINUS}∞")
     if value == 0:

@@ -49,7 +49,7 @@ MODEL_SLACK = 0.03
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Test:
-    """What was measured with, and the number of ACC18 by the centroider that counts."""
+    """Test conditions, and the number of ACC18 by the main centroider."""
 
     frames: int = col("Frames")
     stars: int = col("Stars")

@@ -42,7 +42,7 @@ def needs_measured_epsf(method: str) -> bool:
 
 
 def list_methods(*, measured: bool = False) -> tuple[str, ...]:
-    """Names of all centroiders, and of those that need an ePSF with the reference one, or with the measured one too."""
+    """Names of all methods: centroiders, and for centroiders with an ePSF the reference and measured variants."""
     names, endings = list_centroiders(), (_REFERENCE, _MEASURED) if measured else (_REFERENCE,)
     return (*names, *(f"{name}{end}" for name in names if centroider_class(name).needs_epsf for end in endings))
 

@@ -61,7 +61,7 @@ def quantile_limit(values: FloatArray, share: float, confidence: float) -> float
 
 
 def runs_needed(share: float, confidence: float, failures: int = 0) -> int:
-    """Runs after which at most so many failures show, with this confidence, that a share of all runs succeeds."""
+    """Runs after which at most a number of failures show, with this confidence, that a share of all runs succeeds."""
     _check_level(share, "share")
     _check_level(confidence, "confidence")
     if failures < 0:
@@ -87,8 +87,8 @@ def level_of(error: FloatArray, level: float, interpretation: Interpretation = "
 def metrics(error: FloatArray, window: int, level: float, interpretation: Interpretation = "mixed") -> dict[str, float]:
     """Measurement errors of one axis (realisations, times), measured less true, at a level: share of the errors below.
 
-    AME: any error; MME: mean over a window of so many times; RME: about the mean of its window; MDE: change of that
-    mean from one window to the next (absent with a single one). What does not fill the last window is left out.
+    AME: any error; MME: mean over a window of times; RME: about the mean of its window; MDE: change of that mean from
+    one window to the next (absent with a single one). What does not fill the last window is left out.
     """
     series = np.atleast_2d(np.asarray(error, float))
     count = series.shape[1] // window if window > 0 else 0

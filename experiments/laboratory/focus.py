@@ -9,7 +9,7 @@ from optics.errors import StarbenchError
 
 
 def in_focus(lens: Any) -> bool:
-    """Whether a lens is in focus as it is: an ideal or a measured one."""
+    """Whether a lens is in focus by definition: an ideal or a measured lens."""
     if isinstance(lens, Mapping) or hasattr(lens, "focal_length_mm"):
         return True
     if not (isinstance(lens, str) and lens.lower().endswith(".toml")):

@@ -58,7 +58,7 @@ class Instrument(StarSensor):
 
 
 def stated_lens(config: InstrumentConfig) -> LensSystem:
-    """The lens that a configuration names or describes, as it is without any other key."""
+    """The lens of a configuration before any other key is applied."""
     ideal = config.lens
     if isinstance(ideal, str):
         return load_lens(ideal)

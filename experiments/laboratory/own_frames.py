@@ -14,7 +14,7 @@ from experiments.laboratory.sensor_file import SensorExperimentConfig
 
 
 class OwnFramesConfig(SensorExperimentConfig):
-    """Of an experiment that renders frames, or reduces those of a folder."""
+    """Settings of an experiment that renders frames, or reduces the frames of a folder."""
 
     own_frames: FolderName | None = Field(
         default=None,

@@ -123,7 +123,7 @@ class Influence:
 def window_positions(
     centroider: Centroider, instrument: Instrument, windows: ExpectedWindows
 ) -> tuple[FloatArray, Stamps]:
-    """What a centroider makes of the windows as they are: positions (n, 2), and the stamps it was given."""
+    """Positions (n, 2) by a centroider on noiseless windows, and its stamps."""
     return noiseless_positions(
         centroider,
         nominal_noise(instrument),

@@ -130,7 +130,7 @@ def point_laboratory(config: PointConfig, target: TargetConfig | None = None) ->
 
 
 def prepared_scene(bench: Bench, instrument: Instrument, direction: FloatArray, progress: Progress) -> PointScene:
-    """Scene of a test, after a look at whether it can be done."""
+    """Scene of a test, after checks."""
     nominal = nominal_px(instrument, direction.reshape(-1, 3))
     camera, half = instrument.camera, bench.window_px // 2 + 1
     off = np.any((nominal < half) | (nominal > np.array([camera.width_px, camera.height_px]) - 1 - half), axis=1)

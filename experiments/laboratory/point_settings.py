@@ -37,7 +37,7 @@ class PointConfig(OwnFramesConfig):
 
     @property
     def methods(self) -> tuple[MethodName, ...]:
-        """All centroiders, the one that counts first."""
+        """All centroiders, the main one first."""
         return tuple(dict.fromkeys((self.centroid, *self.compare)))
 
 

@@ -39,7 +39,7 @@ class SlewConfig(StrictModel):
 
 
 class PredictedSensorConfig(SensorExperimentConfig, SensorConfig):
-    """A sensor file, and what `experiments.laboratory.sensor_prediction.predict_camera` takes besides."""
+    """A sensor file, and further settings of `experiments.laboratory.sensor_prediction.predict_camera`."""
 
     detector: DetectorConfig = DetectorConfig()
     throughput_fraction: float = Field(

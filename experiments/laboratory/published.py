@@ -26,10 +26,9 @@ still the published one."""
 
 
 def is_published_sensor(config: BaseModel) -> bool:
-    """Whether a configuration runs the published sensor, so that published numbers have a place beside its own.
-
-    Lens, detector, pass band and filters (those of them that the experiment has) have to be the defaults; focus and
-    exposure are free, for the document states neither, and stars may be rendered by rays or by waves.
+    """Whether a configuration runs the published sensor, so that its numbers compare with published ones. Lens,
+    detector, pass band and filters (as far as the experiment has them) have to be the defaults; focus and exposure are
+    free, for the document states neither, and stars may be rendered by rays or by waves.
     """
     standard = {"instrument": InstrumentConfig(), "passband": PassbandConfig(), "filters": FilterConfig()}
     for key, wanted in standard.items():

@@ -163,7 +163,7 @@ class SensorExperimentConfig(ExperimentConfig):
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> dict[str, Any]:
-        """What the lens file of the instrument says beside the lens (`lens_defaults`)."""
+        """Further settings in the lens file of the instrument (`lens_defaults`)."""
         return lens_defaults(values, getattr(cls(), "instrument", InstrumentConfig()).lens)
 
     def remarks(self) -> tuple[str, ...]:

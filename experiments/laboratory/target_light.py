@@ -50,7 +50,7 @@ class TargetLight:
 
 
 def seen_camera(bench: Bench, instrument: Instrument) -> Camera:
-    """The camera with what vibration blurs within an exposure, a Gaussian beside that of the charge diffusion."""
+    """The camera with the blur by vibration within an exposure, a Gaussian in addition to charge diffusion."""
     camera, (_, within) = instrument.camera, bench.power_px2(instrument)
     return replace(camera, charge_diffusion_px=float(np.hypot(camera.charge_diffusion_px, within**0.5)))
 

@@ -49,7 +49,7 @@ FLOOR_CLIP_SIGMA = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibratedMap:
-    """A calibration beside the truth."""
+    """A calibration and the truth."""
 
     data: str  # Kind of positions that was calibrated
     calibration: Calibration  # Camera, covariance, status
@@ -106,7 +106,7 @@ class Calibrator:
     floor_px: float = 0.0  # Error per axis that is added to the noise of every star
 
     def observations(self, data: str) -> Observations:
-        """The stars with the positions of one kind; the weights are always those of the measurement."""
+        """The stars with the positions of one kind; the weights are always the measurement's."""
         matched, used = self.matched, self.used
         return Observations(
             pixel_px=self.position_px[data][used],

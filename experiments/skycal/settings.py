@@ -186,7 +186,7 @@ class Config(SensorExperimentConfig):
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> dict[str, Any]:
-        """What the lens file of the camera ``own`` says beside the lens, where that camera runs."""
+        """Further settings in the lens file of the camera ``own``, where that camera runs."""
         if values.get("which") != "own" or not isinstance(values.get("own"), Mapping):
             return {}
         found = super().implied({**values, "instrument": values["own"].get("instrument")})

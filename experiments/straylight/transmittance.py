@@ -205,7 +205,7 @@ def transmittance(
 ) -> Stray:
     """All causes together: what the baffle lets through and what it throws into the lens.
 
-    ``dust`` names the dust of the lens; ``angles`` are the numbers of those that are wanted, all if left out.
+    ``dust`` names the dust of the lens; ``angles`` are the numbers of the wanted angles, all if left out.
     """
     setting = config.pst
     chosen = np.arange(len(setting.angles_deg)) if angles is None else np.asarray(angles)

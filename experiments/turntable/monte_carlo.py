@@ -134,7 +134,7 @@ def monte_carlo(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingPoint:
-    """Map error at one error of a place's mean reading, the same on all axes, the centroids as they are."""
+    """Map error at one error of a place's mean reading, the same on all axes, with unchanged centroids."""
 
     reading_arcsec: float = col("Noise of the mean reading", "arcsec", "g", key="reading_noise_arcsec")
     measured_arcsec: Measured = col("Map error", "arcsec", key="map_error", json_error="uncertainty_arcsec")
@@ -152,7 +152,7 @@ def reading_sweep(
     *,
     advance: Callable[[], None],
 ) -> list[ReadingPoint]:
-    """Monte Carlo at every reading noise, started at the truth: errors are asked for, not convergence."""
+    """Monte Carlo at every reading noise, started at the truth, for errors and not for convergence."""
     near, points = replace(setup, start=setup.model), []
     for noise in noises_arcsec:
         noisy = near.with_reading_noise(noise)

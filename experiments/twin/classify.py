@@ -38,7 +38,7 @@ FEATURES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Told:
-    """How well real and rendered stars are told apart."""
+    """Separability of real and rendered stars."""
 
     area: float  # Under the ROC curve; 0.5: not at all
     error: float  # Standard deviation, stars drawn again

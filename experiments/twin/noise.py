@@ -88,7 +88,7 @@ def blocks_of(dn: FloatArray, masked: NDArray[np.bool_]) -> Blocks:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFit:
-    """What the noise of the sky tells of the detector."""
+    """Detector noise from the sky."""
 
     gain_e_per_dn: Measured
     intercept_dn2: Measured  # Temporal variance extrapolated to the lowest black level

@@ -292,7 +292,7 @@ class HalfMagnitude:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detected:
-    """False detections in all frames, and how well stars are told apart."""
+    """False detections in all frames, and separability of stars."""
 
     false_5: Measured = col("False detections at 5 sigma")
     false_twin_5: Measured = col("Twin's false detections at 5 sigma")
@@ -314,7 +314,7 @@ class Feature:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrueNumber:
-    """A measured number beside the truth of the camera that rendered the frames."""
+    """A measured number and the truth of the rendering camera."""
 
     name: str = col("Number", shown=False)
     found: Measured = col("Measured", "{parameter}")
@@ -486,7 +486,7 @@ class Sections:
 
 
 def compared_words(statistics: Sequence[Compared], detected: Detected) -> list[str]:
-    """How close the twin is to the camera, for whoever uses frames of it: a line per statistic that was judged."""
+    """Agreement of twin and camera for users of its frames: a line per judged statistic."""
     out = []
     for one in statistics:
         _, label, unit = one.key.split("|")

@@ -264,7 +264,7 @@ def _lens(
 
 
 def mixture(psf: PsfModel, pitch_mm: float, response: FloatArray) -> GaussianMixture:
-    """The PSF as tables: one PSF at every node of wavelength, so that the classes of colour come out as measured."""
+    """The PSF as tables: one PSF at every node of wavelength, so that the colour classes are as measured."""
     at_nodes = psf_of_wavelengths(psf, response)
     width, height = psf.size_px
     x, y = (np.linspace(0.0, n - 1.0, count) for n, count in ((width, PSF_NODES[0]), (height, PSF_NODES[1])))

@@ -29,7 +29,7 @@ AIR = "air"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileDefaults:
-    """What a lens file says beside the lens; defaults of whoever uses it."""
+    """Settings in a lens file that are not part of the lens; defaults of its user."""
 
     wavelength_nm: FloatArray  # (w,) Design wavelengths [nm] and weights
     wavelength_weight: FloatArray  # (w,)
@@ -51,7 +51,7 @@ class FileDefaults:
 class Imported:
     """A lens file as tables of a prescription (`optics.lens.tables`), with its report and defaults.
 
-    ``rows`` are what the file says of each table of a surface or coordinate break, in the same order.
+    ``rows`` are the file's data for each table of a surface or coordinate break, in the same order.
     """
 
     tables: dict[str, Any]

@@ -19,7 +19,7 @@ FAR_MM = 1e9
 
 @dataclass(slots=True)
 class GlassName:
-    """A glass as a file names it; ``nd`` and ``vd`` if it states them beside the name."""
+    """A glass as a file names it; ``nd`` and ``vd`` if it states them too."""
 
     name: str
     line: int

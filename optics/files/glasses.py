@@ -74,7 +74,7 @@ class GlassFinder:
 
     @cached_property
     def own(self) -> dict[str, AgfCatalogue]:
-        """The user's catalogues by name; a broken one among those that merely stand there is left out."""
+        """The user's catalogues by name; an invalid one that is not requested is left out."""
         beside = sorted(p for p in self.draft.path.parent.glob("*") if p.suffix.lower() == ".agf")[:40]
         found: dict[str, AgfCatalogue] = {}
         for path in dict.fromkeys([*self.files, *beside]):

@@ -11,7 +11,7 @@ from optics.errors import ConfigError
 
 
 class Status(StrEnum):
-    """What became of a line."""
+    """Treatment of a line."""
 
     TAKEN = "taken"
     APPROXIMATED = "approximated"
@@ -78,7 +78,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportReport:
-    """What became of a lens file."""
+    """Report on a lens file."""
 
     file: str  # The file, its format, the encoding of its text
     kind: str
@@ -111,7 +111,7 @@ class ImportReport:
 
 @dataclass(slots=True)
 class ReportBuilder:
-    """The report while a file is read; a command that nobody speaks for is unknown."""
+    """The report while a file is read; a command without an entry is unknown."""
 
     file: str
     kind: str

@@ -34,7 +34,7 @@ def _has(lens: LensSystem, name: str) -> list[bool]:
 
 
 def lens_parameters(lens: LensSystem) -> dict[str, FloatArray]:
-    """Values of `LENS_PARAMETERS`; decentre and tilt count from the lens as it is."""
+    """Values of `LENS_PARAMETERS`; decentre and tilt are relative to the present lens."""
     count = len(lens.surfaces)
     aspheres = [tuple(getattr(surface.shape, "asphere", ())) for surface in lens.surfaces]
     most = max(len(terms) for terms in aspheres)

@@ -148,8 +148,8 @@ class LensSystem:
     blur_um, blur_px : float
         Standard deviation of an additional Gaussian blur of the image, in either unit.
     measured : MeasuredLens or None
-        Measured lens without known surfaces. ``surfaces`` are then those of an ideal lens of its focal
-        length and aperture, for first-order quantities; `check_surfaces` refuses to trace them.
+        Measured lens without known surfaces. ``surfaces`` are then of an ideal lens of its focal length and aperture,
+        for first-order quantities; `check_surfaces` refuses to trace them.
     """
 
     name: str

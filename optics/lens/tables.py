@@ -88,7 +88,7 @@ class StopTable(StrictTable):
 
 
 class PupilTable(StrictTable):
-    """How wide the stop is open, by what it makes of the light on the axis at the design wavelength."""
+    """Opening of the stop, by the axial beam at the design wavelength."""
 
     f_number: Positive | None = None
     entrance_pupil_diameter_mm: Positive | None = None

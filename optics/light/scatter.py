@@ -143,7 +143,7 @@ def area_coverage(level: float) -> float:
 
     .. math:: \int_0^U \frac{\pi}{4} e^{2 u} \, 2 a u \, e^{a (U^2 - u^2)} \, du
 
-    Fibres cover less than disks as wide as they are long. One particle, the largest, remains and is counted as well.
+    Fibres cover less than disks of the same diameter. One particle, the largest, remains and is counted as well.
     """
     counted = float(particles_per_mm2(level, 1.0))
     a, end = SLOPE / math.log(10.0), math.log(level)
@@ -203,7 +203,7 @@ class Particles:
 
     @property
     def tis(self) -> float:
-        """Scattered in all, (1 + g) C; as much as is covered, C, is lost from the beam besides what is diffracted."""
+        """Scattered in all, (1 + g) C; the covered fraction C is lost from the beam in addition to diffracted light."""
         return (1.0 + self.forward) * self._area
 
 

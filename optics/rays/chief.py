@@ -77,7 +77,7 @@ def chief_ray_points(
     Raises
     ------
     ConvergenceError
-        If no ray passes the centre of the stop, or it misses a surface, is totally reflected or, where that counts,
+        If no ray passes the centre of the stop, or it misses a surface, is totally reflected or, where requested,
         stopped by a rim.
     """
     wave = lens.design_wavelength_nm if wavelength_nm is None else wavelength_nm
@@ -170,7 +170,7 @@ def distortion_map(
     Returns
     -------
     DistortionMap
-        Image points beside those of the ideal lens [mm].
+        Image points of the lens and of the ideal lens [mm].
 
     Raises
     ------

@@ -424,7 +424,7 @@ def find_ghosts(
     Returns
     -------
     Ghosts
-        Those that reach the image plane.
+        Ghosts that reach the image plane.
 
     Raises
     ------

@@ -35,7 +35,7 @@ ROUNDING_MM = 1e-9
 class ThermalSensitivity:
     """Derivatives by the components (5,) of a `ThermalState`, in the order of `COMPONENTS`.
 
-    Shifts are those of the mean of the light on the detector, x along increasing columns, y along increasing rows (so
+    Shifts are of the centroid of the light on the detector, x along increasing columns, y along increasing rows (so
     that a star which seems to move towards +X of cam has a positive x), in the frame of the detector.
     """
 
@@ -106,7 +106,7 @@ def thermal_sensitivity(
     Parameters
     ----------
     lens : LensSystem
-        The lens, focused as it is used.
+        The lens in its focus of use.
     housing : Housing
         What holds its elements.
     corner_deg : float, optional

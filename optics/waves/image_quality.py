@@ -132,7 +132,7 @@ def encircled_energy(
     """Fraction of all light within circles (r,).
 
     Integrates the image over the rings between the circles, by Gauss points along the radius and evenly in azimuth, as
-    many as a band-limited image asks for.
+    many as a band-limited image needs.
 
     Parameters
     ----------

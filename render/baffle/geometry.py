@@ -296,7 +296,7 @@ def check_closed(mesh: Mesh) -> None:
 
 
 def read_glb(path: str | Path) -> Mesh:
-    """Triangles of a binary glTF file (``.glb``), its nodes placed; units as they are, to be mm."""
+    """Triangles of a binary glTF file (``.glb``), its nodes placed; units unchanged, to be mm."""
     import json
     import struct
 

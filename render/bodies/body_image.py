@@ -83,7 +83,7 @@ class BodyRenderer:
         streams: Streams | None = None,
         frame: int = 0,
     ) -> BodyImage:
-        """Expected electrons of a body, to be added to those of the stars."""
+        """Expected electrons of a body, to be added to the stars'."""
         # rotation_cam_from_icrs (3, 3)
         _check(exposure_s, line_time_s, noise_share, in_front)
         camera = self.camera

@@ -79,9 +79,9 @@ class GhostSources:
     ) -> tuple[GhostTruth, tuple[str, ...]]:
         """Add ghosts to an image (h, w, b) [e-]; attitude is cam from icrs.
 
-        ``stars`` are those that the frame shows, along icrs, with their truth; ``star_id`` (n,) who they are. Returns
-        the ghosts, whose rows from ``len(stars)`` on are sources beside them, and the names of these: ids of stars,
-        then bodies.
+        ``stars`` are the stars of the frame, along icrs, with their truth; ``star_id`` (n,) their identifiers. Returns
+        the ghosts, whose rows from ``len(stars)`` on are further sources, and the names of these: ids of stars, then
+        bodies.
         """
         turn = attitude.as_matrix().T
         found = [self.ghosting.add(image, stars.direction @ turn, stars.wavelength_nm, truth)]

@@ -96,7 +96,7 @@ def _slopes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class PixelMaps:
-    """Maps of one camera at given wavelengths; found tile by tile when they are asked for, and kept."""
+    """Maps of one camera at given wavelengths; computed tile by tile on request, and kept."""
 
     def __init__(self, camera: Camera, wavelength_nm: FloatArray) -> None:
         self.camera, self.wavelength_nm = camera, np.asarray(wavelength_nm, float)

@@ -87,8 +87,8 @@ def limb_pst(pst: PointSourceTransmittance, towards_centre: ArrayLike, radius_ra
 class StrayLight:
     """Stray light of Sun, Moon and, for an observer above it, the Earth, in an attitude [e- s^-1 per pixel].
 
-    ``table`` is a file or record of the camera, ``light`` that of its pass band; ``ghosts``: those of Sun and Moon are
-    drawn apart, if the table has the cause ``ghosts``. `ConfigError` without an observer whose place is known.
+    ``table`` is a file or record of the camera, ``light`` that of its pass band; ``ghosts``: ghosts of Sun and Moon are
+    drawn separately, if the table has the cause ``ghosts``. `ConfigError` without an observer whose place is known.
     """
 
     def __init__(

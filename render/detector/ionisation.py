@@ -72,7 +72,7 @@ def draw_collisions(
     charge : (n,)
         Charge number of the nucleus.
     limit_ev : float
-        Largest energy of a knock-on electron that counts [eV].
+        Largest energy of an included knock-on electron [eV].
     generator : numpy.random.Generator
         Randomness.
 

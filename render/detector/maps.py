@@ -112,7 +112,7 @@ def full_maps(detector: Detector, types: Any) -> PixelMaps:
 
 
 def window_maps(detector: Detector, types: Any, column: NDArray[np.int64], row: NDArray[np.int64]) -> PixelMaps:
-    """Maps of windows, flat, from their columns (n, w) and rows (n, h); pixels outside get those of the edge."""
+    """Maps of windows, flat, from their columns (n, w) and rows (n, h); pixels outside get the values of the edge."""
     column = np.clip(column, 0, detector.width_px - 1).astype(np.uint32)
     row = np.clip(row, 0, detector.height_px - 1).astype(np.uint32)
     shape = (len(column), row.shape[1], column.shape[1])

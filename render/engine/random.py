@@ -48,7 +48,7 @@ class Streams:
             raise DomainError(f"seed = {self.seed!r}; an integer of at least 0 is needed")
 
     def child(self, *names: str | int) -> Streams:
-        """Streams of a part of the experiment (a band, a target position), independent of those of any other part."""
+        """Streams of a part of the experiment (a band, a target position), independent of any other part."""
         return Streams(self.seed, (*self.path, *(str(name) for name in names)))
 
     def sequence(self, name: str, frame: int = 0) -> np.random.SeedSequence:

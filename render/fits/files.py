@@ -80,7 +80,7 @@ def write_frame(
         ``MASK`` in every file; of saturated pixels only, in files that have one (defects are the same in every frame
         of a detector); or in none.
     marks : mapping of str to (h, w) bool, optional
-        More bits of ``MASK``, by their card: ``COSMIC``, pixels that a cosmic ray struck; ``DISK``, those of a body.
+        More bits of ``MASK``, by their card: ``COSMIC``, pixels struck by a cosmic ray; ``DISK``, pixels of a body.
         They are truth: `read_frame` leaves them aside.
 
     Returns

@@ -43,7 +43,7 @@ class CameraNumbers:
         self._known, self._optics = self._start, camera
 
     def values(self) -> dict[str, FloatArray]:
-        """Numbers of lens and focus as they are now."""
+        """Present numbers of lens and focus."""
         return {name: plain(self.tensors[name], like.shape) for name, like in self._start.items()}
 
     def optics(self) -> Camera:
@@ -103,7 +103,7 @@ class CameraNumbers:
     def derivatives(
         self, numbers_of: Callable[[Camera], FloatArray]
     ) -> tuple[Camera, list[tuple[str, int, FloatArray]]]:
-        """How a vector that is made of a camera changes with every number whose derivative is asked for."""
+        """Derivatives of a vector computed from a camera, by every number that needs them."""
         values = self._centre()
         steps = {**steps_of({k: v for k, v in values.items() if k != "defocus_mm"})}
         steps["defocus_mm"] = np.array([FOCUS_STEP_MM])

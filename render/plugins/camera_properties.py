@@ -135,7 +135,7 @@ def exposure_motion_of(props: Any, exposure_s: float) -> ExposureMotion | None:
 
 
 def camera_of(props: Any, width: int, height: int) -> Camera:
-    """The camera of a handle or a file, or the one that the properties describe, for a film of so many pixels."""
+    """The camera of a handle or a file, or the one that the properties describe, for a film of given pixels."""
     if "camera" in props:
         return _shared_camera(props, width, height)
     for name in ("lens", "pixel_pitch_um"):

@@ -43,7 +43,7 @@ class Handles(Generic[_Record]):
 
 
 def resolved(mi: Any, name: str) -> str:
-    """Path of a file that a scene names: beside the scene file that is being read, or in the working directory."""
+    """Path of a file that a scene names: in the folder of the scene file, or in the working directory."""
     return str(mi.file_resolver().resolve(name))
 
 

@@ -198,19 +198,19 @@ def define(mi: Any) -> type:
 
         @property
         def optics(self) -> Camera:
-            """The camera as it is now, with its first attitude."""
+            """The present camera, with its first attitude."""
             optics: Camera = self._kept.optics
             return optics
 
         @property
         def camera(self) -> Camera:
-            """The camera as it is now."""
+            """The present camera."""
             camera: Camera = self._kept.camera
             return camera
 
         @property
         def star_motion(self) -> ExposureMotion | None:
-            """Motion under which stars are seen, given or made of the rate; None at rest."""
+            """Motion of the star images, given or from the rate; None at rest."""
             if self._turning is None:
                 self._turning = self.numbers.motion(self.camera, self.exposure_s)
             if self._turning is not None and self.exposure_motion is not None:

@@ -187,7 +187,7 @@ def define(mi: Any) -> type:
 
         @property
         def stars(self) -> StarField:
-            """The stars as they are now, in their own frame."""
+            """The present stars, in their own frame."""
             if self._stars is None:
                 arrays = {name: dr.detach(getattr(self, name)).numpy() for name, _ in TENSORS}
                 bands = arrays["wavelength_nm"].shape[0]
@@ -199,7 +199,7 @@ def define(mi: Any) -> type:
 
         @property
         def turned_stars(self) -> StarField:
-            """The stars as they are now, in the scene's world."""
+            """The present stars, in the scene's world."""
             turn = self.world_from_stars
             if turn is None:
                 return self.stars

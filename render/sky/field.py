@@ -125,7 +125,7 @@ def field_of_view(camera: Camera, *, margin_px: float = 16.0) -> FieldOfView:
     """Field of a camera (whose attitude plays no part) from chief rays through its lens, distortion and all.
 
     A polynomial of degree 9 stands for the chief ray at the design wavelength. Stars in a strip of ``margin_px``, the
-    size of the spots, around the detector count too, so that light of stars beside it comes in. `ConvergenceError`
+    size of the spots, around the detector count too, so that light of stars outside it is included. `ConvergenceError`
     where its corner lies outside what the lens can image.
     """
     if not (margin_px >= 0.0 and math.isfinite(margin_px)):

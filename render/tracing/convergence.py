@@ -20,8 +20,7 @@ HIGHEST_FREQUENCY = 8.0
 def damped_frequencies(diffusion_px: float, tolerance: float) -> FloatArray | None:
     """Frequencies (f, 2) [cycles/px] up to the one at which diffusion leaves less than the tolerance.
 
-    They are those of `frequencies_up_to`. None where diffusion lets more than
-    `HIGHEST_FREQUENCY` through.
+    From `frequencies_up_to`. None where diffusion lets more than `HIGHEST_FREQUENCY` through.
     """
     if diffusion_px <= 0.0:
         return None

@@ -130,7 +130,7 @@ class Scene:
         self.picked, self.factors = _picked(self, paths.plain)
 
     def bundle(self, width: int) -> _Bundle:
-        """Numbers of the lens for so many lanes."""
+        """Numbers of the lens for a number of lanes."""
         tail = _Numbers(self, width, self.numbers.program.size)
         return _Bundle(_Numbers(self, width), tail[0:4], tail[4])
 

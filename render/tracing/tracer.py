@@ -62,7 +62,7 @@ class ImageMaker(Protocol):
     def add(self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
         """Add stars to the image (h, w, b) and what is known of them to the sums; how they were sampled.
 
-        An image without pixels asks for the truth of rays alone.
+        An image without pixels: the truth of rays alone.
         """
 
     def cells(self, light: Light, exposure: Exposure, half_size_px: int, cells_per_px: int) -> FloatArray:
@@ -272,7 +272,7 @@ class Tracer:
         return y[0], np.where(moves, way / np.where(moves, ideal_way, 1.0), 1.0)
 
     def light(self, stars: StarField, paths: StarPaths, exposure_s: float) -> Light:
-        """Light of stars as it is shared out over the nodes of an exposure."""
+        """Light of stars, distributed over the nodes of an exposure."""
         rate = stars.photon_rate * self.camera.response_at(stars.wavelength_nm)
         received = (self.planner.received(paths.nodes) * paths.weight)[:, None, :, None]
         per_node = (rate * (self.pupil.area_mm2 * exposure_s))[:, :, None] * received

@@ -68,7 +68,7 @@ def _reach_px(nominal_px: FloatArray) -> float:
 def match_points(
     position_px: FloatArray, nominal_px: FloatArray, *, match_px: float, where: str, unseen: str, merged: str
 ) -> FloatArray:
-    """Those of the detections (n, 2) that are the points at the nominal places (j, 2), in their order.
+    """Detections (n, 2) matched to the points at the nominal places (j, 2), in their order.
 
     The lens may displace the whole image (a moved element): that is estimated first, then each point looked for close
     by. Other parameters and errors as of `find_points`.

@@ -43,7 +43,7 @@ class Data:
 
     @classmethod
     def of(cls, measurement: Measurement) -> Data:
-        """Those of a rendered run."""
+        """Positions and readings of a rendered run."""
         return cls(
             pixel_px=np.array(measurement.readings.position_px),
             covariance_px2=np.array(measurement.readings.covariance_px2),

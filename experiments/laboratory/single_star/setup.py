@@ -26,7 +26,7 @@ LEAST_COVERAGE = 0.5
 
 
 def camera_under_test(config: SingleStarConfig) -> Instrument:
-    """The instrument, its lens axis beside the centre of the detector as configured."""
+    """The instrument, its lens axis off the centre of the detector as configured."""
     instrument = build_instrument(config.instrument)
     camera = instrument.camera
     return replace(instrument, camera=replace(camera, centre_px=camera.centre_px + config.principal_point_px))
@@ -51,7 +51,7 @@ def star_signal(config: SingleStarConfig, instrument: Instrument, brightness: Si
 
 
 def build_table(config: TableConfig, axes: str | None = None) -> Turntable:
-    """The table of a configuration; ``axes``, if given, are those that the reduction believes it to have."""
+    """The table of a configuration; ``axes``, if given, are the axes assumed by the reduction."""
     return build_turntable(
         axes or config.axes,
         non_orthogonality_arcsec=_spread(config.non_orthogonality_arcsec),

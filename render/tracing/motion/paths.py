@@ -183,7 +183,7 @@ def pick_times(paths: StarPaths) -> tuple[FloatArray, FloatArray]:
 
 
 def uniform_paths(direction: FloatArray, count: int, angle_rad: float) -> StarPaths:
-    """Stars (n, 3) in cam seen from a camera that turns by an angle at a constant rate, at so many time nodes."""
+    """Stars (n, 3) in cam seen from a camera that turns by an angle at a constant rate, at a number of time nodes."""
     nodes, weight = gauss_times(count)
     axis = np.array([math.cos(0.6), math.sin(0.6), 0.0])
     turned = [Rotation.from_rotvec((s - 0.5) * angle_rad * axis).apply(direction) for s in nodes]

@@ -158,9 +158,9 @@ class Bounds:
 class Group:
     """Stars whose pupils are sampled alike: by "quadrature", "arcs", "sobol" points or "cells" of the launch disk.
 
-    ``points`` makes the points of some of them, of so many rings and azimuths; None for cells, which divide the disks
-    that hold the beams (`PupilPlanner.disks`). Where outlines are smooth ``turns`` are the first azimuths (k, rings) on
-    so many rings, in parts of their distance.
+    ``points`` computes points of some of them for a number of rings and azimuths; None for cells, which divide the
+    disks that hold the beams (`PupilPlanner.disks`). Where outlines are smooth ``turns`` are the first azimuths (k,
+    rings) on the rings, in parts of their distance.
     """
 
     mode: str

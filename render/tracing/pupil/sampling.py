@@ -162,7 +162,7 @@ def _spectrum(landed: Landed, frequency: FloatArray, left: FloatArray) -> tuple[
 
 
 def probe_nodes(nodes: int) -> NDArray[np.int64]:
-    """The few of so many wavelength nodes that judge for all.
+    """A few wavelength nodes that decide for all.
 
     Fewer nodes leave wider gaps between their azimuths, so the order errs on the safe side.
     """

@@ -138,7 +138,7 @@ def _fields(reach_rad: float, count: int, shift: float, spread: bool) -> FloatAr
 
 
 def fit_transmission(camera: Camera, pupil: EntrancePupil, wavelength_nm: FloatArray) -> PupilTransmission | None:
-    """Fit for wavelengths (b, k); None where all rays lose what those of the axis do, or the camera states nothing."""
+    """Fit for wavelengths (b, k); None where all rays have the axial loss, or the camera has no losses."""
     if camera.losses is None:
         return None
     key = pickle.dumps((camera.focused_lens, camera.losses, pupil, camera.field_reach_rad))

@@ -51,8 +51,8 @@ class WaveImages:
     """Makes diffraction images of the stars of one camera (`render.tracing.tracer.ImageMaker`).
 
     Rays tell the truth of stars that are summed one by one. Grids of images are kept between star fields, and shared by
-    all tracers of equal cameras: those that render, and those that make PSFs. The light of the stars of the last field
-    is kept for their PSFs. With ``by_grid`` few stars are taken from a grid too, as where many more fields follow.
+    all tracers of equal cameras, for frames and for PSFs. The light of the stars of the last field is kept for their
+    PSFs. With ``by_grid`` few stars are taken from a grid too, as where many more fields follow.
     """
 
     def __init__(self, planner: PupilPlanner, *, by_grid: bool = False) -> None:

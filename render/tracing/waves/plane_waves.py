@@ -210,7 +210,7 @@ ROUNDED = 16
 
 
 def azimuths(around: FloatArray) -> FloatArray:
-    """How many of them integrate over a ring along which the phase changes by so much per radian.
+    """Number of azimuths for a ring with a phase change per radian.
 
     Bessel functions J_m(x) vanish for m > x + some x^(1/3).
     """
@@ -218,7 +218,7 @@ def azimuths(around: FloatArray) -> FloatArray:
 
 
 def nodes_along(radial: FloatArray) -> FloatArray:
-    """How many rings integrate over a radius along which the phase changes by so much.
+    """Number of rings for a radius with a phase change.
 
     Gauss's rule of n nodes ends with J_2n of half of it; 5 more than a quarter were 1e-4 of the light short at 350 rad.
     """
@@ -262,7 +262,7 @@ class WaveSeries:
         return WaveSeries(self.coefficient[stars], self.mean[stars], self.resolved[stars])
 
     def rays(self, at: tuple[int, int], order: tuple[int, int], colour: int) -> RayArrays:
-        """Rays of one star and band at one wavelength, on rings and azimuths that an order asks for at the rim."""
+        """Rays of one star and band at one wavelength, on the rings and azimuths of an order at the rim."""
         (x, y), shape = self.mean[*at, colour], self.coefficient.shape[3:]
         spectrum = self.coefficient[*at, colour].view(np.float64).reshape(shape[0], -1)
         polynomials, weight, arms = _rings(order, shape[0])

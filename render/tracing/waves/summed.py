@@ -183,7 +183,7 @@ class SummedImages:
                 yield summands.stars, result, mean
 
     def probes(self, group: Group) -> Iterator[Probe]:
-        """Few rays of the stars of a group, in batches; last those of stars whose outlines hold darkness.
+        """Few rays of the stars of a group, in batches; last the stars whose outlines contain obscurations.
 
         Such as that of a hole or a spider; they go by cells.
         """

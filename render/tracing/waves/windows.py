@@ -304,7 +304,7 @@ def window_terms(field: FieldSampling, window_px: float, pad_px: float) -> float
 
 
 def image_s(rays: float, terms: float) -> float:
-    """Processor time of an image of one wavelength, of so many rays and products (`window_terms`).
+    """Processor time of an image of one wavelength by its numbers of rays and products (`window_terms`).
 
     Of a usual machine of 2024; ``python benchmarks/waves.py --cost`` compares it with the one at hand.
     """
