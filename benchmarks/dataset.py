@@ -197,7 +197,7 @@ def draw(series: dict[str, list[tuple[float, dict[str, Any]]]]) -> None:
                 place.set_ylim(1.0, 200.0)
             if name == "stars":
                 place.axhline(20.0, color=PALETTE[1], lw=0.9, ls="--")
-                place.annotate("asked for", (x[0], 20.0), xytext=(0, -11), textcoords="offset points", color=PALETTE[1])
+                place.annotate("required", (x[0], 20.0), xytext=(0, -11), textcoords="offset points", color=PALETTE[1])
         axes[0].set_ylabel("frames per second")
         axes[2].set_xticks([1, 2, 3, 4])
         FIGURE.write_bytes(figure_png(figure, dpi=180))

@@ -186,7 +186,7 @@ def main() -> None:
         sorted(p for p in options.catalogues.iterdir() if p.suffix.lower() == ".agf") if options.catalogues else []
     )
     counts: Counter[str] = Counter()
-    print(f"| file | became | why{' | rays beside optiland | beside batoid' if options.peer else ''} |")
+    print(f"| file | became | why{' | rays against optiland | against batoid' if options.peer else ''} |")
     print("|---|---|---" + ("|---|---|" if options.peer else "|"))
     for path in files_below(options.folder):
         rays = ""

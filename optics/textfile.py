@@ -1,4 +1,4 @@
-"""Text files in any encoding, ours and those of other programs; faults are one-line errors."""
+"""Text files in any encoding, of this and other programs; faults are one-line errors."""
 
 from __future__ import annotations
 

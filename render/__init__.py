@@ -1,12 +1,12 @@
 """The forward model: real sky, star sensor, frames with their truth.
 
 A star sensor is a lens and a detector by name (`load_star_sensor`), the sky a catalogue as an observer sees it
-(`load_sky`), and a frame what the sensor gives out in an attitude (`observe`, `SkySimulator`). Below them, for scenes
-of one's own: stars as light at wavelengths (`StarField`), electrons without noise (`StarRenderer`), the detector
+(`load_sky`), and a frame the sensor's output in an attitude (`observe`, `SkySimulator`). Below them, for scenes of
+one's own: stars as light at wavelengths (`StarField`), electrons without noise (`StarRenderer`), the detector
 (`expose`), and the plugins of Mitsuba (`render.plugins`).
 
-The public names of the package stand in ``__init__.pyi`` and are loaded when they are first used, so that importing one
-small module stays cheap and needs no Mitsuba; everything else is imported from its module:
+The public names of the package are listed in ``__init__.pyi`` and loaded on first use, so that importing one small
+module stays fast and needs no Mitsuba; everything else is imported from its module:
 
 ================  ======================================================================================================
 render.catalogue  star catalogues: Gaia offline, files, services; motion, temperatures, search tree

@@ -308,7 +308,7 @@ def _baseline(config: Config, result: Mapping[str, Any]) -> dict[str, str]:
     if seen is None or not seen.bright_stars:
         return {}
     half = seen.magnitude_of_half
-    faint = f", half of those of {half:.2f} mag" if math.isfinite(half) else ""
+    faint = f", half of the stars of {half:.2f} mag" if math.isfinite(half) else ""
     texts = {
         f"detection at {config.threshold_sigma:g} sigma, first {seen.frames_looked_at} frames": (
             f"{100 * seen.bright_undisturbed:.2f} % of undisturbed stars of SNR 10 and more{faint}; "

@@ -175,7 +175,7 @@ own_frames = FramesTest(
             columns="sigma_d_arcsec sigma_left_arcsec sigma_c1_arcsec left_out_arcsec row_out_arcsec",
             caption="Distortion error (ACC18 eq. 17-30, 3 σ), and error of the map at points left out of the "
             "fit (3 times its RMS).",
-            note="*nominal*: stated coordinates as they are; *aligned*: shift, roll and scale fitted; *calibrated*: a "
+            note="*nominal*: stated coordinates unchanged; *aligned*: shift, roll and scale fitted; *calibrated*: a "
             "camera model from the earlier session. *Left out*: camera and polynomial fitted without the point, or "
             "without its row or column (the larger; none: the others do not determine the polynomial there).",
             figures={"residuals": arrows("nominal_px", "found_arcsec", "left_arcsec", frame="frame_size_px")},

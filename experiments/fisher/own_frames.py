@@ -67,8 +67,8 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
     chosen = [one for one in folder.series if one.settings.use == "evaluation"]
     if not chosen:
         raise ConfigError(
-            f"{SETTINGS_FILE}: no series has use = 'evaluation'; star vectors must be evaluated on poses other than "
-            "those of the calibration"
+            f"{SETTINGS_FILE}: no series has use = 'evaluation'; star vectors must be evaluated on poses without "
+            "use in the calibration"
         )
     several = next((one for one in chosen if len(one.windows.dn) > 1), None)
     if several is not None:

@@ -418,7 +418,7 @@ SECTIONS = {
         caption="Sensor, guide catalogue, availability and acquisition.",
         verdicts=[
             below("wrong_attitudes", 0.0, title="wrong attitudes"),
-            above("solved_percent", 95.0, title="frames that are tracked, of those that no body blinds"),
+            above("solved_percent", 95.0, title="tracked fraction of the unblinded frames"),
         ],
     ),
     "terms": Section(

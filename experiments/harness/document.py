@@ -1,23 +1,22 @@
 """``report.html`` from a Markdown template: prose in ``report.md``, tables and figures called by name.
 
-A template is Jinja in Markdown; reports that are alike extend one beside them. Its ``# title`` comes first, then the
-lead; a block quote holds the verdict, ``numbers`` the figures shown large, and every ``## head`` begins a section.
-Sections after the first one with a figure are folded under their headings.
-Besides ``config``, ``result``, ``data`` and ``outcome`` it knows
+A template is Jinja in Markdown; similar reports extend a common one. Its ``# title`` comes first, then the lead; a
+block quote holds the verdict, ``numbers`` the figures shown large, and every ``## head`` begins a section. Sections
+after the first one with a figure are folded under their headings. In addition to ``config``, ``result``, ``data`` and
+``outcome`` it has
 
 =========================  ============================================================================================
 ``value("q", axis="x")``   a quantity by name; printed with its uncertainty, or in its own format
 ``table("name")``          a table of the experiment; ``table("name", Head=[...])`` only the rows with these cells
 ``figure("name", ...)``    a drawing: function NAME of the experiment's figures, called with the outcome and the further
                            arguments; its caption stands in ``{% call figure("name") %} ... {% endcall %}``
-``row(a, b)``              figures or tables side by side
-``equation(r"...", note)`` a displayed equation, in matplotlib's subset of LaTeX
-``numbers(number(...))``   the figures shown large: ``number(label, value, unit, format, note)``
-``criteria()``             the table of criteria; it stands after the first section with a figure if not placed
-``x | cell(".3f")``        a number as tables set it; ``x | g`` as %g
-``x | digits(2)``          a number with so many significant digits
-``x | md``                 text that is Markdown itself; any other text is taken letter by letter
-=========================  ============================================================================================
+``row(a, b)``              figures or tables side by side ``equation(r"...", note)`` a displayed equation, in
+matplotlib's subset of LaTeX ``numbers(number(...))``   the figures shown large: ``number(label, value, unit, format,
+note)`` ``criteria()``             the table of criteria; it stands after the first section with a figure if not placed
+``x | cell(".3f")``        a number as tables set it; ``x | g`` as %g ``x | digits(2)``          a number with this
+number of significant digits ``x | md``                 text that is Markdown itself; any other text is taken letter by
+letter =========================
+============================================================================================
 
 Numbers that are printed are set as in tables: real minus signs, powers of ten, value ± uncertainty.
 """

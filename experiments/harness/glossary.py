@@ -44,7 +44,7 @@ GLOSSARY: Mapping[str, Term] = {
         _ECSS,
     ),
     "NEA": Term("noise equivalent angle: standard deviation of a star's direction per axis from noise alone", _ECSS),
-    "ePSF": Term("effective point spread function: the image of a star integrated over pixels, as it is fitted"),
+    "ePSF": Term("effective point spread function: the image of a star integrated over pixels, for fits"),
     "PSF": Term("point spread function: the image of a star"),
     "PRNU": Term("photo response non-uniformity: how much the response differs from pixel to pixel", _EMVA),
     "DSNU": Term("dark signal non-uniformity: how much the offset differs from pixel to pixel", _EMVA),

@@ -1,4 +1,5 @@
-"""The output folder appears complete or not at all: files are written beside it, synced, and moved in by one rename."""
+"""The output folder appears complete or not at all: files are written to a temporary folder, synced, and moved by one
+rename."""
 
 from __future__ import annotations
 

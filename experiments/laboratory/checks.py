@@ -29,7 +29,7 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
     if dark.any():
         raise DomainError(
             f"no light of {int(dark.sum())} of {dark.size} target points gets through lens "
-            f"{instrument.camera.lens.name!r}; look at its clear apertures or raise target.edge_px"
+            f"{instrument.camera.lens.name!r}; check its clear apertures or raise target.edge_px"
         )
     widest = float(radius_px.max())
     if RADII * widest > bench.window_px:

@@ -248,7 +248,7 @@ def _window(config: PredictedSensorConfig) -> tuple[str, int]:
     """Width of the centroider's window, and its setting."""
     half = None if needs_epsf(config.centroid) else getattr(get_centroider(config.centroid), "half_width_px", None)
     if half is not None and 2 * half + 1 < config.window_px:
-        return f"centroid = {config.centroid}, which looks at", 2 * half + 1
+        return f"centroid = {config.centroid} with a window of", 2 * half + 1
     return "window_px =", config.window_px
 
 

@@ -111,7 +111,7 @@ def _check_detections(scene: Scene, recording: Recording, config: Config) -> Non
     if not found:
         raise DomainError(
             f"{scene.name}: no star was detected in {scene.frames} frames at {config.threshold_sigma:g} sigma; raise "
-            f"{scene.name}.instrument.exposure_s ({set_up.exposure_s:g} s) or look at the focus "
+            f"{scene.name}.instrument.exposure_s ({set_up.exposure_s:g} s) or check the focus "
             f"({scene.name}.instrument.defocus_mm = {set_up.defocus_mm:g} mm)"
         )
     saturated = sum(int(has_flag(one.found.flags, StarFlag.SATURATED).sum()) for one in recording.frames)

@@ -166,8 +166,8 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
 
 
 NOTE = (
-    "Standard deviations of N frames come out low by the factor c4(N); ratios are corrected for it, measured values, "
-    "as in the document, are not."
+    "Standard deviations of N frames are low by the factor c4(N); ratios are corrected for it, measured values are "
+    "not (as in the document)."
 )
 SECTIONS = {
     "frames": Section(

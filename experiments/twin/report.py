@@ -252,9 +252,7 @@ def causes(fit: CameraFit, compared: HeldOut, limit_mag: float) -> list[Cause]:
     return [
         Cause(name="residual of Gaussian fits", part_px=gaussian),
         Cause(name="of it: noise of the centroids", part_px=noise),
-        Cause(
-            name="of it: shape of the PSF (S-curve), taken out by a fit of it", part_px=_root(gaussian**2 - fitted**2)
-        ),
+        Cause(name="of it: shape of the PSF (S-curve), removed by a PSF fit", part_px=_root(gaussian**2 - fitted**2)),
         Cause(name="residual of PSF fits", part_px=fitted),
         Cause(name="of it: noise of the centroids", part_px=own),
         Cause(name="of it: method, as in a rendered set", part_px=method),

@@ -338,7 +338,7 @@ def _remarks(draft: Draft) -> None:
     if math.isfinite(draft.object_mm):
         report.assumed(
             "object",
-            f"it stands at {draft.object_mm:g} mm in the file; stars are infinitely far, the lens is kept as it is",
+            f"it stands at {draft.object_mm:g} mm in the file; stars are at infinity, the lens is unchanged",
         )
     if draft.image is not None and draft.image.shape.get("kind") not in ("plane", "sphere", "coordinate_break"):
         report.assumed("image", "the image surface is not plane in the file; a plane detector stands at its vertex")

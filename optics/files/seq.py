@@ -429,7 +429,7 @@ class _Reader:
                 elif words[0].upper() in ("EPD", "FNO", "NAO", "NA", "TIT", *_FIELDS, *_VIGNETTING, "WTF") and (
                     chosen == 1
                 ):
-                    message = "values of the zoom positions; those of position 1 are in the file's own commands"
+                    message = "values of the zoom positions; values of position 1 are in the file's own commands"
                 else:
                     raise ValueError(f"zoom (ZOO) of {words[0]} is not supported")
             except (ValueError, IndexError) as error:

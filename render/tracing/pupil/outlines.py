@@ -2,10 +2,10 @@
 
 A point is launched at ``centre + rho B(azimuth) (cos, sin)``, with Gauss-Legendre nodes in rho^2 (Peirce 1957, J. Soc.
 Indust. Appl. Math. 5, 66) and weight B^2 d(azimuth) / 2. Where the stop alone limits the beam, B is smooth: it is found
-at a few azimuths and interpolated by its Fourier series, and equidistant azimuths are the best there are. Those of
-every other ring lie in the gaps of its neighbours', which halves their number. The axes' odd powers of rho, which a
-rule in rho^2 does not take exactly, come with the odd harmonics of B and are small. Where something round stands in the
-middle of the beam its shadow has an outline of the same kind, and the nodes lie between the squares of the two.
+at a few azimuths and interpolated by its Fourier series, and equidistant azimuths are optimal. The azimuths of every
+other ring lie in the gaps of its neighbours', which halves their number. The axes' odd powers of rho, which a rule in
+rho^2 does not take exactly, come with the odd harmonics of B and are small. Where something round stands in the middle
+of the beam its shadow has an outline of the same kind, and the nodes lie between the squares of the two.
 
 Where several apertures cut the beam the outline is the least of several smooth functions of the azimuth, one per
 aperture (`Arcs`). It is sampled coarsely; where the aperture that limits the beam changes, there is a kink, and each

@@ -5,7 +5,7 @@ sum_m g_m(rho) cos(m theta), that of one at azimuth phi is
 
     sum_m g_m(rho) [cos(m phi) cos(m theta) + sin(m phi) sin(m theta)]
 
-so that images along one radius tell those of the whole field.
+so that images along one radius determine the whole field.
 """
 
 from __future__ import annotations

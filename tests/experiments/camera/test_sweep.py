@@ -100,7 +100,7 @@ def test_stars_that_trail():
     assert 3.0 < trail_px < 15.0
     assert 1.5 < nea[1] / nea[0] < nea[2] / nea[0]
     assert "too much for window_px = 19 px" in found["points"][3].refusal
-    with pytest.raises(DomainError, match="centroid = cog, which looks at 7 px"):
+    with pytest.raises(DomainError, match="centroid = cog with a window of 7 px"):
         study("slew.rate_deg_per_s=0.4:1.2:2", window_px=19, **quiet | {"centroid": "cog"})
 
 
