@@ -51,7 +51,7 @@ PERCENT = (50, 90, 95, 99)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Built:
-    """Lenses as built, 3 sigma."""
+    """Manufactured lenses, 3 sigma."""
 
     elements: tuple[str, ...]  # Names along ``element``
     lenses: int = col("Lenses")

@@ -85,7 +85,7 @@ def _remarks(prediction: CameraPrediction) -> list[str]:
 
 
 def _made(prediction: CameraPrediction, required: dict[str, tuple[float, bool]], progress: Progress) -> dict[str, Any]:
-    """Lenses as made, and rendered frames."""
+    """Manufactured lenses, and rendered frames."""
     config, sections = prediction.config, dict[str, Any]()
     if config.manufacture.lenses:
         from experiments.camera.manufacture import manufactured

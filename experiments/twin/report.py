@@ -45,7 +45,7 @@ STRETCH_PERCENT = (20.0, 99.7)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraNumbers:
-    """What the camera is."""
+    """Measured properties of the camera."""
 
     frames: int = col("Frames solved", json="frames_solved")
     frames_given: int = col("Frames given")
