@@ -8,6 +8,7 @@ derivatives are one small matrix product, (3 x 16) times (16 x pixels), per star
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -37,12 +38,10 @@ class EpsfBank:
         length = 2 * self.origin + step
         coefficients = np.zeros((len(psfs), length, length))
         for row, psf in enumerate(psfs):
-            margin = 12  # the spline's prefilter decays as 0.27^k: 1e-7 at the seam
-            padded = np.pad(psf.values, margin)
-            first = self.origin - len(psf.values) // 2 - margin
+            inner = _spline(psf)
+            first = self.origin - len(inner) // 2
             low = max(0, -first)
-            inner = spline_filter(padded, order=3, mode="mirror")
-            inner = inner[low : len(padded) - low, low : len(padded) - low]
+            inner = inner[low : len(inner) - low, low : len(inner) - low]
             coefficients[row, first + low :, first + low :][: len(inner), : len(inner)] = inner
         pixels = length // step
         phases = coefficients.reshape(len(psfs), pixels, step, pixels, step).transpose(0, 2, 4, 1, 3)
@@ -84,6 +83,13 @@ class EpsfBank:
         np.multiply(slope[:, 0, :, None], value[:, 1, None, :], out=out[:, 1])
         np.multiply(value[:, 0, :, None], value[:, 1, None, :], out=out[:, 2])
         return out.reshape(len(fraction), 3, 16)
+
+
+@lru_cache(maxsize=256)
+def _spline(psf: EffectivePsf) -> FloatArray:
+    """Spline coefficients of a PSF and a margin; many centroiders use the same PSFs."""
+    margin = 12  # the spline's prefilter decays as 0.27^k: 1e-7 at the seam
+    return np.asarray(spline_filter(np.pad(psf.values, margin), order=3, mode="mirror"))
 
 
 def cubic_weights(t: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -19,7 +19,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,11 @@ from calib.records import FLUX, NoiseModel, Stamps, StarTable, X, Y
 from optics.arrays import FloatArray
 from optics.records import concatenated
 
+T = TypeVar("T")
 MOST_LIGHT = 10.0
 """Times the light of its window that a star may have: no pixel of its core may be usable, and its wings alone tell."""
+RESPONSE_STEP = 1e-3
+"""Differences of the score by a parameter [its standard deviation]."""
 CHUNK = 256  # stars per task: the working set of a chunk stays within a few MB of cache
 
 
@@ -103,14 +106,8 @@ def fit_pixels(
             break
         everyone = active.size == n
         now = theta if everyone else theta[active]
-        signal, jacobian = model.evaluate(now[:, :k], active)
-        if fit_background:
-            jacobian = np.concatenate([jacobian, np.ones_like(jacobian[:, :1])], axis=1)
-            mean = signal + now[:, k, None]
-        else:
-            mean = signal + (background if everyone else background[active])[:, None]
-        weight = (valid if everyone else valid[active]) / noise.variance_e2(mean)
-        residual = (data if everyone else data[active]) - mean
+        pixels = (data, valid, background) if everyone else (data[active], valid[active], background[active])
+        jacobian, weight, residual = _weighed(model, now, active, *pixels, noise)
         weighted = jacobian * weight[:, None, :]
         information = weighted @ jacobian.swapaxes(1, 2)
         score = (weighted @ residual[:, :, None])[:, :, 0]
@@ -137,6 +134,61 @@ def fit_pixels(
         iterations=iterations,
         converged=converged,
     )
+
+
+def _weighed(
+    model: PixelModel,
+    theta: FloatArray,
+    rows: NDArray[np.int64],
+    data: FloatArray,
+    valid: NDArray[np.bool_],
+    background: FloatArray,
+    noise: NoiseModel,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Derivatives (n, k, p) of the expectation, weights (n, p) and residuals (n, p) of stars ``rows`` of the model."""
+    k = len(model.max_step)
+    signal, jacobian = model.evaluate(theta[:, :k], rows)
+    if theta.shape[1] > k:  # the background is fitted
+        jacobian = np.concatenate([jacobian, np.ones_like(jacobian[:, :1])], axis=1)
+        background = theta[:, k]
+    mean = signal + background[:, None]
+    return jacobian, valid / noise.variance_e2(mean), data - mean
+
+
+def fit_response(
+    model: PixelModel,
+    fit: PixelFit,
+    *,
+    data: FloatArray,
+    valid: NDArray[np.bool_],
+    background: FloatArray,
+    noise: NoiseModel,
+) -> FloatArray:
+    """Derivatives (n, 2, p) of x and y by the data: those of the root of the score, by the implicit function theorem.
+
+    The score's own derivatives are central differences by a thousandth of a standard deviation of each parameter; of
+    data that do not fit the model they hold more than the information. NaN where the fit has no covariance.
+    """
+    theta, rows = fit.parameters, np.arange(len(data))
+    sigma = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
+    k = len(model.max_step)
+
+    def score(at: FloatArray) -> FloatArray:
+        jacobian, weight, residual = _weighed(model, at, rows, data, valid, background, noise)
+        value = ((jacobian * weight[:, None, :]) @ residual[:, :, None])[:, :, 0]
+        _add_prior(model.prior(at[:, :k]), value, np.zeros_like(fit.covariance))
+        return value * sigma  # in standard deviations, so that the matrix of derivatives is close to -1
+
+    slope = np.empty_like(fit.covariance)
+    for i in range(theta.shape[1]):
+        step = np.zeros_like(theta)
+        step[:, i] = RESPONSE_STEP * sigma[:, i]
+        slope[:, :, i] = (score(theta + step) - score(theta - step)) / (2.0 * RESPONSE_STEP)
+    known = np.asarray(np.isfinite(slope).all((1, 2)))
+    slope[~known] = np.eye(theta.shape[1])
+    jacobian, weight, _ = _weighed(model, theta, rows, data, valid, background, noise)
+    found = -np.linalg.solve(slope, jacobian * weight[:, None, :] * sigma[:, :, None])[:, :FLUX] * sigma[:, :FLUX, None]
+    return np.where(known[:, None, None], found, np.nan)
 
 
 def _add_prior(known: tuple[FloatArray, FloatArray] | None, score: FloatArray, information: FloatArray) -> None:
@@ -198,42 +250,52 @@ class LikelihoodFit:
     def __post_init__(self) -> None:
         check_options(self)
 
-    def fit(
-        self,
-        stamps: Stamps,
-        noise: NoiseModel,
-        make_model: Callable[[Stamps, slice], PixelModel],
-        *,
-        shape_start: FloatArray | None = None,
-    ) -> StarTable:
-        """`fit_pixels` on stamps, in chunks over the processor's cores."""
-        n = len(stamps)
-        if not n:
+    def models(self, stamps: Stamps) -> Callable[[slice], PixelModel]:
+        """The pixel model of any part of the stamps."""
+        raise NotImplementedError
+
+    def shape_start(self) -> FloatArray:
+        """First guess of the parameters after the flux."""
+        return np.empty(0)
+
+    def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
+        """Position, flux and covariance of every stamp."""
+        if not len(stamps):
             return StarTable.empty()
-        shape = np.empty(0) if shape_start is None else shape_start
-
-        def one(rows: slice) -> PixelFit:
-            data = stamps.electrons[rows].reshape(rows.stop - rows.start, -1)
-            return fit_pixels(
-                make_model(stamps, rows),
-                _start(stamps, rows, noise, shape),
-                data=data,
-                valid=stamps.valid[rows].reshape(data.shape),
-                background=stamps.background_e[rows],
-                noise=noise,
-                fit_background=self.fit_background,
-                tolerance=self.tolerance,
-                max_iterations=self.max_iterations,
-            )
-
-        slices = [slice(i, min(i + CHUNK, n)) for i in range(0, n, CHUNK)]
-        workers = min(len(slices), _cores())
-        if workers > 1:
-            with ThreadPoolExecutor(workers) as pool:
-                parts = list(pool.map(one, slices))
-        else:
-            parts = [one(rows) for rows in slices]
+        model = self.models(stamps)
+        parts = _over_chunks(lambda rows: self._fitted(model(rows), stamps, rows, noise)[1], len(stamps))
         return self._table(stamps, concatenated(parts), noise)
+
+    def response(self, stamps: Stamps, noise: NoiseModel) -> FloatArray:
+        """Derivatives (n, 2, h, w) [px/e-] of the position by the signal of each pixel; 0 for pixels not valid."""
+        model = self.models(stamps)
+
+        def part(rows: slice) -> FloatArray:
+            of = model(rows)
+            pixels, fit = self._fitted(of, stamps, rows, noise)
+            return fit_response(of, fit, **pixels, noise=noise)
+
+        return np.concatenate(_over_chunks(part, len(stamps))).reshape(-1, 2, *stamps.electrons.shape[1:])
+
+    def _fitted(
+        self, model: PixelModel, stamps: Stamps, rows: slice, noise: NoiseModel
+    ) -> tuple[dict[str, Any], PixelFit]:
+        """Pixels of some stamps, and the fit to them."""
+        data = stamps.electrons[rows].reshape(rows.stop - rows.start, -1)
+        pixels: dict[str, Any] = {
+            "data": data,
+            "valid": stamps.valid[rows].reshape(data.shape),
+            "background": stamps.background_e[rows],
+        }
+        return pixels, fit_pixels(
+            model,
+            _start(stamps, rows, noise, self.shape_start()),
+            **pixels,
+            noise=noise,
+            fit_background=self.fit_background,
+            tolerance=self.tolerance,
+            max_iterations=self.max_iterations,
+        )
 
     def shape_columns(self, fit: PixelFit) -> dict[str, Any]:
         """Columns of the table that follow from parameters after the flux; ``flags`` are added to the fit's flags."""
@@ -299,6 +361,16 @@ def _moment_covariance(stamps: Stamps, noise: NoiseModel, light: FloatArray) -> 
     out[:, X, X] = out[:, Y, Y] = np.fmin(place, 0.25 * stamps.electrons.shape[1] ** 2)
     out[:, FLUX, FLUX] = variance
     return out
+
+
+def _over_chunks(part: Callable[[slice], T], count: int) -> list[T]:
+    """``part`` of slices of ``count`` stars, over the processor's cores."""
+    slices = [slice(i, min(i + CHUNK, count)) for i in range(0, count, CHUNK)]
+    workers = min(len(slices), _cores())
+    if workers < 2:
+        return [part(rows) for rows in slices]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(part, slices))
 
 
 def _cores() -> int:

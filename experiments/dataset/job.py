@@ -135,10 +135,11 @@ def _write(maker: FrameMaker, of_dataset: str, folder: Path, frame: int) -> Fram
     path = folder / frame_name
     _write_fits(maker, made, path)
     try:
-        content = path.read_bytes()
+        with path.open("rb") as stream:
+            digest, size = hashlib.file_digest(stream, "sha256").hexdigest(), path.stat().st_size
     except OSError as error:
         raise storage_error(path, error) from None
-    record = _record(made, maker.scene, frame_name, truth_name, content)
+    record = _record(made, maker.scene, frame_name, truth_name, size, digest)
     record = replace(record, layers_sha256=hashlib.sha256(layers).hexdigest()) if layers else record
     write_whole(folder / truth_name, truth_bytes(made.truth, record, config.files.truth, of_dataset))
     return record
@@ -192,7 +193,7 @@ def pixel_marks(scene: Scene, made: MadeFrame) -> dict[str, NDArray[np.bool_]]:
     return marks
 
 
-def _record(made: MadeFrame, scene: Scene, frame_name: str, truth_name: str, content: bytes) -> FrameRecord:
+def _record(made: MadeFrame, scene: Scene, frame_name: str, truth_name: str, size: int, digest: str) -> FrameRecord:
     config = scene.config
     ra, dec, roll = angles_from_attitude(made.plan.attitude)
     x, y, z, w = quat_xyzw(made.plan.attitude).tolist()
@@ -212,8 +213,8 @@ def _record(made: MadeFrame, scene: Scene, frame_name: str, truth_name: str, con
         saturated=made.saturated,
         saturated_px=made.saturated_px,
         background_e=made.background_e,
-        frame_bytes=len(content),
-        sha256=hashlib.sha256(content).hexdigest(),
+        frame_bytes=size,
+        sha256=digest,
         disks=disk_truth(scene, made.plan, made.disks),
         ghosts=made.ghosts,
     )

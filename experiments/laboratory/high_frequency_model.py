@@ -53,6 +53,9 @@ FIT_NOISE_PX = 0.03
 PATHS = 24
 """Drawn paths of a hexapod with errors; roll is too small to change S-curve and pattern."""
 
+FIRST_DRAWS, WELL_KNOWN = 6, 0.1
+"""Draws that are made first, and the noise of a mean over frames in whose share their mean has to be known."""
+
 NEAR_PX = 0.1
 """Over which derivatives of influences by the place are taken: the error of a step is of that size."""
 
@@ -171,11 +174,11 @@ class _Model:
         # the ideal path is not one of those that an erring hexapod takes
         runs = [(each[i % len(each)], one) for i, one in enumerate(self.others or [windows] * len(each))]
         masked = [self._masked(*one) for one in runs]
-        curves, scatters = map(list, zip(*(self._curve(*one) for one in runs), strict=True))
         sigma = gain.sigma_px(self.noise.temporal_e2(windows.light_e, frames=self.bench.frames)).reshape(m, -1, 2)
+        curves, scatters = map(list, zip(*(self._curve(*one, sigma) for one in runs), strict=True))
         one_frame = gain.sigma_px(self.noise.temporal_e2(windows.light_e))
         if fit_draws and np.sqrt(np.mean(one_frame**2)) >= FIT_NOISE_PX:
-            bias, scatter = self._bias(centroider, windows, fit_draws)
+            bias, scatter = self._bias(centroider, windows, fit_draws, sigma)
             curves, scatters = [one + bias for one in curves], [scatter] * len(curves)
         prnu, offsets, dark = self._patterns(centroider, gain.gain_px_per_e)
         stars = curves[0].shape[1]
@@ -213,7 +216,9 @@ class _Model:
             roll_px=self.roll_rad * np.sqrt(2.0 * (lever**2).mean(0)),
             document_px=_rms(document),
             scatter_px=np.std(document, axis=0, ddof=1),
-            session_px2=np.reshape([document_rms_px(self._curve(one, windows)[0]) ** 2 for one in sessions], (-1, 2)),
+            session_px2=np.reshape(
+                [document_rms_px(self._curve(one, windows, sigma)[0]) ** 2 for one in sessions], (-1, 2)
+            ),
             single_px=_rms(error),
             single_scatter_px=np.std(error, axis=0, ddof=1),
         )
@@ -255,16 +260,28 @@ class _Model:
         parts = [self._on_path(response, path) for path in range(len(self.offsets_px) or 1)]
         return np.mean([(np.diff(part, axis=1) ** 2).sum((3, 4)).mean((0, 1)) for part in parts], axis=0)
 
-    def _bias(self, centroider: Centroider, windows: ExpectedWindows, draws: int) -> tuple[FloatArray, FloatArray]:
-        """What noise adds to the mean centroid, of second order in it, and its standard error: (m, j, 2)."""
+    def _bias(
+        self, centroider: Centroider, windows: ExpectedWindows, draws: int, sigma_px: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """What noise adds to the mean centroid, of second order in it, and its standard error: (m, j, 2).
+
+        Of pairs of opposite noise; few are enough for a centroider that is nearly linear.
+        """
         rng = Streams(self.seed).generator("high-frequency bias")
         given = (centroider, self.instrument, windows)
-        drawn = drawn_positions(*given, self.noise, draws=2 * draws, rng=rng, mirrored=True)
-        pair = drawn.reshape(draws, 2, -1, 2).mean(1) - window_positions(*given)[0]  # NaN where a fit failed
-        mean, scatter = np.nanmean(pair, axis=0), np.nanstd(pair, axis=0, ddof=1) / np.sqrt(draws)
-        return mean.reshape(self.positions, -1, 2), scatter.reshape(self.positions, -1, 2)
+        noiseless, pairs = window_positions(*given)[0], np.empty((0, *windows.place_px.shape))
+        for count in (min(FIRST_DRAWS, draws), draws - FIRST_DRAWS):
+            drawn = drawn_positions(*given, self.noise, draws=2 * count, rng=rng, mirrored=True)
+            new = drawn.reshape(count, 2, *noiseless.shape).mean(1) - noiseless  # NaN where a fit failed
+            pairs = np.concatenate([pairs, new])
+            mean, scatter = (of.reshape(sigma_px.shape) for of in _mean_and_error(pairs))
+            if len(pairs) == draws or np.nanmean(scatter**2) < WELL_KNOWN**2 * np.mean(sigma_px**2):
+                break
+        return mean, scatter
 
-    def _curve(self, centroider: Centroider, windows: ExpectedWindows) -> tuple[FloatArray, FloatArray]:
+    def _curve(
+        self, centroider: Centroider, windows: ExpectedWindows, sigma_px: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Error (m, j, 2) of the noiseless centroids, or of their mean over drawn noise, and its standard error."""
         found, _ = noiseless_positions(
             centroider,
@@ -276,7 +293,7 @@ class _Model:
         error = np.asarray((found - windows.place_px).reshape(self.positions, -1, 2))
         if not self.noise_draws:
             return error, np.zeros_like(error)
-        bias, scatter = self._bias(centroider, windows, self.noise_draws // 2)
+        bias, scatter = self._bias(centroider, windows, self.noise_draws // 2, sigma_px)
         return error + bias, scatter
 
     def _fixed(self, response: FloatArray, size: float) -> FloatArray:
@@ -318,6 +335,11 @@ class _Model:
             if found:
                 moved[hit] = found[0] - found[1]
         return moved.reshape(self.positions, -1, 2)
+
+
+def _mean_and_error(drawn: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean (n, 2) of positions (d, n, 2), and its standard error."""
+    return np.nanmean(drawn, axis=0), np.nanstd(drawn, axis=0, ddof=1) / np.sqrt(len(drawn))
 
 
 def _rms(values: Sequence[FloatArray]) -> FloatArray:

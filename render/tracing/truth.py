@@ -16,7 +16,7 @@ from render.tracing.rays.kernel import ARRIVED, CLEAR, FIRST, HIDDEN, LOST, OUTS
 
 def add_stamps(
     image: NDArray[Any],
-    pixels: FloatArray | NDArray[np.float32],
+    pixels: NDArray[Any],
     corner_px: FloatArray,
     electrons: FloatArray,
     sensitive: NDArray[np.bool_] | None = None,
@@ -24,17 +24,21 @@ def add_stamps(
     """Add stamps, which are nowhere negative, to the image, in the order of the stars."""
     # image (h, w, b), pixels (s, b, m, m), corner_px (s, b, 2), electrons (s, b) [e-], sensitive (w,) -> (s, b)
     height, width, _ = image.shape
-    kept = np.zeros(pixels.shape[:2])
     first = np.rint(corner_px + 0.5).astype(np.int64)
     size = pixels.shape[-1]
     low, high = np.maximum(first, 0), np.minimum(first + size, [width, height])
+    scaled = pixels * np.asarray(electrons, pixels.dtype)[..., None, None]
+    whole = (high - low == size).all(2) & (sensitive is None)
+    kept = np.where(whole, pixels.sum((2, 3), dtype=np.float64), 0.0)
     for s, b in np.argwhere((low < high).all(2)).tolist():
         (x0, y0), (x1, y1), (column, row) = low[s, b].tolist(), high[s, b].tolist(), first[s, b].tolist()
-        share = pixels[s, b, y0 - row : y1 - row, x0 - column : x1 - column]
-        if sensitive is not None:
-            share = share * sensitive[x0:x1]
-        kept[s, b] = share.sum(dtype=np.float64)
-        image[y0:y1, x0:x1, b] += (share * electrons[s, b]).astype(image.dtype)
+        part = np.s_[s, b, y0 - row : y1 - row, x0 - column : x1 - column]
+        light = scaled[part]
+        if not whole[s, b]:
+            lit = np.ones(x1 - x0) if sensitive is None else sensitive[x0:x1]
+            kept[s, b] = (pixels[part] * lit).sum(dtype=np.float64)
+            light = light * lit
+        image[y0:y1, x0:x1, b] += light.astype(image.dtype)
     return kept
 
 

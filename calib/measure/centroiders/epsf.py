@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 from calib.measure.epsf import EpsfBank, EpsfModel
 from calib.measure.scoring import LikelihoodFit
-from calib.records import NoiseModel, Stamps, StarTable
+from calib.records import Stamps
 from optics.errors import DomainError
 from render.records import EffectivePsf
 
@@ -33,8 +33,8 @@ class EpsfCentroider(LikelihoodFit):
 
     epsf: EffectivePsf | Sequence[EffectivePsf]
 
-    def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
-        """Position, flux and covariance of every stamp."""
+    def models(self, stamps: Stamps) -> Callable[[slice], EpsfModel]:
+        """The PSF of every stamp."""
         psfs = (self.epsf,) if isinstance(self.epsf, EffectivePsf) else tuple(self.epsf)
         bank = EpsfBank(psfs, (stamps.electrons.shape[1], stamps.electrons.shape[2]))
         if len(stamps) and not (stamps.psf_index.min() >= 0 and stamps.psf_index.max() < len(psfs)):
@@ -42,4 +42,4 @@ class EpsfCentroider(LikelihoodFit):
                 f"Stamps.psf_index spans {stamps.psf_index.min()} to {stamps.psf_index.max()}; "
                 f"{len(psfs)} PSF(s) are given, indices 0 to {len(psfs) - 1}"
             )
-        return self.fit(stamps, noise, lambda part, rows: EpsfModel(bank, part.psf_index[rows]))
+        return lambda rows: EpsfModel(bank, stamps.psf_index[rows])

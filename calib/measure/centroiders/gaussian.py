@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,7 +12,8 @@ from calib.flags import StarFlag
 from calib.measure.gaussian import LN_SIGMA_X, LN_SIGMA_Y, WIDTH_PRIOR_LN, WIDTH_PRIOR_PX, GaussianModel
 from calib.measure.options import option
 from calib.measure.scoring import LikelihoodFit, PixelFit
-from calib.records import NoiseModel, Stamps, StarTable
+from calib.records import Stamps
+from optics.arrays import FloatArray
 
 NARROWEST_PX = 0.25
 """Width below which the stated covariance of a position is too small, by 1.6 times at 0.2 px and 3 at 0.15 px."""
@@ -44,11 +46,14 @@ class GaussianCentroider(LikelihoodFit):
     sigma_start_px: float = option(0.8, at_least=0.05, at_most=20, unit="px")
     max_iterations: int = option(50, at_least=1)
 
-    def measure(self, stamps: Stamps, noise: NoiseModel) -> StarTable:
-        """Position, flux and covariance of every stamp."""
+    def models(self, stamps: Stamps) -> Callable[[slice], GaussianModel]:
+        """The same model for every stamp."""
         window = (stamps.electrons.shape[1], stamps.electrons.shape[2])
-        start = np.full(2, np.log(self.sigma_start_px)) if self.sigma_px is None else np.empty(0)
-        return self.fit(stamps, noise, lambda part, rows: GaussianModel(window, self.sigma_px), shape_start=start)
+        return lambda rows: GaussianModel(window, self.sigma_px)
+
+    def shape_start(self) -> FloatArray:
+        """Widths, unless they are known."""
+        return np.full(2, np.log(self.sigma_start_px)) if self.sigma_px is None else np.empty(0)
 
     def shape_columns(self, fit: PixelFit) -> dict[str, Any]:
         """``width_px``, and the flag of widths that are half prior or next to nothing."""

@@ -76,22 +76,24 @@ class FarImage:
 
     def pixels(self, x_px: FloatArray, y_px: FloatArray, wavelength_nm: FloatArray, share: FloatArray) -> FloatArray:
         """Light (h, w) between edges (w + 1,), (h + 1,) from the middle, of wavelengths (k,) with their shares."""
-        count = len(self.running) - 1
-        total = np.zeros((len(y_px) - 1, len(x_px) - 1))
+        line = len(self.running)
+        flat, middle = self.running.ravel(), 0.5 * line
+        below = np.zeros((len(y_px), len(x_px)))  # light left of and above corners of pixels
         for nm, part in zip(wavelength_nm, share, strict=True):
             if part == 0.0:
                 continue
             row, column = (
-                np.clip(4.0 * edges * per_px * self.wavelength_nm / nm + 0.5 * count + 0.5, 0.0, count - 1e-9)
+                np.clip(4.0 * edges * per_px * self.wavelength_nm / nm + middle, 0.0, line - 1 - 1e-9)
                 for edges, per_px in ((y_px, self.per_px[1]), (x_px, self.per_px[0]))
             )
-            below = self.running[:, int(column[0]) : int(column[-1]) + 2]
-            for at in (row, column - int(column[0])):
-                low = at.astype(np.int64)
-                up = (at - low)[:, None]
-                below = (below[low] * (1.0 - up) + below[low + 1] * up).T  # twice: rows first again
-            total += part * np.diff(np.diff(below, axis=0), axis=1)
-        return total
+            first, left = row.astype(np.int64), column.astype(np.int64)
+            corner, along = (first * line)[:, None] + left, column - left
+            upper, lower = (
+                start + (flat.take(at + 1) - start) * along
+                for at, start in ((at, flat.take(at)) for at in (corner, corner + line))
+            )
+            below += part * (upper + (lower - upper) * (row - first)[:, None])
+        return np.diff(np.diff(below, axis=0), axis=1)
 
     def radius_px(self, electrons: float, unit_px: float, ends_e: float, saturated: bool) -> float:
         """Where the image of a star ends."""

@@ -8,6 +8,7 @@ import pytest
 from calib.measure.centroid import get_centroider
 from calib.measure.linear_response import centroid_covariance, centroid_variance, linear_response
 from calib.records import NoiseModel, Stamps
+from render.records import EffectivePsf
 
 
 def _spot(x: float, y: float, size: int, flux_e: float) -> np.ndarray:
@@ -46,3 +47,37 @@ def test_covariance_of_noisy_windows(method: str) -> None:
     np.testing.assert_allclose(np.diagonal(found), np.diagonal(covariance), rtol=0.06)
     scale = np.sqrt(covariance[0, 0] * covariance[1, 1])
     assert abs(found[0, 1] - covariance[0, 1]) < 0.05 * scale
+
+
+@pytest.mark.parametrize("options", [{}, {"fit_background": True}, {"name": "gaussian"}], ids=["ePSF", "sky", "widths"])
+def test_response_of_a_fit_is_its_derivative_by_the_pixels(options: dict) -> None:
+    """Of stars that are no image of the PSF: fits to windows with one pixel changed to both sides, pixel by pixel."""
+    size, name = 9, options.get("name", "epsf")
+    wide = {"fit_background": options.get("fit_background", False), "tolerance": 1e-9, "max_iterations": 200}
+    if name == "epsf":
+        grid = (np.arange(61) - 30.0) / 4.0
+        samples = np.exp(-(np.add.outer(grid**2, grid**2)) / (2.0 * 0.7**2))  # the stars have 0.9 px
+        wide["epsf"] = EffectivePsf(values=16.0 * samples / samples.sum(), oversampling=4)
+    centroider, told = get_centroider(name, **wide), NoiseModel(read_noise_e=5.0)
+    light = np.stack([_spot(4.3, 3.8, size, 5000.0), _spot(3.9, 4.1, size, 800.0)])
+    valid = np.ones_like(light, bool)
+    valid[0, 2, 3] = False
+    stars = Stamps(
+        electrons=light,
+        valid=valid,
+        corner_px=np.array([[20, 10], [0, 0]]),
+        background_e=np.zeros(2),
+        start_px=np.array([[24.3, 13.8], [3.9, 4.1]]),
+        flags=np.zeros(2, np.uint32),
+        psf_index=np.zeros(2, np.int64),
+    )
+    gain = linear_response(centroider, stars, told, light)
+    for star, (row, column) in [(0, (3, 5)), (0, (4, 4)), (1, (4, 3)), (1, (1, 7)), (0, (2, 3))]:
+        pair = []
+        for step_e in (0.1, -0.1):
+            changed = light.copy()
+            changed[star, row, column] += step_e
+            table = centroider.measure(replace(stars, electrons=changed), told)
+            pair.append([table.x_px[star], table.y_px[star]])
+        slope = np.subtract(*pair) / 0.2
+        np.testing.assert_allclose(gain[star, :, row, column], slope, rtol=1e-4, atol=1e-5 * np.abs(gain[star]).max())
