@@ -26,12 +26,6 @@ SMALL = {
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module")
-def budget():
-    config = Config(**SMALL)
-    return build_budget(config, build_flight(config))
-
-
 def run(folder, *options):
     status = main([*options, "--out", str(folder / "out")], own_process=False)
     return status, json.loads((folder / "out" / "summary.json").read_text()) if status < 2 else None
@@ -74,21 +68,6 @@ def test_bad_input_is_one_line_and_exit_status_two(tmp_path, capsys, options, wo
     assert words in text
     assert "Traceback" not in text
     assert not (tmp_path / "out").exists()
-
-
-def test_aberration_in_closed_form_is_that_of_stars_moved_one_by_one(budget):
-    """Best rotation of guide stars whose places are those of the true and of the known velocity."""
-    from calib.attitude.solve import solve_wahba
-    from optics.attitude import aberrated
-
-    flight, time = budget.flight, float(budget.flight.segments_s[4])
-    attitude = flight.trajectory.attitude(time)
-    rows, _ = budget.expected(attitude, None)
-    stars = np.array(budget.guides.direction[rows])
-    seen = attitude.apply(aberrated(stars, flight.velocity_km_per_s(time)))
-    solved = solve_wahba(seen, aberrated(stars, flight.known_velocity_km_per_s(time)))
-    error = attitude_error_arcsec(solved.rotation, attitude)
-    np.testing.assert_allclose(budget.aberration_arcsec(time, attitude)[:2], error[:2], atol=0.02 * np.abs(error).max())
 
 
 def test_a_turn_that_grows_faster_moves_the_attitude_of_rendered_frames(engine):

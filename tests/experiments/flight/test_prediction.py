@@ -1,0 +1,108 @@
+"""Predicted errors of an attitude in flight against attitudes that are solved from stars with these errors."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.attitude.solve import solve_wahba, solve_wahba_many
+from experiments.flight.prediction import FieldMap, build_budget
+from experiments.flight.scenario import build_flight
+from experiments.flight.settings import Config
+from optics.attitude import aberrated, attitude_error_arcsec
+
+TIME_S, REST, WINDOW = 900.0, np.zeros(3), 11
+GROWTH = 2e-4
+"""Of the image, per kelvin."""
+
+
+@pytest.fixture(scope="module")
+def budget():
+    """A small tracker with many hot pixels, without a thermal state; an even growth of the image is put in."""
+    chip = {"lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 700, "height_px": 700, "exposure_s": 0.2}
+    config = Config(
+        instrument={**chip, "defocus_mm": 0.0, "diffraction": "rays"},
+        passband={"range_nm": [500.0, 800.0]},
+        detector={"hot_fraction": 2e-3},
+        window_px=WINDOW,
+        temperature={"offset_k": 0, "mean_k": 0, "eclipse_k": 0},
+        attitude={"law": "inertial"},
+    )
+    made = build_budget(config, build_flight(config))
+    direction = made._map.direction
+    away = made._map.pixel_px - made.model.geometry.centre_px
+    made.__dict__["sensitivity"] = {"mean_k": FieldMap.of(direction, GROWTH * away)}
+    return made
+
+
+@pytest.fixture(scope="module")
+def seen(budget):
+    """An attitude with stars enough, and what is predicted of it."""
+    for attitude in Rotation.random(100, rng=np.random.default_rng(3)):
+        found = budget.errors_of(attitude, REST, TIME_S, state_k=np.array([3.0, 0.0, 0.0, 0.0, 0.0]))
+        if found.available and found.stars > 9.0:
+            return attitude, found
+    raise AssertionError
+
+
+def stars_of(budget, attitude):
+    rows, v = budget.expected(attitude, budget.flight.velocity_km_per_s(TIME_S))
+    light = float(budget.flight.background_e_per_s(TIME_S, attitude))
+    noise, pixel, phase, spot, shift = budget._star_errors(light, REST, rows, v)
+    return rows, v, (noise, pixel, np.hypot(phase, spot), shift)
+
+
+def test_random_errors_are_the_scatter_of_attitudes(budget, seen):
+    """3000 draws; a star with a bad pixel in its window is left out."""
+    attitude, told = seen
+    rows, v, (noise, pixel, spot, _) = stars_of(budget, attitude)
+    bad = 2e-3 + budget.nominal.processing.detector.dead_fraction
+    fit, rng, draws = (1.0 - bad) ** (WINDOW * WINDOW), np.random.default_rng(5), 3000
+    assert fit < 0.8
+    assert told.stars == pytest.approx(fit * len(v))
+    stated = budget.pixel_rad * np.sqrt(noise**2 + budget.told_px2(rows, v))
+    frame = np.repeat(np.arange(draws), len(v))
+    for sigma, square in ((noise, told.noise_arcsec2), (pixel, told.pixel_arcsec2), (spot, told.spot_arcsec2)):
+        place = budget.model.project(v) + sigma[:, None] * rng.standard_normal((draws, len(v), 2))
+        there = rng.random(len(frame)) < fit
+        solved = solve_wahba_many(
+            budget.model.unproject(place.reshape(-1, 2))[there],
+            np.tile(v, (draws, 1))[there],
+            frame[there],
+            frames=draws,
+            sigma_rad=np.tile(stated, draws)[there],
+        )
+        error = attitude_error_arcsec(solved.rotation, Rotation.identity(draws))
+        np.testing.assert_allclose(np.sqrt(np.nanmean(error**2, axis=0)), np.sqrt(square), rtol=0.08)
+
+
+def test_known_shifts_turn_the_attitude_their_way(budget, seen):
+    """Colour and what the camera model leaves; an image that grew by 6e-4; a velocity that is not all known."""
+    attitude, told = seen
+    rows, v, (noise, _, _, shift) = stars_of(budget, attitude)
+    sigma = np.sqrt(noise**2 + budget.told_px2(rows, v))
+    place = budget.model.project(v)
+    away = place - budget.model.geometry.centre_px
+    for moved, expected in ((shift, told.fov_arcsec), (3.0 * GROWTH * away, told.thermal_arcsec)):
+        solved = solve_wahba(budget.model.unproject(place + moved), v, sigma_rad=budget.pixel_rad * sigma)
+        error = attitude_error_arcsec(solved.rotation, Rotation.identity())
+        np.testing.assert_allclose(expected, error, atol=0.02 * np.abs(error).max())
+    stars, flight = np.array(budget.guides.direction[rows]), budget.flight
+    true = attitude.apply(aberrated(stars, flight.velocity_km_per_s(TIME_S)))
+    solved = solve_wahba(true, aberrated(stars, flight.known_velocity_km_per_s(TIME_S)))
+    error = attitude_error_arcsec(solved.rotation, attitude)
+    np.testing.assert_allclose(told.aberration_arcsec[:2], error[:2], atol=0.02 * np.abs(error).max())
+
+
+def test_what_stars_err_by_besides_noise(budget):
+    """The camera model's residual, read from its map; colours of a star over the field, the mean of both axes."""
+    direction, pixel = budget._map.direction, budget._map.pixel_px
+    left = pixel - budget.model.project(direction)
+    assert np.std(left - budget._residual.at(direction)) < 0.5 * np.std(left)
+    rng, star = np.random.default_rng(2), int(np.argmax(budget.temperature_k[budget.guides.row]))
+    away = rng.uniform(-350.0, 350.0, (4000, 2))
+    radius, kelvin = np.hypot(*away.T), float(budget.temperature_k[budget.guides.row[star]])
+    shift, spot = budget.colour_px(np.full(4000, kelvin), radius)
+    moved = shift[:, None] * away / radius[:, None]
+    expected = (moved**2).mean() + (spot**2).mean() + budget._alike[0]
+    assert (moved**2).mean() > 0.02 * expected
+    assert budget.star_error_px[star] ** 2 == pytest.approx(expected, rel=0.02)
