@@ -137,6 +137,11 @@ def test_reprojection_with_gyro_against_drawn_errors(scene, design):
     unknown = (noise - shift(odd, drift)) @ solve.T
     away = unknown @ (ahead / scale).T + shift(even, drift)
     length = np.sqrt((away**2).sum(1) / len(even.frame))
+    spread = (
+        np.sqrt(np.diag(correlated(odd, SIGMA, error))) * scale
+    )  # with the gyro's error, which ACC does not know of
+    np.testing.assert_allclose(np.sqrt((unknown**2).mean(0)), spread, rtol=4 / np.sqrt(6000) + 0.02)
+    assert (spread > 1.05 * np.sqrt(np.diag(correlated(odd, SIGMA))) * scale).any()
     found = reprojection(odd, even, SIGMA, error)
     assert length.mean() == pytest.approx(
         found.mean_px, abs=4 * found.scatter_px / np.sqrt(3000) + 0.01 * found.mean_px
@@ -189,6 +194,10 @@ def test_covariance_of_the_gyro_against_the_simulated_one():
     away = (measured - expected) / np.outer(size, size)
     assert np.abs(np.diag(away)).max() < 4.0 * np.sqrt(2 / 500)
     assert np.abs(away).max() < 4.5 * np.sqrt(2 / 500)
+    # frames at any times: a walk has the covariance of the earlier one
+    time = np.array([0.0, 1.0, 5.0, 5.5])
+    walk = GyroError.of(time, np.zeros((4, 3, 3)), bias_rad_per_s=1.0, walk_rad_per_sqrt_s=2.0).covariance
+    np.testing.assert_allclose(walk, 4.0 * np.kron(np.minimum.outer(time, time), np.eye(3)), atol=1e-12)
 
 
 def test_drift_of_a_constant_bias_is_that_of_the_integrated_rates(scene):

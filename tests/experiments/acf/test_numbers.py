@@ -5,7 +5,7 @@ import pytest
 
 from experiments.acf import table2 as table2_module
 from experiments.acf import trials as monte_carlo
-from experiments.acf.gain import gains, sweep_points
+from experiments.acf.gain import gain, gains, sweep_points
 from experiments.acf.linear_model import sight_arcsec
 from experiments.acf.methods import fig5_points, largest_distortion, methods
 from experiments.acf.reprojection import (
@@ -136,6 +136,16 @@ def test_expected_distortion_against_drawn_cameras():
     seen = [residual_distortion(camera, camera.with_parameters(camera.parameters + d), grid) for d in drawn]
     (expected,) = largest_distortion(CONFIG, [np.diag(sigma**2)])
     assert expected == pytest.approx(np.mean(seen), abs=4.0 * np.std(seen) * np.sqrt(2.0 / 400))
+
+
+def test_a_gain_that_every_sky_has_is_certain():
+    """Errors of both methods differ from sky to sky alike; of independent ones a ratio of medians of 1000 is drawn."""
+    rng = np.random.default_rng(3)
+    free, pick = rng.lognormal(0.0, 0.5, 1000), rng.integers(0, 1000, (400, 1000))
+    certain, guessed = gain(free, 0.5 * free, pick), gain(free, rng.permutation(free), pick)
+    assert (certain.value, certain.uncertainty) == pytest.approx((2.0, 0.0), abs=1e-12)
+    # a median of n normal logarithms scatters by 0.5 sqrt(pi / 2 n)
+    assert guessed.uncertainty == pytest.approx(0.5 * np.sqrt(np.pi / 2000) * np.sqrt(2.0), rel=0.3)
 
 
 def test_gains_by_hand():

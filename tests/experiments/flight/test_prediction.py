@@ -5,10 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.solve import solve_wahba, solve_wahba_many
+from experiments.flight.loop import by_budget
 from experiments.flight.prediction import FieldMap, build_budget
 from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config
 from optics.attitude import aberrated, attitude_error_arcsec
+from optics.units import RAD_ARCSEC
 
 TIME_S, REST, WINDOW = 900.0, np.zeros(3), 11
 GROWTH = 2e-4
@@ -26,6 +28,7 @@ def budget():
         window_px=WINDOW,
         temperature={"offset_k": 0, "mean_k": 0, "eclipse_k": 0},
         attitude={"law": "inertial"},
+        aberration={"corrected": "earth"},
     )
     made = build_budget(config, build_flight(config))
     direction = made._map.direction
@@ -91,6 +94,26 @@ def test_known_shifts_turn_the_attitude_their_way(budget, seen):
     solved = solve_wahba(true, aberrated(stars, flight.known_velocity_km_per_s(TIME_S)))
     error = attitude_error_arcsec(solved.rotation, attitude)
     np.testing.assert_allclose(told.aberration_arcsec[:2], error[:2], atol=0.02 * np.abs(error).max())
+
+
+def test_the_sensor_of_a_loop_errs_as_the_budget(budget, seen):
+    """Thirty looks, 11 s apart, of 20 frames each: noise is new in every frame, what pixels do in every look."""
+    attitude, told = seen
+    sensor, looks, frames = by_budget(budget.config, budget=budget), 30, 20
+    found = [[sensor(attitude, REST, TIME_S + 11.0 * k + 0.01 * n) for n in range(frames)] for k in range(looks)]
+    error = np.array([[attitude_error_arcsec(one.attitude, attitude) for one in look] for look in found])
+    noise2, static2 = told.noise_arcsec2, told.static_arcsec2
+    np.testing.assert_allclose(
+        error.var(axis=1, ddof=1).mean(0), noise2, rtol=4.0 * np.sqrt(2.0 / looks / (frames - 1))
+    )
+    each = error.mean(1) - [
+        budget.aberration_arcsec(TIME_S + 11.0 * k, attitude) + told.fov_arcsec + budget.bias_arcsec()
+        for k in range(looks)
+    ]
+    of_look2 = static2 + noise2 / frames
+    assert np.all(np.abs(each.mean(0)) < 4.0 * np.sqrt(of_look2 / looks))
+    np.testing.assert_allclose((each**2).mean(0), of_look2, rtol=4.0 * np.sqrt(2.0 / looks))
+    np.testing.assert_allclose(np.diag(found[0][0].covariance_rad2) * RAD_ARCSEC**2, noise2 + static2, rtol=1e-6)
 
 
 def test_what_stars_err_by_besides_noise(budget):
