@@ -18,7 +18,7 @@ BoolArray = NDArray[np.bool_]
 
 
 class ArrayNamespace(Protocol):
-    """What the trace asks of an array library."""
+    """Array operations of the trace."""
 
     def sqrt(self, value: Any) -> Any:
         """Elementwise square root."""
@@ -42,7 +42,7 @@ class ArrayNamespace(Protocol):
         """Elements of a `table`."""
 
     def parameters(self, theta: Iterable[float]) -> Sequence[Any]:
-        """Lens parameters in the form the arithmetic takes them."""
+        """Lens parameters in the form used by the arithmetic."""
 
 
 class NumpyArrays:

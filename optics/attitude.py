@@ -112,7 +112,7 @@ def attitude_error_arcsec(estimated: Rotation, truth: Rotation) -> FloatArray:
 
 
 def aberrated(direction: ArrayLike, velocity_km_per_s: ArrayLike) -> FloatArray:
-    """Directions (n, 3) as an observer of a velocity (3,) sees them; with the opposite velocity, the way back.
+    """Directions (n, 3) seen by an observer of velocity (3,); the opposite velocity gives the inverse.
 
     The exact formula of special relativity: S. A. Klioner, AJ 125, 1580 (2003), eq. 10. `DomainError` from the speed of
     light on.

@@ -78,7 +78,7 @@ def image_header(path: str | Path, hdu: int | str | None = None) -> fits.Header:
 
 
 def located(path: str | Path) -> Path | str:
-    """A path, or the text of a URL, which a path would not keep."""
+    """A path, or the text of a URL, which a path would alter."""
     return str(path) if "://" in str(path) else Path(path)
 
 

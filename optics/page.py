@@ -114,7 +114,7 @@ class Marks:
 
 
 def differences(measured: Sequence[Marks], reference: Marks, *, within_px: float = 2.0) -> Marks:
-    """Arrows from the places of a reference to what was measured there: the nearest within a radius."""
+    """Arrows from positions of a reference to the nearest measured position within a radius."""
     from scipy.spatial import cKDTree
 
     x, y = (np.concatenate([getattr(one, name) for one in measured] or [np.empty(0)]) for name in ("x_px", "y_px"))

@@ -35,7 +35,7 @@ def checked_wavelength(
 
 
 def check_table(wavelength_nm: FloatArray, value: FloatArray, what: str, *, upper: float = np.inf) -> None:
-    """Refuse what is no curve: fewer than two points, wavelengths not increasing, values outside 0 ... ``upper``."""
+    """Refuse an invalid curve: fewer than two points, wavelengths not increasing, values outside 0 ... ``upper``."""
     if wavelength_nm.size < 2:
         raise DomainError(f"{what}: a table needs at least two points, got {wavelength_nm.size}")
     if wavelength_nm[0] <= 0:
@@ -57,7 +57,7 @@ def check_table(wavelength_nm: FloatArray, value: FloatArray, what: str, *, uppe
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Curve:
-    """Values tabulated over wavelength; what they are and what holds outside the table, each kind of curve says."""
+    """Values tabulated over wavelength; their meaning and the values outside the table depend on the type of curve."""
 
     name: str  # What the curve is and where its numbers come from
     source: str
@@ -77,7 +77,7 @@ class Curve:
 
     @property
     def title(self) -> str:
-        """What to call it in messages."""
+        """Name in messages."""
         return f"{self.noun} {self.name!r}"
 
     @property
@@ -111,5 +111,5 @@ class Response(Curve):
 
     @property
     def title(self) -> str:
-        """Its name, which says what it is."""
+        """Name in messages."""
         return self.name

@@ -55,7 +55,7 @@ def parse_model(model_class: type[Model], mapping: Mapping[str, Any], where: str
 def refuse_values(
     model_class: type[BaseModel], mapping: Mapping[str, Any], given: Mapping[str, Any], where: str
 ) -> None:
-    """Refuse values of one layer of settings that are wrong by themselves, whatever a later layer puts in their place.
+    """Refuse invalid values of one layer of settings, also if a later layer replaces them.
 
     What is wrong with tables as wholes, and with values that the layer does not hold, is left to `parse_model` of all
     layers.

@@ -32,7 +32,7 @@ Diffraction = Literal["rays", "waves", "exact_waves"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathLosses:
-    """What surfaces and glasses take of rays off the axis, each along its own path; a response knows the axis alone."""
+    """Losses of off-axis rays in surfaces and glasses, each along its own path; a response covers the axis only."""
 
     coating: Coating | None = None  # On air-glass surfaces for which the lens states none; bare glass if left out
     absorption: bool = True  # Whether glass absorbs
@@ -48,7 +48,7 @@ FAR_NOISE = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FarLight:
-    """How far diffraction images of bright stars reach (`render.tracing.waves.far`); fainter ones end at stamps."""
+    """Extent of diffraction images of bright stars (`render.tracing.waves.far`); fainter ones end at stamps."""
 
     ends_e: float  # Electrons of a pixel at which an image ends
     saturated_e: float  # Of a star's brightest pixel, the full well, above which at most 1e-3 of its light lie beyond
@@ -175,12 +175,12 @@ class Camera:
 
     @property
     def lens_blur_px(self) -> float:
-        """The lens's part of it."""
+        """Standard deviation [px] of the lens's blur."""
         return math.hypot(self.lens.blur_um * UM_MM / self.pixel_pitch_mm, self.lens.blur_px)
 
     @property
     def least_blur_px(self) -> float:
-        """The same of the narrowest part of the images of a measured lens; `blur_px` of others."""
+        """Blur [px] of the narrowest part of the images of a measured lens; `blur_px` of others."""
         if self.lens.measured is None:
             return self.blur_px
         narrowest_mm2 = self.lens.measured.psf.narrowest_mm2
@@ -225,7 +225,7 @@ class Camera:
 
 
 def launch_disk(camera: Camera) -> EntrancePupil:
-    """Where light for the detector enters the lens, for the field of the detector or of the lens, if that is larger."""
+    """Launch disk of light for the detector, for the field of the detector or, if larger, of the lens."""
     return entrance_pupil(camera.focused_lens, max_field_deg=math.degrees(camera.field_reach_rad))
 
 

@@ -157,7 +157,7 @@ class StarRenderer:
         rotation_cam_from_world: NDArray[np.float64] | None = None,
         motion: ExposureMotion | None = None,
     ) -> TracedStars:
-        """The same as it comes from ``mi.render``, not copied and not checked again.
+        """As `render`, directly from ``mi.render``, without copies and checks.
 
         Parameters
         ----------
@@ -194,7 +194,7 @@ class StarRenderer:
 
     @property
     def tracer(self) -> Tracer | None:
-        """What made the last image; by waves it knows the light of its stars (`render.tracing.psf.render_epsf`)."""
+        """Tracer of the last image; by waves it has the light of its stars (`render.tracing.psf.render_epsf`)."""
         if self._scene is None:
             return None
         found: Tracer = self._scene.integrator().tracer(self._scene.sensors()[0], self.seed)

@@ -96,12 +96,12 @@ class Observation:
 
     @property
     def truth(self) -> Truth:
-        """Where the light of every star went."""
+        """True positions and light balance of every star."""
         assert self.expected.truth is not None
         return self.expected.truth
 
     def to_table(self) -> Any:
-        """Truth as an `astropy.table.Table`: a row per star, what it is, where it is, how many electrons it gave."""
+        """Truth as an `astropy.table.Table`: a row per star with identity, position and electrons."""
         from astropy import units
         from astropy.table import Table
 
@@ -151,7 +151,7 @@ class Observation:
         return axes
 
     def save_page(self, path: str | Path, layers: Sequence[Marks] = ()) -> Path:
-        """Write the frame as a page to zoom into, with its pixel values, the true stars and what was measured.
+        """Write the frame as a zoomable page with its pixel values, the true and the measured stars.
 
         Parameters
         ----------

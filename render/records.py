@@ -157,7 +157,7 @@ class Truth:
 
     @property
     def missing(self) -> NDArray[np.str_]:
-        """Why positions are NaN, (n, b); empty where none is."""
+        """Reasons of NaN positions, (n, b); empty without NaN."""
         dark = np.where(
             self.electrons_hidden > self.electrons_vignetted,
             "a body in front hides the star",
@@ -284,7 +284,7 @@ class EffectivePsf:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PixelMap:
-    """Where a camera puts stars, without noise: what a camera model is fitted to."""
+    """Noise-free map of star directions to pixels, the input of camera model fits."""
 
     direction: FloatArray  # (n, 3) Unit vectors in cam
     pixel_px: FloatArray  # (n, 2) Column and row

@@ -73,7 +73,7 @@ class StarSensor:
 
     @property
     def known_range_nm(self) -> tuple[float, float]:
-        """Wavelengths that the lens is made for and glasses, coatings and quantum efficiency are known at."""
+        """Wavelengths of the lens design with data of glasses, coatings and quantum efficiency."""
         ranges = [glass.range_nm for glass in self.camera.lens.glasses.values()]
         ranges.append(self.camera.lens.wavelength_range_nm)
         if self.camera.response is not None:
@@ -115,7 +115,7 @@ class StarSensor:
         return band
 
     def check_band(self, key: str, band: Band) -> None:
-        """Refuse a band that reaches beyond what is known of the glasses, coatings and the quantum efficiency.
+        """Refuse a band beyond the data of glasses, coatings and quantum efficiency.
 
         Parameters
         ----------
@@ -196,7 +196,7 @@ class StarSensor:
         return camera.nominal_direction(told[:, 0], told[:, 1], self.focal_length_mm)
 
     def pixel_map(self, band: Band | None = None, *, temperature_k: float = TYPICAL_TEMPERATURE_K) -> PixelMap:
-        """Where the camera puts stars of one colour: photon-weighted means of traced rays on a grid over the detector.
+        """Positions of stars of one colour: photon-weighted means of traced rays on a grid over the detector.
 
         Parameters
         ----------
@@ -239,7 +239,7 @@ class StarSensor:
         )
 
     def check_field(self) -> None:
-        """Refuse a detector that sees far beyond the field that the lens is made for.
+        """Refuse a detector far larger than the design field of the lens.
 
         Raises
         ------

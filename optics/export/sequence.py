@@ -43,7 +43,7 @@ class Element:
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
-    """Surfaces and breaks in the order of the light, and the glasses that no maker's catalogue has."""
+    """Surfaces and breaks in the order of the light, and glasses missing in makers' catalogues."""
 
     items: tuple[Break | Element, ...]
     own: dict[str, Glass]

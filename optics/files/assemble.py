@@ -61,7 +61,7 @@ class Imported:
 
 
 def assemble(draft: Draft, catalogues: Sequence[Path], glasses: Mapping[str, str]) -> Imported:
-    """Settle what a file leaves to its program."""
+    """Complete a parsed file: glasses, stop, fields, defaults of its program."""
     _checked_rows(draft)
     _checked_wavelengths(draft)
     finder = GlassFinder(draft, catalogues, glasses)

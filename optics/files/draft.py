@@ -82,7 +82,7 @@ class Field:
 
 @dataclass(slots=True)
 class Draft:
-    """Everything a file says.
+    """All contents of a file.
 
     ``rows`` are the surfaces between object and image; ``image`` the last row. ``field_kind`` is one of ``angle``
     [deg], ``object`` [mm], ``paraxial_image`` [mm], ``real_image`` [mm].

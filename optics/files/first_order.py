@@ -22,7 +22,7 @@ from optics.glass.media import CATALOGUE_AIR, Environment
 
 @dataclass(frozen=True, slots=True)
 class FirstOrder:
-    """Focal length, back focus (from the last surface along the light), and how the stop is seen.
+    """Focal length, back focus (from the last surface along the light), and the image of the stop.
 
     ``stop_share`` is the height in the stop of a parallel ray of height 1; ``pupil_mm`` the distance of the entrance
     pupil from the first surface; ``image_mm`` the distance of the image plane from the last surface along the light.

@@ -40,7 +40,7 @@ STATED_ND = 2e-4
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A glass for a name: the record, the choice for the report, and the glass that was meant where it is known."""
+    """A glass for a name: the record, the choice for the report, and the named glass if known."""
 
     glass: Glass
     choice: GlassChoice
@@ -92,7 +92,7 @@ class GlassFinder:
         return self.draft.catalogues
 
     def find(self, asked: GlassName) -> Found:
-        """The glass that a file means."""
+        """The glass named in a file."""
         name = asked.name.strip("'\"")
         wanted = {_bare(key): value for key, value in self.replace.items()}.get(_bare(name))
         meant = self._meant(asked, name)

@@ -37,7 +37,7 @@ def split_configuration(name: str) -> tuple[str, int | None]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """How a file is to be read; what the fields mean stands in `optics.lens_file.read_lens_file`."""
+    """Options of reading; fields as in `optics.lens_file.read_lens_file`."""
 
     configuration: int | None = None
     catalogues: tuple[Path, ...] = ()

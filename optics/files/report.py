@@ -99,7 +99,7 @@ class ImportReport:
         return tuple(line for line in self.lines if not line.exact)
 
     def require_exact(self) -> None:
-        """Raise ConfigError, one line per command, if anything was approximated or left out that may count."""
+        """Raise ConfigError, one line per command, if anything relevant was approximated or left out."""
         if self.inexact:
             head = f"{self.file}: not read exactly, and strict = true refuses any approximation"
             raise ConfigError("\n".join([head, *(f"{self.file}: {line}" for line in self.inexact)]))
@@ -125,11 +125,11 @@ class ReportBuilder:
         self.lines.append(ReportLine(line, command, surface, status, message, harmless))
 
     def taken(self, line: int, command: str, message: str, surface: int | None = None) -> None:
-        """A command that is in the lens as the file means it."""
+        """A command that is in the lens exactly."""
         self.add(line, command, Status.TAKEN, message, surface)
 
     def approximated(self, line: int, command: str, message: str, surface: int | None = None) -> None:
-        """A command that is in the lens otherwise than the file means it."""
+        """A command that is in the lens with a deviation from the file."""
         self.add(line, command, Status.APPROXIMATED, message, surface, harmless=False)
 
     def ignored(
@@ -139,7 +139,7 @@ class ReportBuilder:
         self.add(line, command, Status.IGNORED, message, surface, harmless)
 
     def assumed(self, command: str, message: str, *, exact: bool = False) -> None:
-        """Something that the file does not say."""
+        """A value missing in the file."""
         self.add(0, command, Status.TAKEN if exact else Status.APPROXIMATED, message, None, exact)
 
     def finished(self, glasses: Sequence[GlassChoice] = (), comparisons: Sequence[Comparison] = ()) -> ImportReport:

@@ -156,7 +156,7 @@ class _Reader:
         """Without RDM the numbers may be radii or curvatures: what no surface can be is ruled out."""
 
         def sizes(key: str, at: int) -> list[float]:
-            """Numbers of one place of a command; what is none is refused where it is read."""
+            """Numbers of one place of a command; invalid numbers are refused where they are read."""
             found = []
             for command in self.commands:
                 with suppress(ValueError):

@@ -51,7 +51,7 @@ class SurfaceData:
             self.curvature = value / unit
 
     def set_glass(self, word: str, line: int, text: str) -> None:
-        """What follows the surface: a glass, air or a mirror."""
+        """Medium behind the surface: a glass, air or a mirror."""
         name = word.strip("'\"")
         if name.upper() in ("REFL", "REFL_TIR", "TIRO"):
             self.mirror = True
@@ -65,7 +65,7 @@ class SurfaceData:
         return {"THI": self.thickness, "CUY": self.curvature, "K": self.conic}[what]
 
     def take(self, words: list[str], line: int, text: str, unit: float, radii: bool) -> str | None:
-        """Take one command; what it means, "!" before it if it counts for nothing, None if it is not known."""
+        """Take one command; its meaning, with "!" before it if it has no effect, None if unknown."""
         key = words[0].upper()
         if len(words) > 2 and (key in ("K", "RDY", "CUY", "RDX", "CUX") or (key in _POLYNOMIAL and len(key) == 1)):
             raise ValueError(f"{' '.join(words[2:])!r} follows the value; separate two commands by a semicolon")
@@ -217,7 +217,7 @@ class SurfaceData:
         return {**keys, "carry": carry}
 
     def row(self, unit: float) -> Row:
-        """The surface in the words of our own prescription; ValueError for what is not read."""
+        """The surface as a table of our own prescription; ValueError for unsupported contents."""
         outlines = list(self.obscured)
         for kind, sizes in self.rectangle.items():
             if not all(s > 0.0 for s in sizes):

@@ -60,7 +60,7 @@ class SurfaceData:
         return 1.0 / self.curvature if self.curvature else math.inf
 
     def take(self, key: str, words: list[str], line: int, unit: float) -> str | None:
-        """Take a command; what it means, or None if it is not known."""
+        """Take a command; its meaning, or None if unknown."""
         meaning = _MEANINGS.get(key)
         if key == "TYPE":
             self.kind, self.kind_line = words[1].upper(), line
@@ -109,7 +109,7 @@ class SurfaceData:
         return True
 
     def row(self, unit: float) -> Row:
-        """The surface in the words of our own prescription."""
+        """The surface as a table of our own prescription."""
         if self.kind not in SURFACE_KINDS:
             raise ValueError(f"this kind of surface is not read; {', '.join(sorted(SURFACE_KINDS))} are")
         outlines = [dict(outline) for outline in self.outlines]

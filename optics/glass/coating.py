@@ -54,7 +54,7 @@ class Split:
 
 
 class Coating(ABC):
-    """What is on a surface."""
+    """Interface of coatings."""
 
     @abstractmethod
     def split(

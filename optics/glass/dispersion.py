@@ -42,7 +42,7 @@ class Form:
 
     @property
     def size(self) -> int:
-        """How many numbers it has."""
+        """Number of its coefficients."""
         return len(self.powers) + 2 * len(self.poles)
 
     def total(self, wavelength_nm: Any, numbers: Sequence[Any], xp: ArrayNamespace) -> Any:

@@ -24,7 +24,7 @@ USED_STOP = 0.75
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crossing:
-    """Two surfaces of a lens that meet: their numbers, the height from which on they do [mm], all of it in words."""
+    """Two crossing surfaces of a lens: their numbers, the smallest height of crossing [mm], a message."""
 
     surfaces: tuple[int, int]
     from_mm: float
@@ -32,12 +32,12 @@ class Crossing:
 
 
 def geometry_faults(lens: LensSystem) -> tuple[str, ...]:
-    """What is impossible about a lens, one line each; nothing for a lens that may be."""
+    """Faults of a lens geometry, one line each; empty for a possible lens."""
     return (*_image_plane(lens), *(one.words for one in crossings(lens)), *idle_stop(lens))
 
 
 def acts(lens: LensSystem, number: int) -> bool:
-    """Whether a surface does more to light than to stop some of it."""
+    """Whether a surface refracts, reflects or scatters light, not only stops it."""
     surface = lens.surfaces[number]
     return surface.mirror or surface.shape.redirects or lens.media[number] != lens.media[number + 1]
 
@@ -118,7 +118,7 @@ def crossings(lens: LensSystem) -> list[Crossing]:
 
 
 def idle_stop(lens: LensSystem) -> list[str]:
-    """What keeps the stop from limiting the light on the axis: another rim long before it."""
+    """Fault of a stop that does not limit the light on the axis, because another rim does."""
     stop = lens.surfaces[lens.stop_index]
     if not math.isfinite(stop.semi_diameter_mm):
         return []

@@ -143,7 +143,7 @@ def _bracket(nodes: FloatArray, at: FloatArray) -> list[tuple[Any, FloatArray]]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredLens:
-    """A measured lens; the module tells its file."""
+    """A measured lens; its file format is in the module's docstring."""
 
     name: str
     source: str  # Where its numbers come from
@@ -185,7 +185,7 @@ class MeasuredLens:
             )
 
     def place_mm(self, direction: FloatArray, wavelength_nm: FloatArray | float | None = None) -> FloatArray:
-        """Where stars land, from the centre of the detector along columns and rows (..., 2) [mm], float64.
+        """Positions of star images from the centre of the detector along columns and rows (..., 2) [mm], float64.
 
         Shapes: ``direction`` (..., 3) in cam, Z > 0, of any length; ``wavelength_nm`` broadcasts with it, the reference
         wavelength if left out. NaN beyond the field in which the distortion is known to be one-to-one.

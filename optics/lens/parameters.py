@@ -55,7 +55,7 @@ def lens_parameters(lens: LensSystem) -> dict[str, FloatArray]:
 
 
 def steps_of(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Steps by which numbers are changed when derivatives of what the lens is compiled to are taken by differences."""
+    """Steps of the numbers for finite-difference derivatives of the compiled lens."""
     relative, least = (
         {"curvature_per_mm": 1e-3, "asphere": 1e-3},
         {"curvature_per_mm": 1e-8, "asphere": 1e-20, "tilt_deg": 1e-2, "index_offset": 1e-4, "temperature_c": 0.1},

@@ -239,7 +239,7 @@ def lens_from_table(
     environment: Environment = CATALOGUE_AIR,
     labels: Sequence[str] | None = None,
 ) -> LensSystem:
-    """Make a lens from the tables of a prescription, whatever file they come from."""
+    """Make a lens from the tables of a prescription, from any file format."""
     file = _parsed(mapping, where, labels)
     names = [f"surface {number}" for number in range(len(file.surface))] if labels is None else labels
     try:

@@ -104,7 +104,7 @@ class Surface:
 
     @property
     def holed(self) -> bool:
-        """Whether it blocks light elsewhere than beyond a circle about its vertex."""
+        """Whether it blocks light other than beyond a circle about its vertex."""
         return self.inner_semi_diameter_mm > 0.0 or bool(self.apertures)
 
     def from_behind(self) -> Surface:
@@ -281,7 +281,7 @@ class LensSystem:
                 )
 
     def label(self, index: int) -> str:
-        """What messages call a surface, as its file counts it; "the image plane" for what follows the last."""
+        """Name of a surface in messages, by the count of its file; "the image plane" behind the last."""
         if index == len(self.surfaces):
             return "the image plane"
         return self.surfaces[index].label or f"surface {index}"
@@ -300,14 +300,14 @@ class LensSystem:
         return found
 
     def check_surfaces(self) -> None:
-        """Raise DomainError if what surfaces do is asked of a lens that was measured from outside."""
+        """Raise DomainError for a measured lens, which has no surfaces."""
         if self.measured is not None:
             raise DomainError(
                 f"this needs a prescription: instrument.lens is a measured lens without surfaces ({self.name!r})"
             )
 
     def check_glass(self) -> None:
-        """Raise DomainError if what elements and their glasses do is asked of a lens without any."""
+        """Raise DomainError for a lens without glass elements."""
         self.check_surfaces()
         if not self.glasses and not any(surface.mirror for surface in self.surfaces):
             raise DomainError(

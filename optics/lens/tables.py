@@ -153,7 +153,7 @@ else:
 
 
 class SurfaceTable(MovedTable):
-    """What every surface has, whatever its shape.
+    """Common keys of surfaces of any shape.
 
     Its shift and turn hold for this surface alone (``carry = "none"``), for all that follows too (``"forward"``), or
     are those of a mirror behind which the frame follows the reflected axis (``"bend"``). ``cte_per_k`` is the expansion
@@ -352,7 +352,7 @@ class Prescription(StrictTable):
         return self
 
     def coatings(self, glass_of: Callable[[str], Glass]) -> dict[str, Coating]:
-        """Coatings by name; ConfigError for one that makes no sense."""
+        """Coatings by name; ConfigError for an invalid one."""
         made: dict[str, Coating] = {UNCOATED: BARE}
         for name, table in self.coating.items():
             if name == UNCOATED:

@@ -222,13 +222,13 @@ class _Field:
         return next(body for body in self.bodies if index in body)
 
     def spacer(self, body: _Body) -> tuple[float, float]:
-        """Expansion [1/K] and warming of what stands in front of a body."""
+        """Expansion [1/K] and temperature change of the spacer in front of a body."""
         before, after = (self.lens.poses[i][0][2] for i in (max(body.first - 1, 0), body.first))
         expansion = self.housing.spacers_per_k.get(body.name, self.housing.expansion_per_k)
         return expansion, self.kelvin(0.5 * float(before + after))
 
     def radius_mm(self, body: _Body) -> float:
-        """Where an element ends, as radial gradients count it."""
+        """Radius of an element for radial gradients."""
         known = [s.semi_diameter_mm for s in self.lens.surfaces[body.first : body.last + 1]]
         mount = self.housing.mounts.get(body.name, Mount())
         known = [r for r in (*known, mount.front_radius_mm, mount.back_radius_mm) if 0.0 < r < math.inf]

@@ -95,7 +95,7 @@ def ideal_lens(
 
 
 def measured_lens(measured: MeasuredLens) -> LensSystem:
-    """Lens of which only what was measured is known (`LensSystem.measured`)."""
+    """Lens known by measurement only (`LensSystem.measured`)."""
     return _thin(
         measured.name,
         f"{measured.source}, {measured.date}",

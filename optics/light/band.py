@@ -22,7 +22,7 @@ class Band(Protocol):
 
     @property
     def name(self) -> str:
-        """What to call it in tables and messages."""
+        """Name in tables and messages."""
         ...
 
     @property
@@ -173,7 +173,7 @@ class BandNodes:
             freeze(self, field, shape=("b", "k"), sizes=sizes)
 
     def integrate(self, values: ArrayLike) -> FloatArray:
-        """Integral over each band of what was evaluated at the nodes.
+        """Integral over each band of values at the nodes.
 
         Shapes: ``values`` (..., b, k).
         """

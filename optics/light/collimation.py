@@ -41,7 +41,7 @@ class Collimation:
 
 
 def bent_light(light: tuple[Any, Any, Any], x_mm: Any, y_mm: Any, error: tuple[Any, Any, Any], sqrt: Any) -> Any:
-    """Unit vectors of rays through points of the launch disk, of light that is not quite collimated.
+    """Unit vectors of rays through points of the launch disk for imperfectly collimated light.
 
     Exact for a point source at a finite distance; written once for NumPy and Dr.Jit.
 

@@ -61,7 +61,7 @@ class PointSourceTransmittance:
 
     @property
     def total_error(self) -> FloatArray:
-        """Its standard error (z, a)."""
+        """Standard error of the sum (z, a)."""
         return np.asarray(np.sqrt((self.error**2).sum(axis=0)))
 
     def at(self, v_cam: ArrayLike) -> FloatArray:
@@ -105,7 +105,7 @@ def write_pst(path: str | Path, pst: PointSourceTransmittance) -> Path:
 
 
 def read_pst(path: str | Path) -> PointSourceTransmittance:
-    """Read a table that `write_pst` wrote, or one's own.
+    """Read a table of `write_pst`, or an own one.
 
     Parameters
     ----------

@@ -136,7 +136,7 @@ def particles_per_mm2(level: float, size_um: ArrayLike) -> FloatArray:
 
 
 def area_coverage(level: float) -> float:
-    r"""Share of a surface that particles of a cleanliness level cover; twice that is the light that they take out.
+    r"""Share of a surface that particles of a cleanliness level cover; twice that is the light removed from the beam.
 
     The integral of the distribution over disks as wide as the particles from 1 um to the level L [um], 1 to 5000, with
     :math:`a = 0.926 / \ln 10`, :math:`u = \ln x`:
@@ -161,7 +161,7 @@ SIZES = 400
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Particles:
-    r"""Angular law of dust: opaque disks that diffract, and throw on a share of what they intercept.
+    r"""Angular law of dust: opaque disks that diffract and scatter a share of the intercepted light forwards.
 
     .. math:: \int n(D) \left( \frac{\pi D^2}{4 \lambda} \right)^2 \left( \frac{2 J_1(x)}{x} \right)^2 dD
               + \frac{g\, C}{\pi}, \qquad x = \pi D \Delta\beta / \lambda
@@ -209,7 +209,7 @@ class Particles:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Together:
-    """Laws of many surfaces, one after the other: what little each scatters adds up."""
+    """Laws of many surfaces in sequence; small scatter adds up."""
 
     laws: tuple[HarveyShack | ABg | Particles, ...]
 

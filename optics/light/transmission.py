@@ -24,7 +24,7 @@ from optics.response import Response
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layout:
-    """What light meets along the axis."""
+    """Surfaces and media along the axis."""
 
     media: tuple[Glass | None, ...]  # Medium behind each surface, None for air; in front of the first surface is air
     thickness_mm: FloatArray  # (n,) Axial length of each of these media; that behind the last surface is not used

@@ -32,7 +32,7 @@ CONTRACTION = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AimFrame:
-    """Where rays are launched, and the sizes that distances are compared with."""
+    """Plane of launch, and the length scales of tolerances."""
 
     z_mm: float  # Plane of launch: the paraxial entrance pupil, or the first vertex where that is at infinity
     scale_mm: float  # Radius of the paraxial entrance pupil, or of the widest aperture
@@ -80,7 +80,7 @@ def without_apertures(program: LensProgram) -> LensProgram:
 
 
 def without_holes(program: LensProgram) -> LensProgram:
-    """A compiled lens whose apertures have nothing in their middle that obscures."""
+    """A compiled lens without central obscurations."""
     steps = (
         replace(step, annular=False, outlines=tuple(outline for outline in step.outlines if not outline[3]))
         for step in program.steps
@@ -110,7 +110,7 @@ class _Aim:
         return along * c - at[1] * s, along * s + at[1] * c
 
     def miss(self, lanes: IntArray, at: FloatArray, angle: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """How far rays pass from the centre of the stop, (2, n) in its radii, and whether they reach it."""
+        """Distance of rays from the centre of the stop, (2, n) in its radii, and whether they reach it."""
         x, y = self.launch(lanes, at, angle)
         side, dz = np.sin(angle), np.cos(angle)
         zero = np.zeros(len(lanes))

@@ -20,7 +20,7 @@ FAN = 0.95
 
 
 def check_axial_beam(lens: LensSystem) -> None:
-    """Refuse a centred lens that loses axial rays other than at apertures: a surface beyond where it makes sense."""
+    """Refuse a centred lens that loses axial rays other than at apertures: a surface beyond its valid radius."""
     try:
         first = paraxial(lens)
     except DomainError:  # tilted or afocal

@@ -39,7 +39,7 @@ SHARP_MM = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FluxLedger:
-    """Where light goes that enters, as shares of it; they sum to 1."""
+    """Balance of the entering light as shares; they sum to 1."""
 
     image: float
     """Absorbed by the detector without a reflection before."""
@@ -88,7 +88,7 @@ class Ghosts:
 
     @property
     def magnitude(self) -> FloatArray:
-        """By how many magnitudes each is fainter than the image."""
+        """Magnitudes by which each is fainter than the image."""
         return np.asarray(-2.5 * np.log10(self.flux))
 
     @property
@@ -181,7 +181,7 @@ class _Meeting:
 
 
 class GhostPath:
-    """A way through the lens: its surfaces in the order light meets them, and what they do to its light.
+    """A path through the lens: its surfaces in the order of the light, with their transmission or reflection.
 
     Lens, coating and absorption as of `find_ghosts`; ``back``, ``forward`` as of `ghost_pairs`: both None, the image
     itself; the second None, light that leaves through the front.

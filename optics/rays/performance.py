@@ -40,7 +40,7 @@ class FocusCurve:
             getattr(self, name).setflags(write=False)
 
     def blurred(self, sigma_mm: float) -> FocusCurve:
-        """The curve of spots that a round Gaussian of this standard deviation blurs."""
+        """The curve of spots blurred by a round Gaussian of this standard deviation."""
         return replace(self, square_mm2=self.square_mm2 + 2.0 * sigma_mm**2)
 
     def rms_mm(self, shift_mm: ArrayLike = 0.0) -> FloatArray:
@@ -115,7 +115,7 @@ class LensPerformance:
 
     @property
     def vignetting(self) -> FloatArray:
-        """Light of a star relative to the axis, (f,): what apertures cut, and the foreshortened pupil."""
+        """Light of a star relative to the axis, (f,): loss at apertures, and the foreshortened pupil."""
         light = (self.share * np.nan_to_num(self.area_mm2)).sum(1)
         return np.asarray(light / light[0])
 

@@ -23,7 +23,7 @@ from optics.records import locked
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One surface as the trace sees it; ``*_at`` are offsets into the parameter vector."""
+    """One surface in the trace; ``*_at`` are offsets into the parameter vector."""
 
     shape: type[Shape]  # Shape class whose ``intersect`` is called
     shape_at: int  # Its parameters

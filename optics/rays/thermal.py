@@ -252,7 +252,7 @@ def focus_um_per_k(lens: LensSystem, housing: Housing, state: ThermalState, *, s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Athermal:
-    """A spacer that keeps the focus on the detector at every uniform temperature, and what it leaves."""
+    """A spacer that keeps the focus on the detector at every uniform temperature, and the residual."""
 
     spacer: str  # In front of which element
     length_mm: float  # Its length, between the vertices

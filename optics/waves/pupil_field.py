@@ -100,7 +100,7 @@ class PupilField:
         )
 
     def with_path(self, extra_mm: FloatArray) -> PupilField:
-        """With optical path added, (f, w, rings, arms) or what broadcasts to it, e.g. of a measured map."""
+        """With optical path added, (f, w, rings, arms) or broadcastable, e.g. of a measured map."""
         return replace(self, path_mm=self.path_mm + extra_mm)
 
     def path_to(self, x_mm: ArrayLike, y_mm: ArrayLike) -> FloatArray:

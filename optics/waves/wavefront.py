@@ -42,7 +42,7 @@ class Wavefront:
 
     @property
     def rms_waves(self) -> float:
-        """The same in wavelengths."""
+        """Root mean square in wavelengths."""
         return self.rms_nm / self.wavelength_nm
 
     @property

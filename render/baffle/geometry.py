@@ -130,7 +130,7 @@ class VanedBaffle:
 
     @property
     def shade_deg(self) -> float:
-        """Angle from which on no light of a source falls on the entrance directly."""
+        """Smallest angle of a source without direct light on the entrance."""
         opening = float(self.vane_mm[0])
         return math.degrees(math.atan((opening + self.entrance_mm) / self.length_mm))
 
@@ -281,7 +281,7 @@ def vaned_mesh(baffle: VanedBaffle, sides: int = SIDES) -> Mesh:
 
 
 def check_closed(mesh: Mesh) -> None:
-    """Refuse a mesh of the user's that is no closed surface: every edge belongs to two triangles."""
+    """Refuse a user mesh that is not a closed surface: every edge belongs to two triangles."""
     size = float(np.ptp(mesh.vertex_mm, axis=0).max()) or 1.0
     _, same = np.unique(np.round(mesh.vertex_mm / (1e-6 * size)), axis=0, return_inverse=True)
     corner: NDArray[Any] = np.ravel(same)[mesh.face]

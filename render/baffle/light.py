@@ -100,7 +100,7 @@ def cylinder_intensity(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaffleLight:
-    """What a baffle does to the light of a source."""
+    """PST of a source behind a baffle, by cause."""
 
     direct: float  # Part of the entrance that the source shines on
     walls: float  # PST by walls and vanes
@@ -112,7 +112,7 @@ class BaffleLight:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WorstPaths:
-    """Where on the baffle the light comes from that the lens passes on: first surfaces that are seen from the lens."""
+    """Origin on the baffle of the light that passes the lens: first surfaces seen from the lens."""
 
     point_mm: FloatArray  # (n, 3)
     entrance_mm: FloatArray  # (n, 3)

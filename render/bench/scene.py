@@ -38,7 +38,7 @@ COVER_GAP_MM = 5e-4  # what lies in front of the screen is seen displaced by gap
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchGeometry:
-    """Sizes and places of what stands on the bench."""
+    """Sizes and positions of the parts of the bench."""
 
     distance_mm: float = 650.0  # Aperture to cube face (CUBE09: about 650 mm)
     aperture_mm: float = 2.5  # Diameter of the aperture (CUBE09: 2.5 mm)
@@ -81,12 +81,12 @@ class BenchGeometry:
 
     @property
     def path_mm(self) -> float:
-        """From the aperture to the face and back."""
+        """Path from the aperture to the face and back."""
         return 2.0 * self.distance_mm
 
     @property
     def crossing_mm(self) -> FloatArray:
-        """Where the axes of the table cross (3,)."""
+        """Intersection of the axes of the table (3,)."""
         return np.array([0.0, 0.0, -(self.distance_mm + self.cube_mm / 2)])
 
     @property
@@ -101,7 +101,7 @@ class BenchGeometry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CubePose:
-    """How a cube stands in the laboratory."""
+    """Pose of a cube in the laboratory."""
 
     rotation: FloatArray  # (3, 3) Laboratory from the cube's frame
     centre_mm: FloatArray  # (3,) Centre of the cube in the laboratory
@@ -142,7 +142,7 @@ def frame_around(normal: FloatArray, along: FloatArray) -> FloatArray:
 
 
 def rectangle_at(centre: FloatArray, frame: FloatArray, half_width: float, half_height: float) -> FloatArray:
-    """Matrix (4, 4) that puts Mitsuba's unit ``rectangle`` (or ``disk``) somewhere."""
+    """Matrix (4, 4) that places Mitsuba's unit ``rectangle`` (or ``disk``)."""
     matrix = np.eye(4)
     matrix[:3, :3] = frame * np.array([half_width, half_height, 1.0])
     matrix[:3, 3] = centre
@@ -150,7 +150,7 @@ def rectangle_at(centre: FloatArray, frame: FloatArray, half_width: float, half_
 
 
 def face_matrices(geometry: BenchGeometry, pose: CubePose) -> dict[str, FloatArray]:
-    """Where the rectangles of the six faces go: name -> (4, 4)."""
+    """Matrices of the rectangles of the six faces: name -> (4, 4)."""
     half = geometry.face_mm / 2
     matrices = {}
     for name, (axis, _) in FACES.items():
@@ -203,7 +203,7 @@ def screen_and_mirrors(geometry: BenchGeometry, pose: CubePose) -> dict[str, Any
 
 
 def bench_scene(geometry: BenchGeometry, pose: CubePose, *, covered: bool) -> Any:
-    """The scene that the light of the simulator meets."""
+    """The scene lit by the simulator."""
     mi = Engine.active().mitsuba
     content = {"type": "scene", **screen_and_mirrors(geometry, pose)}
     if covered:

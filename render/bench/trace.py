@@ -35,7 +35,7 @@ LOG2_LIMITS = (8, 24)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Landing:
-    """Where the particles of a beam end."""
+    """Landing points of the particles of a beam."""
 
     screen_mm: FloatArray  # (n, 2) Points of the screen where reflected particles land
     passed: float  # Part of the started particles that passes the aperture

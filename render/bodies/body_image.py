@@ -58,7 +58,7 @@ class BodyImage:
 
 
 class BodyRenderer:
-    """Renders bodies through one camera; keeps what it has found out about its lens."""
+    """Renders bodies through one camera; keeps the maps of its lens."""
 
     def __init__(
         self, camera: Camera, bands: Sequence[Band], *, nodes: int = 3, view: FieldOfView | None = None

@@ -159,7 +159,7 @@ def planet_v(name: str, *, to_sun_au: FloatArray, to_observer_au: FloatArray, ep
 
 @cache
 def planet_spectrum(name: str) -> TabulatedSed:
-    """Spectrum of the light that a body throws back, in any scale: sunlight times the albedo."""
+    """Spectrum of the light reflected by a body, in arbitrary scale: sunlight times the albedo."""
     if name not in ALBEDO:
         raise unknown_name("body of the solar system", name, ALBEDO)
     sun = sun_spectrum()

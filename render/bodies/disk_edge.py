@@ -10,7 +10,7 @@ from render.engine.jit import dr
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """Edge of a disk around c as a cell around v sees it, taken as straight.
+    """Edge of a disk around c for a cell around v, taken as straight.
 
     Where it passes at distance d inside the middle of a unit square, its normal (a, b), the depth below it is d plus
     the sum of two uniform variates of the widths a and b, whose density is a trapezoid.

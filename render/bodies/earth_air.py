@@ -50,5 +50,5 @@ class Air:
 
 
 def earth_air() -> Air:
-    """The Earth's."""
+    """Air of the Earth."""
     return Air(height=HEIGHT_KM / EARTH_KM, ground=BOND_ALBEDO)

@@ -63,7 +63,7 @@ class Tile:
         return across and self.first_row < rows.stop and self.end_row > rows.start
 
     def quarters(self) -> tuple[Tile, ...]:
-        """What it is divided into."""
+        """Its four parts."""
         c, r = (self.first_column + self.end_column) // 2, (self.first_row + self.end_row) // 2
         columns = ((self.first_column, c), (c, self.end_column))
         rows = ((self.first_row, r), (r, self.end_row))

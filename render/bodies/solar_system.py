@@ -172,7 +172,7 @@ def _seen_from(name: str, epoch_year: float, observer_au: FloatArray) -> FloatAr
 
 
 def hiding_spheres(system: SolarSystem) -> dict[str, Any]:
-    """Spheres, for the scene of the stars (mm, icrs, the camera at the origin), that hide what stands behind them.
+    """Spheres, for the scene of the stars (mm, icrs, the camera at the origin), that hide objects behind them.
 
     All are of one radius, at distances that give them their size: Mitsuba warns of spheres that float32 makes uneven.
     """

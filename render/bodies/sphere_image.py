@@ -60,7 +60,7 @@ class Cover:
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """What a direction meets; vectors along icrs."""
+    """A sphere seen along a direction; vectors along icrs."""
 
     direction: FloatArray  # (3,) Unit vector to the centre
     sine: float  # Of the angular radius
@@ -78,7 +78,7 @@ class Sphere:
 
 @dataclass(frozen=True, slots=True)
 class Exposed:
-    """When a camera looks where."""
+    """Times and attitudes of the camera."""
 
     # (m, 4) Quaternions cam from icrs at equal steps, neighbours on the same side; one for a camera at rest
     attitudes: FloatArray

@@ -36,7 +36,7 @@ RINGS, ARMS = 24, 48
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BandLight:
-    """What a source of unit PST would do: electrons per second in a pixel under all of its light."""
+    """Light of a source of unit PST: electrons per second in a pixel."""
 
     sun_e_per_s: float  # At 1 au
     full_moon_e_per_s: float
@@ -114,7 +114,7 @@ class StrayLight:
 
     @property
     def draws_ghosts(self) -> bool:
-        """Whether ghosts are drawn apart."""
+        """Whether ghosts are drawn separately."""
         return self._drawn is not None
 
     def _of(self, pst: PointSourceTransmittance, attitude: Rotation) -> dict[str, float]:
@@ -134,10 +134,10 @@ class StrayLight:
         return found
 
     def ghosts(self, attitude: Rotation) -> dict[str, float]:
-        """What of it are ghosts that are drawn apart; empty where none are."""
+        """Stray light by separately drawn ghosts; empty without them."""
         return {} if self._drawn is None else self._of(self._drawn, attitude)
 
     def even(self, attitude: Rotation) -> dict[str, float]:
-        """What lies evenly on the detector."""
+        """Uniform part of the stray light."""
         drawn = self.ghosts(attitude)
         return {name: max(light - drawn.get(name, 0.0), 0.0) for name, light in self.whole(attitude).items()}

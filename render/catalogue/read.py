@@ -132,7 +132,7 @@ def _read_table(path: Path, preset: ColumnPreset, form: str | None, readme: str 
 
 
 def check_votable(content: bytes, path: Path) -> None:
-    """Refuse a VOTable whose data lie elsewhere, and entities, which may unfold to any size."""
+    """Refuse a VOTable with data in other files, and XML entities, which may expand to any size."""
     parser = expat.ParserCreate(namespace_separator=" ")
 
     def start(name: str, attributes: dict[str, str]) -> None:

@@ -34,7 +34,7 @@ _CHUNK = 1 << 18
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CosmicRayEnvironment:
-    """Which particles come, and how many."""
+    """Particles of an environment and their flux."""
 
     # name, source: What it is and where its numbers come from
     name: str

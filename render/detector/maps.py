@@ -43,7 +43,7 @@ class SensorMaps:
 
 
 class PixelMaps(NamedTuple):
-    """The same on the backend, flat, for the pixels of a frame or of windows (n,)."""
+    """Patterns on the backend, flat, for the pixels of a frame or of windows (n,)."""
 
     response: Any
     dark_rate: Any
@@ -89,7 +89,7 @@ class _Recipe:
 
 
 def sensor_maps(detector: Detector) -> SensorMaps:
-    """Patterns of the whole detector, whose ``sensor_seed`` makes the individual."""
+    """Patterns of the whole detector; ``sensor_seed`` selects the individual chip."""
     maps = full_maps(detector, Engine.active().types)
     held = [np.array(value).reshape(detector.shape) for value in maps[:5]]
     return SensorMaps(

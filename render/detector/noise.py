@@ -93,7 +93,7 @@ class PixelNoise:
 
     @property
     def offset_e(self) -> float:
-        """Standard deviation over the pixels of what a frame without light shows: offset and dark charge."""
+        """Standard deviation over the pixels of a frame without light: offset and dark charge."""
         return float(np.hypot(self.dsnu_e, self.dark_pattern_e))
 
     def temporal_e2(

@@ -260,7 +260,7 @@ class Detector:
         return (self.largest_dn - self.offset_dn) / self.gain_dn_per_e
 
     def remarks(self) -> tuple[str, ...]:
-        """What of the numbers is not the data sheet's, and a converter that ends below half the full well."""
+        """Numbers that are not from the data sheet, and a converter that ends below half the full well."""
         said = []
         for keys, words in (
             (self.from_base, "taken from base"),

@@ -27,18 +27,18 @@ def column_effects(detector: Detector) -> bool:
 
 
 def with_smear(light_e: NDArray[np.float64], detector: Detector, exposure_s: float) -> NDArray[np.float64]:
-    """Light (h, w) [e-] with what is collected during the transfer of the frame."""
+    """Light (h, w) [e-] with the light collected during the transfer of the frame."""
     share = detector.transfer_line_us * 1e-6 / exposure_s
     return light_e + share * light_e.sum(0) if share else light_e
 
 
 def with_lag(charge_e: NDArray[np.float64], detector: Detector, before_e: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Charge (h, w) [e-] with what the frame before, of the charge ``before_e``, has left behind."""
+    """Charge (h, w) [e-] with the residual charge of the previous frame ``before_e``."""
     return charge_e + detector.lag * np.minimum(before_e, detector.full_well_e)
 
 
 def bloomed(charge_e: NDArray[np.float64], detector: Detector) -> NDArray[np.float64]:
-    """Charge (h, w) [e-] after what exceeds full wells has run along the columns."""
+    """Charge (h, w) [e-] after the excess over full wells has spread along the columns."""
     well = detector.full_well_e
     excess = np.maximum(charge_e - well, 0.0)
     columns = np.flatnonzero(excess.any(0))

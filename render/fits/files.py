@@ -247,7 +247,7 @@ def read_frame(
 
 
 def read_frames(path: str | Path, *, gain_dn_per_e: float, offset_dn: float, read_noise_e: float) -> Iterator[Frame]:
-    """All frames of a file from elsewhere, one after the other: its image extensions, and the planes of each cube.
+    """All frames of another program's file in sequence: its image extensions, and the planes of each cube.
 
     Extensions named MASK, DQ, BPM, ERR, UNCERT or WEIGHT are no frames. A ``MASK`` belongs to the frame with its
     ``EXTVER``; a single one to all frames.

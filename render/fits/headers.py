@@ -40,7 +40,7 @@ _STRUCTURE = (
 
 
 def checked_cards(cards: Iterable[Card] | fits.Header, taken: Iterable[str]) -> list[Card]:
-    """Cards of a caller as a list."""
+    """Validated cards of the caller as a list."""
     given: Iterable[Any] = cards.cards if isinstance(cards, fits.Header) else cards
     seen = set(taken)
     checked: list[Card] = []

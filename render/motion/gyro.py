@@ -98,7 +98,7 @@ class Gyro:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GyroRecord:
-    """What a gyro gave."""
+    """Output of a gyro."""
 
     time_s: FloatArray  # (n + 1,) Ends of the intervals [s]
     rate_rad_per_s: FloatArray  # (n, 3) Mean rate over each interval, in sensor axes [rad/s]
@@ -129,7 +129,7 @@ def _interval_ends(trajectory: Trajectory, gyro: Gyro, start_s: float | None, en
 def true_rates(
     trajectory: Trajectory, gyro: Gyro, *, start_s: float | None = None, end_s: float | None = None
 ) -> GyroRecord:
-    """What the gyro would give without bias and noise; scale, misalignment and mounting are in it."""
+    """Output of the gyro without bias and noise, with scale errors, misalignment and mounting."""
     ends = _interval_ends(trajectory, gyro, start_s, end_s)
     step = 1.0 / gyro.rate_hz
     inner = ends[:-1, None] + 0.5 * step * (NODES + 1.0)

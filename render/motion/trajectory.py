@@ -182,7 +182,7 @@ class Slew:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mounted:
-    """The motion of something fixed to a moving body, e.g. a camera; see `mounted`."""
+    """The motion of an object fixed to a moving body, e.g. a camera; see `mounted`."""
 
     body: Trajectory  # Motion of the body
     mount: Rotation  # The thing's axes from the body's axes: ``v_thing = R v_body``
@@ -210,5 +210,5 @@ class Mounted:
 
 
 def mounted(body: Trajectory, mount: Rotation) -> Mounted:
-    """Trajectory of what is fixed to a body, with ``v_thing = mount v_body``: ``mounted(body, cam_from_body)``."""
+    """Trajectory of an object fixed to a body, with ``v_thing = mount v_body``: ``mounted(body, cam_from_body)``."""
     return Mounted(body=body, mount=mount)

@@ -64,7 +64,7 @@ class SceneShade:
         return found
 
     def hides(self, rays: Rays, star: Any) -> Any:
-        """Whether something stands between rays in the lens frame and their stars."""
+        """Whether a body blocks rays in the lens frame towards their stars."""
         mi, types = Engine.active().mitsuba, Engine.active().types
         back, turn = -rays.z / rays.dz, self._turn
         x, y = -(rays.x + back * rays.dx), rays.y + back * rays.dy  # in cam; z is 0 there

@@ -155,13 +155,13 @@ def define(mi: Any, emitter_class: Any, camera_class: Any) -> type:
             return attached_image(mi, self.tracer(camera, self._number), camera, field)
 
         def traced_by(self, sensor: Any) -> TracedStars:
-            """What the last image of a sensor was made of."""
+            """Traced stars of the last image of a sensor."""
             found: TracedStars = self._kept.by[id(sensor)][1]
             return found
 
         @property
         def traced(self) -> TracedStars | None:
-            """What the last image was made of."""
+            """Traced stars of the last image."""
             kept: TracedStars | None = self._kept.traced
             return kept
 

@@ -86,7 +86,7 @@ class UniformSky:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BackgroundMap:
-    """How much of a diffuse sky each pixel of a camera takes in; made by `background_map`."""
+    """Etendue of each pixel of a camera for a diffuse sky; made by `background_map`."""
 
     band: tuple[str, ...]  # Names of the b bands
     # wavelength_nm, weight_nm: (b, k) Nodes, and the weights of filter, camera's response and quadrature together
@@ -112,7 +112,7 @@ class BackgroundMap:
 
 
 def background_map(camera: Camera, bands: Sequence[Band], *, nodes: int = 5) -> BackgroundMap:
-    """Trace how much of a diffuse sky every pixel takes in; once per camera (whose attitude plays no part) and bands.
+    """Trace the etendue of every pixel for a diffuse sky; once per camera (whose attitude plays no part) and bands.
 
     Raises
     ------

@@ -37,7 +37,7 @@ _LIGHT_KM_PER_S = constants.c / 1e3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FieldOfView:
-    """What a camera sees, without its attitude; made by `field_of_view`, once per camera."""
+    """Field of a camera, without its attitude; made by `field_of_view`, once per camera."""
 
     # width_px, height_px: Size of the detector
     width_px: int
@@ -164,7 +164,7 @@ def _grid_px(camera: Camera, half: FloatArray, nodes: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SkyField:
-    """The stars of a catalogue that one exposure sees."""
+    """The catalogue stars of one exposure."""
 
     stars: StarCatalog  # Their rows, at the epoch of the catalogue
     row: NDArray[np.int64]  # (m,) Where they stand in the whole catalogue

@@ -36,6 +36,6 @@ def frequencies_up_to(highest: float) -> FloatArray:
 
 
 def transfer(frequency: FloatArray, diffusion_px: float) -> FloatArray:
-    """What the pixel (its envelope) and the Gaussian of diffusion leave at frequencies (f, 2), (f,)."""
+    """Transfer of the pixel (its envelope) and of the diffusion Gaussian at frequencies (f, 2), (f,)."""
     pixel = np.minimum(1.0, 1.0 / (np.pi * np.maximum(np.abs(frequency), 1e-9))).prod(1)
     return np.asarray(pixel * np.exp(-2 * (np.pi * diffusion_px) ** 2 * (frequency**2).sum(1)))

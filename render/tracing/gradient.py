@@ -52,7 +52,7 @@ PASS_RAYS, WAVE_PASS_RAYS = 1 << 22, 1 << 19
 
 @dataclass(frozen=True, slots=True)
 class LensNumbers:
-    """What the trace reads of a camera, as one vector: lens, lens up to the stop, launch disk, stop's radius."""
+    """Camera parameters of the trace as one vector: lens, lens up to the stop, launch disk, stop's radius."""
 
     # program, front: The lens, and the lens up to its stop without apertures; both read the same parameters
     program: LensProgram

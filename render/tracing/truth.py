@@ -54,7 +54,7 @@ def check_lit(place: FloatArray) -> None:
 
 @dataclass(frozen=True, slots=True)
 class RayMoments:
-    """What is known of the rays of s stars in b bands."""
+    """Ray moments of s stars in b bands."""
 
     # mean_px, variance_px2: (s, b, 2) Mean and variance of the landing points along columns and rows
     mean_px: FloatArray
@@ -134,7 +134,7 @@ class TruthSums:
         self.absorbed[stars] = (moments[..., CLEAR] - passed) * electrons_in
 
     def store_waves(self, stamps: WaveStamps, electrons_in: FloatArray, on_image: FloatArray) -> None:
-        """What diffraction makes of stars whose rays are stored, or come with it; parameters as `store`."""
+        """Store diffraction images of stars whose rays are stored, or passed with them; parameters as `store`."""
         stars, landed = stamps.stars, stamps.pixels.sum((2, 3), dtype=np.float64)
         if (rays := stamps.moments) is not None:
             self.bundle[stars], self.variance[stars] = rays.mean_px, rays.variance_px2
@@ -152,7 +152,7 @@ class TruthSums:
         self.vignetted[stars] = (self.entrance[stars] - clear) * electrons_in - hidden
 
     def put(self, stars: NDArray[np.int64], others: TruthSums) -> None:
-        """Take over what is known of some stars."""
+        """Insert the truth of some stars."""
         for name in self.__dataclass_fields__:
             getattr(self, name)[stars] = getattr(others, name)
 

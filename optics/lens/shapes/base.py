@@ -77,7 +77,7 @@ class Shape(ABC):
     def redirect(
         p: Sequence[Any], hit: Hit, d: Sequence[Any], index: tuple[Any, Any, Any], xp: ArrayNamespace
     ) -> tuple[tuple[Any, Any, Any], Any]:
-        """Direction behind the surface and what is added to the optical path, of a kind that `redirects`.
+        """Direction behind the surface and added optical path, for a type that `redirects`.
 
         ``index`` is that before it, behind it, and of the surroundings of the lens.
         """
@@ -110,14 +110,14 @@ class Shape(ABC):
 
     @abstractmethod
     def flipped(self) -> Self:
-        """The surface as light from the image side meets it, half a turn about y: z'(x, y) = -z(-x, y)."""
+        """The surface seen from the image side, turned by 180 deg about y: z'(x, y) = -z(-x, y)."""
 
     @abstractmethod
     def scaled(self, factor: float) -> Self:
         """The surface expanded uniformly: z'(x, y) = factor z(x / factor, y / factor)."""
 
     def simplest(self) -> Shape:
-        """The same surface as the kind that costs the trace least."""
+        """The same surface as the type of least cost in the trace."""
         return self
 
     def changed(self, name: str, by: float) -> Shape:

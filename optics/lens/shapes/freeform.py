@@ -39,7 +39,7 @@ def surface_hit(surface: Sag, start: Any, x: Any, y: Any, d: Sequence[Any], xp: 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Freeform(Shape):
-    """A shape that says its sag and slopes; rays find it by Newton's method from its vertex plane."""
+    """A shape given by its sag and slopes; rays intersect it by Newton's method from its vertex plane."""
 
     rotational: ClassVar[bool] = False
 

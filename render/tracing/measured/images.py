@@ -53,7 +53,7 @@ SIZES = 1.4
 
 
 class MeasuredPlanner(PupilPlanner):
-    """Where stars of a measured lens land, and how much light enters; shades know its aperture as an ideal lens's."""
+    """Star positions of a measured lens and its entering light; obstacles use its aperture as an ideal lens's."""
 
     def __init__(self, camera: Camera, sobol_seed: int) -> None:
         assert camera.lens.measured is not None

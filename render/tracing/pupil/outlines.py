@@ -50,7 +50,7 @@ def rings(count: int) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NodePicks:
-    """The few nodes at which outlines are found, and how they lead to all."""
+    """Selected nodes at which outlines are solved, and the interpolation to all nodes."""
 
     kernel: StarKernel  # Holds the n stars at p times
     wavelength_nm: FloatArray  # (b, j) Wavelengths; nodes are all of the first time, then all of the second,
@@ -349,7 +349,7 @@ class _Kinks:
     at_high: FloatArray
 
     def azimuth(self) -> FloatArray:
-        """Where they are by linear interpolation."""
+        """Azimuths of the kinks by linear interpolation."""
         part = self.at_low / (self.at_low - self.at_high)
         return np.asarray(self.low + part * (self.high - self.low))
 

@@ -86,7 +86,7 @@ SHORTEST_PX = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """Stars as an exposure sees them; made by `PupilPlanner.exposure`."""
+    """Stars of an exposure; made by `PupilPlanner.exposure`."""
 
     planner: PupilPlanner
     # mid, nodes: In the middle of the exposure, and at its time nodes; the same for a camera at rest
@@ -184,7 +184,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """How stars are sampled."""
+    """Sampling of stars."""
 
     groups: list[Group]  # No star is in two of them
     bounds: Bounds  # Of the rays of all stars, for images by rays
@@ -213,7 +213,7 @@ def _open_stop(lens: LensSystem) -> LensSystem:
 
 
 class PupilPlanner:
-    """Decides how the stars of one camera are sampled, and keeps what it has found."""
+    """Plans the sampling of the stars of one camera, and keeps results."""
 
     def __init__(
         self, camera: Camera, *, sobol_log2_rays: int, sobol_seed: int, tolerance: float, general: bool
@@ -359,7 +359,8 @@ class PupilPlanner:
         return Sampled(groups, bounds, outlines, (exposure.mid.count, bands, colours * exposure.nodes.times))
 
     def sampled_by_rays(self, exposure: Exposure) -> Sampled:
-        """How all stars are sampled by rays: what no quadrature is fit for goes to the last group, of Sobol points."""
+        """Sampling of all stars by rays: stars without a converged quadrature are in the last group, of Sobol
+        points."""
         everyone = np.arange(exposure.mid.count)
         sampled = self.sampled(exposure, everyone, shapes=self.camera.blur_px > 0.0)
         groups, bounds, left = [], sampled.bounds, everyone
@@ -387,7 +388,7 @@ class PupilPlanner:
         return replace(sampled, groups=[*groups, Group("sobol", left, moved, order=(sobol.count, 1))], bounds=bounds)
 
     def sampled_by_waves(self, exposure: Exposure, stars: IntArray) -> Sampled:
-        """How some stars at rest are sampled for sums of plane waves: those without an outline by cells."""
+        """Sampling of stars at rest for sums of plane waves: stars without an outline by cells."""
         sampled, left = self.sampled(exposure, stars), stars
         for group in sampled.groups:
             left = np.setdiff1d(left, group.members)

@@ -23,7 +23,7 @@ BOUNDING_RINGS = (1.0 - 1e-6, 0.8, 0.5, 0.2)
 
 
 class PupilPoints(Protocol):
-    """Where in the launch disk (of radius 1) rays start, for every node."""
+    """Start points of rays in the launch disk (of radius 1), for every node."""
 
     @property
     def count(self) -> int:

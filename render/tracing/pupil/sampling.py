@@ -55,7 +55,7 @@ PROBE_NODES = 6
 
 @dataclass(frozen=True, slots=True)
 class Landed:
-    """Where the rays of stars land."""
+    """Landing points of the rays of stars."""
 
     # x, y: (n, b, k, m) Columns and rows [px]
     x: FloatArray
@@ -67,7 +67,7 @@ class Landed:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What an order makes of probe stars."""
+    """Result of an order for probe stars."""
 
     pixels: FloatArray  # (n, ...) Light of all pixels, of all bands
     # light, mean: (n, ...) Light that arrives, and its mean [px]

@@ -72,7 +72,7 @@ def strips_per_pixel(diffusion_px: float) -> int:
 
 
 def reach_px(diffusion_px: float) -> float:
-    """How far from its landing point the light of a ray is spread over pixels."""
+    """Radius [px] over which the light of a ray is spread."""
     return 0.5 * math.ceil(2.0 * PIXEL_REACH * diffusion_px)
 
 
@@ -93,7 +93,7 @@ def gaussian_shares(F: Any, integer: Any, position: Any, sigma: float, reach: fl
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """What a camera looks like to the kernel; numbers only."""
+    """Camera numbers of the kernel."""
 
     pitch_mm: float
     centre_px: FloatArray
@@ -109,7 +109,7 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True)
 class StampSums:
-    """What a pass collects of s stars in b bands; light in shares of what the star sends into the pupil."""
+    """Sums of a pass for s stars in b bands; light in shares of what the star sends into the pupil."""
 
     pixels: FloatArray  # (s, b, m, m) Light per pixel of the stamp
     # (s, b, 11) Light on the stamp (`ARRIVED`), lost in the lens (`LOST`), beside the stamp (`OUTSIDE`); `FIRST` and
@@ -129,7 +129,7 @@ Transmission = Callable[[FloatArray], PupilTransmission | None]
 
 
 class Shade(Protocol):
-    """What stands between the sky and the lens of a star field's stars."""
+    """Bodies between the sky and the lens."""
 
     def near(self, pupil: EntrancePupil) -> NDArray[np.bool_]:
         """Stars (n,) in whose beam, as wide as a launch disk, something may stand; false where nothing can."""

@@ -33,7 +33,7 @@ ARRAYS = ("phase", "fx", "fy", "amplitude", "energy", "right", "down", "part")  
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """Where the image of one star in one band is summed, and how samples become pixels."""
+    """Window of the image of one star in one band, and conversion of samples to pixels."""
 
     corner_px: FloatArray  # (2,) Outer corner (column, row) of the window
     mean_px: FloatArray  # (2,) Where samples lie about

@@ -96,7 +96,7 @@ class FarImage:
         return np.diff(np.diff(below, axis=0), axis=1)
 
     def radius_px(self, electrons: float, unit_px: float, ends_e: float, saturated: bool) -> float:
-        """Where the image of a star ends."""
+        """Radius of the end of a star's image."""
         radius = float(np.cbrt(electrons * self.spikes * unit_px / ends_e))
         if saturated:
             radius = max(radius, self.saturated * unit_px)

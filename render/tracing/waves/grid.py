@@ -284,7 +284,7 @@ SYMMETRIC_PX = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridPlan:
-    """What a grid would cost, and how it is made; made by `plan_grid`."""
+    """Cost and layout of a grid; made by `plan_grid`."""
 
     images: _FieldImages
     image_s: float  # Processor time of an image of one star and wavelength by itself, of a usual machine
@@ -304,7 +304,7 @@ def plan_grid(
     collimation: Collimation | None = None,
     least_radius_px: float = 0.0,
 ) -> GridPlan:
-    """What a grid at wavelengths (b, k) would cost, from the rays and samples of a star in the middle and in a corner.
+    """Cost of a grid at wavelengths (b, k), from the rays and samples of a star in the middle and in a corner.
 
     The number of images is that of the grids that are tried first: few of any lens are good enough at once.
     """
@@ -331,7 +331,7 @@ def build_grid(
     collimation: Collimation | None = None,
     least_radius_px: float = 0.0,
 ) -> WaveGrid | None:
-    """The coarsest grid that is good enough; None where there is none."""
+    """The coarsest grid within tolerance; None without one."""
     field = _FieldImages(planner, wavelength_nm, collimation, least_radius_px)
     at, radial, last = (FIRST_CUT, True, math.inf) if field.cuts else (0, False, math.inf)
     while True:
