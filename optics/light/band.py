@@ -95,23 +95,7 @@ class TopHat:
         return np.unique(corners)
 
     def transmission(self, wavelength_nm: ArrayLike) -> FloatArray:
-        """Fraction let through; a step counts as inside.
-
-        Parameters
-        ----------
-        wavelength_nm : array_like
-            Wavelengths [nm], any shape.
-
-        Returns
-        -------
-        numpy.ndarray
-            The same shape.
-
-        Raises
-        ------
-        DomainError
-            NaN.
-        """
+        """Fraction let through at wavelengths [nm] of any shape; a step counts as inside; DomainError on NaN."""
         inside = 0.5 * self.width_nm - np.abs(_finite_wavelength(wavelength_nm, self.name) - self.centre_nm)
         if self.edge_nm == 0.0:
             return np.where(inside >= 0.0, self.peak, 0.0)

@@ -77,23 +77,7 @@ class Blackbody:
         return np.empty(0)
 
     def photon_density(self, wavelength_nm: ArrayLike) -> FloatArray:
-        """Photons leaving the surface.
-
-        Parameters
-        ----------
-        wavelength_nm : array_like
-            Wavelengths [nm], any shape.
-
-        Returns
-        -------
-        numpy.ndarray
-            Photons s^-1 mm^-2 nm^-1, the same shape.
-
-        Raises
-        ------
-        DomainError
-            Wavelength not positive, NaN or beyond 1 cm.
-        """
+        """Photons s^-1 mm^-2 nm^-1 leaving the surface, at wavelengths [nm] of any shape, up to 1 cm."""
         wave = checked_wavelength(wavelength_nm, self.range_nm, f"blackbody of {self.temperature_k:g} K")
         # exp(-x) / (1 - exp(-x)) instead of 1 / (exp(x) - 1): no overflow for cold bodies in the blue
         decay = -_SECOND_RADIATION_NM_K / (wave * self.temperature_k)
@@ -141,22 +125,6 @@ class TabulatedSed(Curve):
         return self.wavelength_nm
 
     def photon_density(self, wavelength_nm: ArrayLike) -> FloatArray:
-        """Photons s^-1 mm^-2 nm^-1, or proportional to it.
-
-        Parameters
-        ----------
-        wavelength_nm : array_like
-            Wavelengths [nm], any shape.
-
-        Returns
-        -------
-        numpy.ndarray
-            The same shape.
-
-        Raises
-        ------
-        DomainError
-            Outside the table.
-        """
+        """Photons s^-1 mm^-2 nm^-1, or proportional to it, at wavelengths [nm] of any shape in the table."""
         value = self.interpolate(wavelength_nm)
         return value if self.quantity == "photon" else value * np.asarray(wavelength_nm, float) / PHOTON_J_NM
