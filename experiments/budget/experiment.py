@@ -1,7 +1,7 @@
 """The error budget: every term predicted without frames, measured in the virtual laboratory, and summed.
 
 Terms and sum are here; further parts of the study have their own modules: `chromatic` (Table 1), `thermal`,
-`tolerances`, `attitude`.
+`attitude`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from experiments.budget.measure import Measurement, measure_terms, steps_of
 from experiments.budget.predict import PredictedTerms, coarse_terms, predict_terms
 from experiments.budget.settings import Config
 from experiments.budget.thermal import THERMAL, Thermal, thermal_term
-from experiments.budget.tolerances import TOLERANCES, tolerance_study
 from experiments.harness.drawings import bars
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
@@ -346,8 +345,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         frames = measure_terms(lab, advance=stage.advance)
     with progress.stage("temperature"):
         thermal = thermal_term(lab, streams.child("temperature"))
-    with progress.stage("built lenses", total=config.tolerances.draws) as stage:
-        built = tolerance_study(lab, streams.child("tolerances"), advance=stage.advance)
     first, seen = predicted[config.centroid], frames[config.centroid]
     with progress.stage("attitude", total=len(config.attitude.counts)) as stage:
         of_stars = StarErrors.of(seen.budget)
@@ -369,7 +366,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         "parts": parts(first, seen),
         "chromatic": table1_of(first.chromatic, seen.chromatic),
         "collimator": collimator(lab, frames),
-        "tolerances": built,
         **study,
         "thermal": thermal if isinstance(thermal, Thermal) else None,
     }
@@ -440,7 +436,6 @@ SECTIONS = {
     "parts": Section(record=Parts, place="parts", table="parts", rows="axis", caption="Parts of the terms, 3 sigma."),
     "chromatic": TABLE1,
     "collimator": COLLIMATOR,
-    "tolerances": TOLERANCES,
     **attitude.SECTIONS,
     "thermal": THERMAL,
 }

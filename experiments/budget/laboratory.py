@@ -163,7 +163,7 @@ _KEPT: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
 _MOST_KEPT = 32
 _NO_LIGHT: dict[str, Any] = {
     **dict.fromkeys(("frames", "dark_frames", "centroid", "compare", "hexapod", "attitude", "thermal"), True),
-    **dict.fromkeys(("tolerances", "published_within_fraction", "predict_only"), True),
+    **dict.fromkeys(("published_within_fraction", "predict_only"), True),
     "source": {"signal_e", "magnitude_mag"},
     "grid": {"marking_error_arcsec", "surveys", "order", "reference"},
     "detector": {"read_noise_e", "prnu", "dark_current_e_per_s", "sensor_seed"},

@@ -85,20 +85,10 @@ class ThermalConfig(StrictModel):
     )
 
 
-class ToleranceConfig(StrictModel):
-    """Monte Carlo over manufactured lenses: standard deviations for every element and both axes."""
-
-    decentre_um: float = Field(default=10.0, ge=0, le=1000, description="decentre per axis")
-    tilt_arcmin: float = Field(default=0.5, ge=0, le=60, description="tilt per axis, about the first vertex")
-    despace_um: float = Field(default=10.0, ge=0, le=1000, description="shift along the axis")
-    draws: int = Field(default=200, ge=2, le=100_000, description="lenses drawn")
-    limit_px: float = Field(default=80.0, gt=0, le=1e5, description="largest accepted boresight shift of a lens")
-
-
 class Config(SweptConfig, SensorExperimentConfig):
     """Instrument and tests of the error budget."""
 
-    NOT_SWEPT = frozenset({"attitude", "thermal", "tolerances"})
+    NOT_SWEPT = frozenset({"attitude", "thermal"})
 
     instrument: InstrumentConfig = InstrumentConfig()
     detector: DetectorConfig = DetectorConfig()
@@ -123,7 +113,6 @@ class Config(SweptConfig, SensorExperimentConfig):
         description="other centroiders for the same frames; epsf_measured: PSF built from frames",
     )
     attitude: AttitudeConfig = AttitudeConfig()
-    tolerances: ToleranceConfig = ToleranceConfig()
     published_within_fraction: float | None = Field(
         default=None,
         gt=0,
@@ -182,7 +171,6 @@ rendered = Experiment(
         "target.columns": 3,
         "steps.places": 1,
         "steps.positions": 6,
-        "tolerances.draws": 30,
         "attitude.trials": 500,
         "attitude.counts": [2, 5, 10, 30],
     },

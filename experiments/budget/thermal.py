@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from experiments.budget.laboratory import Laboratory, build_laboratory
-from experiments.budget.tolerances import cubic_basis
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.point_frames import read_points
@@ -71,6 +70,13 @@ class Thermal:
     paraxial_ppm_per_k: float = col("Scale, paraxial", "1e-6/K", ".2f", json="scale_ppm_per_k.paraxial")
     focus_um_per_k: float = col("Focus behind the detector", "um/K", "+.2f")
     corner_px_per_k: float = col("Outermost star", "px/K", ".3f", json="outermost_star_px_per_k")
+
+
+def cubic_basis(place_px: FloatArray) -> FloatArray:
+    """Values (n, 10) of the monomials up to the third degree (ACC18 eq. 19), coordinates scaled to -1 ... 1."""
+    low, high = place_px.min(0), place_px.max(0)
+    x, y = ((2.0 * place_px - low - high) / (high - low)).T
+    return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
 
 
 def chamber(lab: Laboratory, temperature_c: float) -> Laboratory:

@@ -11,10 +11,8 @@ from experiments.budget.combine import TERMS
 from experiments.budget.laboratory import build_laboratory
 from experiments.budget.predict import coarse_terms, predict_terms
 from experiments.budget.settings import Config, main
-from experiments.budget.tolerances import BUILT, tolerance_study
 from experiments.harness.config import load_config
 from experiments.laboratory.temporal_error import small_sample_factor
-from render.engine.random import Streams
 
 SMALL = [
     "target.rows=2",
@@ -79,23 +77,6 @@ def test_more_light_less_noise(small):
     assert np.array_equal(noisy["LSFE-S"].arcsec, quiet["LSFE-S"].arcsec)
 
 
-@pytest.mark.slow
-def test_built_lenses_scatter_as_their_sensitivities_add_up(engine):
-    settings = ["tolerances.draws=60", "target.rows=2", "target.columns=2", "tolerances.decentre_um=5"]
-    lab = build_laboratory(load_config(Config, settings=settings))
-    study = tolerance_study(lab, Streams(2))
-    assert study.lost == 0
-    spread = study.signed_arcsec.std(0, ddof=1)
-    np.testing.assert_allclose(spread, study.linear_arcsec, rtol=4 / np.sqrt(2 * 59))
-    assert np.abs((study.signed_arcsec - study.nominal_arcsec).mean(0)).max() < 4 * study.linear_arcsec.max() / np.sqrt(
-        60
-    )
-    # a cubic polynomial of its own follows what decentres do to the map; the design's map does not
-    errors = dict(zip(BUILT, study.built_arcsec, strict=True))
-    largest, median = errors["distortion_residual_arcsec_3sigma"][-1], errors["uncalibrated_arcsec_3sigma"][0]
-    assert largest.max() < 0.3 * median.min()
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -117,7 +98,7 @@ MARKING_ARCSEC, POINTS, COEFFICIENTS, SURVEYS = 2.0, 20, 6, 40
 
 TARGET = {"target__rows": 2, "target__columns": 2, "target__pitch_px": 45.1, "target__edge_px": 40}
 GRID = {"grid__rows": 4, "grid__columns": 5, "grid__order": 2, "grid__edge_px": 40, "grid__reference": "nominal"}
-FEW = {"frames": 8, "dark_frames": 20, "steps__places": 1, "steps__positions": 3, "tolerances__draws": 4}
+FEW = {"frames": 8, "dark_frames": 20, "steps__places": 1, "steps__positions": 3}
 TINY = {
     "centroid": "epsf",
     "compare": ["cog"],

@@ -9,8 +9,7 @@ import pytest
 
 from experiments.budget.attitude import _smooth
 from experiments.budget.experiment import pulls
-from experiments.budget.thermal import PLACES, _left, _slopes, _smooth_rms, field_directions
-from experiments.budget.tolerances import _fitted, cubic_basis
+from experiments.budget.thermal import PLACES, _left, _slopes, _smooth_rms, cubic_basis, field_directions
 
 
 def test_stars_are_spread_over_the_detector_at_all_fractions_of_a_pixel(star_camera):
@@ -38,9 +37,8 @@ def test_what_a_fit_leaves_counts_its_parameters():
     smooth *= [0.05, 0.08] / smooth.std(0)
     noise = np.array([0.03, 0.05])
     drawn = smooth + noise * rng.standard_normal((300, 48, 2))
-    for of in (_left, _fitted):
-        squares = np.mean([of(basis, one) ** 2 for one in drawn], axis=0)
-        np.testing.assert_allclose(np.sqrt(squares), noise, rtol=4.0 / np.sqrt(2 * 38 * 300))
+    squares = np.mean([_left(basis, one) ** 2 for one in drawn], axis=0)
+    np.testing.assert_allclose(np.sqrt(squares), noise, rtol=4.0 / np.sqrt(2 * 38 * 300))
     # the smooth map itself, of this RMS about its mean, without what the noise of its terms adds
     found, stated = np.transpose([_smooth_rms(basis, one) for one in drawn], (1, 0, 2))
     np.testing.assert_allclose(found.mean(0), [0.05, 0.08], atol=4.0 * 0.05 / np.sqrt(48 * 300))
@@ -69,7 +67,7 @@ def test_drawn_cubic_maps_have_unit_variance_over_the_field():
     assert (maps**2).mean((1, 2)).std() == pytest.approx(np.sqrt(2.0 / 18), rel=0.15)
     assert np.abs(maps.mean(1)).max() < 0.05
     basis = cubic_basis(place[0] * 1000.0 + 2000.0)
-    assert _fitted(basis, maps[0]).max() < 1e-9
+    assert _left(basis, maps[0]).max() < 1e-9
 
 
 @pytest.mark.parametrize(("name", "expected"), [("TE", [1.0, -2.0]), ("HSFE", [0.5 / 0.3, -2.5])])

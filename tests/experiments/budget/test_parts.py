@@ -1,4 +1,4 @@
-"""Parts of the budget that need no frames: sums, overrides, attitude, basis of the tolerances."""
+"""Parts of the budget that need no frames: sums, overrides, attitude, cubic basis."""
 
 from types import SimpleNamespace
 
@@ -12,7 +12,7 @@ from experiments.budget.combine import PRINTED, TERMS, Value, combine
 from experiments.budget.experiment import chief
 from experiments.budget.laboratory import build_laboratory, moved_lens
 from experiments.budget.settings import AttitudeConfig, Config, MovedConfig
-from experiments.budget.tolerances import cubic_basis
+from experiments.budget.thermal import cubic_basis
 from experiments.harness.config import load_config
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.run import configuration_file
