@@ -110,7 +110,6 @@ GAIN = {
         along="stars",
         prefix="gain_",
         place="gain_sweep",
-        table="gain",
         caption="Gain over free attitudes: ratio of the median line-of-sight errors of all skies.",
         note="Expected and bound: from the design of every sky. Standard errors from resampled skies.",
         figures={

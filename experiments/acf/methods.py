@@ -268,7 +268,6 @@ METHODS = {
         record=MethodErrors,
         dim="method",
         place="fig5[method]",
-        table="fig5",
         caption="ACF17 Fig. 5 with further methods: RMS errors; mean of the largest residual distortion.",
         figures={
             "fig5_distortion": panel("distortion_px", "Largest residual distortion"),
@@ -279,7 +278,6 @@ METHODS = {
         record=Pooled,
         dim="method",
         prefix="pooled_",
-        table="methods",
         caption="Errors of the methods of Fig. 5 per pixel of star noise, for all noise values together.",
         note="Line of sight: RMS over the detector after the best rotation.",
         verdicts=[
@@ -299,7 +297,6 @@ METHODS = {
         dim="unknown",
         prefix="pull_",
         place="pulls",
-        table="pulls",
         caption="RMS pull (error over predicted standard deviation) of the 14 unknowns; expected 1.",
     ),
     "fig5_all": Section(

@@ -301,7 +301,6 @@ REPROJECTION = {
         record=Fig4,
         dim="case",
         prefix="fig4_",
-        table="fig4",
         across="axis",
         columns="pixel_um stars rms_px expected_axis_px published_px",
         caption="ACF17 Fig. 4: reprojection of noise-free even frames at the noise of Table 2, gyro of Table 1.",
@@ -314,7 +313,6 @@ REPROJECTION = {
         dim="count",
         along="stars",
         prefix="counts_",
-        table="counts",
         caption="Mean RMS reprojection error at the noise of Table 2 against the number of stars in every frame.",
     ),
     "reprojection": Section(

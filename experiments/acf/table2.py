@@ -219,7 +219,6 @@ TABLE2 = {
         dim="unknown",
         prefix="table2_",
         place="table2[unknown]",
-        table="table2",
         caption="ACF17 Table 2: errors after calibration, published, measured, and the Cramér–Rao bound of one run.",
         note="Odd frames calibrate. Standard error of the mean: standard deviation of a run / √runs. "
         "The bound assumes a perfect gyro, as eq. 11 does; the last column includes the gyro's error.",

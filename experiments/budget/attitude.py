@@ -324,7 +324,6 @@ SECTIONS = {
         dim="stars",
         along="stars",
         prefix="curve_",
-        table="attitude_curve",
         rows="stars",
         across="reading component",
         caption="Attitude error against the number of stars, 3 sigma.",

@@ -247,7 +247,6 @@ own_frames = FramesTest(
         "calibration": Section(
             record=Residual,
             dim="pair",
-            table="calibration",
             across="step",
             caption="RMS length of the shift of a point, as measured and with camera parameters for each band.",
             note="Includes centroid noise.",
@@ -255,11 +254,10 @@ own_frames = FramesTest(
         "centroiders": Section(
             record=Centroider,
             dim="method",
-            table="centroiders",
             across="pair axis",
             caption="Results of every centroider for the same frames.",
         ),
-        "points": Section(record=Points, table="points", rows="pair point", across="axis", caption="All points."),
+        "points": Section(record=Points, rows="pair point", across="axis", caption="All points."),
     },
     head={"Mean shift, halved": ("table1_px", {})},
     captions={"shifts": "Shift of every point between two filters."},

@@ -562,7 +562,6 @@ SECTIONS = {
         dim="flag",
         along="flag",
         prefix="flag_",
-        table="flags",
         caption="Flags of the truth, and detection of these stars.",
         note="Usable: detected and without a flag. Flagged as blend: fraction of the detected stars.",
     ),
@@ -572,7 +571,6 @@ SECTIONS = {
         hidden="centroid_bin",
         prefix="centroid_",
         place="centroids",
-        table="centroids",
         caption="Centroid error of undisturbed stars against the bound.",
         note="Error: 1.4826 times the median absolute deviation, per axis. Bound: median, for the "
         "lens's PSF at each star's pixel phase, position and flux unknown, background known. "

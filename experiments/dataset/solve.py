@@ -345,7 +345,6 @@ SECTIONS = {
         dim="tried",
         along="frame",
         prefix="frame_",
-        table="solved_frames",
         across="axis",
         axes=_axes,
         caption="All frames to be solved.",

@@ -324,7 +324,6 @@ SECTIONS = {
         dim="method",
         prefix="method_",
         place="methods_arcsec_3sigma[method]",
-        table="centroiders",
         caption="ACC18's three numbers (3 σ) by every centroider.",
         verdicts=[
             agree(
@@ -344,7 +343,6 @@ SECTIONS = {
     ),
     "points": Section(
         record=Points,
-        table="points",
         rows="point",
         across="axis",
         caption="All points.",
@@ -353,7 +351,6 @@ SECTIONS = {
     "map": Section(
         record=TrueMap,
         prefix="map_",
-        table="map",
         rows="reference axis",
         columns="uncorrected_arcsec one_survey_arcsec point_out_arcsec row_out_arcsec all_surveys_arcsec "
         "forecast_arcsec",

@@ -184,7 +184,6 @@ own_frames = FramesTest(
             record=Order,
             dim="tried",
             along="tried",
-            table="orders",
             caption="Other orders of the polynomial: fit residuals, and error at points left out of the fit.",
         ),
         "choice": Section(

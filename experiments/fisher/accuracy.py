@@ -508,7 +508,6 @@ SECTIONS = {
         record=Accuracy,
         dim="acquisition",
         place="[acquisition]",
-        table="accuracy",
         across="end source",
         caption="Accuracy of single-frame star vectors (S300–S500).",
         note="Uncertainty 1 σ, interval by χ² with 2 (n − 1) degrees of freedom. Predicted: from the "
@@ -541,7 +540,6 @@ SECTIONS = {
     "causes": Section(
         record=Cause,
         dim="cause",
-        table="causes",
         across="acquisition",
         caption="Scatter by cause, per axis.",
         note="Expected: from covariances. Realised: in this run, with the truth in place of all other "

@@ -15,7 +15,6 @@ record, or a sequence of records along the dimension of the section, or None for
             record=FieldPoint,
             dim="field",
             along="field_deg",
-            table="fields",
             caption="Bias of sigma against the field angle.",
             figures={"field_bias": curves("field_deg", points="baseline_bias", lines="closed_form")},
             verdicts=[agree("baseline_bias", with_="closed_form")],
@@ -111,7 +110,7 @@ class Section:
     json: Mapping[str, Any] = field(default_factory=dict)
     # ``axes(quantities, value)``: dimensions that only this section has, described from its records
     axes: Callable[[Quantities, Any], None] | None = None
-    table: str = ""  # Name of its table and ECSV file; "" for none
+    table: str = ""  # Name of its table and ECSV file, if not that of the section; none without a caption
     rows: str = ""  # Dimensions that run down; ``dim`` and those of the columns by default
     across: str = ""  # Dimensions spread over columns
     # Columns that are shown, in this order; by default every field with ``shown``. A name that is no field of the
@@ -124,6 +123,10 @@ class Section:
     note: str = ""  # Small print below the table
     figures: Mapping[str, Callable[..., Figure]] = field(default_factory=dict)  # Name -> figure of an outcome
     verdicts: Sequence[Verdict] = ()
+
+    def table_name(self, name: str) -> str:
+        """Name of the table of the section ``name``; "" where it has none."""
+        return self.table or (name if self.caption else "")
 
     def columns_of(self) -> dict[str, Mapping[str, Any]]:
         """Fields of the record that are quantities -> their `col` descriptions."""
@@ -242,8 +245,8 @@ def single_numbers(data: Any) -> dict[str, Quantity]:
 
 def tabulated(sections: Mapping[str, Section], outcome: Outcome, *, every: bool = False) -> dict[str, Pivot | Table]:
     """Tables of the sections that have one; with ``every`` all their columns."""
-    there = [one for name, one in sections.items() if one.table and outcome.result.get(name) is not None]
-    return {section.table: section.table_of(outcome.data, every=every) for section in there}
+    there = {one.table_name(name): one for name, one in sections.items() if outcome.result.get(name) is not None}
+    return {name: section.table_of(outcome.data, every=every) for name, section in there.items() if name}
 
 
 def judged(sections: Mapping[str, Section], outcome: Outcome) -> list[Criterion]:

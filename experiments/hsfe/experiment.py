@@ -323,7 +323,6 @@ SECTIONS = {
         record=Cause,
         dim="cause",
         axes=lambda q, _: q.axis("cause", list(CAUSE_NAMES), "Cause", names=CAUSE_NAMES),
-        table="causes",
         rows="method cause",
         across="axis",
         columns="alone_arcsec off_arcsec cause_predicted_arcsec",
@@ -343,6 +342,6 @@ SECTIONS = {
             "s_curves": curves("phase_px", lines="s_curve_px", by="method", level=0.0, width="half", aspect_ratio=1.0)
         },
     ),
-    "residuals": Section(record=Residuals, dim="step", table="residuals", across="axis", caption="Residuals."),
+    "residuals": Section(record=Residuals, dim="step", across="axis", caption="Residuals."),
     "sight": SIGHT,
 }

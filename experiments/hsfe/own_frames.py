@@ -168,7 +168,6 @@ own_frames = FramesTest(
         "positions": Section(
             record=Position,
             dim="series",
-            table="positions",
             across="axis",
             columns="frames seen_px commanded_px",
             caption="Shift of the whole image since the first position, as measured and as commanded.",

@@ -81,7 +81,7 @@ class FramesTest:
     def parts(self, result: Mapping[str, Any]) -> dict[str, Section]:
         """Common sections and its own; what the sample does not carry is said below its first table."""
         own = dict(self.sections)
-        chief = next(name for name, one in own.items() if one.table)
+        chief = next(name for name, one in own.items() if one.table_name(name))
         said = result["folder"].few_text if "folder" in result else ""
         if said:
             own[chief] = replace(own[chief], note=f"{said} {own[chief].note}".strip())
@@ -95,7 +95,7 @@ class FramesTest:
     @property
     def tables(self) -> list[str]:
         """Names of its own tables, the chief one first."""
-        return [one.table for one in self.sections.values() if one.table]
+        return [title for name, one in self.sections.items() if (title := one.table_name(name))]
 
     def headline(self, outcome: Outcome) -> dict[str, Quantity]:
         """Label -> number, for the head of the report; further dimensions are spread."""
@@ -211,7 +211,6 @@ COMMON = {
         record=Series,
         dim="series",
         place="series[series]",
-        table="series",
         caption="Frames, equivalent independent frames, mean electrons in a window, smallest fraction of "
         "frames with a position.",
         verdicts=[
@@ -256,7 +255,6 @@ POINTS = {
     "points": Section(
         record=Point,
         dim="point",
-        table="points",
         across="axis",
         caption="Centroids of the last series, first centroider; σ of a single frame.",
     ),

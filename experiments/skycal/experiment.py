@@ -484,7 +484,6 @@ SECTIONS: dict[str, Section] = {
     "methods": Section(
         record=MapError,
         dim="method",
-        table="methods",
         rows="camera method",
         columns="measured_rms_arcsec measured_predicted_arcsec corrected_rms_arcsec noise_map_rms_arcsec "
         "corrected_predicted_arcsec corrected_sigma_f_um corrected_reduced_chi2",

@@ -461,7 +461,6 @@ SECTIONS = {
         along="limb_deg",
         place="limb[limb]",
         prefix="limb_",
-        table="limb",
         caption="Electrons per pixel from the fully lit Earth.",
     ),
     "frames": Section(
@@ -470,7 +469,6 @@ SECTIONS = {
         along="sun_deg",
         prefix="sun_",
         place="frames[sun]",
-        table="frames",
         caption="Frames of the real sky by angle of the Sun, mean over the attitudes.",
         figures={
             "rates": curves("sun_light_e", points="sun_lost", log="x", y="Stars lost", aspect_ratio=0.8, width="half"),
@@ -486,7 +484,7 @@ SECTIONS = {
         },
     ),
     "exclusion": Section(
-        record=Exclusion, table="exclusion", vertical=True, caption="Exclusion angles."
+        record=Exclusion, vertical=True, caption="Exclusion angles."
     ),
     "changes": Section(
         record=Change,

@@ -204,7 +204,6 @@ SECTIONS = {
             "bound_arcsec": "cramer_rao",
             "ratio": "",
         },
-        table="levels",
         caption="Temporal error (3 σ) against signal.",
         note=NOTE,
         figures={
@@ -244,7 +243,6 @@ SECTIONS = {
     "stars": Section(
         record=Star,
         dim="star",
-        table="stars",
         prefix="star_",
         across="axis",
         caption="Standard deviation of each star at the signal of the source, first centroider.",

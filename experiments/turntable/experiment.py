@@ -481,7 +481,6 @@ SECTIONS = {
     "unknowns": Section(
         record=Unknown,
         dim="unknown",
-        table="unknowns",
         across="table",
         caption="Unknowns of the joint calibration.",
         note="Run: rendered, leans fitted, ± 1 σ of the estimator's covariance. Pull: (estimate − "
@@ -512,14 +511,12 @@ SECTIONS = {
         record=Known,
         dim="known",
         along="given",
-        table="knowledge",
         across="table",
         caption="Cramér–Rao bound of the map error with additional knowledge.",
     ),
     "places": Section(
         record=Place,
         dim="table",
-        table="places",
         rows="table place",
         across="axis turn",
         hidden="place",

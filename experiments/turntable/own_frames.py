@@ -79,7 +79,6 @@ own_frames = FramesTest(
             record=Unknown,
             dim="unknown",
             along="unknown_name",
-            table="unknowns",
             caption="Unknowns of the joint calibration, in the unit at the end of the name.",
             note="One standard deviation by the stated noise. Star: direction in the laboratory, the table's frame at "
             "zero angles; theta: installation (cam from table top) by ACF17; lean: 90° minus the angle of neighbouring "
@@ -96,7 +95,6 @@ own_frames = FramesTest(
         "poses": Section(
             record=Pose,
             dim="series",
-            table="poses",
             across="axis",
             caption="Images of the poses.",
             figures={"residuals": arrows("place_px", "left_arcsec", frame="frame_size_px")},

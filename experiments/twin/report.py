@@ -644,16 +644,13 @@ SECTIONS: dict[str, Section] = {
             "close": partial(pictures, number=0, half_px=96),
         },
     ),
-    "camera": Section(
-        record=CameraNumbers, vertical=True, table="camera", caption="Measured properties of the camera."
-    ),
+    "camera": Section(record=CameraNumbers, vertical=True, caption="Measured properties of the camera."),
     "frames": Section(
         record=FrameNumbers,
         dim="frame",
         axes=_named("frame", "Frame"),
         prefix="frame_",
         place="frames[frame]",
-        table="frames",
         caption="Frames, and frames rendered by twins measured without them.",
         verdicts=[_verdict(_each_frame, "frame_off_percent", "frame_noise_percent")],
     ),
@@ -663,7 +660,6 @@ SECTIONS: dict[str, Section] = {
         axes=_named("order_name", "Model"),
         prefix="order_",
         place="orders[order_name]",
-        table="orders",
         caption="Camera models, cross-validated: each frame predicted from the others.",
         note="Chosen: the simplest within one standard error of the best, paired by frames.",
     ),
@@ -685,7 +681,6 @@ SECTIONS: dict[str, Section] = {
         along="colour",
         prefix="colour_",
         place="colour_terms[knot]",
-        table="colours",
         caption="Colour term, zero at 5040 K.",
         figures={
             "colour_term": curves("knot", points="colour_measured_mag", lines="colour_twin_mag", aspect_ratio=0.4)
@@ -697,7 +692,6 @@ SECTIONS: dict[str, Section] = {
         axes=_named("cause", "Cause"),
         prefix="cause_",
         place="residuals[cause]",
-        table="causes",
         caption="Residuals of bright stars after the calibration, per axis.",
     ),
     "comparison": Section(
@@ -706,7 +700,6 @@ SECTIONS: dict[str, Section] = {
         axes=_named("statistic", "Statistic", "key"),
         place="comparison[statistic]",
         columns="real twin off allowed within",
-        table="comparison",
         caption="Real and rendered frames; each frame is rendered by a twin measured without it.",
         note="Off: (twin − real) / real (for magnitudes, correlations and fractions: twin − real); ±: "
         "noise of a single set, from the scatter of the rendered sets.",
@@ -717,7 +710,6 @@ SECTIONS: dict[str, Section] = {
         dim="bin",
         along="magnitude_mag",
         place="completeness[bin]",
-        table="completeness",
         caption="Fraction of the catalogue stars detected, per half magnitude.",
         figures={
             "completeness_plot": curves(
@@ -729,7 +721,6 @@ SECTIONS: dict[str, Section] = {
     "detected": Section(
         record=Detected,
         vertical=True,
-        table="detected",
         caption="False detections in all frames, and separability of real and rendered stars.",
         verdicts=[_verdict(_false, "false_pull")],
     ),
@@ -739,7 +730,6 @@ SECTIONS: dict[str, Section] = {
         axes=_named("feature", "Feature"),
         prefix="feature_",
         place="features[feature]",
-        table="features",
         caption="Differences between real and rendered star windows.",
         figures={"feature_bars": bars("feature", bars="feature_effect")},
     ),
@@ -747,7 +737,6 @@ SECTIONS: dict[str, Section] = {
         record=LensPose,
         prefix="lens_",
         vertical=True,
-        table="pose",
         caption="Detector position behind the known lens, from the frames.",
     ),
     "truth": Section(
@@ -756,7 +745,6 @@ SECTIONS: dict[str, Section] = {
         axes=_named("parameter", "Number"),
         prefix="known_",
         place="truth[parameter]",
-        table="truth",
         caption="Measured values and true values of the rendering camera.",
         verdicts=[
             agree("known_found", with_="known_true", each="parameter", false_alarm=2e-3, title="measured against truth")
