@@ -111,5 +111,4 @@ class Response(Curve):
 
     @property
     def title(self) -> str:
-        """Name in messages."""
         return self.name

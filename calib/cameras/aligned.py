@@ -60,15 +60,12 @@ class AlignedCamera(CameraModel):
         return self.model.parameter_scales
 
     def project(self, direction: ArrayLike, band: ArrayLike | None = None) -> FloatArray:
-        """Pixels (n, 2) of directions (n, 3) in cam."""
         return self.model.project(checked_vectors(direction, 3, "direction") @ self.rotation_model_from_cam.T, band)
 
     def project_jacobian(self, direction: ArrayLike, band: ArrayLike | None = None) -> Projection:
-        """Pixels (n, 2), their derivatives by direction (n, 2, 3) and parameters (n, 2, p)."""
         turned = checked_vectors(direction, 3, "direction") @ self.rotation_model_from_cam.T
         at = self.model.project_jacobian(turned, band)
         return Projection(at.pixel_px, at.by_direction @ self.rotation_model_from_cam, at.by_parameter)
 
     def unproject(self, pixel_px: ArrayLike, band: ArrayLike | None = None) -> FloatArray:
-        """Unit vectors (n, 3) in cam that are imaged at pixels (n, 2)."""
         return np.asarray(self.model.unproject(pixel_px, band) @ self.rotation_model_from_cam)

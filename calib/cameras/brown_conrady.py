@@ -98,7 +98,6 @@ class BrownConrady(CameraModel):
         return np.concatenate([[1.0, 1.0], edge_scales(self.geometry, self.parameters[2])])
 
     def project(self, direction: ArrayLike, band: ArrayLike | None = None) -> FloatArray:
-        """Pixels (n, 2) of directions (n, 3), NaN behind the camera; ``band`` makes no difference."""
         vector = checked_vectors(direction, 3, "direction")
         x0, y0, f = self.parameters[:3].tolist()
         pitch = self.geometry.pixel_pitch_mm
@@ -114,7 +113,6 @@ class BrownConrady(CameraModel):
         return pixel
 
     def project_jacobian(self, direction: ArrayLike, band: ArrayLike | None = None) -> Projection:
-        """Pixels (n, 2), their derivatives by direction (n, 2, 3) and parameters (n, 2, 8)."""
         vector = checked_vectors(direction, 3, "direction")
         offset = self.geometry.centre_px + self.parameters[:2]
         pixel = np.empty((len(vector), 2))
@@ -130,7 +128,6 @@ class BrownConrady(CameraModel):
         return Projection(pixel, by_direction, by_parameter)
 
     def unproject(self, pixel_px: ArrayLike, band: ArrayLike | None = None) -> FloatArray:
-        """Directions (n, 3) of pixels (n, 2); NaN beyond the fold of the distortion. ``band`` makes no difference."""
         pixel = checked_vectors(pixel_px, 2, "pixel_px")
         image = (pixel - (self.geometry.centre_px + self.parameters[:2])) * self.geometry.pixel_pitch_mm
         x, y = undistort(image[:, 0], image[:, 1], self.parameters[3:])

@@ -100,7 +100,6 @@ class PerBand(CameraModel):
         return BrownConrady(geometry=self.geometry, parameters=np.concatenate([own, self.parameters[3 * self.bands :]]))
 
     def project(self, direction: ArrayLike, band: ArrayLike | None = None) -> FloatArray:
-        """Pixels (n, 2) of directions (n, 3) in their bands, NaN behind the camera."""
         vector = checked_vectors(direction, 3, "direction")
         out = np.empty((len(vector), 2))
         for k, rows in self._rows(band, len(vector)):
@@ -108,7 +107,6 @@ class PerBand(CameraModel):
         return out
 
     def project_jacobian(self, direction: ArrayLike, band: ArrayLike | None = None) -> Projection:
-        """Pixels (n, 2), their derivatives by direction (n, 2, 3) and parameters (n, 2, 3 b + 5)."""
         vector = checked_vectors(direction, 3, "direction")
         pixel = np.empty((len(vector), 2))
         by_direction = np.empty((len(vector), 2, 3))
@@ -121,7 +119,6 @@ class PerBand(CameraModel):
         return Projection(pixel, by_direction, by_parameter)
 
     def unproject(self, pixel_px: ArrayLike, band: ArrayLike | None = None) -> FloatArray:
-        """Directions (n, 3) of pixels (n, 2) in their bands; NaN beyond the fold of the distortion."""
         pixel = checked_vectors(pixel_px, 2, "pixel_px")
         out = np.empty((len(pixel), 3))
         for k, rows in self._rows(band, len(pixel)):

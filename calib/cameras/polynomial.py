@@ -163,7 +163,6 @@ class Polynomial(CameraModel):
         return 0.5 * self.geometry.pixel_pitch_mm * max(self.geometry.width_px, self.geometry.height_px)
 
     def project(self, direction: ArrayLike, band: ArrayLike | None = None) -> FloatArray:
-        """Pixels (n, 2) of directions (n, 3), NaN behind the camera; ``band`` makes no difference."""
         vector = checked_vectors(direction, 3, "direction")
         pixel = np.empty((len(vector), 2))
         cx, cy = self._coefficients()
@@ -179,7 +178,6 @@ class Polynomial(CameraModel):
         return pixel
 
     def project_jacobian(self, direction: ArrayLike, band: ArrayLike | None = None) -> Projection:
-        """Pixels (n, 2), their derivatives by direction (n, 2, 3) and parameters (n, 2, p)."""
         vector = checked_vectors(direction, 3, "direction")
         pixel = np.empty((len(vector), 2))
         by_direction = np.empty((len(vector), 2, 3))
@@ -192,7 +190,6 @@ class Polynomial(CameraModel):
         return Projection(pixel, by_direction, by_parameter)
 
     def unproject(self, pixel_px: ArrayLike, band: ArrayLike | None = None) -> FloatArray:
-        """Directions (n, 3) of pixels (n, 2); NaN beyond the fold of the polynomial. ``band`` makes no difference."""
         pixel = checked_vectors(pixel_px, 2, "pixel_px")
         f, per = self.parameters[0], self.nominal_focal_length_mm / self.half_side_mm
         if f <= 0:

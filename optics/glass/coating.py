@@ -125,7 +125,6 @@ class Stack(Coating):
     def split(
         self, wavelength_nm: ArrayLike, n_before: ArrayLike, n_after: ArrayLike, cos_incidence: ArrayLike = 1.0
     ) -> Split:
-        """As `Coating.split`."""
         wave, first, last = (np.asarray(v, dtype=np.float64) for v in (wavelength_nm, n_before, n_after))
         sine2 = first**2 * (1.0 - np.minimum(np.asarray(cos_incidence, dtype=np.float64), 1.0) ** 2)
         films = self.films if np.mean(first) <= np.mean(last) else self.films[::-1]
@@ -200,7 +199,6 @@ class QuarterWave(Coating):
     def split(
         self, wavelength_nm: ArrayLike, n_before: ArrayLike, n_after: ArrayLike, cos_incidence: ArrayLike = 1.0
     ) -> Split:
-        """As `Coating.split`."""
         return self.stack.split(wavelength_nm, n_before, n_after, cos_incidence)
 
 
@@ -269,7 +267,6 @@ class TabulatedCoating(Coating):
     def split(
         self, wavelength_nm: ArrayLike, n_before: ArrayLike, n_after: ArrayLike, cos_incidence: ArrayLike = 1.0
     ) -> Split:
-        """As `Coating.split`."""
         ends = (float(self.wavelength_nm[0]), float(self.wavelength_nm[-1]))
         wave = checked_wavelength(wavelength_nm, ends, f"coating ({self.source})", "the table ends there")
         first, last, cosine = (np.asarray(v, dtype=np.float64) for v in (n_before, n_after, cos_incidence))

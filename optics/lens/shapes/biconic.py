@@ -35,7 +35,6 @@ class Biconic(Freeform):
 
     @property
     def curvature(self) -> float:
-        """Mean vertex curvature [1/mm]."""
         return 0.5 / self.radius_x_mm + 0.5 / self.radius_y_mm
 
     @property
@@ -49,7 +48,6 @@ class Biconic(Freeform):
 
     @classmethod
     def surface(cls, p: Sequence[Any], x: Any, y: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any, Any]:
-        """Sag, its slopes along x and y, whether the surface reaches so far."""
         cx, cy, kx, ky = p
         w2 = 1.0 - (1.0 + kx) * cx * cx * x * x - (1.0 + ky) * cy * cy * y * y
         w = xp.sqrt(xp.maximum(w2, 1e-12))
@@ -61,9 +59,7 @@ class Biconic(Freeform):
         return sag, along_x, along_y, w2 > 0.0
 
     def flipped(self) -> Self:
-        """The surface seen from behind."""
         return replace(self, radius_x_mm=-self.radius_x_mm, radius_y_mm=-self.radius_y_mm)
 
     def scaled(self, factor: float) -> Self:
-        """The surface expanded uniformly."""
         return replace(self, radius_x_mm=self.radius_x_mm * factor, radius_y_mm=self.radius_y_mm * factor)

@@ -43,7 +43,6 @@ class Conic(Curved):
 
     @staticmethod
     def intersect(p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
-        """Intersect rays that stand on the vertex plane; parameters: c, k."""
         c, k = p[0], p[1]
         dx, dy, dz = d
         f = c * (x * x + y * y)
@@ -58,5 +57,4 @@ class Conic(Curved):
         return Hit(s, x, y, z, nx * scale, ny * scale, nz * scale, root * scale, valid)
 
     def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Sag [mm]; NaN beyond the rim."""
         return profile_sag(lambda r2: conic_profile(self.curvature, self.conic, r2, NUMPY), x_mm, y_mm)

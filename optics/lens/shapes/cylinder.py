@@ -27,7 +27,6 @@ class Cylinder(Freeform, Curved):
 
     @property
     def curvature(self) -> float:
-        """Mean vertex curvature [1/mm]."""
         return 0.5 / self.radius_mm
 
     @property
@@ -41,6 +40,5 @@ class Cylinder(Freeform, Curved):
 
     @classmethod
     def surface(cls, p: Sequence[Any], x: Any, y: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any, Any]:
-        """Sag, its slopes along x and y, whether the surface reaches so far."""
         sag, slope, inside = conic_profile(p[0], p[1], y * y, xp)
         return sag + 0.0 * x, 0.0 * x, 2.0 * slope * y, inside

@@ -44,7 +44,6 @@ class EvenAsphere(Asphere):
 
     @classmethod
     def profile(cls, p: Sequence[Any], r2: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any]:
-        """Sag, its derivative with respect to r^2, whether the conic reaches so far."""
         base, base_slope, inside = conic_profile(p[0], p[1], r2, xp)
         poly, slope = r2 * 0.0, r2 * 0.0
         for a in reversed(p[2:]):
@@ -54,11 +53,9 @@ class EvenAsphere(Asphere):
         return base + r2 * r2 * poly, base_slope + 2.0 * r2 * poly + r2 * r2 * slope, inside
 
     def flipped(self) -> Self:
-        """The surface seen from behind."""
         return replace(self, radius_mm=-self.radius_mm, asphere=tuple(-a for a in self.asphere))
 
     def scaled(self, factor: float) -> Self:
-        """The surface expanded uniformly."""
         scaled = tuple(a * factor ** -(3 + 2 * j) for j, a in enumerate(self.asphere))
         return replace(self, radius_mm=self.radius_mm * factor, asphere=scaled)
 

@@ -55,11 +55,9 @@ class Freeform(Shape):
 
     @classmethod
     def intersect(cls, p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
-        """Intersect rays that stand on the vertex plane."""
         return surface_hit(lambda u, v: cls.surface(p, u, v, xp), cls.start(p, x, y, d, xp), x, y, d, xp)
 
     def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Sag [mm]; NaN where the surface does not reach."""
         x, y = np.broadcast_arrays(np.asarray(x_mm, float), np.asarray(y_mm, float))
         sag, _, _, inside = self.surface(self.parameters(), x, y, NUMPY)
         return np.where(inside, sag, np.nan)
@@ -95,7 +93,6 @@ class PolynomialFreeform(Freeform, Curved):
 
     @property
     def curvature(self) -> float:
-        """Mean vertex curvature [1/mm]."""
         c = self.monomials_mm()
         second = float(c[2, 0] + c[0, 2]) if len(c) > 2 else 0.0
         return 1.0 / self.radius_mm + second / self.norm_mm**2
@@ -108,7 +105,6 @@ class PolynomialFreeform(Freeform, Curved):
 
     @classmethod
     def surface(cls, p: Sequence[Any], x: Any, y: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any, Any]:
-        """Sag, its slopes along x and y, whether the conic reaches so far."""
         base, slope, inside = conic_profile(p[0], p[1], x * x + y * y, xp)
         sag, along_x, along_y = polynomial(p[3:], x * p[2], y * p[2])
         return base + sag, 2.0 * slope * x + p[2] * along_x, 2.0 * slope * y + p[2] * along_y, inside

@@ -38,7 +38,6 @@ class OddAsphere(Asphere):
 
     @classmethod
     def profile(cls, p: Sequence[Any], r2: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any]:
-        """Sag, its derivative with respect to r^2, whether the conic reaches so far."""
         base, base_slope, inside = conic_profile(p[0], p[1], r2, xp)
         r, poly, slope = xp.sqrt(r2), r2 * 0.0, r2 * 0.0
         for j in reversed(range(len(p) - 2)):
@@ -47,11 +46,9 @@ class OddAsphere(Asphere):
         return base + r2 * poly, base_slope + slope, inside
 
     def flipped(self) -> Self:
-        """The surface seen from behind."""
         terms = tuple(-a if a else a for a in self.terms)
         return replace(self, radius_mm=-self.radius_mm, terms=terms)
 
     def scaled(self, factor: float) -> Self:
-        """The surface expanded uniformly."""
         scaled = tuple(a * factor**-j for j, a in enumerate(self.terms))
         return replace(self, radius_mm=self.radius_mm * factor, terms=scaled)

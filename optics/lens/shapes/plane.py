@@ -20,7 +20,6 @@ class Plane(Shape):
 
     @property
     def curvature(self) -> float:
-        """Vertex curvature [1/mm]."""
         return 0.0
 
     def parameters(self) -> tuple[float, ...]:
@@ -29,11 +28,9 @@ class Plane(Shape):
 
     @staticmethod
     def intersect(p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
-        """Intersect rays that stand on the vertex plane."""
         return Hit(0.0, x, y, 0.0, 0.0, 0.0, 1.0, d[2], None)
 
     def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Sag [mm]: zero."""
         return np.zeros(np.broadcast_shapes(np.shape(x_mm), np.shape(y_mm)))
 
     def flipped(self) -> Self:
@@ -41,5 +38,4 @@ class Plane(Shape):
         return self
 
     def scaled(self, factor: float) -> Self:
-        """The plane itself."""
         return self

@@ -65,14 +65,11 @@ class Qbfs(Curved):
 
     @staticmethod
     def intersect(p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
-        """Intersect rays that stand on the vertex plane."""
         start = conic_path(p[0], p[1], x, y, d, xp)
         return newton_hit(lambda r2: Qbfs._profile(p, r2, xp), start, x, y, d, xp)
 
     def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Sag [mm]; NaN beyond the rim."""
         return profile_sag(lambda r2: self._profile(self.parameters(), r2, NUMPY), x_mm, y_mm)
 
     def flipped(self) -> Self:
-        """The surface seen from behind."""
         return replace(self, radius_mm=-self.radius_mm, q_mm=tuple(-a for a in self.q_mm))

@@ -33,12 +33,10 @@ class Qcon(Asphere):
 
     @classmethod
     def profile(cls, p: Sequence[Any], r2: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any]:
-        """Sag, its derivative with respect to r^2, whether the conic reaches so far."""
         base, base_slope, inside = conic_profile(p[0], p[1], r2, xp)
         x = p[2] * r2
         total, slope = qcon_sum(p[3:], x)
         return base + x * x * total, base_slope + p[2] * x * (2.0 * total + x * slope), inside
 
     def flipped(self) -> Self:
-        """The surface seen from behind."""
         return replace(self, radius_mm=-self.radius_mm, q_mm=tuple(-a for a in self.q_mm))

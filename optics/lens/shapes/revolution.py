@@ -44,7 +44,6 @@ class Curved(Shape):
 
     @property
     def curvature(self) -> float:
-        """Vertex curvature [1/mm]."""
         return 1.0 / self.radius_mm
 
     def flipped(self) -> Self:
@@ -150,10 +149,8 @@ class Asphere(Curved):
 
     @classmethod
     def intersect(cls, p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
-        """Intersect rays that stand on the vertex plane."""
         start = conic_path(p[0], p[1], x, y, d, xp)
         return newton_hit(lambda r2: cls.profile(p, r2, xp), start, x, y, d, xp)
 
     def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Sag [mm]; NaN beyond the rim."""
         return profile_sag(lambda r2: self.profile(self.parameters(), r2, NUMPY), x_mm, y_mm)

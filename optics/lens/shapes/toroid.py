@@ -37,7 +37,6 @@ class Toroid(Freeform, Curved):
 
     @property
     def curvature(self) -> float:
-        """Mean vertex curvature [1/mm]."""
         profile = 1.0 / self.radius_mm + (2.0 * self.terms[0] if self.terms else 0.0)
         return 0.5 * (profile + 1.0 / self.rotation_radius_mm)
 
@@ -52,7 +51,6 @@ class Toroid(Freeform, Curved):
 
     @classmethod
     def surface(cls, p: Sequence[Any], x: Any, y: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any, Any]:
-        """Sag, its slopes along x and y, whether the surface reaches so far."""
         y2, turn = y * y, p[0]
         base, base_slope, inside = conic_profile(p[1], p[2], y2, xp)
         poly, slope = 0.0 * y2, 0.0 * y2
@@ -69,7 +67,6 @@ class Toroid(Freeform, Curved):
         return sag, turn * x / w, fy * reach / w, inside & (w2 > 0.0) & (reach > 0.0)
 
     def flipped(self) -> Self:
-        """The surface seen from behind."""
         return replace(
             self,
             radius_mm=-self.radius_mm,
@@ -78,7 +75,6 @@ class Toroid(Freeform, Curved):
         )
 
     def scaled(self, factor: float) -> Self:
-        """The surface expanded uniformly."""
         return replace(
             self,
             radius_mm=self.radius_mm * factor,

@@ -48,7 +48,6 @@ class Zernike(PolynomialFreeform):
 
     @property
     def norm_mm(self) -> float:
-        """Normalisation radius [mm]."""
         return self.norm_radius_mm
 
     def _terms(self) -> Iterator[tuple[int, int, float, float]]:
@@ -59,7 +58,6 @@ class Zernike(PolynomialFreeform):
             yield n, m, norm, a
 
     def monomials_mm(self) -> FloatArray:
-        """Coefficients of x^i y^j [mm]."""
         terms = [term for term in self._terms() if term[3]]
         size = max((n for n, *_ in terms), default=0) + 1
         total = np.zeros((size, size))
