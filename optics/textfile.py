@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import codecs
+import math
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from optics.errors import ConfigError
 
@@ -90,3 +93,25 @@ def write_text(path: str | Path, text: str) -> Path:
         with suppress(OSError):
             beside.unlink()
     return path
+
+
+def toml_key(key: str) -> str:
+    """A key as TOML, quoted where it has to be."""
+    return key if key and all(c.isascii() and (c.isalnum() or c in "_-") for c in key) else toml_value(key)
+
+
+def toml_value(value: Any) -> str:
+    """A number, text, truth value, list or table of them as TOML."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{toml_key(k)} = {toml_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'
+    if isinstance(value, int):
+        return str(value)
+    number = float(value)
+    return repr(number) if math.isfinite(number) else ("nan" if math.isnan(number) else f"{'-' * (number < 0)}inf")

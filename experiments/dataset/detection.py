@@ -20,8 +20,8 @@ from scipy.spatial import cKDTree
 from scipy.stats import binom, norm
 
 from calib.flags import UNFIT, StarFlag, has_flag
+from calib.measure.centroid_prediction import phase_windows
 from calib.measure.crlb import fisher_information
-from calib.measure.epsf import draw_epsf
 from calib.records import NoiseModel
 from experiments.dataset.truth import FLAGS
 from experiments.harness.drawings import curves
@@ -141,7 +141,6 @@ def joined(parts: list[FoundStars]) -> FoundStars:
 BOUND_RADII = (0.0, 0.5, 0.9)
 """Where PSFs for the bound are taken: parts of the largest distance of a PSF from the middle."""
 PHASES = 8
-STEP_PX = 1e-4
 FLUX_KNOTS = 25
 
 
@@ -181,25 +180,14 @@ def centroid_bound(
     electrons: tuple[float, float],
 ) -> CentroidBound:
     """Bound for stars of unknown position and flux on a known background, in the window that is used."""
-    flux, middle = np.geomspace(*electrons, FLUX_KNOTS), (window_px - 1) / 2.0
-    phase = (np.arange(PHASES) + 0.5) / PHASES - 0.5
-    y, x = (value.ravel() + middle for value in np.meshgrid(phase, phase, indexing="ij"))
-
-    def images(psf: EffectivePsf, dx: float, dy: float) -> FloatArray:
-        return np.asarray(draw_epsf(psf, x + dx, y + dy, (window_px, window_px))).reshape(PHASES**2, -1)
-
+    flux, windows = np.geomspace(*electrons, FLUX_KNOTS), phase_windows(tuple(psfs), window_px, PHASES)
+    light = windows.light.reshape(len(windows.light), -1)
     sigma = np.empty((len(psfs), FLUX_KNOTS, PHASES, PHASES, 2))
-    for row, psf in enumerate(psfs):
-        unit = images(psf, 0.0, 0.0)
-        along_x, along_y = (
-            (images(psf, *step) - images(psf, *(-np.array(step)))) / (2.0 * STEP_PX)
-            for step in ((STEP_PX, 0.0), (0.0, STEP_PX))
-        )
-        for column, value in enumerate(flux):
-            jacobian = np.stack([value * along_x, value * along_y, unit], axis=1)
-            information = fisher_information(jacobian, value * unit + background_e, noise)
-            variance = np.diagonal(np.linalg.inv(information), axis1=1, axis2=2)[:, :2]
-            sigma[row, column] = np.sqrt(variance).reshape(PHASES, PHASES, 2)
+    for column, value in enumerate(flux):
+        jacobian = windows.jacobian * np.array([value, value, 1.0])[:, None]
+        inverse = np.linalg.inv(fisher_information(jacobian, value * light + background_e, noise))
+        variance = np.diagonal(inverse, axis1=1, axis2=2)[:, :2]
+        sigma[:, column] = np.sqrt(variance).reshape(len(psfs), PHASES, PHASES, 2)
     return CentroidBound(radius_px=np.asarray(radius_px, float), electrons=flux, sigma_px=sigma)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 import typing
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from experiments.harness.config import absolute, alternatives, unit_of
+from optics.textfile import toml_value
 from optics.validate import allowed_range
 
 _WIDTH = 110
@@ -26,19 +26,6 @@ def toml_text(config: BaseModel, heading: str = "") -> str:
     lines = [f"# {line}".rstrip() for line in textwrap.wrap(heading, _WIDTH)]
     lines += [*([""] if lines else []), *_table(config, ())]
     return "\n".join(lines).strip() + "\n"
-
-
-def toml_value(value: Any) -> str:
-    """A number, text, truth value, list or table of them as TOML."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, (tuple, list)):
-        return f"[{', '.join(map(toml_value, value))}]"
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(key)} = {toml_value(one)}" for key, one in value.items()) + "}"
-    return repr(value)
 
 
 def about(name: str, field: FieldInfo) -> str:

@@ -23,7 +23,7 @@ from experiments.twin.camera import Order, attitudes_of, calibrated, chosen_orde
 from experiments.twin.night import FieldStars, Night, field_stars, star_mask, star_sample
 from experiments.twin.noise import Blocks, NoiseFit, blocks_of, fit_noise
 from experiments.twin.photometry import POGSON, Photometry, fit_photometry
-from experiments.twin.psf import PsfModel, fit_psf, linear_fit
+from experiments.twin.psf import PsfModel, colour_class, fit_psf, linear_fit
 from experiments.twin.solve import matched, wahba
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
@@ -131,7 +131,7 @@ def psf_centroids(
         direction, stars = frame.direction[stars], frame.rows[stars]
         place = frame.seen.stars.pixel_px[rows]
         zone = np.argmin(((place[:, None] - zones) ** 2).sum(axis=2), axis=1) if len(rows) else np.empty(0, int)
-        colour = np.digitize(night.sky.temperature_k[stars], (4500.0, 5500.0, 7000.0))
+        colour = colour_class(night.sky.temperature_k[stars])
         stamps = extract_stamps(
             frame.image,
             place[:, 0],

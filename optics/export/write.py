@@ -15,7 +15,7 @@ from optics.lens.geometry import geometry_faults
 from optics.lens.measured import MeasuredLens, measured_table
 from optics.lens_file import LensFile
 from optics.rays.paraxial import axial_paraxial
-from optics.textfile import write_text
+from optics.textfile import toml_key, toml_value, write_text
 
 
 def write_lens(file: LensFile, path: str | Path) -> tuple[Path, ...]:
@@ -61,18 +61,18 @@ def _entrance_pupil(file: LensFile) -> float:
 def toml_lens(tables: Mapping[str, Any]) -> str:
     """A prescription as TOML text."""
     plain = {k: v for k, v in tables.items() if not _is_tables(v)}
-    lines = [f"{_key(key)} = {_value(value)}" for key, value in plain.items()]
+    lines = [f"{toml_key(key)} = {toml_value(value)}" for key, value in plain.items()]
     for key, value in tables.items():
         if isinstance(value, Mapping):
             inner = {k: v for k, v in value.items() if isinstance(v, Mapping)}
             if inner and len(inner) == len(value):
                 for name, table in inner.items():
-                    lines += ["", f"[{_key(key)}.{_key(name)}]", *_lines(table)]
+                    lines += ["", f"[{toml_key(key)}.{toml_key(name)}]", *_lines(table)]
             else:
-                lines += ["", f"[{_key(key)}]", *_lines(value)]
+                lines += ["", f"[{toml_key(key)}]", *_lines(value)]
         elif _is_tables(value):
             for table in value:
-                lines += ["", f"[[{_key(key)}]]", *_lines(table)]
+                lines += ["", f"[[{toml_key(key)}]]", *_lines(table)]
     return "\n".join(lines) + "\n"
 
 
@@ -83,28 +83,4 @@ def _is_tables(value: Any) -> bool:
 
 
 def _lines(table: Mapping[str, Any]) -> list[str]:
-    return [f"{_key(key)} = {_value(value)}" for key, value in table.items() if value is not None]
-
-
-def _key(key: str) -> str:
-    return key if key and all(c.isascii() and (c.isalnum() or c in "_-") for c in key) else _text(key)
-
-
-def _text(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    if isinstance(value, str):
-        return _text(value)
-    if isinstance(value, int):
-        return str(value)
-    number = float(value)
-    return repr(number) if math.isfinite(number) else ("nan" if math.isnan(number) else f"{'-' * (number < 0)}inf")
+    return [f"{toml_key(key)} = {toml_value(value)}" for key, value in table.items() if value is not None]
