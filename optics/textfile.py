@@ -5,7 +5,8 @@ from __future__ import annotations
 import codecs
 import math
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,6 +79,30 @@ def _encoding(data: bytes) -> str:
     except UnicodeDecodeError:
         return "iso-8859-1"
     return "utf-8"
+
+
+def two_columns(
+    lines: Sequence[str], shown: str, needed: str
+) -> tuple[list[tuple[int, list[str]]], list[tuple[float, float]]]:
+    """Heads (number of the line, its cells) and rows of two numbers, separated by commas, semicolons or blanks.
+
+    Lines that begin with ``#`` and further columns are left out; a line of words among the numbers is an error.
+    """
+    heads: list[tuple[int, list[str]]] = []
+    rows: list[tuple[float, float]] = []
+    for number, line in enumerate(lines, start=1):
+        cells = [cell for cell in re.split(r"[;,\s]+", line.strip()) if cell]
+        if not cells or cells[0].startswith("#"):
+            continue
+        try:
+            first, second = map(float, cells[:2])
+        except ValueError:
+            if rows:
+                raise ConfigError(f"{shown}, line {number}: {line.strip()!r}: {needed} are needed") from None
+            heads.append((number, cells))
+            continue
+        rows.append((first, second))
+    return heads, rows
 
 
 def write_text(path: str | Path, text: str) -> Path:

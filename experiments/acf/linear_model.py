@@ -16,10 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from calib.cameras.base import unproject_jacobian
 from optics.arrays import FloatArray, IntArray
@@ -137,7 +138,8 @@ def linked(design: Design, sigma_px: float, gyro: GyroError) -> FloatArray:
     """
     normal, scale = _scaled_normal(design)
     drift = _per_frame_drift(design) / scale[:, None]
-    inner = _blocks(design)
+    own = _drift(design)
+    inner = (own.T @ own).toarray()
     # sum over the gyro's errors as a prior, without inverting its singular covariance (the first frame has no error)
     prior = gyro.covariance
     carried = prior @ np.linalg.solve(sigma_px**2 * np.eye(len(prior)) + inner @ prior, drift.T)
@@ -193,11 +195,7 @@ def reprojections(
     ahead = judged.by_unknown() / scale
     parts = [ahead @ np.linalg.cholesky(np.linalg.inv(normal))]
     if gyro is not None:
-        drift = np.zeros((len(ahead), 3 * judged.frames))
-        own, frame = judged.by_drift(), np.repeat(judged.frame, 2)
-        for axis in range(3):
-            drift[np.arange(len(ahead)), 3 * frame + axis] = own[:, axis]
-        drift -= ahead @ np.linalg.solve(normal, _per_frame_drift(used) / scale[:, None])
+        drift = _drift(judged).toarray() - ahead @ np.linalg.solve(normal, _per_frame_drift(used) / scale[:, None])
         parts += [drift @ gyro.walk, drift @ gyro.steady]
     sources = np.concatenate(parts, axis=1)
     stars, unknowns, signs = len(judged.frame), len(scale), 0 if gyro is None else 3
@@ -269,23 +267,14 @@ def _frame_rows(design: Design) -> list[IntArray]:
     return np.split(order, edges)
 
 
+def _drift(design: Design) -> Any:
+    """(2 n, 3 f), sparse: shifts of the stars by the gyro's errors, each by that of its frame."""
+    own = design.by_drift()
+    column = 3 * np.repeat(design.frame, 2)[:, None] + np.arange(3)
+    row = np.broadcast_to(np.arange(len(own))[:, None], column.shape)
+    return csr_array((own.ravel(), (row.ravel(), column.ravel())), shape=(len(own), 3 * design.frames))
+
+
 def _per_frame_drift(design: Design) -> FloatArray:
     """(p + 6, 3 f): unknowns against the gyro's errors, summed over stars."""
-    columns, drift = design.by_unknown(), design.by_drift()
-    result = np.zeros((columns.shape[1], 3 * design.frames))
-    for rows in _frame_rows(design):
-        k = int(design.frame[rows[0]])
-        pair = np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()
-        result[:, 3 * k : 3 * k + 3] = columns[pair].T @ drift[pair]
-    return result
-
-
-def _blocks(design: Design) -> FloatArray:
-    """(3 f, 3 f): the gyro's errors against themselves, block diagonal."""
-    drift = design.by_drift()
-    result = np.zeros((3 * design.frames, 3 * design.frames))
-    for rows in _frame_rows(design):
-        k = 3 * int(design.frame[rows[0]])
-        pair = np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()
-        result[k : k + 3, k : k + 3] = drift[pair].T @ drift[pair]
-    return result
+    return np.asarray((_drift(design).T @ design.by_unknown()).T)

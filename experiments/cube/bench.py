@@ -152,7 +152,7 @@ def build_laboratory(config: Config) -> Laboratory:
     """Build the scene once, and take the picture of the covered aperture, which no bench changes."""
     geometry = geometry_of(config)
     detector = load_detector(config.camera.detector or DATA / "cube_ccd.toml")
-    sensor_detector = load_detector(config.sensor.detector or DATA / "cube_sun_sensor.toml")
+    sensor_detector = sun_sensor(config)
     camera = camera_of(config, detector)
     check_bench(config, geometry, camera)
     check_light_levels(config, detector, sensor_detector)
@@ -237,13 +237,14 @@ def draw_truths(config: Config, streams: Streams) -> list[Truth]:
     start = 2 * stratified(2 * faces).reshape(shape) - 1
     aim, mounting = normals(2 * faces).reshape(shape), normals(2 * faces).reshape(shape)
     lean, build = normals(1)[:, 0], normals(3)
+    detector = sun_sensor(config)
     return [
         Truth(
             number=i,
             table_from_cube=NOMINAL_CUBE @ small_turn(mount[i] * config.cube.mount_arcmin * 60),
             normal=_out_of_square(square[i].reshape(6, 2) * config.cube.square_arcsec),
             sensor_from_table=small_turn(sensor_mount[i] * config.sensor.mount_arcmin * 60),
-            sensor=_mask(config, build[i]),
+            sensor=mask_sensor(config, detector, build[i]),
             start=start[i],
             aim=aim[i],
             mounting=mounting[i],
@@ -266,8 +267,13 @@ def _out_of_square(tilt_arcsec: FloatArray) -> FloatArray:
     return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
 
 
-def _mask(config: Config, build: FloatArray) -> MaskSensor:
-    detector = load_detector(config.sensor.detector or DATA / "cube_sun_sensor.toml")
+def sun_sensor(config: Config) -> Detector:
+    """Detector of the sun sensor."""
+    return load_detector(config.sensor.detector or DATA / "cube_sun_sensor.toml")
+
+
+def mask_sensor(config: Config, detector: Detector, build: FloatArray) -> MaskSensor:
+    """The sun sensor behind a mask that is built off by parts (3,) of its tolerances: gap, centring along x and y."""
     sensor = config.sensor
     return MaskSensor(
         width_px=detector.width_px,

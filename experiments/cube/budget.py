@@ -33,6 +33,7 @@ from experiments.cube.bench import (
     Laboratory,
     build_table,
     concentric_angles,
+    mask_sensor,
     nominal_normal,
 )
 from experiments.cube.bench import Truth as BenchTruth
@@ -255,15 +256,7 @@ def stratified_variance_ratio(even: list[FloatArray], predicted: FloatArray, *, 
 
 def perfect_sensor(laboratory: Laboratory) -> MaskSensor:
     """The sun sensor as designed."""
-    detector, config = laboratory.sensor_detector, laboratory.config.sensor
-    return MaskSensor(
-        width_px=detector.width_px,
-        height_px=detector.height_px,
-        pitch_mm=detector.pixel_pitch_mm,
-        hole_mm=config.hole_um * 1e-3,
-        gap_mm=config.gap_mm,
-        offset_px=np.zeros(2),
-    )
+    return mask_sensor(laboratory.config, laboratory.sensor_detector, np.zeros(3))
 
 
 def _noise(laboratory: Laboratory, case: Case, pictures: PictureNoise) -> tuple[FloatArray, FloatArray]:

@@ -150,16 +150,7 @@ def moved_sensor(laboratory: Laboratory, shift_mm: FloatArray) -> Any:
     """The camera of Mitsuba after its mount gave way: it aims ``-shift_mm`` beside, so the picture moves by it."""
     if not np.any(shift_mm):
         return laboratory.sensor
-    camera = laboratory.camera
-    moved = BenchCamera(
-        width_px=camera.width_px,
-        height_px=camera.height_px,
-        pitch_mm=camera.pitch_mm,
-        distance_mm=camera.distance_mm,
-        angle_deg=camera.angle_deg,
-        aim_mm=camera.aim_mm - shift_mm,
-    )
-    return moved.sensor()
+    return replace(laboratory.camera, aim_mm=laboratory.camera.aim_mm - shift_mm).sensor()
 
 
 def _spokes(picture: Picture, centre_mm: FloatArray, low_mm: float, high_mm: float, step_px: float = 0.5) -> Any:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.glass.catalogue import Glass, get_glass
 from optics.glass.dispersion import AGF_FORMULAS, Dispersion
-from optics.lens.prescription import glasses_of
+from optics.lens.prescription import Pose, glasses_of
 from optics.lens.tables import MIRROR, BreakTable, MovedTable, Prescription, SurfaceTable
 from optics.lens_file import LensFile
 
@@ -55,14 +54,6 @@ def safe_name(name: str) -> str:
     return "_".join(name.replace("'", "").replace('"', "").replace(";", "").replace("!", "").split()) or "GLASS"
 
 
-def _pose(moved: MovedTable) -> tuple[FloatArray, FloatArray]:
-    """Shift along the old axes, and turn, of a table that moves a frame."""
-    shift = np.array([*moved.decentre_mm, 0.0][:3])
-    angles = [*moved.tilt_deg, 0.0][:3]
-    turn = Rotation.from_euler("xyz" if moved.axes == "fixed" else "XYZ", angles, degrees=True).as_matrix()
-    return (shift if moved.first == "decentre" else turn @ shift), turn
-
-
 def _break(moved: MovedTable, thickness_mm: float) -> Break | None:
     """The break that a table stands for; None if it does nothing."""
     a, b, c = [*moved.tilt_deg, 0.0][:3]
@@ -73,24 +64,19 @@ def _break(moved: MovedTable, thickness_mm: float) -> Break | None:
         return Break((x, y, z), (a, b, c), thickness_mm)
     if moved.axes == "fixed" and moved.first == "tilt":
         return Break((-x, -y, -z), (-a, -b, -c), thickness_mm, inverse=True)
-    vector, turn = _pose(moved)
-    x, y, z = (float(v) for v in vector)
+    pose = Pose().moved(moved)
+    x, y, z = (float(v) for v in pose.origin)
+    return Break((x, y, z), _angles_deg(pose.axes), thickness_mm)
+
+
+def _angles_deg(turn: FloatArray) -> tuple[float, float, float]:
     a, b, c = (float(v) for v in Rotation.from_matrix(turn).as_euler("XYZ", degrees=True))
-    return Break((x, y, z), (a, b, c), thickness_mm)
+    return a, b, c
 
 
 def _bent(turn: FloatArray) -> tuple[float, float, float]:
     """Turn from a mirror's own frame to the one in which the axis is reflected: the mirror's turn once more."""
-    z, normal = np.array([0.0, 0.0, 1.0]), turn[:, 2]
-    along = np.cross(z, normal)
-    sine = float(np.linalg.norm(along))
-    if sine == 0.0:
-        behind = turn.T
-    else:
-        twice = 2.0 * np.arctan2(sine, float(z @ normal))
-        behind = turn.T @ Rotation.from_rotvec(along / sine * twice).as_matrix()
-    a, b, c = (float(v) for v in Rotation.from_matrix(behind).as_euler("XYZ", degrees=True))
-    return a, b, c
+    return _angles_deg(turn.T @ Pose().bent(turn[:, 2]).axes)
 
 
 def _items(file: Prescription) -> list[Break | Element]:
@@ -109,7 +95,7 @@ def _items(file: Prescription) -> list[Break | Element]:
             items.append(Element(table, table.thickness_mm))
         elif table.carry == "bend":
             items.append(Element(table, 0.0))
-            items.append(Break((0.0, 0.0, 0.0), _bent(_pose(table)[1]), table.thickness_mm))
+            items.append(Break((0.0, 0.0, 0.0), _bent(Pose().moved(table).axes), table.thickness_mm))
         else:
             items.append(Element(table, 0.0))
             items.append(Break(before.shift_mm, before.turn_deg, table.thickness_mm, inverse=not before.inverse))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +34,13 @@ UNIT_MM = {"nm": 1e-6, "um": 1e-3, "mm": 1.0}
 
 
 @dataclass(frozen=True, slots=True)
-class _Frame:
+class Pose:
     """Origin [mm] and axes (columns) in the lens frame."""
 
-    origin: FloatArray
-    axes: FloatArray
+    origin: FloatArray = field(default_factory=lambda: np.zeros(3))
+    axes: FloatArray = field(default_factory=lambda: np.eye(3))
 
-    def moved(self, by: MovedTable) -> _Frame:
+    def moved(self, by: MovedTable) -> Pose:
         """The frame after a shift and a turn."""
         shift = np.array([*by.decentre_mm, 0.0][:3])
         angles = [*by.tilt_deg, 0.0][:3]
@@ -49,9 +49,9 @@ class _Frame:
             order = "xyz" if by.axes == "fixed" else "XYZ"
             turn = Rotation.from_euler(order, angles, degrees=True).as_matrix()
         axes = self.axes @ turn
-        return _Frame(self.origin + (self.axes if by.first == "decentre" else axes) @ shift, axes)
+        return Pose(self.origin + (self.axes if by.first == "decentre" else axes) @ shift, axes)
 
-    def bent(self, normal: FloatArray) -> _Frame:
+    def bent(self, normal: FloatArray) -> Pose:
         """The frame behind a mirror: turned twice by the smallest turn that takes its z axis to the mirror's normal."""
         z = self.axes[:, 2]
         along = np.cross(z, normal)
@@ -59,11 +59,11 @@ class _Frame:
         if sine == 0.0:
             return self
         twice = 2.0 * np.arctan2(sine, float(z @ normal))
-        return _Frame(self.origin, Rotation.from_rotvec(along / sine * twice).as_matrix() @ self.axes)
+        return Pose(self.origin, Rotation.from_rotvec(along / sine * twice).as_matrix() @ self.axes)
 
-    def after(self, thickness_mm: float) -> _Frame:
+    def after(self, thickness_mm: float) -> Pose:
         """The frame a thickness further along its z axis."""
-        return _Frame(self.origin + thickness_mm * self.axes[:, 2], self.axes)
+        return Pose(self.origin + thickness_mm * self.axes[:, 2], self.axes)
 
 
 def _error_map(table: ErrorTable | None, folder: Path) -> SagMap | None:
@@ -74,7 +74,7 @@ def _error_map(table: ErrorTable | None, folder: Path) -> SagMap | None:
     return SagMap(values_mm=values * (table.scale * UNIT_MM[table.unit]), width_mm=table.width_mm)
 
 
-def _surface(table: SurfaceTable, frame: _Frame, before: str, folder: Path, label: str) -> Surface:
+def _surface(table: SurfaceTable, frame: Pose, before: str, folder: Path, label: str) -> Surface:
     """The surface that a table describes, in a frame where light travels towards +z."""
     mirror = table.medium == MIRROR
     return Surface(
@@ -94,9 +94,9 @@ def _surface(table: SurfaceTable, frame: _Frame, before: str, folder: Path, labe
     )
 
 
-def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[list[Surface], _Frame]:
+def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[list[Surface], Pose]:
     """Surfaces at their vertices, and the frame of the image plane."""
-    frame, light, medium = _Frame(np.zeros(3), np.eye(3)), np.array([0.0, 0.0, 1.0]), AMBIENT
+    frame, light, medium = Pose(), np.array([0.0, 0.0, 1.0]), AMBIENT
     surfaces: list[Surface] = []
     for label, table in zip(labels, file.surface, strict=True):
         if isinstance(table, BreakTable):
@@ -104,7 +104,7 @@ def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[li
             continue
         own = frame.moved(table)
         if table.carry != "none":
-            frame = own if table.carry == "forward" else _Frame(own.origin, frame.axes).bent(own.axes[:, 2])
+            frame = own if table.carry == "forward" else Pose(own.origin, frame.axes).bent(own.axes[:, 2])
         normal = own.axes[:, 2]
         facing = float(light @ normal)
         if abs(facing) < EDGE_ON:
@@ -128,7 +128,7 @@ def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[li
     facing = float(light @ frame.axes[:, 2])
     if abs(facing) < EDGE_ON:
         raise ConfigError("the image plane is edge-on to the light on the axis; check tilts and breaks")
-    return surfaces, frame if facing > 0.0 else _Frame(frame.origin, frame.axes @ np.diag([1.0, 1.0, -1.0]))
+    return surfaces, frame if facing > 0.0 else Pose(frame.origin, frame.axes @ np.diag([1.0, 1.0, -1.0]))
 
 
 def _with_stop(file: Prescription, surfaces: list[Surface]) -> list[Surface]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.band import TabulatedBand
 from optics.response import check_table
-from optics.textfile import read_text
+from optics.textfile import read_text, two_columns
 
 BLOCKED_FRACTION = 1e-3
 """Of the peak: tails below it are left out, or a curve of a blocked filter would be light at all wavelengths."""
@@ -59,28 +58,14 @@ def load_band(path: str | Path, name: str = "") -> TabulatedBand:
 
 def _table(lines: Sequence[str], shown: str) -> tuple[FloatArray, float]:
     """Rows (n, 2), and what the second column is multiplied with."""
-    rows: list[tuple[float, float]] = []
-    scale = 1.0
-    for number, line in enumerate(lines, start=1):
-        cells = [cell for cell in re.split(r"[;,\s]+", line.strip()) if cell]
-        if not cells or cells[0].startswith("#"):
-            continue
-        try:
-            wavelength, value = map(float, cells[:2])
-        except ValueError:
-            if rows:
-                raise ConfigError(
-                    f"{shown}, line {number}: {line.strip()!r}: wavelength_nm and transmission are needed"
-                ) from None
-            scale = _scale(cells, f"{shown}, line {number}")
-            continue
-        rows.append((wavelength, value))
+    head, rows = two_columns(lines, shown, "wavelength_nm and transmission")
+    scales = [_scale(cells, f"{shown}, line {number}") for number, cells in head]
     if len(rows) < 2:
         raise ConfigError(f"{shown}: {len(rows)} rows of wavelength_nm, transmission; at least two are needed")
     table = np.array(rows)
     if not np.isfinite(table).all():
         raise DomainError(f"{shown}: a number is NaN or infinite")
-    return table, scale
+    return table, scales[-1] if scales else 1.0
 
 
 def _scale(cells: list[str], where: str) -> float:

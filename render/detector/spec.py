@@ -8,7 +8,6 @@ Data files are TOML, lengths in um; the record is in mm.
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
@@ -21,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.light.band_file import load_band
 from optics.response import Response
-from optics.textfile import read_text
+from optics.textfile import read_text, two_columns
 from optics.units import UM_MM
 from optics.validate import MOST_MISSING, parse_model, read_toml
 
@@ -564,20 +563,8 @@ def _beside(path: Path, name: Any, table: str) -> Path:
 
 def _dark_rows(path: Path) -> dict[str, list[float]]:
     """Columns temperature_c and e_per_s of a CSV file; the temperatures may fall."""
-    rows: list[tuple[float, float]] = []
-    for number, line in enumerate(read_text(path, "a table of temperatures and dark currents").lines, start=1):
-        cells = [cell for cell in re.split(r"[;,\s]+", line.strip()) if cell]
-        if not cells or cells[0].startswith("#"):
-            continue
-        try:
-            temperature, current = map(float, cells[:2])
-        except ValueError:
-            if rows:
-                raise ConfigError(
-                    f"{path.name}, line {number}: {line.strip()!r}: temperature_c and e_per_s are needed"
-                ) from None
-            continue
-        rows.append((temperature, current))
+    lines = read_text(path, "a table of temperatures and dark currents").lines
+    _, rows = two_columns(lines, path.name, "temperature_c and e_per_s")
     if len(rows) > 1 and rows[0][0] > rows[-1][0]:
         rows.reverse()
     return {"temperature_c": [t for t, _ in rows], "e_per_s": [e for _, e in rows]}
