@@ -8,7 +8,7 @@ with the n stars that calibrate, whatever the camera; so the published RMS tells
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -54,16 +54,8 @@ def table2_point(config: Config) -> Point:
 
 def inferred_point(config: Config, pixel_um: float, stars: int) -> Point:
     """Fig. 4 with another pixel and number of stars."""
-    return Point(
-        name="inferred",
-        runs=config.runs,
-        noise_px=config.table_noise_px,
-        gyro=(table1_gyro(config),),
-        methods=("acc",),
-        stars=stars,
-        pixel_um=pixel_um,
-        keep_reprojections=True,
-    )
+    gyro = (table1_gyro(config),)
+    return replace(table2_point(config), name="inferred", gyro=gyro, stars=stars, pixel_um=pixel_um)
 
 
 def counts_points(config: Config) -> list[Point]:
