@@ -10,7 +10,7 @@ from matplotlib.tri import Triangulation
 
 from experiments.harness.plotting import INK, PALETTE, band_colours, new_figure
 from experiments.harness.quantities import Outcome
-from experiments.lens.study import SHOWN, Study, airy_radius_mm
+from experiments.lens.study import SHOWN, airy_radius_mm
 from optics.figures import draw_lens
 from optics.rays.performance import white_focus
 from optics.waves.wavefront import Wavefront
@@ -19,14 +19,9 @@ LONG_SIDE = 0.2
 """Side of a triangle between rays of a pupil, in its radii, that spans an obscuration."""
 
 
-def _made(outcome: Outcome) -> Study:
-    made: Study = outcome.result
-    return made
-
-
 def drawing(outcome: Outcome) -> Figure:
     """Section through the lens with fans of rays."""
-    figure = draw_lens(_made(outcome).file.lens)
+    figure = draw_lens(outcome.result.file.lens)
     figure.axes[0].set_title("")
     width, height = figure.get_size_inches()
     figure.set_size_inches(7.6, 7.6 * height / width)
@@ -35,8 +30,7 @@ def drawing(outcome: Outcome) -> Figure:
 
 def spots(outcome: Outcome) -> Figure:
     """Spots of all wavelengths about their common mean, at one scale, with the Airy circle."""
-    made = _made(outcome)
-    assert made.spots is not None
+    made = outcome.result
     airy = 1e3 * airy_radius_mm(made)
     figure, axes = new_figure(1, 3, aspect_ratio=0.4, sharex=True, sharey=True)
     colours, reach = band_colours(made.wavelength_nm.tolist()), 0.0
@@ -66,8 +60,7 @@ def spots(outcome: Outcome) -> Figure:
 
 def distortion(outcome: Outcome) -> Figure:
     """Chief-ray distortion over the field."""
-    made = _made(outcome)
-    assert made.performance is not None
+    made = outcome.result
     figure, axes = new_figure(width="half", aspect_ratio=0.8)
     axes.plot(100.0 * made.performance.distortion, made.field_deg, "o-", color=PALETTE[0])
     axes.axvline(0.0, color=INK, linewidth=0.6)
@@ -77,8 +70,7 @@ def distortion(outcome: Outcome) -> Figure:
 
 def lateral(outcome: Outcome) -> Figure:
     """Chief rays of the wavelengths against that of the design wavelength."""
-    made = _made(outcome)
-    assert made.chief_mm is not None
+    made = outcome.result
     reference = int(np.argmin(np.abs(made.wavelength_nm - made.file.lens.design_wavelength_nm)))
     figure, axes = new_figure(width="half", aspect_ratio=0.8)
     for band, colour in enumerate(band_colours(made.wavelength_nm.tolist())):
@@ -91,8 +83,7 @@ def lateral(outcome: Outcome) -> Figure:
 
 def curvature(outcome: Outcome) -> Figure:
     """Best focus along and across the field, of all wavelengths together."""
-    made = _made(outcome)
-    assert made.focus is not None
+    made = outcome.result
     figure, axes = new_figure(width="half", aspect_ratio=0.8)
     for column, (name, style) in enumerate((("along the field (tangential)", "o-"), ("across (sagittal)", "s--"))):
         axes.plot(1e3 * made.focus[:, column], made.field_deg, style, color=PALETTE[column], label=name)
@@ -104,8 +95,7 @@ def curvature(outcome: Outcome) -> Figure:
 
 def wavefronts(outcome: Outcome) -> Figure:
     """Wavefront errors over the pupil, each at its own scale."""
-    made = _made(outcome)
-    assert made.waves is not None
+    made = outcome.result
     figure, axes = new_figure(1, 3, aspect_ratio=0.36)
     for panel, at, error in zip(axes, SHOWN, made.waves.wavefront, strict=True):
         waves = error.error_nm / error.wavelength_nm
@@ -130,9 +120,7 @@ def _lit(error: Wavefront) -> Triangulation:
 
 def images(outcome: Outcome) -> Figure:
     """Images of a star by diffraction, logarithmic, all at one scale."""
-    made = _made(outcome)
-    assert made.waves is not None
-    assert made.waves.images is not None
+    made = outcome.result
     shot = made.waves.images
     figure, axes = new_figure(1, 3, aspect_ratio=0.36, sharex=True, sharey=True)
     half = 1e3 * made.waves.half_mm
@@ -150,9 +138,7 @@ def images(outcome: Outcome) -> Figure:
 
 def encircled(outcome: Outcome) -> Figure:
     """Share of the light within circles: by diffraction at the design wavelength, by rays of all wavelengths."""
-    made = _made(outcome)
-    assert made.waves is not None
-    assert made.spots is not None
+    made = outcome.result
     shot = made.waves.images
     figure, axes = new_figure(width="half", aspect_ratio=0.8)
     weight = made.weight / made.weight.sum()
@@ -172,9 +158,7 @@ def encircled(outcome: Outcome) -> Figure:
 
 def through_focus(outcome: Outcome) -> Figure:
     """RMS spot of all wavelengths through focus; above it the Strehl ratio where there is one."""
-    made = _made(outcome)
-    assert made.waves is not None
-    assert made.spots is not None
+    made = outcome.result
     shot = made.waves.images
     figure, panels = new_figure(1 if shot is None else 2, 1, width="half", aspect_ratio=1.0, sharex=True, squeeze=False)
     curve = white_focus(made.spots, made.weight / made.weight.sum())
@@ -195,8 +179,7 @@ def through_focus(outcome: Outcome) -> Figure:
 
 def mtf(outcome: Outcome) -> Figure:
     """Modulation over spatial frequency."""
-    made = _made(outcome)
-    assert made.mtf is not None
+    made = outcome.result
     figure, axes = new_figure(1, 3, aspect_ratio=0.38, sharey=True)
     for row, (panel, at) in enumerate(zip(axes, SHOWN, strict=True)):
         for axis, name in enumerate(("along", "across")):

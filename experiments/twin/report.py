@@ -535,6 +535,11 @@ def _z(freedom: float = np.inf, alarm: float = FALSE_ALARM) -> float:
     return float(student.isf(alarm / 2.0, freedom))
 
 
+def _criterion(name: str, value: float, limit: float, advice: str = "") -> Criterion:
+    noticed = limit if limit > 0 else None
+    return Criterion(name=name, value=value, limit=limit, false_alarm=FALSE_ALARM, notices=noticed, advice=advice)
+
+
 def _within(outcome: Outcome) -> list[Criterion]:
     """Each statistic within what is allowed and what noise does."""
     out = []
@@ -544,16 +549,8 @@ def _within(outcome: Outcome) -> list[Criterion]:
         if not np.isfinite(allowed) or not np.isfinite(off.values):
             continue
         limit = allowed + _z(outcome.config.realisations - 1) * float(_error(off))
-        out.append(
-            Criterion(
-                name=f"twin against real: {label}",
-                value=float(abs(off.values)),
-                limit=limit,
-                false_alarm=FALSE_ALARM,
-                notices=limit if limit > 0 else None,
-                advice="see the table of causes and the features of the classifier",
-            )
-        )
+        words = "see the table of causes and the features of the classifier"
+        out.append(_criterion(f"twin against real: {label}", float(abs(off.values)), limit, words))
     return out
 
 
@@ -564,15 +561,9 @@ def _complete(outcome: Outcome) -> list[Criterion]:
         off = np.abs(real.values - twin.values)
         error = np.hypot(_error(real), _error(twin))
         worst = int(np.argmax(off - _z() * error))
-        out.append(
-            Criterion(
-                name=f"completeness per half magnitude, {sigma} sigma: twin against real, the worst",
-                value=float(off[worst]),
-                limit=COMPLETENESS_LIMIT + _z() * float(error[worst]),
-                false_alarm=FALSE_ALARM,
-                notices=COMPLETENESS_LIMIT + _z() * float(error[worst]),
-            )
-        )
+        limit = COMPLETENESS_LIMIT + _z() * float(error[worst])
+        name = f"completeness per half magnitude, {sigma} sigma: twin against real, the worst"
+        out.append(_criterion(name, float(off[worst]), limit))
     return out
 
 
@@ -591,15 +582,7 @@ def _each_frame(outcome: Outcome) -> list[Criterion]:
         error = np.sqrt(np.mean(relative**2) / level)
         worst = int(np.argmax(off - error))
         limit = allowed + _z(len(off) * (sets - 1.0), FALSE_ALARM / len(off)) * float(error[worst])
-        out.append(
-            Criterion(
-                name=f"{name}: twin against real, the worst of {len(off)}",
-                value=float(off[worst]),
-                limit=limit,
-                false_alarm=FALSE_ALARM,
-                notices=limit,
-            )
-        )
+        out.append(_criterion(f"{name}: twin against real, the worst of {len(off)}", float(off[worst]), limit))
     return out
 
 
