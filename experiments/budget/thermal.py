@@ -125,7 +125,7 @@ def thermal_term(lab: Laboratory, streams: Streams) -> Thermal | str:
     basis, centred = cubic_basis(place), place - lab.instrument.camera.centre_px
     predicted, shift = (traced[1] - traced[0]) / 2.0, (seen[1] - seen[0]) / (read[1] - read[0]) * span
     scale = lab.instrument.pixel_arcsec  # the excursion is three sigma already
-    size, error = _smooth_rms(basis, shift)
+    size, sigma = _smooth_rms(basis, shift)
     slope, spread = _slopes(centred, shift)
     paraxial = [_paraxial(one.instrument.camera.focused_lens) for one in slopes]
     return Thermal(
@@ -133,7 +133,7 @@ def thermal_term(lab: Laboratory, streams: Streams) -> Thermal | str:
         stars=len(basis),
         signal_e=max(lab.bench.signal_e, BRIGHT_E),
         predicted_arcsec=predicted.std(axis=0) * scale,
-        measured_arcsec=measured(size * scale, error * scale, 2 * len(basis) * lab.bench.frames),
+        measured_arcsec=measured(size * scale, sigma * scale, 2 * len(basis) * lab.bench.frames),
         scale_ppm_per_k=_slopes(centred, predicted)[0] * 1e6 / span,
         measured_scale_ppm_per_k=measured(slope * 1e6 / span, spread * 1e6 / span),
         paraxial_ppm_per_k=float(np.log(paraxial[1][0] / paraxial[0][0]) / (2.0 * STEP_K) * 1e6),
