@@ -93,7 +93,7 @@ is an error.
 | | ideal | measured |
 |---|---|---|
 | acf, camera, dataset, distortion, fisher, hsfe, skycal, temporal, turntable; `observe`, `SkySimulator` | yes | yes |
-| budget | yes | no: tolerances and temperature need the elements |
+| budget | yes | no: the chromatic term and temperature need the elements |
 | chromatic, pages of lens files | no: they need glass | no |
 | Mitsuba scenes | yes | stars by `star_tracer`, without derivatives; no integrator that traces surfaces (`path`, `ptracer`) |
 | collimator with errors | yes | no |
