@@ -1,5 +1,6 @@
 """Lines of the budget from drawn errors of many benches; terms by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -55,6 +56,10 @@ def test_terms_alone(laboratory, single):
     assert single["reading"] * repeats == pytest.approx([outer, inner, outer])
     assert single["square"][2] == pytest.approx(1.0, rel=0.05)  # 2 arcsec, half of which cancels; about z alone
     assert np.abs(single["square"][:2]).max() < 0.02
+    often = laboratory.config.model_copy(update={"cube": laboratory.config.cube.model_copy(update={"repeats": 4})})
+    four = terms(replace(laboratory, config=often), perfect_sensor(laboratory), np.array([0.5, 0.25]))
+    for name in ("pixel", "trim", "mounting", "reading"):
+        assert four[name] == pytest.approx(0.5 * repeats * single[name])
 
 
 def test_lines_of_benches_that_err_as_predicted(laboratory, single, monkeypatch):

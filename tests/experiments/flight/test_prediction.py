@@ -1,7 +1,10 @@
 """Predicted errors of an attitude in flight against attitudes that are solved from stars with these errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.solve import solve_wahba, solve_wahba_many
@@ -19,7 +22,7 @@ GROWTH = 2e-4
 
 @pytest.fixture(scope="module")
 def budget():
-    """A small tracker with many hot pixels, without a thermal state; an even growth of the image is put in."""
+    """A small old tracker with many hot pixels, without a thermal state; an even growth of the image is put in."""
     chip = {"lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 700, "height_px": 700, "exposure_s": 0.2}
     config = Config(
         instrument={**chip, "defocus_mm": 0.0, "diffraction": "rays"},
@@ -29,8 +32,9 @@ def budget():
         temperature={"offset_k": 0, "mean_k": 0, "eclipse_k": 0},
         attitude={"law": "inertial"},
         aberration={"corrected": "earth"},
+        life={"darkened_glass": 0.0, "contamination": 0.2},
     )
-    made = build_budget(config, build_flight(config))
+    made = build_budget(config, build_flight(config), old=True)
     direction = made._map.direction
     away = made._map.pixel_px - made.model.geometry.centre_px
     made.__dict__["sensitivity"] = {"mean_k": FieldMap.of(direction, GROWTH * away)}
@@ -116,11 +120,43 @@ def test_the_sensor_of_a_loop_errs_as_the_budget(budget, seen):
     np.testing.assert_allclose(np.diag(found[0][0].covariance_rad2) * RAD_ARCSEC**2, noise2 + static2, rtol=1e-6)
 
 
-def test_what_stars_err_by_besides_noise(budget):
+def test_spots_that_lie_elsewhere_bias_the_fit_by_as_much(budget):
+    """PSFs of the tracker moved by 0.02 px outwards and by 0.03 px across; they lie 22.5 deg from the rows."""
+    outwards = np.radians(22.5)
+    moved = []
+    for dx, dy in ((0.02, 0.0), (0.0, 0.03)):
+        x, y = np.array([[np.cos(outwards), -np.sin(outwards)], [np.sin(outwards), np.cos(outwards)]]) @ [dx, dy]
+        moved.append(
+            tuple(
+                replace(one, values=ndimage.shift(one.values, np.array([y, x]) * one.oversampling))
+                for one in budget.usual.state.psfs
+            )
+        )
+    mean, spread = budget._fit_bias(*moved)
+    np.testing.assert_allclose(mean[0], 0.02, atol=1e-3)
+    np.testing.assert_allclose(mean[1], 0.0, atol=1e-3)
+    assert spread.max() < 2e-3
+
+
+def test_what_stars_err_by_besides_noise(budget, seen, monkeypatch):
     """The camera model's residual, read from its map; colours of a star over the field, the mean of both axes."""
     direction, pixel = budget._map.direction, budget._map.pixel_px
     left = pixel - budget.model.project(direction)
     assert np.std(left - budget._residual.at(direction)) < 0.5 * np.std(left)
+    rows, v, (_, _, _, shift) = stars_of(budget, seen[0])
+    away = budget.model.project(v) - budget.model.geometry.centre_px
+    colour = budget.colour_px(budget.temperature_k[budget.guides.row[rows]], np.hypot(*away.T))[0]
+    radius, sky = np.hypot(*away.T), budget.guides.row[rows]
+    stars, state = budget.nominal.stars, budget.nominal.state
+    electrons = 0.8 * 0.2 * state.electrons_per_s(budget.stars.magnitude[sky], budget.temperature_k[sky], radius)
+    pattern = stars.sigma_at(stars.centroid.pattern_px, electrons, radius)
+    assert budget._star_errors(0.0, REST, rows, v)[1] == pytest.approx(pattern, rel=1e-9)
+    rest = shift - colour[:, None] * away / np.hypot(*away.T)[:, None]
+    nearest = np.argmin(((direction[:, None] - v) ** 2).sum(-1), axis=0)
+    assert (rest * left[nearest]).sum() > 0.5 * (left[nearest] ** 2).sum()
+    # an error of the scale, root mean square 1e-3: half of the square of the distance along an axis
+    monkeypatch.setitem(budget.__dict__, "_alike", (budget._alike[0], 1e-3))
+    assert budget.told_px2(rows, v) == pytest.approx(budget.star_error_px[rows] ** 2 + ((1e-3 * away) ** 2).mean(1))
     rng, star = np.random.default_rng(2), int(np.argmax(budget.temperature_k[budget.guides.row]))
     away = rng.uniform(-350.0, 350.0, (4000, 2))
     radius, kelvin = np.hypot(*away.T), float(budget.temperature_k[budget.guides.row[star]])
