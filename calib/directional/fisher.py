@@ -210,7 +210,7 @@ def mean_and_chords(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     total = first + (vectors - first[:, None]).mean(1)
     length = np.linalg.norm(total, axis=1)
     if np.any(length < UNIT_TOLERANCE):
-        raise DomainError("the directions cancel: no mean direction")
+        raise DomainError("the directions cancel: their sum is zero, so that no mean direction exists")
     mean = total / length[:, None]
     apart = vectors - mean[:, None]
     return mean, np.einsum("rni,rni->rn", apart, apart)

@@ -315,7 +315,7 @@ FRAMES = Section(
     rows="comparison",
     columns="label measured predicted unit error n pull",
     caption="Rendered frames against the prediction for the same stars and attitudes.",
-    note="Standard deviation: of measured minus predicted, as predicted; the difference is in units of it.",
+    note="Standard deviation: predicted, of measured minus predicted. Difference: in units of this standard deviation.",
     verdicts=[
         agree(
             "compared_pull",

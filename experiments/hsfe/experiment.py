@@ -314,7 +314,7 @@ SECTIONS = {
         verdicts=[
             agree(name, 1.0, each="method", slack=MODEL_SLACK, title=title)
             for name, title in (
-                ("ratio", "document's figure over the prediction for the path seen"),
+                ("ratio", "HSFE as printed over its prediction for the measured path"),
                 ("one_position_ratio", "error of one position over its prediction"),
             )
         ],

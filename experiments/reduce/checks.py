@@ -481,7 +481,7 @@ CHECKS = Section(
         below("shared_noise", "shared_limit", title="common noise of two frames", advice=_shared_advice),
         below("disordered", 0, title="frames out of the order of exposure", advice=_disorder_advice),
         below("step_dn", 1, title="common step of all readings", advice=_step_advice),
-        below("top_count", "top_limit", title="pixels at the highest reading of all", advice=_top_advice),
+        below("top_count", "top_limit", title="pixels at the highest reading", advice=_top_advice),
         below(
             "zero_fraction",
             1e-3,

@@ -446,7 +446,7 @@ def sections_of(name: str) -> dict[str, Section]:
             table=f"stars_{name}",
             across="axis",
             hidden=f"{name}_star",
-            caption="Stars calibrated with.",
+            caption="Stars used in the calibration.",
         ),
     }
 
@@ -470,7 +470,7 @@ SECTIONS: dict[str, Section] = {
                 "not_converged",
                 0.0,
                 title="calibrations from poor start values that did not converge, of 4 per camera",
-                advice="start.focal_ratio nearer to 1",
+                advice="set start.focal_ratio nearer to 1",
             ),
             ratio_near(
                 "centroid_pull",

@@ -186,7 +186,7 @@ SECTIONS = {
                 "ratio",
                 within=0.05,
                 at={"method": 0},
-                title="measured over predicted at the signal of the source",
+                title="temporal error at the signal of the source over prediction",
             )
         ],
     ),
@@ -230,13 +230,13 @@ SECTIONS = {
             ),
         },
         verdicts=[
-            agree("level_ratio", 1.0, each="method", title="measured against predicted over all levels"),
+            agree("level_ratio", 1.0, each="method", title="temporal error over all levels against prediction"),
             ratio_near(
                 "level_over_bound",
                 within=0.02,
                 at={"method": "epsf"},
                 mean=True,
-                title="measured over the Cramér-Rao bound",
+                title="temporal error over the Cramér-Rao bound",
             ),
         ],
     ),

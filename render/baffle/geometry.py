@@ -124,7 +124,10 @@ class VanedBaffle:
                 f"vanes at {z.tolist()} mm; they must lie between the front, {self.length_mm:g} mm, and the lens"
             )
         if (radius <= 0.0).any() or (radius > self.tube_mm).any():
-            raise DomainError(f"vanes of inner radii {radius.tolist()} mm in a tube of {self.tube_mm:g} mm")
+            raise DomainError(
+                f"vanes of inner radii {radius.tolist()} mm; they must lie between 0 and the tube's "
+                f"radius, {self.tube_mm:g} mm"
+            )
         if not 0.0 <= self.edge_mm < 0.5 * self.tube_mm:
             raise DomainError(f"vane edges of radius {self.edge_mm:g} mm; it must not be negative")
 

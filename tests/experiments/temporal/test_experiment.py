@@ -136,4 +136,4 @@ def test_the_verdicts_hold_for_other_seeds_and_notice_a_quarter(run, failing):
 
     for factor in (0.75, 1.25):
         wrong = {**run.result, "levels": [scaled(one, factor) for one in run.result["levels"]]}
-        assert "measured against predicted" in " ".join(failing("temporal", wrong, run.config))
+        assert "temporal error over all levels" in " ".join(failing("temporal", wrong, run.config))
