@@ -171,7 +171,7 @@ class Failed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failures:
-    """The sum that is judged; in the sweep some are expected: two stars in a frame, a gyro too bad."""
+    """Judged number of failures; in the sweep some are expected: two stars per frame, a gyro of large noise."""
 
     failures_n: int = col("Calibrations that did not converge", json="")
 

@@ -94,7 +94,7 @@ class Design:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GyroError:
-    """Accumulated error of a gyro at the frames, as what drives it: e = steady s + walk w [rad]."""
+    """Accumulated error of a gyro at the frames: e = steady s + walk w [rad]."""
 
     steady: FloatArray  # (3 f, 3) By the signs s (each +1 or -1) of the three axes' bias
     walk: FloatArray  # (3 f, m) By independent unit normal increments w of the angle random walk
@@ -132,7 +132,7 @@ def correlated(design: Design, sigma_px: float, gyro: GyroError | None = None) -
 
 
 def linked(design: Design, sigma_px: float, gyro: GyroError) -> FloatArray:
-    """Cramer-Rao bound (p + 6, p + 6) with a gyro of that covariance, weighted as it deserves.
+    """Cramer-Rao bound (p + 6, p + 6) with a gyro of that covariance, weighted by its noise.
 
     Between `correlated` (perfect gyro) and `free` (useless gyro).
     """

@@ -57,7 +57,8 @@ def fig5_points(config: Config) -> list[Point]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MethodErrors:
-    """RMS errors of a method, mean of the largest residual distortion, by noise; and what the design expects."""
+    """RMS errors of a method, mean of the largest residual distortion, by noise; with their expectation from the
+    design."""
 
     x0_px: FloatArray = col("x0", "px", ".3f", "noise")
     expected_x0_px: FloatArray = col("Expected", "px", ".3f", "noise", json="", shown=False)

@@ -186,7 +186,7 @@ class Stars:
 
 
 def draw_stars(scene: Scene, streams: Streams, sky: int, *, mean: float | None = None, exactly: int = 0) -> Stars:
-    """A uniform random sky, as the camera sees it along its way."""
+    """A uniform random sky, seen by the camera along its path."""
     camera, geometry = scene.camera, scene.camera.geometry
     dense = SPARE * (exactly if mean is None else mean) + 20.0
     pitch, focal = geometry.pixel_pitch_mm, camera.value("focal_length_mm")

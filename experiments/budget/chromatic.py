@@ -57,7 +57,7 @@ class ChromaticTerm:
 
 @dataclass(frozen=True, slots=True)
 class TracedTarget:
-    """Target points in the four corners: what depends on the light alone."""
+    """Target points in the four corners: quantities that depend on the light alone."""
 
     direction: FloatArray  # (p, j, 3) Points
     place_px: FloatArray  # (p, j, b, 2) Traced bundle means
@@ -81,7 +81,7 @@ def trace_target(lab: Laboratory, *, coarse: bool = False) -> TracedTarget:
 def predicted_terms(
     lab: Laboratory, traced: TracedTarget, *, draws: int, defect: NDArray[np.bool_] | None = None
 ) -> dict[str, ChromaticTerm]:
-    """By centroider: positions by ray trace, or where the centroider puts them on PSFs with noise."""
+    """By centroider: positions by ray trace, or by the centroider on PSFs with noise."""
     pairs, found = lab.filtered.pairs, {}
     place = dict.fromkeys(lab.filtered.methods, traced.place_px)
     error = {m: np.zeros_like(traced.place_px) for m in lab.filtered.methods}

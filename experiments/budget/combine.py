@@ -52,7 +52,7 @@ class Value:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """All terms and what they add up to."""
+    """All terms and their sums."""
 
     term: Mapping[str, Value]  # By the names of `TERMS`
     lsfe: Value  # Eq. 31

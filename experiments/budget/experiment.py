@@ -50,7 +50,7 @@ LABELS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
-    """What is measured, and with what signal."""
+    """Instrument and signal of the budget."""
 
     ecss: Sequence[str] = col("ECSS-E-ST-60-20C", dims="term")
     signal_e: float = col("Signal", "e-", ".0f")
@@ -216,7 +216,7 @@ def tuned(config: Config, frames: Measurement) -> Tuned | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chief:
-    """Predicted terms and total, 3 sigma, root mean square of x and y: what sweeps and comparisons show."""
+    """Predicted terms and total, 3 sigma, root mean square of x and y, for sweeps and comparisons."""
 
     total_rms_arcsec: float = col("Total (x, y RMS)", "arcsec", ".3f", json="")
     te_rms_arcsec: float = col("TE", "arcsec", ".3f", json="")
@@ -282,7 +282,8 @@ def parts(predicted: PredictedTerms, frames: Measurement) -> Parts:
 
 
 def collimator(lab: Laboratory, frames: Mapping[str, Measurement]) -> CollimatorShift | None:
-    """What the collimator adds to Table 1; a fit of the true PSF follows all the light, whatever counts."""
+    """Contribution of the collimator to Table 1; by a fit of the true PSF, which follows all light, for any main
+    centroider."""
     table, corners = (
         frames[motion_method(lab.config.methods)].chromatic,
         corner_directions(lab.config.target, lab.instrument),
@@ -315,7 +316,7 @@ def predict(config: Config, *, progress: Progress) -> dict[str, Any]:
 def of_prediction(
     config: Config, predicted: Mapping[str, PredictedTerms], frames: Mapping[str, Measurement] | None = None
 ) -> dict[str, Any]:
-    """Sections that a prediction has by itself, with what frames show where there are any."""
+    """Sections of a prediction, with measured values where frames exist."""
     sides = [compared(one, frames[name] if frames else None) for name, one in predicted.items()]
     known = is_published_sensor(config) or config.published_within_fraction is not None
     published = np.array([PUBLISHED_ARCSEC[name] for name in EVERY]) if known else None

@@ -37,7 +37,7 @@ from render.records import EffectivePsf
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Laboratory:
-    """The instrument, and what stands in front of it."""
+    """The instrument and the targets in front of it."""
 
     config: Config  # What it was built from
     instrument: Instrument  # The camera, its element moved, its detector as overridden
@@ -46,13 +46,13 @@ class Laboratory:
     signal: Signal  # Of a point, and the star that it means
 
     def with_epsf(self, epsf: EffectivePsf, sessions: Sequence[EffectivePsf] = ()) -> Laboratory:
-        """The same, with a PSF that was built from frames, and what it might have been."""
+        """The laboratory with a PSF built from frames, and drawn alternatives."""
         bench, filtered = (replace(one, epsf=epsf, sessions=sessions) for one in (self.bench, self.filtered))
         return replace(self, bench=bench, filtered=filtered)
 
 
 def moved_lens(lens: LensSystem, moved: MovedConfig) -> LensSystem:
-    """The lens with the element where the configuration has it; the lens itself if that is where it belongs."""
+    """The lens with the configured displacement of an element; the lens itself without one."""
     if moved == MovedConfig():  # an element of the built-in lens, where it belongs
         return lens
     lens.indices_of(moved.element)

@@ -44,7 +44,7 @@ STEP_K = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Thermal:
-    """LSFE-T, 3 sigma, and what makes it."""
+    """LSFE-T, 3 sigma, and its contributions."""
 
     calibrated_at_c: float = col("Calibrated at", "degC", "g")
     stars: int = col("Stars of the thermal test", json="")
@@ -80,7 +80,7 @@ def cubic_basis(place_px: FloatArray) -> FloatArray:
 
 
 def chamber(lab: Laboratory, temperature_c: float) -> Laboratory:
-    """The laboratory with lens and housing at a temperature; everything else as it was, the focus too."""
+    """The laboratory with lens and housing at a temperature; everything else unchanged, the focus too."""
     config = lab.config
     instrument = config.instrument.model_copy(update={"lens_temperature_c": temperature_c})
     return build_laboratory(config.model_copy(update={"instrument": instrument}))
@@ -108,7 +108,7 @@ def field_directions(lab: Laboratory) -> FloatArray:
 
 
 def thermal_term(lab: Laboratory, streams: Streams) -> Thermal | str:
-    """Predict and measure the term, or say why there is none."""
+    """Predict and measure the term, or state the reason for its absence."""
     span = lab.config.thermal.stability_k
     if not span:
         return "thermal.stability_k is 0"

@@ -15,7 +15,7 @@ __all__ = ["predict"]
 
 
 def predict(config: Config) -> CameraPrediction:
-    """What the sensor of a configuration will do; see `experiments.laboratory.sensor_prediction.predict_camera`."""
+    """Predicted performance of the configured sensor; see `experiments.laboratory.sensor_prediction.predict_camera`."""
     from experiments.laboratory.sensor_prediction import predict_camera
 
     return predict_camera(config)

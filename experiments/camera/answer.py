@@ -114,7 +114,7 @@ class Swing:
 
     @property
     def size(self) -> float:
-        """Largest change of the attitude that is known."""
+        """Largest known change of the attitude error."""
         return max((abs(one) for one in self.swing_attitude_cross_arcsec if math.isfinite(one)), default=0.0)
 
 
@@ -124,7 +124,7 @@ FEW_ATTITUDES = 150
 
 
 def swings(config: Config, base: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> list[Swing]:
-    """Swings of all keys: by what can be gained, then by how much depends on them."""
+    """Swings of all keys, sorted by possible gain, then by sensitivity."""
     fewer = config.sky.model_copy(update={"attitudes": min(FEW_ATTITUDES, config.sky.attitudes)})
     config = config.model_copy(update={"sky": fewer})
     middle, rows = predict_camera(config), []

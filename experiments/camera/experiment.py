@@ -46,7 +46,7 @@ CURVE_POINTS = 91
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
-    """The sensor in words, and what does not fit."""
+    """Description of the sensor, and warnings."""
 
     name: str = col("Sensor", json="")
     lens: str = col("Lens", json="")
@@ -57,7 +57,7 @@ class Setup:
 
 
 def setup(prediction: CameraPrediction, requirements: Sequence[Requirement]) -> Setup:
-    """What the report says in words."""
+    """Texts of the report."""
     lens, chip = prediction.state.instrument.camera.lens.name, prediction.processing.detector.name
     return Setup(
         name=prediction.config.name or f"{lens} on {chip}",
@@ -270,7 +270,7 @@ def swing_axes(q: Quantities, found: Sequence[Swing]) -> None:
 
 
 def predict(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """The sensor without temperatures, changes and frames: what sweeps and comparisons need."""
+    """The sensor without temperatures, changes and frames, for sweeps and comparisons."""
     del progress
     return predicted(predict_camera(config))
 

@@ -169,7 +169,7 @@ class _Probe:
 
 
 def moves_of(lens: LensSystem, config: ManufactureConfig) -> dict[str, Move]:
-    """What may be off, and how it moves by a number of standard deviations; compensated focus is set afterwards."""
+    """Perturbations, and their movement by a number of standard deviations; compensated focus is set afterwards."""
     return dict(_moves(lens, config))
 
 

@@ -87,7 +87,7 @@ def _first_missed(at: Callable[[float], Config], limits: Limits, held: float, lo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """The sensor against its slew rate; what rate and acceleration it bears."""
+    """The sensor against its slew rate; largest rate and acceleration."""
 
     motion_trail_px: FloatArray = col("Trail", "px", ".2f", "rate")
     motion_nea_arcsec: FloatArray = col("NEA", "arcsec", ".3f", "rate")

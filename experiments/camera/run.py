@@ -21,7 +21,7 @@ MADE = ("lsfe_before_arcsec", "lsfe_after_arcsec")
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Predict and vary; say the answer; warm and cool, render."""
+    """Predict and vary, print the answer, then temperatures and frames."""
     with progress.stage("predict"):
         prediction = predict_camera(config)
     for remark in _remarks(prediction):

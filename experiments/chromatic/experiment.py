@@ -322,7 +322,7 @@ def _lens_axis(q: Quantities, lenses: Sequence[Entries]) -> None:
 
 
 def laboratory(config: Config, instrument: Instrument, signal_e: float) -> tuple[Bench, FloatArray]:
-    """Bench and target points; whatever can be refused without rendering is refused here."""
+    """Bench and target points; all checks that need no rendering."""
     wheel = config.filters
     filters = interference_filters(wheel)
     bench = Bench(
@@ -351,7 +351,7 @@ def laboratory(config: Config, instrument: Instrument, signal_e: float) -> tuple
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
-    """Search the movement; render, read out and reduce both lenses; trace what they should show."""
+    """Search the movement; render, read out and reduce both lenses; trace the expected shifts."""
     instrument = build_instrument(config.instrument)
     band = open_band(config.passband, instrument, "full pass band")
     signal = signal_of(config, band, instrument, config.stars.reference_k)

@@ -116,7 +116,7 @@ def _width_px(one: SeriesFrames) -> float:
 
 
 def exchanged(grid: Sequence[Sequence[SeriesFrames]], filters_nm: Sequence[float]) -> list[str]:
-    """What is exchanged in series by place and filter, in words; nothing can be told from a single place."""
+    """Exchanged series by place and filter, in words; a single place shows none."""
     if len(grid) < 2:
         return []
     rate = [[max(one.signal_e, 1e-3) / (one.exposure_s if one.exposure_s > 0 else 1.0) for one in row] for row in grid]

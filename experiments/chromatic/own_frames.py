@@ -41,7 +41,7 @@ class Residual:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Constant:
-    """The part of a pair's shift that is the same everywhere, first centroider: of the lens, and of the filters."""
+    """Uniform part of a pair's shift, first centroider: by the lens, and by the filters."""
 
     constant_px: Sequence[Measured] = col("Uniform part", "px", dims="axis")
     lens_px: Sequence[Measured] = col("by the lens", "px", dims="axis")
@@ -51,7 +51,7 @@ class Constant:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exchange:
-    """Files of filters that stand for each other."""
+    """Exchanged files of filters."""
 
     said: Sequence[str]  # In words
     exchanged: int = col("Exchanged filters", json="")

@@ -50,7 +50,7 @@ class Solution:
 
     @property
     def label(self) -> str:
-        """What is moved, and how far: "L2 decentred +117 µm"."""
+        """Moved element and movement: "L2 decentred +117 µm"."""
         return f"{self.element} {self.movement}"
 
     def apply(self, lens: LensSystem, axis: int) -> LensSystem:
@@ -130,7 +130,7 @@ def solve_perturbation(
     wanted_px: float,
     weighted: bool = True,
 ) -> Solution:
-    """How far one element has to move for the entry of one pair of bands to reach a value.
+    """Movement of one element for which the entry of one pair of bands reaches a value.
 
     ``weighted``: each ray counts by the transmission of its own path, which takes seconds in place of tenths.
     """

@@ -41,7 +41,7 @@ RIM_PX = 8.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """One bench: everything that the calibration has to find or suffers from. Terms are in units of their sigma."""
+    """One bench: true values and errors of the calibration. Terms are in units of their sigma."""
 
     number: int  # Which bench
     table_from_cube: FloatArray  # (3, 3) Of the cube's body
@@ -72,7 +72,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """Which errors are switched on, and how the reduction goes."""
+    """Active errors and method of reduction."""
 
     name: str  # For machines
     label: str  # For people
@@ -194,7 +194,7 @@ def build_table(config: Config, truth: Truth, case: Case) -> Turntable:
 
 
 def put_cube(laboratory: Laboratory, truth: Truth, lab_from_table: FloatArray) -> CubePose:
-    """Move the cube of the scene to where the table carries it."""
+    """Move the cube of the scene with the table."""
     pose = CubePose.of_table(laboratory.geometry, lab_from_table, truth.table_from_cube, truth.normal)
     place_cube(laboratory.scene, laboratory.geometry, pose)
     return pose
@@ -288,7 +288,7 @@ def mask_sensor(config: Config, detector: Detector, build: FloatArray) -> MaskSe
 def start_angles(
     laboratory: Laboratory, truth: Truth, table: Turntable, face: int, repeat: int, *, within_px: float
 ) -> FloatArray:
-    """Where the table stands at first (2,) [rad]: the spot is ``start`` times ``within_px`` from the aperture."""
+    """Initial angles of the table (2,) [rad]: the spot is ``start`` times ``within_px`` from the aperture."""
     name = laboratory.config.cube.faces[face]
     offset = truth.start[face, repeat] * within_px * laboratory.pitch_mm
     straight = replace(table, non_orthogonality_arcsec=np.zeros(1))
@@ -379,7 +379,7 @@ def check_landing(config: Config, geometry: BenchGeometry, camera: BenchCamera, 
 
 
 def reflected_spot_mm(geometry: BenchGeometry, pose: CubePose, face: str) -> FloatArray:
-    """Where the middle of the beam lands on the screen (2,), by the law of reflection."""
+    """Landing point of the beam's middle on the screen (2,), by the law of reflection."""
     centre, normal = pose.face(face, geometry)
     light = np.array([0.0, 0.0, -1.0])
     hit = light * ((centre @ normal) / (light @ normal))

@@ -174,7 +174,7 @@ def beam_rates(config: Config, sensor: MaskSensor) -> FloatArray:
 
 
 def terms(laboratory: Laboratory, sensor: MaskSensor, trim_px: FloatArray) -> dict[str, FloatArray]:
-    """What geometry predicts for each term by itself, per axis of the cube frame [arcsec]."""
+    """Prediction of each term by geometry, per axis of the cube frame [arcsec]."""
     config, repeats = laboratory.config, np.sqrt(laboratory.config.cube.repeats)
     pixel = pixel_angle_rad(laboratory.pitch_mm, laboratory.geometry.distance_mm) * RAD_ARCSEC
     ones = np.ones(3) / repeats
@@ -189,7 +189,8 @@ def terms(laboratory: Laboratory, sensor: MaskSensor, trim_px: FloatArray) -> di
 
 
 def reading_term(outer_arcsec: float, inner_arcsec: float) -> FloatArray:
-    """What readings of both faces do (3,): the outer axis acts on x (first face) and z (second), the inner one on y."""
+    """Effect of readings of both faces (3,): the outer axis acts on x (first face) and z (second), the inner one on
+    y."""
     return np.array([outer_arcsec, inner_arcsec, outer_arcsec])
 
 

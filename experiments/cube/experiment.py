@@ -70,7 +70,7 @@ class Setup:
 
 
 def setup(laboratory: Laboratory, cases: Mapping[str, CaseResult], rows: Sequence[BudgetRow]) -> Setup:
-    """What all benches gave, and the bench itself."""
+    """Results of all benches, and the bench itself."""
     geometry, sensor, by_name = laboratory.geometry, perfect_sensor(laboratory), {row.term: row for row in rows}
     rim, beam = geometry.blur_mm(geometry.path_mm), beam_rates(laboratory.config, sensor)
     return Setup(
@@ -114,7 +114,7 @@ def every_bench(case: CaseResult) -> Benches:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
-    """Errors of R_sr on all benches, on a square table, and what pictures scatter by."""
+    """Errors of R_sr on all benches, on a square table, and the scatter of pictures."""
 
     r_sr_predicted_arcsec: Sequence[Measured] = col("Error of R_sr, predicted", "arcsec", dims="axis")
     r_sr_mean_error_arcsec: Sequence[Measured] = col("Mean error of R_sr", "arcsec", dims="axis")

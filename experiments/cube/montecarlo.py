@@ -178,7 +178,7 @@ class CaseResult:
 
     @property
     def sensor_mean_arcsec(self) -> tuple[FloatArray, FloatArray]:
-        """Mean of what R_sr contributes (3,), and its standard deviation (3,)."""
+        """Mean contribution of R_sr (3,), and its standard deviation (3,)."""
         return _mean(np.array([one.sensor_error_arcsec for one in self.bench]))
 
     @property

@@ -61,7 +61,7 @@ class PictureNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorNoise:
-    """What the calibration of the sun sensor scatters by."""
+    """Scatter of the calibration of the sun sensor."""
 
     spot_px: float  # Standard deviation of a spot per axis, RMS over the positions
     # (3, 3) Of what R_sr, and the fitted squareness, do to R_sp: rotation vector in the cube frame
@@ -133,7 +133,7 @@ def _of_detector_px2(laboratory: Laboratory, edge: _Edge, full_e: float) -> floa
 
 
 def picture_noise(laboratory: Laboratory) -> PictureNoise:
-    """Of a concentric, trimmed face: spot minus aperture."""
+    """Noise of spot minus aperture for a concentric, trimmed face."""
     config, pitch = laboratory.config, laboratory.pitch_mm
     hole = laboratory.geometry.aperture_mm / 2 / pitch
     spot = _spot_edge(laboratory)

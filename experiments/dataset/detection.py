@@ -209,7 +209,7 @@ def dataset_bound(scene: Scene, psfs: PsfGrid, sky_e: float) -> CentroidBound:
 
 
 def wcs_misses_px(path: str | Path, truth: dict[str, Any], *, width_px: int, height_px: int) -> FloatArray:
-    """Distances (n,) [px] between where astropy's WCS of a file puts stars and their chief rays."""
+    """Distances (n,) [px] of star positions by astropy's WCS of a file from their chief rays."""
     from astropy.io import fits
     from astropy.wcs import WCS, FITSFixedWarning
 
@@ -472,7 +472,7 @@ def mean_ratio(bins: Sequence[CentroidBin]) -> tuple[float, int]:
 
 
 def example_frame(outcome: Outcome) -> Figure:
-    """The first frame: detections circled by what they are."""
+    """The first frame with detections circled by class."""
     from experiments.harness.plotting import PALETTE, new_figure
     from optics.figures import draw_image
 

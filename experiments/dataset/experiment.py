@@ -224,7 +224,7 @@ def _look_at(scene: Scene, folder: Path, records: Sequence[FrameRecord], progres
 def evaluate(
     folder: Path, scene: Scene, records: Sequence[FrameRecord], *, patterns: Any, advance: Callable[[], None]
 ) -> dict[str, Any]:
-    """Sections of what is detected and solved in frames of a dataset."""
+    """Sections of detection and solution of the frames of a dataset."""
     config, camera, instrument = scene.config, scene.instrument.camera, scene.instrument
     streams, dark_frames = scene.plan.streams.child("verify"), config.verify.dark_frames
     dark = mean_dark_frame(instrument, dark_frames, streams=streams, label=EMPTY)
@@ -284,7 +284,7 @@ def evaluate(
 
 
 def extra(result: Mapping[str, Any]) -> dict[str, Any]:
-    """What ``summary.json`` says in words."""
+    """Texts of ``summary.json``."""
     return {"exports": dict(result["frames"].exports)}
 
 
@@ -326,7 +326,7 @@ def _baseline(config: Config, result: Mapping[str, Any]) -> dict[str, str]:
 
 
 def sky_coverage(outcome: Outcome) -> Figure:
-    """Where the frames look; icrs, east to the left."""
+    """Boresights of the frames; icrs, east to the left."""
     from experiments.harness.plotting import PALETTE, new_figure
 
     figure, axis = new_figure(aspect_ratio=0.52, subplot_kw={"projection": "mollweide"})

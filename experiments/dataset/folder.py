@@ -69,7 +69,7 @@ _COUNT = itertools.count()
 
 
 class StorageError(ConfigError):
-    """Something cannot be written: no room, no right, no disk. What was written before is kept."""
+    """A file cannot be written (disk full, no permission, no disk). Earlier files are kept."""
 
 
 def storage_error(path: Path, error: OSError) -> StorageError:
@@ -110,7 +110,8 @@ def software(backend: str) -> dict[str, str]:
 
 
 def origin(config: Config, backend: str) -> dict[str, Any]:
-    """What ``dataset.json`` and every truth file say of the dataset: format, software and configuration, JSON types."""
+    """Identity of the dataset in ``dataset.json`` and every truth file: format, software and configuration, JSON
+    types."""
     return {"format": FORMAT_VERSION, "software": software(backend), "config": identity(config)}
 
 
@@ -246,7 +247,7 @@ class DatasetFolder:
 
     @property
     def interrupted(self) -> str:
-        """What to say after an interrupt."""
+        """Message after an interrupt."""
         return f"interrupted; {self.count()} of {self.frames} frames are kept, the same command continues"
 
     def numbers(self) -> list[int]:
@@ -264,7 +265,7 @@ class DatasetFolder:
         return checked_frame(self.path, frame, self.truth)
 
     def fetch(self, names: Iterable[str]) -> None:
-        """See to it that files of the dataset are in its folder: here they are."""
+        """Ensure that files of the dataset are in its folder: no action here."""
 
     def open(self, software: Mapping[str, str]) -> None:
         """Make the folder, or take it up again; from here on it is this process's."""
@@ -288,7 +289,7 @@ class DatasetFolder:
             raise StorageError(f"{self.shown}: cannot be written ({error.strerror})") from None
 
     def check_room(self, needed_bytes: float) -> None:
-        """Refuse what surely does not fit."""
+        """Refuse a dataset that exceeds the free disk space."""
         free = shutil.disk_usage(self.path).free
         if needed_bytes > free:
             raise StorageError(
@@ -437,7 +438,7 @@ class Checked:
 
 
 def check(folder: Path, progress: Progress) -> Checked:
-    """Read every file of a dataset: whether it is as it was written, and what a run would make again."""
+    """Read every file of a dataset: whether it is intact, and what a run would restore."""
     if not os.path.isdir(folder):
         raise ConfigError(f"{folder}: no such folder")
     of_dataset, (listed, list_whole) = held_identity(folder), _listed(folder)

@@ -45,7 +45,7 @@ LAYER_WORDS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MadeFrame:
-    """A frame as it will be written."""
+    """A frame before writing."""
 
     plan: FramePlan  # Attitude, motion, split
     frame: Frame  # Digital numbers
@@ -272,7 +272,7 @@ class FrameMaker:
         return self._disks[1]
 
     def hits(self, frame: int) -> CosmicRayHits | None:
-        """What cosmic rays leave in a frame; None without them."""
+        """Charge of cosmic rays in a frame; None without them."""
         radiation = self.scene.config.radiation
         if radiation.environment == "none":
             return None

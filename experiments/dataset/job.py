@@ -46,7 +46,7 @@ _LOCK = threading.Lock()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """What a worker has to know; small, and pickled once per batch."""
+    """Data for a worker; small, pickled once per batch."""
 
     config: str  # The configuration as JSON
     folder: str  # The dataset's folder, the same for all workers

@@ -62,7 +62,7 @@ class FramePlan:
 
 
 def build_plan(config: Config, height_px: int | None = None, diagonal_deg: float = 0.0) -> Plan:
-    """Read what has to be read, and refuse what cannot be."""
+    """Read input files, and refuse impossible settings."""
     pointing = config.pointing
     rows = config.instrument.height_px if height_px is None else height_px
     duration_s = config.instrument.exposure_s + max(0, rows - 1) * config.instrument.line_time_us * 1e-6
@@ -181,7 +181,7 @@ def _scan(pointing: ScanPointing, config: Config, duration_s: float) -> Trajecto
 
 
 def plan_frame(plan: Plan, frame: int) -> FramePlan:
-    """What frame number ``frame`` is."""
+    """Plan of frame number ``frame``."""
     config, half_s = plan.config, plan.duration_s / 2.0
     if plan.path is not None:
         assert isinstance(config.pointing, ScanPointing)

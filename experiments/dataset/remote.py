@@ -179,7 +179,7 @@ class RemoteDataset(DatasetFolder):
         self._push(IDENTITY)
 
     def close(self) -> None:
-        """Leave nothing behind where no frame was made."""
+        """Remove the folder if no frame was made."""
         if not self._there and not self.count():
             with contextlib.suppress(StorageError):
                 self.store.remove(IDENTITY)

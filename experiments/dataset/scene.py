@@ -58,7 +58,7 @@ LONGEST_ANNEALED_S = 5e6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """What every frame of a dataset needs; made by `build_scene`."""
+    """Common data of the frames of a dataset; made by `build_scene`."""
 
     config: Config  # The configuration
     instrument: Instrument  # Camera and detector, cut to the window
@@ -264,7 +264,7 @@ class Disk:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SkyLight:
-    """What all frames have of it in common; made by `build_sky_light`."""
+    """Sky light common to all frames; made by `build_sky_light`."""
 
     config: BackgroundConfig  # What was asked for
     diffuse: BackgroundMap | None  # Etendue of every pixel; None without zodiacal light and uniform sky

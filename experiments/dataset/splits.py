@@ -38,7 +38,7 @@ LEAST_USED = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Splits:
-    """How the frames of a dataset are shared out."""
+    """Split of the frames of a dataset."""
 
     by: Literal["sky", "arc", "frame"]  # "sky", "arc" or "frame"
     gap_deg: float  # Least angle between boresights of two splits; 0 by frame
@@ -209,7 +209,7 @@ def _order(streams: Streams, block: int) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leak:
-    """What frames of a split share with those for training."""
+    """Overlap of the frames of a split with the training frames."""
 
     frames: int  # Frames of the split
     near: int  # Those within half a field's diagonal of a training frame

@@ -85,7 +85,7 @@ LARGEST_FOOTPRINT_PX = 512.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarLightOnChip:
-    """What disturbs the stars of a frame."""
+    """Disturbances of the stars of a frame."""
 
     empty_e2: float  # Temporal variance of a pixel without starlight [e-^2]: sky, dark charge, read noise, rounding
     pixel_flags: NDArray[np.uint8]  # (h, w) Bits of `FLAGS` for single pixels: saturated, defect, cosmic_ray
@@ -159,7 +159,7 @@ def flux_snr(electrons: FloatArray, area_px2: FloatArray, *, noise_e2: float) ->
 
 
 def footprint_px(variance_x_px2: FloatArray, variance_y_px2: FloatArray, diffusion_px: float) -> FloatArray:
-    """How far footprints reach from the photon centroid along columns and rows (2, n), see `FLAGS`."""
+    """Extent of footprints from the photon centroid along columns and rows (2, n), see `FLAGS`."""
     sigma = _spot_sigma(np.stack([variance_x_px2, variance_y_px2]), diffusion_px)
     return np.asarray(np.minimum(FOOTPRINT_SIGMA * sigma + 0.5, LARGEST_FOOTPRINT_PX))
 

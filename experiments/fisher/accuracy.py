@@ -105,7 +105,7 @@ ADVICE = (
 
 
 def check_config(config: Config) -> Instrument:
-    """The camera; whatever can be refused without rendering is refused here."""
+    """The camera; all checks that need no rendering."""
     axes = len(build_table(config.table).axis)
     check_table("table", config.table, axes)
     if axes == 3 and len({round(roll % 360.0, 6) for roll in config.table.rolls_deg}) < 2:

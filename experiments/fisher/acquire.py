@@ -47,7 +47,7 @@ LEAST_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """How the table moves while the shutter is open."""
+    """Motion of the table during the exposure."""
 
     rate_rad_per_s: float = 0.0  # Speed of the second axis (the inner one of two); 0: at rest
     jitter_s: float = 0.0  # Standard deviation between mid-exposure and reading

@@ -80,14 +80,14 @@ def tangent_maps(model: CameraModel, bench: Bench, angle_rad: FloatArray) -> Flo
 
 
 def jitter_covariance_px2(model: CameraModel, bench: Bench, angle_rad: FloatArray, motion: Motion) -> FloatArray:
-    """What the jitter of the clocks amounts to on the detector, (n, 2, 2) [px^2]."""
+    """Covariance on the detector by the jitter of the clocks, (n, 2, 2) [px^2]."""
     by_direction = model.project_jacobian(bench.seen(angle_rad)).by_direction
     shift = (by_direction @ angle_effect(bench, angle_rad)[:, 1, :, None])[..., 0] * motion.smear_rad
     return np.asarray(shift[:, :, None] * shift[:, None, :])
 
 
 def table_covariance_px2(model: CameraModel, bench: Bench, angle_rad: FloatArray, motion: Motion) -> FloatArray:
-    """What readings and clocks of the table amount to on the detector, (n, 2, 2) [px^2]."""
+    """Covariance on the detector by readings and clocks of the table, (n, 2, 2) [px^2]."""
     angle = np.array(angle_rad)
     return reading_covariance_px2(model, bench, angle) + jitter_covariance_px2(model, bench, angle, motion)
 

@@ -67,7 +67,7 @@ class Evaluation:
         return low * RAD_ARCSEC, high * RAD_ARCSEC
 
     def baseline_arcsec(self, resolution_arcsec: float) -> float:
-        """What the pixel residuals say, with one angle per pixel."""
+        """Standard deviation from pixel residuals, with one angle per pixel."""
         return baseline_px(self.residual_px[~self.outlier]) * resolution_arcsec
 
 
@@ -78,7 +78,7 @@ def baseline_px(residual_px: FloatArray) -> float:
 
 
 def expected_px(model: CameraModel, bench: Bench, reading_rad: FloatArray) -> FloatArray:
-    """Where the star should be imaged, (n, 2)."""
+    """Expected image of the star, (n, 2)."""
     return np.asarray(model.project(bench.seen(np.array(reading_rad))))
 
 

@@ -37,7 +37,7 @@ LEVEL = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mission:
-    """What flies, and how often it has an attitude."""
+    """Sensor and availability of its attitude."""
 
     name: str = col("Sensor", json="")
     lens: str = col("Lens", json="")
@@ -323,7 +323,7 @@ def turning(budget: Budget) -> list[Turning]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kelvin:
-    """What a state of the temperature field does per kelvin, RMS over the segments."""
+    """Attitude error per kelvin of a state of the temperature field, RMS over the segments."""
 
     state: str = col("Temperature", json="")
     attitude_arcsec: FloatArray = col("Attitude error per kelvin", "arcsec", ".4g", "component")

@@ -69,7 +69,8 @@ def by_frames(config: Config) -> Sensor:
 
 
 def by_budget(config: Config, *, budget: Budget | None = None) -> Sensor:
-    """A sensor that errs as the budget predicts: temporal noise anew in every call, what the stars make as it is.
+    """A sensor that errs as the budget predicts: independent temporal noise in every call, errors of the stars
+    unchanged.
 
     Parameters
     ----------

@@ -136,7 +136,7 @@ class ExperimentConfig(StrictModel):
         return {}
 
     def remarks(self) -> tuple[str, ...]:
-        """What a reader of the report has to know of these settings, in Markdown; nothing here."""
+        """Remarks on these settings for the report, in Markdown; none here."""
         return ()
 
     def notes(self) -> tuple[str, ...]:

@@ -88,7 +88,7 @@ class Experiment:
 
     @property
     def about(self) -> str:
-        """What the experiment answers: the docstring of its package, or of the module that declares it."""
+        """Description of the experiment: the docstring of its package, or of the module that declares it."""
         module = sys.modules.get(self.package) or sys.modules[self.config.__module__]
         return (module.__doc__ or sys.modules[self.config.__module__].__doc__ or "").strip()
 

@@ -11,7 +11,7 @@ from markupsafe import Markup, escape
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """What a short word stands for."""
+    """Meaning of an abbreviation."""
 
     means: str  # One sentence
     link: str = ""  # Where to read on; empty for none

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pivot:
-    """How a table is made from quantities."""
+    """Layout of a table of quantities."""
 
     columns: str  # Quantities, one column each, e.g. "dark_arcsec raw_arcsec"
     # Dimensions that run down, the last one fastest, each with a column of its coordinates, or of numbers 1, 2, 3 ...

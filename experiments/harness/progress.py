@@ -59,12 +59,12 @@ class Progress:
             self.times_s[label] = self.times_s.get(label, 0.0) + time.perf_counter() - start
 
     def answer(self, words: str) -> None:
-        """Say what a run found before it is drawn and written; a command prints it."""
+        """Report the result of a run before figures are drawn; a command prints it."""
         if self.say is not None:
             self.say(words)
 
     def note(self, words: str) -> None:
-        """Say something that the user has to know, on a line of its own on the standard error stream."""
+        """Message for the user, on a separate line of the standard error stream."""
         if sys.stderr is not None:
             print(words, file=sys.stderr, flush=True)
 

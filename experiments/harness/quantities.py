@@ -312,12 +312,12 @@ class Outcome:
         return Quantity.of(self.data, name).heading
 
     def names(self, dim: str) -> list[str]:
-        """What readers see along a dimension."""
+        """Displayed names along a dimension."""
         label = f"{dim}_label"
         return [str(one) for one in self.data.coords[label if label in self.data.coords else dim].values]
 
     def label(self, dim: str, key: Any) -> str:
-        """What readers see for one coordinate of a dimension."""
+        """Displayed name of one coordinate of a dimension."""
         return self.labels(dim)[key]
 
     def labels(self, dim: str) -> dict[Any, str]:

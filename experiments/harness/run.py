@@ -88,7 +88,7 @@ class ExperimentRun:
 
     @property
     def result(self) -> Any:
-        """What the experiment computed: section -> record or records."""
+        """Results of the experiment: section -> record or records."""
         return self.outcome.result
 
     @property
@@ -150,7 +150,7 @@ def finished(experiment: Experiment, config: ExperimentConfig, result: Any, **ab
 
 
 def perform(experiment: Experiment, options: Options, progress: Progress) -> tuple[ExperimentRun, Any]:
-    """Run an experiment and write what it gives: the run, and its output folder (None if none is named)."""
+    """Run an experiment and write its results: the run, and its output folder (None if none is named)."""
     with one_thread(unless_told=True):
         experiment, config = _chosen(experiment, options)
         interrupts.at_once = False

@@ -76,7 +76,7 @@ def _folder(out: str) -> Path:
 
 
 def read_entry(folder: Path, status: int) -> dict[str, Any]:
-    """What a run that ended with ``status`` left in its folder: a line of the page."""
+    """Line of the page for a run that ended with ``status``, from its folder."""
     if status not in (EXIT_GOOD, EXIT_FAILED):
         return {"status": status, "verdict": f"no result (exit code {status})"}
     criteria = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["criteria"]

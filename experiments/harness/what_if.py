@@ -100,7 +100,7 @@ def crossing(met: Callable[[float], bool], held: float, lost: float) -> float:
 
 
 def missed_words(requirements: Sequence[Requirement]) -> str:
-    """What the verdicts on all requirements come to, in a sentence."""
+    """Summary of the verdicts on all requirements, in a sentence."""
     if not requirements:
         return "The sensor file states no [requirements]."
     missed = [one for one in requirements if not one.met]
@@ -440,7 +440,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compared:
-    """What each sensor makes of a requirement of its own file."""
+    """Performance of each sensor against a requirement of its own file."""
 
     label: str = col("Requirement", json="")
     verdict: Sequence[str] = col("Verdict", dims="sensor", json="")

@@ -57,7 +57,7 @@ class Steps:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
-    """Two positions that stand each where the other was commanded."""
+    """Two interchanged positions."""
 
     said: Sequence[str]  # In words
     misplaced: int = col("Pairs of positions that are exchanged", json="")

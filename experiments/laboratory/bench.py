@@ -22,7 +22,7 @@ NODES = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """What stands in the laboratory."""
+    """Devices of the laboratory."""
 
     target: TargetConfig  # Point target
     lamp: Sed  # Spectrum of the source
@@ -56,7 +56,7 @@ class Bench:
         return between / instrument.pixel_arcsec**2, within / instrument.pixel_arcsec**2
 
     def collimation(self, wavelength_nm: FloatArray, instrument: Instrument) -> Collimation | None:
-        """How the light behind the filters is bent at wavelengths (b, k)."""
+        """Collimation error behind the filters at wavelengths (b, k)."""
         if self.collimator is None:
             return None
         return self.collimator.light(self.filters, wavelength_nm, instrument.camera.lens.environment)

@@ -89,7 +89,7 @@ ProcessingName = Annotated[str, _Name(lambda: list_methods(measured=True))]
 
 @dataclass(frozen=True)
 class MethodLabels(Mapping[str, str]):
-    """What tables and figures call each method: the centroider's label, with the ePSF that it is given."""
+    """Labels of the methods in tables and figures: the centroider's label with its ePSF."""
 
     # What an experiment calls the ePSF of each place, the reference one and the one built from frames; "" where that
     # needs no word

@@ -46,7 +46,7 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
 
 
 def focus_remark(camera: Camera, wavelength_nm: FloatArray, share: FloatArray | None = None) -> str:
-    """What to say of a camera whose stars are far out of focus, a lens file's own image plane for one; empty if not."""
+    """Warning for stars far out of focus, such as at a lens file's own image plane; empty otherwise."""
     focus = focus_of(camera, wavelength_nm, np.ones(len(wavelength_nm)) if share is None else share)
     radius_px, best_px = (float(focus.rms_mm(z)) / camera.pixel_pitch_mm for z in (0.0, focus.best_mm))
     if not (radius_px > WIDE_PX and radius_px > FAR_OUT * best_px):

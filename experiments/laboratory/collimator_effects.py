@@ -94,7 +94,8 @@ def closed_spot_um(bench: Bench, instrument: Instrument, direction: FloatArray) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CollimatorShift:
-    """What the collimator adds to Table 1; the dimensions ``pair``, ``axis`` and ``band`` are described elsewhere."""
+    """Contribution of the collimator to Table 1; the dimensions ``pair``, ``axis`` and ``band`` are described
+    elsewhere."""
 
     part_px: FloatArray = col("Closed form", "px", "+.4f", "part pair axis", json="parts_px", key="collimator_part_px")
     together_px: FloatArray = col("Together", "px", "+.4f", "pair axis", key="collimator_together_px")

@@ -66,7 +66,7 @@ class DetectorConfig(StrictModel):
 
 
 def overridden(detector: Detector, changes: DetectorConfig) -> Detector:
-    """The detector with what the configuration says instead of its data file."""
+    """The detector with the changes of the configuration."""
     given = {name: value for name, value in changes.model_dump().items() if value is not None}
     scaled = {_IN_UM.get(name, name): value * UM_MM if name in _IN_UM else value for name, value in given.items()}
     return replace(detector, **scaled) if scaled else detector

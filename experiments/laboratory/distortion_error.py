@@ -151,7 +151,7 @@ def dense_map(
     grid: tuple[int, int],
     traced_px: FloatArray,
 ) -> DenseMap:
-    """What a correction leaves of traced bundles (m, 2) on a dense grid (ACC18 Fig. 8: at the target points)."""
+    """Residuals of traced bundles (m, 2) after a correction on a dense grid (ACC18 Fig. 8: at the target points)."""
     nominal, place = camera_place(instrument, dense_grid(instrument, *grid))
     found = traced_px - nominal
     aligned = camera_terms(place, "aligned") @ fit_camera(place, found, "aligned")

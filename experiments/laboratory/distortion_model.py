@@ -56,7 +56,7 @@ from render.records import EffectivePsf
 
 
 class Numbers(NamedTuple):
-    """What the document's numbers should be (3, 2) [px]: sigma_d, sigma_Dd, sigma_C1 by axis.
+    """Expected values of the document's numbers (3, 2) [px]: sigma_d, sigma_Dd, sigma_C1 by axis.
 
     Root mean square; standard deviation of the number of one survey, and of the RMS over infinitely many surveys of one
     chip and one run.
@@ -69,7 +69,7 @@ class Numbers(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GridErrors:
-    """What reaches the residuals of n points [px]."""
+    """Errors in the residuals of n points [px]."""
 
     place: FloatArray  # (n, 2) Points from the middle of the detector, in units of order 1
     offset_px: FloatArray  # (n, 2) Mean centroids minus nominal coordinates, without noise: distortion and S-curve
@@ -83,7 +83,7 @@ class GridErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistortionPrediction:
-    """What the document's numbers should be; [px], 1 sigma, by method and reference."""
+    """Expected values of the document's numbers; [px], 1 sigma, by method and reference."""
 
     pixel_arcsec: float  # Angle of a pixel
     # (3, 2) sigma_d, sigma_Dd, sigma_C1: root mean square over chips, runs and surveys; standard deviation of the
@@ -110,7 +110,7 @@ def polynomial_basis(place: FloatArray, order: int) -> FloatArray:
 
 
 def camera_projector(place: FloatArray, reference: Reference) -> FloatArray:
-    """Projector (2 n, 2 n), x and y of point after point, onto what a camera model explains.
+    """Projector (2 n, 2 n), x and y of point after point, onto the terms of a camera model.
 
     With z = x + iy: shift 1 and i, scale z, roll iz; of Brown and Conrady |z|^2 z, |z|^4 z, z^2 + 2 |z|^2 and
     i (2 |z|^2 - z^2).
@@ -134,7 +134,7 @@ def _blocks(covariance: FloatArray) -> FloatArray:
 
 
 def predicted_numbers(errors: GridErrors, order: int, reference: Reference) -> Numbers:
-    """The document's numbers from what reaches the residuals (see the module)."""
+    """The document's numbers from the errors in the residuals (see the module)."""
     points, one = len(errors.place), np.eye(2 * len(errors.place))
     camera = one - camera_projector(errors.place, reference)
     chip, session, known = (_blocks(v) for v in (errors.chip_px2, errors.session_px2, errors.mean_px2))
@@ -167,7 +167,7 @@ def _variance(q: FloatArray, u: FloatArray, covariance: FloatArray) -> float:
 
 
 def marking_errors(target: GridTarget, instrument: Instrument, direction: FloatArray) -> GridErrors:
-    """What reaches the residuals of a target (n, 3) through a perfect camera without noise: marking errors alone."""
+    """Residuals of a target (n, 3) through a perfect camera without noise: marking errors alone."""
     _, place = camera_place(instrument, direction)
     # an error of the surveyed tangent is one of the nominal coordinate, the same at every place
     scale_px = instrument.focal_length_mm / instrument.camera.pixel_pitch_mm

@@ -126,7 +126,7 @@ DETERMINED = 1e-3
 
 
 def cross_validated(place: FloatArray, offset_px: FloatArray, order: int, reference: Reference) -> FloatArray:
-    """How far fits are off at points that they have not seen (3, n, 2), camera and polynomial fitted together.
+    """Errors of fits at points left out (3, n, 2), camera and polynomial fitted together.
 
     First every point left out by itself; then with all points of its row, then of its column, but those of the
     outermost ones, beyond which there is nothing. NaN where the other points do not determine the place. Shapes:

@@ -40,7 +40,7 @@ def interference_filters(config: FilterConfig) -> tuple[Filter, ...]:
 
 
 def open_band(config: PassbandConfig, sensor: StarSensor, name: str = "") -> Filter:
-    """The pass band of a configuration: what an open place of the filter wheel lets through."""
+    """The pass band of a configuration: the transmission of an open place of the filter wheel."""
     if config.file:
         curve = _measured(config.file, name)
         sensor.check_band("passband.file", curve)

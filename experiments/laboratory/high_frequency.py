@@ -128,7 +128,7 @@ class HighFrequencyMeasurement:
         return np.asarray((of_mean[1:] + of_mean[:-1]).mean((0, 1)) * (1.0 - 1.0 / sigma_px.shape[1]))
 
     def effect_px(self, method: str, cause: str, *, alone: bool) -> FloatArray:
-        """What a cause does to the mean centroids (m, j, 2): acting alone, or missing when switched off."""
+        """Effect of a cause on the mean centroids (m, j, 2): acting alone, or missing when switched off."""
         if cause == "s_curve":
             return np.asarray(self.noiseless_px[method] - self.photon_px)
         runs = (f"only {cause}", "none") if alone else ("all", f"without {cause}")

@@ -62,7 +62,7 @@ NEAR_PX = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MethodPrediction:
-    """What one centroider should show; all pixels, 1 sigma, (x, y)."""
+    """Expected results of one centroider; all pixels, 1 sigma, (x, y)."""
 
     s_curve_px: FloatArray  # (m, j, 2) Error of the noiseless centroid
     cause_px: Mapping[str, FloatArray]  # (2,) Each cause in the document's number

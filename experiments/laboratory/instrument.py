@@ -128,7 +128,7 @@ def configured_detector(config: InstrumentConfig) -> Detector:
 
 
 def stated_defocus_mm(config: InstrumentConfig) -> float:
-    """The defocus of a configuration; the best one, if it is left to us here, for the usual pass band."""
+    """The defocus of a configuration; the best one for the usual pass band, if not stated."""
     return best_defocus_mm(config, PassbandConfig()) if isinstance(config.defocus_mm, str) else config.defocus_mm
 
 

@@ -124,7 +124,7 @@ def optical_state(config: PredictedSensorConfig) -> OpticalState:
 
 
 def longest_trail_px(config: PredictedSensorConfig, at_rest: OpticalState) -> tuple[float, str, int]:
-    """What the centroider's window holds; the setting that decides, and its pixels."""
+    """Longest trail in the centroider's window; the limiting setting, and its pixels."""
     setting, window_px = _window(config)
     rms_mm = float(np.nanmax(at_rest.performance.white.rms_mm()))
     return window_px - 4.0 * rms_mm / at_rest.instrument.camera.pixel_pitch_mm, setting, window_px

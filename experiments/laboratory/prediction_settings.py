@@ -12,7 +12,7 @@ from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentCon
 
 
 class StarConfig(StrictModel):
-    """The stars that numbers are quoted for."""
+    """Stars for which numbers are quoted."""
 
     magnitude_mag: float = Field(
         default=6.0, ge=-2, le=20, description="magnitude of the star for which accuracy is quoted"
@@ -30,7 +30,7 @@ class SkyConfig(StrictModel):
 
 
 class SlewConfig(StrictModel):
-    """How the sensor turns, evenly and across its line of sight, during every exposure; its processing knows."""
+    """Uniform rotation of the sensor across its line of sight during every exposure, known to its processing."""
 
     rate_deg_per_s: float = Field(default=0.0, ge=0, le=100, description="slew rate across the line of sight")
     direction_deg: float = Field(

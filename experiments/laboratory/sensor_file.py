@@ -167,7 +167,7 @@ class SensorExperimentConfig(ExperimentConfig):
         return lens_defaults(values, getattr(cls(), "instrument", InstrumentConfig()).lens)
 
     def remarks(self) -> tuple[str, ...]:
-        """What was taken from the lens file of the instrument, and what is not from the data sheet of its detector."""
+        """Settings taken from the lens file of the instrument, and detector values that are not from its data sheet."""
         instrument, passband = getattr(self, "instrument", None), getattr(self, "passband", None)
         focus = self._focused_mm
         words = () if focus is None else (f"In focus for the pass band: instrument.defocus_mm = {focus:g} mm.",)
@@ -202,7 +202,7 @@ def detector_remarks(instrument: InstrumentConfig) -> tuple[str, ...]:
 
 
 def read_sensor(file: Path) -> dict[str, Any]:
-    """What a sensor file says, checked; what it leaves out is left out here too. Paths are taken from its folder."""
+    """Validated contents of a sensor file, without missing keys. Paths are taken from its folder."""
     given = read_settings(SensorConfig, file)
     parse_model(SensorConfig, given, str(file))
     return given

@@ -143,7 +143,7 @@ class AttitudeForecast:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraPrediction:
-    """Everything that was predicted."""
+    """All results of a prediction."""
 
     config: Any  # For which sensor: PredictedSensorConfig, or the configuration of an experiment with all its keys
     state: OpticalState  # Lens and light

@@ -23,7 +23,7 @@ MOTION_TERMS = 3
 
 
 def common_removed(values_px: FloatArray) -> FloatArray:
-    """Values (m, W, 2) minus their mean over the stars: what the platform did to all of them."""
+    """Values (m, W, 2) minus their mean over the stars, the motion of the platform."""
     return np.asarray(values_px - values_px.mean(axis=1, keepdims=True))
 
 
@@ -100,7 +100,7 @@ class PositionError:
 def position_error(
     mean_px: FloatArray, sigma_px: FloatArray, frames: FloatArray, *, level: float = 0.95
 ) -> PositionError:
-    """Error of a position by an analysis of variance: scatter over the positions less what temporal noise makes of it.
+    """Error of a position by an analysis of variance: scatter over the positions minus the part of temporal noise.
 
     With e the error of star j at position m, the mean centroid is ``base_j + motion_m(place_j) + e_mj + noise``. Star
     means and, at every position, the motion of the image (shift; with five stars or more also roll, scale and shear)

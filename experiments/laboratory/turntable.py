@@ -90,7 +90,7 @@ class Turntable:
 
     @property
     def nominal(self) -> Turntable:
-        """The same table with square axes: what a user assumes who does not know better."""
+        """The same table with orthogonal axes, the user's assumption."""
         return replace(self, non_orthogonality_arcsec=np.zeros(len(self.axis) - 1))
 
     @property
@@ -114,7 +114,7 @@ class Turntable:
         return turn
 
     def angle_rates(self, angle_rad: ArrayLike) -> FloatArray:
-        """What the top does when an angle changes: rotation vector per radian, in the laboratory, (n, k, 3).
+        """Rotation of the top per angle: rotation vector per radian, in the laboratory, (n, k, 3).
 
         The direction in which each axis points at these angles (the geometric Jacobian of a serial chain).
         """
@@ -127,7 +127,7 @@ class Turntable:
         return rates
 
     def lean_rates(self, angle_rad: ArrayLike) -> FloatArray:
-        """What the top does when a non-orthogonality changes: laboratory rotation vector per radian, (n, k-1, 3).
+        """Rotation of the top per non-orthogonality: laboratory rotation vector per radian, (n, k-1, 3).
 
         With the lean Q about the pivot p, the carried turn is Q R Q^T, whose derivative is the rotation vector
         p - R p at the carrier.

@@ -81,7 +81,7 @@ class Waves:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """A lens as its page shows it; ``missing`` holds, by section, why something is not shown.
+    """Results of a lens for its page; ``missing`` states by section why something is not shown.
 
     ``focus`` is the field curvature: the best focus of each wavelength along and across the field [mm], (f, 2).
     """

@@ -85,7 +85,7 @@ class FrameFolder:
 
     @property
     def centre_px(self) -> FloatArray:
-        """Middle of the frames, or what the folder says."""
+        """Middle of the frames, or as stated in the folder."""
         middle = ((self.width_px - 1) / 2, (self.height_px - 1) / 2)
         return np.asarray(self.settings.centre_px or middle, float)
 

@@ -173,7 +173,7 @@ class Flat:
 
 
 def mean_frame(reader: FrameReader, files: Sequence[Path], name: str, *, variance: bool = False) -> MeanFrame:
-    """Mean of the frames of files, and what they say of themselves."""
+    """Mean of the frames of files, and their metadata."""
     total: FloatArray | None = None
     squares: FloatArray | float = 0.0
     level: list[float] = []

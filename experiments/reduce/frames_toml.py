@@ -134,7 +134,7 @@ class Layout:
     fewest: int = 2  # Frames that a series must have
 
     def check(self, settings: FolderSettings) -> None:
-        """Refuse a folder that does not say what is needed."""
+        """Refuse a folder with missing information."""
         given = [settings.points is not None, bool(settings.points_px), settings.target is not None]
         if self.points is None and sum(given) != 1:
             raise ConfigError(

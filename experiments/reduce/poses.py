@@ -54,7 +54,7 @@ class PoseCalibration:
 
     @property
     def residual_px(self) -> FloatArray:
-        """Images minus what the calibration says at the angles as read (n, 2)."""
+        """Images minus the calibration's prediction at the angles as read (n, 2)."""
         return np.asarray(self.data.pixel_px - self.calibration.model.project(self.bench.seen(self.data.reading_rad)))
 
     @property
@@ -127,7 +127,7 @@ def pose_data(series: Sequence[SeriesFrames], table: Turntable, method: str) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
-    """Whether residuals are as their noise has them, and the detector was visited."""
+    """Whether residuals match their noise, and the detector is covered."""
 
     misfit: str  # In words
     flat: bool  # Whether the response of the pixels is known

@@ -33,7 +33,7 @@ Reduced = tuple[Sequence[SeriesFrames], Mapping[str, Any]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FramesTest:
-    """What a method does with own frames."""
+    """Reduction of own frames by a method."""
 
     title: str  # Of the report
     layout: Layout  # What it asks of a folder
@@ -79,7 +79,7 @@ class FramesTest:
         )
 
     def parts(self, result: Mapping[str, Any]) -> dict[str, Section]:
-        """Common sections and its own; what the sample does not carry is said below its first table."""
+        """Common sections and its own; limits of the sample are stated below its first table."""
         own = dict(self.sections)
         chief = next(name for name, one in own.items() if one.table_name(name))
         said = result["folder"].few_text if "folder" in result else ""
@@ -88,7 +88,7 @@ class FramesTest:
         return {**COMMON, **own}
 
     def wrong(self, outcome: Outcome) -> list[str]:
-        """What was found wrong, each cause once: advice of the criteria that do not hold, or their names."""
+        """Faults, each cause once: advice of the criteria that do not hold, or their names."""
         causes = [one.advice or one.name for one in judged(self.parts(outcome.result), outcome) if one.failed]
         return [one for n, one in enumerate(causes) if not any(known in one for known in causes[:n])]
 
@@ -112,7 +112,7 @@ class FramesTest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Folder:
-    """Contents of the folder, and what was done to its frames."""
+    """Contents of the folder, and treatment of its frames."""
 
     test: FramesTest
     methods: Sequence[str]  # Centroiders, the one that counts first

@@ -61,7 +61,7 @@ class Change:
         return abs(self.size) > self.limit
 
     def words(self, format: str, unit: str) -> str:
-        """Which frame, what was found, by how much."""
+        """Frame, change and size in words."""
         size = f"{self.size:{format}} ± {self.error:{format.lstrip('+')}}{unit}"
         if self.kind == "drift":
             return f"{self.what} drifts by {size} from the first to the last frame of {self.series}"
@@ -184,7 +184,8 @@ class Shared:
 
 
 def without_modes(dn: FloatArray, usable: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-    """Frames (n, h, w) of a window, less what a moving image and a flickering lamp add: (n, p), and the projector."""
+    """Frames (n, h, w) of a window without the contributions of a moving image and a flickering lamp: (n, p), and the
+    projector."""
     mean = dn.mean(0)
     edge = np.ones(mean.shape, bool)
     edge[1:-1, 1:-1] = False

@@ -95,7 +95,7 @@ def start_camera(scene: Scene, config: Config, name: str) -> tuple[CameraModel, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibrator:
-    """What all calibrations of one camera share."""
+    """Common data of all calibrations of one camera."""
 
     scene: Scene
     matched: Matched
@@ -149,7 +149,7 @@ class Calibrator:
         )
 
     def direct(self, model: str) -> CalibratedMap:
-        """What the camera model can do at best: fitted to the chart itself."""
+        """Best fit of the camera model: fitted to the chart itself."""
         start, free = start_camera(self.scene, self.config, model)
         grid = Observations.isotropic(
             pixel_px=self.chart.pixel_px,
@@ -208,7 +208,7 @@ def _spectrum(made: Calibration, chart: Chart) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibratedCamera:
-    """All calibrations of one camera, and what they were made from."""
+    """All calibrations of one camera, and their input."""
 
     scene: Scene
     recording: Recording

@@ -38,7 +38,7 @@ FAILED = StarFlag.NOT_CONVERGED | StarFlag.NO_DATA
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Matched:
-    """Measured stars with their names, all frames one after the other."""
+    """Measured and identified stars, frame after frame."""
 
     frame: IntArray  # (n,) Frame, and row in the sky
     star: IntArray  # (n,)

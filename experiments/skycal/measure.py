@@ -44,7 +44,7 @@ OVERSAMPLING = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameStars:
-    """One frame: what was found, and what was there."""
+    """One frame: detections and truth."""
 
     found: StarTable  # Detections with centroids, in pixels of the window
     first_row: int  # Row of the first of them in the stamps of the recording

@@ -36,7 +36,7 @@ CHART_LOG2_RAYS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chart:
-    """The truth: where light of the reference colour falls, traced."""
+    """The truth: traced positions of light of the reference colour."""
 
     direction: FloatArray  # (n, 3) Unit vectors in cam
     pixel_px: FloatArray  # (n, 2) Mean of the rays
@@ -48,7 +48,7 @@ class Chart:
 
 
 def trace_colour(scene: Scene, direction: FloatArray, temperature_k: float, *, more_log2_rays: int = 0) -> FloatArray:
-    """Where the mean of the rays of a star of one colour falls: (n, 2) [px], no image, no noise."""
+    """Mean landing point of the rays of a star of one colour: (n, 2) [px], no image, no noise."""
     camera = scene.instrument.camera
     # one pixel of an image is enough where only rays count
     tiny = replace(camera, width_px=1, height_px=1, centre_px=camera.centre_px)

@@ -95,7 +95,7 @@ class Scene:
 
 
 def build_scene(name: str, config: Config, streams: Streams) -> Scene:
-    """Scene of one camera; what can be refused before rendering is refused here."""
+    """Scene of one camera; all checks that need no rendering."""
     chosen = config.cameras[name]
     instrument = _built(name, chosen)
     band = open_band(config.passband, instrument, "full pass band")

@@ -73,7 +73,7 @@ class CameraConfig(StrictModel):
 
 
 class SkyConfig(StrictModel):
-    """Where the sky is first seen, and in which light."""
+    """First boresight and light of the sky."""
 
     ra_deg: float = Field(default=260.0, ge=0, le=360, description="right ascension of the first boresight")
     dec_deg: float = Field(default=30.0, ge=-89, le=89, description="declination of the first boresight")
@@ -194,7 +194,7 @@ class Config(SensorExperimentConfig):
         return {**found, **own}
 
     def remarks(self) -> tuple[str, ...]:
-        """What was taken from the lens file of the camera ``own``."""
+        """Settings taken from the lens file of the camera ``own``."""
         return lens_remarks(self.own.instrument, self.passband) if self.which == "own" else ()
 
     def as_sensor(self, file: Path | None) -> SensorConfig | None:

@@ -14,7 +14,7 @@ UNREAD = "number not read"
 
 @dataclass(frozen=True, slots=True)
 class Clause:
-    """A term of the standard, and where it stands."""
+    """A term of the standard, and its place."""
 
     term: str
     where: str = UNREAD

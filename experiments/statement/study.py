@@ -38,7 +38,7 @@ EARTH_M_PER_S = 29_784.7
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
-    """A number with everything that belongs to it."""
+    """A number with its metric, conditions and method."""
 
     clause: str  # Key of `CLAUSES`
     what: str

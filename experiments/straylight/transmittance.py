@@ -125,7 +125,7 @@ def corner_deg(instrument: Instrument) -> float:
 
 
 def check_baffle(config: Config, instrument: Instrument) -> None:
-    """Refuse early what cannot be: a lens without surfaces, an open mesh, vanes that cut the beam of the field."""
+    """Early checks: refuse a lens without surfaces, an open mesh, vanes that cut the beam of the field."""
     lens = instrument.camera.focused_lens
     lens.check_surfaces()
     if not scattering_surfaces(lens):
@@ -203,7 +203,7 @@ def transmittance(
     angles: Sequence[int] | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> Stray:
-    """All causes together: what the baffle lets through and what it throws into the lens.
+    """All causes together: light passed by the baffle and scattered by it into the lens.
 
     ``dust`` names the dust of the lens; ``angles`` are the numbers of the wanted angles, all if left out.
     """

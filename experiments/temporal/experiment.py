@@ -98,7 +98,7 @@ class Star:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frames:
-    """What was measured with, and the frames at the signal of the source."""
+    """Test conditions, and the frames at the signal of the source."""
 
     frames: int = col("Frames")
     stars: int = col("Stars")

@@ -24,7 +24,7 @@ INTERVAL = "interval_arcsec_3sigma[series][method][axis]"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """Temporal error of a series (3 sigma), and what the stated noise of the camera gives."""
+    """Temporal error of a series (3 sigma), and its prediction from the stated camera noise."""
 
     measured_arcsec: Sequence[Sequence[Measured]] = col(
         "Measured", "arcsec", dims="method axis", json="temporal_error_arcsec_3sigma"

@@ -43,7 +43,7 @@ class Bound:
         return float(self.sigma[self.names.index(name)])
 
     def inflation(self, name: str) -> float:
-        """How many times worse an unknown is known because the others are not known either."""
+        """Inflation of an unknown's standard deviation by the other unknowns."""
         return self.of(name) / float(self.alone[self.names.index(name)])
 
 
@@ -131,7 +131,7 @@ def noise_shares(
     centroid_px2: FloatArray,
     map_direction: FloatArray,
 ) -> dict[str, float]:
-    """How much of the map error each cause of noise makes, leans unknown [arcsec, RMS length]; squares add up.
+    """Contribution of each cause of noise to the map error, leans unknown [arcsec, RMS length]; squares add up.
 
     The best estimator weighs all noise together, theta = (J^T W J)^-1 J^T W y; each cause is carried through it.
     """

@@ -107,7 +107,7 @@ class Case:
 
 
 def prepare(config: Config) -> Instrument:
-    """The camera; whatever can be refused without rendering is refused here."""
+    """The camera; all checks that need no rendering."""
     check_table("two_axis", config.two_axis, 2)
     check_table("three_axis", config.three_axis, 3)
     if config.reduction.axes is not None and len(axis_directions(config.reduction.axes)) != 2:
@@ -244,7 +244,7 @@ def line_of_sight(case: Case, pixel_arcsec: float) -> LineOfSight:
 
 
 def point_over_line(sigma_arcsec: float, map_arcsec: float) -> float:
-    """How many times worse a coordinate of the principal point is known than the line of sight, both per axis.
+    """Standard deviation of a principal-point coordinate over that of the line of sight, both per axis.
 
     ``map_arcsec`` is an RMS length over two axes.
     """
@@ -341,7 +341,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
-    """What was measured with, and what both tables share."""
+    """Test conditions common to both tables."""
 
     lens: str = col("Lens", json="")
     detector: str = col("Detector", json="")

@@ -88,7 +88,7 @@ class MonteCarlo:
 
     @property
     def pull_std(self) -> FloatArray:
-        """RMS of the pulls (q,): 1 if the covariance says the truth and nothing is biased."""
+        """RMS of the pulls (q,): 1 for a correct covariance without bias."""
         return np.asarray(np.sqrt((self.pull**2).mean(0)))
 
     @property

@@ -25,7 +25,7 @@ MAP_COLUMNS, MAP_ROWS = 33, 17
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TracedMap:
-    """Where the light of m directions lands, by ray trace, without model."""
+    """Landing points of the light of m directions by ray trace, without a model."""
 
     direction: FloatArray  # (m, 3) Unit vectors in cam
     pixel_px: FloatArray  # (m, 2) Photon-weighted mean of the traced bundle

@@ -124,7 +124,7 @@ def chosen_order(orders: Sequence[Order]) -> Order:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Zenith:
-    """Where the zenith is, by a stated site or by the altitudes that the frames state."""
+    """The zenith, by a stated site or by the altitudes stated in the frames."""
 
     direction: FloatArray  # (frames, 3) In icrs
     latitude_deg: float

@@ -23,7 +23,7 @@ FEWEST_EXPECTED, CLOUDED_SHARE, EMPTY_SHARE = 5, 0.5, 0.4
 
 
 def what_is_wrong(one: Solved) -> str:
-    """The likely reason why a frame has no solution, and what it still tells."""
+    """The likely reason why a frame has no solution, and its remaining measurements."""
     count, shape = int(one.seen.sane.sum()), shape_words(one.image, one.seen)
     empty = _empty_share(one.image, one.seen)
     conversion, dn = one.image.conversion, one.image.dn

@@ -32,7 +32,7 @@ class NightFrame:
 
 
 def night_frames(folder: str | Path) -> tuple[tuple[NightFrame, ...], tuple[str, ...]]:
-    """Frames of a folder in the order of their names, and what was left out.
+    """Frames of a folder in the order of their names, and remarks on files left out.
 
     All have the size of the commonest; files of another camera, links to nowhere and unreadable files are named.
     """

@@ -39,7 +39,7 @@ SURE_SIGMA = 8.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bias:
-    """What the method makes of a rendered set, less what was put in; of every frame by the others."""
+    """Measured minus true values of a rendered set; for every frame by the others."""
 
     floor_px: float  # Error per axis that it finds where there is none
     motion_px: (

@@ -67,7 +67,7 @@ class Fluxes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraFit:
-    """A camera, as its frames tell it."""
+    """A camera measured from its frames."""
 
     camera: CameraModel
     calibration: Calibration
@@ -184,7 +184,7 @@ def _attitudes(stars: Observations, camera: CameraModel, start: Sequence[Rotatio
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prepared:
-    """What all cameras of one night share: frames with measured noise, their sky in blocks."""
+    """Common data of all cameras of one night: frames with measured noise, their sky in blocks."""
 
     night: Night
     camera: CameraModel  # First one

@@ -115,7 +115,7 @@ class FieldStars:
 
 
 def field_stars(night: Night, number: int, camera: CameraModel, attitude: Rotation) -> FieldStars:
-    """Which stars fall where in a frame."""
+    """Catalogue stars and their positions in a frame."""
     frame = night.frames[number]
     v_cam = attitude.apply(frame.direction)
     shown = camera.visible(v_cam, margin_px=MARGIN_PX)

@@ -49,7 +49,7 @@ STEEPEST = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensPose:
-    """How the detector stands behind a known lens."""
+    """Pose of the detector behind a known lens."""
 
     stars: int = col("Stars")
     defocus_mm: Measured = col("Detector away from the lens, beyond the sensor file", "mm")

@@ -94,7 +94,7 @@ def noiseless_positions(
     valid: NDArray[np.bool_] | None = None,
     psf_index: NDArray[np.int64] | None = None,
 ) -> tuple[FloatArray, Stamps]:
-    """What a centroider makes of windows (n, h, w) without noise: positions (n, 2), and the stamps it was given."""
+    """Positions (n, 2) by a centroider on windows (n, h, w) without noise, and its stamps."""
     count = len(light_e)
     usable = np.ones(light_e.shape, bool) if valid is None else valid
     light = np.where(usable, np.maximum(light_e, 0.0), 0.0)

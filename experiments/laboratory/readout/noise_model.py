@@ -11,7 +11,7 @@ from experiments.laboratory.instrument import Instrument
 
 
 def nominal_noise(instrument: Instrument) -> NoiseModel:
-    """What the readout itself states: gain, offset, read noise of the median pixel (`render.records.Frame`)."""
+    """Noise stated by the readout: gain, offset, read noise of the median pixel (`render.records.Frame`)."""
     chip = instrument.detector
     return NoiseModel(
         read_noise_e=chip.read_noise_e, gain_dn_per_e=chip.gain_dn_per_e, offset_dn=chip.offset_dn, quantised=True

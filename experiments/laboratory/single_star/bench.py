@@ -26,7 +26,7 @@ LONGEST_STEP_RAD = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """Star, table and camera mounting, as they really are."""
+    """True star, table and camera mounting."""
 
     table: Turntable  # The table
     star: FloatArray  # (3,) Direction of the star in the laboratory

@@ -17,7 +17,7 @@ from optics.units import ARCSEC_RAD, DEG_RAD
 
 
 def angle_effect(bench: Bench, angle_rad: FloatArray) -> FloatArray:
-    """What an angle does to the direction in cam: (n, k, 3) per radian.
+    """Derivative by an angle of the direction in cam: (n, k, 3) per radian.
 
     From v = M R^T s and dR = [w x] R: dv = -M R^T (w x s).
     """
@@ -25,7 +25,7 @@ def angle_effect(bench: Bench, angle_rad: FloatArray) -> FloatArray:
 
 
 def lean_effect(bench: Bench, angle_rad: FloatArray) -> FloatArray:
-    """What a non-orthogonality does to the direction in cam: (n, k - 1, 3) per radian."""
+    """Derivative by a non-orthogonality of the direction in cam: (n, k - 1, 3) per radian."""
     return _effect(bench, angle_rad, bench.table.lean_rates(angle_rad))
 
 
@@ -35,7 +35,7 @@ def _effect(bench: Bench, angle_rad: FloatArray, rates: FloatArray) -> FloatArra
 
 
 def reading_covariance_px2(model: CameraModel, bench: Bench, angle_rad: FloatArray) -> FloatArray:
-    """What the reading noise of the table amounts to on the detector, (n, 2, 2) [px^2]."""
+    """Covariance on the detector by the reading noise of the table, (n, 2, 2) [px^2]."""
     by_direction = model.project_jacobian(bench.seen(angle_rad)).by_direction
     shift = by_direction @ np.swapaxes(angle_effect(bench, angle_rad), 1, 2)
     sigma = bench.table.reading_noise_arcsec * ARCSEC_RAD

@@ -35,7 +35,7 @@ POSE_UNKNOWNS = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Data:
-    """What the laboratory hands over."""
+    """Input data from the laboratory."""
 
     pixel_px: FloatArray  # (n, 2) Mean images
     covariance_px2: FloatArray  # (n, 2, 2) Of the centroids alone
@@ -52,7 +52,7 @@ class Data:
 
 
 def start_model(instrument: Instrument, focal_length_mm: float | None) -> BrownConrady:
-    """A camera as poor as a data sheet makes it: no distortion, principal point in the centre, f rounded."""
+    """Start camera from a data sheet: no distortion, principal point in the centre, f rounded."""
     camera = instrument.camera
     step = START_ROUNDING * instrument.focal_length_mm
     rounded = step * np.floor(instrument.focal_length_mm / step - 0.5)
@@ -113,7 +113,7 @@ def check_count(places: int, table: Turntable, *, advice: str = "raise grid.colu
 def check_parity(
     data: Data, table: Turntable, start: CameraModel, start_star: FloatArray, *, key: str = "reduction.axes"
 ) -> None:
-    """Refuse axes that turn the other way than believed; ``key`` is where that is said.
+    """Refuse axes that turn opposite to the assumption; ``key`` is its setting.
 
     The affine map from where the believed table puts the star to where it was seen keeps its orientation, whatever the
     camera and its roll, as long as the axes are right: a camera cannot mirror.

@@ -86,7 +86,7 @@ def check_table(key: str, config: TableConfig, count: int) -> None:
 
 
 def averaged(table: Turntable, readings: int) -> Turntable:
-    """The table as the mean of several readings shows it: what is random in them averages out."""
+    """The table for the mean of several readings: random errors average out."""
     return replace(table, reading_noise_arcsec=table.reading_noise_arcsec / np.sqrt(readings))
 
 
