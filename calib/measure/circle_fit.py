@@ -1,8 +1,7 @@
 """Circle through edge points: orthogonal distances, weights, outliers, covariance.
 
-The sum of squared orthogonal distances is minimised (Gander, Golub & Strebel 1994, BIT 34, 558) by Gauss-Newton from an
-algebraic start: Taubin's fit (1991, IEEE PAMI 13, 1115) in the form of Chernov (2010, *Circular and Linear Regression*,
-sec. 5.9).
+The sum of squared orthogonal distances (Gander, Golub & Strebel 1994, BIT 34, 558) is minimal, from an algebraic start:
+Taubin's fit (1991, IEEE PAMI 13, 1115) in the form of Chernov (2010, *Circular and Linear Regression*, sec. 5.9).
 
 Outliers. Circles through three points each, an even selection of all such sets and no random draw, are ranked by the
 distance within which most points lie (least median of squares, Rousseeuw 1984, JASA 79, 871); the points that fit the
@@ -23,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from calib.fitting.determined import covariance_of_jacobian
@@ -77,7 +77,7 @@ class CircleFit:
         return np.sqrt(np.diag(self.covariance))
 
 
-def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma: float = CLIP_SIGMA) -> CircleFit:
+def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None) -> CircleFit:
     """Circle of least squared orthogonal distance.
 
     Examples
@@ -91,28 +91,20 @@ def fit_circle(points: ArrayLike, *, sigma: ArrayLike | None = None, clip_sigma:
 
     Shapes: ``points`` (n, 2), ``sigma`` (n,).
     """
-    (x, y, radius), fit = _robust_fit(points, sigma, clip_sigma)
-    return CircleFit(centre=np.array([x, y]), radius=float(radius), **fit)
-
-
-def _robust_fit(points: ArrayLike, sigma: ArrayLike | None, clip_sigma: float) -> tuple[FloatArray, dict[str, Any]]:
-    """Centre and radius, points far off rejected, and the other fields of `CircleFit`."""
     point, error, stated = _checked(points, sigma)
-    used = np.ones(len(point), bool)
-    if np.isfinite(clip_sigma):
-        used = _consensus(point, error, clip_sigma, stated)
-    settled = True
+    used, settled = _consensus(point, error, stated), True
     for _ in range(CLIP_ROUNDS):
-        value, settled = _gauss_newton(point[used], error[used], _taubin(point[used]))
+        value, settled = _least_squares(point[used], error[used], _taubin(point[used]))
         pull = np.abs(_distance(point, value)[0]) / error
-        kept = _inliers(pull, pull[used], len(value), clip_sigma, stated)
+        kept = _inliers(pull, pull[used], len(value), stated)
         if np.array_equal(kept, used) or kept.sum() < LEAST:
             break
         used = kept
-    return value, _judged(point, error, value, used, settled, stated)
+    x, y, radius = value.tolist()
+    return CircleFit(centre=np.array([x, y]), radius=radius, **_judged(point, error, value, used, settled, stated))
 
 
-def _consensus(point: FloatArray, error: FloatArray, clip_sigma: float, stated: bool) -> NDArray[np.bool_]:
+def _consensus(point: FloatArray, error: FloatArray, stated: bool) -> NDArray[np.bool_]:
     """Points (n,) that fit the circle which most of them fit best; see the module."""
     n, size = len(point), 3
     value = _circles(point[_even_sets(n, size, SETS)])
@@ -122,7 +114,7 @@ def _consensus(point: FloatArray, error: FloatArray, clip_sigma: float, stated: 
     best = pull[int(np.nanargmin(score))] if np.isfinite(score).any() else np.zeros(n)
     # the rank-th of n distances, corrected for the few points that made the circle (Rousseeuw & Leroy 1987, ch. 5)
     nearest = np.sort(best)[:rank] * (1.0 + 5.0 / max(n - size, 1))
-    kept = _inliers(best, np.concatenate([nearest, np.full(n - rank, nearest[-1])]), 0, clip_sigma, stated)
+    kept = _inliers(best, np.concatenate([nearest, np.full(n - rank, nearest[-1])]), 0, stated)
     return kept if kept.sum() >= LEAST else np.ones(n, bool)
 
 
@@ -177,39 +169,27 @@ def _distance(point: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatAr
     return length - value[2], np.column_stack([-outward, -np.ones(len(point))])
 
 
-def _gauss_newton(point: FloatArray, error: FloatArray, start: FloatArray) -> tuple[FloatArray, bool]:
-    """Levenberg's damped iteration on the weighted distances, and whether it converged."""
-    value, damping = start.copy(), 1e-6
-    distance, jacobian = _distance(point, value)
-    cost = float(np.sum((distance / error) ** 2))
-    size = max(float(np.ptp(point)), 1e-300)
-    for _ in range(STEPS):
-        weighted = jacobian / error[:, None]
-        normal = weighted.T @ weighted
-        gradient = weighted.T @ (distance / error)
-        lifted = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12 * np.trace(normal)))
-        step = -np.linalg.lstsq(lifted, gradient, rcond=None)[0]
-        trial = value + step
-        new_distance, new_jacobian = _distance(point, trial)
-        new_cost = float(np.sum((new_distance / error) ** 2))
-        if new_cost <= cost * (1 + 1e-12):
-            value, distance, jacobian = trial, new_distance, new_jacobian
-            damping = max(damping / 10, 1e-12)
-            if np.max(np.abs(step[:3])) < 1e-11 * size or cost - new_cost <= 1e-14 * cost:
-                return value, True
-            cost = new_cost
-        else:
-            damping *= 10
-            if damping > 1e8:
-                return value, True
-    return value, False
+def _least_squares(point: FloatArray, error: FloatArray, start: FloatArray) -> tuple[FloatArray, bool]:
+    """Circle of the least weighted distances, and whether the iteration converged."""
+    fit = least_squares(
+        lambda value: _distance(point, value)[0] / error,
+        start,
+        jac=lambda value: _distance(point, value)[1] / error[:, None],
+        method="lm",
+        x_scale="jac",
+        ftol=1e-14,
+        xtol=1e-12,
+        gtol=1e-14,
+        max_nfev=STEPS,
+    )
+    return fit.x, fit.success
 
 
-def _inliers(pull: FloatArray, among: FloatArray, fitted: int, clip_sigma: float, stated: bool) -> NDArray[np.bool_]:
+def _inliers(pull: FloatArray, among: FloatArray, fitted: int, stated: bool) -> NDArray[np.bool_]:
     """Which distances ``pull`` lie within the limit, by the median of those ``among`` which it is judged."""
     freedom = len(among) / max(len(among) - fitted, 1)
     scatter = float(np.median(among)) / 0.6745 * np.sqrt(freedom)  # median absolute deviation of a normal
-    limit = clip_sigma * (max(scatter, 1.0) if stated else scatter)
+    limit = CLIP_SIGMA * (max(scatter, 1.0) if stated else scatter)
     return np.asarray(pull <= max(limit, 1e-12))
 
 

@@ -23,7 +23,8 @@ def test_fit_minimises_the_orthogonal_distances(noise):
 
     search = {"xatol": 1e-9, "fatol": 1e-14, "maxiter": 2000}
     best = minimize(total, [3.0, -2.0, 12.0], method="Nelder-Mead", options=search)
-    fit = fit_circle(points, clip_sigma=np.inf)
+    fit = fit_circle(points)
+    assert fit.used.all()
     assert [*fit.centre, fit.radius] == pytest.approx(best.x, abs=1e-5)
 
 
