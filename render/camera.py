@@ -204,10 +204,11 @@ class Camera:
         """Image-plane coordinates [mm, lens axes] to (column, row) [px]."""
         return self.centre_px[0] + x_mm / self.pixel_pitch_mm, self.centre_px[1] - y_mm / self.pixel_pitch_mm
 
-    def chief_px(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of chief rays at the design wavelength of stars at X/Z = x, Y/Z = y in cam; rims stop none."""
+    def chief_px(self, x: FloatArray, y: FloatArray, wavelength_nm: float | None = None) -> FloatArray:
+        """Pixels (n, 2) of chief rays (design wavelength) of stars at X/Z = x, Y/Z = y in cam; rims stop none."""
         fx, fy = field_angles_deg(np.stack([x, y, np.ones_like(x)], axis=-1))
-        return np.stack(self.to_pixel(*chief_ray_points(self.focused_lens, fx, fy, blocked="follow")), axis=-1)
+        place = chief_ray_points(self.focused_lens, fx, fy, wavelength_nm, blocked="follow")
+        return np.stack(self.to_pixel(*place), axis=-1)
 
     def response_at(self, wavelength_nm: FloatArray) -> FloatArray:
         """Electrons per photon at each wavelength."""

@@ -29,8 +29,7 @@ from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
-from optics.frames import field_angles_deg, pixel_to_fits
-from optics.rays.chief import chief_ray_points
+from optics.frames import pixel_to_fits
 from optics.rays.paraxial import axial_paraxial
 from optics.records import freeze
 from optics.units import RAD_DEG
@@ -140,7 +139,7 @@ def lens_wcs(camera: Camera, *, wavelength_nm: float | None = None, tolerance_px
             f"tolerance_px = {tolerance_px:g} px; it must be above 0, at most {_LARGEST_RESIDUAL_PX:g} px"
         )
     wavelength = camera.lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
-    centre = _chief_px(camera, np.zeros((1, 2)), wavelength)[0]
+    centre = camera.chief_px(*np.zeros((2, 1)), wavelength)[0]
     nodes = np.cos(np.pi * (np.arange(_FIT_NODES) + 0.5) / _FIT_NODES)
     plane, pixel = _rays_at(camera, nodes / nodes[0], wavelength)
     check_plane, check_pixel = _rays_at(camera, np.linspace(-1.0, 1.0, _CHECK_NODES), wavelength)
@@ -197,7 +196,7 @@ def _rays_at(camera: Camera, nodes: FloatArray, wavelength_nm: float) -> tuple[F
     scale = camera.pixel_pitch_mm / abs(axial_paraxial(camera.lens, camera.lens.design_wavelength_nm).efl_mm)
     plane = (wanted - camera.centre_px) * scale
     for _ in range(_AIM_STEPS):  # as far as distortion is small against the image this converges; a node may lie off
-        pixel = _chief_px(camera, plane, wavelength_nm)
+        pixel = camera.chief_px(*plane.T, wavelength_nm)
         short = wanted - pixel
         if np.abs(short).max() < _AIM_PX:
             return plane, pixel
@@ -205,14 +204,6 @@ def _rays_at(camera: Camera, nodes: FloatArray, wavelength_nm: float) -> tuple[F
     raise ConvergenceError(
         f"lens {camera.lens.name!r}: no chief ray reaches the corners of {size[0]} x {size[1]} px; "
         "use a smaller detector"
-    )
-
-
-def _chief_px(camera: Camera, plane: FloatArray, wavelength_nm: float) -> FloatArray:
-    """Pixels (n, 2) of chief rays at (X/Z, Y/Z) = plane (n, 2)."""
-    fx, fy = field_angles_deg(np.concatenate([plane, np.ones((len(plane), 1))], axis=1))
-    return np.stack(
-        camera.to_pixel(*chief_ray_points(camera.focused_lens, fx, fy, wavelength_nm, blocked="follow")), axis=-1
     )
 
 
