@@ -61,9 +61,7 @@ class Segment:
 
     start_s: float
     blinded: bool  # A body within its exclusion angle: nothing is rendered
-    time_s: FloatArray  # (n,)
     error_arcsec: FloatArray  # (2, n, 3) Of both readouts
-    sigma_arcsec: FloatArray  # (n, 3) That the tracker states
     stars: FloatArray  # (n,) Used
     rejected: FloatArray  # (n,)
     false_stars: FloatArray  # (n,) Planets and cosmic rays in the frame: truth
@@ -75,10 +73,9 @@ class Segment:
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
-        for name in ("time_s", "stars", "rejected", "false_stars"):
+        for name in ("stars", "rejected", "false_stars"):
             freeze(self, name, shape=("n",), sizes=sizes)
         freeze(self, "error_arcsec", shape=(2, "n", 3), finite=False, sizes=sizes)
-        freeze(self, "sigma_arcsec", shape=("n", 3), finite=False, sizes=sizes)
         for name in ("thermal_arcsec", "aberration_arcsec"):
             freeze(self, name, shape=("s", 3), finite=False, sizes=sizes)
 
@@ -247,7 +244,7 @@ def _segment(camera: Camera, tracker: StarTracker, number: int, start_s: float, 
     times, count = flight.frame_times_s(start_s), setting.frames
     state = flight.states_k[number]
     aligned = Rotation.from_rotvec(ARCSEC_RAD * camera.budget.bias_arcsec())
-    errors, sigma = np.full((2, count, 3), np.nan), np.full((count, 3), np.nan)
+    errors = np.full((2, count, 3), np.nan)
     stars, rejected, false_stars = np.zeros((3, count))
     warm, moving = np.full((setting.switched, 3), np.nan), np.full((setting.switched, 3), np.nan)
     blinded, status, spent, wrong = bool(flight.blinded(start_s)), "blinded", float("nan"), 0
@@ -272,7 +269,7 @@ def _segment(camera: Camera, tracker: StarTracker, number: int, start_s: float, 
                 # the alignment turns what the tracker says against the body that it is asked for
                 errors[n, k] = attitude_error_arcsec(aligned * one.attitude, truth)
         if found.ok:
-            sigma[k], stars[k], rejected[k] = found.sigma_arcsec, len(found.star_id), found.rejected
+            stars[k], rejected[k] = len(found.star_id), found.rejected
             off = errors[0, k] - camera.budget.bias_arcsec()
             wrong += bool((np.abs(off) > camera.config.tracker.wrong_sigma * found.sigma_arcsec).any())
             if k < setting.switched:
@@ -281,9 +278,7 @@ def _segment(camera: Camera, tracker: StarTracker, number: int, start_s: float, 
     return Segment(
         start_s=start_s,
         blinded=blinded,
-        time_s=times,
         error_arcsec=errors,
-        sigma_arcsec=sigma,
         stars=stars,
         rejected=rejected,
         false_stars=false_stars,

@@ -117,12 +117,10 @@ def correlations(budget: Budget, start_s: float, frames: int | None = None) -> t
     return patterns, np.stack([x, y, 0.5 * (x + y)])
 
 
-def within_share(correlation: FloatArray) -> FloatArray:
-    """Share (...) of the variance that shows within a segment: 1 less the mean correlation of frames (..., n, n)."""
+def mean_correlation(correlation: FloatArray) -> FloatArray:
+    """Mean correlation (...) of two frames, of (..., n, n): share of the variance that stays within a segment."""
     count = correlation.shape[-1]
-    if count < 2:
-        return np.zeros(correlation.shape[:-2])
-    return np.asarray(1.0 - (correlation.sum(axis=(-2, -1)) - count) / (count * (count - 1)))
+    return np.asarray((correlation.sum(axis=(-2, -1)) - count) / max(count * (count - 1), 1) + (count < 2))
 
 
 def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tuple[int, ...]) -> dict[str, float]:
@@ -135,24 +133,15 @@ def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tup
     fov = np.array([one.fov_arcsec[pick] for one in errors])
     middle = fov.mean(axis=0)
     bias = budget.bias_arcsec()[pick] + middle
-    within = [[within_share(each) for each in correlations(budget, one.time_s)] for one in errors]
-    stays = mean(
-        [
-            one.pixel_arcsec2 * (1.0 - patterns) + one.spot_arcsec2 * (1.0 - phases)
-            for one, (patterns, phases) in zip(errors, within, strict=True)
-        ]
-    )
-    shows = mean(
-        [
-            one.pixel_arcsec2 * patterns + (one.spot_arcsec2 + one.focus_arcsec2) * phases
-            for one, (patterns, phases) in zip(errors, within, strict=True)
-        ]
-    )
+    alike = [[mean_correlation(each) for each in correlations(budget, one.time_s)] for one in errors]
+    stays = [one.pixel_arcsec2 * p + one.spot_arcsec2 * q for one, (p, q) in zip(errors, alike, strict=True)]
+    focus = [one.focus_arcsec2 * q for one, (_, q) in zip(errors, alike, strict=True)]
+    kept = _kept_focus(budget, errors, axes)
     found = {
         "bias": float((bias**2).mean()),
-        "thermo_elastic": max(mean([one.thermal_arcsec**2 for one in errors]) + _kept_focus(budget, errors, axes), 0.0),
-        "fov_spatial": max(float(((fov - middle) ** 2).mean()) + stays, 0.0),
-        "pixel_spatial": shows,
+        "thermo_elastic": max(mean([one.thermal_arcsec**2 for one in errors]) + float(kept.mean()), 0.0),
+        "fov_spatial": max(float(((fov - middle) ** 2).mean()) + mean(stays), 0.0),
+        "pixel_spatial": max(mean([one.static_arcsec2 for one in errors]) - mean(stays) - mean(focus), 0.0),
         "temporal_noise": mean([one.noise_arcsec2 for one in errors]),
         "aberration": mean([one.aberration_arcsec**2 for one in errors]),
     }
@@ -164,11 +153,11 @@ def predicted_squares(budget: Budget, errors: Sequence[SegmentErrors], axes: tup
     }
 
 
-def _kept_focus(budget: Budget, errors: Sequence[SegmentErrors], axes: tuple[int, ...]) -> float:
-    """Mean square by the focus at pixel phases that stay in the frames rendered cold too: thermo-elastic there."""
+def _kept_focus(budget: Budget, errors: Sequence[SegmentErrors], axes: tuple[int, ...]) -> FloatArray:
+    """Variances (p, axes) by the focus at pixel phases that stay in the frames rendered cold too: thermo-elastic."""
     switched = budget.config.frames.switched
-    stays = [1.0 - within_share(correlations(budget, one.time_s, switched)[1]) for one in errors]
-    return float(np.mean([(s * one.focus_arcsec2)[list(axes)] for s, one in zip(stays, errors, strict=True)]))
+    stays = [mean_correlation(correlations(budget, one.time_s, switched)[1]) for one in errors]
+    return np.array([(s * one.focus_arcsec2)[list(axes)] for s, one in zip(stays, errors, strict=True)])
 
 
 def predicted_terms(budget: Budget, errors: Sequence[SegmentErrors]) -> list[Term]:
@@ -243,13 +232,10 @@ def _component(
     }
     free = parts * (len(segments) - 1)
     unknown = max(scatter, of_mean + warm_error)
-    random = {"thermo_elastic": _kept_focus(budget, told, axes), "aberration": 0.0}
-    for name, own in (("thermo_elastic", warm_error), ("aberration", moving_error)):
-        error = own + max(random[name], 0.0)
-        power = 4.0 * (predicted[name] - random[name]) * error + 2.0 * error**2
-        spread[name] = math.sqrt(power / (parts * len(segments)))
-    of_bias = unknown / len(segments)
-    spread["bias"] = math.sqrt((4.0 * predicted["bias"] * of_bias + 2.0 * of_bias**2) / parts)
+    kept = np.maximum(_kept_focus(budget, told, axes), 0.0)
+    spread["thermo_elastic"] = _square_spread(np.array([one.thermal_arcsec[pick] for one in told]), warm_error + kept)
+    spread["aberration"] = _square_spread(np.array([one.aberration_arcsec[pick] for one in told]), moving_error)
+    spread["bias"] = _square_spread(np.full(parts, math.sqrt(predicted["bias"])), unknown / len(segments))
     spread["fov_spatial"] = math.sqrt((4.0 * predicted["fov_spatial"] * unknown + 2.0 * unknown**2) / free)
     square["total"] = float(np.average([(one**2).mean() for one in both], weights=counts))
     spread["total"] = math.sqrt(sum(spread[name] ** 2 for name in TERMS))
@@ -271,6 +257,11 @@ def _component(
             slopes.get(name, UNKNOWN) if large else UNKNOWN,
         )
     return rows
+
+
+def _square_spread(known: FloatArray, variance: FloatArray | float) -> float:
+    """Standard deviation of the mean square of known errors (p, axes) with normal ones of a variance in addition."""
+    return math.sqrt(float((4.0 * known**2 * variance + 2.0 * np.square(variance)).sum())) / known.size
 
 
 def _pixel_spread(budget: Budget, segments: Sequence[Segment], told: Sequence[SegmentErrors], pick: list[int]) -> float:

@@ -85,6 +85,28 @@ def test_a_turn_that_grows_faster_moves_the_attitude_of_rendered_frames(engine):
     np.testing.assert_allclose(error[:2], [0.0, -expected], atol=0.1 * expected)
 
 
+def test_stars_beyond_the_strip_about_the_detector_bring_no_light(engine, budget, monkeypatch):
+    camera = Camera(budget)
+    image = camera.expected(1000.0, np.zeros(5))
+    monkeypatch.setattr("experiments.flight.frames.MARGIN_PX", 300.0)
+    np.testing.assert_array_equal(camera.expected(1000.0, np.zeros(5)), image)
+
+
+def test_a_frame_full_of_cosmic_rays_is_solved_lost_in_space(engine):
+    """Some 95 tracks among 30 guide stars, most of them brighter: without their shape none of such frames is solved."""
+    pytest.importorskip("tetra3rs")
+    camera = Camera(
+        build_budget(config := Config(**SMALL, frames={"cosmic_rays": "solar_flare"}), build_flight(config))
+    )
+    tracker, time = build_tracker(camera), 1000.0
+    frame = camera.read(camera.expected(time, np.zeros(5)), time, 0, "flare")
+    assert len(camera.hits(0, "flare")) > 60
+    found = tracker(frame, time, velocity_km_per_s=camera.flight.velocity_km_per_s(time))
+    assert found.mode == "acquisition"
+    error = attitude_error_arcsec(found.attitude, camera.flight.trajectory.attitude(time))
+    assert (np.abs(error) < 6.0 * found.sigma_arcsec).all()
+
+
 def test_the_sensor_by_budget_errs_as_it_states_and_that_of_frames_alike(engine):
     config = Config(**SMALL, tracker={"alignment_arcsec": [0, 0, 0]}, temperature={"offset_k": 0, "mean_k": 0})
     fast, slow = by_budget(config), by_frames(config)

@@ -63,9 +63,7 @@ def segment(one, error, fine):
     return Segment(
         start_s=one.time_s,
         blinded=False,
-        time_s=one.time_s + np.arange(FRAMES) / 5.0,
         error_arcsec=error,
-        sigma_arcsec=np.tile(NOISE, (FRAMES, 1)),
         stars=np.full(FRAMES, float(STARS)),
         rejected=np.zeros(FRAMES),
         false_stars=np.zeros(FRAMES),
