@@ -41,7 +41,7 @@ from render.sky.field import field_of_view
 from render.tracing.motion.exposure import exposure_motion
 
 MARGIN_PX = 32.0
-"""Strip around the detector, and around trails, whose stars are rendered: their light may reach it."""
+"""Strip around the detector whose stars are rendered: their light may reach it."""
 ABERRATED_RAD = 1.3e-4
 """Largest aberration, in a low orbit about the Earth."""
 PLANETS = tuple(name for name in BODIES if name != "moon")
@@ -52,7 +52,7 @@ ROUGH_PX = 3.0
 OBLONG = 1.5
 """A longer field needs star patterns down to its shorter side."""
 STILL_PX = 0.02
-"""Stars that trail by less in an exposure are rendered at rest."""
+"""Turns by less in an exposure are rendered at rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +95,7 @@ class Camera:
         self.nominal: Instrument = build_instrument(config.instrument, detector=self._whole)
         self.detector = self.nominal.detector
         self.streams = Streams(config.seed).child("flight", "old" if budget.old else "new")
-        self._cos_reach = np.cos(1.1 * field_of_view(self.nominal.camera, margin_px=MARGIN_PX).radius_rad)
+        self._view = field_of_view(self.nominal.camera, margin_px=MARGIN_PX)
         self._renderers: dict[bytes, StarRenderer] = {}
         light = budget.nominal.state.light
         planets = solar_system(budget.flight.orbit.epoch_year, bodies=PLANETS if config.frames.planets else ())
@@ -116,11 +116,9 @@ class Camera:
         """Noiseless electrons (h, w) of an exposure about a time."""
         path = self.flight.trajectory if trajectory is None else trajectory
         exposure, attitude = self.config.instrument.exposure_s, path.attitude(time_s)
-        rate = path.rate(time_s + exposure * np.array([-0.5, 0.0, 0.5]))[:, :2]
-        trail = float(np.linalg.norm(rate, axis=1).max()) * exposure / self.budget.pixel_rad
-        row, near = (
-            self._near(attitude, directions, trail) for directions in (self.budget.direction, self.planets.direction)
-        )
+        rate = path.rate(time_s + exposure * np.array([-0.5, 0.0, 0.5]))
+        turn_rad = float(np.linalg.norm(rate, axis=1).max()) * exposure
+        row, near = (self._near(attitude, each, turn_rad) for each in (self.budget.direction, self.planets.direction))
         seen = aberrated(self.budget.direction[row], self.flight.velocity_km_per_s(time_s))
         stars = joined(
             self.budget.nominal.state.light.stars(
@@ -130,21 +128,20 @@ class Camera:
         )
         stars = replace(stars, photon_rate=stars.photon_rate * self.budget.sensor.throughput_fraction)
         renderer = self.renderer(state_k)
-        if trail > STILL_PX or self.config.jitter.rms_arcsec:
+        if turn_rad > STILL_PX * self.budget.pixel_rad or self.config.jitter.rms_arcsec:
             motion = exposure_motion(path, start_s=time_s - 0.5 * exposure, exposure_s=exposure, camera=renderer.camera)
             traced = renderer.trace(stars, motion=motion)
         else:
             traced = renderer.trace(stars, rotation_cam_from_world=attitude.as_matrix())
         return np.array(traced.electrons[:, :, 0])
 
-    def _near(self, attitude: Rotation, direction: FloatArray, trail_px: float) -> NDArray[np.int64]:
-        """Rows of directions along icrs whose light may reach the detector."""
-        row = np.flatnonzero(direction @ attitude.as_matrix()[2] > self._cos_reach)
+    def _near(self, attitude: Rotation, direction: FloatArray, turn_rad: float) -> NDArray[np.int64]:
+        """Rows of directions along icrs whose light may reach the detector; all about it where light scatters."""
+        slack_rad = ABERRATED_RAD + turn_rad
+        row = np.flatnonzero(direction @ attitude.as_matrix()[2] > np.cos(1.1 * self._view.radius_rad + slack_rad))
         if self.nominal.camera.scatter is not None:
             return row
-        geometry, margin = self.budget.model.geometry, MARGIN_PX + trail_px + ABERRATED_RAD / self.budget.pixel_rad
-        off = np.abs(self.budget.model.project(attitude.apply(direction[row])) - geometry.centre_px)
-        return row[(off < 0.5 * np.array([geometry.width_px, geometry.height_px]) + margin).all(axis=1)]
+        return row[self._view.inside(attitude.apply(direction[row]), slack_rad)]
 
     def read(self, electrons: FloatArray, time_s: float, number: int, label: str) -> Frame:
         """One readout; the same number and label: the same noise."""
