@@ -50,7 +50,7 @@ SEEN_SHARE = 0.5
 BRIGHTEST = (20, 12)
 """Number of brightest detections to identify if all of them form no pattern."""
 DOUBTFUL = StarFlag.SPIKE | StarFlag.TRAIL | StarFlag.UNDETERMINED
-MISFIT = 0.3
+MISFIT = 0.1
 """Residual of a fit over the star fitted, root of their powers against the noise, above which light is no star's."""
 LONGEST_GAP_S = 5.0
 """A turn is carried on for so long; then the sky is searched anew."""
