@@ -309,7 +309,7 @@ def study(copy: Path, mutants: list[Mutant], done: dict[str, Mutant], out: Path)
     def end(job: Job, code: int) -> None:
         mutant, _, _ = job
         noticed = (copy / ".noticed").read_text(encoding="utf-8")
-        mutant["noticed_by"] = noticed or ("time" if code < 0 else "collection" if code in (2, 3, 4, 99) else "")
+        mutant["noticed_by"] = noticed or ("time" if code < 0 else "" if code in (0, 5) else "collection")
         mutant["state"] = "killed" if mutant["noticed_by"] else "survived" if mutant["reached_by"] else "not reached"
         write(copy / mutant["file"], mutant["old"])
         with (out / "mutants.jsonl").open("a", encoding="utf-8") as file:

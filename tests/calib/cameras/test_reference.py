@@ -42,17 +42,6 @@ def test_projection_and_derivatives_agree_with_opencv(scale):
         np.testing.assert_allclose(ours, f**power * theirs[:, :, column], rtol=1e-9, atol=1e-9 * np.abs(ours).max())
 
 
-@pytest.mark.reference
-def test_unprojection_agrees_with_opencv():
-    cv2 = pytest.importorskip("cv2")
-    camera = BrownConrady.create(GEOMETRY, **VALUES)
-    pixel = GEOMETRY.grid_px(9)
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-14)
-    theirs = cv2.undistortPoints(pixel[:, None], *camera.to_opencv(), criteria=criteria)[:, 0]
-    direction = camera.unproject(pixel)
-    np.testing.assert_allclose(direction[:, :2] / direction[:, 2:], theirs, rtol=0, atol=1e-9)
-
-
 def test_opencv_coefficients_there_and_back():
     camera = BrownConrady.create(GEOMETRY, **VALUES)
     matrix, coefficients = camera.to_opencv()

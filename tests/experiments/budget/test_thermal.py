@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.stats import linregress
 
 from experiments.budget import thermal
 from experiments.budget.experiment import axes
@@ -78,20 +77,3 @@ def test_frames_show_the_growth(engine):
 def test_it_can_be_switched_off():
     lab = build_laboratory(load_config(Config, settings=[*QUICK, "thermal.stability_k=0"]))
     assert thermal_term(lab, Streams(5)) == "thermal.stability_k is 0"
-
-
-def test_slopes_and_what_a_map_leaves_are_those_of_a_least_squares_fit():
-    """Ten points on a cross: the lines of x and of y share nothing, so that each is a fit of its own (SciPy's)."""
-    rng, arm = np.random.default_rng(8), np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-    place = np.vstack([np.column_stack([arm, 0 * arm]), np.column_stack([0 * arm, arm])])
-    shift = 0.3 * place + 0.01 * rng.standard_normal(place.shape) + [5.0, -2.0]
-    growth, sigma = thermal._slopes(place, shift)
-    for axis in range(2):
-        straight = linregress(place[:, axis], shift[:, axis])
-        assert growth[axis] == pytest.approx(straight.slope, rel=1e-12)
-        across = linregress(place[:, 1 - axis], shift[:, axis])
-        rest = shift[:, axis] - shift[:, axis].mean() - place[:, axis] * straight.slope
-        left2 = ((rest - place[:, 1 - axis] * across.slope) ** 2).sum() / (10 - 3)
-        assert sigma[axis] == pytest.approx(np.sqrt(left2 / 10.0), rel=1e-9)  # sum of squares of the arm: 10
-        basis = np.column_stack([np.ones(10), place])
-        assert thermal._left(basis, shift)[axis] == pytest.approx(np.sqrt(left2), rel=1e-9)

@@ -231,16 +231,6 @@ def test_effect_of_the_fixed_pattern_is_predicted(engine, bench_of, small_camera
     assert np.abs(np.mean(noise, axis=0) - 1.0).max() < 4.5 * np.sqrt(2.0 / (SENSORS * 39))
 
 
-@pytest.mark.slow
-def test_pattern_that_filters_share_cancels_in_part(engine, bench_of, small_camera):
-    """A fixed pattern moves a point alike behind two filters, so a shift suffers less than sqrt(2) of one position."""
-    measured = quick_measure(bench_of(), small_camera, 1)
-    pattern = shifts(measured.pattern_px["epsf"], band_pairs((500.0, 600.0, 800.0), 1))
-    single = np.sqrt((measured.pattern_px["epsf"] ** 2).mean())
-    for shift in pattern.values():
-        assert np.sqrt((shift**2).mean()) < 1.2 * single
-
-
 def test_sigma_of_a_shift_is_that_of_its_own_point(measured):
     """Noise of points differs by three, and patterns add: pulls of variance 1, whatever the scatter of the others."""
     rng = np.random.default_rng(5)
