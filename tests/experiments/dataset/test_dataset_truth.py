@@ -110,7 +110,7 @@ def test_snr_is_that_of_optimal_weights_on_the_stars_own_pixels(maker):
 
 
 def test_a_record_says_the_same_in_text_and_in_angles(maker, made):
-    record = _record(made, maker.scene, "frames/a.fits", "truth/a.parquet", b"content")
+    record = _record(made, maker.scene, "frames/a.fits", "truth/a.parquet", 7, "0" * 64)
     assert record_from_text(record.to_text()) == record
     x, y, z, w = record.quat_xyzw
     assert w >= 0
