@@ -60,17 +60,6 @@ def test_estimators_on_exact_data_state_the_bound(scenes, scene, method):
     )
 
 
-def test_who_knows_more_has_the_smaller_bound(scenes, scene):
-    sigma = {
-        method: bound(scene.observations, scenes.CAMERA, true(method, scene)).sigma[:8]
-        for method in ("free", "acc", "linked", "full", "none")
-    }
-    assert np.all(sigma["acc"] < sigma["linked"])
-    assert np.all(sigma["linked"] < sigma["free"])
-    assert np.all(sigma["free"] < sigma["none"])
-    np.testing.assert_allclose(sigma["full"], sigma["free"], rtol=1e-4)
-
-
 def test_fewer_unknowns_and_empty_frames(scenes, scene):
     free, family = ("x0_px", "y0_px", "focal_length_mm"), true("free", scene)
     few = bound(scene.observations, scenes.CAMERA, family, free=free)

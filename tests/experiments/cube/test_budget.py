@@ -62,6 +62,15 @@ def test_terms_alone(laboratory, single):
         assert four[name] == pytest.approx(0.5 * repeats * single[name])
 
 
+def test_trims_of_a_table_without_steps_end_within_the_rule(laboratory):
+    """Read without noise and moved in full: nothing is left of what was beyond the limit, else at most the limit."""
+    trim = laboratory.config.trim.model_copy(update={"step_deg": 0.0, "gain_ratio": 1.0})
+    config = laboratory.config.model_copy(update={"trim": trim})
+    left = study.play_trim(config, laboratory.tilt_per_px, 0.0, laboratory.streams)
+    inside = trim.stop_px / trim.start_px  # the part of starts that are let be, along both axes
+    assert left == pytest.approx([trim.stop_px * inside / np.sqrt(3.0)] * 2, rel=0.15)
+
+
 def test_lines_of_benches_that_err_as_predicted(laboratory, single, monkeypatch):
     """400 benches a case: the RMS of an axis known to 1 / sqrt(800), with its stated uncertainty."""
     monkeypatch.setattr(study, "_noise", lambda *_: (SEEN, SENSOR))

@@ -68,6 +68,10 @@ def test_rates():
     size = np.degrees([np.linalg.norm(one.rate_rad_per_s) for one in frames_of(rate=random)])
     assert 0.01 <= size.min() <= size.max() <= 1.0
     assert abs(np.log10(size).mean() + 1.0) < 4 * 2 / np.sqrt(12 * N)
+    even = RandomRate(distribution="uniform", lowest_deg_per_s=2.0, highest_deg_per_s=6.0)
+    size = np.degrees([np.linalg.norm(one.rate_rad_per_s) for one in frames_of(rate=even)])
+    assert 2.0 <= size.min() <= size.max() <= 6.0
+    assert abs(size.mean() - 4.0) < 4 * 4 / np.sqrt(12 * N)
 
 
 def test_jitter():

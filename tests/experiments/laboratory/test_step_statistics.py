@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from experiments.laboratory.high_frequency import HighFrequencyMeasurement
 from experiments.laboratory.step_statistics import (
     _degrees,
     document_rms_px,
@@ -58,6 +61,14 @@ def test_the_jackknife_gives_the_scatter_from_one_set_of_stars_to_the_next():
     scatter = np.std([document_rms_px(run) for run in runs], axis=0)
     estimate = np.sqrt(np.mean([jackknife_px(run) ** 2 for run in runs], axis=0))
     np.testing.assert_allclose(estimate, scatter, rtol=0.25)  # 200 runs: 5 % each, and the jackknife's bias upwards
+
+
+@pytest.mark.parametrize(("alone", "effect"), [(True, 0.3), (False, 0.4)])
+def test_what_a_cause_does_alone_and_what_is_missing_without_it(alone, effect):
+    runs = {"all": 1.0, "none": 0.2, "only prnu": 0.5, "without prnu": 0.6}
+    seen = SimpleNamespace(mean_px={name: {"cog": np.full((3, 2, 2), value)} for name, value in runs.items()})
+    found = HighFrequencyMeasurement.effect_px(seen, "cog", "prnu", alone=alone)
+    np.testing.assert_allclose(found, effect, rtol=1e-12)
 
 
 def test_degrees_of_freedom_of_correlated_steps():

@@ -1,11 +1,13 @@
 """Sky, pointing, motion and what is refused before anything is rendered."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import link_attitudes
-from experiments.skycal.scene import build_scene, in_light
+from experiments.skycal.scene import _detectable_mag, build_scene, in_light
 from experiments.skycal.settings import Config, model_label, parse_model_name
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
@@ -33,6 +35,18 @@ def test_light_is_that_of_a_black_body_of_the_magnitude(scene):
     other = in_light(scene.light, np.array([[0.0, 0.0, 1.0]]), 0.0, 3500.0)
     reference = photon_rate(Blackbody(temperature_k=3500.0), 0.0, wavelength_nm=stars.wavelength_nm, system="G")
     assert share == pytest.approx(other.photon_rate[0] / reference, rel=1e-4)
+
+
+def test_stars_are_as_faint_as_their_light_in_one_pixel_is_noise(config, scene):
+    """Ten times the exposure: 2.5 mag fainter, less what the noise grew, to the half magnitude that is rounded to."""
+    chosen = scene.config.model_copy(update={"background_e_per_s": 0.0})
+    long = replace(scene.instrument, config=scene.instrument.config.model_copy(update={"exposure_s": 1.0}))
+    short = replace(scene.instrument, config=scene.instrument.config.model_copy(update={"exposure_s": 0.1}))
+    noise2 = [one.pixel_noise().floor_e2 for one in (short, long)]
+    deep = [_detectable_mag(one, scene.light, chosen, config) for one in (short, long)]
+    assert deep[1] - deep[0] == pytest.approx(2.5 - 1.25 * np.log10(noise2[1] / noise2[0]), abs=0.5)
+    # 0 mag sends some 1e4 photons/(s mm^2) through the band; 128 mm^2, a third detected; 5 sigma of 13 e-
+    assert deep[0] == pytest.approx(2.5 * np.log10(1e4 * 128.0 * 0.1 * 0.33 / (5.0 * np.sqrt(noise2[0]))), abs=1.5)
 
 
 def test_motion_has_the_asked_speed_and_the_gyro_feels_it(config, scene):
