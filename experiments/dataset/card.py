@@ -225,10 +225,10 @@ def stretched(image: NDArray[np.float32], darkest_sigma: float = -2.0) -> NDArra
     return np.asarray(np.clip(np.arcsinh(above) / np.arcsinh(BRIGHTEST_SIGMA / SOFT_SIGMA), 0.0, 1.0), np.float32)
 
 
-def preview(frame: Frame, size_px: int = TILE_PX) -> NDArray[np.uint8]:
+def preview(frame: Frame) -> NDArray[np.uint8]:
     """Small grey picture of a frame; of every block of pixels the brightest is kept, so that no star goes under."""
     image = stretched(frame.dn.astype(np.float32), PREVIEW_DARKEST_SIGMA)
-    step = max(1, -(-max(image.shape) // size_px))
+    step = max(1, -(-max(image.shape) // TILE_PX))
     height, width = (side - side % step for side in image.shape)
     blocks = image[:height, :width].reshape(height // step, step, width // step, step)
     brightest = blocks.max((1, 3))

@@ -98,9 +98,9 @@ def on_the_sphere(maps: FloatArray, covariance_px2: FloatArray) -> float:
     return float(np.sqrt(trace.mean() / 2.0) * RAD_ARCSEC)
 
 
-def calibration_of_rows(model: CameraModel, bench: Bench, angle_rad: FloatArray, *, leans: bool = True) -> FloatArray:
+def calibration_of_rows(model: CameraModel, bench: Bench, angle_rad: FloatArray) -> FloatArray:
     """Derivatives (n, 2, q) of the image by the unknowns, the star's two direction angles last."""
-    rows = design(model, bench, np.array(angle_rad), leans=leans)
+    rows = design(model, bench, np.array(angle_rad), leans=True)
     star = len(model.parameters) + np.arange(STAR_COLUMNS)
     rest = np.setdiff1d(np.arange(rows.shape[2]), star)
     return np.asarray(rows[:, :, np.concatenate([rest, star])])

@@ -61,9 +61,9 @@ class Evaluation:
         low, high = self.fit.sigma_interval_rad(level)
         return low * RAD_ARCSEC, high * RAD_ARCSEC
 
-    def own_interval_arcsec(self, level: float = CONFIDENCE) -> tuple[float, float]:
+    def own_interval_arcsec(self) -> tuple[float, float]:
         """The interval by the degrees of freedom that the vectors themselves show."""
-        low, high = self.fit.sigma_interval_rad(level, effective=self.effective_degrees)
+        low, high = self.fit.sigma_interval_rad(CONFIDENCE, effective=self.effective_degrees)
         return low * RAD_ARCSEC, high * RAD_ARCSEC
 
     def baseline_arcsec(self, resolution_arcsec: float) -> float:

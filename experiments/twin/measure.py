@@ -110,14 +110,7 @@ def gaussian_centroids(
     return _joined(night, parts, floor_px)
 
 
-def psf_centroids(
-    night: Night,
-    camera: CameraModel,
-    attitudes: Sequence[Rotation],
-    psf: PsfModel,
-    *,
-    floor_px: float = FLOOR_PX,
-) -> Centroids:
+def psf_centroids(night: Night, camera: CameraModel, attitudes: Sequence[Rotation], psf: PsfModel) -> Centroids:
     """The same stars, measured with the PSF of their place and colour."""
     width, height = night.size_px
     zones = np.stack(
@@ -146,7 +139,7 @@ def psf_centroids(
         covariance = table.covariance[good][:, :2, :2]
         unknown = np.full(int(good.sum()), np.nan)
         parts.append((table.pixel_px[good], covariance, direction[good], number, stars[good], unknown))
-    return _joined(night, parts, floor_px)
+    return _joined(night, parts, FLOOR_PX)
 
 
 def _joined(night: Night, parts: Sequence[tuple], floor_px: float) -> Centroids:
@@ -241,12 +234,11 @@ def measure_camera(
     order: str,
     used: Sequence[int],
     black_level_dn: float | None = None,
-    noise: NoiseFit | None = None,
     near: CameraFit | None = None,
 ) -> CameraFit:
     """The camera from some frames of the night; the search for its PSF starts at that of ``near``."""
     night, start = known.night, list(known.attitudes)
-    noise = noise_of(known, used, black_level_dn) if noise is None else noise
+    noise = noise_of(known, used, black_level_dn)
     gaussian = gaussian_centroids(night, known.camera, start, MATCH_PX)
     mine = np.isin(gaussian.observations.frame, used)
     made = calibrated(gaussian.observations.select(mine), known.camera, order)

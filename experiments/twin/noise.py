@@ -262,10 +262,10 @@ def correlation_of(frames: Sequence[Blocks]) -> FloatArray:
     return out.mean(axis=0) + 6.0 / BLOCK_PX**2  # the surface that was taken out correlates what is left
 
 
-def whiteness(frames: Sequence[Blocks], sides: tuple[int, ...] = (2, 8, 32)) -> FloatArray:
+def whiteness(frames: Sequence[Blocks]) -> FloatArray:
     """Noise of means of squares over that of white noise, mean over the frames; of 2 and 8 px within blocks."""
     out = []
-    for side in sides:
+    for side in (2, 8, BLOCK_PX):
         ratios = []
         for one in frames:
             left = one.left_dn

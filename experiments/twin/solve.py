@@ -58,11 +58,11 @@ class Detections:
         return np.asarray((moved < 1.5) & (self.stars.flux_e > 0) & ~self.sharp & np.isfinite(self.significance))
 
 
-def detections(image: SensorImage, *, fwhm_px: float = FWHM_PX, noise: FilteredNoise | None = None) -> Detections:
+def detections(image: SensorImage, *, noise: FilteredNoise | None = None) -> Detections:
     """Stars of a frame; the same call for real and rendered frames, and for these the limit of the real one."""
     start = time.perf_counter()
     background = estimate_background(image, box_px=BOX_PX)
-    found = detect(image, background, threshold_sigma=THRESHOLD_SIGMA, fwhm_px=fwhm_px, noise=noise)
+    found = detect(image, background, threshold_sigma=THRESHOLD_SIGMA, fwhm_px=FWHM_PX, noise=noise)
     flux_noise = np.sqrt(np.maximum(found.covariance[:, FLUX, FLUX] - found.flux_e, 1e-12))
     place = found.pixel_px
     stamps = extract_stamps(image, found.x_px, found.y_px, background=background, size_px=WINDOW_PX, flags=found.flags)
@@ -160,15 +160,13 @@ class Solver:
         return mirrored or (found, model)
 
 
-def solve_all(
-    names: Sequence[str], images: Sequence[SensorImage], solver: Solver, progress: Progress, *, fwhm_px: float = FWHM_PX
-) -> list[Solved]:
+def solve_all(names: Sequence[str], images: Sequence[SensorImage], solver: Solver, progress: Progress) -> list[Solved]:
     """Detect and identify, one line per frame."""
     out = []
     with progress.stage("frames solved", total=len(images)) as stage:
         for name, image in zip(names, images, strict=True):
             start = time.perf_counter()
-            seen = detections(image, fwhm_px=fwhm_px)
+            seen = detections(image)
             found, model = solver.identify(seen)
             residual = float("nan")
             if found.ok and found.residual_px is not None:
