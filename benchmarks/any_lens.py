@@ -43,6 +43,7 @@ TAKE_SENSOR = (
     "camera", "chromatic", "temporal", "hsfe", "distortion", "fisher", "turntable", "budget", "acf", "skycal", "dataset"
 )  # fmt: skip
 COMMON = """name = "{name}"
+window_px = {window_px}
 [instrument]
 lens = {lens}
 detector = "cmv4000"
@@ -57,6 +58,7 @@ range_nm = {range_nm}
 centres_nm = {filters}
 reference_nm = {middle}
 """
+RAYS = 'diffraction = "rays"'  # spots of many radii of the Airy disk
 FISHEYE = """name = "fisheye"
 source = "two menisci and a singlet, tests/optics/rays/test_aim.py, with glasses of Schott"
 design_wavelength_nm = 600.0
@@ -82,12 +84,12 @@ def write_sensors(folder: Path) -> dict[str, Path]:
         lens += f'[[surface]]\nthickness_mm = {thickness}\nmedium = "{medium}"\nsemi_diameter_mm = {semi}\n'
         lens += f"radius_mm = {radius}\n" * (radius != "inf") + "stop = true\n" * (number == 6)
     (folder / "fisheye_lens.toml").write_text(lens, encoding="utf-8")
-    visible = {"range_nm": [500, 800], "filters": [550, 650, 750], "middle": 650}
+    visible = {"window_px": 13, "range_nm": [500, 800], "filters": [550, 650, 750], "middle": 650}
     ideal = '{ kind = "ideal", focal_length_mm = 35.0, f_number = 1.8, spot_um = 4.0, transmission = 0.8 }'
     cases = {
-        "fisheye": {"lens": '"fisheye_lens.toml"', "size": 1200, "exposure_s": 0.5, "more": ""},
+        "fisheye": {"lens": '"fisheye_lens.toml"', "size": 1024, "exposure_s": 0.5, "more": RAYS, "window_px": 31},
         "fast": {
-            "lens": '"werfel_40mm"', "size": 1024, "exposure_s": 0.1, "more": 'f_number = 1.4\ndiffraction = "rays"'
+            "lens": '"werfel_40mm"', "size": 1024, "exposure_s": 0.1, "more": "f_number = 1.4\n" + RAYS
         },
         "mirror": {"lens": '"maksutov_1300mm"', "size": 1024, "exposure_s": 1.0, "more": ""},
         "ideal": {"lens": ideal, "size": 1200, "exposure_s": 0.1, "more": ""},
@@ -95,7 +97,7 @@ def write_sensors(folder: Path) -> dict[str, Path]:
     files = {"triplet": ROOT / "docs/examples/triplet_50mm/sensor.toml"}
     for name, case in cases.items():
         files[name] = folder / f"{name}.toml"
-        files[name].write_text(COMMON.format(name=name, **visible, **case), encoding="utf-8")
+        files[name].write_text(COMMON.format(name=name, **visible | case), encoding="utf-8")
     return files
 
 

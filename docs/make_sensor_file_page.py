@@ -46,7 +46,8 @@ One TOML file describes a star sensor, and every experiment takes it:
 * A missing key has the default below; only the defaults of `centroid`, `window_px` and `threshold_sigma` depend on
   the experiment.
 * Later layers override earlier ones, key by key: defaults < `--quick` < `--sensor` < `--config` < `--set` < `--seed`.
-* An unknown key is an error that names the nearest one.
+* An unknown key is an error that names the nearest one. Settings of a run, such as the quoted star or the slew rate,
+  are not part of the file: `--set star.magnitude_mag=5`, `--set slew.rate_deg_per_s=0.1`, or a file for `--config`.
 * A rolling shutter (`line_time_us`) has an effect in `dataset` only, where the image moves during a frame; `skycal` and
   `fisher` expose all rows at once, laboratory targets are at rest, and `flight` refuses it.
 * A curve is a CSV file of wavelength [nm] and transmission as a fraction (or a column `transmission_percent`), with or

@@ -101,6 +101,8 @@ def two_columns(
                 raise ConfigError(f"{shown}, line {number}: {line.strip()!r}: {needed} are needed") from None
             heads.append((number, cells))
             continue
+        if not (math.isfinite(first) and math.isfinite(second)):
+            raise ConfigError(f"{shown}, line {number}: {line.strip()!r}: a number is NaN or infinite")
         rows.append((first, second))
     return heads, rows
 

@@ -247,10 +247,12 @@ class StarSensor:
             With the window that does not.
         """
         camera, limit = self.camera, self.camera.lens.max_field_deg
-        corner_mm = math.hypot(camera.width_px, camera.height_px) * camera.pixel_pitch_mm / 2
-        corner_deg = math.degrees(math.atan(corner_mm / self.focal_length_mm))
+        corner_px = math.hypot(camera.width_px, camera.height_px) / 2
+        corner = self.direction_at(*camera.centre_px[:, None] + [[corner_px], [0.0]])[0]
+        corner_deg = math.degrees(math.atan2(math.hypot(corner[0], corner[1]), corner[2]))
         if corner_deg > _REACH * limit:
-            share = math.tan(math.radians(limit)) / math.tan(math.radians(corner_deg))
+            edge = camera.chief_px(np.array([math.tan(math.radians(limit))]), np.zeros(1))[0]
+            share = float(np.hypot(*(edge - camera.centre_px))) / corner_px
             raise DomainError(
                 f"the corners of {camera.width_px} x {camera.height_px} px see {corner_deg:.1f} deg from the axis, "
                 f"lens {camera.lens.name!r} is made for {limit:g} deg; read at most {int(camera.width_px * share)} x "

@@ -98,15 +98,18 @@ def false_alarms(
     return np.asarray(pixels * maxima_per_pixel(threshold[..., None] / scale, own, own) @ (weight / weight.sum()))
 
 
-def clipped_noise(noise_spread: float, clip_sigma: float = 3.0) -> float:
+def clipped_noise(noise_spread: float, more: ArrayLike = 0.0, share: ArrayLike = 1.0, clip_sigma: float = 3.0) -> float:
     """Noise that clipping finds (`calib.measure.background.estimate_background`) over the root mean square.
 
     Pixels of unlike noise make tails; clipping takes them for outliers, corrects as for a normal distribution, and
-    gives a smaller value. The detection limit, stated in that noise, is lower by as much.
+    gives a smaller value. The detection limit, stated in that noise, is lower by as much. The variance of the pixels is
+    log-normal with this relative spread; a ``share`` (q,) of them has ``more`` (q,), in units of its mean.
     """
     width = np.sqrt(np.log1p(noise_spread**2))
     node, weight = np.polynomial.hermite_e.hermegauss(SPREADS)
-    sigma, share = np.exp(0.5 * width * node - 0.25 * width**2), weight / weight.sum()
+    variance = np.add.outer(np.atleast_1d(more), np.exp(width * node - 0.5 * width**2)).ravel()
+    share = np.outer(np.asarray(share, float), weight / weight.sum()).ravel()
+    sigma = np.sqrt(variance / (share @ variance))
 
     def inside(limit: float, each: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Probability and second moment within +-limit of normal variates."""

@@ -232,7 +232,8 @@ def answer_lines(
         "Focus": f"best {round(lens.best_focus_um):+d} µm from the detector, {abs(depths):.1f} depths of focus{put}",
         "Limiting magnitude": f"{system} = {seen.limiting_magnitude_mag:.2f} mag, half of the stars are detected",
         "NEA": f"{nea} for {system} = {quoted:g} mag, one axis, 1σ",
-        "Stars per frame": f"{seen.stars_mean_per_frame:.1f}, worst 1 % of the sky {seen.stars_worst_per_frame:.1f}",
+        "Stars per frame": f"{seen.stars_mean_per_frame:.1f}, worst 1 % of the sky {seen.stars_worst_per_frame:.1f}"
+        + f"; catalogue to {prediction.view.depth_mag:.1f} mag" * prediction.catalogue_ends,
         "Attitude": _two("1σ, median", seen.attitude_cross_arcsec, seen.attitude_roll_arcsec)
         + "; "
         + _two("99.7 %", mixture_bound(across, USUAL), mixture_bound(forecast.total_arcsec[:, 2], USUAL)),

@@ -47,6 +47,8 @@ MATCH_PX, MATCH_WIDTHS = 2.0, 0.6
 """Largest distance of a detection from the light of its star: in px, and in widths of the filter."""
 CROWDED = 0.02
 """Share of the chart that stars take up in squares of four widths, above which bright and faint ones are apart."""
+CLEAR_MAG = 2.5
+"""Chart stars of one brightness where the quoted star is too faint, from the magnitude at which 90 % are found."""
 FAINTER_MAG, BRIGHTER_MAG = 0.8, 1.2
 """Chart stars about the limiting magnitude."""
 ROUGH_PX = 5.0
@@ -205,8 +207,10 @@ def _chart(bench: _Bench, advance: Callable[[], None]) -> ChartFrames:
     prediction, camera = bench.prediction, bench.instrument.camera
     config, rng = prediction.config, bench.streams.generator("chart")
     limit = prediction.value("limiting_magnitude_mag")
-    bright = max(config.star.magnitude_mag, prediction.value("saturation_mag") + 0.3)
-    bright = min(bright, prediction.value("complete_magnitude_mag") - 0.5)
+    full, whole = prediction.value("saturation_mag") + 0.3, prediction.value("complete_magnitude_mag")
+    bright = max(config.star.magnitude_mag, full)
+    if bright > whole - 0.5:  # a fit follows its linear response for stars well above the limit only
+        bright = min(max(whole - CLEAR_MAG, full), whole - 0.5)
     place = _scattered(camera.width_px, camera.height_px, config.frames.chart_stars, config.window_px, rng)
     magnitude = np.full(len(place), bright)
     faint = np.arange(len(place)) % 2 == 1

@@ -6,7 +6,7 @@ ratio of two predictions, of this lens and of the nominal one, from spots by ray
 nominal sensor detects.
 
 Before calibration, the distortion is the error of the design's map after a common shift, roll and, with the focus,
-scale; after calibration, the residual of a cubic polynomial for each lens.
+scale; after calibration, the residual of a cubic polynomial added to that map for each lens.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from experiments.laboratory.sensor_file import ManufactureConfig
 from experiments.laboratory.sensor_prediction import CameraPrediction
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
+from optics.frames import field_angles_deg
 from optics.lens.perturb import change_index, change_shape, decentre, despace, tilt
 from optics.lens.system import AMBIENT, LensSystem
 from optics.rays.spots import trace_spots
@@ -107,8 +108,8 @@ class _Probe:
         self.prediction, self.pitch_mm = prediction, camera.pixel_pitch_mm
         x, y = (np.linspace(-REACH, REACH, n) for n in GRID)
         place = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) * [camera.width_px / 2, camera.height_px / 2]
-        angle = np.degrees(np.arctan(place * self.pitch_mm / prediction.state.instrument.focal_length_mm))
-        self.place_px, self.field_deg = place, angle.T
+        self.place_px = place
+        self.field_deg = field_angles_deg(state.instrument.direction_at(*(place + camera.centre_px).T))
         self.wave, self.share = state.light.wavelength_nm[0], state.share
         airy = AIRY_SIGMA * float(self.share @ self.wave) * 1e-6 * state.performance.f_number / self.pitch_mm
         airy *= camera.diffraction != "rays"
@@ -283,6 +284,14 @@ def manufactured(
         offenders=tuple(np.array(list(moves), dtype=object)[order]),
         chosen=chosen,
     )
+
+
+def yield_line(found: Manufactured) -> str:
+    """For the terminal."""
+    nea_arcsec = found.built_arcsec[0, PERCENT.index(95)]
+    drawn = found.built_lenses + found.built_lost
+    words = f"{100.0 * found.built_yield:.3g} % of {drawn} lenses meet their requirements"
+    return f"{'Yield':<19} {words}; NEA of 95 %: {nea_arcsec:.3g}\u2033"
 
 
 def _at_detector(lens: LensSystem, off_mm: float) -> LensSystem:

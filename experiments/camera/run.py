@@ -78,7 +78,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
 def _remarks(prediction: CameraPrediction) -> list[str]:
     """What does not fit: focus, and spots that the centroider cuts."""
     state = prediction.state
-    remark = focus_remark(state.instrument.camera, state.light.wavelength_nm[0], state.share)
+    remark = focus_remark(state.instrument, state.light.wavelength_nm[0], state.share)
     room_px, setting, window_px = longest_trail_px(prediction.config, state)
     cut = f"{setting} {window_px} px cuts the spots: they need {math.ceil(window_px - room_px) // 2 * 2 + 1} px."
     return [*([remark] if remark else []), *([cut] if room_px < 0.0 else [])]
@@ -88,10 +88,11 @@ def _made(prediction: CameraPrediction, required: dict[str, tuple[float, bool]],
     """Manufactured lenses, and rendered frames."""
     config, sections = prediction.config, dict[str, Any]()
     if config.manufacture.lenses:
-        from experiments.camera.manufacture import manufactured
+        from experiments.camera.manufacture import manufactured, yield_line
 
         with progress.stage("manufactured lenses", total=config.manufacture.lenses) as stage:
             sections["manufactured"] = manufactured(prediction, required, advance=stage.advance)
+        progress.answer(yield_line(sections["manufactured"]))
     if config.predict_only:
         return sections
     from experiments.camera.comparison import compare, solved_frames

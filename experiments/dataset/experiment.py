@@ -90,7 +90,7 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> dict[st
             check_webdataset()
         scene = build_scene(config)
         _check_window(config, scene)
-    if remark := focus_remark(scene.instrument.camera, scene.light.wavelength_nm.ravel()):
+    if remark := focus_remark(scene.instrument, scene.light.wavelength_nm.ravel()):
         progress.note(remark)
     backend = Engine.active().backend
     job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend, url=output.url)

@@ -263,7 +263,8 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     with progress.stage("after the test"):
         # where the image stood is best read with the method that has no S-curve of its own
         shift_px = seen.common_shift_px(motion_method(bench.methods), before.place_px)
-        after = predict_high_frequency(bench, instrument, plan, shift_px=shift_px, **model)
+        corner_px = np.stack([one.corner_px for one in seen.lights])
+        after = predict_high_frequency(bench, instrument, plan, shift_px=shift_px, corner_px=corner_px, **model)
         shapes = s_curves(bench, instrument, model["psf"][len(rest) // 2])
     first, star = config.methods[0], point_signal(config, instrument)
     left = step_residual_px(seen.mean_px["all"][first])

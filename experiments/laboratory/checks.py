@@ -13,7 +13,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
 from optics.rays.spots import best_focus_shift_mm
-from render.camera import Camera
+from render.sensor import StarSensor
 
 RADII = 4.0
 """Least width of a window in RMS radii of the spot."""
@@ -45,13 +45,13 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
         )
 
 
-def focus_remark(camera: Camera, wavelength_nm: FloatArray, share: FloatArray | None = None) -> str:
+def focus_remark(sensor: StarSensor, wavelength_nm: FloatArray, share: FloatArray | None = None) -> str:
     """Warning for stars far out of focus, such as at a lens file's own image plane; empty otherwise."""
-    focus = focus_of(camera, wavelength_nm, np.ones(len(wavelength_nm)) if share is None else share)
-    radius_px, best_px = (float(focus.rms_mm(z)) / camera.pixel_pitch_mm for z in (0.0, focus.best_mm))
+    focus = focus_of(sensor, wavelength_nm, np.ones(len(wavelength_nm)) if share is None else share)
+    radius_px, best_px = (float(focus.rms_mm(z)) / sensor.camera.pixel_pitch_mm for z in (0.0, focus.best_mm))
     if not (radius_px > WIDE_PX and radius_px > FAR_OUT * best_px):
         return ""
     return (
         f"stars are far out of focus: {radius_px:.1f} px RMS radius, {best_px:.1f} px with instrument.defocus_mm = "
-        f"{camera.defocus_mm + float(focus.best_mm):.3f} (it is {camera.defocus_mm:g})"
+        f"{sensor.camera.defocus_mm + float(focus.best_mm):.3f} (it is {sensor.camera.defocus_mm:g})"
     )

@@ -103,6 +103,7 @@ def predict_high_frequency(
     psf: Sequence[EffectivePsf],
     hexapod: Hexapod | None = None,
     shift_px: FloatArray | None = None,
+    corner_px: NDArray[np.int64] | None = None,
     place_px: Sequence[float] | None = None,
     subtraction: Subtraction = "dark",
     defect: NDArray[np.bool_] | None = None,
@@ -110,7 +111,7 @@ def predict_high_frequency(
     noise_draws: int = 0,
     seed: int = 0,
 ) -> HighFrequencyPrediction:
-    """Prediction for every centroider of the bench."""
+    """Prediction for every centroider; ``corner_px`` (m, j, 2): windows of a test that was made."""
     bench = one_filter(bench)
     rng = Streams(seed).generator("high-frequency prediction")
     ideal = Hexapod(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
@@ -118,7 +119,7 @@ def predict_high_frequency(
     direction = turned(target_place(bench, instrument, place_px), path.commanded_rad)
     shift = np.zeros((plan.positions, 2)) if shift_px is None else np.asarray(shift_px, float)
     place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
-    windows = expected_windows(bench, instrument, direction, psf, place + shift[:, None])
+    windows = expected_windows(bench, instrument, direction, psf, place + shift[:, None], corner_px=corner_px)
     error_px = hexapod.step_error_arcsec / instrument.pixel_arcsec if hexapod is not None and shift_px is None else 0.0
     drawn = [error_px * rng.standard_normal(shift.shape) for _ in range(PATHS if error_px > 0 else 0)]
     model = _Model(

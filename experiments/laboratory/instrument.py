@@ -21,13 +21,12 @@ from optics.lens.without_glass import ideal_lens
 from optics.lens_file import load_lens
 from optics.light.band_file import load_band
 from optics.rays.chief import plate_scale_mm
-from optics.rays.paraxial import axial_paraxial, stopped_down
+from optics.rays.paraxial import stopped_down
 from optics.rays.performance import FocusCurve, white_focus
 from optics.rays.spots import trace_spots
 from optics.response import Response
 from optics.waves.measured import with_wavefront
 from optics.waves.wavefront import PathMap, zernike_map
-from render.camera import Camera
 from render.detector.noise import PixelNoise
 from render.detector.spec import Detector, load_detector
 from render.sensor import StarSensor, load_star_sensor
@@ -39,6 +38,8 @@ NODES = 6
 """Wavelengths of a pass band."""
 STAR_K = 5800.0
 """Temperature of the star that is in focus."""
+REFOCUSED, NEAR_MM = 6, 1e-4
+"""Most steps towards the best focus, and the last one's length."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,12 +159,17 @@ def build_instrument(
     )
 
 
-def focus_of(camera: Camera, wavelength_nm: FloatArray, share: FloatArray) -> FocusCurve:
+def radial_field_deg(sensor: StarSensor, radius_px: FloatArray) -> FloatArray:
+    """Field angles (n,) at distances (n,) from the middle of the detector."""
+    middle = sensor.camera.centre_px
+    return np.degrees(np.arctan2(*sensor.direction_at(middle[0] + radius_px, middle[1] + 0.0 * radius_px).T[[0, 2]]))
+
+
+def focus_of(sensor: StarSensor, wavelength_nm: FloatArray, share: FloatArray) -> FocusCurve:
     """Mean square spot over the detector against the defocus from where it stands; ``share`` weighs wavelengths."""
-    lens = camera.focused_lens
-    focal_mm = abs(axial_paraxial(lens, lens.design_wavelength_nm).efl_mm)
-    corner_mm = 0.5 * math.hypot(camera.width_px, camera.height_px) * camera.pixel_pitch_mm
-    field_deg = min(math.degrees(math.atan2(corner_mm, focal_mm)), lens.max_field_deg) * np.array(PARTS)
+    camera, lens = sensor.camera, sensor.camera.focused_lens
+    radius_px = 0.5 * math.hypot(camera.width_px, camera.height_px) * np.array(PARTS)
+    field_deg = np.minimum(radial_field_deg(sensor, radius_px), lens.max_field_deg)
     return white_focus(trace_spots(lens, field_deg, 0.0 * field_deg, wavelength_nm), share).mean
 
 
@@ -176,4 +182,11 @@ def best_defocus_mm(config: InstrumentConfig, passband: PassbandConfig) -> float
     light = star_light([open_band(passband, instrument)], nodes=NODES)
     wave = light.wavelength_nm[0]
     rate = light.photon_rate(np.zeros(1), np.array([STAR_K]))[0, 0] * camera.response_at(wave)
-    return round(float(focus_of(camera, wave, rate / rate.sum()).best_mm), 5)
+    found_mm = 0.0
+    for _ in range(REFOCUSED):  # the corners of the detector see another field in another focus
+        step_mm = float(focus_of(instrument, wave, rate / rate.sum()).best_mm)
+        found_mm += step_mm
+        if abs(step_mm) < NEAR_MM:
+            break
+        instrument = build_instrument(config.model_copy(update={"defocus_mm": found_mm}))
+    return round(found_mm, 5)

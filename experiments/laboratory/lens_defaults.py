@@ -8,7 +8,7 @@ the file, and the window of the detector that the half field fills.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import hypot, isfinite, radians, tan
+from math import hypot, isfinite
 from typing import TYPE_CHECKING, Any
 
 from experiments.laboratory.focus import in_focus
@@ -46,17 +46,17 @@ def _range_nm(file: LensFile) -> tuple[float, float] | None:
 
 def _window_px(file: LensFile, detector: Any) -> tuple[int, int] | None:
     """Window that sees the fields of the file, where a chip sees more; None where it does not, or for several chips."""
-    from optics.rays.paraxial import axial_paraxial
+    from optics.rays.chief import chief_ray_points
     from render.detector.spec import load_detector
 
     lens = file.lens
     try:
         chip = load_detector(detector)
-        focal_mm = abs(axial_paraxial(lens, lens.design_wavelength_nm).efl_mm)
+        x_mm, _ = chief_ray_points(lens, [0.0, lens.max_field_deg], 0.0, blocked="follow")
     except StarbenchError:
         return None
     corner = hypot(chip.width_px, chip.height_px) * chip.pixel_pitch_mm / 2.0
-    share = focal_mm * tan(radians(lens.max_field_deg)) / corner
+    share = abs(float(x_mm[1] - x_mm[0])) / corner
     if chip.chips > 1 or not isfinite(share) or share >= 1.0:
         return None
     width, height = (int(share * n) // STEP_PX * STEP_PX for n in (chip.width_px, chip.height_px))

@@ -13,7 +13,7 @@ from calib.measure.centroid import get_centroider
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import DetectorConfig, overridden
 from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
+from experiments.laboratory.instrument import PARTS, Instrument, build_instrument, configured_detector, radial_field_deg
 from experiments.laboratory.prediction_settings import PredictedSensorConfig
 from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
 from optics.arrays import FloatArray
@@ -29,8 +29,6 @@ from render.tracing.psf import ray_epsf, trailed, wave_images
 
 NODES = 6
 """Wavelengths at which the pass band is sampled."""
-PARTS = (0.0, 0.45, 0.7, 0.87, 1.0)
-"""Fields, as parts of the distance from the middle to the corner of the detector."""
 RAYS = (32, 64)
 """Rings and azimuths of the pupil."""
 AREA_PARTS = np.linspace(0.0, 1.0, 25)
@@ -169,12 +167,7 @@ def _state(
     share = _share(light, response, temperature_k)
     corner_px = 0.5 * float(np.hypot(camera.width_px, camera.height_px))
     radius_px, area_radius_px = (corner_px * np.array(parts) for parts in (PARTS, AREA_PARTS))
-    field_deg, area_field_deg = (
-        np.degrees(
-            np.arctan2(*instrument.direction_at(camera.centre_px[0] + r, camera.centre_px[1] + 0.0 * r).T[[0, 2]])
-        )
-        for r in (radius_px, area_radius_px)
-    )
+    field_deg, area_field_deg = (radial_field_deg(instrument, r) for r in (radius_px, area_radius_px))
     spots = trace_spots(lens, field_deg, np.zeros_like(field_deg), wave, order=RAYS)
     performance = lens_performance(lens, field_deg, wave, share, spots=spots)
     blur_mm = camera.lens_blur_px * camera.pixel_pitch_mm

@@ -48,14 +48,25 @@ class ExpectedWindows:
     psf: tuple[EffectivePsf, ...]  # PSFs; ``psf_index`` says which belongs to which window
     psf_index: NDArray[np.int64]  # (n,) Index into ``psf``
 
+    def modelled(self, shift_px: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Images (n, h w) of the PSFs moved by (2,), with derivatives (n, h w, 3) by column, row and electrons.
+
+        The electrons are those of the whole image, of which a window cuts the wings.
+        """
+        count, height, width = self.light_e.shape
+        model = EpsfModel(EpsfBank(self.psf, (height, width)), self.psf_index)
+
+        def images(shift_px: FloatArray | float, electrons: FloatArray) -> tuple[FloatArray, FloatArray]:
+            place = self.place_px + shift_px - self.corner_px
+            return model.evaluate(np.column_stack([place, electrons]), np.arange(count))
+
+        inside = images(0.0, np.ones(count))[0].sum(1)
+        return images(shift_px, self.light_e.sum((1, 2)) / inside)
+
     def moved(self, shift_px: FloatArray) -> ExpectedWindows:
         """The same windows with the image moved by (2,) in them."""
-        theta = np.column_stack([self.place_px + shift_px - self.corner_px, self.light_e.sum((1, 2))])
-        size = self.light_e.shape[1:]
-        light, _ = EpsfModel(EpsfBank(self.psf, (size[0], size[1])), self.psf_index).evaluate(
-            theta, np.arange(len(theta))
-        )
-        return replace(self, place_px=self.place_px + shift_px, light_e=np.maximum(light, 0.0).reshape(-1, *size))
+        light = np.maximum(self.modelled(shift_px)[0], 0.0).reshape(self.light_e.shape)
+        return replace(self, place_px=self.place_px + shift_px, light_e=light)
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -73,14 +84,15 @@ def expected_windows(
     psf: Sequence[EffectivePsf],
     place_px: FloatArray | None = None,
     *,
+    corner_px: NDArray[np.int64] | None = None,
     defect: NDArray[np.bool_] | None = None,
 ) -> ExpectedWindows:
-    """Windows around target points at m places, as the bench's reference filter shows them."""
+    """Windows around target points at m places (first pixels: ``corner_px``), as the reference filter shows them."""
     if place_px is None:
         place_px = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
     place = np.asarray(place_px, float).reshape(-1, 2)
     size = bench.window_px
-    corner = np.rint(place).astype(np.int64) - size // 2
+    corner = np.rint(place).astype(np.int64) - size // 2 if corner_px is None else corner_px.reshape(-1, 2)
     index = np.tile(np.arange(len(psf)), len(direction))
     model = EpsfModel(EpsfBank(tuple(psf), (size, size)), index)
     theta = np.column_stack([place - corner, np.full(len(place), bench.signal_e)])
@@ -145,11 +157,7 @@ def influence(centroider: Centroider, instrument: Instrument, windows: ExpectedW
 
 def bound_px(windows: ExpectedWindows, noise: PixelNoise) -> FloatArray:
     """Cramer-Rao bound (n, 2) of the standard deviation of x and y: flux unknown, background known."""
-    count, height, width = windows.light_e.shape
-    flux = windows.light_e.sum((1, 2))
-    model = EpsfModel(EpsfBank(windows.psf, (height, width)), windows.psf_index)
-    theta = np.column_stack([windows.place_px - windows.corner_px, flux])
-    signal, jacobian = model.evaluate(theta, np.arange(count))
+    signal, jacobian = windows.modelled()
     pixel = NoiseModel(read_noise_e=float(np.sqrt(noise.floor_e2)))
     information = fisher_information(jacobian, np.maximum(signal, 0.0), pixel)
     covariance = np.linalg.inv(information)

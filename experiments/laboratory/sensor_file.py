@@ -14,7 +14,7 @@ from experiments.laboratory.lens_defaults import lens_defaults, lens_remarks
 from experiments.laboratory.requirements import RequirementsConfig
 from experiments.laboratory.settings import CatalogueConfig, FilterConfig, InstrumentConfig, PassbandConfig
 from experiments.laboratory.stray_settings import BaffleConfig, ContaminationConfig, ScatterConfig
-from optics.errors import StarbenchError
+from optics.errors import ConfigError, StarbenchError
 from optics.validate import parse_model
 
 
@@ -147,6 +147,9 @@ class SensorExperimentConfig(ExperimentConfig):
         The tables of the file are whole: a key that is left out in them has the default of `SensorConfig`, the same in
         every experiment. What the file does not say of the processing is the experiment's own.
         """
+        for key in read_settings(SensorConfig, file):
+            if key in cls.model_fields and key not in SensorConfig.model_fields:
+                raise ConfigError(f"{file.name}: {key} is a setting of a run: give it by --set or --config")
         return {key: value for key, value in whole_sensor(file).items() if key in cls.model_fields}
 
     @model_validator(mode="after")

@@ -42,7 +42,7 @@ from experiments.laboratory.sky_view import SkyView, sky_view
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import RAD_ARCSEC
-from render.detector.noise import PixelNoise
+from render.detector.noise import PixelNoise, damage_steps
 from render.detector.spec import Detector
 from render.records import EffectivePsf
 
@@ -223,7 +223,7 @@ def predict_camera(config: PredictedSensorConfig) -> CameraPrediction:
     limit = _limits(config, state, stars)
     if limit[0.5] <= BRIGHTEST_MAG:
         remark = (
-            focus_remark(state.instrument.camera, state.light.wavelength_nm[0], state.share)
+            focus_remark(state.instrument, state.light.wavelength_nm[0], state.share)
             or "the signal of every star is below the noise"
         )
         raise DomainError(f"half of the stars of {limit[0.5]:g} mag are not detected; {remark}")
@@ -253,7 +253,16 @@ def _processing(config: PredictedSensorConfig, state: OpticalState) -> Processin
     )
     spread = float(np.sqrt(pixel.floor_e4)) / (empty + background)
     pixels = detector.width_px * detector.height_px
-    threshold, estimated = config.threshold_sigma, clipped_noise(spread)
+    sound = PixelNoise.of(
+        replace(detector, damage_centres_per_px=0.0),
+        temperature_c=setting.chip_temperature_c,
+        exposure_s=setting.exposure_s,
+    )
+    clean_e2 = float(sound.temporal_e2(background, dark_frames=config.dark_frames))
+    dark_s = detector.dark_factor(setting.chip_temperature_c) * setting.exposure_s * (1.0 + 1.0 / config.dark_frames)
+    damage, share = damage_steps(detector)
+    estimated = clipped_noise(float(np.sqrt(sound.floor_e4)) / clean_e2, damage * dark_s / clean_e2, share)
+    threshold = config.threshold_sigma
     if config.false_alarms_per_frame is not None:
         threshold = threshold_for_false_alarms(
             config.false_alarms_per_frame, pixels, fwhm_px=state.fwhm_px, noise_spread=spread

@@ -23,6 +23,7 @@ from render.engine.random import Streams
 from render.motion.gyro import Gyro, simulate_gyro
 from render.motion.trajectory import SampledAttitude, mounted
 from render.records import StarField
+from render.sky.field import FieldOfView, field_of_view
 from render.sky.sky import Sky, load_sky
 from render.sky.star_light import StarLight, star_light
 
@@ -47,6 +48,7 @@ class Scene:
     name: str  # "narrow", "wide" or "own"
     config: CameraConfig  # What was asked for
     instrument: Instrument  # Camera and detector, cut to the window that is read out
+    view: FieldOfView  # Field of the camera, distortion and all
     sky: Sky  # Stars down to the faintest that are rendered
     light: StarLight  # Their light in the full pass band
     time_s: FloatArray  # (f,) Times of the frames
@@ -83,14 +85,10 @@ class Scene:
 
     def in_cam(self, frame: int) -> tuple[NDArray[np.int64], FloatArray]:
         """Rows of the stars that may fall on the detector in a frame, and their directions (n, 3) in cam."""
-        camera, turn = self.instrument.camera, self.attitude[frame].as_matrix()
-        scale = self.instrument.focal_length_mm / camera.pixel_pitch_mm
-        size, margin = np.array([camera.width_px, camera.height_px]), 0.02 * camera.width_px + 8.0
-        reach = np.arctan((np.hypot(*size) / 2 + 2 * margin) / scale)
-        near = np.flatnonzero(self.sky.direction @ turn[2] > np.cos(reach))
+        view, turn = self.view, self.attitude[frame].as_matrix()
+        near = np.flatnonzero(self.sky.direction @ turn[2] > np.cos(view.radius_rad))
         direction = self.sky.direction[near] @ turn.T
-        place = camera.centre_px + scale * direction[:, :2] / direction[:, 2:]
-        inside = np.all((place > -margin) & (place < size + margin), axis=1)
+        inside = view.on_detector(view.pixel_of(direction))
         return near[inside], direction[inside]
 
 
@@ -119,6 +117,7 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
         name=name,
         config=chosen,
         instrument=instrument,
+        view=field_of_view(instrument.camera, margin_px=0.02 * instrument.camera.width_px + 8.0),
         sky=load_sky(faintest_mag=faintest_mag),
         light=light,
         time_s=time_s,

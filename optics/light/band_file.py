@@ -58,14 +58,11 @@ def load_band(path: str | Path, name: str = "") -> TabulatedBand:
 
 def _table(lines: Sequence[str], shown: str) -> tuple[FloatArray, float]:
     """Rows (n, 2), and what the second column is multiplied with."""
-    head, rows = two_columns(lines, shown, "wavelength_nm and transmission")
+    head, rows = two_columns(lines, shown, "a wavelength and a value")
     scales = [_scale(cells, f"{shown}, line {number}") for number, cells in head]
     if len(rows) < 2:
-        raise ConfigError(f"{shown}: {len(rows)} rows of wavelength_nm, transmission; at least two are needed")
-    table = np.array(rows)
-    if not np.isfinite(table).all():
-        raise DomainError(f"{shown}: a number is NaN or infinite")
-    return table, scales[-1] if scales else 1.0
+        raise ConfigError(f"{shown}: {len(rows)} rows of a wavelength and a value; at least two are needed")
+    return np.array(rows), scales[-1] if scales else 1.0
 
 
 def _scale(cells: list[str], where: str) -> float:

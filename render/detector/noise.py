@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.special import gammainc, gammaln, xlogy
+from scipy.special import gammainc, gammaincinv, gammaln, xlogy
 
 from optics.arrays import FloatArray
 from render.detector.spec import Detector
@@ -134,3 +134,19 @@ def damage_moments(detector: Detector) -> tuple[float, float]:
     first = (chance * k * gammainc(k + 1.0, limit)).sum() / unknown
     second = (chance * k * (k + 1.0) * gammainc(k + 2.0, limit)).sum() / unknown
     return float(first * d), float((second - first**2) * d**2)
+
+
+def damage_steps(detector: Detector, steps: int = 24) -> tuple[FloatArray, FloatArray]:
+    """Dark current by displacement damage [e-/s], at the reference, and the share of the pixels that have it.
+
+    Shapes (q,): no damage, then ``steps`` equal parts of the pixels of k = 1, 2 ... centres below the map's limit.
+    """
+    n, d = detector.damage_centres_per_px, detector.damage_dark_e_per_s
+    if n <= 0.0 or d <= 0.0:
+        return np.zeros(1), np.ones(1)
+    k = np.arange(1.0, n + 6.0 * np.sqrt(n) + 4.0)
+    known = gammainc(k, detector.damage_known_e_per_s / d)
+    part = gammaincinv(k[:, None], known[:, None] * (np.arange(steps) + 0.5) / steps)
+    chance = np.exp(xlogy(k, n) - n - gammaln(k + 1.0)) * known
+    share = np.concatenate([[np.exp(-n)], np.repeat(chance / steps, steps)])
+    return np.concatenate([[0.0], d * part.ravel()]), share / share.sum()

@@ -26,6 +26,8 @@ from optics.validate import MOST_MISSING, parse_model, read_toml
 
 _DATA = Path(__file__).parents[1] / "data" / "detectors"
 _HIGHEST = 1e7
+LEAST_PEAK = 0.01
+"""No detector has less: fractions in a column of percents."""
 _SIDE = 32768
 
 # name in the data file: (lowest, highest, unit)
@@ -537,6 +539,11 @@ def _with_curves(mapping: dict[str, Any], path: Path) -> dict[str, Any]:
         if extra := {"wavelength_nm", "value"} & efficiency.keys():
             raise ConfigError(f"{path}: quantum_efficiency: give either file or {min(extra)}, not both")
         curve = load_band(_beside(path, efficiency["file"], "quantum_efficiency"))
+        if curve.value.max() < LEAST_PEAK:
+            raise DomainError(
+                f"{curve.source}: quantum efficiencies up to {100.0 * curve.value.max():.2g} %; if the values are "
+                "fractions, call the column quantum_efficiency"
+            )
         rest = {key: value for key, value in efficiency.items() if key != "file"}
         lists = {"wavelength_nm": curve.wavelength_nm.tolist(), "value": curve.value.tolist()}
         mapping = {**mapping, "quantum_efficiency": {"source": curve.source, **rest, **lists}}

@@ -94,12 +94,14 @@ def test_share_of_stars_that_are_found(sky, flux):
     assert abs(found - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / 400) + 0.01
 
 
-@pytest.mark.parametrize("spread", [0.0, 0.6])
-def test_noise_that_clipping_finds(spread):
+@pytest.mark.parametrize(("spread", "hot"), [(0.0, 0.0), (0.6, 0.0), (0.3, 0.04)])
+def test_noise_that_clipping_finds(spread, hot):
     """A clipped standard deviation of 262144 pixels is known to 0.2 %; four of it, and no stars to be left out."""
     rng, size = np.random.default_rng(6), 512
     variance = 100.0 * rng.lognormal(-0.5 * np.log1p(spread**2), np.sqrt(np.log1p(spread**2)), (size, size))
+    variance += 3000.0 * (rng.uniform(size=variance.shape) < hot)
     found = estimate_background(image_of(np.sqrt(variance) * rng.standard_normal((size, size))), box_px=128)
-    assert found.sigma_e.mean() / 10.0 == pytest.approx(clipped_noise(spread), abs=0.012)
+    ratio = found.sigma_e.mean() / np.sqrt(100.0 + 3000.0 * hot)
+    assert ratio == pytest.approx(clipped_noise(spread, [0.0, 30.0], [1.0 - hot, hot]), abs=0.012)
     assert clipped_noise(0.6) < 0.97
     assert clipped_noise(0.0) == pytest.approx(1.0, abs=1e-6)

@@ -42,7 +42,7 @@ def test_the_same_curve_however_it_is_written(text, tmp_path):
         ("500,0\n510,80\n520,0\n", DomainError, "green.csv: transmissions up to 80: .*transmission_percent"),
         ("0.5,0\n0.51,0.8\n0.52,0\n", DomainError, "up to 0.52: nanometres"),
         ("nm, %\n500,0\n510,80\n", ConfigError, "line 1: write the header as wavelength_nm, transmission_percent"),
-        ("500,0\n510,high\n520,0\n", ConfigError, "line 2: '510,high': wavelength_nm and transmission"),
+        ("500,0\n510,high\n520,0\n", ConfigError, "line 2: '510,high': a wavelength and a value"),
         ("500,0\n", ConfigError, "1 rows"),
         ("500,0\n520,0.5\n510,0.7\n", DomainError, "wavelengths must increase"),
         ("500,0\n510,nan\n520,0\n", DomainError, "NaN"),

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
-from render.detector.noise import PixelNoise, damage_moments
+from render.detector.noise import PixelNoise, damage_moments, damage_steps
 from render.detector.readout import expose_windows
 from render.detector.spec import Detector, load_detector
 from render.engine.random import Streams
@@ -120,6 +120,9 @@ def test_moments_of_damage(centres: float, below: float) -> None:
     mean, variance = damage_moments(chip)
     same_mean(some, mean)
     same_mean((some - mean) ** 2, variance)
+    value, share = damage_steps(chip)  # the shares of some limits, with the steps of the values
+    for limit in np.quantile(some, [0.3, 0.6, 0.9]):
+        assert share[value <= limit].sum() == pytest.approx((some <= limit).mean(), abs=0.03)
 
 
 @pytest.mark.parametrize(("centres", "dark"), [(0.0, 0.0), (20.0, 0.0), (0.0, 1.5)])

@@ -81,6 +81,9 @@ def test_a_data_sheet_with_curves_from_csv(tmp_path: Path) -> None:
     assert "dark_doubling_c" not in default
     assert assumed.endswith("assumed, not in the source: adc_bits.")
     assert "the converter ends at 4500 e-, 45 % of the full well of 10000 e-" in converter
+    (tmp_path / "qe.csv").write_text("wavelength_nm,quantum_efficiency_percent\n800,0.2\n600,0.5\n")
+    with pytest.raises(DomainError, match=r"up to 0.5 %; if the values are fractions"):
+        load_detector(written(tmp_path, SHEET + "gain_dn_per_e = 0.9\n" + CURVES))
 
 
 @pytest.mark.parametrize(
