@@ -73,13 +73,6 @@ def pixel_from_lens(x_mm: ArrayLike, y_mm: ArrayLike, *, pitch_mm: float, size_p
     return column, (height - 1) / 2 - np.asarray(y_mm, float) / pitch_mm
 
 
-def pixel_to_lens(x_px: ArrayLike, y_px: ArrayLike, *, pitch_mm: float, size_px: tuple[int, int]) -> Pair:
-    """Point of the image plane [mm, lens frame] of pixel (column, row); the inverse of `pixel_from_lens`."""
-    width, height = size_px
-    x_mm = (np.asarray(x_px, float) - (width - 1) / 2) * pitch_mm
-    return x_mm, ((height - 1) / 2 - np.asarray(y_px, float)) * pitch_mm
-
-
 def _shifted(x: ArrayLike, y: ArrayLike, by: float) -> Pair:
     return np.asarray(x, float) + by, np.asarray(y, float) + by
 
@@ -87,11 +80,6 @@ def _shifted(x: ArrayLike, y: ArrayLike, by: float) -> Pair:
 def pixel_to_mitsuba(x_px: ArrayLike, y_px: ArrayLike) -> Pair:
     """Film position of a pixel: Mitsuba counts from the corner, pixel centres lie at +0.5."""
     return _shifted(x_px, y_px, 0.5)
-
-
-def pixel_from_mitsuba(x_film: ArrayLike, y_film: ArrayLike) -> Pair:
-    """Pixel of a Mitsuba film position."""
-    return _shifted(x_film, y_film, -0.5)
 
 
 def pixel_to_fits(x_px: ArrayLike, y_px: ArrayLike) -> Pair:
@@ -110,18 +98,7 @@ def pixel_to_tetra3(x_px: ArrayLike, y_px: ArrayLike) -> Pair:
     return y, x
 
 
-def pixel_from_tetra3(y_tetra: ArrayLike, x_tetra: ArrayLike) -> Pair:
-    """Pixel of a tetra3 centroid, which is given as (y, x)."""
-    return _shifted(x_tetra, y_tetra, -0.5)
-
-
 def pixel_to_tetra3rs(x_px: ArrayLike, y_px: ArrayLike, *, size_px: tuple[int, int]) -> Pair:
     """tetra3rs centroids: (x, y) from the centre of the image, y down."""
     width, height = size_px
     return np.asarray(x_px, float) - (width - 1) / 2, np.asarray(y_px, float) - (height - 1) / 2
-
-
-def pixel_from_tetra3rs(x_centred: ArrayLike, y_centred: ArrayLike, *, size_px: tuple[int, int]) -> Pair:
-    """Pixel of a tetra3rs centroid."""
-    width, height = size_px
-    return np.asarray(x_centred, float) + (width - 1) / 2, np.asarray(y_centred, float) + (height - 1) / 2

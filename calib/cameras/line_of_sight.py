@@ -66,11 +66,6 @@ class LineOfSightMap:
         return float(np.sqrt(np.mean(np.sum(self.error_arcsec**2, axis=1))))
 
     @property
-    def max_arcsec(self) -> float:
-        """Largest length of the error; NaN if a pixel has no direction."""
-        return float(np.max(np.hypot(self.error_arcsec[:, 0], self.error_arcsec[:, 1])))
-
-    @property
     def predicted_rms_arcsec(self) -> float:
         """Root of the expected mean square length of the error; compare with `rms_arcsec`."""
         return float(np.sqrt(np.mean(np.sum(self.predicted_sigma_arcsec**2, axis=1))))

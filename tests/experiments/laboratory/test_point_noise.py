@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from calib.measure.centroid import get_centroider
-from calib.measure.crlb import cramer_rao
 from calib.measure.epsf import draw_epsf
 from calib.measure.gaussian import draw_gaussian
-from calib.records import NoiseModel
 from experiments.laboratory.point_noise import ExpectedWindows, _bent, bound_px, drawn_positions, influence, sampled_px
 from experiments.laboratory.readout.windows import window_corners
 from experiments.laboratory.temporal_error import _followed_px
@@ -93,17 +91,6 @@ def test_an_epsf_fit_told_the_true_noise_reaches_the_bound(star_camera, noise, s
     windows, told = windows_of(psf), replace(noise, read_e2=13.0**2, dark_e=0.0)
     gain = influence(get_centroider("epsf", epsf=psf), star_camera, windows)
     np.testing.assert_allclose(gain.sigma_px(told.temporal_e2(windows.light_e)), bound_px(windows, told), rtol=5e-3)
-
-
-def test_the_bound_agrees_with_one_from_numerical_derivatives(windows, noise):
-    def model(theta):
-        return draw_gaussian(theta[:1], theta[1:2], 0.6, (SIZE, SIZE))[0] * theta[2]
-
-    expected = []
-    for place in windows.place_px - 100.0:
-        pixel = NoiseModel(read_noise_e=float(np.sqrt(noise.floor_e2)))
-        expected.append(np.sqrt(np.diagonal(cramer_rao(model, [*place, FLUX], pixel))[:2]))
-    np.testing.assert_allclose(bound_px(windows, noise), expected, rtol=5e-3)
 
 
 @pytest.mark.parametrize(("method", "dark_e"), [("cog", None), ("gaussian", None), ("cog", 400.0)])
