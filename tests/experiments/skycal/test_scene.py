@@ -122,7 +122,7 @@ def test_model_names():
     [
         (
             'wide.instrument={lens="star_tracker_26mm",detector="cmv4000"}',
-            "wide: the corners of 2048 x 2048 px see 17.3 deg",
+            "wide: the corners of 2048 x 2048 px see 17.1 deg",
         ),
         ("wide.instrument.width_px=4096", "wide.instrument.width_px = 4096 px; detector 'CMV4000' has 2048 px"),
         ("narrow.instrument.width_px=1000", "a window must lie on a single chip"),
