@@ -175,6 +175,7 @@ class Life:
     life_damaged_percent: FloatArray = col("Damaged pixels", "percent", ".2f", "age")
     life_nea_arcsec: FloatArray = col("NEA", "arcsec", ".3f", "age")
     life_limiting_magnitude_mag: FloatArray = col("Limiting magnitude", "mag", ".2f", "age")
+    life_false_alarms_per_frame: FloatArray = col("False alarms per frame", "", ".3g", "age")
     life_stars_mean_per_frame: FloatArray = col("Stars per frame", "", ".1f", "age")
     life_attitude_cross_arcsec: FloatArray = col("Attitude across, median", "arcsec", ".3f", "age")
     life_attitude_roll_arcsec: FloatArray = col("Attitude roll, median", "arcsec", ".3f", "age", shown=False)
@@ -210,6 +211,9 @@ def over_life(prediction: CameraPrediction, limits: Limits) -> Life | None:
     dark = [one.dark_current_e_per_s + one.damage_centres_per_px * one.damage_dark_e_per_s for one in chips]
     return Life(
         **_values(found, "life"),
+        life_false_alarms_per_frame=np.array(
+            [math.nan if one is None else one.value("false_alarms_per_frame") for one in found]
+        ),
         life_light=np.array([light_left(config, float(part)) for part in parts]),
         life_dark_e=factor * np.array(dark),
         life_damaged_percent=100.0 * -np.expm1(-np.array([one.damage_centres_per_px for one in chips])),
