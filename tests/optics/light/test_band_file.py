@@ -45,7 +45,7 @@ def test_the_same_curve_however_it_is_written(text, tmp_path):
         ("500,0\n510,high\n520,0\n", ConfigError, "line 2: '510,high': a wavelength and a value"),
         ("500,0\n", ConfigError, "1 rows"),
         ("500,0\n520,0.5\n510,0.7\n", DomainError, "wavelengths must increase"),
-        ("500,0\n510,nan\n520,0\n", DomainError, "NaN"),
+        ("500,0\n510,nan\n520,0\n", ConfigError, "line 2.*NaN"),
         ("500,0\n510,-0.2\n520,0.5\n", DomainError, "-0.2 at 510 nm"),
         ("500,0\n510,0\n520,0\n", DomainError, "opaque"),
     ],
