@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -120,6 +121,8 @@ def test_the_map_of_a_distortion_that_the_polynomial_knows(small_camera, config,
     # marking errors: the RMS over the surveys of the maps, each of its own polynomial
     marked = measured_on(small_camera, config, marking_arcsec=MARKING_ARCSEC)
     noisy = true_map(None, small_camera, marked, config, 0.01)
+    one_right = replace(frames, surveyed=np.concatenate([frames.surveyed[:1], marked.surveyed[1:]]))
+    assert one_right.left_out_px(config.methods[0], "nominal").max() < 1e-4  # the first survey is the one in use
     # a fit of k = 6 terms to W = 20 points: k / W of the variance at the points, shift and roll taken out
     error = 3.0 * MARKING_ARCSEC * np.sqrt((6 - 1.5) / 20.0)
     assert noisy.all_surveys_arcsec[0] == pytest.approx([error] * 2, rel=0.35)
