@@ -279,7 +279,11 @@ def test_sections_of_a_prediction_alone_and_with_frames():
 
 def test_laboratory_of_the_settings():
     settings = ["steps.step_px=0.2", "steps.places=3", "grid.marking_error_arcsec=0.4", "hexapod.roll_error_arcsec=9"]
-    lab = build_laboratory(load_config(Config, settings=settings))
+    lab = build_laboratory(load_config(Config, settings=[*settings, "grid.reference=nominal", "grid.order=2"]))
+    # k = 6 terms take sqrt((k - 1) / (W - 1)) of the marking errors of W points
+    points = lab.config.grid.rows * lab.config.grid.columns
+    alone = 0.4 / lab.instrument.pixel_arcsec * np.sqrt(5.0 / (points - 1.0))
+    assert predict_module._marking_alone_px(lab) == pytest.approx([alone] * 2, rel=0.01)
     assert (step_plan(lab).positions, step_plan(lab).step_px) == (lab.config.steps.positions, 0.2)
     assert platform(lab).roll_error_arcsec == 9.0
     assert (grid_target(lab).rows, grid_target(lab).marking_error_arcsec) == (lab.config.grid.rows, 0.4)

@@ -11,6 +11,7 @@ from experiments.cube import budget as study
 from experiments.cube.budget import build_budget, eq14_arcsec, perfect_sensor, sigma1_arcsec, terms
 from experiments.cube.montecarlo import CASES, CaseResult
 from experiments.cube.settings import Config
+from optics.units import RAD_ARCSEC
 
 SEEN, SENSOR = np.array([0.2, 0.2, 0.2]), np.array([0.3, 0.1, 0.2])
 
@@ -60,6 +61,17 @@ def test_terms_alone(laboratory, single):
     four = terms(replace(laboratory, config=often), perfect_sensor(laboratory), np.array([0.5, 0.25]))
     for name in ("pixel", "trim", "mounting", "reading"):
         assert four[name] == pytest.approx(0.5 * repeats * single[name])
+
+
+def test_noise_of_pictures_and_sun_sensor_by_their_sizes(laboratory):
+    """A pixel of a picture is the angle of eq. 13; one of the sun sensor its pitch over the gap, over many spots."""
+    seen, sensor = study._noise(laboratory, CASES[-1], SimpleNamespace(own_px=0.2, two_px=0.1))
+    repeats = np.sqrt(laboratory.config.cube.repeats)
+    assert seen == pytest.approx([0.2 * sigma1_arcsec(laboratory) / repeats] * 3, rel=0.01)
+    config = laboratory.config.sensor
+    pixel_arcsec = laboratory.sensor_detector.pixel_pitch_mm / config.gap_mm * RAD_ARCSEC
+    assert (sensor < 0.05 * pixel_arcsec).all()
+    assert (sensor > 1e-4 * pixel_arcsec).all()
 
 
 def test_trims_of_a_table_without_steps_end_within_the_rule(laboratory):

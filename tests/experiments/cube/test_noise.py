@@ -13,9 +13,12 @@ from experiments.cube import bench as cube_bench
 from experiments.cube.bench import NOMINAL_CUBE, SQUARE, Case, build_table, draw_truths, spot_profile
 from experiments.cube.budget import DETECTOR_RELATIVE, reading_term
 from experiments.cube.noise import (
+    ACROSS,
     _beam,
     _blur_px,
+    _Edge,
     _hole_response,
+    _of_detector_px2,
     _pixel_noise,
     _spot_particles_px2,
     _spot_variance_px2,
@@ -54,6 +57,15 @@ def turn_face(laboratory, tilt_rad):
     table = Rotation.from_rotvec([0.0, tilt_rad, 0.0]) * Rotation.from_euler("y", 180, degrees=True)
     pose = CubePose.of_table(laboratory.geometry, table.as_matrix(), NOMINAL_CUBE, SQUARE)
     place_cube(laboratory.scene, laboratory.geometry, pose)
+
+
+def test_variance_of_a_centre_by_the_detector(laboratory):
+    """Falls with the square of the slope; interpolation between two pixels leaves the mean of t^2 + (1 - t)^2."""
+    edge = _Edge(radius=200.0, slope=0.1, brightness=0.5, half=4.0)
+    one, steep = (_of_detector_px2(laboratory, replace(edge, slope=slope), 1e4) for slope in (0.1, 0.2))
+    assert steep == pytest.approx(one / 4.0)
+    part = np.linspace(0.0, 1.0, 10_001)
+    assert pytest.approx(np.mean(part**2 + (1.0 - part) ** 2), rel=1e-3) == ACROSS
 
 
 @pytest.mark.slow
