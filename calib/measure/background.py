@@ -19,6 +19,8 @@ from optics.records import freeze_all
 _FIRST_STEP, _FIRST_BOX = 2, 32
 """Cell size [px] of the first pass, which only finds stars, in every second pixel of every second row."""
 
+_TOGETHER = 2**17
+"""Pixels that are sorted at a time."""
 
 SLOPE_PART, LEAST_PART = 0.15, 0.2
 """Of the noise of a cell: slopes that vary the level by less are left in; less noise than this is not believed."""
@@ -202,11 +204,16 @@ def _mesh(
     rows, columns = max(1, height // box_px), max(1, width // box_px)
     step_y, step_x = -(-height // rows), -(-width // columns)
     rows, columns = -(-height // step_y), -(-width // step_x)
-    padded = np.full((rows * step_y, columns * step_x), np.nan)
-    padded[:height, :width] = np.where(usable, electrons, np.nan)
-    cells = padded.reshape(rows, step_y, columns, step_x).swapaxes(1, 2).reshape(rows * columns, -1)
-    level, sigma = _clipped_statistics(cells, clip_sigma, quantum)
-    level, sigma = level.reshape(rows, columns), sigma.reshape(rows, columns)
+    level, sigma = np.empty((2, rows, columns))
+    together = max(1, _TOGETHER // (step_y * width))  # rows of cells whose numbers stay in the cache
+    for first in range(0, rows, together):
+        at = slice(first * step_y, min((first + together) * step_y, height))
+        some = min(together, rows - first)
+        padded = np.full((some * step_y, columns * step_x), np.nan)
+        padded[: at.stop - at.start, :width] = np.where(usable[at], electrons[at], np.nan)
+        cells = padded.reshape(some, step_y, columns, step_x).swapaxes(1, 2).reshape(some * columns, -1)
+        found = _clipped_statistics(cells, clip_sigma, quantum)
+        level[first : first + some], sigma[first : first + some] = (one.reshape(some, columns) for one in found)
     empty = ~np.isfinite(level)
     if empty.any():
         level[empty], sigma[empty] = np.nanmedian(level), np.nanmedian(sigma)

@@ -6,7 +6,7 @@ Light to import: no figures, no renderer.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from experiments.camera.settings import Config
 from experiments.harness.range import value_at, with_value
 from experiments.harness.sections import col
-from experiments.harness.system import prompt_pool
+from experiments.harness.system import shared
 from experiments.harness.what_if import Requirement
 from experiments.laboratory.error_metrics import mixture_bound
 from experiments.laboratory.instrument import stated_lens
@@ -61,24 +61,24 @@ def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
     setting, lens = config.thermal, stated_lens(config.instrument)
     at_c = np.linspace(setting.lowest_c, setting.highest_c, setting.points)
 
-    def at(temperature_c: float | None) -> CameraPrediction:
+    def at(temperature_c: float | None) -> tuple[float, Mapping[str, float]]:
         if temperature_c == lens.environment.temperature_c:
             temperature_c = None  # as it is without a temperature, which is known already
-        return predict_camera(with_value(config, "instrument.lens_temperature_c", temperature_c))
+        found = predict_camera(with_value(config, "instrument.lens_temperature_c", temperature_c))
+        return found.state.performance.plate_scale_mm, found.numbers
 
     try:
-        with prompt_pool() as pool:
-            reference, *found = pool.map(at, (None, *map(float, at_c)))
+        (reference_mm, _), *found = shared(at, (None, *map(float, at_c)))
     except DomainError as error:
         return None, ThermalRange(refusal=str(error).splitlines()[0])
-    scale_mm = np.array([one.state.performance.plate_scale_mm for one in found])
+    scale_mm = np.array([scale for scale, _ in found])
 
     def values(name: str) -> FloatArray:
-        return np.array([one.value(name) for one in found])
+        return np.array([numbers[name] for _, numbers in found])
 
     over = Temperatures(
         thermal_focus_um=values("best_focus_um"),
-        thermal_scale_ppm=1e6 * (scale_mm / reference.state.performance.plate_scale_mm - 1.0),
+        thermal_scale_ppm=1e6 * (scale_mm / reference_mm - 1.0),
         thermal_spot_px=values("spot_px"),
         thermal_colour_px=values("lateral_colour_px"),
         thermal_nea_arcsec=values("nea_arcsec"),
@@ -133,13 +133,10 @@ def swings(config: Config, base: CameraPrediction, *, advance: Callable[[], None
 
     def end(case: tuple[str, float, float]) -> dict[str, float]:
         key, at, value = case
-        changes = _changes(config, key, at, middle) if at != value else dict.fromkeys(CHANGED, 0.0)
-        advance()
-        return changes
+        return _changes(config, key, at, middle) if at != value else dict.fromkeys(CHANGED, 0.0)
 
-    with prompt_pool() as pool:
-        cases = [(key, at, value) for key, _, _, low, value, high in keys for at in (low, high)]
-        ends = list(pool.map(end, cases))
+    cases = [(key, at, value) for key, _, _, low, value, high in keys for at in (low, high)]
+    ends = shared(end, cases, advance)
     for (key, label, unit, low, _, high), *pair in zip(keys, ends[::2], ends[1::2], strict=True):
         moved = {f"swing_{name}": [one[name] for one in pair] for name in CHANGED}
         attitude = np.nan_to_num([one[CHANGED[0]] for one in pair], nan=math.inf)

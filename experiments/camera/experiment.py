@@ -16,7 +16,7 @@ from experiments.camera.manufacture import MANUFACTURED, RENDERED_LENSES
 from experiments.camera.operation import LIFE, MOTION
 from experiments.camera.settings import Config
 from experiments.harness.drawings import bars, curves
-from experiments.harness.plotting import INK, PALETTE, band_colours, new_figure
+from experiments.harness.plotting import INK, PALETTE, new_figure
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, col, numbers_of
@@ -39,6 +39,8 @@ from optics.rays.spots import trace_spots
 __all__ = ["SECTIONS", "predict", "predicted"]
 
 CURVE_POINTS = 91
+COLOURS = PALETTE[0], PALETTE[2], PALETTE[1]
+"""Of short, middle and long waves."""
 
 
 # --- What the report says of the sensor in words
@@ -97,7 +99,7 @@ def draw_spots(outcome: Outcome) -> Figure:
     figure, axes = new_figure(1, 3, aspect_ratio=0.38, sharex=True, sharey=True)
     middle, reach = state.performance.white_mm[chosen], 0.0
     for column, panel in enumerate(axes):
-        for band, (wave, colour) in enumerate(zip(waves, band_colours(waves.tolist()), strict=True)):
+        for band, (wave, colour) in enumerate(zip(waves, COLOURS, strict=True)):
             lit = traced.area_mm2[column, band] > 0
             x = (traced.rays.x[column, band][lit] - middle[column]) / pitch
             y = traced.rays.y[column, band][lit] / pitch

@@ -8,8 +8,9 @@ calibrated without error (a model fitted to its traced map), the attitude approx
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from experiments.camera.manufacture import CHOSEN, Manufactured, RenderedLens
 from experiments.camera.operation import moving
 from experiments.camera.settings import Config
 from experiments.harness.summary import Measured
+from experiments.harness.system import processors, shared
 from experiments.laboratory.centroid_methods import needs_epsf
 from experiments.laboratory.detector_changes import overridden
 from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
@@ -70,9 +72,14 @@ class _Bench:
     """Everything that all frames share."""
 
     def __init__(
-        self, prediction: CameraPrediction, lens: LensSystem | None = None, *, long_side: int = LONG_SIDE
+        self,
+        prediction: CameraPrediction,
+        lens: LensSystem | None = None,
+        *,
+        long_side: int = LONG_SIDE,
+        dark_dn: NDArray[np.float32] | None = None,
     ) -> None:
-        """``lens``: another one, whose image plane is where the detector stands."""
+        """``lens``: another one, whose image plane is where the detector stands; ``dark_dn``: mean dark frame."""
         self.prediction, config = prediction, prediction.config
         setting = config.instrument
         detector = overridden(configured_detector(setting), config.detector)
@@ -97,8 +104,10 @@ class _Bench:
             )
         processing = prediction.processing
         self.match_px = max(MATCH_PX, MATCH_WIDTHS * processing.fwhm_px)
+        if dark_dn is None:
+            dark_dn = mean_dark_frame(self.instrument, config.dark_frames, streams=self.streams, label="dark")
         self.reduction = Reduction(
-            dark_dn=mean_dark_frame(self.instrument, config.dark_frames, streams=self.streams, label="dark"),
+            dark_dn=dark_dn,
             noise=processing.noise,
             centroid=config.centroid,
             window_px=config.window_px,
@@ -135,6 +144,14 @@ class _Bench:
             band=label,
         )
 
+    def measured(self, frames: Sequence[Frame]) -> list[MeasuredFrame]:
+        return shared(partial(measure_frame, reduction=self.reduction), frames)
+
+
+def _by_processors(count: int) -> Iterator[range]:
+    """Numbers of frames that are measured at a time."""
+    return (range(first, min(first + processors(), count)) for first in range(0, count, processors()))
+
 
 def _slew(config: Config, camera: Camera) -> ExposureMotion | None:
     """Turn during an exposure; the given attitude is that of its middle."""
@@ -151,22 +168,24 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
     """Render, read out, measure."""
     bench = _Bench(prediction)
     chart = _chart(bench, advance)
-    turning = _turning(prediction, advance)
+    turning = _turning(prediction, bench.reduction.dark_dn, advance)
     found, useful, alarms, errors = [], [], [], []
     example: tuple[NDArray[np.float32], FloatArray] | None = None
-    for number in range(prediction.config.frames.sky):
-        seen, frame, measured, place = _sky_frame(bench, number)
-        partner, false = measured.matched(place, prediction.config.window_px, bench.match_px)
-        fit = partner >= 0
-        found.append(int(np.count_nonzero(fit)))
-        fit[fit] = measured.fit[partner[fit]]
-        useful.append(int(np.count_nonzero(fit)))
-        alarms.append(false)
-        errors.append(_attitude_error(bench, measured, number, seen))
-        if example is None:
-            light = (frame.dn - bench.reduction.dark_dn) / np.float32(frame.gain_dn_per_e)
-            example = (light, measured.stars.pixel_px)
-        advance()
+    for frames in _by_processors(prediction.config.frames.sky):
+        taken = [_sky_frame(bench, number) for number in frames]
+        measurements = bench.measured([frame for _, frame, _ in taken])
+        for number, (seen, frame, place), measured in zip(frames, taken, measurements, strict=True):
+            partner, false = measured.matched(place, prediction.config.window_px, bench.match_px)
+            fit = partner >= 0
+            found.append(int(np.count_nonzero(fit)))
+            fit[fit] = measured.fit[partner[fit]]
+            useful.append(int(np.count_nonzero(fit)))
+            alarms.append(false)
+            errors.append(_attitude_error(bench, measured, number, seen))
+            if example is None:
+                light = (frame.dn - bench.reduction.dark_dn) / np.float32(frame.gain_dn_per_e)
+                example = (light, measured.stars.pixel_px)
+            advance()
     assert example is not None
     sky = SkyFrames(
         found=np.array(found, np.int64),
@@ -177,7 +196,9 @@ def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] =
     return Rendered(chart=chart, moving=turning, sky=sky, example_e=example[0], example_px=example[1])
 
 
-def _turning(prediction: CameraPrediction, advance: Callable[[], None]) -> tuple[CameraPrediction, ChartFrames] | None:
+def _turning(
+    prediction: CameraPrediction, dark_dn: NDArray[np.float32], advance: Callable[[], None]
+) -> tuple[CameraPrediction, ChartFrames] | None:
     """The chart at half of the slew rate at which trails fill the window; None without motion."""
     config = prediction.config
     if not config.motion.points or config.slew.rate_deg_per_s or config.instrument.line_time_us:
@@ -186,16 +207,17 @@ def _turning(prediction: CameraPrediction, advance: Callable[[], None]) -> tuple
         turned = predict_camera(moving(config, TURNING))
     except StarbenchError:
         return None
-    return turned, _chart(_Bench(turned, long_side=FEWER), advance)
+    return turned, _chart(_Bench(turned, long_side=FEWER, dark_dn=dark_dn), advance)
 
 
 def rendered_lenses(
     prediction: CameraPrediction, made: Manufactured, *, advance: Callable[[], None] = lambda: None
 ) -> list[RenderedLens]:
     """The chart through lenses as they were drawn; the PSFs of the centroider are their own."""
-    found = []
+    found, dark_dn = [], None
     for share, (lens, ratio) in zip(CHOSEN, made.chosen, strict=True):
-        one = noise_of_chart(prediction, _chart(_Bench(prediction, lens, long_side=FEWER), advance))
+        bench = _Bench(prediction, lens, long_side=FEWER, dark_dn=dark_dn)
+        one, dark_dn = noise_of_chart(prediction, _chart(bench, advance)), bench.reduction.dark_dn
         seen = Measured(value=one.measured, unit=one.unit, uncertainty=ratio * one.error, n=one.n)
         found.append(
             RenderedLens(share_percent=100.0 * share, measured_arcsec=seen, predicted_arcsec=ratio * one.predicted)
@@ -224,27 +246,27 @@ def _chart(bench: _Bench, advance: Callable[[], None]) -> ChartFrames:
         stars = prediction.state.light.stars(direction[group], magnitude[group], config.star.temperature_k)
         image, light_px[group], electrons[group] = bench.expected(stars)
         images.append(np.array(image))
-    found, errors, alarms = [], [], []
-    for number in range(config.frames.readouts):
-        seen, error = np.zeros(len(place), bool), np.full((len(place), 2), np.nan)
-        for k, (group, image) in enumerate(zip(groups, images, strict=True)):
-            frame = bench.read(image, number * len(groups) + k, "chart")
-            measured = measure_frame(frame, bench.reduction)
+    readouts, alarms = config.frames.readouts, []
+    found, errors = np.zeros((readouts, len(place)), bool), np.full((readouts, len(place), 2), np.nan)
+    for frames in _by_processors(readouts * len(groups)):
+        taken = [bench.read(images[number % len(groups)], number, "chart") for number in frames]
+        for number, measured in zip(frames, bench.measured(taken), strict=True):
+            group, readout = groups[number % len(groups)], number // len(groups)
             partner, false = measured.matched(light_px[group], config.window_px, bench.match_px)
             here = partner >= 0
             away = measured.stars.pixel_px[partner[here]] - light_px[group][here]
-            seen[group], error[group[here]] = here, np.where(measured.fit[partner[here], None], away, np.nan)
+            found[readout, group] = here
+            errors[readout, group[here]] = np.where(measured.fit[partner[here], None], away, np.nan)
             alarms.append(false)
-        found.append(seen)
-        errors.append(error)
-        advance()
+            if number % len(groups) == 0:
+                advance()
     return ChartFrames(
         bright_mag=bright,
         magnitude=magnitude,
         radius_px=np.hypot(*(light_px - camera.centre_px).T),
         electrons=electrons,
-        found=np.array(found),
-        error_px=np.array(errors),
+        found=found,
+        error_px=errors,
         false_alarms=np.array(alarms, np.int64),
     )
 
@@ -260,15 +282,14 @@ def _scattered(width: int, height: int, count: int, window_px: int, rng: np.rand
     return np.asarray(middle + rng.uniform(-0.5, 0.5, middle.shape) * (cell - 2.0 * window_px))
 
 
-def _sky_frame(bench: _Bench, number: int) -> tuple[NDArray[np.bool_], Frame, MeasuredFrame, FloatArray]:
+def _sky_frame(bench: _Bench, number: int) -> tuple[NDArray[np.bool_], Frame, FloatArray]:
     view = bench.prediction.view
     seen = view.sample.frame == number
     stars = bench.prediction.state.light.stars(
         view.sample.direction[seen], view.magnitude[seen], view.temperature_k[seen]
     )
     image, place, _ = bench.expected(stars)
-    frame = bench.read(image, number, "sky")
-    return seen, frame, measure_frame(frame, bench.reduction), place
+    return seen, bench.read(image, number, "sky"), place
 
 
 def _attitude_error(bench: _Bench, measured: MeasuredFrame, number: int, seen: NDArray[np.bool_]) -> FloatArray:

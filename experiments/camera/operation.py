@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -18,11 +18,20 @@ from experiments.harness.drawings import curves
 from experiments.harness.quantities import Quantities
 from experiments.harness.range import with_value
 from experiments.harness.sections import Section, col, numbers_of
-from experiments.harness.system import prompt_pool
+from experiments.harness.system import shared
 from experiments.harness.what_if import Requirement, crossing, judge
 from experiments.laboratory.ageing import aged_config, aged_detector, light_left
 from experiments.laboratory.optical_state import longest_trail_px, optical_state
-from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy, optics, predict_camera, sky
+from experiments.laboratory.sensor_prediction import (
+    Accuracy,
+    CameraPrediction,
+    Optics,
+    Sky,
+    accuracy,
+    optics,
+    predict_camera,
+    sky,
+)
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError
 
@@ -37,24 +46,27 @@ _NAMES = (
 )
 
 Limits = Mapping[str, tuple[float, bool]]
+Numbers = tuple[Optics, Accuracy, Sky]
 
 
-def _values(found: Sequence[CameraPrediction | None], prefix: str) -> dict[str, FloatArray]:
+def _values(found: Sequence[Numbers | None], prefix: str) -> dict[str, FloatArray]:
     """Numbers of several predictions by the names of a record's columns, NaN where there is none."""
-    columns = {f"{prefix}_{name}": [math.nan if one is None else one.value(name) for one in found] for name in _NAMES}
+    known = [{name: v for part in one or () for name, v in asdict(part).items()} for one in found]
+    columns = {f"{prefix}_{name}": [one.get(name, math.nan) for one in known] for name in _NAMES}
     return {name: np.where(np.isfinite(column), column, math.nan) for name, column in columns.items()}
 
 
-def _judged(prediction: CameraPrediction, limits: Limits) -> list[Requirement]:
-    return judge(limits, numbers_of(optics(prediction), accuracy(prediction), sky(prediction)))
+def _judged(found: Numbers, limits: Limits) -> list[Requirement]:
+    return judge(limits, numbers_of(*found))
 
 
-def _predicted(config: Config) -> CameraPrediction | None:
+def _predicted(config: Config) -> Numbers | None:
     """None where nothing can be predicted, such as a star that leaves its window."""
     try:
-        return predict_camera(config)
+        prediction = predict_camera(config)
     except StarbenchError:
         return None
+    return optics(prediction), accuracy(prediction), sky(prediction)
 
 
 def moving(config: Config, part: float = 1.0) -> Config:
@@ -117,8 +129,7 @@ def in_motion(prediction: CameraPrediction, limits: Limits) -> Motion | None:
     widest = moving(config).slew.rate_deg_per_s
     last = widest if setting.fastest_deg_per_s is None else setting.fastest_deg_per_s
     rates = np.linspace(0.0, last, setting.points)
-    with prompt_pool() as pool:
-        found = list(pool.map(_predicted, map(at, rates)))
+    found = shared(_predicted, [at(rate) for rate in rates])
     # some stars are needed for an attitude, in half of the sky at least
     known = {key: limit for key, limit in limits.items() if key != RATE} | {"attitude_cross_arcsec": (1e9, False)}
     known |= {key: limits[key] for key in known.keys() & limits.keys()}
@@ -194,8 +205,7 @@ def over_life(prediction: CameraPrediction, limits: Limits) -> Life | None:
     limits = {key: limit for key, limit in limits.items() if key != RATE}
     parts = np.linspace(0.0, 1.0, AGES)
     configs = [aged_config(config, float(part)) for part in parts]
-    with prompt_pool() as pool:
-        found = list(pool.map(_predicted, configs))
+    found = shared(_predicted, configs)
     last = found[-1]
     end = [] if last is None else _judged(last, limits)
     lasts, fails = math.inf, ""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import partial
+from importlib import import_module
 from typing import Any
 
 from experiments.camera.answer import Swing, ThermalRange, answer_lines, limits, parameters, swings, temperatures
@@ -11,6 +13,7 @@ from experiments.camera.operation import RATE, in_motion, life_line, over_life
 from experiments.camera.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import numbers_of
+from experiments.harness.system import aside
 from experiments.harness.what_if import judge
 from experiments.laboratory.checks import focus_remark
 from experiments.laboratory.optical_state import longest_trail_px
@@ -18,6 +21,8 @@ from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy,
 
 MADE = ("lsfe_before_arcsec", "lsfe_after_arcsec")
 """Requirements on manufactured lenses."""
+SLOW = ("experiments.camera.experiment", "experiments.harness.document", "xarray", "astropy.table")
+"""Modules of the report, imported when the answer is out."""
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
@@ -26,7 +31,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         prediction = predict_camera(config)
     for remark in _remarks(prediction):
         progress.note(remark)
-    required, thermal, motion = limits(config), None, None
+    required, motion = limits(config), None
     numbers: list[Any] = [optics(prediction), accuracy(prediction), sky(prediction), coverage(prediction)]
     warm = required.keys() & ThermalRange.__dataclass_fields__.keys()
     late = warm | (required.keys() & {RATE})
@@ -37,35 +42,38 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     first = 8 if late else 9  # what needs no further prediction
     progress.answer("\n".join(lines([])[:first]))
     found: list[Swing] = []
-    if config.tornado.parameters:
-        keys = parameters(config, prediction)
-        with progress.stage("what to change", total=1 + 2 * len(keys)) as stage:
-            found = swings(config, prediction, advance=stage.advance)
-    if warm:
-        with progress.stage("temperature"):
-            over_temperature, thermal = temperatures(config)
-        numbers.append(thermal)
-    if RATE in required:
-        with progress.stage("motion"):
-            motion = in_motion(prediction, required)
-        numbers += [motion] if motion is not None else []
-    progress.answer("\n".join(lines(found)[first:]))
-    with progress.stage("motion and life"):
-        motion = in_motion(prediction, required) if motion is None else motion
-        life = over_life(prediction, required)
-    if life is not None:
-        progress.answer(life_line(life))
-    if thermal is None:
-        with progress.stage("temperature"):
-            over_temperature, thermal = temperatures(config)
-    lost = None
-    if not config.predict_only:
-        with progress.stage("lost in space", total=config.lost.attitudes) as stage:
-            lost = lost_in_space(prediction, advance=stage.advance)
-    from experiments.camera.experiment import predicted  # slow to import, as it draws
+    with aside(partial(temperatures, config), niceness=10) as over_temperature:
+        if config.tornado.parameters:
+            keys = parameters(config, prediction)
+            with progress.stage("what to change", total=1 + 2 * len(keys)) as stage:
+                found = swings(config, prediction, advance=stage.advance)
+        if warm:
+            with progress.stage("temperature"):
+                temperature, thermal = over_temperature()
+            numbers.append(thermal)
+        if RATE in required:
+            with progress.stage("motion"):
+                motion = in_motion(prediction, required)
+            numbers += [motion] if motion is not None else []
+        progress.answer("\n".join(lines(found)[first:]))
+        with progress.stage("motion and life"):
+            motion = in_motion(prediction, required) if motion is None else motion
+            life = over_life(prediction, required)
+        if life is not None:
+            progress.answer(life_line(life))
+        lost = None
+        if not config.predict_only:
+            with progress.stage("lost in space", total=config.lost.attitudes) as stage:
+                lost = lost_in_space(prediction, advance=stage.advance)
+        for name in SLOW:
+            import_module(name)
+        if not warm:
+            with progress.stage("temperature"):
+                temperature, thermal = over_temperature()
+    from experiments.camera.experiment import predicted
 
     sections: dict[str, Any] = predicted(prediction, thermal, *(one for one in (motion, lost) if one))
-    sections |= {"temperatures": over_temperature, "thermal": thermal, "changes": found or None}
+    sections |= {"temperatures": temperature, "thermal": thermal, "changes": found or None}
     sections |= {"motion": motion, "life": life, "lost": lost}
     sections |= _made(prediction, required, progress)
     judged = {one.key for one in sections["requirements"]}

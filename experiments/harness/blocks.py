@@ -7,8 +7,8 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
+from markupsafe import Markup
 from matplotlib.figure import Figure as Drawing
 
 from experiments.harness.plotting import (
@@ -21,6 +21,7 @@ from experiments.harness.plotting import (
     side_by_side,
 )
 from experiments.harness.summary import Measured
+from experiments.harness.system import shared
 from experiments.harness.tables import Table
 from optics.errors import DomainError
 
@@ -69,7 +70,14 @@ class KeyNumber:
 class Artist:
     """Turns figures and equations into markup and counts them, so that ids stay apart."""
 
-    def __init__(self) -> None:
+    def __init__(self, figures: Sequence[Figure]) -> None:
+        wide = 1.1 * WIDTH_IN["half"]
+        self._half = {
+            id(one) for one in figures if isinstance(one.drawing, Drawing) and one.drawing.get_figwidth() <= wide
+        }
+        with house_style():
+            drawn = shared(_markup, list(enumerate(figures, 1)))
+        self._drawn = {id(figure): one for figure, one in zip(figures, drawn, strict=True)}
         self._figures = 0
         self._tables = 0
         self._equations = 0
@@ -82,43 +90,38 @@ class Artist:
         self._tables += 1
         return self._tables
 
-    def figure(self, figure: Figure, number: int) -> Any:
-        from markupsafe import Markup
+    def figure(self, figure: Figure) -> Markup:
+        return Markup(self._drawn[id(figure)])
 
-        drawing = figure.drawing
-        if isinstance(drawing, Drawing) and not figure.raster:
-            with house_style():
-                text = figure_svg(drawing, prefix=f"fig{number}")
-                if parts := side_by_side(drawing):
-                    text += _in_parts(text, parts)
-                else:
-                    text += _narrow_too(drawing, f"fig{number}n")
-            drawing = text
-        if isinstance(drawing, str):
-            if not drawing.lstrip().startswith("<svg"):
-                raise DomainError(f"figure {number}: text that is not an <svg> element")
-            return Markup(drawing)
-        width = ""
-        if isinstance(drawing, Drawing):
-            width = f' width="{round(96 * drawing.get_figwidth())}"'
-            with house_style():
-                drawing = figure_png(drawing)
-        if not drawing.startswith(b"\x89PNG"):
-            raise DomainError(f"figure {number}: bytes that are not a PNG file")
-        data = base64.b64encode(drawing).decode("ascii")
-        return Markup('<img alt=""{} src="data:image/png;base64,{}">').format(Markup(width), data)
-
-    def equation(self, equation: Equation) -> Any:
-        from markupsafe import Markup
-
+    def equation(self, equation: Equation) -> Markup:
         self._equations += 1
         return Markup(equation_svg(equation.latex, prefix=f"eq{self._equations}"))
 
-    @staticmethod
-    def half(figure: Figure) -> bool:
+    def half(self, figure: Figure) -> bool:
         """Whether a figure was made for half the width of the text."""
-        drawing = figure.drawing
-        return isinstance(drawing, Drawing) and drawing.get_figwidth() <= 1.1 * WIDTH_IN["half"]
+        return id(figure) in self._half
+
+
+def _markup(numbered: tuple[int, Figure]) -> str:
+    """A figure as HTML; its number keeps its ids apart from other figures'."""
+    number, figure = numbered
+    drawing = figure.drawing
+    if isinstance(drawing, Drawing) and not figure.raster:
+        text = figure_svg(drawing, prefix=f"fig{number}")
+        parts = side_by_side(drawing)
+        return text + (_in_parts(text, parts) if parts else _narrow_too(drawing, f"fig{number}n"))
+    if isinstance(drawing, str):
+        if not drawing.lstrip().startswith("<svg"):
+            raise DomainError(f"figure {number}: text that is not an <svg> element")
+        return drawing
+    width = ""
+    if isinstance(drawing, Drawing):
+        width = f' width="{round(96 * drawing.get_figwidth())}"'
+        drawing = figure_png(drawing)
+    if not drawing.startswith(b"\x89PNG"):
+        raise DomainError(f"figure {number}: bytes that are not a PNG file")
+    data = base64.b64encode(drawing).decode("ascii")
+    return f'<img alt=""{width} src="data:image/png;base64,{data}">'
 
 
 def _narrow_too(drawing: Drawing, prefix: str) -> str:

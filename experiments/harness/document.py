@@ -201,7 +201,7 @@ def render_document(
     environment.filters["pretty"] = lambda value: dumps(value).rstrip()
     environment.filters["inline"] = lambda words: Markup(markdown.renderInline(" ".join(str(words).split())))
     environment.globals["kind"] = lambda block: type(block).__name__.lstrip("_")
-    environment.globals["draw"] = Artist()
+    environment.globals["draw"] = Artist([block for block in context.blocks if isinstance(block, Figure)])
     environment.globals["criteria"] = criteria
     environment.globals["criteria_note"] = CRITERIA_NOTE
     environment.globals["provenance"] = provenance

@@ -174,6 +174,8 @@ def side_by_side(figure: Figure) -> list[tuple[float, float]]:
 
     Empty where there are not two to four, or where one takes its scale from the one at its left.
     """
+    if len(figure.axes) < 2:
+        return []
     renderer = FigureCanvasAgg(figure).get_renderer()
     to_figure = figure.transFigure.inverted()
     parts: list[list[Any]] = []  # left end, right end, axes

@@ -50,9 +50,16 @@ class Quantities:
     """
 
     def __init__(self) -> None:
+        self.coordinates: dict[str, tuple[Any, ...]] = {}
+        self._values: dict[str, tuple[Any, ...]] = {}
+        self._sizes: dict[str, int] = {}
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """All that was described."""
         import xarray as xr  # slow to import
 
-        self.dataset = xr.Dataset()
+        return xr.Dataset(self._values, self.coordinates)
 
     def axis(
         self,
@@ -69,12 +76,13 @@ class Quantities:
         """Describe a dimension; ``units`` are the units, one by one, of quantities along it whose unit is "{NAME}"."""
         coordinates = np.asarray(values)
         attrs = {"long_name": label or name, "units": unit, "format": format, "key": key}
-        self.dataset.coords[name] = (name, coordinates, attrs)
+        self._sizes[name] = len(coordinates)
+        self.coordinates[name] = (name, coordinates, attrs)
         if names is not None:
             shown = [names[v] for v in coordinates.tolist()] if isinstance(names, Mapping) else list(names)
-            self.dataset.coords[f"{name}_label"] = (name, np.asarray(shown, dtype=object))
+            self.coordinates[f"{name}_label"] = (name, np.asarray(shown, dtype=object))
         if units:
-            self.dataset.coords[f"{name}_unit"] = (name, np.asarray(units, dtype=object))
+            self.coordinates[f"{name}_unit"] = (name, np.asarray(units, dtype=object))
 
     def add(
         self,
@@ -92,7 +100,7 @@ class Quantities:
         json_error: Places = "",
     ) -> None:
         """Describe a quantity."""
-        if name in self.dataset:
+        if name in self._values or name in self.coordinates:
             raise DomainError(f"quantity {name!r} is described twice")
         names = tuple(dims.split()) if isinstance(dims, str) else tuple(dims)
         values, found_error, found_n, found_unit = _split(values)
@@ -107,14 +115,17 @@ class Quantities:
         extra = {part: given for part, given in (("error", error), ("n", n)) if given is not None}
         if extra:
             attrs["ancillary_variables"] = " ".join(f"{name}_{part}" for part in extra)
-        try:
-            self.dataset[name] = (names, array, attrs)
-            for part, given in extra.items():
+        for dim, size in zip(names, array.shape, strict=True):
+            if self._sizes.setdefault(dim, size) != size:
+                raise DomainError(f"quantity {name!r} has {size} values along {dim}, which has {self._sizes[dim]}")
+        self._values[name] = (names, array, attrs)
+        for part, given in extra.items():
+            try:
                 whole = np.broadcast_to(np.asarray(given, dtype=np.float64), array.shape)
-                own = {"json": json_error} if part == "error" else {}
-                self.dataset[f"{name}_{part}"] = (names, whole.copy(), {"ancillary_of": name, **own})
-        except ValueError as problem:
-            raise DomainError(f"quantity {name!r}: {problem}") from None
+            except ValueError as problem:
+                raise DomainError(f"quantity {name!r}: {problem}") from None
+            own = {"json": json_error} if part == "error" else {}
+            self._values[f"{name}_{part}"] = (names, whole.copy(), {"ancillary_of": name, **own})
 
 
 def _split(values: Any) -> tuple[Any, Any, Any, str]:

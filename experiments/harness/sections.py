@@ -31,6 +31,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from experiments.harness.pivot import Pivot
 from experiments.harness.quantities import Outcome, Quantities, Quantity, names_of, shown_unit
@@ -140,7 +141,7 @@ class Section:
             self.axes(q, value)
         records = list(value) if self.dim else [value]
         described = self.columns_of()
-        if self.dim and self.dim not in q.dataset.coords:
+        if self.dim and self.dim not in q.coordinates:
             head = described[self.along]["col"] if self.along else {"label": self.dim.replace("_", " ").capitalize()}
             values = [getattr(one, self.along) for one in records] if self.along else np.arange(len(records)) + 1
             parts = {part: head.get(part) or "" for part in ("label", "unit", "format")}
@@ -257,16 +258,12 @@ def judged(sections: Mapping[str, Section], outcome: Outcome) -> list[Criterion]
 
 def two_sided_limit(count: int, false_alarm: float = FALSE_ALARM) -> float:
     """Standard deviations that the largest of ``count`` normal deviates exceeds with probability ``false_alarm``."""
-    from scipy.stats import norm
-
-    return float(norm.isf(false_alarm / (2 * count)))
+    return float(-ndtri(false_alarm / (2 * count)))
 
 
 def chance_of(largest: float, count: int) -> float:
     """Probability that the largest of ``count`` normal deviates is at least so large."""
-    from scipy.stats import norm
-
-    return float(-np.expm1(count * np.log1p(-2.0 * norm.sf(largest)))) if count and largest > 0.0 else 1.0
+    return float(-np.expm1(count * np.log1p(-2.0 * ndtr(-largest)))) if count and largest > 0.0 else 1.0
 
 
 def noticed(limit: float, part: Any, slack: float = 0.0) -> float:
@@ -276,7 +273,6 @@ def noticed(limit: float, part: Any, slack: float = 0.0) -> float:
     deviation in these units, ``slack`` a relative error allowed in addition. Infinite where nothing can be noticed.
     """
     from scipy.optimize import brentq
-    from scipy.special import ndtr
 
     part = np.ravel(np.asarray(part, float))
     part = part[np.isfinite(part)]

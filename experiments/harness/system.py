@@ -5,11 +5,18 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import pickle
 import signal
+import sys
 import threading
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TypeVar
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Environment variables that libraries of linear algebra read when they are loaded."""
@@ -53,6 +60,85 @@ def prompt_pool(threads: int | None = None) -> Iterator[ThreadPoolExecutor]:
         pool.shutdown(wait=False, cancel_futures=True)
         raise
     pool.shutdown()
+
+
+_HERE = os.getpid()  # Another number in a copy of the process
+
+
+@contextlib.contextmanager
+def aside(work: Callable[[], Result], *, niceness: int = 0) -> Iterator[Callable[[], Result]]:
+    """Work done meanwhile by a copy of this process: NumPy alone, nothing that renders, writes or shows progress.
+
+    Gives a function that waits for the result. Without a copy (a single processor, another system than Linux), or when
+    it fails, that function does the work.
+    """
+    if sys.platform != "linux" or processors() < 2 or os.getpid() != _HERE:
+        yield work
+        return
+    source, sink = os.pipe()
+    with signals_held(signal.SIGINT, signal.SIGTERM), warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of locks that threads hold: NumPy knows of none
+        child = os.fork()
+        if not child:
+            _work_and_leave(work, sink, niceness)
+    os.close(sink)
+
+    def result() -> Result:
+        with open(source, "rb", closefd=False) as stream:
+            told = stream.read()
+        if not told:
+            return work()
+        found: Result = pickle.loads(told)
+        return found
+
+    try:
+        yield result
+    finally:
+        os.close(source)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+
+
+def _work_and_leave(work: Callable[[], object], sink: int, niceness: int) -> None:
+    """All that a copy does; it ends without clearing up what belongs to the other process."""
+    try:
+        os.nice(niceness)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
+        with open(sink, "wb") as stream:
+            stream.write(pickle.dumps(work()))
+    finally:
+        os._exit(0)
+
+
+def shared(
+    work: Callable[[Task], Result], tasks: Sequence[Task], advance: Callable[[], None] = lambda: None
+) -> list[Result]:
+    """Results of tasks, each done by the next free processor; work as of `aside`."""
+    source, sink = os.pipe()
+    for number in range(len(tasks)):
+        os.write(sink, number.to_bytes(2))
+    os.close(sink)
+
+    def some() -> dict[int, Result]:
+        done = {}
+        while number := os.read(source, 2):
+            done[int.from_bytes(number)] = work(tasks[int.from_bytes(number)])
+            if os.getpid() == _HERE:
+                advance()
+        return done
+
+    with contextlib.ExitStack() as stack:
+        stack.callback(os.close, source)
+        others = [stack.enter_context(aside(some)) for _ in range(min(processors(), len(tasks)) - 1)]
+        done = some()
+        for other in others:
+            found = other()
+            for _ in found:
+                advance()
+            done |= found
+        return [done[number] if number in done else work(task) for number, task in enumerate(tasks)]
 
 
 def lock_folder(path: Path) -> int:

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from experiments.harness import system
 from experiments.harness.interrupts import invoke
-from experiments.harness.system import THREADS, one_thread, prompt_pool
+from experiments.harness.system import THREADS, aside, one_thread, prompt_pool, shared
 
 
 def test_one_process_at_a_time_holds_a_folder(tmp_path):
@@ -100,3 +100,27 @@ def test_an_interrupt_waits_for_no_thread():
     going.set()
     assert first.result(20.0)
     assert second.cancelled()
+
+
+def test_tasks_are_shared_with_a_copy_of_the_process(monkeypatch):
+    monkeypatch.setattr("experiments.harness.system.processors", lambda: 2)
+    steps = []
+
+    def work(number):
+        time.sleep(0.05)
+        return number**2, os.getpid()
+
+    found = shared(work, range(6), lambda: steps.append(None))
+    assert [value for value, _ in found] == [0, 1, 4, 9, 16, 25]
+    assert len({process for _, process in found}) == 2
+    assert len(steps) == 6
+
+
+@pytest.mark.parametrize("ends", [lambda: os._exit(1), lambda: 1 // 0, lambda: lambda: None])
+def test_what_a_copy_does_not_tell_is_done_here(ends, monkeypatch):
+    monkeypatch.setattr("experiments.harness.system.processors", lambda: 2)
+    here = os.getpid()
+    with aside(lambda: "here" if os.getpid() == here else ends()) as result:
+        assert result() == "here"
+    with pytest.raises(ZeroDivisionError):
+        shared(lambda number: 1 // number, [1, 0, 2])
