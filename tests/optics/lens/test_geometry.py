@@ -93,7 +93,7 @@ def loaded(tmp_path, text):
         ("stop = true", "stop = 'yes'", r"surface\.4\.stop = 'yes': true or false is needed"),
         ("= 22.0", "= 22.0\ntilt_deg = [true, 0.0]", r"surface\.0\.tilt_deg\.0 = True: a number is needed"),
         (STOP, STOP + GLASS, r"no surface is of glass\.NAME"),
-        (STOP, STOP + GLASS.replace("NAME", "N-F2"), r"glass\.N-F2 would hide the N-F2 of the catalogue"),
+        (STOP, STOP + GLASS.replace("NAME", "N-F2"), r"glass\.N-F2 has the name of a catalogue glass"),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, old, new, said):
@@ -140,7 +140,7 @@ def test_glasses_of_files(tmp_path):
         ('file = "mine.AGF"', r"glass\.melt 7\.file: unknown glass of catalogue MINE 'melt 7'"),
         ('file = "none.agf"', r"glass\.melt 7\.file: .*none\.agf: no such file"),
         ('file = "f2.txt"', r"f2\.txt: a catalogue \(\.agf\) or a material of refractiveindex\.info"),
-        ('file = "f2.yml"\nnd = 1.6', r"glass\.melt 7\.nd beside file"),
+        ('file = "f2.yml"\nnd = 1.6', r"glass\.melt 7\.nd is not allowed together with file"),
         ("file = 3", r"glass\.melt 7\.file = 3: text"),
     ):
         with pytest.raises(ConfigError, match=said):

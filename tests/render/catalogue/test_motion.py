@@ -208,7 +208,7 @@ def test_refused():
         propagate(catalog, float("nan"))
     with pytest.raises(DomainError, match="check the unit"):
         Observer(position_au=np.zeros(3), velocity_km_per_s=[29800.0 * 8, 0, 0])
-    with pytest.raises(DomainError, match="not below that of light"):
+    with pytest.raises(DomainError, match="must be below the speed of light"):
         aberrated(catalog.direction, [3e5, 0, 0])
     with pytest.raises(DomainError, match="are needed"):
         aberrated(catalog.direction[0], [30, 0, 0])
