@@ -53,6 +53,13 @@ def field_angles_deg(v_cam: ArrayLike) -> Pair:
     return np.arctan2(v[..., 0], v[..., 2]) * RAD_DEG, np.arctan2(v[..., 1], v[..., 2]) * RAD_DEG
 
 
+def perpendicular(v: FloatArray) -> FloatArray:
+    """Unit vectors (2, 3) perpendicular to a unit vector and each other, right-handed with it third."""
+    first = np.cross(v, np.eye(3)[np.argmin(np.abs(v))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(v, first)])
+
+
 def light_direction(v_cam: ArrayLike) -> FloatArray:
     """Direction of travel in the lens frame of the light of stars at ``v_cam`` (..., 3): (X, -Y, Z)."""
     return np.asarray(v_cam, float) * np.array([1.0, -1.0, 1.0])

@@ -51,6 +51,7 @@ from calib.calibration.verdict import parity_hint
 from calib.cameras.base import CameraModel
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.frames import perpendicular
 from optics.records import freeze, locked
 
 STAR_NAMES = ("star_azimuth_rad", "star_elevation_rad")
@@ -136,10 +137,7 @@ class TableState:
         """Rotation vectors (3, 2 or 3) in the laboratory by which the target may turn."""
         if self.star is None:
             return np.eye(3)
-        s = self.direction()
-        first = np.cross(s, np.eye(3)[np.argmin(np.abs(s))])
-        first /= np.linalg.norm(first)
-        return np.column_stack([first, np.cross(s, first)])
+        return perpendicular(self.direction()).T
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

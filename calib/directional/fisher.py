@@ -39,6 +39,7 @@ from scipy.stats import chi2
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.frames import perpendicular
 from optics.records import freeze
 
 UNIT_TOLERANCE = 1e-9
@@ -315,7 +316,6 @@ def sample_fisher(mean: ArrayLike, concentration: float, count: int, rng: np.ran
     # P(1 - cos > c) = (exp(-k c) - exp(-2k)) / (1 - exp(-2k))
     versine = -np.log1p(u * np.expm1(-2.0 * k)) / k if k < 350.0 else -np.log1p(-u) / k
     sine = np.sqrt(versine * (2.0 - versine))
-    first = np.cross(m, np.eye(3)[np.argmin(np.abs(m))])
-    first /= np.linalg.norm(first)
-    across = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * np.cross(m, first)
+    first, second = perpendicular(m)
+    across = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
     return np.asarray(m + (sine[:, None] * across - versine[:, None] * m))

@@ -25,6 +25,7 @@ from scipy.stats import qmc
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
+from optics.frames import perpendicular
 from optics.rays.pupil import gauss_disk
 from render.baffle.geometry import BlackCoating, Mesh, VanedBaffle, check_closed, read_glb, vaned_mesh
 from render.engine import Engine
@@ -245,11 +246,8 @@ class BaffleScene:
 
     def _point_sun(self, source: FloatArray) -> None:
         mi, v = self._mi, -source / np.linalg.norm(source)
-        side = np.array([1.0, 0.0, 0.0]) if abs(v[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-        x = np.cross(side, v)
-        x = x / np.linalg.norm(x)
         matrix = np.eye(4)
-        matrix[:3, :3] = np.stack([x, np.cross(v, x), v], axis=1)
+        matrix[:3, :3] = np.stack([*perpendicular(v), v], axis=1)
         self._parameters["sun.to_world"] = mi.Transform4f(matrix)
         self._parameters.update()
 

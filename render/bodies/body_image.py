@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
+from optics.frames import perpendicular
 from optics.light.band import Band, BandNodes, band_nodes
 from optics.light.photometry import band_integral
 from optics.records import freeze
@@ -263,10 +264,7 @@ def _window(camera: Camera, view: FieldOfView, body: SunlitBody, attitudes: Floa
 
 def _limb(body: SunlitBody, count: int = 32) -> FloatArray:
     """Unit vectors (n, 3) along icrs of the outline of the body's sphere."""
-    helper = np.eye(3)[int(np.argmin(np.abs(body.direction)))]
-    first = np.cross(body.direction, helper)
-    first /= np.linalg.norm(first)
-    second = np.cross(body.direction, first)
+    first, second = perpendicular(body.direction)
     turn = 2.0 * np.pi * np.arange(count) / count
     a = body.angular_radius_rad
     if body.air is not None:

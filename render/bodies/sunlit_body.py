@@ -18,6 +18,7 @@ from scipy import constants
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
+from optics.frames import perpendicular
 from optics.light.photometry import photon_rate
 from optics.records import freeze
 from render.bodies.brightness import ALBEDO, ALBEDO_NM, planet_spectrum, planet_v
@@ -126,10 +127,7 @@ def _mapped_disk(body: SunlitBody) -> float:
     node, weight = np.polynomial.legendre.leggauss(DISK_RINGS)
     r = np.sqrt(0.5 * (1.0 + node))[:, None]
     turn = 2.0 * np.pi * (np.arange(DISK_ARMS) + 0.5) / DISK_ARMS
-    helper = np.eye(3)[int(np.argmin(np.abs(body.direction)))]
-    first = np.cross(body.direction, helper)
-    first /= np.linalg.norm(first)
-    second = np.cross(body.direction, first)
+    first, second = perpendicular(body.direction)
     mu = np.sqrt(1.0 - r**2)
     n = (r * np.cos(turn))[..., None] * first + (r * np.sin(turn))[..., None] * second - mu[..., None] * body.direction
     mu0 = np.maximum(n @ body.to_sun, 0.0)
