@@ -9,7 +9,7 @@ The public names of the package are listed in ``__init__.pyi`` and loaded on fir
 module stays fast and needs no Mitsuba; everything else is imported from its module:
 
 ================  ======================================================================================================
-render.catalogue  star catalogues: Gaia offline, files, services; motion, temperatures, search tree
+render.catalogue  star catalogues: Gaia offline, files; motion, temperatures, search tree
 render.sky        stars of a field and their light, zodiacal light, uniform skies
 render.tracing    stars through lenses: pupils, quadrature, images, truth
 render.detector   EMVA 1288 detectors: noise, maps, readout, radiation, cosmic rays

@@ -15,7 +15,7 @@ from optics.lens_file import LensFile
 from optics.rays.chief import chief_ray_points
 from optics.rays.paraxial import ParaxialLens, axial_paraxial
 from optics.rays.performance import LensPerformance, lens_performance, white_focus
-from optics.rays.spots import Spots, trace_spots
+from optics.rays.spots import Spots, focus_moments, trace_spots
 from optics.waves.image_quality import perfect_peak, strehl, transfer_function
 from optics.waves.pupil_field import PupilField, needed_order, trace_pupil
 from optics.waves.wavefront import Wavefront, wavefront
@@ -114,19 +114,9 @@ def _waves(file: LensFile) -> tuple[FloatArray, FloatArray]:
 
 def _along_and_across(spots: Spots, weight: FloatArray) -> FloatArray:
     """Shift of the image plane that makes the white spot smallest along and across the field, (f, 2) [mm]."""
-    rays = spots.rays
-    light = spots.area_mm2 * (weight / weight.sum())[:, None]
-    total = light.sum(axis=(1, 2), keepdims=True)
-    share = np.divide(light, total, out=np.zeros_like(light), where=total > 0)
-    shifts = []
-    for height, component in ((rays.x, rays.dx), (rays.y, rays.dy)):
-        y = np.where(rays.ok, height, 0.0)
-        slope = np.where(rays.ok, component / np.where(rays.ok, rays.dz, 1.0), 0.0)
-        dy = y - (share * y).sum(axis=(1, 2), keepdims=True)
-        ds = slope - (share * slope).sum(axis=(1, 2), keepdims=True)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            shifts.append(-(share * dy * ds).sum(axis=(1, 2)) / (share * ds * ds).sum(axis=(1, 2)))
-    return np.stack(shifts, axis=-1)
+    cross, square = focus_moments(spots, spots.area_mm2 * (weight / weight.sum())[:, None])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return -cross / square
 
 
 def _mtf(lens: Any, spots: Spots, weight: FloatArray, fields: FloatArray, limit: float) -> Mtf:

@@ -391,15 +391,20 @@ def best_focus_shift_mm(
     """
     lens.check_surfaces()
     spots = trace_spots(lens, field_x_deg, field_y_deg, wavelength_nm)
-    rays = spots.rays
-    per_field = spots.area_mm2.sum(axis=(1, 2), keepdims=True)
-    weight = np.divide(spots.area_mm2, per_field, out=np.zeros_like(spots.area_mm2), where=per_field > 0)
-    cross = square = 0.0
+    cross, square = focus_moments(spots, spots.area_mm2)
+    return float(-cross.sum() / square.sum())
+
+
+def focus_moments(spots: Spots, light: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Covariance of ray heights with slopes and variance of slopes, (f, 2) along x and y, by the ``light`` of rays."""
+    rays, total = spots.rays, light.sum(axis=(1, 2), keepdims=True)
+    share = np.divide(light, total, out=np.zeros_like(light), where=total > 0)
+    cross, square = [], []
     for position, component in ((rays.x, rays.dx), (rays.y, rays.dy)):
         height = np.where(rays.ok, position, 0.0)
         slope = np.where(rays.ok, component / np.where(rays.ok, rays.dz, 1.0), 0.0)
-        height = height - (weight * height).sum(axis=(1, 2), keepdims=True)
-        slope = slope - (weight * slope).sum(axis=(1, 2), keepdims=True)
-        cross += float((weight * height * slope).sum())
-        square += float((weight * slope * slope).sum())
-    return -cross / square
+        height = height - (share * height).sum(axis=(1, 2), keepdims=True)
+        slope = slope - (share * slope).sum(axis=(1, 2), keepdims=True)
+        cross.append((share * height * slope).sum(axis=(1, 2)))
+        square.append((share * slope * slope).sum(axis=(1, 2)))
+    return np.stack(cross, axis=-1), np.stack(square, axis=-1)
