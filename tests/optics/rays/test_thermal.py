@@ -11,7 +11,7 @@ from optics.lens_file import load_lens
 from optics.rays.chief import plate_scale_mm
 from optics.rays.paraxial import stopped_down
 from optics.rays.spots import best_focus_shift_mm, trace_spots
-from optics.rays.thermal import athermal_spacer, focus_um_per_k, thermal_sensitivity
+from optics.rays.thermal import athermal_spacer, focus_um_per_k, spacers_of, thermal_sensitivity
 
 LENS = load_lens("star_camera_206mm")
 HOUSING = Housing(expansion_per_k=23.6e-6, diameter_mm=100.0)
@@ -70,6 +70,7 @@ def test_focus_is_that_of_real_rays():
 
 
 def test_the_spacer_that_holds_the_focus():
+    assert spacers_of(LENS) == ("L2", "L3", "L45", "L6", "detector")  # L1 touches the stop
     found = athermal_spacer(LENS, HOUSING, spacer="L45")
     assert abs(found.focus_um_per_k) < 1e-6
     assert abs(focus_um_per_k(LENS, HOUSING, ThermalState(mean_k=1.0))) > 4.0
