@@ -1,6 +1,7 @@
 """Predicted errors of an attitude in flight against attitudes that are solved from stars with these errors."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.solve import solve_wahba, solve_wahba_many
 from experiments.flight.loop import by_budget
-from experiments.flight.prediction import FieldMap, build_budget
+from experiments.flight.prediction import Budget, FieldMap, build_budget
 from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config
 from optics.attitude import aberrated, attitude_error_arcsec
@@ -118,6 +119,17 @@ def test_the_sensor_of_a_loop_errs_as_the_budget(budget, seen):
     assert np.all(np.abs(each.mean(0)) < 4.0 * np.sqrt(of_look2 / looks))
     np.testing.assert_allclose((each**2).mean(0), of_look2, rtol=4.0 * np.sqrt(2.0 / looks))
     np.testing.assert_allclose(np.diag(found[0][0].covariance_rad2) * RAD_ARCSEC**2, noise2 + static2, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_lens_warmer_by_three_kelvin_moves_stars_by_three_times_its_sensitivity(budget):
+    """The differences are of one kelvin to either side; a shift of the mean temperature is nearly linear."""
+    warm = SimpleNamespace(thermal=SimpleNamespace(values_k=np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])))
+    stub = SimpleNamespace(flight=warm, _map=budget._map, _traced=budget._traced)
+    (told,) = Budget.sensitivity.func(stub).values()
+    moved = budget._traced(np.array([3.0, 0.0, 0.0, 0.0, 0.0])) - budget._map.pixel_px
+    assert np.abs(moved).max() > 0.01
+    np.testing.assert_allclose(3.0 * told.at(budget._map.direction), moved, atol=0.03 * np.abs(moved).max())
 
 
 def test_spots_that_lie_elsewhere_bias_the_fit_by_as_much(budget):
