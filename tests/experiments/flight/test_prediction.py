@@ -132,7 +132,7 @@ def test_a_lens_warmer_by_three_kelvin_moves_stars_by_three_times_its_sensitivit
     np.testing.assert_allclose(3.0 * told.at(budget._map.direction), moved, atol=0.03 * np.abs(moved).max())
 
 
-def test_spots_that_lie_elsewhere_bias_the_fit_by_as_much(budget):
+def test_spots_that_lie_elsewhere_bias_the_fit_by_as_much(budget, monkeypatch):
     """PSFs of the tracker moved by 0.02 px outwards and by 0.03 px across; they lie 22.5 deg from the rows."""
     outwards = np.radians(22.5)
     moved = []
@@ -148,6 +148,11 @@ def test_spots_that_lie_elsewhere_bias_the_fit_by_as_much(budget):
     np.testing.assert_allclose(mean[0], 0.02, atol=1e-3)
     np.testing.assert_allclose(mean[1], 0.0, atol=1e-3)
     assert spread.max() < 2e-3
+    # outwards by it, a star of 10 000 K
+    fields, hot, there = len(budget.nominal.state.radius_px), np.array([1e4]), np.array([100.0])
+    monkeypatch.setitem(budget.__dict__, "_colour_bias", (np.full((2, fields), 0.02), np.zeros((2, fields))))
+    beside = budget.colour_px(hot, there)[0] - budget.nominal.state.colour_shift_px(hot, there)
+    assert beside == pytest.approx([0.02])
 
 
 def test_what_stars_err_by_besides_noise(budget, seen, monkeypatch):
