@@ -3,7 +3,7 @@
 A lens whose stop lies inside has beams whose outlines must be found, one whose apertures cut the light has outlines
 with kinks: neither may cost much. The detector is the same for all (cmv4000).
 
-    python benchmarks/any_lens.py [--names hsfe budget] [--lenses star_tracker_26mm my.toml] [--rounds 3]
+    python benchmarks/any_lens.py [--names hsfe budget] [--lenses star_tracker_26mm my.toml]
 
 With ``--sensors`` whole sensor files instead, unlike the built-in one in every respect: a triplet, a fisheye of 100
 deg, a fast lens, a mirror telescope, an ideal lens; for every experiment that takes a sensor whether its criteria hold,
@@ -15,13 +15,13 @@ what is refused in one line, what fails otherwise, and the seconds.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
-
-import numpy as np
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = "star_camera_206mm"
@@ -101,41 +101,32 @@ def write_sensors(folder: Path) -> dict[str, Path]:
     return files
 
 
-def verdict(name: str, sensor: Path, folder: Path) -> str:
-    """What a run with a sensor file came to, with its processor time; longer than `LONGEST_S` is a fault."""
+def processor_seconds(name: str, arguments: Iterable[str], folder: Path) -> tuple[float, str, Path]:
+    """Processor time of a quick run [s], what it ended with if that is no result, and its output."""
     out = Path(tempfile.mkdtemp(dir=folder)) / "out"
-    command = [sys.executable, "-m", f"experiments.{name}", "--quick", "--sensor", str(sensor), "--out", str(out)]
+    command = [sys.executable, "-m", f"experiments.{name}", "--quick", "--out", str(out), *arguments]
     before = os.times()
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LONGEST_S)
     except subprocess.TimeoutExpired:
-        return f"**no end** in {LONGEST_S} s"
+        return LONGEST_S, f"**no end** in {LONGEST_S} s", out
     after = os.times()
-    took = f"{after.children_user + after.children_system - before.children_user - before.children_system:.0f} s"
-    said = done.stderr.strip().splitlines() or ["no result"]
-    if "Traceback" in done.stderr:
-        return f"**fault**: {said[-1][:90]}"
-    if done.returncode == 2:
-        return f"refused: {said[-1].removeprefix('error: ')}"
-    failed = [line[5:] for line in done.stdout.splitlines() if line.startswith("NO ")]
-    return took if not failed else f"{took}, **not consistent**: {'; '.join(failed)}"
+    used = after.children_user + after.children_system - before.children_user - before.children_system
+    told = "" if done.returncode in (0, 1) else (done.stderr.strip().splitlines() or ["no result"])[-1]
+    return used, "**fault**: " * ("Traceback" in done.stderr) + told.removeprefix("error: "), out
+
+
+def verdict(name: str, sensor: Path, folder: Path) -> str:
+    """What a run with a sensor file came to, with its processor time."""
+    used, told, out = processor_seconds(name, ["--sensor", str(sensor)], folder)
+    if told:
+        return told
+    criteria = json.loads((out / "summary.json").read_text(encoding="utf-8"))["criteria"]
+    failed = [one["name"] for one in criteria if one["passed"] is False]
+    return f"{used:.0f} s" + f", **not consistent**: {'; '.join(failed)}" * bool(failed)
 
 
 LONGEST_S = 600
-
-
-def processor_seconds(name: str, lens: str, folder: Path) -> tuple[float, str]:
-    """Processor time of a run [s], and what it ended with if that is no result."""
-    out = Path(tempfile.mkdtemp(dir=folder)) / "out"
-    settings = [f"instrument.lens={lens}", *SETTINGS, *OWN.get(lens, ())]
-    command = [sys.executable, "-m", f"experiments.{name}", "--quick", "--out", str(out)]
-    before = os.times()
-    done = subprocess.run(
-        [*command, *(word for one in settings for word in ("--set", one))], capture_output=True, text=True, check=False
-    )
-    after = os.times()
-    used = after.children_user + after.children_system - before.children_user - before.children_system
-    return used, "" if done.returncode in (0, 1) else (done.stderr.strip().splitlines() or ["no result"])[-1]
 
 
 def main() -> None:
@@ -144,7 +135,6 @@ def main() -> None:
     parser.add_argument("--names", nargs="+")
     parser.add_argument("--lenses", nargs="+")
     parser.add_argument("--sensors", action="store_true")
-    parser.add_argument("--rounds", type=int, default=1)
     options = parser.parse_args()
     if options.sensors:
         with tempfile.TemporaryDirectory() as folder:
@@ -157,14 +147,15 @@ def main() -> None:
     lenses = [REFERENCE, *(options.lenses or LENSES)]
     print("| experiment | " + " | ".join(lens if "/" not in lens else Path(lens).parent.name for lens in lenses) + " |")
     print("|---" * (len(lenses) + 1) + "|")
+    reference = 1.0
     with tempfile.TemporaryDirectory() as folder:
         for name in options.names or NAMES:
-            found = [[processor_seconds(name, lens, Path(folder)) for lens in lenses] for _ in range(options.rounds)]
-            seconds = np.median([[used for used, _ in row] for row in found], axis=0)
-            cells = [
-                said or f"{value:.1f} s" + ("" if place == 0 else f", {value / seconds[0]:.2f} x")
-                for place, (value, (_, said)) in enumerate(zip(seconds, found[-1], strict=True))
-            ]
+            cells: list[str] = []
+            for lens in lenses:
+                settings = (f"instrument.lens={lens}", *SETTINGS, *OWN.get(lens, ()))
+                used, told, _ = processor_seconds(name, [w for one in settings for w in ("--set", one)], Path(folder))
+                reference = reference if cells else used
+                cells.append(told or f"{used:.1f} s" + f", {used / reference:.2f} x" * bool(cells))
             print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
 
 
