@@ -2,21 +2,15 @@
 processes.
 
 Random streams are named by point and run; workers use one thread for linear algebra, and results keep the order of the
-tasks. An interrupt ends the workers and is passed on.
+tasks.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +39,8 @@ from experiments.acf.simulate import (
     observe,
     start_camera,
 )
-from experiments.harness.system import one_thread, processors, signals_held
+from experiments.harness.system import one_thread, shared
 from optics.arrays import FloatArray
-from optics.errors import BackendError
 from optics.units import DEG_RAD
 from render.engine.random import Streams
 
@@ -62,8 +55,6 @@ DRAWN = 400
 """Errors that are drawn of every sky for the scatter of a gain."""
 CHUNK = 25
 """Runs of a task at most; a part of a second to a few seconds of work."""
-Work = TypeVar("Work")
-Done = TypeVar("Done")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -318,56 +309,11 @@ def perform(config: Config, points: Sequence[Point], *, advance: Callable[[int],
         for point in points
         for first in range(0, point.runs, CHUNK)
     ]
-    values = run_tasks(
-        work, tasks, workers=config.workers, done=lambda index: advance(tasks[index].last - tasks[index].first)
-    )
+    with one_thread():  # the same sums everywhere
+        values = shared(work, tasks, lambda task: advance(task.last - task.first), workers=config.workers)
     trials = {}
     for point in points:
         parts = [part for task, part in zip(tasks, values, strict=True) if task.point.name == point.name]
         whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
         trials[point.name] = Trials(point=point, values=whole)
     return trials
-
-
-def run_tasks(
-    work: Callable[[Work], Done], tasks: Sequence[Work], *, workers: int, done: Callable[[int], None]
-) -> list[Done]:
-    """Results of all tasks, in their order."""
-    count = min(workers or processors(), len(tasks))
-    if not tasks:
-        return []
-    others = set(multiprocessing.active_children())
-    with one_thread():  # quicker side by side, and the same sums everywhere
-        pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=_prepare)
-        try:
-            with signals_held(signal.SIGINT):  # children inherit this: an interrupt at the terminal is ours to handle
-                futures = [pool.submit(work, task) for task in tasks]
-            results = []
-            for index, future in enumerate(futures):
-                results.append(future.result())
-                done(index)
-            return results
-        except BrokenProcessPool:
-            raise BackendError(
-                "a Monte Carlo process ended (killed, or out of memory); set workers=1 or lower sky.stars_per_frame"
-            ) from None
-        except BaseException:  # what the workers are at is of no use any more; processes of others are left alone
-            for child in set(multiprocessing.active_children()) - others:
-                child.terminate()
-            raise
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _prepare() -> None:
-    """First thing in a worker: interrupts are the parent's business, and without a parent there is nothing to do."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
-
-
-def _leave_with(parent: multiprocessing.process.BaseProcess) -> None:
-    parent.join()
-    os._exit(1)

@@ -136,7 +136,7 @@ def swings(config: Config, base: CameraPrediction, *, advance: Callable[[], None
         return _changes(config, key, at, middle) if at != value else dict.fromkeys(CHANGED, 0.0)
 
     cases = [(key, at, value) for key, _, _, low, value, high in keys for at in (low, high)]
-    ends = shared(end, cases, advance)
+    ends = shared(end, cases, lambda case: advance())
     for (key, label, unit, low, _, high), *pair in zip(keys, ends[::2], ends[1::2], strict=True):
         moved = {f"swing_{name}": [one[name] for one in pair] for name in CHANGED}
         attitude = np.nan_to_num([one[CHANGED[0]] for one in pair], nan=math.inf)

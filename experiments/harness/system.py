@@ -113,31 +113,42 @@ def _work_and_leave(work: Callable[[], object], sink: int, niceness: int) -> Non
 
 
 def shared(
-    work: Callable[[Task], Result], tasks: Sequence[Task], advance: Callable[[], None] = lambda: None
+    work: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    advance: Callable[[Task], None] = lambda task: None,
+    *,
+    workers: int = 0,
 ) -> list[Result]:
-    """Results of tasks, each done by the next free processor; work as of `aside`."""
+    """Results of tasks in order, each done by the next free process (0: one per processor); work as of `aside`.
+
+    Tasks advance when they, or later ones, are done by this process, the others at the end.
+    """
     source, sink = os.pipe()
     for number in range(len(tasks)):
         os.write(sink, number.to_bytes(2))
     os.close(sink)
+    told = 0
 
     def some() -> dict[int, Result]:
+        nonlocal told
         done = {}
-        while number := os.read(source, 2):
-            done[int.from_bytes(number)] = work(tasks[int.from_bytes(number)])
+        while taken := os.read(source, 2):
+            number = int.from_bytes(taken)
+            done[number] = work(tasks[number])
             if os.getpid() == _HERE:
-                advance()
+                for task in tasks[told : number + 1]:
+                    advance(task)
+                told = number + 1
         return done
 
     with contextlib.ExitStack() as stack:
         stack.callback(os.close, source)
-        others = [stack.enter_context(aside(some)) for _ in range(min(processors(), len(tasks)) - 1)]
+        others = [stack.enter_context(aside(some)) for _ in range(min(workers or processors(), len(tasks)) - 1)]
         done = some()
         for other in others:
-            found = other()
-            for _ in found:
-                advance()
-            done |= found
+            done |= other()
+        for task in tasks[told:]:
+            advance(task)
         return [done[number] if number in done else work(task) for number, task in enumerate(tasks)]
 
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from experiments.acf import experiment as study
-from experiments.acf import trials as monte_carlo
 from experiments.acf.reprojection import root_mean_square
 from experiments.acf.settings import Config, SkyConfig, SweepConfig, experiment
 from experiments.acf.table2 import PRINTED, ROUNDING, TRUE, implied
@@ -23,14 +22,6 @@ SMALL = Config(
 )
 
 
-def in_process(task_of, tasks, *, workers, done):
-    """As `run_tasks`, in this process; the workers have a test of their own."""
-    del workers
-    for index, task in enumerate(tasks):
-        yield task_of(task)
-        done(index)
-
-
 @pytest.fixture(scope="module")
 def guess():
     return implied(points=11)
@@ -39,7 +30,6 @@ def guess():
 @pytest.fixture(scope="module")
 def outcome(guess):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(monte_carlo, "run_tasks", lambda *a, **k: list(in_process(*a, **k)))
         patch.setattr(study, "implied", lambda: guess)
         return experiment.outcome(SMALL, study.run(SMALL, progress=Progress()))
 

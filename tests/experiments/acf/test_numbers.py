@@ -315,13 +315,13 @@ def test_what_a_run_is_judged_by(monkeypatch):
     assert every["free.sigma"].shape == (1, 8)
     tasks = []
 
-    def counted(work, tasks_made, *, workers, done):
+    def counted(work, tasks_made, advance, *, workers):
         tasks.extend((one.point.name, one.first, one.last) for one in tasks_made)
-        for index in range(len(tasks_made)):
-            done(index)
+        for task in tasks_made:
+            advance(task)
         return [{"run": np.arange(one.first, one.last)} for one in tasks_made]
 
-    monkeypatch.setattr(monte_carlo, "run_tasks", counted)
+    monkeypatch.setattr(monte_carlo, "shared", counted)
     done = []
     trials = perform(CONFIG, [point, others], advance=done.append)
     assert tasks == [("exact", 0, 25), ("exact", 25, 26), ("all", 0, 1)]
