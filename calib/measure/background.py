@@ -137,7 +137,7 @@ def estimate_background(
     every = (slice(None, None, _FIRST_STEP), slice(None, None, _FIRST_STEP)) if box_px >= _FIRST_BOX else ()
     coarse = _mesh(electrons[every], usable[every], box_px // _FIRST_STEP if every else box_px, clip_sigma, quantum)
     first = _on_whole(coarse, _FIRST_STEP, electrons.shape) if every else coarse
-    stars = electrons > first.level_image() + 3.0 * first.sigma_image()
+    stars = electrons > first._image(first.level_e + 3.0 * first.sigma_e)
     # bright pixels next to another one; lone noise peaks stay in, or the noise would be underestimated
     rest = usable & ~grown(stars & grown(stars, 1, itself=False), 2)
     return _without_slopes(_mesh(electrons, rest, box_px, clip_sigma, quantum)) if rest.any() else first

@@ -123,10 +123,10 @@ experiment = with_what_if(
             "spot_px",
         ),
         compared=("magnitude_nea_arcsec", "magnitude_found"),
-        takes="1 min (--quick: 40 s)",
+        takes="1 min (--quick: 30 s)",
         examples={
             "--sensor my.toml": "your own sensor",
-            "--sensor my.toml --predict-only": "the answer and the report without frames, in 15 s",
+            "--sensor my.toml --predict-only": "the answer and the report without frames, in 10 s",
             "--sensor my.toml --set instrument.exposure_s=0.2": "the same with another exposure",
             "--sensor my.toml --sweep instrument.exposure_s=0.05:0.4:8": "curves over the exposure time",
             "--sensor my.toml --sweep exposure_s=0.01:1:9:log": "logarithmic steps; a list: exposure_s=0.05,0.1,0.4",
@@ -142,8 +142,8 @@ experiment = with_what_if(
             "motion.points": 3,
             "lost.attitudes": 60,
             "frames.sky": 4,
-            "frames.chart_stars": 200,
-            "frames.readouts": 5,
+            "frames.chart_stars": 270,
+            "frames.readouts": 4,
             "dark_frames": 8,
         },
     )

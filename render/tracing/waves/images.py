@@ -144,7 +144,7 @@ class WaveImages:
         if self.camera.diffraction == "waves" and self._pays(chief, *by):
             grid = self._grid(*by, 0.0)  # that of the images serves, if it is as large
             if grid is not None and grid.radius_px < radius_px:
-                grid = self._grid(*by, float(radius_px))
+                grid = self._grid(*by, float(radius_px)) if self.by_grid else None  # which no frame would share
             if grid is not None and grid.holds(exposure.paths.mid).all() and not chiefs.blocked.any():
                 return grid.cells(exposure.paths.mid, light.share, chief, half_size_px, cells_per_px)
         few, images = self.summed(light, exposure)
