@@ -49,10 +49,10 @@ Limits = Mapping[str, tuple[float, bool]]
 Numbers = tuple[Optics, Accuracy, Sky]
 
 
-def _values(found: Sequence[Numbers | None], prefix: str) -> dict[str, FloatArray]:
+def _values(found: Sequence[Numbers | None], prefix: str, names: Sequence[str] = _NAMES) -> dict[str, FloatArray]:
     """Numbers of several predictions by the names of a record's columns, NaN where there is none."""
     known = [{name: v for part in one or () for name, v in asdict(part).items()} for one in found]
-    columns = {f"{prefix}_{name}": [one.get(name, math.nan) for one in known] for name in _NAMES}
+    columns = {f"{prefix}_{name}": [one.get(name, math.nan) for one in known] for name in names}
     return {name: np.where(np.isfinite(column), column, math.nan) for name, column in columns.items()}
 
 
@@ -220,10 +220,7 @@ def over_life(prediction: CameraPrediction, limits: Limits) -> Life | None:
     factor = chips[0].dark_factor(config.instrument.chip_temperature_c) * config.instrument.exposure_s
     dark = [one.dark_current_e_per_s + one.damage_centres_per_px * one.damage_dark_e_per_s for one in chips]
     return Life(
-        **_values(found, "life"),
-        life_false_alarms_per_frame=np.array(
-            [math.nan if one is None else one.value("false_alarms_per_frame") for one in found]
-        ),
+        **_values(found, "life", (*_NAMES, "false_alarms_per_frame")),
         life_light=np.array([light_left(config, float(part)) for part in parts]),
         life_dark_e=factor * np.array(dark),
         life_damaged_percent=100.0 * -np.expm1(-np.array([one.damage_centres_per_px for one in chips])),
