@@ -102,7 +102,7 @@ def write_sensors(folder: Path) -> dict[str, Path]:
 
 
 def processor_seconds(name: str, arguments: Iterable[str], folder: Path) -> tuple[float, str, Path]:
-    """Processor time of a quick run [s], what it ended with if that is no result, and its output."""
+    """Processor time of a quick run [s], its error if it has no result, and its output."""
     out = Path(tempfile.mkdtemp(dir=folder)) / "out"
     command = [sys.executable, "-m", f"experiments.{name}", "--quick", "--out", str(out), *arguments]
     before = os.times()

@@ -320,7 +320,7 @@ def map_error_arcsec(direction: np.ndarray, truth: np.ndarray) -> float:
 
 @dataclass
 class Score:
-    """What a method reached over its trials."""
+    """Results of a method over its trials."""
 
     error_arcsec: float
     residual_px: float

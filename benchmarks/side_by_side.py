@@ -31,7 +31,7 @@ for _ in range(6000):
 
 
 def command_of(name: str, out: Path) -> list[str]:
-    """What is run: an experiment, or matrix products alone."""
+    """Command of a run: an experiment, or matrix products alone."""
     if name == "products":
         return [sys.executable, "-c", PRODUCTS]
     return [sys.executable, "-m", f"experiments.{name}", "--quick", "--out", str(out)]

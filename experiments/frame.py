@@ -75,7 +75,7 @@ def _write_page(
     truth: Path | None,
     faintest_mag: float | None,
 ) -> list[Marks]:
-    """Write the page; what is marked on it."""
+    """Write the page; return the marks on it."""
     from calib.figures import star_marks
     from calib.measure.find import find_stars
     from calib.measure.image import read_image

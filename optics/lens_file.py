@@ -301,7 +301,7 @@ def _within_surfaces(
 def _as_drawn(
     lens: LensSystem, tables: dict[str, Any], mine: Mapping[int, Row], notes: list[ReportLine]
 ) -> tuple[LensSystem, dict[str, Any]]:
-    """Clear apertures of a lens whose file has a near object: those that its program found for light from there."""
+    """Clear apertures of a lens whose file has a near object: as its program computed them for light from there."""
     drawn = {i: mine[i].drawn_mm or 0.0 for i in _open(lens)}
     drawn = {
         i: r for i, r in drawn.items() if lens.surfaces[i].inner_semi_diameter_mm < r < lens.surfaces[i].shape.rim_mm
@@ -328,7 +328,7 @@ def _found(lens: LensSystem, defaults: FileDefaults) -> BeamWidths:
 
 
 def _told(lens: LensSystem, needs: Sequence[int], mine: Mapping[int, Row], found: BeamWidths) -> list[ReportLine]:
-    """Report on computed clear apertures, those of the file's program, and lost light."""
+    """Report on computed clear apertures, clear apertures of the file's program, and lost light."""
     if not needs:
         return []
     text = ", ".join(f"{mine[i].number}: {lens.surfaces[i].semi_diameter_mm:.5g}" for i in needs)

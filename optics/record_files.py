@@ -72,7 +72,7 @@ def _compound(value: Any) -> dict[str, Any]:
 
 
 def _record(value: Any) -> Any:
-    """What was written."""
+    """Value of an entry of a file of records."""
     if not isinstance(value, dict):
         return value
     (kind,) = KINDS.keys() & value.keys()
@@ -106,4 +106,4 @@ KINDS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "spline": _spline,
     "record": _dataclass,
 }
-"""What a key of an object in a file stands for."""
+"""Functions that read an object of a file, by its key."""

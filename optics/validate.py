@@ -245,7 +245,7 @@ def _sentence(model_class: type[BaseModel], fault: dict[str, Any]) -> str:
 
 
 def _reason(fault: Mapping[str, Any]) -> str:
-    """What is wrong with a value, in words for who wrote it."""
+    """Fault of a value, in words for its author."""
     if fault["type"] in _NEEDED:
         return _NEEDED[fault["type"]]
     limits = fault.get("ctx", {})
@@ -257,7 +257,7 @@ def _reason(fault: Mapping[str, Any]) -> str:
 
 
 def _dotted(model_class: type[BaseModel], prefix: str = "", levels: int = MOST_LEVELS) -> Iterator[str]:
-    """Dotted keys of a model; what stands in lists is left out."""
+    """Dotted keys of a model; lists are left out."""
     for name, field in model_class.model_fields.items():
         yield prefix + name
         listed = typing.get_origin(field.annotation) in (list, tuple)

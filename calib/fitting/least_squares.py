@@ -40,7 +40,7 @@ ROUNDING_STEP = 1e-3  # sigma: a full step this short that does not lower the co
 
 
 class Evaluation(Protocol):
-    """What a problem knows at one state."""
+    """Residuals and derivatives of a problem at one state."""
 
     @property
     def residual(self) -> FloatArray:
@@ -54,7 +54,7 @@ class Evaluation(Protocol):
 
 
 class Problem(Protocol):
-    """What the core needs of a problem."""
+    """Interface between the solver and a problem."""
 
     @property
     def names(self) -> tuple[str, ...]:

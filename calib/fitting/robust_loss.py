@@ -53,7 +53,7 @@ class Loss:
         return _SHAPES[self.name][1](squared / self.tuning**2)
 
     def variance_factor(self, group: int) -> float:
-        """What the inverse of the weighted information has to be multiplied with to be the covariance.
+        """Factor by which the inverse of the weighted information becomes the covariance.
 
         For normal residuals of unit variance in ``group`` coordinates the estimator has the covariance
         E[psi psi^T] / E[psi']^2 times the inverse of the unweighted information (Huber 1981, Robust Statistics,

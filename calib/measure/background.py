@@ -84,11 +84,11 @@ def estimate_background(
 
     In each cell the pixels are clipped at ``clip_sigma`` around the median until nothing changes; the standard
     deviation is corrected for the truncation of a normal distribution. The level is the mean of what is left (the
-    expectation, which the likelihood needs, and not the median, which whole DN quantise) or, in a crowded cell,
-    2.5 median - 1.5 mean (Bertin & Arnouts 1996, A&AS 117, 393, sec. 7.1). A second pass leaves out everything
-    3 sigma above the first, grown by two pixels. Cells without usable pixels take the median of the others, and a
-    3 x 3 median over the mesh removes cells filled by a bright object. What the level varies within a cell is taken out
-    of its noise.
+    expectation, which the likelihood needs, and not the median, which whole DN quantise) or, in a crowded cell, 2.5
+    median - 1.5 mean (Bertin & Arnouts 1996, A&AS 117, 393, sec. 7.1). A second pass leaves out everything 3 sigma
+    above the first, grown by two pixels. Cells without usable pixels take the median of the others, and a 3 x 3 median
+    over the mesh removes cells filled by a bright object. The variation of the level within a cell is subtracted from
+    its noise.
 
     Parameters
     ----------

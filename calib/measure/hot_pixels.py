@@ -33,7 +33,7 @@ RING_PART = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HotPixels:
-    """Pixels that differ from their neighbours in whatever is in front of them."""
+    """Pixels that differ from their neighbours in every scene."""
 
     mask: NDArray[np.bool_]  # (h, w) All of them
     blinking: NDArray[np.bool_]  # (h, w) High in some frames only

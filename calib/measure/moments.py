@@ -87,7 +87,7 @@ def half_light_radius(light: FloatArray, x: FloatArray, y: FloatArray) -> FloatA
 
 
 def _even_among_equals(growth: FloatArray, radius2: FloatArray) -> FloatArray:
-    """Growth curves (n, k) that rise evenly over pixels of one radius, whatever order they were sorted in."""
+    """Growth curves (n, k) that rise evenly over pixels of one radius, in any order of sorting."""
     count = radius2.shape[1]
     apart = np.diff(radius2, axis=1) > TIE_PX2
     place = np.broadcast_to(np.arange(count), radius2.shape)
@@ -163,7 +163,7 @@ def measured_table(
     moment_px2: FloatArray | None = None,
     known: PhaseTable | None = None,
 ) -> StarTable:
-    """What a centroider without a PSF model found, as a `StarTable`.
+    """Result of a centroider without a PSF model, as a `StarTable`.
 
     Shapes: ``x`` (n,), ``y`` (n,), ``light`` (n, h, w), ``covariance`` (n, 3, 3), ``iterations`` (n,), ``flags``
     (n,), ``lost`` (n,), ``moment_px2`` (n,).

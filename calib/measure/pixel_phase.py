@@ -48,7 +48,7 @@ class PhaseTable(NamedTuple):
 
 @lru_cache(maxsize=64)
 def phase_table(centroider: MomentCentroider, shape: tuple[int, int]) -> PhaseTable:
-    """What a centroider makes of noiseless Gaussian stars in windows of ``shape`` = (h, w)."""
+    """Centroids of noiseless Gaussian stars by a centroider, in windows of ``shape`` = (h, w)."""
     phase = (np.arange(PHASES) + 0.5) / PHASES - 0.5
     x, y = (offset.ravel() for offset in np.meshgrid(phase, phase))
     place = np.column_stack([x + shape[1] // 2, y + shape[0] // 2])

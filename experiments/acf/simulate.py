@@ -66,7 +66,7 @@ class TurningAxis:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """What is true in every run."""
+    """True values common to all runs."""
 
     camera: BrownConrady  # The star sensor
     attitude: Rotation  # Cam from icrs

@@ -43,7 +43,7 @@ PLACES = 11
 """Stars along each side of the detector, a regular grid, in the design that is scaled to other numbers."""
 GREEK = {"phi": "φ", "theta": "θ"}
 NAMES = [GREEK.get(name[:-1], name[:-1]) + name[-1] if name != "f" else name for name in UNKNOWNS]
-"""Unknowns as readers see them."""
+"""Symbols of the unknowns in tables."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,7 +37,7 @@ from render.engine.random import Streams
 EVERY = (*TERMS, *SUMS)
 TESTED = (*FRAME_TERMS, "LSFE-C1", "LSFE-C2")
 AIMED = ("TE", "HSFE", "LSFE-S", "total")
-"""What an instrument that is tuned to the published budget has to show."""
+"""Errors that an instrument tuned to the published budget must reproduce."""
 PUBLISHED_ARCSEC = {**ACC18_ARCSEC, **PRINTED}
 LABELS = {
     "LSFE-S": "LSFE-S, chromatic",

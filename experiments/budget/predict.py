@@ -199,7 +199,7 @@ def _over_places(lab: Laboratory, found: list[MethodPrediction]) -> tuple[Value,
 
 
 def _parts(found: list[MethodPrediction]) -> Mapping[str, list[FloatArray]]:
-    """What is predicted at each place (2,), by name."""
+    """Predicted quantities at each place (2,), by name."""
     parts = {label: [getattr(one, name) for one in found] for label, name in _STEP_PARTS.items()}
     parts |= {label: [one.cause_px[key] for one in found] for label, key in _CAUSES.items()}
     return parts | {"noise": [np.hypot(one.temporal_px, one.dark_px) for one in found]}

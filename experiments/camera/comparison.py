@@ -48,7 +48,7 @@ class SkyFrames:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rendered:
-    """What the frames showed."""
+    """Measurements from the rendered frames."""
 
     chart: ChartFrames  # Artificial stars
     moving: tuple[CameraPrediction, ChartFrames] | None  # The same of the camera that turns
@@ -61,7 +61,8 @@ WIDEST_MAG = 3.0
 UNFIT_SHARE = 0.05
 """Stars whose fit does not converge, or that look too sharp: relative uncertainty of their number."""
 MODEL_SHARE, MODEL_MAG = 0.03, 0.05
-"""What the prediction leaves out (fields between five, PSFs in cells, a linear response), three standard deviations."""
+"""Error of the prediction's simplifications (fields between five, PSFs in cells, a linear response), three standard
+deviations."""
 FEWEST_STARS = 8
 """Fewer are not always told from chance."""
 MAG = 2.5 / math.log(10.0)

@@ -92,7 +92,7 @@ class RenderedLens:
 
 @dataclass(frozen=True, slots=True)
 class _Traced:
-    """What is read from one lens."""
+    """Properties of one traced lens."""
 
     map_px: FloatArray  # (g, 2)
     square_um2: FloatArray  # (g,) Squared RMS radius

@@ -287,7 +287,7 @@ def centroiders(lens: Lens, axis: int) -> Centroiders:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchRecord:
-    """What was measured with."""
+    """Instrument and light of the measurement."""
 
     instrument: Instrument
     frame: Frame  # Whole detector, first position, reference filter

@@ -27,7 +27,7 @@ REACHED_PX = 1e-12
 """A mean shift that differs by no more from the wanted one needs no movement; mirrors have no other."""
 POLISHED_PX = 3e-7
 POLISHINGS = 5
-"""Difference from the wanted entry that is left, and how many corrections are made at most."""
+"""Largest difference from the wanted entry, and largest number of corrections."""
 LIMIT = {"decentre": 3.0, "tilt": 3.0}
 """Largest movement that is tried [mm, deg]."""
 UNIT = {"decentre": 1e3, "tilt": 60.0}

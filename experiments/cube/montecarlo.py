@@ -132,8 +132,8 @@ def _lean_covariance(
     rotation: Rotation,
     sensor: SensorCalibration,
 ) -> FloatArray:
-    """What the error of the fitted non-orthogonality adds to the covariance of R_sp (3, 3): e = J dl - R e_s, J the
-    difference quotient of R_pr by the lean, e_s the error of R_sr."""
+    """Contribution of the error of the fitted non-orthogonality to the covariance of R_sp (3, 3): e = J dl - R e_s, J
+    the difference quotient of R_pr by the lean, e_s the error of R_sr."""
     step = 1.0
     moved = replace(known, non_orthogonality_arcsec=known.non_orthogonality_arcsec + step)
     names = [trim.face for trim in trims]

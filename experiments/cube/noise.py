@@ -280,8 +280,8 @@ def _spot_variance_px2(laboratory: Laboratory, cosine: FloatArray) -> FloatArray
 
 
 def _spot_particles_px2(laboratory: Laboratory, radius_px: float, cosine: FloatArray) -> float:
-    """What the number of particles of a spot adds, each in the pixel that it falls into; the Sun's width, wider by 1 /
-    cos^2 along the slant and 1 / cos across, halves what the net's evenness saves."""
+    """Variance by the number of particles of a spot, each in the pixel that it falls into; the Sun's width, wider by 1
+    / cos^2 along the slant and 1 / cos across, halves what the net's evenness saves."""
     config = laboratory.config
     suns, log2 = len(cosine), config.sensor.log2_particles
     net = _net(log2 + int(np.ceil(np.log2(suns))))[: suns << log2]

@@ -317,7 +317,7 @@ def trim_face(
 def _look(
     laboratory: Laboratory, pose: CubePose, face: str, streams: Streams, *, sensor: Any, log2_particles: int
 ) -> Picture:
-    """Picture of the spot with the cube at a pose, after a look at whether there can be one."""
+    """Picture of the spot with the cube at a pose, after a check that the beam reaches the camera."""
     geometry = laboratory.geometry
     check_landing(laboratory.config, geometry, laboratory.camera, pose, face)
     displaced = float(np.hypot(*reflected_spot_mm(geometry, pose, face)))

@@ -157,7 +157,7 @@ def _weighted(
     sky: SkyMap,
     pixel_arcsec: float,
 ) -> tuple[Any, int, float]:
-    """Attitude from all detections near a star, how many they are, and their common error [px]."""
+    """Attitude from all detections near a star, their number, and their common error [px]."""
     assert match.attitude is not None
     pairs = associate(pixel, sky.direction, match.attitude.rotation, model, radius_px=MATCH_PX)
     if len(pairs.detected) < FEWEST:

@@ -43,7 +43,7 @@ LOOK_S, POLL_S = 1.0, 0.003
 ALONE_S, GIVE_UP_S = 10.0, 300.0
 CONNECT_S, START_S, CLOSE_S = 5.0, 120.0, 5.0
 KILL_S = 0.4
-"""For the end of a cluster whose processes are killed: what is left of it then dies with this process."""
+"""For the end of a cluster whose processes are killed: its remains then end with this process."""
 GO_ON = "finished frames are kept; run the same command again to continue"
 
 
@@ -166,7 +166,7 @@ def _try_worker(client: Any, job: Job, address: str) -> None:
 
 
 class _Watch:
-    """Monitors a cluster: how many frames it takes at once, and whether it is still there.
+    """Monitors a cluster: number of frames at once, and whether it still answers.
 
     Workers may come and go (adaptive scaling); without any for `ALONE_S` seconds a note is printed, after `GIVE_UP_S`
     the run ends.
@@ -208,7 +208,7 @@ class _Watch:
 def _gather(
     client: Any, job: Job, frames: Sequence[int], *, watch: _Watch, threads: int | None, done: Done
 ) -> None:  # fmt: skip
-    """Hand frames out, a few ahead, and take them in as they are finished."""
+    """Hand frames out, a few ahead, and collect finished frames."""
     import distributed
 
     run = secrets.token_hex(4)

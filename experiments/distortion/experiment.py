@@ -105,7 +105,7 @@ def removed(of: Numbers, frames: DistortionMeasurement, config: Config, *, publi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """What was measured with, and what is published of it."""
+    """Camera of the measurement, and its published values."""
 
     signal_e: float = col("Signal", "e-", ".0f")
     signal_star: str = col("Star")

@@ -37,7 +37,7 @@ REFERENCE: Reference = "aligned"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WideField:
-    """What is found, left and removed of one survey, 3 sigma."""
+    """Distortion measured, residual and removed of one survey, 3 sigma."""
 
     measured_arcsec: FloatArray = col(
         "Measured", "arcsec", ".3f", "number axis", json="measured", key="wide_measured_arcsec"

@@ -417,7 +417,7 @@ class SameData:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
-    """What was measured with."""
+    """Instrument of the measurement."""
 
     lens: str = col("Lens", json="")
     pixel_arcsec: float = col("Angle of a pixel", "arcsec", ".2f", json="")

@@ -1,4 +1,4 @@
-r"""What the pixel-residual method makes of star vectors, over the field of view.
+r"""Bias of the pixel-residual method for star vectors over the field of view.
 
 A camera maps a direction to its image by a map that stretches: at the field angle whose tangent is t a small angle
 e across the line of sight becomes, in units of the focal length, (1 + t^2) e along the radius and sqrt(1 + t^2) e

@@ -463,7 +463,7 @@ class Budget:
 
 
 def _sensor(config: Config, old: bool) -> PredictedSensorConfig:
-    """What is predicted of a configuration, at the beginning or the end of its life."""
+    """Prediction for a configuration, at the beginning or the end of its life."""
     shared = {key: value for key, value in config.model_dump().items() if key in PredictedSensorConfig.model_fields}
     star, sky = {"temperature_k": config.star_temperature_k}, {"attitudes": FEW_ATTITUDES}
     sensor = PredictedSensorConfig.model_validate({**shared, "star": star, "sky": sky})

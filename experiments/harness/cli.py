@@ -125,7 +125,7 @@ def _short(experiment: Experiment, name: str, key: str, text: str) -> click.Opti
 
 
 def _help(experiment: Experiment) -> str:
-    """What the experiment answers, how long it takes, and examples."""
+    """Question, duration and examples of the experiment."""
     parts = [inspect.cleandoc(experiment.about or f"The experiment {experiment.name}.").partition("\n\n")[0]]
     if experiment.takes:
         parts.append(f"Takes {experiment.takes} on two cores.")

@@ -55,7 +55,7 @@ class _Criteria:
 
 @dataclass
 class _Context:
-    """What a template may call; blocks are kept here, marks stand for them in the Markdown."""
+    """Functions of a template; blocks are kept here, placeholders stand for them in the Markdown."""
 
     outcome: Outcome
     tables: Mapping[str, Any]

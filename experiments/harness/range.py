@@ -145,7 +145,7 @@ _NAMES = {"f number": "F-number", "prnu": "PRNU", "dsnu": "DSNU"}
 
 
 def quantity_of(key: str) -> tuple[str, str]:
-    """What a key is called and its unit, which its name ends in: "instrument.exposure_s" is ("exposure", "s")."""
+    """Name of a key and its unit, by which its name ends: "instrument.exposure_s" is ("exposure", "s")."""
     words = key.rpartition(".")[2].split("_")
     ends = (n for n in range(1, len(words)) if "_".join(words[n:]) in _UNITS)
     end = next(ends, len(words))

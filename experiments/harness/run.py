@@ -177,7 +177,7 @@ def perform(experiment: Experiment, options: Options, progress: Progress) -> tup
 
 
 def _chosen(experiment: Experiment, options: Options) -> tuple[Experiment, ExperimentConfig]:
-    """What is to be run, and its configuration; several sensors are a configuration each."""
+    """Experiment to run, and its configuration; several sensors are a configuration each."""
     if len(options.sensor) < 2:
         config = configuration(experiment, options)
         return (experiment.instead(config) if experiment.instead is not None else None) or experiment, config

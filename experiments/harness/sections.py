@@ -49,7 +49,7 @@ PREDICTION_SIGMA = 3.0
 
 
 Advice = str | Callable[[Outcome], str]
-"""What is likely wrong where a verdict fails, or what says it of an outcome."""
+"""Likely cause where a verdict fails, or a function that gives it for an outcome."""
 
 
 class Verdict(Protocol):

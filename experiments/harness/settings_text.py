@@ -29,7 +29,7 @@ def toml_text(config: BaseModel, heading: str = "") -> str:
 
 
 def about(name: str, field: FieldInfo) -> str:
-    """What a key means, with unit and allowed values as far as its name, type and constraints tell."""
+    """Meaning of a key, with unit and allowed values as far as its name, type and constraints tell."""
     text, unit = field.description or "", ""
     if text.endswith("]"):
         text, _, unit = text[:-1].rpartition(" [")

@@ -71,7 +71,7 @@ class Criterion:
 
     @property
     def demand(self) -> str:
-        """What is demanded of the value, e.g. "≤ 3" or "1 ± 0.24"."""
+        """Limit of the value, e.g. "≤ 3" or "1 ± 0.24"."""
         if self.about is not None:
             return f"{self.about:.6g} ± {self.limit:.4g}"
         return f"{_SIGNS[self.relation]} {self.limit:.4g}"
@@ -83,7 +83,7 @@ def percent(part: float | None) -> str:
 
 
 def farthest_from_one(ratios: Any) -> float:
-    """The ratio of several that is farthest from 1: what a criterion about 1 judges; NaN if one of them is."""
+    """The ratio farthest from 1, the value of a criterion about 1; NaN if any ratio is NaN."""
     found = np.ravel(ratios)
     return float(found[np.argmax(np.abs(found - 1.0))])
 
@@ -111,7 +111,7 @@ def measured(values: Any, uncertainty: Any, n: int | None = None, unit: str = ""
 
 
 def verdict_line(criteria: Sequence[Criterion], judged: str = "simulation") -> str:
-    """Whether what was judged (the simulation, or a reduction of frames) is consistent, and how many criteria say so.
+    """Whether the simulation, or a reduction of frames, is consistent, and how many criteria hold.
 
     It says nothing about whether a sensor is good enough: that is what requirements are for (`experiments.camera`).
     """

@@ -154,7 +154,7 @@ class _Point:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Swept:
-    """What was swept, and the answer."""
+    """The sweep, and its answer."""
 
     answer: str = col("Answer", json="answer")
     sensor: str = col("Sensor", json="")
@@ -261,7 +261,7 @@ def _with_unit(key: _Key, value: float) -> str:
 
 
 def _answer(declared: Experiment, keys: Sequence[_Key], points: Sequence[_Point]) -> str:
-    """At how many points the requirements are met, and the best of them."""
+    """Number of points that meet the requirements, and the best of them."""
     chief = declared.swept[0]
     known = [one for one in points if one.numbers and np.isfinite(one.numbers[chief].values)]
     required = next(one.requirements for one in points if one.numbers)

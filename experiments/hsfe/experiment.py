@@ -44,7 +44,7 @@ from render.records import EffectivePsf
 
 Axes = Sequence[Measured]
 MODEL_SLACK = 0.03
-"""What the linear model may be off: a threshold smooths the S-curve under noise by about this much."""
+"""Largest error of the linear model: a threshold smooths the S-curve under noise by about this much."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ from render.engine.random import Streams
 from render.records import ExpectedImage, WindowStack
 
 CALIBRATIONS = {"as found": [], "principal point": [0, 1], "focal length": [2], "both": [0, 1, 2]}
-"""What a camera model may have of its own for a band -> its columns in the design of `after_calibration`."""
+"""Parameters that a camera model may have per band -> its columns in the design of `after_calibration`."""
 
 
 def shifts(position_px: FloatArray, pairs: Sequence[tuple[str, int, int]]) -> dict[str, FloatArray]:

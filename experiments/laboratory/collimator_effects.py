@@ -42,9 +42,9 @@ KELVIN = 273.15
 MOTION_RATIO = 0.01
 """Relative error of a line-of-sight motion in addition to noise, for some sixty rays of each bundle."""
 SPOT_RATIO = 0.03
-"""What a paraxial change of focus may be off in the radius of a spot."""
+"""Largest relative error of the radius of a spot by a paraxial change of focus."""
 FIELD_RATIO = 0.03
-"""What the scale of the image changes over the field, by distortion and the slope of its plane."""
+"""Change of the image scale over the field, by distortion and the slope of its plane."""
 
 
 def closed_motion_px(bench: Bench, instrument: Instrument) -> dict[str, FloatArray]:

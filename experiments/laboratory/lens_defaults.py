@@ -88,7 +88,8 @@ def lens_defaults(values: Mapping[str, Any], usual: Any = "star_camera_206mm") -
 
 
 def lens_remarks(instrument: InstrumentConfig, passband: PassbandConfig | None) -> tuple[str, ...]:
-    """What an experiment took from the lens file of its instrument, in words; nothing for a lens of our own format."""
+    """Settings that an experiment took from the lens file of its instrument, in words; nothing for a lens of our own
+    format."""
     file = _of_program(instrument.lens)
     if file is None or file.report is None or file.defaults is None:
         return ()

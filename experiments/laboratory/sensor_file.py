@@ -145,7 +145,7 @@ class SensorExperimentConfig(ExperimentConfig):
         """Settings of this experiment that a sensor file decides.
 
         The tables of the file are whole: a key that is left out in them has the default of `SensorConfig`, the same in
-        every experiment. What the file does not say of the processing is the experiment's own.
+        every experiment. Settings of the processing that the file lacks are the experiment's defaults.
         """
         for key in read_settings(SensorConfig, file):
             if key in cls.model_fields and key not in SensorConfig.model_fields:

@@ -214,8 +214,8 @@ def colour_distance(temperature_k: FloatArray, reference_k: float) -> FloatArray
 def predict_camera(config: PredictedSensorConfig) -> CameraPrediction:
     """Predict a sensor.
 
-    What lens, pass band and detector do is kept from call to call, so that sweeps over exposure, noise or processing
-    cost a fraction of a second per point.
+    Results of lens, pass band and detector are kept from call to call, so that sweeps over exposure, noise or
+    processing cost a fraction of a second per point.
     """
     state = optical_state(config)
     processing = _processing(config, state)

@@ -245,7 +245,7 @@ def predict_temporal(
 def _followed_px(
     centroider: Centroider, instrument: Instrument, windows: ExpectedWindows, step_px: float
 ) -> FloatArray:
-    """What a centroid (n, 2) makes of a step of the image: half of the way between both sides."""
+    """Response of a centroid (n, 2) to a step of the image: half of the way between both sides."""
     if not step_px:
         return np.zeros_like(windows.place_px)
     ends = []

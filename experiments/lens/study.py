@@ -102,7 +102,7 @@ class Study:
 
 
 def _waves(file: LensFile) -> tuple[FloatArray, FloatArray]:
-    """Wavelengths of the page: those of the file, or three about the design wavelength within the glasses' range."""
+    """Wavelengths of the page: from the file, or three about the design wavelength within the glasses' range."""
     lens, defaults = file.lens, file.defaults
     if defaults is not None and defaults.wavelength_nm.size > 1 and float(defaults.wavelength_weight.sum()) > 0.0:
         used = defaults.wavelength_weight > 0.0
@@ -178,7 +178,7 @@ def _images(
     focus_mm: FloatArray,
     radius_mm: FloatArray,
 ) -> Images:
-    """Images of the shown fields; ``pupil`` is a coarse one that tells how many rays they need."""
+    """Images of the shown fields; ``pupil`` is a coarse one that gives the number of rays that they need."""
     half_mm = float(radius_mm[-1])
     peaks_mm = (COARSE[0] + 2.0 * FINE[0]) * _airy_unit_mm(pupil)
     needs = [needed_order(pupil.shifted(float(z)), peaks_mm) for z in focus_mm[[0, -1]]]

@@ -52,9 +52,10 @@ from experiments.reduce.series import SeriesFrames
 from optics.arrays import FloatArray
 
 GAIN_ALLOWANCE = 0.05
-"""What photon transfer may be off: charge shared between pixels lowers the variance by some per cent."""
+"""Largest relative error of photon transfer: charge shared between pixels lowers the variance by some per cent."""
 NOISE_ALLOWANCE = 0.05
-"""What the noise model may be off: motion that is let pass makes 3 %, and read noise differs from pixel to pixel."""
+"""Largest relative error of the noise model: motion that is let pass makes 3 %, and read noise differs from pixel to
+pixel."""
 LIGHT_ALLOWANCE = 0.05
 """Change of light that is let pass: it changes the noise by less than 3 %."""
 MOTION_SHARE = 0.06

@@ -252,7 +252,7 @@ def mean_flat(
 def _flat_gain(
     light: MeanFrame, dark: MeanFrame | None, light_dn: FloatArray, usable: NDArray[np.bool_], floor_dn2: float
 ) -> Measured | None:
-    """System gain K by photon transfer of the flats: what the variance grows by over the dark frames' (EMVA 1288)."""
+    """System gain K by photon transfer of the flats: growth of the variance over the dark frames' (EMVA 1288)."""
     if light.variance_dn2 is None:
         return None
     lamp = float(light.level_dn.var(ddof=1)) / float(light_dn.mean()) ** 2  # relative variance of the lamp

@@ -35,7 +35,7 @@ from optics.errors import ConfigError
 from optics.units import ARCSEC_RAD
 
 POSES = Layout(needs=("outer_deg", "inner_deg"), same_scene="none", points=1, fewest=1)
-"""What a folder of poses must say; a third axis has ``middle_deg`` too."""
+"""Required keys of a folder of poses; a third axis has ``middle_deg`` too."""
 KEYS = {2: ("outer_deg", "inner_deg"), 3: ("outer_deg", "middle_deg", "inner_deg")}
 LEAST_COVERAGE = 0.5
 FIT_ALARM = 6.334e-5  # 4 sigma

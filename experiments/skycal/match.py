@@ -195,7 +195,7 @@ class _FinalMatch:
         )
 
     def _faults(self, snr: FloatArray, matched: IntArray) -> IntArray:
-        """Per detection: 0 for those that take part, otherwise the number of the first of `_REASONS` that holds."""
+        """Per detection: 0 if it takes part, otherwise the number of the first of `_REASONS` that holds."""
         flags = self.stars.found.flags
         unmatched = np.ones(len(flags), bool)
         unmatched[matched] = False

@@ -32,7 +32,7 @@ BACKGROUND_BOX_PX = 256
 BACKGROUND_STEP_PX = 4
 """The sky is flat over hundreds of pixels; every 16th pixel gives its level to 0.3 e-."""
 BANK_ERROR_PX, FINER = 0.005, 2
-"""The PSFs of a sensor of one's own stand so closely, halved at most twice, that interpolation moves a fit by less."""
+"""Largest shift of a fit by interpolation of the PSFs of a sensor file; their spacing is halved at most twice."""
 AHEAD = 2
 """Frames that may wait for their reduction while the next ones are rendered."""
 FWHM_PX = 1.8
@@ -126,14 +126,14 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
 
 @dataclass(frozen=True, slots=True)
 class _Rendered:
-    """What was rendered into a frame."""
+    """True stars of a rendered frame."""
 
     star: NDArray[np.int64]
     direction: FloatArray
     truth: Truth
 
     def beside(self, found: StarTable, first_row: int) -> FrameStars:
-        """Truth and measurement together."""
+        """Truth and measurement, star by star."""
         return FrameStars(
             found=found,
             first_row=first_row,

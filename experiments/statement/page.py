@@ -25,7 +25,7 @@ def tables(made: Statement) -> dict[str, Table]:
             caption="Conditions of all numbers below.",
         ),
         "errors": _lines(made.errors, "Errors, in the order of their contributors."),
-        "detection": _lines(made.detection, "What the sensor sees, and how often."),
+        "detection": _lines(made.detection, "Field of view, detection and update rate."),
         "missing": Table(
             columns=("clause", "why"),
             rows=[(title, why) for title, why, by in NOT_COVERED if not (by and made.flight)],

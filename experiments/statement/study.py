@@ -50,7 +50,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Statement:
-    """What the document holds."""
+    """Content of the document."""
 
     name: str
     lens: str

@@ -168,7 +168,7 @@ def _halves(stars: Observations, fit: CameraFit) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Statistic:
-    """What is compared."""
+    """Statistic of the comparison."""
 
     key: str
     label: str

@@ -34,7 +34,7 @@ FEWEST = 8
 SKY_DEGREE, BLOCKS_PER_TERM = 10, 6
 """Polynomial of the sky of a rendered frame: finer structure would carry the real frame's noise."""
 SURE_SIGMA = 8.0
-"""Stars of this significance are found whatever the noise does."""
+"""Stars of this significance are detected at any noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -33,7 +33,7 @@ MATCH_PX = 1.2
 FLOOR_PX = 0.03
 """Error per axis of every centroid in addition to its noise: seeing, PSF, catalogue."""
 PSF_MAG = 1.5
-"""The PSF comes from stars so much brighter than the limit, photometry from stars 0.8 mag brighter than that."""
+"""The PSF comes from stars brighter than the limit by this [mag], photometry from stars 0.8 mag brighter than that."""
 PHOTOMETRY_MAG = 0.8
 PSF_STARS = 900
 PSF_WINDOW_PX = 21

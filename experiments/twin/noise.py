@@ -33,7 +33,7 @@ SURE_SIGMA = 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blocks:
-    """A frame in blocks: what is left of it without stars and without its smooth background."""
+    """A frame in blocks: residual without stars and without its smooth background."""
 
     left_dn: FloatArray  # (h, w) Residuals; NaN where masked or clipped
     level_dn: FloatArray  # (b,) Mean of the blocks

@@ -237,7 +237,7 @@ class Cause:
 
 
 def causes(fit: CameraFit, compared: HeldOut, limit_mag: float) -> list[Cause]:
-    """What the residuals of bright stars are made of."""
+    """Contributions to the residuals of bright stars."""
 
     def of(one: Centroids) -> tuple[float, float]:
         left = residuals(one.observations, fit.camera, fit.attitudes)

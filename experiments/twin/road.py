@@ -191,7 +191,7 @@ def _other_camera(one: Solved, solver: Solver) -> str:
 
 
 def _faults(known: Prepared) -> list[str]:
-    """What is wrong with frames that were solved nevertheless."""
+    """Faults of frames that were solved nevertheless."""
     out = []
     for k, frame in enumerate(known.night.frames):
         shape = shape_words(frame.image, frame.seen)

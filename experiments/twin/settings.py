@@ -93,7 +93,8 @@ class Config(ExperimentConfig):
 
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
-        """What a sensor file says before frames are read: pitch, exposure time, whether its lens can be traced."""
+        """Settings of a sensor file known before frames are read: pitch, exposure time, whether its lens can be
+        traced."""
         from experiments.laboratory.sensor_file import whole_sensor
         from experiments.twin.prescription import has_prescription
         from render.detector.spec import load_detector

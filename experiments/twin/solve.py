@@ -42,7 +42,7 @@ BRIGHTEST = 80
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detections:
-    """What is found in a frame, identified or not."""
+    """Detections of a frame, identified or not."""
 
     background: Background  # Mesh of level and noise
     stars: StarTable  # All detections at `THRESHOLD_SIGMA`, measured by a Gaussian fit; first the highest
@@ -79,7 +79,7 @@ def detections(image: SensorImage, *, noise: FilteredNoise | None = None) -> Det
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solved:
-    """A frame, what was found in it, and where it looked."""
+    """A frame, its detections, and its attitude."""
 
     name: str
     image: SensorImage

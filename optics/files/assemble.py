@@ -333,7 +333,7 @@ def _source(draft: Draft) -> str:
 
 
 def _remarks(draft: Draft) -> None:
-    """What a detector in the image plane of a star sensor cannot be."""
+    """Remarks on an image plane that no detector can have."""
     report = draft.report
     if math.isfinite(draft.object_mm):
         report.assumed(

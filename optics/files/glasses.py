@@ -212,7 +212,7 @@ class GlassFinder:
         return ""
 
     def _meant(self, asked: GlassName, name: str) -> Glass | None:
-        """What the file means, where numbers say so."""
+        """Glass that the file means, where its numbers decide."""
         if asked.nd and asked.nd > 1.0:
             try:
                 return model_glass(name, asked.nd, asked.vd or 0.0, partial=asked.partial)

@@ -270,9 +270,9 @@ def _floats(values: Any, what: str) -> tuple[float, ...]:
 REFERENCE_RANGE_C = (-273.15, 1000.0)
 """Temperatures at which an index may have been measured."""
 _LEAST_INDEX = 0.999
-"""Vacuum has 0.99973 against air; what is below is no glass."""
+"""Lowest refractive index of a glass; vacuum has 0.99973 against air."""
 _LARGEST_INDEX = 10.0
-"""Lead telluride, the highest of what is transparent, has 6."""
+"""Highest refractive index of a glass; lead telluride, the highest of transparent materials, has 6."""
 
 _KEYS = (
     "B",

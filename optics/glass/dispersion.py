@@ -263,7 +263,7 @@ AGF_FORMULAS: dict[int, tuple[str, int]] = {
     12: ("extended2", 8),
     13: ("extended3", 9),
 }
-"""Number of a formula in AGF catalogues: its name here, and how many coefficients it has."""
+"""Number of a formula in AGF catalogues: its name here, and its number of coefficients."""
 
 
 def thermal_change(wavelength_nm: Any, index: Any, volume: Any, strength: Any, resonance: Any) -> Any:

@@ -26,7 +26,7 @@ from optics.records import freeze, freeze_all
 from optics.response import Response, checked_wavelength
 
 AMBIENT = "air"
-"""Name of the medium that fills the surroundings, whatever its pressure (vacuum included)."""
+"""Name of the medium that fills the surroundings, at any pressure (vacuum included)."""
 HALF_TURN = np.diag([-1.0, 1.0, -1.0])
 """Half a turn about y; its own inverse."""
 STOP_ALONE = "the stop"

@@ -42,7 +42,7 @@ MIRROR = "mirror"
 UNCOATED = "bare"
 """Name of no coating."""
 BREAK: Final = "coordinate_break"
-"""What stands for a medium behind a mirror; kind of a table that only moves the frame."""
+"""Kind of a table that only moves the frame."""
 
 
 class StrictTable(BaseModel):

@@ -348,7 +348,7 @@ def _expanded(thermal: _Field) -> tuple[tuple[Surface, ...], FloatArray]:
 
 
 def _at_rims(thermal: _Field, front: _Body, behind: _Body, grown: Surface) -> float:
-    """What a gap changes because its spacer touches faces elsewhere than at the vertices [mm]."""
+    """Change of a gap because its spacer touches faces away from the vertices [mm]."""
     lens = thermal.lens
     expansion, kelvin = thermal.spacer(behind)
     growth, change = math.exp(expansion * kelvin), 0.0

@@ -66,7 +66,7 @@ def _table(lines: Sequence[str], shown: str) -> tuple[FloatArray, float]:
 
 
 def _scale(cells: list[str], where: str) -> float:
-    """What the column of a header is multiplied with; a header is words, and percent has to be called so."""
+    """Factor of the column of a header; a header is words, and percent has to be called so."""
     words = [cell.strip("\"'").lower() for cell in cells]
     if len(words) > 1 and words[1] in _COLUMNS:
         return _COLUMNS[words[1]]

@@ -19,7 +19,7 @@ from optics.errors import ConfigError, DomainError
 from optics.records import freeze
 
 FLOOR = 1e-30
-"""What stands for no light where logarithms are taken."""
+"""Value in place of zero light where logarithms are taken."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

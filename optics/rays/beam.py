@@ -38,7 +38,7 @@ NODES = 4
 SMOOTH = 1e-4
 """Relative amplitude of the highest harmonic of an outline's radius below which it counts as smooth."""
 LEAST_ARMS, FINER = 16, 8
-"""Fewest azimuths, and how many times as many there are where outlines have kinks."""
+"""Fewest azimuths, and the factor by which they increase where outlines have kinks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -174,7 +174,7 @@ def _measured_spots(
 
 
 def _opposite_points() -> PupilSamples:
-    """Sobol points of the unit disk, each with its opposite: what is odd in the pupil, as defocus is, cancels in means;
+    """Sobol points of the unit disk, each with its opposite: terms odd in the pupil cancel in means, such as defocus;
     the same number of plain Sobol points leaves eight times the error behind holes."""
     half = sobol_disk(SOBOL_POINTS // 2, seed=SOBOL_SEED)
     x, y, weight = (np.concatenate(v) for v in ((half.x, -half.x), (half.y, -half.y), (half.weight, half.weight)))

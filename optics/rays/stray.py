@@ -64,7 +64,7 @@ class _Crossing:
 
 
 class _Light:
-    """What the surfaces of a lens leave of light at one wavelength."""
+    """Light that the surfaces of a lens transmit and reflect at one wavelength."""
 
     def __init__(self, lens: LensSystem, wave: float, coating: Coating | None, absorption: bool) -> None:
         self.lens, self.wave, self.coating, self.absorption = lens, wave, coating, absorption

@@ -133,7 +133,7 @@ class BodyRenderer:
         ]
 
     def _path_px(self, body: SunlitBody, attitudes: FloatArray) -> float:
-        """About how far the body moves over the detector in the table of attitudes."""
+        """Approximate path of the body over the detector [px] in the table of attitudes."""
         v = attitudes @ body.direction
         steps = np.arccos(np.clip(np.einsum("ij,ij->i", v[1:], v[:-1]), -1.0, 1.0)).sum()
         spin = np.abs(Rotation.from_matrix(attitudes[1:] @ attitudes[:-1].transpose(0, 2, 1)).magnitude()).sum()

@@ -29,7 +29,7 @@ DEGREE, GRID = 5, 7
 """Total degree of the polynomials; directions along each side of a tile."""
 TILE_PX, SMALLEST_PX = 256, 64
 FIT_PX = 5e-3
-"""Error of a fit [px], root mean square over the light; the smallest tile is taken as it is."""
+"""Error of a fit [px], root mean square over the light; the smallest tile is accepted with any error."""
 MARGIN = 0.06
 """Room around a tile, in its size, for what diffuses out of it."""
 COARSE = (2, 16)

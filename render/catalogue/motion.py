@@ -123,7 +123,7 @@ def _interval(catalog: StarCatalog, epoch_year: float) -> float:
 
 
 def _motion(catalog: StarCatalog) -> tuple[FloatArray, FloatArray]:
-    """Velocity over distance (n, 3) [rad/year] and parallax (n,) [rad]; what is not known is zero."""
+    """Velocity over distance (n, 3) [rad/year] and parallax (n,) [rad]; unknown values are zero."""
     r = catalog.direction
     horizontal = np.hypot(r[:, 0], r[:, 1])
     polar = horizontal == 0.0  # right ascension 0 by convention

@@ -31,7 +31,7 @@ MEANINGS: Mapping[str, str] = {
     "dec_minute": "arcmin",
     "dec_second": "arcsec",
 }
-"""What a column can mean, with the unit that it is turned into; proper motion in ra holds the factor cos dec."""
+"""Quantities of columns, with the unit that they are converted to; proper motion in ra holds the factor cos dec."""
 
 _USUAL_UNITS = {
     **MEANINGS,

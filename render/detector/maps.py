@@ -64,7 +64,7 @@ class _Layout(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Recipe:
-    """What the maps depend on; hashable, so that maps are made once."""
+    """Inputs of the maps; hashable, so that maps are computed once."""
 
     sensor_seed: int
     width_px: int

@@ -1,4 +1,4 @@
-"""The detector as data: an EMVA 1288 description of one chip, and how many chips stand side by side.
+"""Detector specification: an EMVA 1288 description of one chip, and the number of chips side by side.
 
 Names and definitions follow EMVA Standard 1288, release 4.0 linear: system gain K [DN/e-], PRNU_1288 and DSNU_1288 as
 spatial standard deviations, full well as saturation capacity. `render.detector.readout` says in which order they act.

@@ -48,7 +48,7 @@ _RANGES = {
     "RDNOISE": (0.0, 1e9, "e-"),
     "EXPTIME": (0.0, 1e9, "s"),
 }
-"""What the numbers of a raw frame of up to 16 bits can be."""
+"""Allowed range and unit of the keys of a raw frame of up to 16 bits."""
 _MASKS = ("always", "saturated", "never")
 _CODECS = {"rice": "RICE_1", "gzip": "GZIP_2"}
 _TILE_ROWS = 32  # 1 row, the default of astropy, takes three times as long; more rows gain nothing

@@ -1,10 +1,10 @@
 """A strapdown gyro triad: true rotation in, noisy rates out.
 
-What it gives is the *integrated* rate, as rate-integrating and fibre-optic gyros do: the k-th value is the mean of the
+The output is the *integrated* rate, as of rate-integrating and fibre-optic gyros: the k-th value is the mean of the
 rate over the k-th interval, i.e. the increment of the angle (per axis) divided by the step. A rate sampled at an
 instant would miss what happens between the samples; the mean keeps the angle of a rotation about a fixed direction to
-rounding, however coarse the steps. What increments per axis cannot tell is in which order the axes turned within
-a step (coning); `calib.attitude.gyro_attitude` restores most of it from neighbouring steps.
+rounding, however coarse the steps. What increments per axis cannot tell is in which order the axes turned within a step
+(coning); `calib.attitude.gyro_attitude` restores most of it from neighbouring steps.
 
 Model of the three axes, with the true rate w in the axes of the sensor:
 

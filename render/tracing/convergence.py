@@ -9,7 +9,7 @@ import numpy as np
 from optics.arrays import FloatArray
 
 TOLERANCE = 3e-5
-"""Largest error of a pixel that counts as converged, in the light of its star."""
+"""Largest error of a converged pixel, in the light of its star."""
 MOTION_TOLERANCE = 1e-4
 """Largest change of a damped characteristic function for paths and for spots that move along them; a pixel of a
 trail is then right to 7e-5 of the light."""

@@ -108,7 +108,7 @@ class _Numbers:
 
 @dataclass(frozen=True, slots=True)
 class _Bundle:
-    """What one bundle of lanes needs; see `Scene.bundle`."""
+    """Input of one bundle of lanes; see `Scene.bundle`."""
 
     theta: _Numbers
     disk: list[Any]

@@ -60,7 +60,7 @@ class MeasuredFrame:
     def matched(self, place_px: FloatArray, near_px: float, match_px: float) -> tuple[NDArray[np.int64], int]:
         """Detection of each star (n,), -1 for none, and how many detections are no star: beyond ``near_px`` from all.
 
-        What is flagged as too sharp for a star is left out.
+        Detections flagged as too sharp for a star are left out.
         """
         partner, lit = np.full(len(place_px), -1), np.flatnonzero(np.isfinite(place_px).all(axis=1))
         if not len(self.detected_px) or not len(lit):

@@ -16,7 +16,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 
 MATCH_PX = 4.0
-"""A detection this close to a target point's nominal place is that point, whatever the lens."""
+"""A detection this close to a target point's nominal place is that point, with any lens."""
 DISTORTED_FRACTION = 0.03
 """Additional tolerance by distortion, as a fraction of the distance from the middle of the target."""
 SEARCH_MARGIN_PX = 80

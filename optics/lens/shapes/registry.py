@@ -21,4 +21,4 @@ ROTATIONAL: tuple[type[Shape], ...] = (Plane, Sphere, Conic, EvenAsphere, OddAsp
 SHAPES: tuple[type[Shape], ...] = (*ROTATIONAL, Cylinder, Toroid, Biconic, Zernike, Polynomial)
 
 UNNAMED: type[Shape] = EvenAsphere
-"""What a surface without ``kind`` is read as; the simplest of plane, sphere, conic and even asphere comes out."""
+"""Kind of a surface without ``kind``; the result is the simplest of plane, sphere, conic and even asphere."""

@@ -66,8 +66,8 @@ LEAST_DAMPED = 0.72
 MOST_RAYS = 1 << 18
 """Rays per star and band beyond which no quadrature is tried; fewer Sobol points come as near as 1e-4."""
 UNBLURRED_MORE = 2
-"""By how much more the logarithm of the number of Sobol points is then: a pixel's edge counts rays, and what that
-misses falls as their number to the power -3/4 (4e-4 of the light by 2^16, below 1e-4 by 2^18)."""
+"""Increase of the logarithm of the number of Sobol points then: a pixel's edge counts rays, and what that misses falls
+as their number to the power -3/4 (4e-4 of the light by 2^16, below 1e-4 by 2^18)."""
 RIM_BEYOND = 0.25
 """How far the rim of a spot is looked for beyond the rays of the lowest order, in terms of their extent."""
 MEANS_RUNG = 4
@@ -269,7 +269,7 @@ class PupilPlanner:
         shade: Shade | None = None,
         chiefs: Chiefs | None = None,
     ) -> Exposure:
-        """What is needed of an exposure; chief rays are found where they are not known already."""
+        """Plan of an exposure; chief rays are aimed where they are not yet known."""
         mid = nodes = self.kernel(paths.mid, collimation=paths.collimation)
         if paths.nodes.shape[1] == 1 and paths.shear is None:
             picks, length_px = node_picks(mid, wavelength_nm), 0.0

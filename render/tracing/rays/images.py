@@ -51,7 +51,7 @@ class RayImages:
     def traced(
         self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums
     ) -> tuple[Sampled, Sampling]:
-        """The same; what the planner found of the stars, too."""
+        """The same, with the planner's results for the stars."""
         sampled, sampling = self.planner.sampled_by_rays(exposure), Sampling()
         entering = (light.share * sampled.entrance).sum(2)
         passes = _Passes(self.camera, exposure.nodes, light, sampled.bounds, image, sums, entering, exposure.shade)
@@ -87,7 +87,7 @@ class RayImages:
 
 @dataclass(frozen=True, slots=True)
 class _Passes:
-    """What all groups of stars of a frame share."""
+    """Data shared by all groups of stars of a frame."""
 
     camera: Camera
     kernel: StarKernel

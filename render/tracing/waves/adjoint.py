@@ -67,7 +67,7 @@ class Window:
         return np.ones((1, 1)), np.asarray(np.hypot(pixels, pixels[:, None]) <= 0.5 * (self.size - 1), np.float64)
 
     def matrices(self, offset_px: FloatArray, axis: int) -> tuple[FloatArray, FloatArray]:
-        """What makes pixels (t, m, samples) of an image moved by offsets (t,), and its derivatives."""
+        """Matrices (t, m, samples) from samples of an image moved by offsets (t,) to pixels, and their derivatives."""
         centres = np.arange(self.stamp_px) + 0.5 + self.first_px[axis] - 0.5 * self.size
         distance = centres[:, None] - self.places[axis] - offset_px[:, None, None]
         kernel, step = self.kernel, self.field.light_step

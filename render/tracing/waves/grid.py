@@ -248,9 +248,9 @@ MOST_CUTS, CUT_STEPS, APART = 4, (128, 16), 0.01
 """Places where apertures begin to cut that are kept, the innermost; steps of the search for them, and of a second one
 in each of the steps found; their least distance, in parts of the radius."""
 FIRST_CUT, CUT_PLACES = 2, 45
-"""Which size is tried first where apertures cut beams; points that such a grid is expected to need."""
+"""Size tried first where apertures cut beams; points that such a grid is expected to need."""
 GAIN = 4.0
-"""By how much the next size lowers the error, at least; sizes that would not do are passed over."""
+"""Least reduction of the error by the next size; sizes that would not do are passed over."""
 LEAST_GAIN = 0.7
 """Part of the error of a radial grid above which that of a finer one tells that none will do."""
 LEAST_STARS = 8
@@ -365,7 +365,7 @@ class _Summed:
     judges: list[IntArray]  # (j,) Wavelengths of each band by which a grid is judged
 
     def on_pixels(self, diffusion_px: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """What makes pixels about the samples of them (i, i), and which of them lie on the stamp."""
+        """Matrix (i, i) from samples to the pixels about them, and which of these lie on the stamp."""
         kernel, samples = self.field.pixel(1.0, diffusion_px), self.samples_px
         smoothing = (kernel(samples[:, None] - samples) * self.field.light_step).astype(np.float32)
         return smoothing, np.hypot(samples, samples[:, None]) <= self.radius_px

@@ -274,13 +274,13 @@ class WaveSeries:
 
 @cache
 def _legendre(count: int) -> FloatArray:
-    """What makes coefficients of Legendre polynomials of values at rings."""
+    """Matrix from values at rings to coefficients of Legendre polynomials."""
     return np.asarray(np.linalg.inv(np.polynomial.legendre.legvander(2.0 * rings(count)[0] - 1.0, count - 1)))
 
 
 @cache
 def _waves(turns: int, arms: int) -> FloatArray:
-    """What makes values at equidistant azimuths (arms,) of real and imaginary parts of waves (2 turns,)."""
+    """Matrix (2 turns, arms): from real and imaginary parts of waves to values at equidistant azimuths."""
     turned = np.exp(2j * np.pi / arms * np.outer(np.arange(turns), np.arange(arms)))
     turned[1:] *= 2.0
     return np.stack([turned.real, -turned.imag], axis=1).reshape(2 * turns, arms)

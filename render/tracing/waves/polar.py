@@ -84,7 +84,8 @@ def turning_shapes(
 def _to_rings(
     samples_px: FloatArray, field: FieldSampling, ring: FloatArray, angle: FloatArray
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], csr_array]:
-    """What makes rows, from the axis on, and columns of finer samples (f, i) of samples; points of rings of those."""
+    """Matrices (f, i) from samples to rows, from the axis on, and columns of finer samples; from those to points of
+    rings."""
     step = field.light_step / FINER
     fine = np.arange(FINER * (len(samples_px) - 1) + 1) * step + samples_px[0]
     rate = 1.0 / field.light_step

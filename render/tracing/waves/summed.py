@@ -49,7 +49,7 @@ LARGEST_RADIUS_PX = 100
 BATCH_LANES = 1 << 22
 COVERED_ORDER = (96, 384)
 CELL_LATTICE = (34, 21)
-"""Points of a cell that tell how much of it gets through, and their generator."""
+"""Points of a cell that give its transmitted part, and their generator."""
 LIGHT = 1e-12
 """Share of a star's light below which none is lost inside an outline."""
 ROUNDING = 0.05
@@ -58,7 +58,7 @@ ROUNDING = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """Few rays of some stars of a group, which tell how many are needed."""
+    """Few rays of some stars of a group, from which the needed number follows."""
 
     group: Group
     stars: IntArray
@@ -128,7 +128,7 @@ class Trail:
         return RayMoments(rays.mean_px + mean, rays.variance_px2 + variance, rays.entrance)
 
     def room(self, stars: IntArray) -> tuple[FloatArray, int]:
-        """Whole pixels (s, b, 2) from the windows of some stars to their stamps, and by how much these are larger."""
+        """Whole pixels (s, b, 2) from the windows of some stars to their stamps, and how much larger these are."""
         offset = self.offset_px[stars]
         first = np.floor(offset.min(2))
         return first, int((np.ceil(offset.max(2)) - first).max(initial=0.0))
@@ -157,7 +157,7 @@ class SummedImages:
                 yield self._stamps(summands)
 
     def room_px(self, stars: IntArray) -> int:
-        """By how much stamps of some stars are wider than their disks, for the motion of the images."""
+        """Width of stamps of some stars beyond their disks [px], for the motion of the images."""
         return 0 if self.trail is None else self.trail.room(stars)[1]
 
     def cells(

@@ -32,7 +32,7 @@ UNSEEN = 6e-4
 """Part of a wave of light along an axis, left by pixels and diffusion, that is not kept in images of many stars; the
 lens leaves little of it before."""
 COARSE_REACH_PX = 3.0
-"""How far the samples of such images draw on those of |U|^2."""
+"""Distance over which samples of such images depend on samples of |U|^2."""
 DIFFUSED = 2e-5
 """Part of a wave of light that diffusion leaves, beyond which none is looked for."""
 APART = 1.3
@@ -42,7 +42,7 @@ IMAGE_S, RAY_S, TERM_S = 0.9e-3, 4.3e-7, 7.2e-11
 SPREAD = 7
 """Points of the grid of frequencies along an axis to which a ray is spread: errors of 5e-7 of the largest amplitude."""
 OVERSAMPLING = 2
-"""How much finer that grid is than the width of the window asks for."""
+"""Ratio of the step that the width of the window needs to the step of that grid."""
 
 
 @lru_cache(maxsize=64)
@@ -259,7 +259,7 @@ class _Spreader:
 
 
 def coarser(fine: FieldSampling, coarse: FieldSampling, window_px: float, pad_px: float) -> NDArray[np.float32]:
-    """What makes coarse samples (c,) of a window of fine ones (f,), whose margin is `COARSE_REACH_PX` wider."""
+    """Matrix (c, f) from fine samples of a window, whose margin is `COARSE_REACH_PX` wider, to coarse samples."""
     rate = 1.0 / coarse.light_step
     kernel = BandLimited(coarse.highest, rate - coarse.highest, COARSE_REACH_PX)
     at = window_samples(fine, window_px, pad_px + COARSE_REACH_PX)
