@@ -6,8 +6,8 @@ with kinks: neither may cost much. The detector is the same for all (cmv4000).
     python benchmarks/any_lens.py [--names hsfe budget] [--lenses star_tracker_26mm my.toml]
 
 With ``--sensors`` whole sensor files instead, unlike the built-in one in every respect: a triplet, a fisheye of 100
-deg, a fast lens, a mirror telescope, an ideal lens; for every experiment that takes a sensor whether its criteria hold,
-what is refused in one line, what fails otherwise, and the seconds.
+deg, a fast lens, a mirror telescope, an ideal lens; for every experiment that takes a sensor: whether its criteria
+hold, its error message otherwise, and the seconds.
 
     python benchmarks/any_lens.py --sensors [--names camera skycal] [--lenses ideal fisheye]
 """
@@ -117,7 +117,7 @@ def processor_seconds(name: str, arguments: Iterable[str], folder: Path) -> tupl
 
 
 def verdict(name: str, sensor: Path, folder: Path) -> str:
-    """What a run with a sensor file came to, with its processor time."""
+    """Outcome of a run with a sensor file, with its processor time."""
     used, told, out = processor_seconds(name, ["--sensor", str(sensor)], folder)
     if told:
         return told

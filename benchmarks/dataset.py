@@ -6,7 +6,7 @@ workers (20 frames/s), and 4096 x 2048 px to G = 10 (2 frames/s).
 
 The time is that of the command without the evaluation of finished frames: from the first finished frame to the last,
 all workers together. Frames are noisy, written with truth and digest, uncompressed. One process per worker, each with
-one thread where there are as many workers as processors. The parts are those of one process, medians of processor time:
+one thread where there are as many workers as processors. The parts are medians of the processor time of one process:
 they hold on a busy machine too, the rates do not.
 """
 

@@ -10,7 +10,7 @@ one Airy disk, the same everywhere in the field and in one colour, shot photon b
 method, into the same image; one core, as it works. The two alternate, so that both see the same machine.
 
 Star tracker: the built-in 26 mm lens, whose stop lies inside, on 1024 x 1024 pixels of 5.5 um (12 deg), on one thread;
-at rest, smeared over so many pixels with a global and a rolling shutter, and by 2^16 Sobol rays per star without beam
+at rest, smeared over this many pixels with a global and a rolling shutter, and by 2^16 Sobol rays per star without beam
 outlines, compared with the 206 mm lens on as many pixels; errors of image and truth of each method against 2^20 Sobol
 rays.
 """

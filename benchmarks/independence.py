@@ -60,7 +60,7 @@ class Comparison:
     predicted, measured : tuple of str
         Functions with which the sides begin, ``module:qualified name``; a side ends where one of the other's begins.
     both : tuple of str
-        Functions whose results both sides take, whoever calls them.
+        Functions whose results both sides take, from any caller.
     settings : tuple of str
         Of the run.
     """
@@ -322,7 +322,7 @@ class Here(concurrent.futures.Executor):
 
 
 def name_of(frame: FrameType) -> str:
-    """``module:function`` of a function of this repository that counts, inner ones under the outer one; else ""."""
+    """``module:function`` of a counted function of this repository, inner functions under the outer one; else ""."""
     path = Path(frame.f_code.co_filename)
     if not path.is_relative_to(ROOT) or path.relative_to(ROOT).parts[0] not in ROOMS:
         return ""
@@ -376,7 +376,7 @@ Found = Mapping[str, tuple[set[str], set[str]]]
 
 
 def overview(found: Found) -> list[str]:
-    """A line for each comparison: how many functions each side runs, and how many of which room are shared."""
+    """A line for each comparison: number of functions that each side runs, and of shared functions by room."""
     lines = [
         "| experiment | quantity compared | functions: prediction | measurement | shared | shared, by room |",
         "|---|---|---|---|---|---|",

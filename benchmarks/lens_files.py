@@ -91,7 +91,7 @@ def peer_rays(path: Path, file: LensFile) -> tuple[np.ndarray, np.ndarray] | str
 
 
 def batoid_surface(table: dict[str, Any]) -> Any:
-    """A surface of a prescription as batoid has it; KeyError for a kind that it does not have."""
+    """The batoid surface of a prescription's surface; KeyError for a kind that batoid lacks."""
     import batoid
 
     kind, radius, conic = table.get("kind", "conic"), table.get("radius_mm", np.inf), table.get("conic", 0.0)

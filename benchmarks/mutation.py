@@ -254,7 +254,7 @@ def waited(pid: int) -> int:
 class Patched:
     """A plugin that tries mutants in forked copies of a session that has collected its tests and run none.
 
-    Functions get the code of the mutant; what is imported later reads it from the file.
+    Functions get the code of the mutant; modules imported later read it from the file.
     """
 
     def __init__(self, copy: Path, jobs: Iterator[Job], done: Callable[[Job, int], None]) -> None:

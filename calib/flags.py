@@ -22,7 +22,7 @@ class StarFlag(IntFlag):
     SPIKE
         Sharper than any star: nearly all light sits in one pixel (hot pixel, cosmic ray).
     NOT_CONVERGED
-        The iteration ended without reaching its tolerance; the values are those of the last step.
+        The iteration ended without reaching its tolerance; the values are from the last step.
     NO_DATA
         No usable pixel or no light: position and flux are NaN.
     PIXEL_PHASE

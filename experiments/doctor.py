@@ -185,7 +185,7 @@ def check_backend() -> Iterator[Finding]:
 
 
 def engine_findings(known: dict[str, Any], status: int, said: str, cards: str) -> Iterator[Finding]:
-    """What the steps of the probe mean; ``cards``: the GPUs that NVIDIA's driver lists."""
+    """Findings from the steps of the probe; ``cards``: the GPUs that NVIDIA's driver lists."""
     if "llvm" in known:
         yield _llvm(known)
     if known.get("computed"):
@@ -234,7 +234,7 @@ def _graphics_cards() -> str:
 
 
 def check_catalogue() -> Iterator[Finding]:
-    """The offline stars: there, whole, how many and how faint."""
+    """The offline stars: presence, integrity, number and limiting magnitude."""
     from optics.errors import StarbenchError
     from render.catalogue.gaia import gaia_extent
 

@@ -1,6 +1,6 @@
 """Errors of the caller. Effects on data (lost rays, saturated stars) are recorded as data, not raised.
 
-Every message is one line: what is wrong, the value with its unit, the allowed range, what to do.
+Every message is one line: the fault, the value with its unit, the allowed range, the remedy.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ def read_lens_file(
     name_or_path : str or path
         A Zemax (.zmx), CODE V (.seq) or TOML file, or a built-in name; ``zoom.zmx#2`` is its second configuration.
     environment : Environment, optional
-        Temperature and pressure; those of the file if left out.
+        Temperature and pressure; the file's if left out.
     configuration : int, optional
         Configuration or zoom position, from 1; the active one if left out.
     catalogues : sequence of path
@@ -143,7 +143,7 @@ def read_lens_file(
     glasses : mapping, optional
         Name in the file -> glass to take in its place.
     strict : bool
-        Refuse whatever is not the same as in the file, and leave surfaces open that have no clear aperture there.
+        Refuse every difference from the file, and leave surfaces open that have no clear aperture there.
 
     Returns
     -------

@@ -53,7 +53,7 @@ class Marks:
     colour : str
         ``#rrggbb``.
     label : sequence of str, optional
-        Text beside each.
+        Text next to each.
     columns : mapping of str to sequence
         More about each: ``"flux [e-]"`` -> n numbers or texts.
     dx_px, dy_px : (n,), optional

@@ -57,8 +57,7 @@ def refuse_values(
 ) -> None:
     """Refuse invalid values of one layer of settings, also if a later layer replaces them.
 
-    What is wrong with tables as wholes, and with values that the layer does not hold, is left to `parse_model` of all
-    layers.
+    Faults of tables as wholes, and of values that the layer does not hold, are left to `parse_model` of all layers.
     """
     try:
         model_class.model_validate(dict(mapping))

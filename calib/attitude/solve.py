@@ -1,8 +1,8 @@
 """Attitude from star directions: Wahba's problem for one frame or thousands, with covariance, tests and parity.
 
-The attitude is the rotation with ``v_cam = R v_ref``; ``ref`` is whatever frame the reference directions are given in
-(icrs, laboratory). Its error is a rotation vector in cam, ``R = exp(error) R_true``: x and y lie across the boresight,
-z is the roll. With independent errors of size sigma across each direction, the covariance of the error vector is
+The attitude is the rotation with ``v_cam = R v_ref``; ``ref`` is the frame of the reference directions (icrs,
+laboratory). Its error is a rotation vector in cam, ``R = exp(error) R_true``: x and y lie across the boresight, z is
+the roll. With independent errors of size sigma across each direction, the covariance of the error vector is
 
     P = (sum (I - v v^T) / sigma^2)^-1        (Shuster and Oh 1981, J. Guid. Control 4, 70)
 

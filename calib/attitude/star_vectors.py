@@ -32,7 +32,7 @@ def initial_frame_vectors(
 
     Examples
     --------
-    A camera that looks along the table's z axis sees a star on that axis in the middle, whatever the roll:
+    A camera that looks along the table's z axis sees a star on that axis in the middle, at any roll:
 
     >>> from calib.cameras import BrownConrady, SensorGeometry
     >>> sensor = SensorGeometry(width_px=101, height_px=101, pixel_pitch_mm=0.01)

@@ -88,8 +88,8 @@ def guide_catalogue(
     """Stars that stand alone, between two magnitudes of the instrument; brightest first.
 
     Shapes: ``identifier``, ``magnitude`` (n,), ``direction`` (n, 3) along icrs, of all stars of the sky. Magnitudes are
-    as the instrument sees them: those of stars of the same electrons and one colour. No other star that is not fainter
-    by ``fainter_mag`` may be nearer than ``apart_rad``. `DomainError` without any star left.
+    instrumental: of stars of the same electrons and one colour. No other star that is not fainter by ``fainter_mag``
+    may be nearer than ``apart_rad``. `DomainError` without any star left.
     """
     direction, magnitude = np.asarray(direction, float), np.asarray(magnitude, float)
     if not brightest_mag < faintest_mag:

@@ -1,7 +1,7 @@
 """Wahba's problem for many profile matrices at once: singular values, and the quaternion of the largest root.
 
-Wahba (1965, SIAM Review 7, 409) asks for the rotation that makes ``sum w |v_cam - R v_ref|^2 / 2`` smallest, which is
-the rotation that makes ``tr(R B^T)`` largest, with the profile matrix ``B = sum w v_cam v_ref^T``.
+The problem (Wahba 1965, SIAM Review 7, 409): find the rotation that makes ``sum w |v_cam - R v_ref|^2 / 2`` smallest,
+which is the rotation that makes ``tr(R B^T)`` largest, with the profile matrix ``B = sum w v_cam v_ref^T``.
 
 * `rotation_svd`: ``B = U diag(s1, s2, s3) V^T``, ``R = U diag(1, 1, det U det V) V^T`` (Markley 1988, J. Astronaut.
   Sci. 36, 245). Safe everywhere.

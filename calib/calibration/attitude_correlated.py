@@ -2,15 +2,15 @@
 
 With the gyro's rotation G_k from the first frame to frame k, the installation A (camera from gyro body) and the
 attitude R_1 of the camera in the first frame, eq. 6 is R_k = M_k R_1 with M_k = A G_k A^T. The unknowns are the camera,
-R_1 and A: 14 for the camera of ACF17, whatever the number of frames, so that a single star per frame is enough.
+R_1 and A: 14 for the camera of ACF17, for any number of frames, so that a single star per frame is enough.
 
 Steps are rotation vectors, w_R of R_1 and w_A of A; frame k turns by (`calib.calibration.star_problem`)
 
     w_k = M_k w_R + (I - M_k) w_A.
 
-No angle is singular inside. What is reported are the document's angles phi of R_1 and theta of A
-(`calib.attitude.link`), with the covariance carried over. If the body turns about a single axis, the turn of A about
-that axis does not show in any star, and A is "singular"; the camera is not.
+No angle is singular inside. The results are the document's angles phi of R_1 and theta of A (`calib.attitude.link`),
+with the covariance carried over. If the body turns about a single axis, the turn of A about that axis does not show in
+any star, and A is "singular"; the camera is not.
 
 The start of ACF17 is 0 px, 20 mm, no distortion, phi = 0 and theta = 0. With phi = 0 the stars stand 62 deg from where
 they should be, and it still converges as long as none of them falls behind the camera (else the start is "refused"). By

@@ -2,8 +2,9 @@
 
     found = calibrate(observations, model, FreeAttitudes())
 
-The unknowns are the free parameters of the camera and those of the family (`calib.calibration.attitude_family`); the
-fit is weighted least squares on the measured positions (or angles), with the loss rho of `calib.fitting.robust_loss`,
+The unknowns are the free parameters of the camera and the unknowns of the family (`calib.calibration.attitude_family`);
+the fit is weighted least squares on the measured positions (or angles), with the loss rho of
+`calib.fitting.robust_loss`,
 
     minimise  sum over stars of rho(|W (project(camera, R r) - measured)|^2) + prior residuals of the family,
 

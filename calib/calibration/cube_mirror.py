@@ -150,8 +150,7 @@ def cube_from_table(
     ----------
     normal_cube : (n, 3)
         Normals in the cube frame. The two of TRIAD may be nominal: with (0, 0, 1) and (1, 0, 0) the ECSS frame results
-        whatever angle the faces enclose. Wahba's problem takes them at their word; give the known (or measured)
-        normals.
+        for any angle between the faces. Wahba's problem takes them at their word; give the known (or measured) normals.
     normal_table : (n, 3)
         The same normals as measured, table frame.
     covariance_rad2 : (n, 3, 3)

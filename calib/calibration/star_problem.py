@@ -7,9 +7,9 @@ unknown changes. With ``g`` a row of the camera's derivative by direction,
 
     g . (w x v) = w . (v x g),
 
-so each star has one row of derivatives by the rotation of its frame, whatever the family. All that the normal
-equations need of the stars are then the Gram matrices of [camera derivatives, rotation derivatives, residual] of each
-frame, one batched product; the family's unknowns follow from small products per frame.
+so each star has one row of derivatives by the rotation of its frame, in every family. All that the normal equations
+need of the stars are then the Gram matrices of [camera derivatives, rotation derivatives, residual] of each frame, one
+batched product; the family's unknowns follow from small products per frame.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""Fisher distribution on the sphere: how far directions scatter about a mean (FISHER23, S400-S500).
+r"""Fisher distribution on the sphere: scatter of directions about a mean (FISHER23, S400-S500).
 
 Density, for a unit vector w about the mean direction m with the concentration k:
 

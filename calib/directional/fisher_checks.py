@@ -129,10 +129,10 @@ def exponential_check(vectors: ArrayLike) -> Exponential:
 
 
 def effective_degrees(vectors: ArrayLike) -> float:
-    r"""Degrees of freedom of the sum of squared chords, from how much these differ among themselves.
+    r"""Degrees of freedom of the sum of squared chords, from the variance of these.
 
-    The variance of a sum of independent squared chords c is n var(c), whatever their distribution; the chi-square of
-    the same relative variance has
+    The variance of a sum of independent squared chords c is n var(c) for any distribution; the chi-square of the same
+    relative variance has
 
     .. math:: \nu = 2 (n - 1)\, \langle c \rangle^2 / \mathrm{var}(c)
 
@@ -150,8 +150,8 @@ def fisher_outliers(vectors: ArrayLike, *, level: float = LEVEL) -> BoolArray:
     r"""Directions that a Fisher distribution does not explain.
 
     Generalised extreme deviates (Rosner, Technometrics 25, 165, 1983), so that outliers do not hide each other: the
-    direction farthest from the mean of those that are left is taken away again and again, up to a fifth of all; the
-    last step at which it stood out counts, with all before it. Whether it stands out: leaving one of n directions out,
+    direction farthest from the mean of the remaining ones is removed repeatedly, up to a fifth of all; the last step at
+    which it stood out counts, with all before it. Whether it stands out: leaving one of n directions out,
 
     .. math:: E = (n - 2)\, \frac{S_n - S_{n-1}}{S_{n-1}} \sim F_{2,\, 2n - 4}
 

@@ -18,8 +18,8 @@ TAKES_PART = 1e-9  # squared component of an unknown in an undetermined directio
 
 
 class Determined(NamedTuple):
-    """Covariance (p, p), infinite on the diagonal and zero beside it for what is not determined; the condition number
-    of the scaled Jacobian; the names of the unknowns that are not determined, and one line on them (or nothing)."""
+    """Covariance (p, p), infinite on the diagonal and zero off it for undetermined unknowns; the condition number of
+    the scaled Jacobian; the names of the unknowns that are not determined, and one line on them (or nothing)."""
 
     covariance: FloatArray
     condition: float
@@ -78,7 +78,8 @@ def _message(unknown: list[str], direction: FloatArray, names: tuple[str, ...]) 
 def transformed_covariance(covariance: FloatArray, derivative: FloatArray) -> FloatArray:
     """Covariance after a change of coordinates (q, p).
 
-    Infinite variances stay infinite in whatever they touch; so is that of a coordinate whose derivative is not finite.
+    Infinite variances stay infinite in every coordinate that depends on them; so is that of a coordinate whose
+    derivative is not finite.
     """
     lost = ~np.isfinite(np.diagonal(covariance))
     finite = np.where(np.isfinite(covariance), covariance, 0.0)

@@ -1,7 +1,7 @@
 """The least-squares core of all calibrations: Levenberg-Marquardt on block-arrow normal equations, with robust losses.
 
 A problem hands in whitened residuals (unit variance) and its normal equations (`calib.fitting.arrow`); unknowns may
-live on a curved space (rotations), so the core only ever asks for "this state moved by that step". It minimises
+live on a curved space (rotations), so the solver only uses "this state moved by that step". It minimises
 
     cost = sum over groups of rho(|r|^2) + penalty,
 
@@ -12,8 +12,8 @@ true to the predicted decrease (Nielsen 1999, IMM-REP-1999-05). A step that leav
 camera) has infinite cost and is not taken.
 
 It has converged when the next step is shorter than ``tolerance`` in the metric of the information, that is, when no
-unknown would move by more than that part of its own sigma, whatever the units; or when a full step of less than
-1e-3 sigma no longer lowers the cost, which is rounding.
+unknown would move by more than that part of its own sigma, in any units; or when a full step of less than 1e-3 sigma no
+longer lowers the cost, which is rounding.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Problem(Protocol):
         ...
 
     def evaluate(self, state: Any) -> Evaluation:
-        """Residuals at a state, and whatever `system` wants to keep."""
+        """Residuals at a state, and intermediate results for `system`."""
         ...
 
     def system(self, evaluation: Any, weight: FloatArray) -> ArrowSystem:

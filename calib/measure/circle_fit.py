@@ -45,7 +45,7 @@ CURVED_SIGMA = 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CircleFit:
-    """A circle, and how well it fits."""
+    """A fitted circle, and the residuals of the fit."""
 
     centre: FloatArray  # (2,) Its centre, in the unit of the points
     radius: float  # Its radius

@@ -131,7 +131,8 @@ def flux_for_snr(unit_psf: FloatArray, snr: float, background_e: float, noise: N
 
 
 def poisson_normal_gain(expected_e: ArrayLike, read_noise_e: float) -> FloatArray:
-    """Information of one pixel about its expectation m, times (m + r^2): what the exact law knows beyond the variance.
+    """Information of one pixel about its expectation m, times (m + r^2): information of the exact distribution beyond
+    the variance.
 
     1 for many electrons; ``r^2 (exp(1 / r^2) - 1)`` for m -> 0 (information of telling 0 from 1 electron).
 

@@ -7,10 +7,10 @@ Poisson law (d + r^2 ~ Poisson(m + r^2), Snyder et al. 1995, J. Opt. Soc. Am. A 
 
 The weights hold the *model's* variance and not that of the data: a weight taken from the noisy pixel itself favours
 pixels that fluctuated down and biases flux and position at low signal. With the model's variance the score has zero
-mean whatever the read noise, so that the estimate is free of bias to first order, and its variance is the inverse of
-sum (dm/dtheta)^2 / (m + r^2). The exact Poisson-normal law knows slightly more in pixels that expect fewer electrons
-than r^2; for a star of SNR 20 that lowers the bound on a position by less than 0.2 % (``crlb.poisson_normal_gain``),
-which is why the simpler law is used.
+mean at any read noise, so that the estimate is free of bias to first order, and its variance is the inverse of sum
+(dm/dtheta)^2 / (m + r^2). The exact Poisson-normal law knows slightly more in pixels that expect fewer electrons than
+r^2; for a star of SNR 20 that lowers the bound on a position by less than 0.2 % (``crlb.poisson_normal_gain``), which
+is why the simpler law is used.
 """
 
 from __future__ import annotations
@@ -164,7 +164,8 @@ def fit_response(
     background: FloatArray,
     noise: NoiseModel,
 ) -> FloatArray:
-    """Derivatives (n, 2, p) of x and y by the data: those of the root of the score, by the implicit function theorem.
+    """Derivatives (n, 2, p) of x and y by the data: derivatives of the root of the score, by the implicit function
+    theorem.
 
     The score's own derivatives are central differences by a thousandth of a standard deviation of each parameter; of
     data that do not fit the model they hold more than the information. NaN where the fit has no covariance.

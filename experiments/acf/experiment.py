@@ -163,7 +163,7 @@ def axes(config: Config) -> Quantities:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failed:
-    """Calibrations of a method that did not converge, and how many were made."""
+    """Calibrations of a method that did not converge, and the number of all."""
 
     failed: int = col("Failed")
     n: int = col("Calibrations")

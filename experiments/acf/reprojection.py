@@ -2,7 +2,7 @@
 
 The expectation comes from the design alone: star noise and gyro error carried through eq. 11 to the even frames, where
 the gyro's error counts a second time. For a perfect gyro and even frames like the odd ones it is sigma sqrt(14 / n),
-with the n stars that calibrate, whatever the camera; so the published RMS tells the number of stars.
+with the n stars that calibrate, for any camera; so the published RMS tells the number of stars.
 """
 
 from __future__ import annotations

@@ -290,7 +290,8 @@ def drawn_sights(
 ) -> tuple[FloatArray, FloatArray]:
     """RMS errors (d,) of the line of sight [arcsec] of an efficient estimate and of a worse one from the same data.
 
-    What the worse one adds is independent of the efficient one's error (otherwise their mean would be better still).
+    The additional error of the worse one is independent of the efficient one's error (otherwise their mean would be
+    better still).
     """
     scale = np.sqrt(np.diag(worse))
     errors = []

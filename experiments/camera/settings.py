@@ -66,7 +66,7 @@ Parameter = Literal[
 
 
 class TornadoConfig(StrictModel):
-    """Keys changed to find the most effective design change, and by how much."""
+    """Keys changed to find the most effective design change, and the size of each change."""
 
     parameters: tuple[Parameter, ...] = Field(
         default=typing.get_args(Parameter), description="keys that are varied; empty: no chart"

@@ -37,7 +37,7 @@ class StellarShift:
 
     @property
     def most_different_rms_px(self) -> float:
-        """RMS distance over the field of the two stars that differ most, whatever the reference."""
+        """RMS distance over the field of the two stars that differ most, independent of the reference."""
         apart = self.shift_px[:, None] - self.shift_px[None]
         return float(np.sqrt((apart**2).sum(-1).mean(-1)).max())
 

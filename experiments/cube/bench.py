@@ -220,7 +220,7 @@ def draw_truths(config: Config, streams: Streams) -> list[Truth]:
     """The misaligned benches.
 
     All random numbers are stratified over the benches (Latin hypercube; McKay, Beckman & Conover 1979): each has its
-    distribution to 1/count, whatever the count, so that a spread of the results is not blurred by that of the inputs.
+    distribution to 1/count, at any count, so that the scatter of the inputs does not add to the scatter of the results.
     """
     count, faces = config.benches.count, len(config.cube.faces) * config.cube.repeats
     generator = streams.generator("benches")

@@ -249,7 +249,7 @@ def stratified_variance_ratio(even: list[FloatArray], predicted: FloatArray, *, 
 
     The mean square of a sum of terms holds the mean squares of the terms and their products. Stratified inputs
     (`experiments.cube.bench.draw_truths`) bring the mean square of their own term to its expectation, so its part
-    ``term^4 / predicted^4`` of the variance is missing; what it is off by is at most of the order of one bench.
+    ``term^4 / predicted^4`` of the variance is missing; the error of this is at most of the order of one bench.
     """
     missing = sum(((term / predicted) ** 4 for term in even), np.zeros(3))
     return np.maximum(1.0 - missing, 1.0 / benches)

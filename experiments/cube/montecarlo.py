@@ -205,8 +205,8 @@ def _mean(error: FloatArray) -> tuple[FloatArray, FloatArray]:
 class SensorCache:
     """Spots and calibrations of one bench's sensor.
 
-    Only the axes of the table change where the spots fall; what is read of the angles does not. So one run serves all
-    cases with the same axes, and one calibration all cases with the same axes, readings and fit.
+    Only the axes of the table change where the spots fall; the angle readings do not. So one run serves all cases with
+    the same axes, and one calibration all cases with the same axes, readings and fit.
     """
 
     def __init__(self) -> None:

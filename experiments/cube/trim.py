@@ -147,7 +147,7 @@ def spot_light(
 
 
 def moved_sensor(laboratory: Laboratory, shift_mm: FloatArray) -> Any:
-    """The camera of Mitsuba after its mount gave way: it aims ``-shift_mm`` beside, so the picture moves by it."""
+    """The camera of Mitsuba after its mount gave way: its aim is off by ``-shift_mm``, so the picture moves by it."""
     if not np.any(shift_mm):
         return laboratory.sensor
     return replace(laboratory.camera, aim_mm=laboratory.camera.aim_mm - shift_mm).sensor()

@@ -92,7 +92,7 @@ class _Expected:
 
 
 class FrameMaker:
-    """Makes frames of one dataset; what it makes depends on the scene and the frame number alone."""
+    """Makes frames of one dataset; a frame depends on the scene and the frame number alone."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene

@@ -149,7 +149,7 @@ def flux_snr(electrons: FloatArray, area_px2: FloatArray, *, noise_e2: float) ->
 
     Its square is the sum over pixels of (N p)^2 / (N p + n), with shares p of N electrons and noise n of a pixel. For a
     Gaussian image of noise-equivalent area A that is N (1 - u ln(1 + 1 / u)), u = A n / 2 N; for faint stars N^2 / A n
-    whatever the image (I. R. King, PASP 95, 163 (1983)).
+    for any image (I. R. King, PASP 95, 163 (1983)).
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         u = area_px2 * noise_e2 / (2.0 * electrons)

@@ -263,8 +263,8 @@ def _hush() -> None:
 @contextlib.contextmanager
 def local_cluster(count: int) -> Iterator[Any]:
     """A Dask client with worker processes on this machine, which end with it. The cluster starts in a separate thread;
-    the main thread takes interrupts. After one (or any other exception) the processes are killed, whatever they are at:
-    they may have been starting, or amid a frame.
+    the main thread takes interrupts. After one (or any other exception) the processes are killed at once: they may have
+    been starting, or amid a frame.
     """
     import dask
     import distributed

@@ -107,7 +107,7 @@ def correlations(budget: Budget, start_s: float, frames: int | None = None) -> t
     Errors by pixel phase have the period of a pixel, and all stars cross pixels alike: the attitude error oscillates
     as each star's does. A turn about x moves stars along y.
 
-    ``frames``: of so many of its first frames.
+    ``frames``: of this many of its first frames.
     """
     times = budget.flight.frame_times_s(start_s)[:frames]
     rate = np.asarray(budget.flight.trajectory.rate(start_s))[:2] / budget.pixel_rad

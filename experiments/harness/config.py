@@ -160,7 +160,7 @@ def load_config(
 ) -> Model:
     """Configuration from its layers; a later layer wins, and only the keys that it names.
 
-    What the layers imply (`ExperimentConfig.implied`) stands below all that the user says.
+    Values that the layers imply (`ExperimentConfig.implied`) stands below all that the user says.
     """
     base = model_class().model_dump()
     for key, value in (quick or {}).items():

@@ -33,7 +33,7 @@ _SHOWN |= {"percent": "%", "degC": "°C"}
 
 
 def shown_unit(unit: str) -> str:
-    """A unit as readers see it: "arcsec" is ″, "um" is µm."""
+    """Printed form of a unit: "arcsec" is ″, "um" is µm."""
     return "" if unit.startswith("{") else _SHOWN.get(unit, unit)
 
 

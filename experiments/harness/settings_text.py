@@ -18,7 +18,7 @@ _WIDTH = 110
 
 
 def toml_text(config: BaseModel, heading: str = "") -> str:
-    """A configuration as TOML with every key, what it means, its unit and its allowed range as a comment.
+    """A configuration as TOML with every key; its meaning, unit and allowed range are a comment.
 
     Keys without a value (TOML has none for that) are written as comments. Paths become absolute, so that the text means
     the same wherever it is saved.

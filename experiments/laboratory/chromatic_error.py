@@ -121,8 +121,8 @@ def shift_sigma(
     """Standard deviation (p, j, 2) of every shift, by pair of bands.
 
     The scatter of the frames, pooled over the points of a position (one point's own estimate from 30 frames would have
-    pulls of Student's law), and shared out among them as predicted: where a small spot lies on the pixels decides by a
-    factor of three how well it is centred.
+    pulls of Student's law), and shared out among them as predicted: the centroid error of a small spot changes by a
+    factor of three with its place on the pixels.
     """
     pattern = shifts(measured.pattern_px[method], pairs)
     share = measured.noise_px**2 + measured.common_px**2

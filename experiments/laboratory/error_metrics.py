@@ -47,7 +47,7 @@ def mixture_bound(sigma: FloatArray, level: float) -> float:
 
 
 def quantile_limit(values: FloatArray, share: float, confidence: float) -> float:
-    """Upper confidence limit of a quantile from independent values (n,), whatever they are distributed by.
+    """Upper confidence limit of a quantile from independent values (n,) of any distribution.
 
     The least value that exceeds the quantile with this confidence; inf if there are too few (Wilks 1941, Ann. Math.
     Stat. 12, 91).

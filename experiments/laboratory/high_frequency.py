@@ -156,7 +156,7 @@ class HighFrequencyMeasurement:
         return np.asarray(np.sqrt(sum((part**2 for part in parts), self.temporal_px(method) ** 2)))
 
     def common_shift_px(self, method: str, place_px: FloatArray) -> FloatArray:
-        """By how much the whole image stood off predicted places (m, j, 2) at every position (m, 2), as measured."""
+        """Measured shift of the whole image from predicted places (m, j, 2) at every position (m, 2)."""
         return np.asarray((self.mean_px["all"][method] - place_px).mean(1))
 
     @property

@@ -123,7 +123,7 @@ def _with_measured_wavefront(lens: LensSystem, config: InstrumentConfig) -> Lens
 
 
 def configured_detector(config: InstrumentConfig) -> Detector:
-    """The detector of a configuration, with its gain; all of it, whatever is read out."""
+    """The detector of a configuration, with its gain; the whole detector, with any read-out window."""
     detector = load_detector(config.detector)
     return detector if config.gain_dn_per_e is None else replace(detector, gain_dn_per_e=config.gain_dn_per_e)
 

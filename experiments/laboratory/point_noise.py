@@ -127,7 +127,7 @@ class Influence:
         return np.sqrt(centroid_variance(self.gain_px_per_e, variance_e2))
 
     def device_sigma_px(self, light_e: FloatArray, noise: PixelNoise) -> FloatArray:
-        """By how much temporal noise differs from chip to chip (n, 2): read noise and dark charge differ by pixel."""
+        """Standard deviation of temporal noise from chip to chip (n, 2): read noise and dark charge differ by pixel."""
         of_variance = np.sqrt((self.gain_px_per_e**4).sum((2, 3)) * noise.floor_e4)
         return np.asarray(0.5 * of_variance / np.maximum(self.sigma_px(noise.temporal_e2(light_e)), 1e-300))
 

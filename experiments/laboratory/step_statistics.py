@@ -104,7 +104,7 @@ def position_error(
 
     With e the error of star j at position m, the mean centroid is ``base_j + motion_m(place_j) + e_mj + noise``. Star
     means and, at every position, the motion of the image (shift; with five stars or more also roll, scale and shear)
-    are fitted. What is left has the mean square sigma_e^2 + sigma^2/N, from which the pooled variance of the frames
+    are fitted. The residual has the mean square sigma_e^2 + sigma^2/N, from which the pooled variance of the frames
     over N is taken.
 
     The interval is that of Williams and Tukey for a component of variance (Searle, Casella and McCulloch 1992, sec.

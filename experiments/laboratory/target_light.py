@@ -71,9 +71,8 @@ def frame_light(
     instrument: Instrument,
     streams: Streams,
 ) -> FloatArray:
-    """Light of windows (n, h, w) frame by frame (f, n, h, w) where the line of sight is not at rest; else as it is.
-
-    The rendered light is changed by what its PSF changes when it is moved.
+    """Light of windows (n, h, w) frame by frame (f, n, h, w) where the line of sight is not at rest; else unchanged.
+    The rendered light is changed by the change of its PSF under the motion.
     """
     if bench.collimator is None:
         return light_e

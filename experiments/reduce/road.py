@@ -155,7 +155,7 @@ def _few(test: FramesTest, shortest: SeriesFrames) -> str:
 def folder_record(
     test: FramesTest, folder: FrameFolder, series: Sequence[SeriesFrames], methods: Sequence[str]
 ) -> Folder:
-    """Numbers of a folder; what a missing flat means is that of the series where it means most."""
+    """Numbers of a folder; the effect of a missing flat is the largest over the series."""
     flat, percent = folder.flat, np.array([one.percent_px for one in series])
     shortest = min(series, key=lambda one: one.frames)
     noise = np.array([np.sqrt((one.predicted_px(methods[0]) ** 2).mean() / one.effective_frames) for one in series])

@@ -1,8 +1,8 @@
 """A known prescription in place of the measured lens: focus, tilt and decentre of its detector, fitted to the frames.
 
-Widths of Gaussian fits over the field are compared with those of the prescription's own PSFs, rendered at several
-shifts of the detector by rays and fitted alike: defocus over the detector is linear, z = z0 + a x + b y; diffraction
-and air add a width in quadrature. Decentre is the principal point of the lens minus that of the camera.
+Widths of Gaussian fits over the field are compared with fits to the prescription's own PSFs, rendered at several shifts
+of the detector by rays and fitted alike: defocus over the detector is linear, z = z0 + a x + b y; diffraction and air
+add a width in quadrature. Decentre is the principal point of the lens minus that of the camera.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ def render_night(config: NightConfig, seed: int, progress: Progress) -> KnownNig
 
 
 def true_values(truth: KnownNight, numbers: Any, fit: CameraFit) -> list[tuple[str, str, Measured, float]]:
-    """Name, unit, what was measured and what is true; ``numbers`` as of the report."""
+    """Name, unit, measured value and true value; ``numbers`` as of the report."""
     chip, pitch = truth.detector, truth.detector.pixel_pitch_mm
     gain = 1.0 / chip.gain_dn_per_e
     zero, loss = _true_light(truth)

@@ -390,7 +390,7 @@ def list_glasses(maker: str | None = None, *, obsolete: bool = False) -> tuple[s
     maker : str, optional
         SCHOTT, OHARA, CDGM or generic; all if left out.
     obsolete : bool
-        The obsolete glasses in place of those that are made.
+        The obsolete glasses in place of the glasses in production.
 
     Returns
     -------

@@ -10,8 +10,8 @@ sec. 2.6, with :math:`n - ik` and :math:`\delta_j = 2 \pi n_j d_j \cos\theta_j /
    R = \left| \frac{\eta_0 B - C}{\eta_0 B + C} \right|^2, \quad
    T = \frac{4 \eta_0 \mathrm{Re}\,\eta_m}{|\eta_0 B + C|^2}
 
-with admittances :math:`\eta = n \cos\theta` (s) and :math:`n / \cos\theta` (p). What is neither reflected nor
-transmitted is absorbed in the films. Bulk indices stand for those of evaporated films.
+with admittances :math:`\eta = n \cos\theta` (s) and :math:`n / \cos\theta` (p). Light neither reflected nor transmitted
+is absorbed in the films. Evaporated films have the bulk indices here.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class Aperture(ABC):
     kind: ClassVar[str]
 
     def parameters(self) -> tuple[float, ...]:
-        """Numbers that `inside` reads: centre, cosine and sine of the turn, then those of the outline."""
+        """Numbers that `inside` reads: centre, cosine and sine of the turn, then the outline's own."""
         turn = math.radians(self.angle_deg)
         return (*self.centre_mm, math.cos(turn), math.sin(turn), *self.outline_parameters())
 

@@ -16,9 +16,9 @@ housing (diameter D), r from the axis of an element that ends at R:
   part is a change of the curvatures; that of the index, at the design wavelength, one of the outer faces with the same
   path.
 
-Left out: stress-optic effects and those of the mounts' forces, the change of the air in the gaps with the gradient, the
-bending of an element by the gradient along its own thickness, the dispersion of dn/dT within gradients across glass,
-gradients within mirrors.
+Left out: stress-optic effects, the effects of the mounts' forces, the change of the air in the gaps with the gradient,
+the bending of an element by the gradient along its own thickness, the dispersion of dn/dT within gradients across
+glass, gradients within mirrors.
 """
 
 from __future__ import annotations

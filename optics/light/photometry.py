@@ -5,8 +5,8 @@ r"""From a magnitude to photons: synthetic photometry through the published pass
 
   .. math:: V = -2.5 \log_{10} \frac{\int f_\lambda R\, d\lambda}{\int R\, d\lambda} - 21.100
 
-  The authors meant Vega to have V = 0.03 on it; the CALSPEC model of Vega comes out at 0.018, which shows how well
-  absolute fluxes are known (1.2 %).
+  The authors meant Vega to have V = 0.03 on it; the CALSPEC model of Vega has V = 0.018, which shows the uncertainty of
+  absolute fluxes (1.2 %).
 * ``"G"`` (Gaia DR3): passband and zero point of Riello et al., A&A 649, A3 (2021), files of
   ``GaiaEDR3_passbands_zeropoints_version2``; photo-electrons per second through a pupil of 0.7278 m^2:
 

@@ -111,7 +111,8 @@ def read_pst(path: str | Path) -> PointSourceTransmittance:
     ----------
     path : path
         CSV or ECSV with the columns ``angle_deg`` and one per cause (``pst`` will do), each with ``NAME_error`` if
-        known; ``azimuth_deg`` may be left out. Every azimuth has the same angles. ``total`` beside others is not read.
+        known; ``azimuth_deg`` may be left out. Every azimuth has the same angles. ``total`` in addition to others is
+        not read.
 
     Raises
     ------

@@ -70,7 +70,7 @@ def aim_frame(lens: LensSystem) -> AimFrame:
 
 
 def front_of(program: LensProgram, stop: int) -> LensProgram:
-    """The part of a compiled lens up to its stop; parameters stay those of the lens."""
+    """The part of a compiled lens up to its stop, with the parameters of the lens."""
     return replace(program, steps=program.steps[: stop + 1])
 
 

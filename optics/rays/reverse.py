@@ -64,7 +64,7 @@ def retraced(lens: LensSystem, arrived: Rays) -> Rays:
     """Rays that start where traced rays ended and go back, in the frame of ``reverse(lens)``."""
     if np.any(arrived.status != OK):
         raise DomainError(
-            f"{int(np.sum(arrived.status != OK))} rays did not reach the image plane; retrace those that did"
+            f"{int(np.sum(arrived.status != OK))} rays did not reach the image plane; retrace the rays that did"
         )
     turn = reversed_turn(lens) @ lens.image_rotation
     point = turn @ np.stack([np.ravel(v) for v in (arrived.x, arrived.y, arrived.z)])

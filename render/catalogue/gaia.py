@@ -208,7 +208,7 @@ def _bright_hipparcos() -> StarCatalog:
 
 
 def _with_bright_stars(catalog: StarCatalog) -> StarCatalog:
-    """Colour, motion and place of the stars from Hipparcos, and those that the package misses."""
+    """Colour, motion and place of the stars from Hipparcos, with the stars that the package misses."""
     bright = _bright_hipparcos()
     fills = np.flatnonzero(catalog.id < 0)
     ours = {int(identifier): row for row, identifier in enumerate(bright.id)}

@@ -5,7 +5,7 @@ Spectral representation (Shinozuka & Deodatis 1991, Appl. Mech. Rev. 44, 191): a
 .. math:: \delta(t) = \sum_k \sqrt{2 P_k} \cos(2 \pi f_k t + \varphi_k)
 
 with the power :math:`P_k` of a cell of frequencies, one frequency drawn in every cell and a phase drawn for each. The
-variance over time is the sum of :math:`P_k`, which is the integral of the spectrum whatever is drawn; the values at any
+variance over time is the sum of :math:`P_k`, which is the integral of the spectrum for every draw; the values at any
 time are Gaussian in the limit of many cells.
 """
 

@@ -10,7 +10,7 @@ a body that turns by a positive angle about its z axis sees the stars turn by th
 
 * `ConstantRate`: exact, ``R(t) = exp(-rate (t - t0)) R(t0)``.
 * `SampledAttitude`: a spline through given attitudes, with continuous rate and acceleration (`scipy` RotationSpline).
-* `Slew`: a turn about one fixed axis from rest to rest.
+* `Slew`: a turn about one fixed axis that begins and ends at rest.
 """
 
 from __future__ import annotations

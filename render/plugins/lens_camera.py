@@ -47,7 +47,7 @@ Parameters of the scene (``mi.traverse``) are ``rotation``, ``attitude_rad`` (a 
 ``defocus_mm`` and the numbers of the lens, `optics.lens.parameters.LENS_PARAMETERS`; ``star_tracer`` differentiates
 with respect to all of them.
 
-The film may be cropped (``crop_width`` ...): its pixels are those of the whole film.
+The film may be cropped (``crop_width`` ...): its pixels are numbered as of the whole film.
 
 Stars are traced forward by ``star_tracer``. Extended bodies are rendered by stock integrators: `sample_ray` starts
 on the detector, aims at the exit pupil, and traces the lens backwards, so that a pixel's value is its mean irradiance:

@@ -11,10 +11,10 @@ photon_rate : TensorXf64 (n, b, k)
 band : str, optional
     Names of the bands, separated by commas.
 filename : str
-    In place of these four, a file that `save_star_field` wrote; what a scene in XML takes.
+    In place of these four, a file that `save_star_field` wrote; for scenes in XML.
 rotation : TensorXf64 (3, 3) or str of nine numbers, optional
     Turns the stars in the scene, ``v_world = rotation @ direction``: with world the frame of a spacecraft and its
-    camera, its attitude. Left out, directions are those of the world.
+    camera, its attitude. Left out, directions are in the world frame.
 collimation : str, optional
     Handle of the error of a collimator (`share_collimation`), or a file of one (`optics.record_files`).
 sampling_weight : float, default 1e-30

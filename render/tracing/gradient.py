@@ -64,8 +64,8 @@ class LensNumbers:
 def lens_numbers(camera: Camera, pupil: EntrancePupil) -> LensNumbers:
     """Numbers of a camera, in a structure that its perturbed copies share.
 
-    The launch disk is the camera's or, where the stop lies inside, that of one that it is a perturbed copy of: what is
-    aimed does not depend on where it starts.
+    The launch disk is the camera's or, where the stop lies inside, that of one that it is a perturbed copy of: the
+    aimed ray does not depend on its start.
     """
     lens = camera.focused_lens
     program, theta = compile_lens(lens, general=True)

@@ -72,7 +72,7 @@ class ImageMaker(Protocol):
 class Tracer:
     """Renders star fields through one camera; holds what can be reused between fields.
 
-    What it renders depends on the camera, the settings below, star field and motion alone, not on earlier calls.
+    The image depends on the camera, the settings below, star field and motion alone, not on earlier calls.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class Tracer:
         length_px: float = 0.0,
         shade: Shade | None = None,
     ) -> tuple[TruthSums, Sampling]:
-        """Add all stars to the image; what is known of them afterwards, and how they were sampled."""
+        """Add all stars to the image; return their truth and sampling."""
         sums = TruthSums.empty(*light.electrons.shape)
         if not len(paths.mid):
             return sums, {}

@@ -58,7 +58,8 @@ class MeasuredFrame:
     detected_px: FloatArray  # (n, 2) Where they were detected, before the centroid
 
     def matched(self, place_px: FloatArray, near_px: float, match_px: float) -> tuple[NDArray[np.int64], int]:
-        """Detection of each star (n,), -1 for none, and how many detections are no star: beyond ``near_px`` from all.
+        """Detection of each star (n,), -1 for none, and the number of detections that are no star: beyond ``near_px``
+        from all.
 
         Detections flagged as too sharp for a star are left out.
         """

@@ -1,7 +1,7 @@
 """The joint calibration: from images and readings to the camera, the star, the installation and the table's axes.
 
-The inputs are those of a laboratory: images with their covariance, readings with their noise, the assumed axes of the
-table, poor start values.
+The inputs are the data of a laboratory: images with their covariance, readings with their noise, the assumed axes of
+the table, poor start values.
 """
 
 from __future__ import annotations
@@ -115,8 +115,8 @@ def check_parity(
 ) -> None:
     """Refuse axes that turn opposite to the assumption; ``key`` is its setting.
 
-    The affine map from where the believed table puts the star to where it was seen keeps its orientation, whatever the
-    camera and its roll, as long as the axes are right: a camera cannot mirror.
+    The affine map from where the believed table puts the star to where it was seen keeps its orientation, with any
+    camera at any roll, as long as the axes are right: a camera cannot mirror.
     """
     on_table = table.rotation(data.reading_rad).inv().apply(start_star)
     middle = on_table.mean(0) / np.linalg.norm(on_table.mean(0))

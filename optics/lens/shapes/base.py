@@ -21,7 +21,7 @@ from optics.errors import DomainError
 class Hit:
     """Intersection in the vertex frame: path from the vertex plane, point, unit normal towards +z, cosine, validity.
 
-    ``valid`` is None where every ray is valid; what is zero for all rays may be a plain 0.0.
+    ``valid`` is None where every ray is valid; a component that is zero for all rays may be a plain 0.0.
     """
 
     path: Any

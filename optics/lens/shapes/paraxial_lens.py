@@ -9,7 +9,7 @@ f is thus the focal length in these surroundings, as in design programs, whose i
 light of any direction meets in one point of the plane n' f / n0 behind it; no real lens does that. The optical path is
 such that all rays of a parallel bundle are equally long to that point (``collimated = "before"``), or, for a lens met
 from its focus, all rays of a point of the plane n f / n0 in front to a plane wave (``"after"``). For objects between,
-paths are not those of any lens.
+optical paths are not physical.
 """
 
 from __future__ import annotations

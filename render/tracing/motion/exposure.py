@@ -95,8 +95,8 @@ def exposure_motion(
 ) -> ExposureMotion:
     """Attitudes at which an exposure is sampled; the trajectory, camera from icrs, lasts for the exposure of all rows.
 
-    ``start_s`` is that of row 0, ``line_time_s`` how much later the next row starts (0: global shutter), ``tolerance``
-    that of the damped characteristic function of the path.
+    ``start_s`` is that of row 0, ``line_time_s`` the delay of the next row (0: global shutter), ``tolerance`` that of
+    the damped characteristic function of the path.
 
     Raises
     ------

@@ -160,8 +160,8 @@ def _rolling_paths(
 def pick_times(paths: StarPaths) -> tuple[FloatArray, FloatArray]:
     """A few directions that span paths, and the factors by which they lead to all of their nodes.
 
-    What is found at these directions is interpolated linearly (paths below `SHORT_RAD`) or quadratically in the
-    coordinate along the line between the middle of a path and its farthest node.
+    Results at these directions are interpolated linearly (paths below `SHORT_RAD`) or quadratically in the coordinate
+    along the line between the middle of a path and its farthest node.
     """
     # -> (n, p, 3), (n, t, p)
     offset = paths.nodes - paths.mid[:, None]
