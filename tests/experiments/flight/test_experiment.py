@@ -58,7 +58,6 @@ def test_a_law_that_looks_at_the_earth_is_unavailable_and_no_error(tmp_path):
     [
         (("--set", "temperature.mean_k=60", "--set", "temperature.offset_k=-60"), "temperature"),
         (("--set", "orbit.perigee_km=-5"), "perigee_km"),
-        (("--set", "attitude.law=table"), "attitude"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_status_two(tmp_path, capsys, options, words):
