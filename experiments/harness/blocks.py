@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import count
 
 from markupsafe import Markup
 from matplotlib.figure import Figure as Drawing
@@ -78,24 +79,13 @@ class Artist:
         with house_style():
             drawn = shared(_markup, list(enumerate(figures, 1)))
         self._drawn = {id(figure): one for figure, one in zip(figures, drawn, strict=True)}
-        self._figures = 0
-        self._tables = 0
-        self._equations = 0
-
-    def figure_number(self) -> int:
-        self._figures += 1
-        return self._figures
-
-    def table_number(self) -> int:
-        self._tables += 1
-        return self._tables
+        self.figure_number, self.table_number, self._equation_number = (count(1).__next__ for _ in range(3))
 
     def figure(self, figure: Figure) -> Markup:
         return Markup(self._drawn[id(figure)])
 
     def equation(self, equation: Equation) -> Markup:
-        self._equations += 1
-        return Markup(equation_svg(equation.latex, prefix=f"eq{self._equations}"))
+        return Markup(equation_svg(equation.latex, prefix=f"eq{self._equation_number()}"))
 
     def half(self, figure: Figure) -> bool:
         """Whether a figure was made for half the width of the text."""
