@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.measure.centroid import centroider_class, get_centroider
 from calib.measure.crlb import fisher_information
-from calib.measure.epsf import EpsfBank, EpsfModel
+from calib.measure.epsf import EpsfModel, epsf_bank
 from calib.measure.linear_response import centroid_variance, linear_response
 from calib.records import NoiseModel, Stamps
 from optics.arrays import FloatArray
@@ -74,7 +74,7 @@ def phase_windows(psfs: tuple[EffectivePsf, ...], window_px: int, phases: int = 
     y, x = (value.ravel() + window_px // 2 for value in np.meshgrid(step, step, indexing="ij"))
     place = np.tile(np.column_stack([x, y]), (len(psfs), 1))
     index = np.repeat(np.arange(len(psfs)), phases**2)
-    model = EpsfModel(EpsfBank(psfs, (window_px, window_px)), index)
+    model = EpsfModel(epsf_bank(psfs, (window_px, window_px)), index)
     light, jacobian = model.evaluate(np.column_stack([place, np.ones(len(place))]), np.arange(len(place)))
     return PhaseWindows(
         light=np.maximum(light, 0.0).reshape(-1, window_px, window_px),

@@ -20,6 +20,11 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.records import EffectivePsf
 
+MARGIN = 12
+"""Samples about a PSF: the spline's prefilter decays as 0.27^k, 1e-7 at the seam."""
+KEPT_PIXELS = 10_000
+"""Pixels of a window, times PSFs, up to which banks are kept: some 16 MB each."""
+
 
 class EpsfBank:
     """Spline coefficients of one or several effective PSFs of equal oversampling, laid out for fast lookup."""
@@ -38,7 +43,7 @@ class EpsfBank:
         length = 2 * self.origin + step
         coefficients = np.zeros((len(psfs), length, length))
         for row, psf in enumerate(psfs):
-            inner = _spline(psf)
+            inner = spline_filter(np.pad(psf.values, MARGIN), order=3, mode="mirror")
             first = self.origin - len(inner) // 2
             low = max(0, -first)
             inner = inner[low : len(inner) - low, low : len(inner) - low]
@@ -85,11 +90,13 @@ class EpsfBank:
         return out.reshape(len(fraction), 3, 16)
 
 
-@lru_cache(maxsize=256)
-def _spline(psf: EffectivePsf) -> FloatArray:
-    """Spline coefficients of a PSF and a margin; many centroiders use the same PSFs."""
-    margin = 12  # the spline's prefilter decays as 0.27^k: 1e-7 at the seam
-    return np.asarray(spline_filter(np.pad(psf.values, margin), order=3, mode="mirror"))
+_kept_bank = lru_cache(maxsize=16)(EpsfBank)
+
+
+def epsf_bank(psfs: Sequence[EffectivePsf], window: tuple[int, int]) -> EpsfBank:
+    """The bank of some PSFs; those of few small windows are kept, as many centroiders use the same PSFs."""
+    few = len(psfs) * window[0] * window[1] <= KEPT_PIXELS
+    return (_kept_bank if few else EpsfBank)(tuple(psfs), window)
 
 
 def cubic_weights(t: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -129,6 +136,6 @@ class EpsfModel:
 
 def draw_epsf(epsf: EffectivePsf, x_px: FloatArray, y_px: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Images (n, h, w) of unit stars at columns ``x_px`` and rows ``y_px`` (n,) of windows of ``shape`` = (h, w)."""
-    model = EpsfModel(EpsfBank((epsf,), shape), np.zeros(len(x_px), np.int64))
+    model = EpsfModel(epsf_bank((epsf,), shape), np.zeros(len(x_px), np.int64))
     theta = np.column_stack([x_px, y_px, np.ones(len(x_px))])
     return model.evaluate(theta, np.arange(len(x_px)))[0].reshape(len(x_px), *shape)

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.measure.centroid import Centroider
+from calib.measure.centroiders.centre_of_gravity import CentreOfGravity
 from calib.measure.scoring import LikelihoodFit
 from calib.records import NoiseModel, Stamps
 from optics.arrays import FloatArray
@@ -19,7 +20,7 @@ from optics.arrays import FloatArray
 def linear_response(centroider: Centroider, stamps: Stamps, noise: NoiseModel, light_e: FloatArray) -> FloatArray:
     """Derivative of a centroid by the signal of each pixel [px per e-] on noiseless windows.
 
-    Of a fit by `calib.measure.scoring.fit_response`, of any other by finite differences.
+    Of a centre of gravity and of fits (`calib.measure.scoring.fit_response`) in closed form, of others by differences.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ def linear_response(centroider: Centroider, stamps: Stamps, noise: NoiseModel, l
     (n, 2, h, w)
         Zero for pixels that are not valid.
     """
-    if isinstance(centroider, LikelihoodFit):
+    if isinstance(centroider, LikelihoodFit | CentreOfGravity):
         return centroider.response(replace(stamps, electrons=light_e), noise)
     count, height, width = light_e.shape
     step_e = np.maximum(1e-3 * light_e.sum((1, 2)), 1e-3)

@@ -53,7 +53,7 @@ FIT_NOISE_PX = 0.03
 PATHS = 24
 """Drawn paths of a hexapod with errors; roll is too small to change S-curve and pattern."""
 
-FIRST_DRAWS, WELL_KNOWN = 6, 0.1
+FIRST_DRAWS, WELL_KNOWN = 6, 0.2
 """Draws that are made first, and the noise of a mean over frames in whose share their mean has to be known."""
 
 NEAR_PX = 0.1
@@ -197,17 +197,19 @@ class _Model:
             "defects": _rms([single_rms_px(one) for one in masked]),
         }
         document, error, lever = [], [], self._lever()
-        for draw in range(self.draws):
-            path = draw % len(curves)
-            fixed = curves[path] + masked[path]
+        for path, (curve, scatter) in enumerate(zip(curves, scatters, strict=True)):
+            draws = len(range(path, self.draws, len(curves)))
+            fixed = np.broadcast_to(curve + masked[path], (draws, *curve.shape))
             for part in (prnu, *offsets, *dark):
-                moved = self._on_path(part, path)
-                fixed = fixed + np.einsum("jmayx,jyx->mja", moved, rng.standard_normal((stars, *moved.shape[3:])))
-            rolled = self.roll_rad * rng.standard_normal((m, 1, 1)) * lever
+                moved = self._on_path(part, path).reshape(stars, 2 * m, -1)
+                shift = moved @ rng.standard_normal((stars, moved.shape[2], draws))
+                fixed = fixed + shift.reshape(stars, m, 2, draws).transpose(3, 1, 0, 2)
+            rolled = self.roll_rad * rng.standard_normal((draws, m, 1, 1)) * lever
             # the curve has some noise already: that of the draws whose mean it is
-            left = np.sqrt(np.maximum(sigma**2 - scatters[path] ** 2, 0.0))
-            document.append(document_rms_px(fixed + rolled + left * rng.standard_normal(left.shape)))
-            error.append(single_rms_px(fixed))
+            left = np.sqrt(np.maximum(sigma**2 - scatter**2, 0.0))
+            noisy = fixed + rolled + left * rng.standard_normal((draws, *left.shape))
+            document += [document_rms_px(one) for one in noisy]
+            error += [single_rms_px(one) for one in fixed]
         return MethodPrediction(
             s_curve_px=curves[0],
             cause_px={name: np.asarray(cause[name]) for name in CAUSES},

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from calib.measure.centroid import Centroider
 from calib.measure.crlb import fisher_information
-from calib.measure.epsf import EpsfBank, EpsfModel
+from calib.measure.epsf import EpsfModel, epsf_bank
 from calib.measure.linear_response import centroid_variance, linear_response, tight
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench import Bench
@@ -54,7 +54,7 @@ class ExpectedWindows:
         The electrons are those of the whole image, of which a window cuts the wings.
         """
         count, height, width = self.light_e.shape
-        model = EpsfModel(EpsfBank(self.psf, (height, width)), self.psf_index)
+        model = EpsfModel(epsf_bank(self.psf, (height, width)), self.psf_index)
 
         def images(shift_px: FloatArray | float, electrons: FloatArray) -> tuple[FloatArray, FloatArray]:
             place = self.place_px + shift_px - self.corner_px
@@ -94,7 +94,7 @@ def expected_windows(
     size = bench.window_px
     corner = np.rint(place).astype(np.int64) - size // 2 if corner_px is None else corner_px.reshape(-1, 2)
     index = np.tile(np.arange(len(psf)), len(direction))
-    model = EpsfModel(EpsfBank(tuple(psf), (size, size)), index)
+    model = EpsfModel(epsf_bank(tuple(psf), (size, size)), index)
     theta = np.column_stack([place - corner, np.full(len(place), bench.signal_e)])
     light, _ = model.evaluate(theta, np.arange(len(place)))
     light = np.maximum(light, 0.0)  # the spline between the samples of a sharp PSF swings below zero by some 1e-6

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from calib.measure.moments import gravity_table, light_above_background
 from calib.measure.options import check_options, option
 from calib.measure.pixel_phase import PhaseTable, measure_with_phase
 from calib.records import NoiseModel, Stamps, StarTable
+from optics.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,3 +37,13 @@ class CentreOfGravity:
         """The same, width and error by pixel phase from a table (`calib.measure.pixel_phase`)."""
         light, used = light_above_background(stamps, self.half_width_px)
         return gravity_table(stamps, noise, known, weight=light, light=light, used=used)
+
+    def response(self, stamps: Stamps, noise: NoiseModel) -> FloatArray:
+        """Derivatives (n, 2, h, w) [px/e-] of the position by the signal of each pixel: its lever over all light."""
+        light, used = light_above_background(stamps, self.half_width_px)
+        table = self.measure_by(stamps, noise, None)
+        column, row = ((table.x_px, table.y_px) - stamps.corner_px.T)[:, :, None, None]
+        rows, columns = np.indices(light.shape[1:])
+        lever = np.stack([columns - column, rows - row], axis=1)
+        total = light.sum((1, 2))[:, None, None, None]
+        return np.asarray(used[:, None] * lever / np.where(total > 0.0, total, np.nan))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from calib.measure.epsf import EpsfBank, EpsfModel
+from calib.measure.epsf import EpsfModel, epsf_bank
 from calib.measure.scoring import LikelihoodFit
 from calib.records import Stamps
 from optics.errors import DomainError
@@ -36,7 +36,7 @@ class EpsfCentroider(LikelihoodFit):
     def models(self, stamps: Stamps) -> Callable[[slice], EpsfModel]:
         """The PSF of every stamp."""
         psfs = (self.epsf,) if isinstance(self.epsf, EffectivePsf) else tuple(self.epsf)
-        bank = EpsfBank(psfs, (stamps.electrons.shape[1], stamps.electrons.shape[2]))
+        bank = epsf_bank(psfs, (stamps.electrons.shape[1], stamps.electrons.shape[2]))
         if len(stamps) and not (stamps.psf_index.min() >= 0 and stamps.psf_index.max() < len(psfs)):
             raise DomainError(
                 f"Stamps.psf_index spans {stamps.psf_index.min()} to {stamps.psf_index.max()}; "
