@@ -32,5 +32,5 @@ def test_same_stars_as_one_by_one(bench):
         order = np.argsort(sample.row[mine])
         np.testing.assert_array_equal(sample.row[mine][order], np.sort(one.row))
         np.testing.assert_allclose(sample.pixel_px[mine][order], one.pixel_px[np.argsort(one.row)], atol=1e-8)
-    with pytest.raises(ConfigError, match="many attitudes"):
+    with pytest.raises(ConfigError, match="several attitudes"):
         sample_sky(index, view, attitudes[0])
