@@ -95,8 +95,9 @@ def aside(work: Callable[[], Result], *, niceness: int = 0) -> Iterator[Callable
         yield result
     finally:
         os.close(source)
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
+        with contextlib.suppress(OSError):  # gone, and nobody's child any more where the caller ignores SIGCHLD
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
 
 
 def _work_and_leave(work: Callable[[], object], sink: int, niceness: int) -> None:
