@@ -39,6 +39,11 @@ def test_the_level_of_a_crowded_cell_is_its_mode_as_published():
     mean, median = skewed.mean(), np.median(skewed)
     level, _ = _clipped_statistics(np.stack([skewed, 600.0 - skewed]), 3.0, 0.0)
     np.testing.assert_allclose(level, [2.5 * median - 1.5 * mean, 600.0 - mean], rtol=1e-9)
+    # of whole numbers the median lies within its group: 40 skewed cells, whose levels scatter by 0.4
+    rng = np.random.default_rng(0)
+    fine = 300.0 + 3.0 * rng.standard_normal((40, 4096)) + rng.exponential(5.0, (40, 4096))
+    coarse, smooth = (_clipped_statistics(cells, 3.0, q)[0] for cells, q in ((np.rint(fine), 1.0), (fine, 0.0)))
+    assert (coarse - smooth).mean() == pytest.approx(0.0, abs=0.2)
 
 
 def test_distances_from_circles_through_three_points_each():
