@@ -126,6 +126,7 @@ def test_unknown_sigma_is_estimated():
     degrees = frames * (2 * stars - 3)
     assert np.mean(solved.sigma_rad**2) == pytest.approx(SIGMA_RAD**2, rel=4 * np.sqrt(2 / degrees))
     assert np.isnan(solved.probability).all()
+    assert solved.frame(0).misfit.degrees_of_freedom == 0  # nothing is tested
     pulls = attitude_error_arcsec(solved.rotation, truth) / solved.sigma_arcsec
     assert pulls.std() == pytest.approx(1, abs=4 / np.sqrt(2 * pulls.size) + 0.02)  # Student's t of 37 degrees: +1.4 %
     scaled = solve_wahba_many(noisy, v_ref, frame, weight=np.full(len(frame), 7.0))
