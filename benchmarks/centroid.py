@@ -375,7 +375,7 @@ def report(source: PsfSource, stars: int, peer_stars: int, seed: int) -> None:
 
 
 def main() -> None:
-    """Command line."""
+    """Run the benchmark from the command line."""
     parser = argparse.ArgumentParser(description="Centroiders against the Cramer-Rao bound, photutils and sep.")
     parser.add_argument("--psf", default="all", choices=[*SOURCES, "all"])
     parser.add_argument("--stars", type=int, default=20000)

@@ -150,7 +150,7 @@ def best(run: Callable[[], Any], repeat: int) -> tuple[float, float]:
 
 
 def difference(traced: Any, reference: Any) -> str:
-    """How far an image and its truth are from another."""
+    """Difference of an image and its truth from another."""
     light = float(reference.truth.electrons_in.min())
     worst = {"pixel": np.abs(traced.electrons - reference.electrons).max() / light}
     for label, name in (("bundle [px]", "bundle_x_px"), ("variance [px2]", "variance_x_px2")):

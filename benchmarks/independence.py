@@ -253,7 +253,7 @@ COMPARISONS = (
 
 @dataclass(slots=True)
 class Recorder:
-    """Which functions run on which side; a profile function.
+    """Profile function that records the functions of each side.
 
     Attributes
     ----------

@@ -362,7 +362,7 @@ def report(mutants: list[Mutant], seed: int) -> str:
 
 
 def main() -> None:
-    """The command."""
+    """Run mutants from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--count", type=int, default=200, help="mutants drawn over all rooms")
     parser.add_argument("--seed", type=int, default=24)

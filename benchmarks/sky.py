@@ -73,7 +73,7 @@ def cones(index: SkyIndex, repetitions: int) -> None:
 
 
 def fields(index: SkyIndex, repetitions: int) -> None:
-    """From attitude to a star field."""
+    """Star fields from attitudes."""
     observer = earth_observer(EPOCH_YEAR)
     attitudes = Rotation.random(repetitions, random_state=1)
     light = star_light([TopHat(centre_nm=650, width_nm=300, edge_nm=20)])

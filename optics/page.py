@@ -255,7 +255,7 @@ def save_frame_page(path: str | Path, values: ArrayLike, layers: Sequence[Marks]
 
 
 def _enlargement(layers: Sequence[Marks], width_px: int) -> float:
-    """Of arrows: a typical one is as long as a hundredth of the frame."""
+    """Enlargement of arrows: a typical arrow is as long as a hundredth of the frame."""
     lengths = np.concatenate([np.hypot(one.dx_px, one.dy_px) for one in layers] or [np.empty(0)])
     lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
     return float(np.clip(0.01 * width_px / np.median(lengths), 1.0, 1e4)) if len(lengths) else 100.0

@@ -160,7 +160,7 @@ class Camera:
 
     @property
     def sensitive_columns(self) -> NDArray[np.bool_] | None:
-        """Which columns (w,) take light; None for all of them."""
+        """Mask of the columns (w,) that collect light; None for all."""
         if not self.blind_columns_px:
             return None
         columns = np.ones(self.width_px, np.bool_)

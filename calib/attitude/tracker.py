@@ -221,7 +221,7 @@ def unlike_stars(stars: StarTable) -> NDArray[np.bool_]:
 
 
 class StarTracker:
-    """From frames to attitudes; it remembers the last ones.
+    """Attitudes from frames; keeps the last ones for tracking.
 
     Parameters
     ----------

@@ -119,7 +119,7 @@ class AttitudeCorrelated(RotationFamily):
         return _one_rotation(camera_turn, body_turn, robust=robust)
 
     def rotations(self, pose: LinkState) -> FloatArray:
-        """Eq. 6."""
+        """Rotations of all frames by eq. 6."""
         return np.asarray(pose.installation @ self.turn @ (pose.installation.T @ pose.first))
 
     def rates(self, pose: LinkState, rotation: FloatArray) -> tuple[FloatArray, FloatArray | None]:

@@ -72,7 +72,7 @@ class FreeAttitudes(RotationFamily):
         return exponential(block) @ pose
 
     def parity(self, stars: Observations, model: CameraModel) -> str:
-        """Frame by frame."""
+        """Parity of the axes, frame by frame."""
         return frame_parity(stars, model)
 
     def restart(self, stars: Observations, model: CameraModel, fit: Fit) -> StarState | None:

@@ -239,7 +239,7 @@ class PairProblem(_CameraProblem):
         return PairEvaluation(self.stars.misclosure(seen.unit)[self.stars.pair][:, None] / self.sigma, seen)
 
     def system(self, evaluation: PairEvaluation, weight: FloatArray) -> ArrowSystem:
-        """Normal equations."""
+        """Normal equations at a state."""
         assert evaluation.seen is not None
         normal, gradient = self.stars.normal_equations(evaluation.seen, weight)
         return ArrowSystem(common=normal / self.sigma**2, gradient=gradient / self.sigma**2)

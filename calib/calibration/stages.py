@@ -26,7 +26,7 @@ MEDIAN_LENGTH = {1: 0.6744897501960817, 2: float(np.sqrt(2.0 * np.log(2.0)))}
 
 
 def free_mask(model: CameraModel, free: Sequence[str] | None) -> BoolArray:
-    """Which camera parameters may move (p,)."""
+    """Mask of the free camera parameters (p,)."""
     for name in free or ():
         if name not in model.parameter_names:
             raise unknown_name("camera parameter", name, model.parameter_names)

@@ -39,7 +39,7 @@ class Prior:
 
 
 class FrameRotations(ABC):
-    """How the attitudes of the frames depend on unknowns."""
+    """Attitudes of the frames as functions of the unknowns."""
 
     __slots__ = ()
 

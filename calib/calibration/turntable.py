@@ -269,7 +269,7 @@ class TurntableAttitudes(RotationFamily):
         return float(np.sum(axis * pose.axis**2) + np.sum(reading * pose.reading**2))
 
     def prior(self, pose: TableState) -> Prior | None:
-        """Diagonal."""
+        """Prior of the table's errors; its information is diagonal."""
         axis, reading = self.errors.axis_information, self.errors.reading_information
         first = pose.basis().shape[1] + 3
         size = first + len(axis)

@@ -221,7 +221,7 @@ class CameraModel(ABC):
     def visible(
         self, direction: ArrayLike, band: ArrayLike | None = None, *, margin_px: float = 0.0
     ) -> NDArray[np.bool_]:
-        """Which directions (n, 3) are imaged on the detector, or at most ``margin_px`` outside it.
+        """Mask of the directions (n, 3) imaged on the detector, or at most ``margin_px`` outside it.
 
         A direction far outside the field, where the model folds over, may have a pixel inside the detector; it is not
         visible.

@@ -36,7 +36,7 @@ class PlaneMap(NamedTuple):
     yy: FloatArray
 
     def upright(self) -> NDArray[np.bool_]:
-        """Where the symmetric part of the derivative is positive definite (n,)."""
+        """Mask (n,): the symmetric part of the derivative is positive definite."""
         off = 0.5 * (self.xy + self.yx)
         return np.asarray((self.xx > 0) & (self.yy > 0) & (self.xx * self.yy > off * off))
 

@@ -38,7 +38,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reduced:
-    """Frames eliminated."""
+    """Normal equations with the unknowns of the frames eliminated."""
 
     information: FloatArray  # (p, p) Schur complement S
     scale: FloatArray  # (p,) Square roots of the diagonal of C: the effect of each common unknown with all others fixed

@@ -51,7 +51,7 @@ class Spokes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EdgePoints:
-    """Crossings."""
+    """Crossings of a level on spokes."""
 
     point: FloatArray  # (n, 2) In the plane
     sigma: FloatArray  # (n,) Standard error across the edge
@@ -110,7 +110,7 @@ def _step_px(pixel: FloatArray) -> float:
 
 
 def edge_crossings(spokes: Spokes, level: ArrayLike, *, rising: bool, half_width: float) -> EdgePoints:
-    """Where the brightness crosses a level, one point per spoke at most.
+    """Points at which the brightness crosses a level, at most one per spoke.
 
     Shapes: ``level`` (k,).
     """

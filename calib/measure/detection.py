@@ -148,7 +148,7 @@ class _Search:
         self.signal_to_noise = self.filtered / (self.sigma * np.sqrt(self.power))
 
     def noise(self) -> FilteredNoise:
-        """As the filtered image shows it."""
+        """Noise measured in the filtered image."""
         return measure_noise(
             self.signal_to_noise, self.valid, fwhm_px=self.fwhm_px, pixel=self.light, cut_off=self.cut_off
         )
@@ -185,7 +185,7 @@ def _flag_maxima(
     y: NDArray[np.int64],
     spike_fraction: float,
 ) -> tuple[NDArray[np.bool_], NDArray[np.uint32]]:
-    """Which maxima to keep, and their flags."""
+    """Maxima to keep, and their flags."""
     height, width = light.shape
     flags = np.zeros(len(x), np.uint32)
     region = regions[y, x]

@@ -39,7 +39,7 @@ def _kernel(fwhm_px: float) -> FloatArray:
 
 
 def _correlation(fwhm_px: float, dy: int, dx: int) -> float:
-    """Of two filtered pixels in white noise."""
+    """Correlation of two filtered pixels in white noise."""
     kernel = _kernel(fwhm_px)
     height, width = kernel.shape
     a = kernel[max(dy, 0) : height + min(dy, 0), max(dx, 0) : width + min(dx, 0)]

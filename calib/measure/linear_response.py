@@ -59,7 +59,7 @@ def centroid_covariance(gain_px_per_e: FloatArray, variance_e2: FloatArray) -> F
 
 
 def centroid_variance(gain_px_per_e: FloatArray, variance_e2: FloatArray) -> FloatArray:
-    """Its diagonal (n, 2)."""
+    """Variance of x and y (n, 2), the diagonal of the covariance."""
     return np.asarray(np.einsum("nahw,nhw->na", gain_px_per_e**2, variance_e2))
 
 

@@ -56,7 +56,7 @@ class StarErrors:
 
     @classmethod
     def of(cls, budget: Budget) -> StarErrors:
-        """From a budget: the total is the same."""
+        """Split of a budget; the total is the same."""
         return cls(
             random_arcsec=np.hypot(budget["TE"].arcsec, budget["HSFE"].arcsec),
             chromatic_arcsec=np.array(budget["LSFE-S"].arcsec),

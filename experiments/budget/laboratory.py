@@ -127,7 +127,7 @@ def step_plan(lab: Laboratory) -> StepPlan:
 
 
 def platform(lab: Laboratory) -> Hexapod:
-    """The hexapod."""
+    """The hexapod under the target."""
     return Hexapod(**lab.config.hexapod.model_dump())
 
 

@@ -119,7 +119,7 @@ def _builds_epsf(lab: Laboratory) -> bool:
 
 
 def steps_of(lab: Laboratory) -> int:
-    """How often `measure_terms` calls ``advance``."""
+    """Number of calls of ``advance`` by `measure_terms`."""
     before = epsf_session(lab.bench).positions if _builds_epsf(lab) else 0
     return before + 1 + lab.config.steps.places * lab.config.steps.positions + 4 + 2
 

@@ -141,7 +141,7 @@ def coarse_terms(config: Config) -> PredictedTerms:
 
 
 def _coarse(config: Config) -> tuple[Config, float]:
-    """With a 3 x 3 target, and the factor of the pixel term."""
+    """Configuration with a 3 x 3 target, and the factor of the pixel term."""
     target = config.target
     if target.rows != target.columns or target.rows <= COARSE_POINTS:
         return config, 1.0

@@ -287,7 +287,7 @@ def manufactured(
 
 
 def yield_line(found: Manufactured) -> str:
-    """For the terminal."""
+    """Line on the yield for the terminal."""
     nea_arcsec = found.built_arcsec[0, PERCENT.index(95)]
     drawn = found.built_lenses + found.built_lost
     words = f"{100.0 * found.built_yield:.3g} % of {drawn} lenses meet their requirements"

@@ -198,7 +198,7 @@ class Life:
 
 
 def over_life(prediction: CameraPrediction, limits: Limits) -> Life | None:
-    """From the beginning to the end of life; None without one."""
+    """Prediction from the beginning to the end of life; None without a life."""
     config = prediction.config
     if not config.life.years:
         return None
@@ -233,7 +233,7 @@ def over_life(prediction: CameraPrediction, limits: Limits) -> Life | None:
 
 
 def life_line(found: Life) -> str:
-    """For the terminal."""
+    """Line on the life for the terminal."""
     missed = f"{found.life_of - found.life_missed} of {found.life_of} met"
     if not found.life_of:
         missed = f"attitude {found.life_attitude_cross_arcsec[-1]:.3g}\u2033 across"

@@ -59,7 +59,7 @@ class Exchange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Centroider:
-    """The same frames through a centroider."""
+    """Results of a centroider on the same frames."""
 
     method_table1_px: FloatArray = col("Mean shift, halved", "px", ".4f", "pair axis")
 

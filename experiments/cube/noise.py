@@ -78,7 +78,7 @@ def _window(offset: FloatArray, half_px: float) -> FloatArray:
 
 
 def _slope(value: FloatArray, offset: FloatArray, half_px: float) -> float:
-    """Of the weighted line through a profile about offset 0."""
+    """Slope of the weighted line through a profile about offset 0."""
     weight = _window(offset, half_px)
     return float((weight * offset * value).sum() / (weight * offset**2).sum())
 
@@ -182,7 +182,7 @@ def _net(log2_points: int) -> NDArray[np.uint32]:
 
 
 def _shifted(net: NDArray[np.uint32], seed: int) -> FloatArray:
-    """It under another random digital shift, (n, 4) in 0 to 1."""
+    """The net under another random digital shift, (n, 4) in 0 to 1."""
     shift = np.random.default_rng(seed).integers(0, 2**32, 4, dtype=np.uint32)
     return np.asarray(((net ^ shift) + 0.5) / 2.0**32)
 
@@ -232,7 +232,7 @@ def _sun_spots_px(values: FloatArray, angle_rad: FloatArray, per_rad_px: float) 
 
 
 def sensor_noise(laboratory: Laboratory, *, reading: bool, lean: bool) -> SensorNoise:
-    """Of the calibration of the sun sensor at all positions of the field."""
+    """Noise of the calibration of the sun sensor at all positions of the field."""
     config, angle = laboratory.config, field_angles(laboratory.config)
     per_rad = config.sensor.gap_mm / laboratory.sensor_detector.pixel_pitch_mm
     start, step = np.zeros(7), 1e-5

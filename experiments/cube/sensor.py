@@ -52,7 +52,7 @@ class SensorRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorCalibration:
-    """R_sr."""
+    """Calibrated rotation R_sr."""
 
     rotation: Rotation  # Sensor from table
     covariance_rad2: FloatArray  # (3, 3) Of the error's rotation vector in the sensor frame

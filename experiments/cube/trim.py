@@ -326,7 +326,7 @@ def _look(
 
 
 def _bright_enough(config: Config, offset: Offset) -> None:
-    """A spot that is not located better than the stop rule asks cannot be trimmed by it."""
+    """Refuse a spot whose location is less accurate than the stop rule."""
     sigma = float(np.sqrt(np.trace(offset.covariance_px2) / 2))
     if not sigma < max(config.trim.stop_px, 1.0):
         raise ConvergenceError(

@@ -172,7 +172,7 @@ def _run_lengths(pixels: NDArray[np.int64], height: int, width: int) -> dict[str
 
 
 def check_webdataset() -> Any:
-    """The library."""
+    """The library webdataset; ConfigError without it."""
     try:
         import webdataset
     except ImportError:

@@ -257,7 +257,7 @@ class DatasetFolder:
         return []
 
     def count(self) -> int:
-        """How many there are."""
+        """Number of frames."""
         return len(self.numbers())
 
     def checked(self, frame: int) -> FrameRecord | None:
@@ -422,7 +422,7 @@ class Checked:
     frames: tuple[int, ...]  # Frames that a run would make again
 
     def lines(self) -> list[str]:
-        """In words."""
+        """Lines for the terminal."""
         text = [f"damaged: {name}" for name in self.damaged] + [f"missing: {name}" for name in self.missing]
         if SUMS in self.missing:
             text.append(f"without {SUMS} only frames and truth are checked, exports and reports are not")

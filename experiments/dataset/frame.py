@@ -84,7 +84,7 @@ class _Expected:
     hits: CosmicRayHits | None
 
     def charge_e(self) -> NDArray[np.float32]:
-        """With what cosmic rays leave."""
+        """Charge of the frame with cosmic rays [e-]."""
         charge = self.electrons.copy()
         if self.hits is not None:
             np.add.at(charge, (self.hits.row, self.hits.column), self.hits.charge_e.astype(np.float32))

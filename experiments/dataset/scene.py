@@ -188,7 +188,7 @@ def _check_light(scene: Scene) -> None:
 
 
 def _path_px(plan: Plan, instrument: Instrument) -> float:
-    """How far a star may be from where it is in the middle of the exposure [px]."""
+    """Largest distance of a star from its place in the middle of the exposure [px]."""
     across, about = fastest_rad_per_s(plan)
     camera = instrument.camera
     pixel_rad = instrument.pixel_arcsec * ARCSEC_RAD
@@ -278,7 +278,7 @@ class SkyLight:
 def build_sky_light(
     config: Config, camera: Camera, band: Band, *, pixel_rad: float, observer: Observer | None, detector: Detector
 ) -> SkyLight:
-    """Prepare it."""
+    """Prepare the light of the sky."""
     background = config.background
     diffuse = points = disks = light = None
     if background.zodiacal or background.uniform_mag_per_arcsec2 is not None:

@@ -217,7 +217,7 @@ class BlindSolver:
         return carried
 
     def solve(self, record: FrameRecord, measured: MeasuredFrame) -> SolvedFrame:
-        """One frame."""
+        """Solve the attitude of one frame."""
         truth = Rotation.from_quat(record.quat_xyzw)
         angle = PRIOR_OFF_PX * self.scene.instrument.pixel_arcsec / RAD_ARCSEC
         way = record.frame * GOLDEN_RAD

@@ -60,7 +60,7 @@ def truth_bytes(rows: Mapping[str, Any], record: FrameRecord, form: Format, orig
 
 
 def _seal(content: bytes) -> tuple[int, int] | None:
-    """Where the digest of a truth file stands in it."""
+    """Place of the digest in a truth file."""
     match = _SEAL.search(content)
     return None if match is None else match.span(1)
 

@@ -65,7 +65,7 @@ class Scatter:
         return 2.0 * self.sum_rad2**2 / self.variance_rad4
 
     def z_score(self, chord_sum_rad2: float) -> float:
-        """How far a measured sum is off, as a normal deviate."""
+        """Deviation of a measured sum, as a normal deviate."""
         nu = self.satterthwaite
         below = chi2.cdf(chord_sum_rad2 / self.sum_rad2 * nu, nu)
         return float(np.clip(norm.ppf(np.clip(below, 1e-12, 1 - 1e-12)), -7.0, 7.0))

@@ -57,7 +57,7 @@ class Evaluation:
         return self.fit.sigma_rad * RAD_ARCSEC
 
     def interval_arcsec(self, level: float = CONFIDENCE) -> tuple[float, float]:
-        """Its confidence interval, by the distribution."""
+        """Confidence interval of sigma by the distribution."""
         low, high = self.fit.sigma_interval_rad(level)
         return low * RAD_ARCSEC, high * RAD_ARCSEC
 

@@ -84,7 +84,7 @@ class ThermalHistory:
     values_k: FloatArray  # (t, 5) In the order of `STATES`
 
     def at(self, time_s: ArrayLike) -> FloatArray:
-        """States (..., 5) [K]; as at the ends beyond them."""
+        """States (..., 5) [K]; constant beyond the ends."""
         t = np.asarray(time_s, float)
         return np.stack([np.interp(t, self.time_s, column) for column in self.values_k.T], axis=-1)
 
@@ -101,7 +101,7 @@ class Flight:
 
     @property
     def period_s(self) -> float:
-        """Of the orbit."""
+        """Period of the orbit [s]."""
         return self.orbit.period_s
 
     @cached_property

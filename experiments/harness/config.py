@@ -160,7 +160,7 @@ def load_config(
 ) -> Model:
     """Configuration from its layers; a later layer wins, and only the keys that it names.
 
-    Values that the layers imply (`ExperimentConfig.implied`) stands below all that the user says.
+    Values that the layers imply (`ExperimentConfig.implied`) yield to all that the user sets.
     """
     base = model_class().model_dump()
     for key, value in (quick or {}).items():

@@ -98,7 +98,7 @@ class Experiment:
         return Path(sys.modules[self.config.__module__].__file__ or ".").parent / self.report
 
     def parts(self, result: Any) -> Mapping[str, Section]:
-        """Its sections."""
+        """Sections of the experiment."""
         found: Any = self.part(self.sections) if isinstance(self.sections, str) else self.sections
         sections: Mapping[str, Section] = found if isinstance(found, Mapping) else found(result)
         return sections

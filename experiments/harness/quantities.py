@@ -306,11 +306,11 @@ class Outcome:
         return Quantity.of(self.data, name).at(**{dim: self._position(name, dim, key) for dim, key in at.items()})
 
     def values(self, name: str, **at: Any) -> NDArray[Any]:
-        """Its values."""
+        """Values of the quantity."""
         return self.quantity(name, **at).values
 
     def errors(self, name: str, **at: Any) -> NDArray[np.float64]:
-        """Its uncertainties; NaN where it has none."""
+        """Uncertainties of the quantity; NaN where it has none."""
         one = self.quantity(name, **at)
         return np.full(one.values.shape, np.nan) if one.error is None else one.error
 

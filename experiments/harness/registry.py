@@ -72,7 +72,7 @@ class Commands(click.Group):
         return found() | {name: line for name, (_, line) in self._others.items()}
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Their names."""
+        """Names of the commands."""
         del ctx
         return list(self._lines())
 

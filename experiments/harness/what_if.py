@@ -39,7 +39,7 @@ MISSED, NOW = "#d55e00", "#8a9099"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Requirement:
-    """A number against what is required of it."""
+    """A number against its requirement."""
 
     label: str = col("Requirement", json="")
     key: str = col("Key", json="")

@@ -73,7 +73,7 @@ class HousingConfig(StrictModel):
     poisson_ratio: float = Field(default=0.25, ge=0, le=0.5, description="Poisson's ratio of the glasses")
 
     def __hash__(self) -> int:
-        """Of its text: tables are not hashable."""
+        """Hash of its text: tables are not hashable."""
         return hash(self.model_dump_json())
 
     @field_validator("material", "spacers")

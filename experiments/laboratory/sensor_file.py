@@ -49,14 +49,14 @@ class ManufactureConfig(StrictModel):
 
 
 class TimingConfig(StrictModel):
-    """From the end of an exposure to the attitude."""
+    """Times from the end of an exposure to the attitude."""
 
     readout_s: float = Field(default=0.0, ge=0, le=1000, description="read-out of a frame")
     processing_s: float = Field(default=0.0, ge=0, le=1000, description="processing of a frame to its attitude")
     overlapped: bool = Field(default=True, description="exposure, read-out and processing of successive frames overlap")
 
     def period_s(self, exposure_s: float) -> float:
-        """From one frame to the next."""
+        """Time from one frame to the next [s]."""
         steps = exposure_s, self.readout_s, self.processing_s
         return max(steps) if self.overlapped else sum(steps)
 

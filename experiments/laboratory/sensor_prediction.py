@@ -128,7 +128,7 @@ class StarErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeForecast:
-    """Over f attitudes of the sky."""
+    """Predicted attitude errors over f attitudes of the sky."""
 
     found: FloatArray  # (f,) Expected number of stars that are found
     found_variance: FloatArray  # (f,) Variance of that number by noise

@@ -50,7 +50,7 @@ class IdealLensConfig(StrictModel):
 
     @property
     def label(self) -> str:
-        """What reports call it."""
+        """Name of the lens in reports."""
         return f"ideal lens {self.focal_length_mm:g} mm F/{self.f_number:g}"
 
 

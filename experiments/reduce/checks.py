@@ -167,7 +167,7 @@ def check_frames(folder: FrameFolder, reduced: Sequence[SeriesFrames], method: s
 
 
 def _farthest(found: Iterable[Any]) -> Any:
-    """What exceeds its limit most, or comes nearest to it."""
+    """The value that exceeds its limit most, or comes nearest to it."""
     there = [one for one in found if one is not None]
     return max(there, key=lambda one: abs(one.value) / one.limit, default=None)
 

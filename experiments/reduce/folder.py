@@ -66,7 +66,7 @@ class FrameSeries:
 
     @property
     def name(self) -> str:
-        """For messages and tables."""
+        """Name of the series in messages and tables."""
         return self.settings.name
 
 

@@ -136,7 +136,7 @@ class Fit:
 
 
 def fit_record(poses: PoseCalibration, folder: FrameFolder) -> Fit:
-    """How well the calibration fits."""
+    """Residuals of the calibration."""
     misfit = poses.calibration.solution.misfit
     degrees = max(misfit.degrees_of_freedom, 1)
     return Fit(

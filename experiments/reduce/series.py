@@ -51,7 +51,7 @@ class SeriesFrames:
 
     @property
     def name(self) -> str:
-        """For messages and tables."""
+        """Name of the series in messages and tables."""
         return self.settings.name
 
     @property

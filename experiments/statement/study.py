@@ -76,7 +76,7 @@ class _Numbers:
         return float(self.outcome.values(name))
 
     def pair(self, name: str) -> tuple[float, float]:
-        """Across and about the boresight."""
+        """A number across and about the boresight."""
         return self(f"attitude_cross{name}_arcsec"), self(f"attitude_roll{name}_arcsec")
 
 
@@ -344,7 +344,7 @@ def _number(value: Any) -> float:
 
 
 def _of(value: Any) -> list[float]:
-    """Across and about the boresight."""
+    """Numbers across and about the boresight."""
     parts = value.values() if isinstance(value, dict) and "value" not in value else value
     return [_number(one) for one in parts] if isinstance(parts, list) or hasattr(parts, "__iter__") else []
 

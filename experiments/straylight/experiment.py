@@ -407,7 +407,7 @@ def _setup(config: Config, instrument: Instrument, stray: Stray, scale: float) -
 
 
 def _walls_error_percent(pst: PointSourceTransmittance) -> float:
-    """Where walls and vanes give light that matters; 0 without them."""
+    """Relative error of the light by walls and vanes [%], where it matters; 0 without them."""
     if "walls" not in pst.causes:
         return 0.0
     value, error = (one[pst.causes.index("walls")] for one in (pst.value, pst.error))

@@ -190,7 +190,7 @@ class Stray:
 
     @cached_property
     def baffle(self) -> VanedBaffle | Mesh | None:
-        """The baffle."""
+        """The baffle in the scene."""
         return None if self.scene is None else (self.scene.baffle or self.scene.mesh)
 
 

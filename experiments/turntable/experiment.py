@@ -92,7 +92,7 @@ ADVICE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """One table."""
+    """Calibration of one table."""
 
     measurement: Measurement  # The rendered run
     # ``estimated``: non-orthogonality an unknown; ``ignored``: table taken as square; ``known``: taken as it is

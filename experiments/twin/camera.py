@@ -68,7 +68,7 @@ class Order:
 
     @property
     def mean(self) -> float:
-        """Over the frames."""
+        """Mean chi-square over the frames."""
         return float(np.nanmean(self.chi2))
 
 
@@ -195,7 +195,7 @@ def refracted(direction: FloatArray, zenith: FloatArray, arcsec: float) -> Float
 
 
 def airmass(direction: FloatArray, zenith: FloatArray) -> FloatArray:
-    """Of directions (n, 3): Kasten and Young, Applied Optics 28, 4735 (1989)."""
+    """Air mass of directions (n, 3): Kasten and Young, Applied Optics 28, 4735 (1989)."""
     altitude = np.degrees(np.arcsin(np.clip(direction @ zenith, 0.0, 1.0)))
     return np.asarray(1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364))
 

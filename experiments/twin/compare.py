@@ -137,7 +137,7 @@ def _pairs(seen: Detections, field: FieldStars) -> tuple[FloatArray, IntArray]:
 
 
 def _trail(place_px: FloatArray) -> NDArray[np.bool_]:
-    """Which places (n,) lie along one line with at least `TRAIL_LEAST` of them."""
+    """Mask of the places (n,) on one line with at least `TRAIL_LEAST` places."""
     out = np.zeros(len(place_px), bool)
     if not TRAIL_LEAST <= len(place_px) <= 400:
         return out
@@ -304,7 +304,7 @@ def _across(frames: Sequence[FrameStats]) -> float:
 
 
 def _tail(blocks: Sequence[Blocks]) -> float:
-    """Of the pixels that were not clipped."""
+    """Share of unclipped pixels beyond `TAIL_SIGMA` [%]."""
     share = []
     for one in blocks:
         left = one.left_dn[np.isfinite(one.left_dn)]

@@ -49,7 +49,7 @@ class Bias:
     light_mag: FloatArray  # (frames,) How much brighter stars are in the filter of the detection, real over rendered
 
     def off(self, fit: CameraFit, frame: int | None = None) -> CameraFit:
-        """A camera without it, for a frame or all of them."""
+        """Camera without this difference, for one frame or all."""
         shape = fit.psf.value.copy()
         at = slice(None) if frame is None else slice(frame, frame + 1)
         shape[3:5] += self.width_ln[at].mean()  # of the middle part, x and y

@@ -59,7 +59,7 @@ class Photometry:
         return self.vignetting_mag[0] * u2 + self.vignetting_mag[1] * u2 * u2
 
     def loss_error_at(self, u2: float) -> float:
-        """Its standard deviation."""
+        """Standard deviation of the loss [mag]."""
         by = np.array([u2, u2 * u2])
         return float(np.sqrt(by @ self.vignetting_covariance @ by))
 

@@ -56,7 +56,7 @@ class StarSample:
         return len(self.dn)
 
     def select(self, rows: NDArray[np.bool_]) -> StarSample:
-        """Some of them."""
+        """Sample of some of the stars."""
         return StarSample(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
 
 

@@ -304,7 +304,7 @@ class Detected:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Feature:
-    """How far real and rendered star windows differ in it."""
+    """Difference of real and rendered star windows in a feature."""
 
     name: str = col("Feature", shown=False)
     effect: float = col("Rendered minus real", "sigma", ".3f")

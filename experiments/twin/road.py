@@ -153,7 +153,7 @@ def reduce_night(
 
 
 def _again(solved: list[Solved], solver: Solver) -> list[Solved]:
-    """Frames that came before the scale was known get a second chance with it."""
+    """Solve frames again that came before the scale was known."""
     if solver.focal_px is None:
         return solved
     out = []

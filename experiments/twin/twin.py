@@ -62,7 +62,7 @@ CHIP_C = 0.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Assumed:
-    """What frames of stars cannot tell, and what stands for it."""
+    """Properties that frames of stars do not determine, and their assumed values."""
 
     pixel_pitch_mm: float
     exposure_s: float

@@ -118,7 +118,7 @@ class Draft:
 
 
 def number(words: list[str], at: int, default: float | None = None, *, what: str = "a number") -> float:
-    """A number among the words of a command; Fortran exponents and INFINITY as design programs write them."""
+    """A number of a command; Fortran exponents and INFINITY are read as design programs write them."""
     if at >= len(words):
         if default is None:
             raise ValueError(f"{what} is missing")

@@ -89,7 +89,7 @@ class ImportReport:
 
     @property
     def count(self) -> dict[Status, int]:
-        """How many commands were taken, approximated, ignored."""
+        """Number of commands taken, approximated and ignored."""
         found = Counter(line.status for line in self.lines)
         return {status: found[status] for status in Status}
 

@@ -44,7 +44,7 @@ class SurfaceData:
     special: str = ""
 
     def set_base(self, value: float, radii: bool, unit: float) -> None:
-        """Radius or curvature, as the file gives it."""
+        """Set radius or curvature, whichever the file gives."""
         if radii:
             self.curvature = 0.0 if value == 0.0 or math.isinf(value) else 1.0 / (unit * value)
         else:

@@ -60,7 +60,7 @@ class AgfCatalogue:
         return found
 
     def glass(self, name: str) -> Glass:
-        """One glass."""
+        """The glass of a name."""
         record = self._records.get(name.upper())
         if record is None:
             raise unknown_name(f"glass of catalogue {self.name}", name, self.names)

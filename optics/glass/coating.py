@@ -44,12 +44,12 @@ class Split:
 
     @property
     def reflectance(self) -> FloatArray:
-        """Of unpolarised light."""
+        """Reflectance for unpolarised light."""
         return 0.5 * (self.reflectance_s + self.reflectance_p)
 
     @property
     def transmittance(self) -> FloatArray:
-        """Of unpolarised light."""
+        """Transmittance for unpolarised light."""
         return 0.5 * (self.transmittance_s + self.transmittance_p)
 
 

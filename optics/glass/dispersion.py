@@ -117,7 +117,7 @@ class Dispersion:
 
     @property
     def form(self) -> Form:
-        """Structure."""
+        """Structure of the formula, without its numbers."""
         return FORMULAS[self.formula](self.coefficients)[0]
 
     @property

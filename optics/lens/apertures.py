@@ -145,7 +145,7 @@ class Rectangle(Aperture):
         return (u * u <= p[0]) & (v * v <= p[1])
 
     def own_outlines(self) -> list[FloatArray]:
-        """The rectangle."""
+        """Outline of the rectangle."""
         corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
         return [corners * self.half_width_mm]
 
@@ -183,7 +183,7 @@ class Polygon(Aperture):
         return reduce(xor, crossed)
 
     def own_outlines(self) -> list[FloatArray]:
-        """The polygon."""
+        """Outline of the polygon."""
         return [np.array([*self.points_mm, self.points_mm[0]], float)]
 
     def flipped(self) -> Self:

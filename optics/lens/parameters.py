@@ -29,7 +29,7 @@ LENS_PARAMETERS = {
 
 
 def _has(lens: LensSystem, name: str) -> list[bool]:
-    """Which surfaces have a field."""
+    """Mask of the surfaces that have a field."""
     return [hasattr(surface.shape, name) for surface in lens.surfaces]
 
 
@@ -85,7 +85,7 @@ Change = Callable[[LensSystem, tuple[int, ...], FloatArray, FloatArray], LensSys
 
 
 def _shape(lens: LensSystem, surface: int, name: str, value: object) -> LensSystem:
-    """With another number in the shape of a surface."""
+    """The lens with one number of a surface's shape replaced."""
     one = lens.surfaces[surface]
     if not hasattr(one.shape, name):
         number = "curvature" if name == "radius_mm" else name

@@ -202,7 +202,7 @@ class _Field:
                 raise unknown_name("element or spacer", name, tuple(n for n in names if n))
 
     def kelvin(self, z_mm: float) -> float:
-        """On the axis."""
+        """Temperature on the axis at a place [K]."""
         return self.state.mean_k + self.state.axial_k * ((z_mm - self.front) / self.length - 0.5)
 
     def _bodies(self) -> list[_Body]:

@@ -80,7 +80,7 @@ class BeamOutlines:
 
 
 class _Apertures:
-    """How near rays come to the rims of a lens."""
+    """Distance of rays from the rims of a lens."""
 
     def __init__(self, lens: LensSystem) -> None:
         self.lens = lens

@@ -173,7 +173,7 @@ def ghost_pairs(lens: LensSystem) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True)
 class _Meeting:
-    """One surface as a path meets it."""
+    """Passage of a path through one surface."""
 
     surface: int
     turns: bool  # Whether the path is the reflected light of a surface that lets light pass

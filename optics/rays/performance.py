@@ -62,7 +62,7 @@ class FocusCurve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensPerformance:
-    """Over f fields and w wavelengths."""
+    """Image quality of a lens over f fields and w wavelengths."""
 
     field_deg: FloatArray  # (f,) Field angles, the first 0
     wavelength_nm: FloatArray  # (w,) Wavelengths and the share of the light each stands for

@@ -113,7 +113,7 @@ class ImagingRays:
 
     @property
     def irradiance(self) -> FloatArray:
-        """On the detector (p,) in front of a sky of unit radiance."""
+        """Irradiance on the detector (p,) under a sky of unit radiance."""
         return np.asarray((self.throughput * self.transmission).sum(axis=1))
 
 

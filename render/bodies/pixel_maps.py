@@ -54,7 +54,7 @@ class Tile:
 
     @property
     def centre_px(self) -> FloatArray:
-        """Its middle (2,)."""
+        """Centre of the tile (2,)."""
         return 0.5 * np.array([self.first_column + self.end_column - 1, self.first_row + self.end_row - 1], float)
 
     def meets(self, columns: slice, rows: slice) -> bool:
@@ -63,7 +63,7 @@ class Tile:
         return across and self.first_row < rows.stop and self.end_row > rows.start
 
     def quarters(self) -> tuple[Tile, ...]:
-        """Its four parts."""
+        """The four quarters of the tile."""
         c, r = (self.first_column + self.end_column) // 2, (self.first_row + self.end_row) // 2
         columns = ((self.first_column, c), (c, self.end_column))
         rows = ((self.first_row, r), (r, self.end_row))

@@ -194,7 +194,7 @@ class _Kernel:
         return dr.opaque(self.F, float(value))
 
     def vector(self, values: FloatArray) -> list[Any]:
-        """Several."""
+        """Several numbers."""
         return [self.number(v) for v in np.ravel(values)]
 
     def __call__(
@@ -254,7 +254,7 @@ class _Kernel:
         return values
 
     def _look(self) -> Any:
-        """From time and row to nine numbers of icrs from cam."""
+        """Rotation icrs from cam, as nine numbers, at a time and row."""
         F, last = self.F, len(self.exposed.attitudes) - 1
         if last == 0:
             still = _transposed(*(dr.gather(F, component, self.U(0)) for component in self.attitude))

@@ -147,7 +147,7 @@ def _light_years(velocity: FloatArray, parallax: FloatArray) -> FloatArray:
 
 
 def _moved(catalog: StarCatalog, years: FloatArray | float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where stars are seen after years of observation.
+    """Directions of stars after years of observation.
 
     Returns place (n, 3) and velocity (n, 3) over the distance at the epoch, the velocity per year in the frame of the
     barycentre, and parallax (n,).

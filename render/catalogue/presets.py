@@ -45,7 +45,7 @@ _USUAL_UNITS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnPreset:
-    """How to read a catalogue."""
+    """Columns and units of a catalogue."""
 
     # name, source, attribution: What it is and whom to name
     name: str

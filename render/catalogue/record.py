@@ -68,7 +68,7 @@ class StarCatalog:
     magnitude_system : {"V", "G"}
         What ``magnitude`` is measured in (`optics.light.photometry.magnitude_system`).
     id : (n,) int64
-        Number in the source, in the catalogue that ``source`` names.
+        Number in the catalogue that ``source`` names.
     direction : (n, 3)
         Unit vectors in icrs from the barycentre of the solar system.
     proper_motion_rad_per_year : (n, 2)

@@ -54,7 +54,7 @@ class PixelMaps(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """Where one chip ends and the next begins."""
+    """Borders between chips."""
 
     chip_width_px: int
     gap_px: int

@@ -58,7 +58,7 @@ class PixelNoise:
 
     @classmethod
     def of(cls, detector: Detector, *, temperature_c: float, exposure_s: float) -> Self:
-        """Of a detector under its conditions.
+        """Noise of a detector under its conditions.
 
         Notes
         -----

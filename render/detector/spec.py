@@ -229,7 +229,7 @@ class Detector:
 
     @property
     def height_px(self) -> int:
-        """Rows."""
+        """Number of rows."""
         return self.chip_height_px
 
     @property

@@ -39,7 +39,7 @@ REACH, SMOOTH = 4.0, 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GhostLight:
-    """Which ghosts are rendered."""
+    """Ghosts to be rendered."""
 
     least_e: float  # Electrons in the brightest pixel of a ghost below which it is left out
     detector_reflectance: float = 0.2  # Light that the detector reflects like a mirror; silicon 0.1 to 0.3

@@ -29,7 +29,7 @@ class PsfGrid:
     place_px: FloatArray  # (n, 2) Where they stand
 
     def nearest(self, x_px: FloatArray, y_px: FloatArray) -> NDArray[np.int64]:
-        """Which PSF is the nearest to places (n,)."""
+        """Number of the PSF nearest to places (n,)."""
         at = np.stack([x_px, y_px], axis=-1)
         return np.asarray(((at[:, None] - self.place_px) ** 2).sum(-1).argmin(1))
 

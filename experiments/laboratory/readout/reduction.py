@@ -34,7 +34,7 @@ a cell is then known to some 3 %, which at 5 sigma makes a third more false alar
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reduction:
-    """How frames are measured."""
+    """Settings of a reduction: dark frame, noise model, centroider, detection limit."""
 
     dark_dn: NDArray[np.float32]  # (h, w) Mean of frames without light
     noise: NoiseModel  # Of a frame minus that mean

@@ -43,7 +43,7 @@ class Bench:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Visits:
-    """Places that the star's image visits, n of them."""
+    """n places that the star's image visits."""
 
     wanted_px: FloatArray  # (n, 2) Where the image was to be
     true_rad: FloatArray  # (n, k) Angles of the table as they are and as they are read, mean of all readings

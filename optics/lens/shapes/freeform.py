@@ -88,7 +88,7 @@ class PolynomialFreeform(Freeform, Curved):
 
     @property
     def rim_mm(self) -> float:
-        """Where the conic ends [mm]."""
+        """Radius at which the conic ends [mm]."""
         return conic_rim_mm(self.radius_mm, self.conic)
 
     @property

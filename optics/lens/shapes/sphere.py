@@ -30,7 +30,7 @@ class Sphere(Curved):
 
     @property
     def rim_mm(self) -> float:
-        """Its radius [mm]."""
+        """Radius of the sphere [mm]."""
         return abs(self.radius_mm)
 
     def parameters(self) -> tuple[float, ...]:

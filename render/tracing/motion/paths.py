@@ -82,7 +82,7 @@ def star_paths(
     chief_row_px: FloatArray | None = None,
     scale: NDArray[np.complex128] | None = None,
 ) -> StarPaths:
-    """Where stars are seen during an exposure."""
+    """Apparent directions of stars during an exposure."""
     # direction (n, 3), chief_row_px (n,), scale (n,)
     n, t = len(direction), len(motion.weight)
     ideal = IdealLens.of(camera)

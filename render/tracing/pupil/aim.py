@@ -267,7 +267,7 @@ class Beams:
         return self._rims(*self._solve(lens.front, (lens.stop,)), others, largest=True)
 
     def rims(self) -> Rims:
-        """Outlines as all apertures make them."""
+        """Outlines of beams cut by all apertures."""
         numbers = tuple(number for number, _ in self.lens.limits)
         return self._rims(*self._solve(self.lens.full, numbers), numbers)
 

@@ -42,7 +42,7 @@ class PupilPoints(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TablePoints:
-    """Given points."""
+    """Pupil points from a table."""
 
     points: FloatArray  # (k, p, 2) Unit-disk points of every wavelength node
     weight: FloatArray  # (p,) Weights, sum 1

@@ -77,7 +77,7 @@ class Trial:
 
     @classmethod
     def of(cls, stamps: StampSums, size_px: int) -> Trial:
-        """From cells of half a pixel: pixels at every half pixel."""
+        """Trial from cells of half a pixel: pixels at every half pixel."""
         rows = stamps.pixels[..., :-1, :] + stamps.pixels[..., 1:, :]
         pixels = rows[..., :-1] + rows[..., 1:]
         light = stamps.moments[..., ARRIVED]

@@ -46,7 +46,7 @@ class Window:
 
     @property
     def kernel(self) -> BandLimited:
-        """Of a pixel."""
+        """Kernel of a pixel."""
         return self.field.pixel(1.0, self.sigma_px)
 
     @property
@@ -60,7 +60,7 @@ class Window:
         return self.samples + (self.mean_px - self.corner_px - 0.5 * self.size)[:, None]
 
     def ends(self) -> tuple[FloatArray, FloatArray]:
-        """Which samples, and which pixels, belong to the disk that is rendered."""
+        """Masks of the samples and of the pixels within the rendered disk."""
         (column, row), pixels = self.places, np.arange(0.5, self.size) - 0.5 * self.size
         if self.moving:
             return np.asarray(np.hypot(column, row[:, None]) <= 0.5 * self.size, np.float64), np.ones((1, 1))

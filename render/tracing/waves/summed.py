@@ -239,7 +239,7 @@ class SummedImages:
         return int(radius), self.sampling(highest)
 
     def sampling(self, highest: float) -> FieldSampling:
-        """How light of so high a frequency [cycles/px] is sampled."""
+        """Sampling of light with this highest frequency [cycles/px]."""
         return FieldSampling.of(highest, self.camera.blur_px)
 
     def _batches(self, stars: IntArray, order: tuple[int, int]) -> Iterator[IntArray]:

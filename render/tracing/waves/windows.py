@@ -111,7 +111,7 @@ def _spline(kernel: BandLimited) -> CubicSpline:
 
 @dataclass(frozen=True, slots=True)
 class FieldSampling:
-    """How the fields of a camera's stars are sampled."""
+    """Sampling of the fields of a camera's stars."""
 
     highest: float  # Highest frequency of the intensity [cycles/px]
     kept: float = math.inf  # Highest that is looked for; coarse pixels see little of the intensity's
