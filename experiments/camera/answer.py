@@ -19,7 +19,7 @@ from experiments.harness.what_if import Requirement
 from experiments.laboratory.error_metrics import mixture_bound
 from experiments.laboratory.instrument import stated_lens
 from experiments.laboratory.requirements import AT_LEAST
-from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy, optics, predict_camera, sky
+from experiments.laboratory.sensor_prediction import CameraPrediction, predict_camera
 from optics.arrays import FloatArray
 from optics.errors import DomainError, StarbenchError
 
@@ -207,7 +207,7 @@ def answer_lines(
     prediction: CameraPrediction, requirements: Sequence[Requirement], found: Sequence[Swing]
 ) -> list[str]:
     """The answer in ten lines of at most 80 characters, but for names."""
-    lens, star, seen = optics(prediction), accuracy(prediction), sky(prediction)
+    lens, star, seen = prediction.records
     state, config, forecast = prediction.state, prediction.config, prediction.attitude
     system, quoted = state.light.magnitude_system, config.star.magnitude_mag
     across = np.sqrt((forecast.total_arcsec[:, :2] ** 2).mean(axis=1))

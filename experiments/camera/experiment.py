@@ -22,16 +22,7 @@ from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.what_if import REQUIREMENTS, Requirement, judge, missed_words
 from experiments.laboratory.optical_state import OpticalState
-from experiments.laboratory.sensor_prediction import (
-    Accuracy,
-    CameraPrediction,
-    Optics,
-    Sky,
-    accuracy,
-    optics,
-    predict_camera,
-    sky,
-)
+from experiments.laboratory.sensor_prediction import Accuracy, CameraPrediction, Optics, Sky, predict_camera
 from optics.arrays import FloatArray
 from optics.figures import draw_lens
 from optics.rays.spots import trace_spots
@@ -279,13 +270,12 @@ def predict(config: Config, *, progress: Progress) -> dict[str, Any]:
 
 def predicted(prediction: CameraPrediction, *more: Any) -> dict[str, Any]:
     """Sections that a prediction fills; ``more`` records have further numbers that are required."""
-    numbers = optics(prediction), accuracy(prediction), sky(prediction)
     covered = coverage(prediction)
-    requirements = judge(limits(prediction.config), numbers_of(*numbers, covered, *more))
+    requirements = judge(limits(prediction.config), numbers_of(*prediction.records, covered, *more))
     return {
         "setup": setup(prediction, requirements),
         "requirements": requirements,
-        **dict(zip(("optics", "accuracy", "sky"), numbers, strict=True)),
+        **dict(zip(("optics", "accuracy", "sky"), prediction.records, strict=True)),
         "fields": fields(prediction),
         "magnitudes": magnitudes(prediction),
         "attitudes": attitudes(prediction),

@@ -22,16 +22,7 @@ from experiments.harness.system import shared
 from experiments.harness.what_if import Requirement, crossing, judge
 from experiments.laboratory.ageing import aged_config, aged_detector, light_left
 from experiments.laboratory.optical_state import longest_trail_px, optical_state
-from experiments.laboratory.sensor_prediction import (
-    Accuracy,
-    CameraPrediction,
-    Optics,
-    Sky,
-    accuracy,
-    optics,
-    predict_camera,
-    sky,
-)
+from experiments.laboratory.sensor_prediction import Accuracy, CameraPrediction, Optics, Sky, predict_camera
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError
 
@@ -63,10 +54,9 @@ def _judged(found: Numbers, limits: Limits) -> list[Requirement]:
 def _predicted(config: Config) -> Numbers | None:
     """None where nothing can be predicted, such as a star that leaves its window."""
     try:
-        prediction = predict_camera(config)
+        return predict_camera(config).records
     except StarbenchError:
         return None
-    return optics(prediction), accuracy(prediction), sky(prediction)
 
 
 def moving(config: Config, part: float = 1.0) -> Config:

@@ -17,7 +17,7 @@ from experiments.harness.system import aside
 from experiments.harness.what_if import judge
 from experiments.laboratory.checks import focus_remark
 from experiments.laboratory.optical_state import longest_trail_px
-from experiments.laboratory.sensor_prediction import CameraPrediction, accuracy, optics, predict_camera, sky
+from experiments.laboratory.sensor_prediction import CameraPrediction, predict_camera
 
 MADE = ("lsfe_before_arcsec", "lsfe_after_arcsec")
 """Requirements on manufactured lenses."""
@@ -32,7 +32,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     for remark in _remarks(prediction):
         progress.note(remark)
     required, motion = limits(config), None
-    numbers: list[Any] = [optics(prediction), accuracy(prediction), sky(prediction), coverage(prediction)]
+    numbers: list[Any] = [*prediction.records, coverage(prediction)]
     warm = required.keys() & ThermalRange.__dataclass_fields__.keys()
     late = warm | (required.keys() & {RATE})
 

@@ -154,9 +154,14 @@ class CameraPrediction:
     limits_mag: Mapping[float, float]  # Fraction of stars detected -> magnitude
 
     @cached_property
+    def records(self) -> tuple[Optics, Accuracy, Sky]:
+        """Single numbers."""
+        return optics(self), accuracy(self), sky(self)
+
+    @cached_property
     def numbers(self) -> Mapping[str, float]:
-        """Single numbers by name, the same names for every sensor (`Optics`, `Accuracy`, `Sky`)."""
-        return {name: value for one in (optics(self), accuracy(self), sky(self)) for name, value in asdict(one).items()}
+        """Single numbers by name, the same names for every sensor (`records`)."""
+        return {name: value for one in self.records for name, value in asdict(one).items()}
 
     def value(self, name: str) -> float:
         """A number by name."""
