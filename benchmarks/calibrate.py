@@ -1,4 +1,4 @@
-"""Camera calibration from identified stars: map error and time of ours, tetra3rs, OpenCV and SciPy.
+"""Camera calibration from identified stars: map error and time of starbench, tetra3rs, OpenCV and SciPy.
 
     python benchmarks/calibrate.py [--fov 22.6 12] [--frames 30] [--stars 34] [--sigma 0.05] [--trials 100] [--seed 1]
 

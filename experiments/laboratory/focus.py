@@ -1,4 +1,4 @@
-"""Check of the focus of a lens. Light to import."""
+"""Check of the focus of a lens; imports nothing slow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What own frames say about themselves: gain, motion, noise, order, copies, the ends of the converter.
+"""Checks of own frames from their own pixels: gain, motion, noise, order, duplicates, range of the converter.
 
 Every number has its own statistic, and none needs more than the frames:
 

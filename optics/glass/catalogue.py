@@ -1,4 +1,4 @@
-r"""Optical glass: one record, a catalogue of published coefficients, and what they say about index and absorption.
+r"""Optical glass: one record, a catalogue of published coefficients, and index and absorption computed from them.
 
 Catalogue indices follow Sellmeier's formula and are relative to air at the reference temperature :math:`T_0` of the
 maker (20 C; OHARA 25 C) and 1013.25 hPa:
