@@ -72,11 +72,10 @@ class PointScene:
         expected = self.target.image(direction)
         truth = expected.truth
         assert truth is not None
-        nominal = nominal_px(self.instrument, direction)
-        found, corner = PointReadout(self.bench, self.instrument, streams, place).corners(expected, nominal)
+        found, corner = PointReadout(self.bench, self.instrument, streams, place).corners(expected, direction)
         return PointLight(
             direction=direction,
-            nominal_px=nominal,
+            nominal_px=nominal_px(self.instrument, direction),
             bundle_px=np.column_stack([truth.bundle_x_px[:, 0], truth.bundle_y_px[:, 0]]),
             photon_px=np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]]),
             found_px=found,

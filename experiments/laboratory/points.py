@@ -58,13 +58,13 @@ class PointReadout:
     # Methods for which the effect of fixed patterns is predicted; none given: the first of the bench
     patterns: Sequence[str] = ()
 
-    def corners(self, expected: ExpectedImage, nominal: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    def corners(self, expected: ExpectedImage, direction: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
         """Detected places (j, 2) of the points behind the reference filter, and first pixels of windows around them."""
         bench, camera, set_up = self.bench, self.instrument.camera, self.instrument.config
         found = find_points(
             WindowReader(self.instrument, self.streams.child("search")),
             expected.electrons[:, :, bench.reference],
-            nominal,
+            camera.chief_px(*(direction[:, :2] / direction[:, 2:]).T),
             label=expected.band[bench.reference],
             where=f"{self.place} position",
             unseen=f"raise signal_e ({bench.signal_e:g} e-), come nearer to focus (instrument.defocus_mm = "
@@ -82,7 +82,7 @@ class PointReadout:
         truth = expected.truth
         assert truth is not None
         nominal = nominal_px(self.instrument, direction)
-        _, corner = self.corners(expected, nominal)
+        _, corner = self.corners(expected, direction)
         light = np.moveaxis(cut_windows(expected.electrons, corner, bench.window_px), -1, 0)
         reader = WindowReader(self.instrument, self.streams)
         dark_e = reader.dark(corner, bench.window_px, frames=bench.dark_frames)
