@@ -92,7 +92,7 @@ def temperatures(config: Config) -> tuple[Temperatures | None, ThermalRange]:
     )
 
 
-# --- What to change first
+# --- Most effective design change
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

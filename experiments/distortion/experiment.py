@@ -316,8 +316,8 @@ SECTIONS = {
         json=dict.fromkeys(Numbers.__dataclass_fields__, ""),
         table="distortion",
         caption="ACC18's three numbers (3 σ), first centroider.",
-        note=f"How surveyed places become pixels: {COORDINATES}. *All surveys*: RMS over independent surveys of the "
-        "same target, same frames.",
+        note=f"Conversion of surveyed places to pixels: {COORDINATES}. *All surveys*: RMS over independent surveys of "
+        "the same target, same frames.",
     ),
     "centroiders": Section(
         record=Numbers,
