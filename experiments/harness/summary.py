@@ -58,7 +58,7 @@ class Criterion:
 
     @property
     def passed(self) -> bool | None:
-        """Whether it holds; a value that is NaN does not. None: it lies within a limit too wide to notice 25 %."""
+        """Whether it holds; NaN does not. None: within a limit that would not reveal an error of 25 %."""
         distance = self.value if self.about is None else abs(self.value - self.about)
         if not _RELATIONS[self.relation](distance, self.limit):
             return False
@@ -119,10 +119,10 @@ def verdict_line(criteria: Sequence[Criterion], judged: str = "simulation") -> s
         return "No criteria were set."
     failed, too_small = (sum(one.passed is state for one in criteria) for state in (False, None))
     count = len(criteria) - too_small
-    small = f"too small a sample to notice {100 * NOTICED_PART:.0f} %"
+    small = f"the sample is too small to reveal an error of {100 * NOTICED_PART:.0f} %"
     if count == 0:
         return f"The {judged} is not judged: {small}."
-    left = f"; {too_small} not judged, {small}" if too_small else ""
+    left = f"; {too_small} not judged: {small}" if too_small else ""
     if count == 1:
         holds = "does not hold" if failed else "holds"
         return f"The {judged} is {'not ' if failed else ''}consistent: the criterion {holds}{left}."

@@ -89,9 +89,10 @@ def test_verdict_line(passed, line):
 
 def test_what_could_not_notice_a_quarter_counts_neither_way():
     small, good = Criterion(name="c", value=1.1, about=1.0, limit=0.6, notices=0.6), criterion(True)
-    assert verdict_line([small]) == "The simulation is not judged: too small a sample to notice 25 %."
+    assert verdict_line([small]) == "The simulation is not judged: the sample is too small to reveal an error of 25 %."
     assert verdict_line([good, good, small]) == (
-        "The simulation is consistent: all 2 criteria hold; 1 not judged, too small a sample to notice 25 %."
+        "The simulation is consistent: all 2 criteria hold; 1 not judged: the sample is too small to reveal an error "
+        "of 25 %."
     )
     assert replace(small, value=1.7).failed
 
