@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from importlib import import_module
 from typing import Any
 
 from experiments.camera.answer import Swing, ThermalRange, answer_lines, limits, parameters, swings, temperatures
@@ -13,7 +12,7 @@ from experiments.camera.operation import RATE, in_motion, life_line, over_life
 from experiments.camera.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import numbers_of
-from experiments.harness.system import aside
+from experiments.harness.system import aside, prompt_import
 from experiments.harness.what_if import judge
 from experiments.laboratory.checks import focus_remark
 from experiments.laboratory.optical_state import longest_trail_px
@@ -66,7 +65,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
             with progress.stage("lost in space", total=config.lost.attitudes) as stage:
                 lost = lost_in_space(prediction, advance=stage.advance)
         for name in SLOW:
-            import_module(name)
+            prompt_import(name)
         if not warm:
             with progress.stage("temperature"):
                 temperature, thermal = over_temperature()

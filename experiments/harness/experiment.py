@@ -21,11 +21,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.harness.config import ExperimentConfig
+from experiments.harness.system import prompt_import
 from optics.errors import unknown_name
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class Experiment:
         if callable(part):
             return part
         module, _, name = part.partition(":")
-        found: Callable[..., Any] = getattr(import_module(f"{self.package}.{module}"), name)
+        found: Callable[..., Any] = getattr(prompt_import(f"{self.package}.{module}"), name)
         return found
 
     def outcome(self, config: ExperimentConfig, result: Any) -> Outcome:
