@@ -41,7 +41,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     first = 8 if late else 9  # what needs no further prediction
     progress.answer("\n".join(lines([])[:first]))
     found: list[Swing] = []
-    with aside(partial(temperatures, config), niceness=10) as over_temperature:
+    with aside(partial(temperatures, config), niceness=3) as over_temperature:
         if config.tornado.parameters:
             keys = parameters(config, prediction)
             with progress.stage("what to change", total=1 + 2 * len(keys)) as stage:
