@@ -139,7 +139,7 @@ def lens_wcs(camera: Camera, *, wavelength_nm: float | None = None, tolerance_px
             f"tolerance_px = {tolerance_px:g} px; it must be above 0, at most {_LARGEST_RESIDUAL_PX:g} px"
         )
     wavelength = camera.lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
-    centre = camera.chief_px(*np.zeros((2, 1)), wavelength)[0]
+    centre = camera.chief_px(np.zeros(1), np.zeros(1), wavelength)[0]
     nodes = np.cos(np.pi * (np.arange(_FIT_NODES) + 0.5) / _FIT_NODES)
     plane, pixel = _rays_at(camera, nodes / nodes[0], wavelength)
     check_plane, check_pixel = _rays_at(camera, np.linspace(-1.0, 1.0, _CHECK_NODES), wavelength)
@@ -196,7 +196,7 @@ def _rays_at(camera: Camera, nodes: FloatArray, wavelength_nm: float) -> tuple[F
     scale = camera.pixel_pitch_mm / abs(axial_paraxial(camera.lens, camera.lens.design_wavelength_nm).efl_mm)
     plane = (wanted - camera.centre_px) * scale
     for _ in range(_AIM_STEPS):  # as far as distortion is small against the image this converges; a node may lie off
-        pixel = camera.chief_px(*plane.T, wavelength_nm)
+        pixel = camera.chief_px(plane[:, 0], plane[:, 1], wavelength_nm)
         short = wanted - pixel
         if np.abs(short).max() < _AIM_PX:
             return plane, pixel
