@@ -302,7 +302,7 @@ def hold_disk_to_astropy(disk, made, scene, label):
     assert shift @ [np.cos(towards), np.sin(towards)] > 0.02 * disk.diameter_px
     assert disk.electrons > 1e3
     assert disk.noise_share < 0.03
-    record = _record(made, scene, "frame.fits", "truth.parquet", b"")
+    record = _record(made, scene, "frame.fits", "truth.parquet", 0, "0" * 64)
     assert record.disks == (disk,)
     assert record_from_text(record.to_text()) == record
 

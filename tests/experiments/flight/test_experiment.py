@@ -84,7 +84,8 @@ def test_a_turn_that_grows_faster_moves_the_attitude_of_rendered_frames(engine):
     np.testing.assert_allclose(error[:2], [0.0, -expected], atol=0.1 * expected)
 
 
-def test_stars_beyond_the_strip_about_the_detector_bring_no_light(engine, budget, monkeypatch):
+def test_stars_beyond_the_strip_about_the_detector_bring_no_light(engine, monkeypatch):
+    budget = build_budget(config := Config(**SMALL), build_flight(config))
     image = Camera(budget).expected(1000.0, np.zeros(5))
     monkeypatch.setattr("experiments.flight.frames.MARGIN_PX", 300.0)
     np.testing.assert_array_equal(Camera(budget).expected(1000.0, np.zeros(5)), image)
