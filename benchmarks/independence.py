@@ -93,7 +93,7 @@ WORDS: dict[str, tuple[str, str]] = {
     "render/sensor": (YES, "angle of a pixel against focal length and pitch"),
     "render/forward": (NO, "it only passes arguments"),
     "render/tracing": (
-        "yes, where the prediction uses the renderer's PSF: hsfe does not detect too much charge diffusion",
+        "yes, where the prediction uses the renderer's PSF: hsfe does not notice excess charge diffusion",
         "pixels within 1e-5 of a NumPy trace with integrals by the error function; moments in closed form",
     ),
     "render/detector": (
@@ -101,19 +101,19 @@ WORDS: dict[str, tuple[str, str]] = {
         "photon transfer of frames; each effect of the chain against its law",
     ),
     "render/engine": (NO, "random streams, with different names on the two sides"),
-    "render/sky": (YES, "light of a star against one spectrum at a time; magnitudes against published zero points"),
+    "render/sky": (YES, "star light against the integral of its spectrum; magnitudes against published zero points"),
     "render/bench": (NO, "dimensions of the bench, and the position of the mask's spot, against traced particles"),
     "calib/measure": (
-        "yes: both sides contain the centroider's bias; only hsfe compares a centroid (cog) with the light",
-        "every centroider against truth, bound and scatter on stars of other code; photutils, sep; injected shifts",
+        "yes: both sides contain the centroider's bias; only hsfe compares cog with the centroid of the light",
+        "every centroider against truth, bound and scatter on stars by other codes; photutils, sep; injected shifts",
     ),
     "calib/cameras": (
         YES,
-        "projections against OpenCV, derivatives against finite differences, maps against drawn parameters",
+        "OpenCV for projections, finite differences for derivatives, drawn parameters for line-of-sight maps",
     ),
     "calib/attitude": (YES, "matrices as printed in ACC18, ACF17, CUBE09; SciPy; scatter of 4000 frames"),
     "calib/calibration": (
-        "no: the budget uses it only to predict leaning axes from exact positions",
+        "no: the budget uses it only to predict the error by axes that are not square, from exact positions",
         "truth of simulated benches; scipy.optimize.least_squares; scatter over the bound",
     ),
     "calib/fitting": (NO, "NIST's certified fits; scipy.optimize.least_squares"),
@@ -127,7 +127,7 @@ WORDS: dict[str, tuple[str, str]] = {
         "the printed terms of ACC18 give its printed sums",
     ),
     "experiments/acf": (
-        "yes: stars, motion, and the derivatives of the linear model (which also bounds each run)",
+        "yes: stars, motion, and the derivatives of the linear model, which also give the bound of each run",
         "derivatives against finite differences, bound against calib.calibration, scatter against both",
     ),
     "experiments/camera": (
@@ -170,7 +170,7 @@ COMPARISONS = (
     ),
     Comparison(
         experiment="distortion",
-        what="distortion before and after the fit, and removed by it",
+        what="distortion before the fit, after the fit, and the part removed",
         predicted=(f"{LABORATORY}.distortion_model:predict_distortion",),
         measured=(
             f"{LABORATORY}.distortion_error:measure_distortion",
@@ -215,7 +215,7 @@ COMPARISONS = (
     ),
     Comparison(
         experiment="turntable",
-        what="map error against its bound",
+        what="error of the line-of-sight map against its bound",
         predicted=("experiments.turntable.bound:bound",),
         measured=("experiments.turntable.monte_carlo:monte_carlo", "experiments.turntable.experiment:calibrations"),
     ),
@@ -395,7 +395,7 @@ def in_words(rooms: Sequence[str]) -> list[str]:
     unsaid = [room for room in rooms if room not in WORDS]
     if unsaid:
         sys.exit(f"shared rooms without a text in WORDS: {', '.join(unsaid)}")
-    lines = ["| shared room | can an error hide? | independent test |", "|---|---|---|"]
+    lines = ["| shared room | can an error hide? | independent test, or what is shared |", "|---|---|---|"]
     return lines + [f"| `{room}` | {WORDS[room][0]} | {WORDS[room][1]} |" for room in rooms]
 
 
@@ -405,10 +405,10 @@ def page(found: Found) -> str:
     parts = [
         ["# What predictions and measurements share"],
         [
-            "The table counts the functions that ran on both sides of each comparison, traced in quick runs by",
-            "`python benchmarks/independence.py` (`--only NAME` lists an experiment's functions), without records,",
-            "input checks, units, harness and array backends. Agreement of prediction and measurement does not test an",
-            "equation that both use. Such equations are tested separately;",
+            "The table counts the functions that ran in the prediction, in the measurement and in both, traced in",
+            "quick runs by `python benchmarks/independence.py` (`--only NAME` lists an experiment's functions).",
+            "Records, input checks, units, harness and array backends are not counted. Agreement of prediction and",
+            "measurement does not test an equation that both use. Such equations are tested separately;",
             "[random mutants](validation/evidence.md) measure how many errors these tests notice.",
         ],
         overview(found),

@@ -30,7 +30,7 @@ HEAD = """# Sensor file
 
 <!-- made by docs/make_sensor_file_page.py from the model of the configuration; change that -->
 
-One TOML file describes a star sensor, and every experiment takes it:
+One TOML file describes a star sensor, and every experiment but `cube` takes it:
 
     python -m experiments.camera --sensor my.toml      # what this sensor can do: start here
     python -m experiments.chromatic --sensor my.toml
@@ -46,8 +46,9 @@ One TOML file describes a star sensor, and every experiment takes it:
 * A missing key has the default below; only the defaults of `centroid`, `window_px` and `threshold_sigma` depend on
   the experiment.
 * Later layers override earlier ones, key by key: defaults < `--quick` < `--sensor` < `--config` < `--set` < `--seed`.
-* An unknown key is an error that names the nearest one. Settings of a run, such as the quoted star or the slew rate,
-  are not part of the file: `--set star.magnitude_mag=5`, `--set slew.rate_deg_per_s=0.1`, or a file for `--config`.
+* An unknown key is an error that names the nearest one. Settings of a run, such as the slew rate or the star for
+  which the NEA is stated, are not part of the file: `--set slew.rate_deg_per_s=0.1`, `--set star.magnitude_mag=5`, or
+  a file for `--config`.
 * A rolling shutter (`line_time_us`) has an effect in `dataset` only, where the image moves during a frame; `skycal` and
   `fisher` expose all rows at once, laboratory targets are at rest, and `flight` refuses it.
 * A curve is a CSV file of wavelength [nm] and transmission as a fraction (or a column `transmission_percent`), with or
@@ -83,7 +84,7 @@ A **measured** lens is a file, `lens = "camera.lens.toml"`, with `kind = "measur
 | top | `reference_wavelength_nm`, `max_field_deg` (measured half field) |
 | `[camera]` | `focal_length_mm`, `principal_point_um`, `q1_per_mm2` ... `p2_per_mm` ([distortion](conventions.md#distortion)); lateral colour: `colour_nm`, `colour_scale`, `colour_shift_um` |
 | `[psf]` | `includes_charge_diffusion` (`true`), nodes `wavelength_nm`, `x_mm`, `y_mm` |
-| `[[component]]` | Gaussians of the PSF before the pixel: `share`, `sigma_x_um`, `sigma_y_um`, `correlation`, `offset_x_um`, `offset_y_um`; a number, or a table over wavelength, row and column of the nodes |
+| `[[component]]` | Gaussians of the PSF before the pixel: `share`, `sigma_x_um`, `sigma_y_um`, `correlation`, `offset_x_um`, `offset_y_um`; each a number, or a table over wavelength, row and column of the nodes |
 | `[vignetting]` | `radius_mm`, `relative_light` |
 | `[throughput]` | `aperture_mm`, `wavelength_nm`, `transmission` |
 
@@ -207,7 +208,7 @@ file = "qe.csv"                # or two lists: wavelength_nm = [400, ...], value
 
 ## Keys
 
-A key without a default is required.
+A key without a default is required, unless `base` supplies it; `base` and `offset_dn` are optional.
 
 """
 

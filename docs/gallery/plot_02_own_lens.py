@@ -13,5 +13,5 @@ print(file.report)
 section = draw_lens(file.lens)
 
 # %%
-# All functions for built-in lenses accept it.
+# All functions that take a built-in lens also take this lens.
 distortion = draw_distortion(file.lens)

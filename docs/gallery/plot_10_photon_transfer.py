@@ -3,7 +3,7 @@ Photon transfer
 ===============
 
 Variance of the difference of two flat frames against their mean (EMVA 1288): the slope gives the gain, the intercept
-the read noise, the maximum the full well. The lines are the data sheet.
+the read noise, the maximum the full well. The lines follow from the data sheet.
 """
 
 from dataclasses import replace

@@ -2,8 +2,8 @@
 Trails with a global and a rolling shutter
 ==========================================
 
-Star trails at one degree per second. With a global shutter all trails are parallel shifts; with a rolling shutter every
-star is exposed at the time of its row, and the field is sheared.
+Star trails at one degree per second. With a global shutter all stars are exposed at the same time; with a rolling
+shutter every star is exposed at the time of its row, and the field is sheared.
 """
 
 import numpy as np

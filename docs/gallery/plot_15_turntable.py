@@ -3,7 +3,8 @@ A camera on a turntable
 =======================
 
 A collimated star and a two-axis table calibrate a camera: a grid of poses moves the star over the detector. The
-residuals are noise. The star's direction is determined much less accurately, without effect on the line of sight.
+residuals are noise. The star's direction is determined much less accurately than the line of sight, on which its
+error has no effect.
 """
 
 import numpy as np

@@ -3,7 +3,7 @@ A dataset in five lines
 =======================
 
 Frames of the real sky with the truth of every star, in a folder that can be extended, checked and cited. The world
-coordinates of the headers give the positions of the truth.
+coordinates (WCS) in the FITS headers reproduce the true positions.
 """
 
 from tempfile import TemporaryDirectory

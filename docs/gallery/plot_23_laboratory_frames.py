@@ -2,7 +2,7 @@
 Frames of your laboratory
 =========================
 
-The experiment's reduction checks and reduces FITS files that ``frames.toml`` describes. Here the frames are rendered;
+The experiment ``temporal`` checks and reduces FITS files that ``frames.toml`` describes. Here the frames are rendered;
 the reduction receives the files only.
 """
 

@@ -219,7 +219,7 @@ experiment = Experiment(
     examples={
         "--quick": "a small run",
         "--set runs=20": "fewer runs",
-        "--set camera.pixel_um=6.36 --set sky.stars_per_frame=21": "pixel size and star count implied by Table 2",
+        "--set camera.pixel_um=6.36 --set sky.stars_per_frame=21": "pixel size, star count implied by ACF17's Table 2",
     },
     show=("table2", "fig4"),
     renders=lambda _: False,

@@ -223,7 +223,7 @@ experiment = Experiment(
         "--quick": "a small run",
         "--sensor my.toml": "your own sensor",
         "--sensor my.toml --predict-only": "the prediction without frames",
-        "--set attitude.law=nadir": "fixed to the local vertical",
+        "--set attitude.law=nadir": "attitude fixed to the local vertical",
         "--set aberration.corrected=earth": "the motion about the Earth is not corrected",
     },
     show=("terms",),

@@ -66,7 +66,7 @@ def command(experiment: Experiment) -> Main:
 
 
 def _options(experiment: Experiment) -> list[click.Parameter]:
-    sensor = "Sensor file (TOML), the same for all experiments."
+    sensor = "Sensor file (TOML), the same for all experiments but cube."
     sensor += "" if experiment.comparison is None else " Repeat it to compare sensors."
     text = "Print a commented sensor file with the values of the other options (all: every setting, for --config)."
     path, out = click.Path(readable=False), f"out/{experiment.name}"

@@ -54,7 +54,7 @@ FolderName = Annotated[str, _IsFile(always=True)]
 
 # Last word of a field's name that tells its unit, or that says it has none.
 _LENGTHS_AND_TIMES = ("nm", "um", "mm", "m", "km", "s", "ms", "us", "min", "h", "px", "px2")
-_ANGLES = ("deg", "arcsec", "arcmin", "rad")
+_ANGLES = ("deg", "arcsec", "arcsec2", "arcmin", "rad")
 _OTHERS = ("e", "dn", "c", "k", "hpa", "mag", "hz", "percent", "photon", "photons", "ppm", "mb", "bit", "bits")
 _UNITS = frozenset((*_LENGTHS_AND_TIMES, *_ANGLES, *_OTHERS))
 _WRITTEN = {"e": "e-", "dn": "DN", "c": "C", "k": "K", "hpa": "hPa", "hz": "Hz", "mb": "MB", "percent": "%"}

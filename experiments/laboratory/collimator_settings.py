@@ -12,14 +12,14 @@ class CollimatorConfig(StrictModel):
 
     focal_length_mm: float = Field(default=1000.0, ge=10, le=1e5, description="focal length")
     decollimation_um: float = Field(
-        default=0.0, ge=-1e4, le=1e4, description="target behind the focus (away from the collimator)"
+        default=0.0, ge=-1e4, le=1e4, description="distance of the target behind the focus (away from the collimator)"
     )
     focus_wavelength_nm: tuple[float, ...] = Field(
         default=(), description="wavelengths of focus_um, at least two, increasing; empty: a reflective collimator"
     )
     focus_um: tuple[float, ...] = Field(
         default=(),
-        description="focus shift away from the collimator at these wavelengths; monotone cubic interpolation",
+        description="focus shift away from the collimator at focus_wavelength_nm; monotone cubic interpolation",
     )
     offset_mm: tuple[float, float] = Field(
         default=(0.0, 0.0), description="offset of the camera's pupil from the axis of the beam, along columns and rows"
@@ -38,7 +38,7 @@ class CollimatorConfig(StrictModel):
         description="turbulence: RMS per axis of the angle of arrival, independent for each exposure",
     )
     vibration_hz: tuple[float, ...] = Field(
-        default=(), description="frequencies of the spectrum, at least two, increasing; empty: at rest"
+        default=(), description="frequencies of vibration_arcsec2_per_hz, at least two, increasing; empty: at rest"
     )
     vibration_arcsec2_per_hz: tuple[float, ...] = Field(
         default=(),
@@ -71,7 +71,7 @@ class FilteredCollimatorConfig(CollimatorConfig):
     )
     wedge_direction_deg: tuple[float, ...] = Field(
         default=(),
-        description="direction of the thin edge and of the image shift, from column towards row; empty: columns",
+        description="angle of the thin edge and of the image shift, from +columns towards +rows; empty: 0",
     )
     wedge_glass: str = Field(default="N-BK7", description="glass of the filters")
     filter_distance_mm: float | None = Field(

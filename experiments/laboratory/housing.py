@@ -44,8 +44,8 @@ def expansion_per_k(housing: str | float) -> float:
 class HousingConfig(StrictModel):
     """Barrel and spacers of the lens; ``housing = "invar_36"`` states only the barrel's material.
 
-    A spacer is named by the element behind it, ``detector`` or ``stop``. A spacer that is not named has the barrel's
-    material and reaches from vertex to vertex.
+    A spacer is named by what stands behind it: an element, ``detector`` or ``stop``. A spacer that is not named has the
+    barrel's material and reaches from vertex to vertex.
     """
 
     dimensionless: ClassVar[frozenset[str]] = frozenset({"material", "spacers", "poisson_ratio"})
@@ -64,7 +64,7 @@ class HousingConfig(StrictModel):
         default=None,
         ge=-1e5,
         le=1e5,
-        description="mounting plane, fixed when the housing bends; from the first surface; default: the image plane",
+        description="z of the mounting plane, fixed when the housing bends; 0: first surface; default: image plane",
     )
     spacers: dict[str, str | float] = Field(default={}, description="materials of named spacers")
     rims_mm: dict[str, tuple[float, float]] = Field(

@@ -35,7 +35,7 @@ class RequirementsConfig(StrictModel):
     limiting_magnitude_mag: float | None = _asked(
         "magnitude (system of the catalogue) at which half of the stars are detected, at least", -10.0
     )
-    saturation_mag: float | None = _asked("brightest star that does not saturate, at most of this magnitude", -10.0)
+    saturation_mag: float | None = _asked("magnitude of the brightest star that does not saturate, at most", -10.0)
     false_alarms_per_frame: float | None = _asked("false detections per frame, at most")
     nea_arcsec: float | None = _asked("noise-equivalent angle of the star of [star], one axis, at most")
     single_star_arcsec: float | None = _asked(
@@ -61,14 +61,14 @@ class RequirementsConfig(StrictModel):
     spot_px: float | None = _asked("RMS radius of the white spot, largest over the field, at most")
     distortion_percent: float | None = _asked("largest distortion over the field, at most")
     lsfe_before_arcsec: float | None = _asked(
-        "distortion of a lens drawn by [manufacture] minus the design's, RMS, at most"
+        "RMS difference in distortion between a lens drawn by [manufacture] and the design, at most"
     )
     lsfe_after_arcsec: float | None = _asked(
-        "distortion of lenses drawn by [manufacture] after calibration, RMS, at most"
+        "RMS distortion of a lens drawn by [manufacture] that remains after calibration, at most"
     )
-    lateral_colour_px: float | None = _asked("largest separation of wavelengths of the pass band, at most")
+    lateral_colour_px: float | None = _asked("largest separation of two wavelengths' images in the pass band, at most")
     vignetting_percent: float | None = _asked("largest loss of light over the field against the axis, at most")
-    focus_shift_um: float | None = _asked("change of the best focus over [thermal], largest, at most")
-    spot_thermal_px: float | None = _asked("RMS radius of the white spot over [thermal], largest, at most")
+    focus_shift_um: float | None = _asked("largest change of the best focus over the range of [thermal], at most")
+    spot_thermal_px: float | None = _asked("largest RMS radius of the white spot over the range of [thermal], at most")
     sun_exclusion_deg: float | None = _asked("exclusion angle of the Sun (experiment straylight), at most")
-    scale_change_ppm: float | None = _asked("change of the plate scale over [thermal], largest, at most")
+    scale_change_ppm: float | None = _asked("largest change of the plate scale over the range of [thermal], at most")

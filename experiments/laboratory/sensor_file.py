@@ -100,7 +100,7 @@ class SensorConfig(StrictModel):
         default=5.0, gt=0, le=1000, description="detection threshold, in standard deviations of the filtered noise"
     )
     compared: tuple[str, ...] = Field(
-        default=(), description="lines of text: agreement of rendered with real frames, copied to a dataset's data card"
+        default=(), description="agreement of rendered with real frames: lines of text, copied to a dataset's data card"
     )
     instrument: InstrumentConfig = InstrumentConfig()
     passband: PassbandConfig = PassbandConfig()

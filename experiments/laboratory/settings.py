@@ -16,7 +16,7 @@ from experiments.laboratory.housing import HousingConfig
 class IdealLensConfig(StrictModel):
     """Ideal thin lens without aberrations, in place of the name or file of a lens.
 
-    Images by f tan(field), in focus at all wavelengths; the PSF is the Airy pattern of a round stop, blurred by a
+    It images by f tan(field), in focus at all wavelengths; its PSF is the Airy pattern of a round stop, blurred by a
     Gaussian. A measured lens is a file with ``kind = "measured"`` (`optics.lens.measured`).
     """
 
@@ -31,16 +31,18 @@ class IdealLensConfig(StrictModel):
         default=0.0, ge=0, le=1e4, description="RMS radius of a Gaussian spot that blurs the diffraction image"
     )
     psf_fwhm_px: float = Field(
-        default=0.0, ge=0, le=100, description="the same by its full width at half maximum, in place of spot_um"
+        default=0.0, ge=0, le=100, description="full width at half maximum of this Gaussian, in place of spot_um"
     )
     transmission: float = Field(default=1.0, gt=0, le=1, description="transmission at all wavelengths")
     transmission_file: FileName = Field(
-        default="", description="CSV file with wavelength_nm, transmission in place of it"
+        default="", description="in place of transmission: CSV file with columns wavelength_nm and transmission"
     )
     design_wavelength_nm: WavelengthNm = Field(
         default=550.0, description="wavelength of chief rays, focal length and depth of focus"
     )
-    max_field_deg: float = Field(default=30.0, gt=0, le=80, description="half field up to which the detector may reach")
+    max_field_deg: float = Field(
+        default=30.0, gt=0, le=80, description="largest half field that the detector may cover"
+    )
 
     @model_validator(mode="after")
     def _one_blur(self) -> Self:
@@ -93,7 +95,7 @@ class InstrumentConfig(StrictModel):
         default=None,
         ge=-150,
         le=150,
-        description="temperature of lens and housing; default: the prescription's, at which the lens is focused",
+        description="temperature of lens and housing; default: the prescription's temperature, at which it is focused",
     )
     housing: HousingConfig = HousingConfig()
     wavefront_zernike_nm: tuple[Annotated[float, Field(ge=-1e5, le=1e5)], ...] = Field(
@@ -104,13 +106,15 @@ class InstrumentConfig(StrictModel):
     )
     wavefront_map: FileName = Field(
         default="",
-        description="instead of coefficients: map [nm] over the square around the pupil, .npy or text, rows along +y",
+        description="map of the wavefront error [nm], in place of the coefficients: square around the pupil, .npy or "
+        "text, rows along +y",
     )
     absorption: bool = Field(
         default=True, description="include absorption in glass; every glass then needs an internal transmittance"
     )
     diffraction: Literal["rays", "waves", "exact_waves"] = Field(
-        default="waves", description="how stars are rendered: as ray densities, or as diffraction images"
+        default="waves",
+        description="stars as ray densities or as diffraction images, interpolated (waves) or one by one (exact_waves)",
     )
     coating_nm: float = Field(
         default=550.0, ge=0, le=2000, description="design wavelength of the MgF2 quarter-wave coatings; 0: bare glass"
@@ -151,7 +155,7 @@ class PassbandConfig(StrictModel):
     )
     edge_nm: float = Field(default=20.0, ge=0, le=400, description="width of each edge, from 0 to 100 %")
     file: FileName = Field(
-        default="", description="CSV file with wavelength_nm, transmission in place of range_nm and edge_nm"
+        default="", description="in place of range_nm and edge_nm: CSV file, columns wavelength_nm and transmission"
     )
 
     @field_validator("range_nm")
@@ -258,7 +262,7 @@ class FilterConfig(StrictModel):
     edge_nm: float = Field(default=10.0, ge=0, le=100, description="width of each edge, from 0 to 100 %")
     files: tuple[FileName, ...] = Field(
         default=(),
-        description="CSV files with wavelength_nm, transmission, one for each of centres_nm; none: trapezoids",
+        description="CSV files with columns wavelength_nm and transmission, one per centre; empty: trapezoids",
     )
 
     @field_validator("centres_nm")

@@ -17,7 +17,7 @@ class BaffleConfig(StrictModel):
     fitted: bool = Field(default=True, description="false: lens without baffle")
     mesh: FileName = Field(
         default="",
-        description="instead of the tube: closed mesh [mm], .ply, .obj or .glb, +z to the sky, 0 at the first surface",
+        description="closed mesh [mm] in place of the tube (.ply, .obj, .glb), +z to the sky, z = 0: first surface",
     )
     shade_deg: float = Field(
         default=35.0,
@@ -40,9 +40,9 @@ class BaffleConfig(StrictModel):
     coating: Literal["z306", "black_anodised", "magic_black", "own"] = Field(
         default="z306", description="black coating; own: the three numbers below"
     )
-    diffuse: float = Field(default=0.04, ge=0, le=1, description="Lambertian reflectance of coating = own")
-    specular: float = Field(default=0.0, ge=0, le=0.04, description="its specular reflectance, normal incidence")
-    roughness: float = Field(default=0.3, ge=0.01, le=1, description="its specular lobe, GGX alpha")
+    diffuse: float = Field(default=0.04, ge=0, le=1, description="own: Lambertian reflectance")
+    specular: float = Field(default=0.0, ge=0, le=0.04, description="own: specular reflectance at normal incidence")
+    roughness: float = Field(default=0.3, ge=0.01, le=1, description="own: GGX alpha of the specular lobe")
 
     @model_validator(mode="after")
     def _reflects(self) -> Self:
@@ -60,7 +60,9 @@ class ScatterConfig(StrictModel):
     dimensionless: ClassVar[frozenset[str]] = frozenset({"shoulder", "slope", "detector_reflectance"})
 
     roughness_nm: float = Field(default=1.5, ge=0, le=50, description="RMS roughness in the band that scatters")
-    shoulder: float = Field(default=0.01, gt=0, le=1, description="Harvey-Shack l: sine where the BSDF begins to fall")
+    shoulder: float = Field(
+        default=0.01, gt=0, le=1, description="Harvey-Shack l: sine of the angle where the BSDF starts to fall"
+    )
     slope: float = Field(default=-1.5, ge=-6, lt=0, description="Harvey-Shack s: exponent of the fall")
     detector_reflectance: float = Field(default=0.2, ge=0, le=1, description="specular reflectance of the detector")
     halos: bool = Field(default=False, description="halos of stars, from polish and dust, in frames of dataset")

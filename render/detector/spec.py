@@ -371,9 +371,11 @@ class DetectorFile(BaseModel):
     gain_dn_per_e: float = _in_range("gain_dn_per_e", "system gain K")
     adc_bits: int = _in_range("adc_bits", "resolution of the converter")
     offset_dn: float | None = _in_range("offset_dn", "mean offset; default: ten times the read noise", default=None)
-    nonlinearity: tuple[float, ...] = Field(default=(), max_length=8, description="c_1, c_2 ..., each -0.5 to 0.5")
-    dark_current_e_per_s: float = _in_range("dark_current_e_per_s", "mean dark current at the reference")
-    dark_reference_c: float = _in_range("dark_reference_c", "reference temperature")
+    nonlinearity: tuple[float, ...] = Field(
+        default=(), max_length=8, description="c_i of DN = K x (1 + sum c_i (x / full_well)^i), x in e-; -0.5 to 0.5"
+    )
+    dark_current_e_per_s: float = _in_range("dark_current_e_per_s", "mean dark current at dark_reference_c")
+    dark_reference_c: float = _in_range("dark_reference_c", "reference temperature of the dark current")
     dark_doubling_c: float = _in_range("dark_doubling_c", "warming that doubles the dark current", default=6.5)
     dark_spread_e_per_s: float = _in_range(
         "dark_spread_e_per_s", "standard deviation of the dark current over the pixels", default=0.0
@@ -381,7 +383,7 @@ class DetectorFile(BaseModel):
     hot_fraction: float = _in_range("hot_fraction", "fraction of hot pixels", default=0.0)
     hot_dark_e_per_s: float = _in_range("hot_dark_e_per_s", "mean extra dark current of hot pixels", default=0.0)
     dead_fraction: float = _in_range("dead_fraction", "fraction of dead pixels", default=0.0)
-    prnu: float = _in_range("prnu", "response non-uniformity", default=0.0)
+    prnu: float = _in_range("prnu", "relative standard deviation of the response over the pixels", default=0.0)
     dsnu_e: float = _in_range("dsnu_e", "standard deviation of the offset over the pixels", default=0.0)
     column_pattern_e: float = _in_range(
         "column_pattern_e", "standard deviation of the offset over the columns", default=0.0
