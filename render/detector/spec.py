@@ -372,7 +372,7 @@ class DetectorFile(BaseModel):
     adc_bits: int = _in_range("adc_bits", "resolution of the converter")
     offset_dn: float | None = _in_range("offset_dn", "mean offset; default: ten times the read noise", default=None)
     nonlinearity: tuple[float, ...] = Field(
-        default=(), max_length=8, description="c_i of DN = K x (1 + sum c_i (x / full_well)^i), x in e-; -0.5 to 0.5"
+        default=(), max_length=8, description="c_i (-0.5 to 0.5) of DN = K x (1 + sum c_i (x / full_well)^i), x in e-"
     )
     dark_current_e_per_s: float = _in_range("dark_current_e_per_s", "mean dark current at dark_reference_c")
     dark_reference_c: float = _in_range("dark_reference_c", "reference temperature of the dark current")
