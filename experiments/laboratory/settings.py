@@ -219,7 +219,7 @@ class CatalogueConfig(StrictModel):
         default="none", description="earth: parallax, deflection by the Sun and aberration as seen from the Earth"
     )
     temperature: Literal["colour", "effective"] = Field(
-        default="colour", description="temperature of the black body that stands for a star"
+        default="colour", description="black-body temperature of a star: by colour, or the catalogue's effective value"
     )
 
 
