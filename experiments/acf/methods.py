@@ -95,7 +95,7 @@ class Pooled:
     sight_arcsec: float = col("Line of sight", "arcsec", ".2f", json="")
     expected_sight_arcsec: float = col("Expected", "arcsec", ".2f", json="")
     over_expected: Measured = col("Over expected", json="", shown=False)
-    over_acc: float = col("Over ACC", "", ".3f", json="")
+    over_acc: float = col("Error / error of ACC", "", ".3f", json="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -95,7 +95,7 @@ class Unknown:
     mean_error: float = col("Mean error", "", ".3g")
     std: float = col("Scatter of a run", "", ".3g")
     bound: float = col("Cramér-Rao bound", "", ".3g")
-    bound_with_gyro_error: float = col("With the gyro's error", "", ".3g", key="bound_with_gyro")
+    bound_with_gyro_error: float = col("Bound with gyro error", "", ".3g", key="bound_with_gyro")
     n: int = col("Runs", shown=False)
 
 

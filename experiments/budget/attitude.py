@@ -81,7 +81,7 @@ class Attitude:
     relative_uncertainty: float = col("Uncertainty")  # Of every error: a standard deviation from so many trials
     # Errors in units of what the rule makes of each trial's stars, root mean square: the shift of their mean by
     # ``total / sqrt(N)``, carried to the boresight by the roll that they leave
-    over_expected: Sequence[Measured] = col("Over the rule for the same stars", dims="component", json="over_expected")
+    over_expected: Sequence[Measured] = col("Error / rule for the same stars", dims="component", json="over_expected")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +89,7 @@ class Errors:
     """Attitude error at N of the budget, by reading of the low-frequency error."""
 
     arcsec: FloatArray = col("Attitude error", "arcsec", ".3f", "component", key="{component}_arcsec")
-    over_rule: FloatArray = col("Over the rule", "", ".2f", "component", json="", key="{component}_ratio")
+    over_rule: FloatArray = col("Error / rule", "", ".2f", "component", json="", key="{component}_ratio")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

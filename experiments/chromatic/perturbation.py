@@ -41,12 +41,12 @@ class Solution:
     element: str = col("Element")
     movement: str = col("Movement", json="")
     along_px: FloatArray = col("Table 1", "px", ".4f", "pair", json="", key="mean_{pair}_px")  # Along the wanted axis
-    image_px: float = col("Image moves", "px", "+.0f", json="", key="boresight_px")
+    image_px: float = col("Image shift", "px", "+.0f", json="", key="boresight_px")
     kind: str = col("Kind", shown=False)
     amount: float = col("Amount", shown=False)
     unit: str = col("Unit", shown=False)
     table1_px: FloatArray = col("Table 1", "px", ".4f", "pair axis", shown=False)
-    boresight_px: FloatArray = col("Image moves", "px", ".1f", "axis", shown=False)  # In the reference band
+    boresight_px: FloatArray = col("Image shift", "px", ".1f", "axis", shown=False)  # In the reference band
 
     @property
     def label(self) -> str:
@@ -83,8 +83,8 @@ class Movement:
     amount: float = col("Amount")
     unit: str = col("Unit")
     wanted_px: float = col("Wanted entry of Table 1", "px", "g")
-    image_px: float = col("Image moves", "px", ".0f", json="")
-    image_arcsec: float = col("Image moves", "arcsec", ".0f", json="")
+    image_px: float = col("Image shift", "px", ".0f", json="")
+    image_arcsec: float = col("Image shift", "arcsec", ".0f", json="")
 
 
 MOVEMENT = Section(record=Movement, prefix="moved_", place="decentre_solution")

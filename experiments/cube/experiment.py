@@ -54,7 +54,7 @@ class Setup:
     """Sizes, equations 13 and 14, and errors by geometry that eq. 14 leaves out."""
 
     r_sp_error_arcsec_1sigma: Sequence[Measured] = col("R_sp, as performed", "arcsec", dims="axis")
-    improved_arcsec: Sequence[Measured] = col("R_sp, reduced better", "arcsec", dims="axis", json="")
+    improved_arcsec: Sequence[Measured] = col("R_sp, improved reduction", "arcsec", dims="axis", json="")
     eq13_arcsec: float = col("Eq. 13", "arcsec", ".2f")
     eq14_arcsec: float = col("Eq. 14", "arcsec", ".2f")
     benches: int = col("Benches")

@@ -29,16 +29,16 @@ from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 
 CASES = (
-    Case(name="pixel", label="one pixel (eq. 13)", aim_px=1.0),
+    Case(name="pixel", label="trim error of one pixel (eq. 13)", aim_px=1.0),
     Case(name="trim", label="stop rule", coarse=True),
-    Case(name="square", label="axes out of square", lean=True),
+    Case(name="square", label="non-orthogonal axes", lean=True),
     Case(name="mounting", label="camera mount", mounting=True),
     Case(name="reading", label="angle reading", reading=True),
     Case(name="all", label="all of eq. 14", aim_px=1.0, lean=True, mounting=True, reading=True),
     Case(name="procedure", label="as performed", coarse=True, lean=True, mounting=True, reading=True),
     Case(
         name="improved",
-        label="reduced better",
+        label="improved reduction",
         coarse=True,
         lean=True,
         mounting=True,

@@ -189,7 +189,11 @@ class TrueMap:
         "A point left out", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].point_left_out"
     )
     row_out_arcsec: FloatArray = col(
-        "A row or column", "arcsec", ".3f", "reference axis", json="true_map_arcsec_3sigma[reference].row_left_out"
+        "A row or column left out",
+        "arcsec",
+        ".3f",
+        "reference axis",
+        json="true_map_arcsec_3sigma[reference].row_left_out",
     )
     forecast_arcsec: FloatArray = col("Predicted", "arcsec", ".3f", "axis", json="forecast_map_arcsec_3sigma")
     # Its parts: distortion that the polynomial cannot follow, errors of the points carried into the map
@@ -357,7 +361,7 @@ SECTIONS = {
         caption="True error of the map (3 times its RMS over the detector) before and after the "
         "correction, and the error at points left out of the fit of a single survey (marking and "
         "centroid errors included).",
-        note="None: with a row or a column left out, the others do not determine the polynomial; no "
+        note="–: with a row or a column left out, the others do not determine the polynomial; no "
         "residual tests the map between them.",
         figures={
             "true_map": arrows("map_place_px", "map_distortion_px", "map_left_px", frame="size_px", aspect_ratio=0.36)

@@ -253,7 +253,7 @@ class Accuracy:
     # The deviation that an error of 100 % of the standard deviation makes, to first order
     z_of_whole: float = col("Deviation for an error of 100 %", "sigma", ".1f", json="", shown=False)
     # Readings and clocks of the table taken off in quadrature; NaN where they are all of it
-    sigma_without_table_arcsec: float = col("Without table", "arcsec", ".4f", key="camera")
+    sigma_without_table_arcsec: float = col("σ less table", "arcsec", ".4f", key="camera")
     # Uncertainty: scatter of the ratio from covariances; both methods share the noise
     baseline_over_fisher: Measured = col(
         "Pixel / Fisher", "", ".4f", key="ratio", json_error="baseline_over_fisher_scatter"
@@ -511,7 +511,7 @@ SECTIONS = {
         across="end source",
         caption="Accuracy of single-frame star vectors (S300–S500).",
         note="Uncertainty 1 σ, interval by χ² with 2 (n − 1) degrees of freedom. Predicted: from the "
-        "covariances of centroids, readings, clocks, calibration; deviation in σ. Without table: "
+        "covariances of centroids, readings, clocks, calibration; deviation in σ. σ less table: "
         "known contributions of readings and clocks subtracted in quadrature. Pixel method: with "
         "the calibrated angle per pixel, same frames.",
         figures={

@@ -218,7 +218,7 @@ class Metric:
 METRICS = (
     ("AME", "attitude error at any time", ("total",)),
     ("MME", "mean error of a segment", ("bias", "thermo_elastic", "fov_spatial", "aberration")),
-    ("RME", "error about that mean", ("pixel_spatial", "temporal_noise")),
+    ("RME", "error about the mean of its segment", ("pixel_spatial", "temporal_noise")),
 )
 """ECSS-E-ST-60-20C: absolute, mean and relative measurement error."""
 

@@ -51,7 +51,7 @@ class Term:
     predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".4g", "component")
     ratio: Sequence[Measured] | None = col("Measured / predicted", dims="component", default=None)
     # Slope of measured errors against predicted ones over the segments; NaN for random terms
-    slope: Sequence[Measured] | None = col("Slope, error by error", dims="component", default=None)
+    slope: Sequence[Measured] | None = col("Slope of measured against predicted", dims="component", default=None)
     term: str  # Its key in `LABELS`
 
 

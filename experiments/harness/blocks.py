@@ -58,14 +58,9 @@ class KeyNumber:
 
     label: str  # What it is, in a few words
     value: float | int | str | Measured  # The number
-    unit: str = ""  # Its unit; taken from a `Measured` if left empty
+    unit: str = ""  # Its unit, as printed
     format: str = ""  # Format of a plain float
     note: str = ""  # A few small words beneath, e.g. "published 0.12 px"
-
-    @property
-    def shown_unit(self) -> str:
-        """The unit to print."""
-        return self.unit or (self.value.unit if isinstance(self.value, Measured) else "")
 
 
 class Artist:

@@ -197,7 +197,7 @@ def render_document(
         lstrip_blocks=True,
     )
     environment.filters["cell"] = cell_text
-    environment.filters["percent"] = percent
+    environment.filters |= {"percent": percent, "shown_unit": shown_unit}
     environment.filters["pretty"] = lambda value: dumps(value).rstrip()
     environment.filters["inline"] = lambda words: Markup(markdown.renderInline(" ".join(str(words).split())))
     environment.globals["kind"] = lambda block: type(block).__name__.lstrip("_")

@@ -29,7 +29,8 @@ WHOLE = "*"
 _EXACT_INTEGERS = 2**53  # identifiers of stars are beyond what a float64 can tell apart
 
 _SHOWN = {"arcsec": "″", "arcmin": "′", "deg": "°", "um": "µm", "e-": "e⁻", "e-/s": "e⁻/s", "sigma": "σ"}
-_SHOWN |= {"percent": "%", "degC": "°C"}
+_SHOWN |= {"percent": "%", "degC": "°C", "e-/DN": "e⁻/DN"}
+_SHOWN |= {"deg/s": "°/s", "deg/s2": "°/s²", "s2": "s²", "1e-6/K": "10⁻⁶/K"}
 
 
 def shown_unit(unit: str) -> str:

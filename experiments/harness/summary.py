@@ -79,6 +79,8 @@ class Criterion:
 
 def percent(part: float | None) -> str:
     """A probability or a relative error for the table of criteria, "" for None."""
+    if part is not None and part > 10.0:
+        return "> 1000 %"
     return "" if part is None else f"{100 * part:.2g} %" if part < 1 else f"{100 * part:.0f} %"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from optics.errors import DomainError
 
 if TYPE_CHECKING:
     import astropy.table
-    import rich.table
+    import rich.console
 
 Cell = str | bool | int | float | Measured | None
 
@@ -36,6 +36,10 @@ _UNIT_NAMES = {
     "σ": "",
     "sigma": "",
     "%": "percent",
+    "°/s": "deg/s",
+    "°/s²": "deg/s2",
+    "s²": "s2",
+    "10⁻⁶/K": "1e-6/K",
 }
 _TELEPHONE_LETTERS = 50
 """In a line of a table, 354 px wide."""
@@ -146,28 +150,53 @@ def write_ecsv(table: Table | astropy.table.Table, path: Path) -> None:
         made.write(path, format="ascii.ecsv", delimiter=",")
 
 
-def to_rich(table: Table) -> rich.table.Table:
-    """The table for a terminal."""
+def to_rich(table: Table, width: int = 80) -> rich.console.Group:
+    """The table for a terminal; where it is too wide, parts below each other that repeat the first columns."""
     from rich import box
+    from rich.console import Group
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    made = RichTable(
-        title=Text(table.caption),
-        title_justify="left",
-        title_style="bold",
-        caption=Text(table.note.replace("`", "")) if table.note else None,
-        caption_justify="left",
-        caption_style="dim",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
+    heads = [f"{column.name} [{column.unit}]" if column.unit else column.name for column in table.heads]
+    cells = [
+        [cell_text(cell, column.format) for cell, column in zip(row, table.heads, strict=True)] for row in table.rows
+    ]
+    parts = []
+    for widths in _parts(table, heads, cells, width):
+        made = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
+        for index, letters in widths.items():
+            made.add_column(Text(heads[index]), justify="right" if table.numeric(index) else "left", width=letters)
+        for row in cells:
+            made.add_row(*(Text(row[index]) for index in widths))
+        parts.append(made)
+    note = [Text(re.sub("[`*]", "", table.note), style="dim")] if table.note else []
+    return Group(Text(table.caption, style="bold"), *parts, *note)
+
+
+def _parts(table: Table, heads: Sequence[str], cells: Sequence[Sequence[str]], width: int) -> list[dict[int, int]]:
+    """Columns of each part, with their widths: numbers stay on one line, words of texts and heads break."""
+    columns = range(len(heads))
+    texts = [[row[k] for row in cells] for k in columns]
+    words = [[word for text in texts[k] for word in text.split()] for k in columns]
+    full, least = (
+        [max(map(len, (*heads[k].split(), *chosen[k])), default=1) for k in columns]
+        for chosen in (texts, [texts[k] if table.numeric(k) else words[k] for k in columns])
     )
-    for index, column in enumerate(table.heads):
-        head = f"{column.name} [{column.unit}]" if column.unit else column.name
-        made.add_column(Text(head), justify="right" if table.numeric(index) else "left")
-    for row in table.rows:
-        made.add_row(*(Text(cell_text(cell, column.format)) for cell, column in zip(row, table.heads, strict=True)))
-    return made
+
+    def room(widths: Iterable[int]) -> int:
+        return width + 1 - sum(letters + 3 for letters in widths)
+
+    first = next((k for k in columns if table.numeric(k)), 0) or 1
+    parts = [list(columns[:first])]
+    for k in columns[first:]:
+        if len(parts[-1]) > first and room(least[n] for n in (*parts[-1], k)) < 0:
+            parts.append(list(columns[:first]))
+        parts[-1].append(k)
+    fitted = [{k: full[k] for k in part} for part in parts]
+    for widths in fitted:
+        while room(widths.values()) < 0 and (narrower := [k for k in widths if widths[k] > least[k]]):
+            widths[max(narrower, key=widths.__getitem__)] -= 1
+    return fitted
 
 
 def _machine_unit(shown: str) -> Any:

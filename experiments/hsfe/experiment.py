@@ -72,14 +72,16 @@ class Test:
 class Steps:
     """High spatial frequency error (3 sigma) of a centroider."""
 
-    document_arcsec: Axes = col("Document", "arcsec", ".3f", "axis", json="document")
+    document_arcsec: Axes = col("HSFE of ACC18", "arcsec", ".3f", "axis", json="document")
     predicted_arcsec: Axes = col(
-        "Predicted", "arcsec", ".3f", "axis", json="document_predicted", json_error="document_predicted_scatter"
+        "HSFE predicted", "arcsec", ".3f", "axis", json="document_predicted", json_error="document_predicted_scatter"
     )
-    ratio: Axes = col("Ratio", "", ".3f", "axis")
-    halved_arcsec: FloatArray = col("Over √2", "arcsec", ".3f", "axis", json="one_position_if_independent")
-    one_position_arcsec: FloatArray = col("One position", "arcsec", ".3f", "axis", json="one_position")
-    one_position_predicted_arcsec: FloatArray = col("Predicted", "arcsec", ".3f", "axis", json="one_position_predicted")
+    ratio: Axes = col("Measured / predicted", "", ".3f", "axis")
+    halved_arcsec: FloatArray = col("HSFE / √2", "arcsec", ".3f", "axis", json="one_position_if_independent")
+    one_position_arcsec: FloatArray = col("Single position", "arcsec", ".3f", "axis", json="one_position")
+    one_position_predicted_arcsec: FloatArray = col(
+        "Single position, predicted", "arcsec", ".3f", "axis", json="one_position_predicted"
+    )
     one_position_ratio: Axes = col("One position, ratio", "", ".3f", "axis", json="", shown=False)
     predicted_before_arcsec: Axes = col(
         "Predicted before the test",
@@ -308,15 +310,15 @@ SECTIONS = {
         table="hsfe",
         rows="method axis",
         caption="HSFE (3 σ) of one star.",
-        note="*Document*: HSFE by ACC18 eq. 9-12, the RMS difference of neighbouring positions, "
-        "temporal noise included. *Over √2*: without temporal noise, divided by √2, as for "
-        "independent errors. *One position*: mean centroid minus truth, common motion and temporal "
+        note="*HSFE of ACC18*: eq. 9-12, the RMS difference of neighbouring positions, "
+        "temporal noise included. *HSFE / √2*: without temporal noise, divided by √2, as for "
+        "independent errors. *Single position*: mean centroid minus truth, common motion and temporal "
         "noise removed. Predicted ±: from chip to chip.",
         verdicts=[
             agree(name, 1.0, each="method", slack=MODEL_SLACK, title=title)
             for name, title in (
-                ("ratio", "HSFE as printed over its prediction for the measured path"),
-                ("one_position_ratio", "error of one position over its prediction"),
+                ("ratio", "HSFE of ACC18 over its prediction for the measured path"),
+                ("one_position_ratio", "error of a single position over its prediction"),
             )
         ],
     ),

@@ -45,7 +45,7 @@ class Steps:
     low_arcsec: FloatArray = col("95 % from", "arcsec", dims="method axis", json=f"{INTERVAL}.low")
     high_arcsec: FloatArray = col("to", "arcsec", dims="method axis", json=f"{INTERVAL}.high")
     single_text: Sequence[Sequence[str]] = col(
-        "One position", "arcsec", "", "method axis", json=f"{SINGLE}.said", key="single_said"
+        "Single position", "arcsec", "", "method axis", json=f"{SINGLE}.said", key="single_said"
     )
     single_estimate_arcsec: FloatArray = col("Estimate", "arcsec", ".4f", "method axis", json=f"{SINGLE}.estimate")
     single_low_arcsec: FloatArray = col("from", "arcsec", ".4f", "method axis", json=f"{SINGLE}.low")
@@ -161,7 +161,7 @@ own_frames = FramesTest(
             columns="hsfe_arcsec low_arcsec high_arcsec single_text",
             caption="High spatial frequency error (ACC18 eq. 3-12, 3 σ).",
             note="*As printed*: RMS of differences of consecutive positions (ACC18), its interval from the "
-            "scatter over the points. *One position*: error of the mean centroid at a position about "
+            "scatter over the points. *Single position*: error of the mean centroid at a position about "
             "its mean over the path, temporal noise subtracted, by an analysis of variance.",
             figures={"residuals": cloud("residual_arcsec", ellipses="hsfe_arcsec", at={"method": 0})},
         ),

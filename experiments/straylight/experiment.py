@@ -92,7 +92,7 @@ class Setup:
 class Angle:
     """One angle of the source."""
 
-    angle_deg: float = col("Source", "deg", "g")
+    angle_deg: float = col("Angle of the source", "deg", "g")
     direct: float = col("Entrance in the light", format=".3f", shown=False)
     pst_cause: FloatArray = col("PST by cause", format=".2e", dims="cause azimuth", shown=False)
     pst: Sequence[Measured] = col("PST", format=".2e", dims="azimuth", json="pst")
@@ -425,7 +425,7 @@ def _pst_axes(q: Quantities, found: Sequence[Angle]) -> None:
     names = list(CAUSES) if causes == len(CAUSES) else [f"cause_{n}" for n in range(causes)]
     q.axis("cause", np.array(names, dtype=object), "Cause", names=[LABELS.get(one, one) for one in names])
     azimuth = found[0].azimuth_deg
-    q.axis("azimuth", azimuth, "Azimuth", unit="deg", format="g", names=[f"at {one:g}°" for one in azimuth])
+    q.axis("azimuth", azimuth, "Azimuth", unit="deg", format="g", names=[f"at azimuth {one:g}°" for one in azimuth])
 
 
 SECTIONS = {

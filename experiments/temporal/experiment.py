@@ -167,7 +167,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
 
 NOTE = (
     "Standard deviations of N frames are low by the factor c4(N); ratios are corrected for it, measured values are "
-    "not (as in the document)."
+    "not (as in ACC18)."
 )
 SECTIONS = {
     "frames": Section(

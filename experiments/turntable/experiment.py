@@ -67,11 +67,11 @@ UNKNOWNS = {
     "theta1_rad": "θ₁",
     "theta2_rad": "θ₂",
     "theta3_rad": "θ₃",
-    "lean1_rad": "lean, axis 2",
-    "lean2_rad": "lean, axis 3",
+    "lean1_rad": "non-orthogonality, axis 2",
+    "lean2_rad": "non-orthogonality, axis 3",
 }
 """Unknowns of the calibration, the last one on three axes only."""
-REDUCTIONS = {"estimated": "leans fitted", "ignored": "taken as square", "known": "leans known"}
+REDUCTIONS = {"estimated": "axis angles fitted", "ignored": "axes taken as orthogonal", "known": "axis angles known"}
 LEAST_RUNS = 10
 """Converged runs of a Monte-Carlo below which it says nothing."""
 RENDERED_QUANTILE = 0.998
@@ -483,7 +483,7 @@ SECTIONS = {
         dim="unknown",
         across="table",
         caption="Unknowns of the joint calibration.",
-        note="Run: rendered, leans fitted, ± 1 σ of the estimator's covariance. Pull: (estimate − "
+        note="Run: rendered, axis angles fitted, ± 1 σ of the estimator's covariance. Pull: (estimate − "
         "truth) / σ; the camera's truth is the model fitted to noise-free rays. RMS pull: over the "
         "Monte Carlo.",
         figures={"correlations": maps("correlation", panels="table", zero=True)},

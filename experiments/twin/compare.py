@@ -261,18 +261,18 @@ def statistics_of(frames: Sequence[FrameStats], limit_mag: float, airmass: Float
     add("correlation", "correlation of neighbouring pixels", (x + y) / 2.0, limit=0.01, relative=False)
     averaging = whiteness(blocks)
     for side, value in zip((2, 8, 32), averaging, strict=True):
-        add(f"averaging_{side}", f"noise of means of {side} x {side} px over white", value)
-    add("tail", f"share of background pixels beyond {TAIL_SIGMA:g} sigma", _tail(blocks), "percent")
-    add("attitude_arcsec", "attitude by every other star, across", _across(frames), "arcsec")
+        add(f"averaging_{side}", f"noise of means of {side} × {side} px over that of white noise", value)
+    add("tail", f"fraction of background pixels beyond {TAIL_SIGMA:g} sigma", _tail(blocks), "percent")
+    add("attitude_arcsec", "attitude error across, from two halves of the stars", _across(frames), "arcsec")
     add(
         "roll_arcsec",
-        "attitude by every other star, roll",
+        "attitude error in roll, from two halves of the stars",
         float(np.sqrt(np.nanmean([one.halves_arcsec[2] ** 2 for one in frames]))),
         "arcsec",
     )
     add(
         "solved",
-        "share of frames solved blind",
+        "fraction of frames solved blind",
         float(np.mean([one.solved for one in frames])),
         limit=0.0,
         relative=False,

@@ -13,7 +13,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from experiments.harness.drawings import bars, curves
-from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.quantities import Outcome, Quantities, shown_unit
 from experiments.harness.sections import Section, Verdict, agree, col
 from experiments.harness.summary import Criterion, Measured
 from experiments.twin.classify import FEATURES, Told
@@ -144,12 +144,12 @@ class FrameNumbers:
     background_dn: float = col("Background", "DN", ".0f")
     stars: float = col("Stars at 5 sigma", "", ".0f")
     rendered_stars: Measured = col("Twin")
-    off_percent: float = col("Off", "percent", ".1f")
+    off_percent: float = col("Difference", "percent", ".1f")
     noise_dn: float = col("Noise", "DN", ".3f")
     rendered_noise_dn: Measured = col("Twin's noise", "DN")
-    noise_percent: float = col("Off", "percent", ".2f", key="noise_off_percent")
+    noise_percent: float = col("Difference", "percent", ".2f", key="noise_off_percent")
     scatter_mag: float = col("Scatter of photometry", "mag", ".3f")
-    trail: int = col("On a trail")
+    trail: int = col("Detections on trails")
 
 
 def frame_numbers(reduced: Reduced, whole: CameraFit, compared: HeldOut) -> list[FrameNumbers]:
@@ -250,13 +250,13 @@ def causes(fit: CameraFit, compared: HeldOut, limit_mag: float) -> list[Cause]:
     method = compared.bias.floor_px
     left = fitted**2 - own**2
     return [
-        Cause(name="residual of Gaussian fits", part_px=gaussian),
-        Cause(name="of it: noise of the centroids", part_px=noise),
-        Cause(name="of it: shape of the PSF (S-curve), removed by a PSF fit", part_px=_root(gaussian**2 - fitted**2)),
-        Cause(name="residual of PSF fits", part_px=fitted),
-        Cause(name="of it: noise of the centroids", part_px=own),
-        Cause(name="of it: method, as in a rendered set", part_px=method),
-        Cause(name="left: seeing, catalogue, PSF", part_px=_root(left - method**2)),
+        Cause(name="Gaussian fits, total residual", part_px=gaussian),
+        Cause(name="Gaussian fits, noise of the centroids", part_px=noise),
+        Cause(name="Gaussian fits, S-curve (no error of PSF fits)", part_px=_root(gaussian**2 - fitted**2)),
+        Cause(name="PSF fits, total residual", part_px=fitted),
+        Cause(name="PSF fits, noise of the centroids", part_px=own),
+        Cause(name="PSF fits, error of the method (from rendered frames)", part_px=method),
+        Cause(name="PSF fits, remainder (seeing, catalogue, PSF)", part_px=_root(left - method**2)),
     ]
 
 
@@ -269,9 +269,10 @@ class Compared:
     """A statistic of real and of rendered frames."""
 
     key: str = col("Key", shown=False)
+    unit: str = col("Unit", json="")
     real: Measured = col("Real", "{statistic}")
     twin: Measured = col("Twin", "{statistic}", key="rendered")
-    off: Measured = col("Off")
+    off: Measured = col("Difference")
     allowed: float | None = col("Allowed", "", ".3g")
     within: str = col("Within", "")
 
@@ -315,9 +316,10 @@ class TrueNumber:
     """A measured number and the truth of the rendering camera."""
 
     name: str = col("Number", shown=False)
+    unit: str = col("Unit", json="")
     found: Measured = col("Measured", "{parameter}")
     true: float = col("Truth", "{parameter}", ".5g", key="truth")
-    pull: float = col("Off, sigma", "sigma", ".2f")
+    pull: float = col("Difference", "sigma", ".2f")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -411,6 +413,7 @@ class Sections:
             out.append(
                 Compared(
                     key=f"{statistic.key}|{statistic.label}|{statistic.unit}",
+                    unit=shown_unit(statistic.unit),
                     real=Measured(value=value, unit=statistic.unit, uncertainty=spread),
                     twin=_of(drawn),
                     off=Measured(value=off, uncertainty=float(error)),
@@ -479,7 +482,9 @@ class Sections:
         out = []
         for name, unit, found, true in true_values(truth, numbers, self.whole):
             pull = (found.value - true) / (found.uncertainty or np.nan)
-            out.append(TrueNumber(name=f"{name}|{unit}", found=found, true=true, pull=float(pull)))
+            out.append(
+                TrueNumber(name=f"{name}|{unit}", unit=shown_unit(unit), found=found, true=true, pull=float(pull))
+            )
         return out
 
 
@@ -675,16 +680,16 @@ SECTIONS: dict[str, Section] = {
         axes=_named("cause", "Cause"),
         prefix="cause_",
         place="residuals[cause]",
-        caption="Residuals of bright stars after the calibration, per axis.",
+        caption="Residuals of bright stars after the calibration; contributions add in quadrature.",
     ),
     "comparison": Section(
         record=Compared,
         dim="statistic",
         axes=_named("statistic", "Statistic", "key"),
         place="comparison[statistic]",
-        columns="real twin off allowed within",
+        columns="unit real twin off allowed within",
         caption="Real and rendered frames; each frame is rendered by a twin measured without it.",
-        note="Off: (twin − real) / real (for magnitudes, correlations and fractions: twin − real); ±: "
+        note="Difference: (twin − real) / real (for magnitudes, correlations and fractions: twin − real); ±: "
         "noise of a single set, from the scatter of the rendered sets.",
         verdicts=[_verdict(_within, "off", "allowed")],
     ),

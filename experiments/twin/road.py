@@ -308,8 +308,8 @@ def _under_its_zenith(
             zenith = fit_zenith(boresight, np.array(altitude, float), known)
     if zenith is None:
         words.append(
-            "no zenith (site.latitude_deg and longitude_deg with times, or four altitudes): refraction and "
-            "extinction are not corrected; focal length and zero point include them"
+            "The zenith is unknown (site.latitude_deg and longitude_deg with times, or four altitudes, give it): "
+            "refraction and extinction are not corrected; focal length and zero point include them."
         )
         return night, made, None
     night = night.under(zenith.direction, site.refraction_arcsec)

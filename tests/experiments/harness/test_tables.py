@@ -83,11 +83,19 @@ def test_row_of_the_wrong_length_is_refused():
         Table(columns=["a", "b"], rows=[(1, 2), (3,)])
 
 
-def test_terminal_table_shows_brackets_and_markup_as_they_are():
+@pytest.mark.parametrize("width", [40, 80])
+def test_terminal_table_too_wide_continues_below_with_every_number_whole(width):
     from rich.console import Console
 
-    console = Console(width=100, record=True, file=io.StringIO())
-    console.print(to_rich(Table(columns=[Column(name="x", unit="px")], rows=[("[red]5[/red]",)])))
-    text = console.export_text()
-    assert "x [px]" in text
-    assert "[red]5[/red]" in text
+    rows = [("measured", *(Measured(value=k + 0.12034, uncertainty=0.0042) for k in range(9)), "[red]5[/red]")]
+    heads = ["Case", *(f"Number {k}" for k in range(9)), Column(name="x", unit="px")]
+    wide = Table(columns=heads, rows=rows, note="*n* of `x`")
+    console = Console(width=width, record=True, file=io.StringIO())
+    console.print(to_rich(wide, width))
+    lines = console.export_text().splitlines()
+    text = "\n".join(lines)
+    assert max(map(len, lines)) <= width
+    assert [text.count(cell_text(cell)) for cell in rows[0][1:]] == [1] * 10
+    assert text.count("[px]") == 1
+    assert text.count("measured") == text.count("Case") > 1
+    assert lines[-1].strip() == "n of x"

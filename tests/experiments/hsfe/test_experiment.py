@@ -72,4 +72,4 @@ def test_the_verdicts_hold_for_other_seeds_and_notice_a_quarter(run, failing):
     for factor in (0.75, 1.25):
         wrong = [replace(one, ratio=[replace(r, value=factor * r.value) for r in one.ratio]) for one in result["steps"]]
         failed = " ".join(failing("hsfe", {**result, "steps": wrong}, config))
-        assert "HSFE as printed over its prediction" in failed
+        assert "HSFE of ACC18 over its prediction" in failed
