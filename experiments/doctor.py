@@ -25,7 +25,7 @@ from experiments.harness.outputs import PROGRAM
 from experiments.harness.registry import version_of
 
 KNOWN_LLVM = range(15, 20)
-OPTIONAL = ("solve", "online", "export", "loaders")
+OPTIONAL = ("solve", "export", "loaders")
 """Extras that add abilities; the others serve tests and development."""
 LITTLE_MB, TOO_LITTLE_MB, LARGE_CACHE_MB = 2000.0, 100.0, 5000.0
 PATIENCE_S = 60.0

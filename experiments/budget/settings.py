@@ -154,7 +154,7 @@ rendered = Experiment(
         "chromatic_rms_arcsec",
         "distortion_rms_arcsec",
     ),
-    takes="6 min (--quick: 45 s)",
+    takes="100 s (--quick: 50 s)",
     examples={
         "--quick": "a small run",
         "--predict-only": "the predicted terms alone, in seconds",
