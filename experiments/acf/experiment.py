@@ -150,13 +150,13 @@ def axes(config: Config) -> Quantities:
     q.axis("bias", biases, "Bias", key="bias", names=[f"{v:g} °/h" if v else perfect for v in biases])
     q.axis("walk", walks, "Angle random walk", key="walk", names=[f"{v:g} °/√h" if v else perfect for v in walks])
     q.axis("case", ["assumed", "inferred"], "Fig. 4", names=["assumed", "inferred"])
-    q.axis("count_gyro", ["perfect", "table1"], "Gyro", names=[perfect, "Table 1's gyro"])
+    q.axis("count_gyro", ["perfect", "table1"], "Gyro", names=[perfect, "ACF17's gyro"])
     q.axis("unknown", UNKNOWNS, "Unknown", names=NAMES)
     q.axis("coefficients", ["q1_q2", "q1_q3", "q2_q3"], "Coefficients")
     q.axis("method", COMPARED, "Method", names=METHOD_NAMES)
     q.axis("ratio", list(RATIOS), "Methods")
     q.axis("error", ERRORS, "Error")
-    q.axis("factor", factors, "Gyro noise", names=[f"{v:g} × Table 1" if v else perfect for v in factors])
+    q.axis("factor", factors, "Gyro noise", names=[f"{v:g} × ACF17 Table 1" if v else perfect for v in factors])
     q.axis("swept", SWEPT, "Method", names=METHOD_NAMES)
     return q
 

@@ -295,8 +295,8 @@ REPROJECTION = {
         prefix="fig4_",
         across="axis",
         columns="pixel_um stars rms_px expected_axis_px published_px",
-        caption="ACF17 Fig. 4: reprojection of noise-free even frames at the noise of Table 2, gyro of Table 1.",
-        note="RMS over all runs, by axis. Inferred: pixel pitch and star count implied by Table 2. The "
+        caption="ACF17 Fig. 4: reprojection of noise-free even frames, noise of its Table 2, gyro of its Table 1.",
+        note="RMS over all runs, by axis. Inferred: pixel pitch and star count implied by ACF17 Table 2. The "
         "published RMS is of a single run with a standard deviation of some 15 %: it cannot detect "
         "an error of 25 % and is not judged.",
     ),
@@ -305,7 +305,7 @@ REPROJECTION = {
         dim="count",
         along="stars",
         prefix="counts_",
-        caption="Mean RMS reprojection error at the noise of Table 2 against the number of stars in every frame.",
+        caption="Mean RMS reprojection error at the noise of ACF17 Table 2 against the number of stars in every frame.",
     ),
     "reprojection": Section(
         record=Overall,

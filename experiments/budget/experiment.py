@@ -412,7 +412,7 @@ SECTIONS = {
         across="method",
         columns="pull",
         caption="Deviations: predicted minus measured, in standard deviations, by centroider.",
-        note="LSFE-S: signed entry of Table 1 with the largest deviation from its prediction.",
+        note="LSFE-S: signed entry of ACC18 Table 1 with the largest deviation from its prediction.",
         verdicts=[
             agree("deviation", 0.0, of="whole", each="method", title="TE, HSFE, S, C1, C2, predicted minus measured"),
             ratio_near("together", within=0.03, at={"method": 0}),

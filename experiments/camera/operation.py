@@ -97,10 +97,10 @@ class Motion:
     motion_stars_mean_per_frame: FloatArray = col("Stars per frame", "", ".1f", "rate")
     motion_attitude_cross_arcsec: FloatArray = col("Attitude across, median", "arcsec", ".3f", "rate")
     motion_attitude_roll_arcsec: FloatArray = col("Attitude roll, median", "arcsec", ".3f", "rate", shown=False)
-    slew_rate_deg_per_s: float = col("Largest slew rate", "deg/s", ".3g")
+    slew_rate_deg_per_s: float = col("Largest slew rate", "deg/s", ".3g", key="largest_slew_rate_deg_per_s")
     slew_fails: str = col("First failure in motion", json="slew_fails_first")
     acceleration_deg_per_s2: float = col("Largest angular acceleration while tracking", "deg/s2", ".3g")
-    acceleration_bias_s2: float = col("Attitude error across over angular acceleration", "s2", ".3g")
+    acceleration_bias_s2: float = col("Attitude error across per angular acceleration", "s2", ".3g")
     rate_deg_per_s: FloatArray
 
 
@@ -150,6 +150,8 @@ MOTION = Section(
     record=Motion,
     axes=_rates,
     table="motion",
+    columns="motion_trail_px motion_nea_arcsec motion_limiting_magnitude_mag motion_stars_mean_per_frame "
+    "motion_attitude_cross_arcsec",
     caption="Performance against slew rate across the line of sight.",
     figures={
         "motion": curves(

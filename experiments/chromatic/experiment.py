@@ -267,7 +267,9 @@ class Centroiders:
 
     noise_px: FloatArray = col("Noise", "px", ".4f", "method", json="")
     error_px: FloatArray = col("RMS error", "px", ".4f", "method", json="", key="rms_bias_px")
-    along_px: FloatArray = col("Table 1", "px", ".4f", "method pair", json="", key="{pair}_px")  # Along the wanted axis
+    along_px: FloatArray = col(
+        "Mean shift", "px", ".4f", "method pair", json="", key="{pair}_px"
+    )  # Along the wanted axis
     table1_px: FloatArray = col(
         "Table 1", "px", ".4f", "method pair axis", json=both("method_table1_px", moved=""), shown=False
     )
@@ -439,7 +441,7 @@ SECTIONS = {
             agree(
                 "table1_px",
                 "predicted_table1_px",
-                title="Table 1, frames against ray trace, both lenses",
+                title="ACC18 Table 1, frames against ray trace, both lenses",
                 advice="the centroider does not weight all light of comatic spots equally, or window_px truncates them",
             ),
             ratio_near(
@@ -454,7 +456,7 @@ SECTIONS = {
                 "pixels_table1_px",
                 "predicted_table1_px",
                 false_alarm=PIXELS_ALARM,
-                title="Table 1, first moments of the noiseless pixels against ray trace, both lenses",
+                title="ACC18 Table 1, first moments of the noiseless pixels against ray trace, both lenses",
                 advice="window_px truncates comatic spots, or neighbouring points overlap it (target.pitch_px)",
             ),
         ],
@@ -503,7 +505,7 @@ SECTIONS = {
         prefix="method_",
         rows="lens method",
         across="pair",
-        caption="Results of every centroider for the same frames; Table 1 along the axis of the movement.",
+        caption="Results of every centroider for the same frames; ACC18 Table 1 along the axis of the movement.",
         note="Noise: standard deviation of a frame. RMS error: mean centroid minus centroid of all "
         "light (ray trace). Both per axis, over all points and filters. Empty: no convergence for "
         "some point.",

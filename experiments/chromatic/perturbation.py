@@ -40,7 +40,9 @@ class Solution:
 
     element: str = col("Element")
     movement: str = col("Movement", json="")
-    along_px: FloatArray = col("Table 1", "px", ".4f", "pair", json="", key="mean_{pair}_px")  # Along the wanted axis
+    along_px: FloatArray = col(
+        "Mean shift", "px", ".4f", "pair", json="", key="mean_{pair}_px"
+    )  # Along the wanted axis
     image_px: float = col("Image shift", "px", "+.0f", json="", key="boresight_px")
     kind: str = col("Kind", shown=False)
     amount: float = col("Amount", shown=False)
@@ -66,7 +68,7 @@ ELEMENTS = Section(
     table="elements",
     hidden="solution",
     across="pair",
-    caption="Movement of each element that gives the wanted entry of Table 1, and the resulting "
+    caption="Movement of each element that gives the wanted entry of ACC18 Table 1, and the resulting "
     "entries of the other pairs.",
     note="By ray trace, with equal weights except for the rendered movement. Empty: not within 3 mm "
     "or 3 deg. Tilts are about the element's first vertex. Decentres are positive along "
@@ -114,7 +116,7 @@ def solve(
             wanted_px=config.decentre.wanted_px,
             weighted=False,
         )
-        for element, kind in progress.track(moves, "which element")
+        for element, kind in progress.track(moves, "element movements")
     ]
 
 

@@ -45,7 +45,7 @@ class Mission:
     period_s: float = col("Period of the orbit", "s", ".0f")
     rate_deg_per_s: float = col("Rate across the line of sight, mean", "deg/s", ".4g")
     # Turned evenly faster by a, the mean of a star's light over the exposure t is a t^2 / 24 off the middle's
-    acceleration_bias_s2: float = col("Attitude error across over angular acceleration", "s2", ".3g")
+    acceleration_bias_s2: float = col("Attitude error across per angular acceleration", "s2", ".3g")
     guide_stars: int = col("Guide stars")
     guide_mean: float = col("Guide stars in the field, mean over the sky", "", ".1f")
     guide_worst: float = col("Guide stars in the field, worst 1 % of the sky", "", ".1f")

@@ -163,7 +163,8 @@ def bars(
                 panel.set_ylim(place.mean() - 1.5, place.mean() + 1.5)
             panel.grid(visible=False, axis="y")
             low = min(0.0, float(np.nanmin(o.values(long))))
-            panel.set(title=o.label(panels, key) if panels else "", xlabel=o.heading(long), xlim=(low or 0, None))
+            heading = o.heading(long).removeprefix(o.quantity(long).label if {circles, marks} & {*o.data} else "")
+            panel.set(title=o.label(panels, key) if panels else "", xlabel=heading.strip(), xlim=(low or 0, None))
         handles, labels = grid[0][0].get_legend_handles_labels()
         if len(handles) > 1:
             figure.legend(handles, labels, loc="outside lower center", ncols=4)

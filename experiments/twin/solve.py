@@ -94,7 +94,7 @@ class Solved:
     @property
     def line(self) -> str:
         """One line for the terminal."""
-        head = f"{self.name}: {len(self.seen.stars)} found"
+        head = f"{self.name}: {len(self.seen.stars)} detected"
         if self.attitude is None:
             return f"{head}; not solved: {self.words} ({self.seconds:.2f} s)"
         return (
