@@ -254,7 +254,8 @@ def temperature_axis(q: Quantities, found: Temperatures) -> None:
 
 def swing_axes(q: Quantities, found: Sequence[Swing]) -> None:
     """Keys, named with their two values."""
-    names = [f"{one.label}: {one.low:.3g} | {one.high:.3g} {one.unit}".strip() for one in found]
+    pairs = [f"{one.low:.3g} or {one.high:.3g}".replace("-", "\N{MINUS SIGN}") for one in found]
+    names = [f"{one.label}, {pair} {one.unit}".strip() for one, pair in zip(found, pairs, strict=True)]
     q.axis("key", np.array([one.key for one in found], dtype=object), "Key", names=names)
     q.axis("end", ["low", "high"], "End", names=["lower value", "upper value"])
 
