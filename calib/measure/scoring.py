@@ -35,6 +35,8 @@ MOST_LIGHT = 10.0
 """Times the light of its window that a star may have: no pixel of its core may be usable, and its wings alone tell."""
 RESPONSE_STEP = 1e-3
 """Differences of the score by a parameter [its standard deviation]."""
+UNDAMPED = 8
+"""Full steps before steps that turn the position back are halved."""
 CHUNK = 256  # stars per task: the working set of a chunk stays within a few MB of cache
 
 
@@ -85,6 +87,8 @@ def fit_pixels(
 
     A prior of the model adds its slope to the score and its curvature to the information. Where the information of a
     parameter after the flux changes steeply, steps would jump to and fro; one that turns back goes half way at most.
+    After ``UNDAMPED`` steps the same holds for the position: where the model does not fit the data (PSF of another
+    filter), the information is smaller than the curvature of the likelihood, and full steps can oscillate.
 
     Shapes: ``start`` (n, k), ``data`` (n, p), ``valid`` (n, p), ``background`` (n,).
     """
@@ -101,7 +105,8 @@ def fit_pixels(
     converged = np.zeros(n, dtype=bool)
     active = np.flatnonzero(valid.sum(axis=1) >= total)
     freedom = np.maximum(valid.sum(axis=1) - total, 1)
-    for _ in range(max_iterations):
+    before = np.zeros((n, FLUX))  # last steps of the place
+    for number in range(max_iterations):
         if not active.size:
             break
         everyone = active.size == n
@@ -117,6 +122,9 @@ def fit_pixels(
         sigma = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
         small = np.all(np.abs(step[:, : FLUX + 1]) <= tolerance * sigma[:, : FLUX + 1], axis=1)
         step = strides.shortened(step, active)
+        if number >= UNDAMPED:
+            step[(step[:, :FLUX] * before[active]).sum(1) < 0] *= 0.5
+        before[active] = step[:, :FLUX]
         moved = now + step
         moved[:, FLUX] = np.maximum(moved[:, FLUX], 1e-3 * np.abs(now[:, FLUX]) + 1e-6)  # a star has no negative light
         good &= np.all(np.isfinite(moved), axis=1)

@@ -54,6 +54,16 @@ def test_s_curve_is_below_a_thousandth_of_a_pixel(sky, sigma):
     assert np.abs(table.y_px - y).max() < 1e-3
 
 
+def test_a_psf_far_wider_than_the_stars_converges(sky):
+    """Its information is a fraction of the curvature of the likelihood: full steps oscillate until none are left. By
+    symmetry the centre of a Gaussian stays the best place."""
+    x, y = 5.0 + np.random.default_rng(4).uniform(-0.5, 0.5, (2, 40))
+    stamps = sky.stamps(2e4 * sky.gaussian(x, y, 0.5), np.full(40, 5.0), np.full(40, 5.0))
+    table = EpsfCentroider(epsf=sky.epsf(1.8)).measure(stamps, NoiseModel(read_noise_e=150.0))
+    assert not has_flag(table.flags, StarFlag.NOT_CONVERGED).any()
+    assert np.abs(table.x_px - x).max() < 0.01
+
+
 def test_every_star_its_own_psf(sky):
     """Several PSFs of different size in one call give what each gives alone."""
     rng = np.random.default_rng(3)
