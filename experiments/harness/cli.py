@@ -160,7 +160,7 @@ def _show(run: ExperimentRun, shown: str) -> None:
     console = Console()
     for name in run.experiment.show:
         if name in run.tables and run.tables[name].rows:
-            console.print(to_rich(run.tables[name], console.width))
+            console.print(to_rich(run.tables[name], console.width), "")
     for line in criteria_lines(run.criteria):
         console.print(line, style="red" if line.startswith("NO ") else None, highlight=False, markup=False)
     for one in run.criteria:
