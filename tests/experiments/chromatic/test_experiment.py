@@ -96,7 +96,7 @@ def test_moved_element_gives_the_published_mean_in_the_noiseless_pixels(result):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("section", "column", "title"),
-    [("table1", "table1_px", "Table 1"), ("points", "measured_shift_px", "Shift of single points")],
+    [("table1", "table1_px", "ACC18 Table 1"), ("points", "measured_shift_px", "Shift of single points")],
 )
 def test_a_quarter_of_the_shift_is_noticed(outcome, failing, section, column, title):
     """Rationale: frames of another lens. Expected: the verdict on that number, and no other, does not hold."""
