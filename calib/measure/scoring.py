@@ -105,8 +105,7 @@ def fit_pixels(
     converged = np.zeros(n, dtype=bool)
     active = np.flatnonzero(valid.sum(axis=1) >= total)
     freedom = np.maximum(valid.sum(axis=1) - total, 1)
-    before = np.zeros((n, FLUX))  # last steps of the place
-    for number in range(max_iterations):
+    for _ in range(max_iterations):
         if not active.size:
             break
         everyone = active.size == n
@@ -122,9 +121,6 @@ def fit_pixels(
         sigma = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
         small = np.all(np.abs(step[:, : FLUX + 1]) <= tolerance * sigma[:, : FLUX + 1], axis=1)
         step = strides.shortened(step, active)
-        if number >= UNDAMPED:
-            step[(step[:, :FLUX] * before[active]).sum(1) < 0] *= 0.5
-        before[active] = step[:, :FLUX]
         moved = now + step
         moved[:, FLUX] = np.maximum(moved[:, FLUX], 1e-3 * np.abs(now[:, FLUX]) + 1e-6)  # a star has no negative light
         good &= np.all(np.isfinite(moved), axis=1)
@@ -210,12 +206,14 @@ def _add_prior(known: tuple[FloatArray, FloatArray] | None, score: FloatArray, i
 
 
 class _Strides:
-    """Lengths of steps of n stars: at most ``longest`` (k,), and half the last one where a shape turns back."""
+    """Lengths of steps of n stars: at most ``longest`` (k,), half the last one where a shape turns back, and after
+    `UNDAMPED` steps half of themselves where the position does."""
 
     def __init__(self, longest: FloatArray, n: int, *, shape: slice) -> None:
         self.longest, self.shape = longest, shape
         self.reach = np.tile(longest[shape], (n, 1))
         self.last = np.zeros_like(self.reach)
+        self.taken, self.move = 0, np.zeros((n, FLUX))  # Number of steps, and the last one of each position
 
     def shortened(self, step: FloatArray, active: NDArray[np.int64]) -> FloatArray:
         """The steps (m, k) of the stars ``active`` (m,), each made shorter as a whole where it is too long."""
@@ -229,6 +227,9 @@ class _Strides:
             part = np.minimum(part, np.min(reach / no_zero[:, self.shape], axis=1))
         out = step * np.minimum(1.0, part)[:, None]
         self.last[active] = out[:, self.shape]
+        if self.taken >= UNDAMPED:
+            out[(out[:, :FLUX] * self.move[active]).sum(1) < 0] *= 0.5
+        self.taken, self.move[active] = self.taken + 1, out[:, :FLUX]
         return out
 
 
