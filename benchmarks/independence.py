@@ -152,7 +152,7 @@ WORDS: dict[str, tuple[str, str]] = {
 }
 """Shared room -> whether an error in it can go unseen because both sides make it, and what would see it."""
 
-LABORATORY, PSFS = "experiments.laboratory", ("experiments.laboratory.point_scene:PointScene.psfs",)
+LABORATORY, PSFS = "experiments.laboratory", ("experiments.laboratory.bench.point_scene:PointScene.psfs",)
 COMPARISONS = (
     Comparison(
         experiment="temporal",
@@ -181,13 +181,13 @@ COMPARISONS = (
     Comparison(
         experiment="chromatic",
         what="shift between filters",
-        predicted=(f"{LABORATORY}.ray_prediction:bundle_prediction",),
+        predicted=(f"{LABORATORY}.bench.ray_prediction:bundle_prediction",),
         measured=(f"{LABORATORY}.chromatic_error:measure_chromatic",),
     ),
     Comparison(
         experiment="budget",
         what="all terms",
-        predicted=("experiments.budget.predict:predict_terms", f"{LABORATORY}.ray_prediction:bundle_prediction"),
+        predicted=("experiments.budget.predict:predict_terms", f"{LABORATORY}.bench.ray_prediction:bundle_prediction"),
         measured=("experiments.budget.measure:measure_terms",),
         both=PSFS,
     ),

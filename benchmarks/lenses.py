@@ -83,8 +83,8 @@ def chromatic_lsfe_arcsec(name: str) -> float:
     from experiments.chromatic.settings import Config
     from experiments.chromatic.stars import stellar_shift
     from experiments.harness.config import load_config
-    from experiments.laboratory.filter_wheel import open_band
-    from experiments.laboratory.instrument import build_instrument
+    from experiments.laboratory.devices.filter_wheel import open_band
+    from experiments.laboratory.devices.instrument import build_instrument
     from render.engine import Engine
 
     Engine.start("llvm")

@@ -18,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from experiments.harness.config import ExperimentConfig
 from experiments.harness.registry import found
 from experiments.harness.settings_text import about, toml_value
-from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
-from experiments.laboratory.sensor_file import SensorConfig
-from experiments.laboratory.settings import IdealLensConfig
+from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
+from experiments.laboratory.settings.sensor_file import SensorConfig
+from experiments.laboratory.settings.tables import IdealLensConfig
 from render.detector.spec import UNSAID, DarkTable, DetectorFile, ResponseTable, list_detectors, load_detector
 
 PAGE = Path(__file__).with_name("sensor_file.md")

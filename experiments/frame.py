@@ -79,7 +79,7 @@ def _write_page(
     from calib.figures import star_marks
     from calib.measure.find import find_stars
     from calib.measure.image import read_image
-    from experiments.laboratory.truth_marks import truth_marks
+    from experiments.laboratory.bench.truth_marks import truth_marks
     from optics.fits import image_header
     from optics.page import differences, save_frame_page
     from render.fits.wcs import sky_grid

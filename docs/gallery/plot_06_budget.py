@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from experiments import run_experiment
-from experiments.laboratory.published import ACC18_ARCSEC
+from experiments.laboratory.settings.published import ACC18_ARCSEC
 
 budget = run_experiment("budget", {"predict_only": True})
 print(budget.table("budget"))

@@ -9,8 +9,8 @@ import numpy as np
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.fit import fit_to_map
-from experiments.laboratory.instrument import build_instrument
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.devices.instrument import build_instrument
+from experiments.laboratory.settings.tables import InstrumentConfig
 from optics.brown_conrady import COEFFICIENTS
 from optics.frames import field_angles_deg
 from optics.lens.measured import MeasuredLens

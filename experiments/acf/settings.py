@@ -13,8 +13,8 @@ from pydantic import AfterValidator, Field, model_validator
 from experiments.harness.cli import command
 from experiments.harness.config import AngleDeg, StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, read_sensor
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.settings.sensor_file import SensorConfig, SensorExperimentConfig, read_sensor
+from experiments.laboratory.settings.tables import InstrumentConfig
 from optics.validate import parse_model
 
 WIDEST_DEG = 120.0

@@ -29,7 +29,7 @@ from experiments.harness.drawings import curves
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.units import ARCSEC_RAD

@@ -12,14 +12,14 @@ from experiments.budget.combine import Value
 from experiments.budget.laboratory import Laboratory
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.centroid_methods import has_own_epsf
+from experiments.laboratory.bench.centroid_methods import has_own_epsf
+from experiments.laboratory.bench.epsf_session import variance_of_another
+from experiments.laboratory.bench.point_noise import drawn_positions, expected_windows, window_positions
+from experiments.laboratory.bench.ray_prediction import bundle_prediction
+from experiments.laboratory.bench.readout.centroids import centroiders, session_centroiders
+from experiments.laboratory.bench.target_light import target_light
 from experiments.laboratory.chromatic_error import measure_chromatic, rms, shifts, table1, table1_sigma
-from experiments.laboratory.epsf_session import variance_of_another
-from experiments.laboratory.point_noise import drawn_positions, expected_windows, window_positions
-from experiments.laboratory.ray_prediction import bundle_prediction
-from experiments.laboratory.readout.centroids import centroiders, session_centroiders
-from experiments.laboratory.target import corner_directions
-from experiments.laboratory.target_light import target_light
+from experiments.laboratory.devices.target import corner_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf

@@ -26,11 +26,11 @@ from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.centroid_methods import MethodLabels
-from experiments.laboratory.collimator_effects import COLLIMATOR, CollimatorShift, collimator_shift
-from experiments.laboratory.published import ACC18_ARCSEC, is_published_sensor
-from experiments.laboratory.readout.centroids import motion_method
-from experiments.laboratory.target import corner_directions
+from experiments.laboratory.bench.centroid_methods import MethodLabels
+from experiments.laboratory.bench.readout.centroids import motion_method
+from experiments.laboratory.devices.collimator_effects import COLLIMATOR, CollimatorShift, collimator_shift
+from experiments.laboratory.devices.target import corner_directions
+from experiments.laboratory.settings.published import ACC18_ARCSEC, is_published_sensor
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 

@@ -11,20 +11,20 @@ import numpy as np
 
 from experiments.budget.combine import Value
 from experiments.budget.settings import Config, MovedConfig
-from experiments.laboratory.bench import Bench
-from experiments.laboratory.centroid_methods import has_own_epsf
-from experiments.laboratory.checks import check_light
-from experiments.laboratory.collimator import build_collimator
-from experiments.laboratory.detector_changes import overridden
-from experiments.laboratory.filter_wheel import Filter, interference_filters, open_band
-from experiments.laboratory.hexapod import Hexapod
+from experiments.laboratory.bench.centroid_methods import has_own_epsf
+from experiments.laboratory.bench.checks import check_light
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.point_scene import point_scene
+from experiments.laboratory.bench.ray_prediction import expected_spots
+from experiments.laboratory.bench.signal import Signal, signal_of
+from experiments.laboratory.devices.collimator import build_collimator
+from experiments.laboratory.devices.filter_wheel import Filter, interference_filters, open_band
+from experiments.laboratory.devices.hexapod import Hexapod
+from experiments.laboratory.devices.instrument import Instrument, build_instrument, configured_detector, configured_lens
+from experiments.laboratory.devices.target import corner_directions
+from experiments.laboratory.devices.targets import GridTarget
 from experiments.laboratory.high_frequency import StepPlan
-from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector, configured_lens
-from experiments.laboratory.point_scene import point_scene
-from experiments.laboratory.ray_prediction import expected_spots
-from experiments.laboratory.signal import Signal, signal_of
-from experiments.laboratory.target import corner_directions
-from experiments.laboratory.targets import GridTarget
+from experiments.laboratory.settings.detector import overridden
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.perturb import decentre, despace, tilt

@@ -24,11 +24,11 @@ from experiments.budget.laboratory import (
     platform,
     step_plan,
 )
-from experiments.laboratory.centroid_methods import needs_measured_epsf
+from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
+from experiments.laboratory.bench.epsf_session import epsf_session, measured_epsf
+from experiments.laboratory.bench.point_scene import PointScene, point_scene
 from experiments.laboratory.distortion_error import DistortionMeasurement, measure_distortion
-from experiments.laboratory.epsf_session import epsf_session, measured_epsf
 from experiments.laboratory.high_frequency import HighFrequencyMeasurement, measure_high_frequency
-from experiments.laboratory.point_scene import PointScene, point_scene
 from experiments.laboratory.temporal_error import measure_temporal, target_place
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD

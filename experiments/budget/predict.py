@@ -30,11 +30,11 @@ from experiments.budget.laboratory import (
     step_plan,
 )
 from experiments.budget.settings import Config
-from experiments.laboratory.centroid_methods import needs_measured_epsf
+from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
+from experiments.laboratory.bench.epsf_session import predicted_epsfs, variance_of_another
+from experiments.laboratory.devices.targets import grid_directions
 from experiments.laboratory.distortion_model import marking_errors, predict_distortion, predicted_numbers
-from experiments.laboratory.epsf_session import predicted_epsfs, variance_of_another
 from experiments.laboratory.high_frequency_model import MethodPrediction, predict_high_frequency
-from experiments.laboratory.targets import grid_directions
 from experiments.laboratory.temporal_error import predict_temporal, small_sample_factor, target_place
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps

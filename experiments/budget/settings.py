@@ -11,13 +11,13 @@ from experiments.harness.cli import command
 from experiments.harness.config import OddPx, StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.harness.sweeps import SweptConfig, with_what_if
-from experiments.laboratory import settings as laboratory_settings
-from experiments.laboratory.centroid_methods import CentroiderName, ProcessingName
-from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
-from experiments.laboratory.detector_changes import DetectorConfig
-from experiments.laboratory.point_settings import SourceConfig
-from experiments.laboratory.sensor_file import SensorExperimentConfig
-from experiments.laboratory.settings import (
+from experiments.laboratory.bench.centroid_methods import CentroiderName, ProcessingName
+from experiments.laboratory.settings import tables as laboratory_settings
+from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
+from experiments.laboratory.settings.detector import DetectorConfig
+from experiments.laboratory.settings.points import SourceConfig
+from experiments.laboratory.settings.sensor_file import SensorExperimentConfig
+from experiments.laboratory.settings.tables import (
     FilterConfig,
     GridTargetConfig,
     HexapodConfig,

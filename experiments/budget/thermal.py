@@ -23,10 +23,10 @@ import numpy as np
 from experiments.budget.laboratory import Laboratory, build_laboratory
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.point_frames import read_points
-from experiments.laboratory.point_scene import one_filter, point_scene
-from experiments.laboratory.points import nominal_px
-from experiments.laboratory.ray_prediction import bundle_prediction
+from experiments.laboratory.bench.point_frames import read_points
+from experiments.laboratory.bench.point_scene import one_filter, point_scene
+from experiments.laboratory.bench.points import nominal_px
+from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.system import LensSystem

@@ -26,13 +26,13 @@ from experiments.camera.operation import moving
 from experiments.camera.settings import Config
 from experiments.harness.summary import Measured
 from experiments.harness.system import processors, shared
-from experiments.laboratory.centroid_methods import needs_epsf
-from experiments.laboratory.detector_changes import overridden
-from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
-from experiments.laboratory.readout.frames import mean_dark_frame
-from experiments.laboratory.readout.psf_grid import render_psf_grid
-from experiments.laboratory.readout.reduction import MeasuredFrame, Reduction, measure_frame
+from experiments.laboratory.bench.centroid_methods import needs_epsf
+from experiments.laboratory.bench.readout.frames import mean_dark_frame
+from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
+from experiments.laboratory.bench.readout.reduction import MeasuredFrame, Reduction, measure_frame
+from experiments.laboratory.devices.instrument import Instrument, build_instrument, configured_detector
 from experiments.laboratory.sensor_prediction import CameraPrediction, exposed_s, predict_camera
+from experiments.laboratory.settings.detector import overridden
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.errors import StarbenchError

@@ -20,9 +20,9 @@ from calib.cameras.fit import fit_camera
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
-from experiments.laboratory.catalogue import load_catalogue
 from experiments.laboratory.guide_stars import guide_stars
 from experiments.laboratory.sensor_prediction import CameraPrediction
+from experiments.laboratory.settings.catalogue import load_catalogue
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.errors import DomainError, StarbenchError

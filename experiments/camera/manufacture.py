@@ -25,8 +25,8 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
 from experiments.laboratory.optical_state import AIRY_SIGMA
-from experiments.laboratory.sensor_file import ManufactureConfig
 from experiments.laboratory.sensor_prediction import CameraPrediction
+from experiments.laboratory.settings.sensor_file import ManufactureConfig
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_angles_deg

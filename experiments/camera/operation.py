@@ -20,7 +20,7 @@ from experiments.harness.range import with_value
 from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.system import shared
 from experiments.harness.what_if import Requirement, crossing, judge
-from experiments.laboratory.ageing import aged_config, aged_detector, light_left
+from experiments.laboratory.devices.ageing import aged_config, aged_detector, light_left
 from experiments.laboratory.optical_state import longest_trail_px, optical_state
 from experiments.laboratory.sensor_prediction import Accuracy, CameraPrediction, Optics, Sky, predict_camera
 from optics.arrays import FloatArray

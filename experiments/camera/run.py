@@ -14,7 +14,7 @@ from experiments.harness.progress import Progress
 from experiments.harness.sections import numbers_of
 from experiments.harness.system import aside, prompt_import
 from experiments.harness.what_if import judge
-from experiments.laboratory.checks import focus_remark
+from experiments.laboratory.bench.checks import focus_remark
 from experiments.laboratory.optical_state import longest_trail_px
 from experiments.laboratory.sensor_prediction import CameraPrediction, predict_camera
 

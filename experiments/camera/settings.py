@@ -11,7 +11,7 @@ from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.harness.sweeps import SweptConfig, with_what_if
-from experiments.laboratory.prediction_settings import PredictedSensorConfig
+from experiments.laboratory.settings.prediction import PredictedSensorConfig
 
 
 class MotionConfig(StrictModel):

@@ -24,9 +24,11 @@ from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import measured
-from experiments.laboratory.bench import Bench, band_pairs
-from experiments.laboratory.centroid_methods import MethodLabels
-from experiments.laboratory.checks import check_light
+from experiments.laboratory.bench.centroid_methods import MethodLabels
+from experiments.laboratory.bench.checks import check_light
+from experiments.laboratory.bench.point_bench import Bench, band_pairs
+from experiments.laboratory.bench.ray_prediction import bundle_prediction
+from experiments.laboratory.bench.signal import electrons_of_star, signal_of
 from experiments.laboratory.chromatic_error import (
     CALIBRATIONS,
     ChromaticMeasurement,
@@ -38,14 +40,12 @@ from experiments.laboratory.chromatic_error import (
     table1,
     table1_sigma,
 )
-from experiments.laboratory.collimator import build_collimator
-from experiments.laboratory.collimator_effects import COLLIMATOR, collimator_shift
-from experiments.laboratory.filter_wheel import interference_filters, open_band
-from experiments.laboratory.instrument import Instrument, build_instrument
-from experiments.laboratory.published import ACC18_ARCSEC, ACC18_TABLE1_PX, is_published_sensor
-from experiments.laboratory.ray_prediction import bundle_prediction
-from experiments.laboratory.signal import electrons_of_star, signal_of
-from experiments.laboratory.target import CORNERS, corner_directions
+from experiments.laboratory.devices.collimator import build_collimator
+from experiments.laboratory.devices.collimator_effects import COLLIMATOR, collimator_shift
+from experiments.laboratory.devices.filter_wheel import interference_filters, open_band
+from experiments.laboratory.devices.instrument import Instrument, build_instrument
+from experiments.laboratory.devices.target import CORNERS, corner_directions
+from experiments.laboratory.settings.published import ACC18_ARCSEC, ACC18_TABLE1_PX, is_published_sensor
 from optics.arrays import FloatArray
 from optics.errors import unknown_name
 from optics.light.spectrum import Blackbody

@@ -13,11 +13,11 @@ from experiments.harness.drawings import arrows
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, below, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.bench import band_pairs
+from experiments.laboratory.bench.point_bench import band_pairs
 from experiments.laboratory.chromatic_error import CALIBRATIONS, after_calibration, rms, shifts, table1
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
-from experiments.reduce.road import FramesTest, Reduced
+from experiments.reduce.pipeline import FramesTest, Reduced
 from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
@@ -86,7 +86,7 @@ class FilterFrames:
 
     @property
     def pairs(self) -> list[tuple[str, int, int]]:
-        """Differences between the filters (`experiments.laboratory.bench.band_pairs`)."""
+        """Differences between the filters (`experiments.laboratory.bench.point_bench.band_pairs`)."""
         return band_pairs(self.filters_nm, self.reference)
 
     def mean_px(self, method: str) -> FloatArray:

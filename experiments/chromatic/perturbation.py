@@ -12,10 +12,10 @@ from scipy.optimize import brentq
 from experiments.chromatic.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, col
-from experiments.laboratory.bench import Bench, point_field
+from experiments.laboratory.bench.point_bench import Bench, point_field
+from experiments.laboratory.bench.readout.search import SEARCH_MARGIN_PX
 from experiments.laboratory.chromatic_error import shifts, table1
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.readout.search import SEARCH_MARGIN_PX
+from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.lens.perturb import decentre, tilt

@@ -9,10 +9,10 @@ from pydantic import Field, model_validator
 from experiments.harness.cli import command
 from experiments.harness.config import OddPx, StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.centroid_methods import MethodName
-from experiments.laboratory.collimator_settings import FilteredCollimatorConfig
-from experiments.laboratory.own_frames import OwnFramesConfig, or_own_frames
-from experiments.laboratory.settings import (
+from experiments.laboratory.bench.centroid_methods import MethodName
+from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
+from experiments.laboratory.settings.own_frames import OwnFramesConfig, or_own_frames
+from experiments.laboratory.settings.tables import (
     FilterConfig,
     InstrumentConfig,
     PassbandConfig,

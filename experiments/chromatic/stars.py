@@ -9,8 +9,8 @@ import numpy as np
 
 from experiments.harness.drawings import curves
 from experiments.harness.sections import Section, col
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.settings import StarsConfig
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.settings.tables import StarsConfig
 from optics.arrays import FloatArray
 from optics.light.band import Band, band_nodes
 from optics.light.spectrum import Blackbody

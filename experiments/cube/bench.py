@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from calib.calibration.cube_mirror import normal_of_offset, triad
 from experiments.cube.settings import Config
-from experiments.laboratory.turntable import Turntable, build_turntable
+from experiments.laboratory.devices.turntable import Turntable, build_turntable
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, DEG_RAD

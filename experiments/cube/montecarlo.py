@@ -24,7 +24,7 @@ from experiments.cube.sensor import SensorCalibration, SensorRun, calibrate_sens
 from experiments.cube.settings import Config
 from experiments.cube.trim import FaceTrim, trim_face
 from experiments.harness.progress import Progress
-from experiments.laboratory.turntable import Turntable
+from experiments.laboratory.devices.turntable import Turntable
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 

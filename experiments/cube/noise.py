@@ -32,7 +32,7 @@ from scipy.stats import qmc
 from experiments.cube.bench import Laboratory, spot_profile
 from experiments.cube.sensor import EXPOSURE_S, field_angles
 from experiments.cube.trim import BESIDE_PX, EDGE_HALF_WIDTH_PX, RAYS, RIM_LEVEL, SPOKES
-from experiments.laboratory.turntable import build_turntable
+from experiments.laboratory.devices.turntable import build_turntable
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 from render.bench.trace import OVERSCAN

@@ -23,7 +23,7 @@ from calib.cameras import BrownConrady, SensorGeometry
 from calib.fitting.solution import Solution
 from experiments.cube.bench import Laboratory, Truth
 from experiments.cube.settings import Config
-from experiments.laboratory.turntable import Turntable
+from experiments.laboratory.devices.turntable import Turntable
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.units import DEG_RAD

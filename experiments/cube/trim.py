@@ -30,7 +30,7 @@ from experiments.cube.bench import (
     start_angles,
 )
 from experiments.cube.settings import Config
-from experiments.laboratory.turntable import Turntable
+from experiments.laboratory.devices.turntable import Turntable
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError
 from optics.units import ARCSEC_RAD, RAD_DEG

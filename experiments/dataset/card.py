@@ -272,7 +272,7 @@ def contact_sheet(folder: Path, records: Sequence[FrameRecord]) -> bytes:
 def _write_frame_page(source: Path, records: Sequence[FrameRecord], example: Example, folder: Path) -> None:
     """``frame.html``: the frame that the report shows, to zoom into."""
     from calib.figures import star_marks
-    from experiments.laboratory.truth_marks import truth_marks
+    from experiments.laboratory.bench.truth_marks import truth_marks
     from optics.fits import image_header
     from optics.page import differences, save_frame_page
     from render.fits.wcs import sky_grid

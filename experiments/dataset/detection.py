@@ -28,8 +28,8 @@ from experiments.harness.drawings import curves
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import Section, below, col
 from experiments.harness.summary import Measured
-from experiments.laboratory.readout.noise_model import true_noise
-from experiments.laboratory.readout.reduction import SMEAR_PX, MeasuredFrame
+from experiments.laboratory.bench.readout.noise_model import true_noise
+from experiments.laboratory.bench.readout.reduction import SMEAR_PX, MeasuredFrame
 from optics.arrays import FloatArray
 from optics.frames import pixel_from_fits
 from optics.records import concatenated, freeze
@@ -37,7 +37,7 @@ from render.records import EffectivePsf
 
 if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
-    from experiments.laboratory.readout.psf_grid import PsfGrid
+    from experiments.laboratory.bench.readout.psf_grid import PsfGrid
 
 
 # --- Which star a detection belongs to

@@ -32,13 +32,13 @@ from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import Section, col
 from experiments.harness.system import prompt_pool
-from experiments.laboratory.centroid_methods import needs_epsf
-from experiments.laboratory.checks import focus_remark
-from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.readout.frames import empty_frame, mean_dark_frame
-from experiments.laboratory.readout.noise_model import true_noise
-from experiments.laboratory.readout.psf_grid import render_psf_grid
-from experiments.laboratory.readout.reduction import Reduction, measure_frame
+from experiments.laboratory.bench.centroid_methods import needs_epsf
+from experiments.laboratory.bench.checks import focus_remark
+from experiments.laboratory.bench.readout.frames import empty_frame, mean_dark_frame
+from experiments.laboratory.bench.readout.noise_model import true_noise
+from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
+from experiments.laboratory.bench.readout.reduction import Reduction, measure_frame
+from experiments.laboratory.devices.filter_wheel import open_band
 from optics.errors import ConfigError
 from render.engine import Engine
 from render.fits.files import read_frame

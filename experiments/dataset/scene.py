@@ -19,11 +19,11 @@ from experiments.dataset.plan import (
     sun_direction,
 )
 from experiments.dataset.settings import BackgroundConfig, Config, SkyPointing
-from experiments.laboratory.catalogue import load_catalogue
-from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.instrument import Instrument, build_instrument
-from experiments.laboratory.scatter_laws import with_halos
-from experiments.laboratory.settings import CatalogueConfig
+from experiments.laboratory.devices.filter_wheel import open_band
+from experiments.laboratory.devices.instrument import Instrument, build_instrument
+from experiments.laboratory.devices.scatter_laws import with_halos
+from experiments.laboratory.settings.catalogue import load_catalogue
+from experiments.laboratory.settings.tables import CatalogueConfig
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.band import Band

@@ -13,10 +13,10 @@ from experiments.harness.cli import command
 from experiments.harness.config import AngleDeg, FileName, StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, interrupts
-from experiments.laboratory.centroid_methods import CentroiderName
-from experiments.laboratory.sensor_file import SensorExperimentConfig
-from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
-from experiments.laboratory.stray_settings import ContaminationConfig, ScatterConfig
+from experiments.laboratory.bench.centroid_methods import CentroiderName
+from experiments.laboratory.settings.sensor_file import SensorExperimentConfig
+from experiments.laboratory.settings.stray import ContaminationConfig, ScatterConfig
+from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig, PassbandConfig
 
 DeclinationDeg = Annotated[float, Field(ge=-90, le=90)]
 RateDegPerS = Annotated[float, Field(ge=-360, le=360)]

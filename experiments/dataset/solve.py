@@ -30,7 +30,7 @@ from experiments.harness.drawings import cloud
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, below, col, ratio_near
 from experiments.harness.summary import Measured
-from experiments.laboratory.readout.reduction import MeasuredFrame
+from experiments.laboratory.bench.readout.reduction import MeasuredFrame
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.records import freeze

@@ -19,7 +19,11 @@ from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import measured
-from experiments.laboratory.bench import Bench
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.point_quantities import point_quantities
+from experiments.laboratory.bench.point_scene import point_laboratory, point_signal, prepared_scene
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.devices.targets import GridTarget, grid_directions
 from experiments.laboratory.distortion_error import (
     DistortionMeasurement,
     dense_grid,
@@ -29,11 +33,7 @@ from experiments.laboratory.distortion_error import (
 )
 from experiments.laboratory.distortion_model import DistortionPrediction, forecast_map, predict_distortion
 from experiments.laboratory.distortion_statistics import LABELS, REFERENCES
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_quantities import point_quantities
-from experiments.laboratory.point_scene import point_laboratory, point_signal, prepared_scene
-from experiments.laboratory.published import ACC18_ARCSEC, is_published_sensor
-from experiments.laboratory.targets import GridTarget, grid_directions
+from experiments.laboratory.settings.published import ACC18_ARCSEC, is_published_sensor
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams

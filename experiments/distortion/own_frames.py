@@ -21,7 +21,7 @@ from experiments.laboratory.distortion_statistics import (
 )
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import Layout
-from experiments.reduce.road import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
+from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
 from experiments.reduce.series import reduce_series
 from optics.arrays import FloatArray
 from optics.errors import DomainError

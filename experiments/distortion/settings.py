@@ -9,10 +9,10 @@ from pydantic import Field, model_validator
 from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.centroid_methods import MethodName
-from experiments.laboratory.own_frames import or_own_frames
-from experiments.laboratory.point_settings import PointConfig
-from experiments.laboratory.settings import GridTargetConfig, InstrumentConfig
+from experiments.laboratory.bench.centroid_methods import MethodName
+from experiments.laboratory.settings.own_frames import or_own_frames
+from experiments.laboratory.settings.points import PointConfig
+from experiments.laboratory.settings.tables import GridTargetConfig, InstrumentConfig
 
 
 class WideConfig(StrictModel):

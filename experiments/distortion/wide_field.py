@@ -16,6 +16,8 @@ from experiments.distortion.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import measured
+from experiments.laboratory.bench.point_scene import point_laboratory, prepared_scene
+from experiments.laboratory.devices.targets import GridTarget, grid_directions
 from experiments.laboratory.distortion_error import DistortionMeasurement, measure_distortion, residual_px
 from experiments.laboratory.distortion_model import (
     DistortionPrediction,
@@ -24,9 +26,7 @@ from experiments.laboratory.distortion_model import (
     predicted_numbers,
 )
 from experiments.laboratory.distortion_statistics import Reference
-from experiments.laboratory.point_scene import point_laboratory, prepared_scene
-from experiments.laboratory.settings import PassbandConfig
-from experiments.laboratory.targets import GridTarget, grid_directions
+from experiments.laboratory.settings.tables import PassbandConfig
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams

@@ -49,7 +49,8 @@ from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured
-from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.devices.turntable import Turntable
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
 from experiments.laboratory.single_star.measure import measure
@@ -73,7 +74,6 @@ from experiments.laboratory.single_star.setup import (
     star_signal,
 )
 from experiments.laboratory.single_star.star import star_direction
-from experiments.laboratory.turntable import Turntable
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import RAD_ARCSEC

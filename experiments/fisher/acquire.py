@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from calib.measure.centroid import get_centroider
 from calib.measure.linear_response import centroid_covariance, linear_response
 from calib.records import NoiseModel, Stamps
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.readout.centroids import measured_positions
-from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated
-from experiments.laboratory.readout.windows import WindowReader, cut_windows, window_corners
+from experiments.laboratory.bench.readout.centroids import measured_positions
+from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated
+from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
+from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.star import SingleStar
 from optics.arrays import FloatArray

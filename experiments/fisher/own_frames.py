@@ -22,8 +22,8 @@ from experiments.harness.sections import Section, agree, below, col
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import SETTINGS_FILE
+from experiments.reduce.pipeline import FramesTest, Reduced
 from experiments.reduce.poses import FIT, POSES, calibrate_poses, fit_record, pose_data
-from experiments.reduce.road import FramesTest, Reduced
 from experiments.reduce.series import reduce_series
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError

@@ -9,8 +9,8 @@ from pydantic import Field, model_validator
 from experiments.harness.cli import command
 from experiments.harness.config import Sorted, StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.own_frames import or_own_frames
-from experiments.laboratory.settings import SignalConfig
+from experiments.laboratory.settings.own_frames import or_own_frames
+from experiments.laboratory.settings.tables import SignalConfig
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 
 

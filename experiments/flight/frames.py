@@ -21,11 +21,11 @@ from scipy.spatial.transform import Rotation
 from calib.attitude.patterns import kept_database
 from calib.attitude.tracker import StarTracker, TrackedAttitude
 from experiments.flight.prediction import Budget, heated
-from experiments.laboratory.centroid_methods import needs_epsf
-from experiments.laboratory.detector_changes import overridden
-from experiments.laboratory.instrument import Instrument, build_instrument, configured_detector
-from experiments.laboratory.readout.frames import mean_dark_frame
-from experiments.laboratory.readout.psf_grid import PsfGrid, refined, render_psf_grid
+from experiments.laboratory.bench.centroid_methods import needs_epsf
+from experiments.laboratory.bench.readout.frames import mean_dark_frame
+from experiments.laboratory.bench.readout.psf_grid import PsfGrid, refined, render_psf_grid
+from experiments.laboratory.devices.instrument import Instrument, build_instrument, configured_detector
+from experiments.laboratory.settings.detector import overridden
 from optics.arrays import FloatArray
 from optics.attitude import aberrated, attitude_error_arcsec
 from optics.records import freeze

@@ -31,23 +31,23 @@ from calib.measure.centroid_prediction import phase_windows
 from calib.records import Stamps
 from experiments.flight.scenario import STATES, Flight, trail_of_rate
 from experiments.flight.settings import Config
-from experiments.laboratory.ageing import aged_config
-from experiments.laboratory.catalogue import load_catalogue
-from experiments.laboratory.distortion_model import polynomial_basis
-from experiments.laboratory.guide_stars import guide_stars
-from experiments.laboratory.instrument import (
+from experiments.laboratory.devices.ageing import aged_config
+from experiments.laboratory.devices.instrument import (
     Instrument,
     build_instrument,
     configured_lens,
     housing_of,
 )
-from experiments.laboratory.prediction_settings import PredictedSensorConfig, SlewConfig
+from experiments.laboratory.distortion_model import polynomial_basis
+from experiments.laboratory.guide_stars import guide_stars
 from experiments.laboratory.sensor_prediction import (
     CameraPrediction,
     colour_distance,
     detector_radii,
     predict_camera,
 )
+from experiments.laboratory.settings.catalogue import load_catalogue
+from experiments.laboratory.settings.prediction import PredictedSensorConfig, SlewConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.system import LensSystem

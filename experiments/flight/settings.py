@@ -9,9 +9,9 @@ from pydantic import Field, model_validator
 from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.detector_changes import DetectorConfig
-from experiments.laboratory.sensor_file import LifeConfig, SensorConfig, SensorExperimentConfig
-from experiments.laboratory.settings import FileName
+from experiments.laboratory.settings.detector import DetectorConfig
+from experiments.laboratory.settings.sensor_file import LifeConfig, SensorConfig, SensorExperimentConfig
+from experiments.laboratory.settings.tables import FileName
 
 
 class OrbitConfig(StrictModel):

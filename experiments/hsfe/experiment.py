@@ -15,9 +15,14 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured, measured
 from experiments.hsfe.settings import Config
-from experiments.laboratory.bench import Bench
-from experiments.laboratory.collimator_effects import SIGHT, sight_of
-from experiments.laboratory.hexapod import Hexapod, turned
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.point_quantities import point_quantities
+from experiments.laboratory.bench.point_scene import point_laboratory, point_signal, prepared_scene
+from experiments.laboratory.bench.readout.centroids import centroiders, motion_method, noiseless_positions
+from experiments.laboratory.bench.readout.noise_model import nominal_noise
+from experiments.laboratory.devices.collimator_effects import SIGHT, sight_of
+from experiments.laboratory.devices.hexapod import Hexapod, turned
+from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.high_frequency import (
     CAUSES,
     HighFrequencyMeasurement,
@@ -29,12 +34,7 @@ from experiments.laboratory.high_frequency_model import (
     MethodPrediction,
     predict_high_frequency,
 )
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_quantities import point_quantities
-from experiments.laboratory.point_scene import point_laboratory, point_signal, prepared_scene
-from experiments.laboratory.published import ACC18_ARCSEC, is_published_sensor
-from experiments.laboratory.readout.centroids import centroiders, motion_method, noiseless_positions
-from experiments.laboratory.readout.noise_model import nominal_noise
+from experiments.laboratory.settings.published import ACC18_ARCSEC, is_published_sensor
 from experiments.laboratory.step_statistics import step_residual_px
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray

@@ -22,7 +22,7 @@ from experiments.laboratory.step_statistics import (
 from experiments.laboratory.temporal_error import scatter_interval
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import Layout
-from experiments.reduce.road import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
+from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
 from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 from optics.errors import DomainError

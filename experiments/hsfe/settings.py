@@ -8,9 +8,9 @@ from pydantic import Field
 
 from experiments.harness.cli import command
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.own_frames import or_own_frames
-from experiments.laboratory.point_settings import StarTargetConfig
-from experiments.laboratory.settings import HexapodConfig, StepConfig
+from experiments.laboratory.settings.own_frames import or_own_frames
+from experiments.laboratory.settings.points import StarTargetConfig
+from experiments.laboratory.settings.tables import HexapodConfig, StepConfig
 
 
 class Config(StarTargetConfig):

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.laboratory.bench import Bench
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.points import PointMeasurement, PointReadout
-from experiments.laboratory.target import CORNERS, corner_directions
-from experiments.laboratory.target_light import target_light
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.points import PointMeasurement, PointReadout
+from experiments.laboratory.bench.target_light import target_light
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.devices.target import CORNERS, corner_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import ExpectedImage, WindowStack

@@ -7,7 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.laboratory.bench import Bench
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.point_frames import read_points
+from experiments.laboratory.bench.point_scene import PointLight, PointScene, one_filter, scene_of
+from experiments.laboratory.bench.points import nominal_px
+from experiments.laboratory.bench.ray_prediction import bundle_prediction
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.devices.targets import GridTarget, grid_directions, survey
 from experiments.laboratory.distortion_statistics import (
     DistortionStatistics,
     Reference,
@@ -18,12 +24,6 @@ from experiments.laboratory.distortion_statistics import (
     polynomial_terms,
     without_pointing,
 )
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import read_points
-from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, scene_of
-from experiments.laboratory.points import nominal_px
-from experiments.laboratory.ray_prediction import bundle_prediction
-from experiments.laboratory.targets import GridTarget, grid_directions, survey
 from optics.arrays import FloatArray
 from optics.records import freeze_all
 from render.engine.random import Streams

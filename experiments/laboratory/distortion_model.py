@@ -34,21 +34,21 @@ from numpy.typing import NDArray
 
 from calib.measure.centroid import Centroider
 from calib.measure.linear_response import centroid_covariance
-from experiments.laboratory.bench import Bench
-from experiments.laboratory.centroid_methods import needs_epsf
-from experiments.laboratory.distortion_error import camera_place, dense_grid, traced_bundles
-from experiments.laboratory.distortion_statistics import REFERENCES, Reference, without_pointing
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_noise import (
+from experiments.laboratory.bench.centroid_methods import needs_epsf
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.point_noise import (
     ExpectedWindows,
     drawn_positions,
     expected_windows,
     influence,
     window_positions,
 )
-from experiments.laboratory.point_scene import one_filter
-from experiments.laboratory.readout.centroids import centroiders, session_centroiders
-from experiments.laboratory.targets import GridTarget, grid_directions
+from experiments.laboratory.bench.point_scene import one_filter
+from experiments.laboratory.bench.readout.centroids import centroiders, session_centroiders
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.devices.targets import GridTarget, grid_directions
+from experiments.laboratory.distortion_error import camera_place, dense_grid, traced_bundles
+from experiments.laboratory.distortion_statistics import REFERENCES, Reference, without_pointing
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams

@@ -14,13 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from experiments.harness.summary import Measured
-from experiments.laboratory.bench import Bench
-from experiments.laboratory.hexapod import Hexapod, HexapodPath, step_path, turned
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import PointFrames, Subtraction, read_points
-from experiments.laboratory.point_scene import PointLight, PointScene, scene_of
-from experiments.laboratory.readout.centroids import centroiders, common_motion_px2, motion_method, noiseless_positions
-from experiments.laboratory.readout.noise_model import nominal_noise
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.point_frames import PointFrames, Subtraction, read_points
+from experiments.laboratory.bench.point_scene import PointLight, PointScene, scene_of
+from experiments.laboratory.bench.readout.centroids import (
+    centroiders,
+    common_motion_px2,
+    motion_method,
+    noiseless_positions,
+)
+from experiments.laboratory.bench.readout.noise_model import nominal_noise
+from experiments.laboratory.devices.hexapod import Hexapod, HexapodPath, step_path, turned
+from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.step_statistics import (
     document_arcsec,
     document_rms_px,
@@ -98,7 +103,7 @@ class HighFrequencyMeasurement:
     paired_px: Mapping[str, Mapping[str, FloatArray]]
     lights: tuple[PointLight, ...]  # The target at every position
     # (m, 2, 2) What the stars have in common in the frames
-    # (`experiments.laboratory.readout.centroids.common_motion_px2`)
+    # (`experiments.laboratory.bench.readout.centroids.common_motion_px2`)
     motion_px2: FloatArray
 
     def document_px(self, method: str, run: str = "all") -> FloatArray:

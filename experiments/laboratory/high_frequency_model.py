@@ -22,23 +22,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.centroid import Centroider
-from experiments.laboratory.bench import Bench
-from experiments.laboratory.centroid_methods import needs_epsf
-from experiments.laboratory.hexapod import Hexapod, turned
-from experiments.laboratory.high_frequency import CAUSES, StepPlan
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import Subtraction
-from experiments.laboratory.point_noise import (
+from experiments.laboratory.bench.centroid_methods import needs_epsf
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.point_frames import Subtraction
+from experiments.laboratory.bench.point_noise import (
     ExpectedWindows,
     drawn_positions,
     expected_windows,
     influence,
     window_positions,
 )
-from experiments.laboratory.point_scene import one_filter
-from experiments.laboratory.ray_prediction import bundle_prediction
-from experiments.laboratory.readout.centroids import centroiders, noiseless_positions, session_centroiders
-from experiments.laboratory.readout.noise_model import nominal_noise
+from experiments.laboratory.bench.point_scene import one_filter
+from experiments.laboratory.bench.ray_prediction import bundle_prediction
+from experiments.laboratory.bench.readout.centroids import centroiders, noiseless_positions, session_centroiders
+from experiments.laboratory.bench.readout.noise_model import nominal_noise
+from experiments.laboratory.devices.hexapod import Hexapod, turned
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.high_frequency import CAUSES, StepPlan
 from experiments.laboratory.step_statistics import document_rms_px, single_rms_px
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray

@@ -10,12 +10,18 @@ from functools import lru_cache, partial
 import numpy as np
 
 from calib.measure.centroid import get_centroider
-from experiments.laboratory.centroid_methods import needs_epsf
-from experiments.laboratory.detector_changes import DetectorConfig, overridden
-from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.instrument import PARTS, Instrument, build_instrument, configured_detector, radial_field_deg
-from experiments.laboratory.prediction_settings import PredictedSensorConfig
-from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
+from experiments.laboratory.bench.centroid_methods import needs_epsf
+from experiments.laboratory.devices.filter_wheel import open_band
+from experiments.laboratory.devices.instrument import (
+    PARTS,
+    Instrument,
+    build_instrument,
+    configured_detector,
+    radial_field_deg,
+)
+from experiments.laboratory.settings.detector import DetectorConfig, overridden
+from experiments.laboratory.settings.prediction import PredictedSensorConfig
+from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig, PassbandConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.band import Band
@@ -141,7 +147,7 @@ def _moving(state: OpticalState, length_px: float, towards_rad: float) -> Optica
 
 def magnitude_system(config: CatalogueConfig) -> str:
     """Scale of the magnitudes of a catalogue."""
-    from experiments.laboratory.catalogue import load_catalogue
+    from experiments.laboratory.settings.catalogue import load_catalogue
 
     return "G" if config.source == "gaia" else load_catalogue(config).magnitude_system
 

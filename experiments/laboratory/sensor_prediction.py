@@ -33,11 +33,11 @@ from calib.measure.detection_statistics import (
 )
 from calib.records import NoiseModel
 from experiments.harness.sections import col
-from experiments.laboratory.checks import focus_remark
-from experiments.laboratory.detector_changes import overridden
-from experiments.laboratory.instrument import configured_detector
+from experiments.laboratory.bench.checks import focus_remark
+from experiments.laboratory.devices.instrument import configured_detector
 from experiments.laboratory.optical_state import COLD_K, HOT_K, OpticalState, optical_state
-from experiments.laboratory.prediction_settings import PredictedSensorConfig
+from experiments.laboratory.settings.detector import overridden
+from experiments.laboratory.settings.prediction import PredictedSensorConfig
 from experiments.laboratory.sky_view import SkyView, sky_view
 from optics.arrays import FloatArray
 from optics.errors import DomainError

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from experiments.laboratory.catalogue import load_catalogue
-from experiments.laboratory.instrument import build_instrument
-from experiments.laboratory.prediction_settings import PredictedSensorConfig
-from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
+from experiments.laboratory.devices.instrument import build_instrument
+from experiments.laboratory.settings.catalogue import load_catalogue
+from experiments.laboratory.settings.prediction import PredictedSensorConfig
+from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.catalogue.index import build_index

@@ -13,10 +13,9 @@ from scipy.stats import chi2
 
 from calib.measure.centroid import Centroider
 from experiments.harness.summary import Measured
-from experiments.laboratory.bench import Bench
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.point_frames import read_points
-from experiments.laboratory.point_noise import (
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.point_frames import read_points
+from experiments.laboratory.bench.point_noise import (
     ExpectedWindows,
     bound_px,
     expected_windows,
@@ -24,10 +23,11 @@ from experiments.laboratory.point_noise import (
     sampled_px,
     window_positions,
 )
-from experiments.laboratory.point_scene import PointLight, PointScene, one_filter, scene_of
-from experiments.laboratory.ray_prediction import bundle_prediction
-from experiments.laboratory.readout.centroids import centroiders, common_motion_px2, motion_method
-from experiments.laboratory.target import target_directions
+from experiments.laboratory.bench.point_scene import PointLight, PointScene, one_filter, scene_of
+from experiments.laboratory.bench.ray_prediction import bundle_prediction
+from experiments.laboratory.bench.readout.centroids import centroiders, common_motion_px2, motion_method
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.devices.target import target_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf, WindowStack
@@ -88,7 +88,7 @@ class TemporalMeasurement:
     light: PointLight  # The target as rendered, at the signal of the bench
     windows: WindowStack  # Readout at the level nearest to that of the bench
     position_px: Mapping[str, FloatArray]  # (f, j, 2) Centroids of these frames, dark-subtracted
-    # (l, 2, 2) What the stars have in common (`experiments.laboratory.readout.centroids.common_motion_px2`)
+    # (l, 2, 2) What the stars have in common (`experiments.laboratory.bench.readout.centroids.common_motion_px2`)
     motion_px2: FloatArray
 
     def te_arcsec(self, method: str, level: int = 0) -> tuple[Measured, Measured]:

@@ -226,8 +226,8 @@ def thermal(
     glass: tuple[str, ...],
     catalogue: tuple[str, ...],
 ) -> None:
-    from experiments.laboratory.housing import HousingConfig
-    from experiments.laboratory.instrument import housing_of
+    from experiments.laboratory.devices.instrument import housing_of
+    from experiments.laboratory.settings.housing import HousingConfig
     from experiments.lens.thermal import thermal_lines
     from optics.validate import parse_model
 

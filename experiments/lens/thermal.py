@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from experiments.laboratory.housing import expansion_per_k
+from experiments.laboratory.settings.housing import expansion_per_k
 from optics.errors import ConfigError, DomainError
 from optics.lens.system import LensSystem
 from optics.lens.thermal import COMPONENTS, Housing

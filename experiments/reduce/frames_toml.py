@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from experiments.harness.config import AngleDeg, StrictModel
-from experiments.laboratory.centroid_methods import CentroiderName
+from experiments.laboratory.bench.centroid_methods import CentroiderName
 from optics.errors import ConfigError
 from optics.validate import parse_model, read_toml
 

@@ -16,6 +16,7 @@ from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import Section, above, col, ratio_near
 from experiments.harness.summary import Measured
+from experiments.laboratory.devices.turntable import Turntable, build_turntable
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.reduce import (
     Data,
@@ -26,7 +27,6 @@ from experiments.laboratory.single_star.reduce import (
     reduce_data,
 )
 from experiments.laboratory.single_star.star import star_direction
-from experiments.laboratory.turntable import Turntable, build_turntable
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
 from experiments.reduce.series import SeriesFrames, reduce_series

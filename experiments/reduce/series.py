@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from calib.measure.centroid import get_centroider
 from calib.measure.linear_response import centroid_covariance, linear_response, tight
 from calib.records import NoiseModel, Stamps
-from experiments.laboratory.point_frames import PointFrames
-from experiments.laboratory.readout.centroids import measured_positions, refuse_few_frames
-from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
+from experiments.laboratory.bench.point_frames import PointFrames
+from experiments.laboratory.bench.readout.centroids import measured_positions, refuse_few_frames
+from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.reduce.folder import FrameFolder, FrameSeries
 from experiments.reduce.frames_toml import SeriesSettings
 from experiments.reduce.sequence import Lag, effective_frames, position_lags

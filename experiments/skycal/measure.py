@@ -14,9 +14,9 @@ from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
 from calib.records import NoiseModel, Stamps, StarTable
 from experiments.harness.system import prompt_pool
-from experiments.laboratory.centroid_methods import needs_epsf
-from experiments.laboratory.readout.frames import dark_subtracted_frame, mean_dark_frame
-from experiments.laboratory.readout.noise_model import true_noise
+from experiments.laboratory.bench.centroid_methods import needs_epsf
+from experiments.laboratory.bench.readout.frames import dark_subtracted_frame, mean_dark_frame
+from experiments.laboratory.bench.readout.noise_model import true_noise
 from experiments.skycal.scene import Scene
 from experiments.skycal.settings import Config
 from optics.arrays import FloatArray

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.flags import StarFlag, has_flag
-from experiments.laboratory.centroid_methods import needs_epsf
+from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.skycal.match import Matched
 from experiments.skycal.measure import BankRenderer, Recording
 from experiments.skycal.scene import Scene

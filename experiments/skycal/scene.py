@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from calib.attitude.gyro_attitude import integrate_rates
 from calib.attitude.link import rotation_of_angles
 from calib.cameras.base import SensorGeometry
-from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.instrument import Instrument, build_instrument
+from experiments.laboratory.devices.filter_wheel import open_band
+from experiments.laboratory.devices.instrument import Instrument, build_instrument
 from experiments.skycal.settings import CameraConfig, Config, MotionConfig, SkyConfig
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles

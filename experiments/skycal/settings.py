@@ -13,10 +13,15 @@ from pydantic import Field, field_validator, model_validator
 from experiments.harness.cli import command
 from experiments.harness.config import AngleDeg, OddPx, StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.centroid_methods import CentroiderName
-from experiments.laboratory.lens_defaults import lens_remarks
-from experiments.laboratory.sensor_file import SensorConfig, SensorExperimentConfig, in_best_focus, whole_sensor
-from experiments.laboratory.settings import InstrumentConfig, PassbandConfig
+from experiments.laboratory.bench.centroid_methods import CentroiderName
+from experiments.laboratory.settings.lens_defaults import lens_remarks
+from experiments.laboratory.settings.sensor_file import (
+    SensorConfig,
+    SensorExperimentConfig,
+    in_best_focus,
+    whole_sensor,
+)
+from experiments.laboratory.settings.tables import InstrumentConfig, PassbandConfig
 
 FEWEST_FRAMES = 4
 CAMERAS = ("narrow", "wide", "own")

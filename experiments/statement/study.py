@@ -17,8 +17,8 @@ from experiments.harness.provenance import without_paths
 from experiments.harness.quantities import Outcome
 from experiments.harness.registry import declared
 from experiments.harness.run import Options, configuration
+from experiments.laboratory.devices.instrument import build_instrument, housing_of
 from experiments.laboratory.error_metrics import mixture_bound, normal_factor, quantile_limit
-from experiments.laboratory.instrument import build_instrument, housing_of
 from experiments.statement.clauses import CLAUSES
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, StarbenchError

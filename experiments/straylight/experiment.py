@@ -16,10 +16,10 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, below, col, numbers_of
 from experiments.harness.summary import Measured
 from experiments.harness.what_if import REQUIREMENTS, judge
-from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.instrument import Instrument, build_instrument
-from experiments.laboratory.requirements import AT_LEAST
-from experiments.laboratory.stray_settings import BaffleConfig
+from experiments.laboratory.devices.filter_wheel import open_band
+from experiments.laboratory.devices.instrument import Instrument, build_instrument
+from experiments.laboratory.settings.requirements import AT_LEAST
+from experiments.laboratory.settings.stray import BaffleConfig
 from experiments.straylight.drawing import draw_baffle, draw_causes, draw_frames
 from experiments.straylight.frames import Bench, SunFrames, light_map, rms
 from experiments.straylight.settings import Config

@@ -18,14 +18,14 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.fit import fit_camera
-from experiments.laboratory.catalogue import load_catalogue
-from experiments.laboratory.centroid_methods import needs_epsf
-from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.readout.frames import mean_dark_frame
-from experiments.laboratory.readout.noise_model import true_noise
-from experiments.laboratory.readout.psf_grid import render_psf_grid
-from experiments.laboratory.readout.reduction import MeasuredFrame, Reduction, measure_frame
+from experiments.laboratory.bench.centroid_methods import needs_epsf
+from experiments.laboratory.bench.readout.frames import mean_dark_frame
+from experiments.laboratory.bench.readout.noise_model import true_noise
+from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
+from experiments.laboratory.bench.readout.reduction import MeasuredFrame, Reduction, measure_frame
+from experiments.laboratory.devices.filter_wheel import open_band
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.settings.catalogue import load_catalogue
 from experiments.straylight.settings import Config
 from experiments.straylight.transmittance import Stray
 from optics.arrays import FloatArray

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from experiments.harness.system import prompt_pool
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.scatter_laws import dust_law, surface_laws
-from experiments.laboratory.stray_settings import BaffleConfig
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.devices.scatter_laws import dust_law, surface_laws
+from experiments.laboratory.settings.stray import BaffleConfig
 from experiments.straylight.settings import Config
 from optics.arrays import FloatArray
 from optics.errors import DomainError

@@ -15,7 +15,7 @@ from experiments.harness.summary import measured as with_error
 from experiments.laboratory.temporal_error import scatter_interval, small_sample_factor, temporal_error_arcsec
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import Layout
-from experiments.reduce.road import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
+from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
 from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 

@@ -7,8 +7,8 @@ from pydantic import Field, model_validator
 from experiments.harness.cli import command
 from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.own_frames import or_own_frames
-from experiments.laboratory.point_settings import StarTargetConfig
+from experiments.laboratory.settings.own_frames import or_own_frames
+from experiments.laboratory.settings.points import StarTargetConfig
 
 
 class BrightnessConfig(StrictModel):

@@ -13,7 +13,8 @@ from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities, shown_unit
 from experiments.harness.sections import Section, agree, below, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.devices.turntable import Turntable, axis_directions
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
 from experiments.laboratory.single_star.measure import Measurement, measure
 from experiments.laboratory.single_star.reduce import (
@@ -35,7 +36,6 @@ from experiments.laboratory.single_star.setup import (
     star_signal,
 )
 from experiments.laboratory.single_star.star import star_direction
-from experiments.laboratory.turntable import Turntable, axis_directions
 from experiments.turntable.bound import Bound, bound, knowledge, noise_shares
 from experiments.turntable.fields import FIELDS, field_sweep
 from experiments.turntable.monte_carlo import (

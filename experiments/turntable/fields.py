@@ -18,8 +18,8 @@ from calib.cameras import BrownConrady, SensorGeometry
 from calib.cameras.base import CameraModel
 from experiments.harness.drawings import curves
 from experiments.harness.sections import Section, col
+from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.bench import Bench, aim
-from experiments.laboratory.turntable import build_turntable
 from experiments.turntable.bound import Bound, bound
 from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC

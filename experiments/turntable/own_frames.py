@@ -12,8 +12,8 @@ from experiments.harness.drawings import arrows
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured, measured
 from experiments.reduce.folder import FrameFolder
+from experiments.reduce.pipeline import FramesTest, Reduced
 from experiments.reduce.poses import FIT, POSES, PoseCalibration, calibrate_poses, fit_record
-from experiments.reduce.road import FramesTest, Reduced
 from optics.arrays import FloatArray
 
 

@@ -9,7 +9,7 @@ from pydantic import Field
 from experiments.harness.cli import command
 from experiments.harness.config import Sorted, StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.own_frames import or_own_frames
+from experiments.laboratory.settings.own_frames import or_own_frames
 from experiments.laboratory.single_star.settings import (
     LARGEST_STAR_ANGLE_DEG,
     SingleStarConfig,

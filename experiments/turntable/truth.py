@@ -8,10 +8,10 @@ import numpy as np
 
 from calib.calibration.record import Calibration
 from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
-from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.devices.turntable import Turntable
 from experiments.laboratory.single_star.reduce import Data, calibrated_bench
 from experiments.laboratory.single_star.setup import build_star
-from experiments.laboratory.turntable import Turntable
 from experiments.turntable.settings import Config
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg

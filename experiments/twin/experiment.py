@@ -15,9 +15,9 @@ from experiments.harness.progress import Progress
 from experiments.twin.classify import Told, tell_apart
 from experiments.twin.folder import night_frames
 from experiments.twin.hold_out import HeldOut, held_out
+from experiments.twin.pipeline import Reduced, black_level, reduce_night
 from experiments.twin.prescription import fit_lens_pose, write_prescription
 from experiments.twin.report import Sections, compared_words
-from experiments.twin.road import Reduced, black_level, reduce_night
 from experiments.twin.settings import Config
 from experiments.twin.synthetic import KnownNight, render_night
 from experiments.twin.twin import Assumed, Twin, build_twin, write_twin

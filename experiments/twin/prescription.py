@@ -24,8 +24,8 @@ from calib.measure.centroid import get_centroider
 from calib.records import NoiseModel, Stamps
 from experiments.harness.sections import col
 from experiments.harness.summary import Measured
-from experiments.laboratory.instrument import Instrument, build_instrument, configured_lens
-from experiments.laboratory.readout.psf_grid import PsfGrid, render_psf_grid
+from experiments.laboratory.bench.readout.psf_grid import PsfGrid, render_psf_grid
+from experiments.laboratory.devices.instrument import Instrument, build_instrument, configured_lens
 from experiments.twin.camera import calibrated
 from experiments.twin.measure import CameraFit
 from optics.arrays import FloatArray
@@ -66,8 +66,8 @@ class LensPose:
 
 def has_prescription(file: Path) -> bool:
     """Whether the lens of a sensor file has surfaces that can be traced."""
-    from experiments.laboratory.instrument import stated_lens
-    from experiments.laboratory.sensor_file import SensorConfig, read_sensor
+    from experiments.laboratory.devices.instrument import stated_lens
+    from experiments.laboratory.settings.sensor_file import SensorConfig, read_sensor
 
     lens = stated_lens(SensorConfig.model_validate(read_sensor(file)).instrument)
     return bool(lens.surfaces)
@@ -75,7 +75,7 @@ def has_prescription(file: Path) -> bool:
 
 def fit_lens_pose(file: Path, fit: CameraFit, limit_mag: float) -> LensPose:
     """Focus, tilt and decentre of the detector behind the lens of a sensor file, from a camera measured in frames."""
-    from experiments.laboratory.sensor_file import SensorConfig, whole_sensor
+    from experiments.laboratory.settings.sensor_file import SensorConfig, whole_sensor
 
     config = SensorConfig.model_validate(whole_sensor(file))
     width, height = fit.psf.size_px
@@ -231,7 +231,7 @@ def _widths(grid: PsfGrid) -> FloatArray:
 
 def write_prescription(file: Path, pose: LensPose, folder: Path) -> tuple[Path, ...]:
     """``glass.toml`` and ``glass_sensor.toml``: the lens of a sensor file with its detector where the frames put it."""
-    from experiments.laboratory.sensor_file import SensorConfig, whole_sensor
+    from experiments.laboratory.settings.sensor_file import SensorConfig, whole_sensor
 
     given = whole_sensor(file)
     config = SensorConfig.model_validate(given)

@@ -33,7 +33,7 @@ from experiments.twin.twin import Twin
 from optics.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from experiments.twin.road import Reduced
+    from experiments.twin.pipeline import Reduced
 
 FALSE_ALARM = 0.01
 COMPLETENESS_LIMIT = 0.03

@@ -95,7 +95,7 @@ class Config(ExperimentConfig):
     def of_sensor(cls, file: Path) -> dict[str, Any]:
         """Settings of a sensor file known before frames are read: pitch, exposure time, whether its lens can be
         traced."""
-        from experiments.laboratory.sensor_file import whole_sensor
+        from experiments.laboratory.settings.sensor_file import whole_sensor
         from experiments.twin.prescription import has_prescription
         from render.detector.spec import load_detector
 
@@ -109,7 +109,7 @@ class Config(ExperimentConfig):
 
     def as_sensor(self, file: Path | None) -> StrictModel | None:
         """The sensor file that was given; the twin's own is written by a run."""
-        from experiments.laboratory.sensor_file import SensorConfig, read_sensor
+        from experiments.laboratory.settings.sensor_file import SensorConfig, read_sensor
 
         return None if file is None else parse_model(SensorConfig, read_sensor(file), str(file))
 

@@ -59,8 +59,8 @@ def quick_run_of(tmp_path_factory):
 @pytest.fixture(scope="session")
 def star_camera():
     """The default instrument of the experiments."""
-    from experiments.laboratory.instrument import build_instrument
-    from experiments.laboratory.settings import InstrumentConfig
+    from experiments.laboratory.devices.instrument import build_instrument
+    from experiments.laboratory.settings.tables import InstrumentConfig
 
     return build_instrument(InstrumentConfig())
 
@@ -68,8 +68,8 @@ def star_camera():
 @pytest.fixture(scope="session")
 def bench_of():
     """A laboratory with three filters; keywords change it."""
-    from experiments.laboratory.bench import Bench
-    from experiments.laboratory.settings import TargetConfig
+    from experiments.laboratory.bench.point_bench import Bench
+    from experiments.laboratory.settings.tables import TargetConfig
     from optics.light.band import TopHat
     from optics.light.spectrum import Blackbody
 
@@ -101,8 +101,8 @@ def small_detector(tmp_path_factory):
 @pytest.fixture(scope="session")
 def small_camera(small_detector):
     """The default lens in front of the small detector."""
-    from experiments.laboratory.instrument import build_instrument
-    from experiments.laboratory.settings import InstrumentConfig
+    from experiments.laboratory.devices.instrument import build_instrument
+    from experiments.laboratory.settings.tables import InstrumentConfig
 
     return build_instrument(InstrumentConfig(detector=str(small_detector)))
 
@@ -110,7 +110,7 @@ def small_camera(small_detector):
 @pytest.fixture
 def traced_once(monkeypatch):
     """Light of point targets that is asked for again, for another chip or other noise, is not traced again."""
-    from experiments.laboratory.target_light import TargetLight
+    from experiments.laboratory.bench.target_light import TargetLight
 
     def once(trace):
         kept = {}

@@ -13,7 +13,7 @@ import pytest
 from experiments.__main__ import main as starbench
 from experiments.harness.config import load_config
 from experiments.harness.registry import found
-from experiments.laboratory.sensor_file import SensorConfig
+from experiments.laboratory.settings.sensor_file import SensorConfig
 from optics.errors import ConfigError
 from optics.rays.paraxial import axial_paraxial
 
@@ -77,7 +77,7 @@ def without_folders(value):
 
 @pytest.mark.parametrize("name", OF_ONE_CAMERA)
 def test_a_strangers_sensor_is_the_instrument_of_every_experiment(name):
-    from experiments.laboratory.instrument import build_instrument
+    from experiments.laboratory.devices.instrument import build_instrument
 
     config = load_config(config_class(name), sensor=EXAMPLE)
     instrument = build_instrument(config.instrument)
@@ -88,7 +88,7 @@ def test_a_strangers_sensor_is_the_instrument_of_every_experiment(name):
 
 
 def test_filters_are_measured_curves_and_keep_their_nominal_centres():
-    from experiments.laboratory.filter_wheel import interference_filters
+    from experiments.laboratory.devices.filter_wheel import interference_filters
 
     filters = interference_filters(load_config(config_class("chromatic"), sensor=EXAMPLE).filters)
     assert [one.centre_nm for one in filters] == [490.0, 580.0, 700.0]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.laboratory.turntable import Turntable
+from experiments.laboratory.devices.turntable import Turntable
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze, freeze_all

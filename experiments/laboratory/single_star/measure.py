@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.single_star.bench import Bench, Visits, visit
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 from experiments.laboratory.single_star.setup import build_bench, build_star, grid_px

@@ -15,10 +15,10 @@ from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
 from calib.calibration.turntable import TableErrors, TurntableAttitudes, star_direction
 from calib.cameras import BrownConrady, CameraModel, SensorGeometry
-from experiments.laboratory.instrument import Instrument
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.devices.turntable import Turntable
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.measure import Measurement
-from experiments.laboratory.turntable import Turntable
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, RAD_ARCSEC

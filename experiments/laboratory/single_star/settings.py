@@ -7,8 +7,8 @@ from typing import Annotated, ClassVar, Self
 from pydantic import Field, model_validator
 
 from experiments.harness.config import AngleDeg, OddPx, PlacePx, StrictModel
-from experiments.laboratory.own_frames import OwnFramesConfig
-from experiments.laboratory.settings import InstrumentConfig, PassbandConfig, SignalConfig
+from experiments.laboratory.settings.own_frames import OwnFramesConfig
+from experiments.laboratory.settings.tables import InstrumentConfig, PassbandConfig, SignalConfig
 
 LARGEST_STAR_ANGLE_DEG = 60.0
 LARGEST_INSTALLATION_DEG = 30.0

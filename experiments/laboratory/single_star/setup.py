@@ -8,15 +8,15 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.instrument import Instrument, build_instrument
-from experiments.laboratory.readout.search import SEARCH_PX
-from experiments.laboratory.settings import SignalConfig
-from experiments.laboratory.signal import Signal, signal_of
+from experiments.laboratory.bench.readout.search import SEARCH_PX
+from experiments.laboratory.bench.signal import Signal, signal_of
+from experiments.laboratory.devices.filter_wheel import open_band
+from experiments.laboratory.devices.instrument import Instrument, build_instrument
+from experiments.laboratory.devices.turntable import Turntable, axis_directions, build_turntable
+from experiments.laboratory.settings.tables import SignalConfig
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 from experiments.laboratory.single_star.star import SingleStar, star_direction
-from experiments.laboratory.turntable import Turntable, axis_directions, build_turntable
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.spectrum import Blackbody

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from calib.measure.centroid import get_centroider
 from calib.measure.linear_response import centroid_covariance, centroid_variance, linear_response
-from experiments.laboratory.instrument import Instrument
-from experiments.laboratory.readout.centroids import frame_statistics, measured_positions, refuse_few_frames
-from experiments.laboratory.readout.search import find_star
-from experiments.laboratory.readout.stamps import dark_subtracted, refuse_saturated
-from experiments.laboratory.readout.windows import WindowReader, cut_windows, window_corners
+from experiments.laboratory.bench.readout.centroids import frame_statistics, measured_positions, refuse_few_frames
+from experiments.laboratory.bench.readout.search import find_star
+from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated
+from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
+from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.records import freeze
 from render.engine.random import Streams

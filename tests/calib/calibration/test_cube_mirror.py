@@ -15,7 +15,7 @@ from calib.calibration.cube_mirror import (
     table_matrix,
     triad,
 )
-from experiments.laboratory.turntable import build_turntable
+from experiments.laboratory.devices.turntable import build_turntable
 from optics.errors import DomainError
 
 TABLE1 = ((181.398, 0.528), (91.386, -0.048))

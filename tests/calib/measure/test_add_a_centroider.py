@@ -17,7 +17,7 @@ from calib.measure import centroid
 from calib.measure.centroid import get_centroider, list_centroiders
 from calib.records import NoiseModel, Stamps
 from experiments.harness.config import load_config
-from experiments.laboratory.centroid_methods import MethodLabels
+from experiments.laboratory.bench.centroid_methods import MethodLabels
 from optics.errors import ConfigError, DomainError
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -25,7 +25,7 @@ from experiments.budget.predict import _over_places as predicted_over_places
 from experiments.budget.settings import Config
 from experiments.harness.config import load_config
 from experiments.harness.summary import Measured
-from experiments.laboratory.published import ACC18_ARCSEC
+from experiments.laboratory.settings.published import ACC18_ARCSEC
 from optics.units import ARCSEC_RAD
 
 PIXEL_ARCSEC = 5.5

@@ -17,8 +17,8 @@ from experiments.harness.config import load_config
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.run import configuration_file
 from experiments.harness.sections import described, judged
-from experiments.laboratory.detector_changes import DetectorConfig, overridden
-from experiments.laboratory.published import ACC18_ARCSEC, ACC18_TABLE1_PX
+from experiments.laboratory.settings.detector import DetectorConfig, overridden
+from experiments.laboratory.settings.published import ACC18_ARCSEC, ACC18_TABLE1_PX
 from optics.errors import ConfigError
 from optics.lens_file import load_lens
 from optics.rays.paraxial import axial_paraxial

@@ -11,7 +11,7 @@ from experiments.budget.thermal import THERMAL, field_directions, thermal_term, 
 from experiments.harness.config import load_config
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import described, judged
-from experiments.laboratory.ray_prediction import bundle_prediction
+from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from render.engine.random import Streams
 
 QUICK = ["compare=[]", "frames=10", "dark_frames=20"]

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from experiments.camera.frames import MATCH_PX, _scattered
-from experiments.laboratory.readout.reduction import MeasuredFrame
+from experiments.laboratory.bench.readout.reduction import MeasuredFrame
 from experiments.laboratory.sensor_prediction import _limits
 
 

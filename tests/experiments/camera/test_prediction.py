@@ -14,8 +14,8 @@ from experiments.harness.range import with_value
 from experiments.harness.sections import numbers_of
 from experiments.harness.what_if import judge, missed_words
 from experiments.laboratory.optical_state import optical_state
-from experiments.laboratory.requirements import RequirementsConfig
 from experiments.laboratory.sensor_prediction import accuracy
+from experiments.laboratory.settings.requirements import RequirementsConfig
 from optics.errors import ConfigError, DomainError
 from optics.light.photometry import band_photon_rate
 from optics.light.spectrum import Blackbody

@@ -17,7 +17,7 @@ from experiments.chromatic.experiment import (
 )
 from experiments.chromatic.perturbation import choose
 from experiments.chromatic.settings import Config
-from experiments.laboratory.bench import band_pairs
+from experiments.laboratory.bench.point_bench import band_pairs
 from experiments.laboratory.chromatic_error import ChromaticMeasurement
 from optics.errors import ConvergenceError, DomainError
 

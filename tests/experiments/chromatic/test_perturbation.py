@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.chromatic.perturbation import _root, perturbed, solve_perturbation
-from experiments.laboratory.ray_prediction import bundle_prediction
-from experiments.laboratory.target import corner_directions
+from experiments.laboratory.bench.ray_prediction import bundle_prediction
+from experiments.laboratory.devices.target import corner_directions
 from optics.rays.ghosts import trace_ghost
 from optics.rays.trace import Rays
 

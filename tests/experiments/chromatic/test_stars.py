@@ -7,9 +7,9 @@ import pytest
 from scipy.constants import c, h, k
 
 from experiments.chromatic.stars import stars_of, stellar_shift
-from experiments.laboratory.filter_wheel import open_band
-from experiments.laboratory.settings import PassbandConfig, SignalConfig, StarsConfig
-from experiments.laboratory.signal import electrons_of_star, signal_of
+from experiments.laboratory.bench.signal import electrons_of_star, signal_of
+from experiments.laboratory.devices.filter_wheel import open_band
+from experiments.laboratory.settings.tables import PassbandConfig, SignalConfig, StarsConfig
 from optics.errors import DomainError
 from optics.lens.perturb import decentre
 from optics.light.band import TopHat

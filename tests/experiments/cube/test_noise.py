@@ -38,7 +38,7 @@ from experiments.cube.trim import (
     spot_reach_mm,
     take_aperture,
 )
-from experiments.laboratory.turntable import build_turntable
+from experiments.laboratory.devices.turntable import build_turntable
 from render.bench.scene import CubePose, place_cube
 from render.bench.sensor import mask_scene, trace_mask
 from render.bench.trace import land

@@ -15,7 +15,7 @@ from experiments.dataset.calibration import write_calibration
 from experiments.dataset.job import Job, make_frame
 from experiments.dataset.scene import build_scene
 from experiments.dataset.settings import Config, ScanPointing, VerifyConfig
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.settings.tables import InstrumentConfig
 from render.detector.maps import sensor_maps
 from render.engine import Engine
 

@@ -16,7 +16,7 @@ from experiments.dataset.job import Job, make_frame
 from experiments.dataset.labels import CLASSES
 from experiments.dataset.settings import ConePointing, Config, VerifyConfig
 from experiments.dataset.truth_files import read_table
-from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
+from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig
 from render.fits.files import read_frame
 
 ABOUT = {"title": "", "version": "", "licence": "", "licence_url": "", "citation": ""}

@@ -24,7 +24,7 @@ from experiments.dataset.settings import (
     VerifyConfig,
 )
 from experiments.dataset.truth import FLAGS, record_from_text
-from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
+from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig
 from optics.errors import StarbenchError
 from render.bodies.solar_system import solar_system
 from render.bodies.stray_light import band_light

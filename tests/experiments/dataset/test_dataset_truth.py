@@ -12,7 +12,7 @@ from experiments.dataset.job import _record
 from experiments.dataset.scene import build_scene, stars_of
 from experiments.dataset.settings import BackgroundConfig, ConePointing, Config, FixedRate, JitterConfig, ScanPointing
 from experiments.dataset.truth import FLAGS, flux_snr, footprint_px, record_from_text
-from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig, PassbandConfig
+from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig, PassbandConfig
 from optics.errors import DomainError, StarbenchError
 from optics.frames import field_angles_deg
 from optics.rays.chief import chief_ray_points

@@ -9,7 +9,7 @@ from calib.flags import StarFlag
 from calib.records import NoiseModel, StarTable
 from experiments.dataset.detection import FoundStars, centroid_bound, compare_frame, detection, joined
 from experiments.dataset.truth import FLAGS
-from experiments.laboratory.readout.reduction import MeasuredFrame
+from experiments.laboratory.bench.readout.reduction import MeasuredFrame
 from render.records import EffectivePsf
 
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from experiments.distortion import experiment as study
 from experiments.distortion.experiment import numbers, points, removed, true_map
 from experiments.distortion.settings import Config
+from experiments.laboratory.bench.points import nominal_px
 from experiments.laboratory.distortion_error import DistortionMeasurement, dense_grid
-from experiments.laboratory.points import nominal_px
 from optics.units import RAD_ARCSEC
 
 ROWS, COLUMNS, ORDER, SURVEYS, MARKING_ARCSEC = 4, 5, 2, 100, 2.0

@@ -12,10 +12,10 @@ from calib.cameras import BrownConrady, SensorGeometry
 from experiments.fisher.accuracy import Calibrated, _path_px, accuracy, same_data
 from experiments.fisher.acquire import Motion, visit_once
 from experiments.fisher.settings import Config
+from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.reduce import Data, reduce_data
 from experiments.laboratory.single_star.star import star_direction
-from experiments.laboratory.turntable import build_turntable
 from optics.units import RAD_ARCSEC
 from render.engine.random import Streams
 

@@ -22,10 +22,10 @@ from experiments.fisher.predict import (
     tangent_maps,
 )
 from experiments.fisher.reduce import baseline_px, evaluate
+from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.reduce import Data, calibrated_bench, reduce_data
 from experiments.laboratory.single_star.star import star_direction
-from experiments.laboratory.turntable import build_turntable
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 from render.engine.random import Streams
 

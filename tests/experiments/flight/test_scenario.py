@@ -144,7 +144,7 @@ def test_orbits_below_the_ground_and_half_laws_are_refused():
 
 
 def test_a_refined_grid_of_psfs_is_linear_between_its_nodes():
-    from experiments.laboratory.readout.psf_grid import PsfGrid, refined
+    from experiments.laboratory.bench.readout.psf_grid import PsfGrid, refined
     from render.records import EffectivePsf
 
     x, y = np.meshgrid([0.0, 10.0, 20.0], [0.0, 8.0])

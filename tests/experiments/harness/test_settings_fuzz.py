@@ -17,8 +17,8 @@ from experiments.dataset.plan import read_attitudes
 from experiments.harness.config import alternatives, load_config
 from experiments.harness.progress import Progress
 from experiments.harness.run import configuration_file
-from experiments.laboratory.sensor_file import SensorConfig, read_sensor
-from experiments.laboratory.settings import CatalogueConfig
+from experiments.laboratory.settings.sensor_file import SensorConfig, read_sensor
+from experiments.laboratory.settings.tables import CatalogueConfig
 from experiments.reduce.frames_toml import FolderSettings, read_settings
 from optics.errors import ConfigError
 from optics.lens_file import load_lens

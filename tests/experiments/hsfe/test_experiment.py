@@ -9,10 +9,10 @@ import pytest
 
 from experiments.harness.progress import Progress
 from experiments.hsfe.experiment import run as measure
-from experiments.laboratory.hexapod import Hexapod
+from experiments.laboratory.bench.point_scene import point_laboratory
+from experiments.laboratory.devices.hexapod import Hexapod
 from experiments.laboratory.high_frequency import StepPlan
-from experiments.laboratory.point_scene import point_laboratory
-from experiments.laboratory.settings import HexapodConfig
+from experiments.laboratory.settings.tables import HexapodConfig
 from render.engine.random import Streams
 
 slow = pytest.mark.slow  # a whole run

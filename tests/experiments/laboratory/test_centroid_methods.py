@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from calib.measure import centroid
 from calib.measure.centroid import register_centroider
 from experiments.harness.config import load_config
-from experiments.laboratory.centroid_methods import (
+from experiments.laboratory.bench.centroid_methods import (
     CentroiderName,
     MethodLabels,
     MethodName,

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from experiments.laboratory.checks import focus_remark
-from experiments.laboratory.instrument import build_instrument
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.bench.checks import focus_remark
+from experiments.laboratory.devices.instrument import build_instrument
+from experiments.laboratory.settings.tables import InstrumentConfig
 from optics.rays.spots import spot_moments
 
 WAVELENGTH_NM = np.linspace(500.0, 800.0, 6)

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from calib.measure.stamps import stamps_from_windows
-from experiments.laboratory.bench import band_pairs
+from experiments.laboratory.bench.point_bench import band_pairs
+from experiments.laboratory.bench.points import nominal_px, pattern_effect
+from experiments.laboratory.bench.ray_prediction import bundle_prediction
+from experiments.laboratory.bench.readout.search import common_shift
 from experiments.laboratory.chromatic_error import (
     after_calibration,
     measure_chromatic,
@@ -17,11 +20,8 @@ from experiments.laboratory.chromatic_error import (
     table1,
     table1_sigma,
 )
-from experiments.laboratory.instrument import build_instrument
-from experiments.laboratory.points import nominal_px, pattern_effect
-from experiments.laboratory.ray_prediction import bundle_prediction
-from experiments.laboratory.readout.search import common_shift
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.devices.instrument import build_instrument
+from experiments.laboratory.settings.tables import InstrumentConfig
 from optics.lens.perturb import decentre
 from optics.rays.spots import trace_spots
 from render.engine.random import Streams

@@ -11,17 +11,17 @@ from pydantic import ValidationError
 from scipy.special import erf, j1
 
 from experiments.chromatic.settings import Config
-from experiments.laboratory import collimator_effects as effects
-from experiments.laboratory.bench import Bench
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.ray_prediction import bundle_prediction, expected_spots
+from experiments.laboratory.bench.readout.centroids import common_motion_px2
+from experiments.laboratory.bench.target_light import frame_light, target_light
 from experiments.laboratory.chromatic_error import shifts, table1
-from experiments.laboratory.collimator import build_collimator
-from experiments.laboratory.collimator_settings import CollimatorConfig, FilteredCollimatorConfig
-from experiments.laboratory.filter_wheel import interference_filters
-from experiments.laboratory.instrument import build_instrument
-from experiments.laboratory.ray_prediction import bundle_prediction, expected_spots
-from experiments.laboratory.readout.centroids import common_motion_px2
-from experiments.laboratory.target import corner_directions
-from experiments.laboratory.target_light import frame_light, target_light
+from experiments.laboratory.devices import collimator_effects as effects
+from experiments.laboratory.devices.collimator import build_collimator
+from experiments.laboratory.devices.filter_wheel import interference_filters
+from experiments.laboratory.devices.instrument import build_instrument
+from experiments.laboratory.devices.target import corner_directions
+from experiments.laboratory.settings.collimator import CollimatorConfig, FilteredCollimatorConfig
 from optics.errors import ConfigError, DomainError
 from optics.glass.media import Environment
 from optics.light.spectrum import Blackbody

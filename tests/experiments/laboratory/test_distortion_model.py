@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from experiments.laboratory import distortion_model
+from experiments.laboratory.devices.targets import GridTarget, grid_directions
 from experiments.laboratory.distortion_error import DenseMap, camera_place, dense_grid, grid_residual_px
 from experiments.laboratory.distortion_model import GridErrors, forecast_map, predicted_numbers
 from experiments.laboratory.distortion_statistics import REFERENCES, distortion_statistics
-from experiments.laboratory.targets import GridTarget, grid_directions
 from render.engine.random import Streams
 
 ORDER, CHIPS, SURVEYS = 3, 40, 25

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from calib.measure.centroid import get_centroider
-from experiments.laboratory.epsf_session import (
+from experiments.laboratory.bench.epsf_session import (
     _pixels,
     epsf_session,
     measured_epsf,
     predicted_epsfs,
     variance_of_another,
 )
-from experiments.laboratory.hexapod import Hexapod
-from experiments.laboratory.point_noise import expected_windows, influence
-from experiments.laboratory.point_scene import one_filter, point_scene
+from experiments.laboratory.bench.point_noise import expected_windows, influence
+from experiments.laboratory.bench.point_scene import one_filter, point_scene
+from experiments.laboratory.devices.hexapod import Hexapod
 from experiments.laboratory.temporal_error import target_place
 from render.engine.random import Streams
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.laboratory.hexapod import Hexapod, step_path, turned
+from experiments.laboratory.devices.hexapod import Hexapod, step_path, turned
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from experiments.laboratory.instrument import build_instrument, configured_lens, housing_of
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.devices.instrument import build_instrument, configured_lens, housing_of
+from experiments.laboratory.settings.tables import InstrumentConfig
 from optics.errors import ConfigError, DomainError
 from optics.lens.perturb import decentre
 from optics.rays.paraxial import axial_paraxial

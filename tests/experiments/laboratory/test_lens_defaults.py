@@ -6,7 +6,7 @@ import pytest
 from experiments.camera.settings import Config as Camera
 from experiments.chromatic.settings import Config as Chromatic
 from experiments.harness.config import load_config
-from experiments.laboratory.instrument import build_instrument
+from experiments.laboratory.devices.instrument import build_instrument
 from experiments.skycal.settings import Config as SkyCal
 
 SINGLET = """UNIT MM X W X CM MR CPMM

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.laboratory.instrument import configured_lens
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.devices.instrument import configured_lens
+from experiments.laboratory.settings.tables import InstrumentConfig
 from optics.errors import ConfigError, DomainError
 from optics.waves.pupil_field import trace_pupil
 from optics.waves.wavefront import wavefront

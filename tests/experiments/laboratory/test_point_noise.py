@@ -11,8 +11,15 @@ import pytest
 from calib.measure.centroid import get_centroider
 from calib.measure.epsf import draw_epsf
 from calib.measure.gaussian import draw_gaussian
-from experiments.laboratory.point_noise import ExpectedWindows, _bent, bound_px, drawn_positions, influence, sampled_px
-from experiments.laboratory.readout.windows import window_corners
+from experiments.laboratory.bench.point_noise import (
+    ExpectedWindows,
+    _bent,
+    bound_px,
+    drawn_positions,
+    influence,
+    sampled_px,
+)
+from experiments.laboratory.bench.readout.windows import window_corners
 from experiments.laboratory.temporal_error import _followed_px
 from render.records import EffectivePsf
 

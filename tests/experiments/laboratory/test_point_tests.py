@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from experiments.laboratory import high_frequency_model
+from experiments.laboratory.bench.point_frames import read_points
+from experiments.laboratory.bench.point_scene import point_scene
+from experiments.laboratory.devices.hexapod import Hexapod
+from experiments.laboratory.devices.targets import GridTarget
 from experiments.laboratory.distortion_error import measure_distortion
 from experiments.laboratory.distortion_model import predict_distortion
-from experiments.laboratory.hexapod import Hexapod
 from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency, switched
 from experiments.laboratory.high_frequency_model import predict_high_frequency
-from experiments.laboratory.point_frames import read_points
-from experiments.laboratory.point_scene import point_scene
-from experiments.laboratory.targets import GridTarget
 from experiments.laboratory.temporal_error import (
     measure_temporal,
     predict_temporal,

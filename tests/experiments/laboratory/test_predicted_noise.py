@@ -15,14 +15,14 @@ import pytest
 
 from experiments.dataset import truth as dataset_truth
 from experiments.dataset.truth import flux_snr
-from experiments.laboratory.instrument import build_instrument
-from experiments.laboratory.point_scene import point_scene
-from experiments.laboratory.points import PointReadout
-from experiments.laboratory.readout.frames import empty_frame
-from experiments.laboratory.readout.noise_model import true_noise
-from experiments.laboratory.settings import CatalogueConfig, InstrumentConfig
+from experiments.laboratory.bench.point_scene import point_scene
+from experiments.laboratory.bench.points import PointReadout
+from experiments.laboratory.bench.readout.frames import empty_frame
+from experiments.laboratory.bench.readout.noise_model import true_noise
+from experiments.laboratory.bench.target_light import target_light
+from experiments.laboratory.devices.instrument import build_instrument
+from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig
 from experiments.laboratory.single_star.star_readings import WindowPlan, read_windows
-from experiments.laboratory.target_light import target_light
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
 from render.detector.readout import expose
 from render.engine.random import Streams
@@ -201,7 +201,7 @@ def test_bound_of_the_dataset(dataset, engine):
     """The bound of a faint star is that of a background with the measured variance of a pixel."""
     from calib.records import NoiseModel
     from experiments.dataset.detection import centroid_bound, dataset_bound
-    from experiments.laboratory.readout.psf_grid import render_psf_grid
+    from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
 
     maker, made = dataset
     scene = maker.scene

@@ -3,7 +3,7 @@
 import pytest
 
 from experiments.harness.config import load_config
-from experiments.laboratory.published import is_published_sensor
+from experiments.laboratory.settings.published import is_published_sensor
 
 
 def test_what_the_document_leaves_open_may_change():

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.laboratory.ray_prediction import bundle_prediction, expected_spots
+from experiments.laboratory.bench.ray_prediction import bundle_prediction, expected_spots
 from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Dispersion
 from optics.lens.shapes.plane import Plane

@@ -10,16 +10,16 @@ from scipy.special import gamma
 from scipy.stats import chi2, norm
 
 from calib.records import NoiseModel
-from experiments.laboratory.centroid_methods import has_own_epsf
+from experiments.laboratory.bench.centroid_methods import has_own_epsf
+from experiments.laboratory.bench.readout import reduction
+from experiments.laboratory.bench.readout.centroids import motion_method
+from experiments.laboratory.bench.readout.psf_grid import PsfGrid
+from experiments.laboratory.bench.readout.reduction import Reduction, measure_frame
+from experiments.laboratory.bench.readout.search import SEARCH_PX, find_star
+from experiments.laboratory.bench.readout.stamps import ring_subtracted
 from experiments.laboratory.distortion_error import camera_place, dense_grid, dense_map
 from experiments.laboratory.distortion_model import DistortionPrediction, camera_projector
 from experiments.laboratory.distortion_statistics import camera_terms
-from experiments.laboratory.readout import reduction
-from experiments.laboratory.readout.centroids import motion_method
-from experiments.laboratory.readout.psf_grid import PsfGrid
-from experiments.laboratory.readout.reduction import Reduction, measure_frame
-from experiments.laboratory.readout.search import SEARCH_PX, find_star
-from experiments.laboratory.readout.stamps import ring_subtracted
 from experiments.laboratory.single_star.star import SingleStar
 from experiments.laboratory.temporal_error import (
     TemporalPrediction,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.laboratory.settings import TargetConfig
-from experiments.laboratory.target import CORNERS, corner_centres, corner_directions, target_directions
+from experiments.laboratory.devices.target import CORNERS, corner_centres, corner_directions, target_directions
+from experiments.laboratory.settings.tables import TargetConfig
 from optics.errors import DomainError
 
 
@@ -71,8 +71,8 @@ def test_target_fits_to_the_last_pixel(edge_px, fits):
 
 
 def test_target_outside_the_field_of_the_lens_is_refused():
-    from experiments.laboratory.instrument import build_instrument
-    from experiments.laboratory.settings import InstrumentConfig
+    from experiments.laboratory.devices.instrument import build_instrument
+    from experiments.laboratory.settings.tables import InstrumentConfig
 
     wide = build_instrument(InstrumentConfig(lens="star_tracker_26mm"))
     with pytest.raises(DomainError, match=r"deg from the axis.*field of 16.5 deg"):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.laboratory.housing import expansion_per_k
-from experiments.laboratory.targets import GridTarget, grid_directions, survey
+from experiments.laboratory.devices.targets import GridTarget, grid_directions, survey
+from experiments.laboratory.settings.housing import expansion_per_k
 from optics.errors import ConfigError, DomainError
 
 

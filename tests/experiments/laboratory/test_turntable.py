@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.laboratory.turntable import Turntable, build_turntable
+from experiments.laboratory.devices.turntable import Turntable, build_turntable
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams

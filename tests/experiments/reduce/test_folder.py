@@ -16,15 +16,15 @@ from experiments.chromatic.settings import Config as ChromaticConfig
 from experiments.distortion.own_frames import reduce as distortion_from_frames
 from experiments.distortion.settings import Config as DistortionConfig
 from experiments.hsfe.own_frames import reduce as hsfe_from_frames
+from experiments.laboratory.bench.point_scene import point_scene
+from experiments.laboratory.bench.points import nominal_px
+from experiments.laboratory.bench.target_light import target_light
+from experiments.laboratory.devices.hexapod import Hexapod, turned
+from experiments.laboratory.devices.instrument import build_instrument
+from experiments.laboratory.devices.targets import GridTarget
 from experiments.laboratory.distortion_error import measure_distortion
-from experiments.laboratory.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
-from experiments.laboratory.instrument import build_instrument
-from experiments.laboratory.point_scene import point_scene
-from experiments.laboratory.points import nominal_px
-from experiments.laboratory.settings import InstrumentConfig
-from experiments.laboratory.target_light import target_light
-from experiments.laboratory.targets import GridTarget
+from experiments.laboratory.settings.tables import InstrumentConfig
 from experiments.laboratory.temporal_error import measure_temporal, target_place
 from experiments.reduce.checks import check_frames
 from experiments.reduce.folder import read_folder

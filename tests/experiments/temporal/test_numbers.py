@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.laboratory.signal import Signal
+from experiments.laboratory.bench.signal import Signal
 from experiments.laboratory.temporal_error import TemporalMeasurement, TemporalPrediction
 from experiments.temporal.experiment import scatter, stars
 

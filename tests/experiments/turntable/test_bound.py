@@ -5,11 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, SensorGeometry
+from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.bench import Bench, aim, visit
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
 from experiments.laboratory.single_star.reduce import Data, reduce_data
 from experiments.laboratory.single_star.star import star_direction
-from experiments.laboratory.turntable import build_turntable
 from experiments.turntable.bound import bound, knowledge, noise_shares
 from experiments.turntable.fields import SWEEP_SIDE, field_sweep, ideal_bound, ideal_camera
 from optics.errors import DomainError

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.harness.config import load_config
+from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.reduce import Data, check_fit, check_parity, reduce_data
 from experiments.laboratory.single_star.star import star_direction
-from experiments.laboratory.turntable import build_turntable
 from experiments.turntable.experiment import point_over_line
 from experiments.turntable.monte_carlo import (
     Coordinates,

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, SensorGeometry
+from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.star import star_direction
-from experiments.laboratory.turntable import build_turntable
 from experiments.turntable.fields import field_sweep
 from experiments.turntable.monte_carlo import Coordinates, equal_reading_noise_arcsec, monte_carlo, reading_sweep
 from experiments.turntable.truth import TracedMap

@@ -14,7 +14,7 @@ from calib.measure.image import sensor_image
 from experiments.harness.progress import Progress
 from experiments.twin.faults import clouded, trail_of, what_is_wrong
 from experiments.twin.folder import NightFrame
-from experiments.twin.road import _pitch_mm, reduce_night
+from experiments.twin.pipeline import _pitch_mm, reduce_night
 from experiments.twin.settings import Config
 from experiments.twin.solve import Solver, solve_all
 from optics.errors import DomainError

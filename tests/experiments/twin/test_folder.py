@@ -12,7 +12,7 @@ from PIL import Image
 
 from experiments.harness.progress import Progress
 from experiments.twin.folder import night_frames, pointing_of, time_of
-from experiments.twin.road import reduce_night
+from experiments.twin.pipeline import reduce_night
 from experiments.twin.settings import Config
 from optics.errors import ConfigError, DomainError
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.laboratory.instrument import build_instrument, configured_lens
-from experiments.laboratory.readout.psf_grid import render_psf_grid
-from experiments.laboratory.sensor_file import SensorConfig, whole_sensor
-from experiments.laboratory.settings import InstrumentConfig
+from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
+from experiments.laboratory.devices.instrument import build_instrument, configured_lens
+from experiments.laboratory.settings.sensor_file import SensorConfig, whole_sensor
+from experiments.laboratory.settings.tables import InstrumentConfig
 from experiments.twin.prescription import _as_calibrated, _widths, fit_lens_pose, pose_of_widths, write_prescription
 from optics.errors import DomainError
 from optics.lens.perturb import refocus, tilt_image

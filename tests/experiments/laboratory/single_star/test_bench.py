@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.bench import Bench, aim, visit
 from experiments.laboratory.single_star.star import star_angles_deg, star_direction
-from experiments.laboratory.turntable import build_turntable
 from optics.errors import DomainError
 from optics.frames import field_direction
 from optics.units import ARCSEC_RAD

@@ -5,10 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, SensorGeometry
+from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.derivatives import angle_effect, design, lean_effect, reading_covariance_px2
 from experiments.laboratory.single_star.star import star_direction
-from experiments.laboratory.turntable import build_turntable
 from optics.units import ARCSEC_RAD
 
 SENSOR = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, SensorGeometry
+from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.reduce import (
     Data,
@@ -17,7 +18,6 @@ from experiments.laboratory.single_star.reduce import (
     reduce_data,
 )
 from experiments.laboratory.single_star.star import star_direction
-from experiments.laboratory.turntable import build_turntable
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from experiments.harness.config import load_config
+from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 from experiments.laboratory.single_star.setup import averaged, build_table, check_table, grid_px
-from experiments.laboratory.turntable import build_turntable
 from optics.errors import ConfigError, DomainError
 
 

@@ -1,0 +1,89 @@
+"""Devices of a test with point targets, and their light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from experiments.laboratory.devices.collimator import Collimator
+from experiments.laboratory.devices.filter_wheel import Filter
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.settings.tables import TargetConfig
+from optics.arrays import FloatArray
+from optics.light.band import band_nodes
+from optics.light.collimation import Collimation
+from optics.light.spectrum import Sed
+from optics.rays.spots import collecting_area_mm2
+from render.records import EffectivePsf, StarField
+
+NODES = 16
+"""Wavelength nodes per filter."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """Devices of the laboratory."""
+
+    target: TargetConfig  # Point target
+    lamp: Sed  # Spectrum of the source
+    filters: Sequence[Filter]  # Filters, b of them; ``reference`` indexes the one the others are compared with
+    reference: int  # The 600 nm filter of ACC18
+    signal_e: float  # Electrons per point and frame, the same behind every filter (lamp current adjusted)
+    frames: int  # Exposures per position and filter; exposures with the lamp off, once per position
+    dark_frames: int
+    window_px: int  # Window read out around each point
+    methods: Sequence[str]  # Centroiders; the first is the one that counts
+    epsf: EffectivePsf | None = None  # Built from frames beforehand: what methods of the name ``NAME_measured`` use
+    # For predictions: what that PSF might have been, one for each drawn set of such frames
+    sessions: Sequence[EffectivePsf] = ()
+    collimator: Collimator | None = None  # With its errors; a perfect one if left out
+
+    @property
+    def pairs(self) -> list[tuple[str, int, int]]:
+        """Differences between the filters; see `band_pairs`."""
+        return band_pairs([band.centre_nm for band in self.filters], self.reference)
+
+    @property
+    def pair_names(self) -> list[str]:
+        """Names of the differences."""
+        return [name for name, _, _ in self.pairs]
+
+    def power_px2(self, instrument: Instrument) -> tuple[float, float]:
+        """Variance of the line of sight per axis: from exposure to exposure, and within one (`Collimator`)."""
+        if self.collimator is None:
+            return 0.0, 0.0
+        between, within = self.collimator.power_arcsec2(instrument.config.exposure_s)
+        return between / instrument.pixel_arcsec**2, within / instrument.pixel_arcsec**2
+
+    def collimation(self, wavelength_nm: FloatArray, instrument: Instrument) -> Collimation | None:
+        """Collimation error behind the filters at wavelengths (b, k)."""
+        if self.collimator is None:
+            return None
+        return self.collimator.light(self.filters, wavelength_nm, instrument.camera.lens.environment)
+
+
+def band_pairs(centres_nm: Sequence[float], reference: int) -> list[tuple[str, int, int]]:
+    """Name, minuend and subtrahend of each difference as ACC18 eq. 15 has them: the longer wavelength first."""
+    pairs = []
+    for band in range(len(centres_nm)):
+        if band != reference:
+            high, low = (band, reference) if centres_nm[band] > centres_nm[reference] else (reference, band)
+            pairs.append((f"{centres_nm[high]:g}-{centres_nm[low]:g}", high, low))
+    return pairs
+
+
+def point_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> StarField:
+    """Star field of one target position, scaled to the wanted signal behind every filter."""
+    nodes = band_nodes(bench.filters, NODES)
+    shape = nodes.weight_nm * nodes.transmission * bench.lamp.photon_density(nodes.wavelength_nm)
+    camera = instrument.camera
+    area = collecting_area_mm2(camera.lens) * instrument.config.exposure_s
+    collected = (shape * camera.response_at(nodes.wavelength_nm)).sum(1) * area
+    rate = (bench.signal_e / collected)[None, :, None] * shape[None] / direction[:, 2][:, None, None]
+    return StarField(
+        direction=direction,
+        wavelength_nm=nodes.wavelength_nm,
+        photon_rate=rate,
+        band=nodes.name,
+        collimation=bench.collimation(nodes.wavelength_nm, instrument),
+    )

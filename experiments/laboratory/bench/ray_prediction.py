@@ -1,0 +1,68 @@
+"""Image positions of target points, predicted by ray trace alone: no renderer, image or noise takes part."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.devices.instrument import Instrument
+from optics.arrays import FloatArray
+from optics.frames import field_angles_deg
+from optics.light.band import band_nodes
+from optics.rays.spots import SpotMoments, spot_moments
+
+ORDER = (5, 12)
+"""Rings and azimuths in the pupil."""
+PREDICTION_NODES = 11
+"""Wavelength nodes of the predictions; another number than the renderer's on purpose."""
+
+
+def light_shares(bench: Bench, instrument: Instrument) -> tuple[FloatArray, FloatArray]:
+    """Wavelength nodes (b, k) of the predictions and the share of the light each stands for."""
+    nodes = band_nodes(bench.filters, PREDICTION_NODES)
+    light = nodes.weight_nm * nodes.transmission * bench.lamp.photon_density(nodes.wavelength_nm)
+    light = light * instrument.camera.response_at(nodes.wavelength_nm)
+    return nodes.wavelength_nm, light / light.sum(1, keepdims=True)
+
+
+def expected_spots(
+    bench: Bench, instrument: Instrument, direction: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean (p, j, b, 2), RMS radius (p, j, b) [px] and transmitted area (p, j, b) [mm^2] of the ray bundles.
+
+    Photon-weighted, by the NumPy trace alone: no renderer, image or noise takes part. NaN where no ray arrives.
+    """
+    wavelength, share = light_shares(bench, instrument)
+    field_x, field_y = field_angles_deg(direction.reshape(-1, 3))
+    bent = bench.collimation(wavelength, instrument)
+    spot = spot_moments(
+        instrument.camera.focused_lens,
+        field_x,
+        field_y,
+        wavelength.ravel(),
+        order=ORDER,
+        collimation=None if bent is None else bent.at(wavelength).reshape(-1, 3),
+    )
+    return spots_of(spot, share, instrument, direction.shape[:2])
+
+
+def spots_of(
+    spot: SpotMoments, share: FloatArray, instrument: Instrument, shape: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """As `expected_spots`, from the moments of p j fields at all wavelengths of all bands and their shares (b, k)."""
+    camera = instrument.camera
+    x, y, second, area = (
+        v.reshape(-1, *share.shape) for v in (spot.x_mm, spot.y_mm, spot.xx_mm2 + spot.yy_mm2, spot.transmitted_mm2)
+    )
+    light = share * area / np.maximum((share * area).sum(2, keepdims=True), 1e-300)
+    mean_x, mean_y = ((v * light).sum(2) for v in (x, y))
+    apart = (x - mean_x[..., None]) ** 2 + (y - mean_y[..., None]) ** 2
+    radius = np.sqrt(((second + apart) * light).sum(2)) / camera.pixel_pitch_mm
+    shape = (*shape, len(share))
+    place = np.stack(camera.to_pixel(mean_x, mean_y), axis=-1).reshape(*shape, 2)
+    return place, radius.reshape(shape), (area * share).sum(2).reshape(shape)
+
+
+def bundle_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
+    """Photon-weighted bundle means (p, j, b, 2) [px] by the NumPy trace, without renderer, image or noise."""
+    return expected_spots(bench, instrument, direction)[0]

@@ -1,0 +1,227 @@
+"""The laboratory's collimator with its errors: its light at the camera, frame by frame.
+
+The light of a target has four errors:
+
+* an angle and a vergence that depend on the wavelength: the wedge of a filter, a temperature gradient of the air, and a
+  target out of focus at this colour (`Collimator.light`);
+* a point is a pinhole, which is convolved into the image (`Collimator.motion`, `Collimator.pinhole_psf`);
+* vibration above the frequency of the exposures is a blur (`seen_camera`);
+* below it, with the seeing, the line of sight differs in every frame, for all points alike (`Collimator.offsets_px`).
+
+Angles that depend on the position of the camera's pupil in the beam are those of one position, also for target points
+off the collimator's axis, whose beams shift over its aperture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation
+from scipy.special import j1
+
+from experiments.laboratory.devices.filter_wheel import Filter
+from experiments.laboratory.settings.collimator import CollimatorConfig, FilteredCollimatorConfig
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.glass.air import air_index
+from optics.glass.catalogue import get_glass
+from optics.glass.media import Environment
+from optics.light.collimation import Collimation
+from optics.rays.pupil import gauss_disk
+from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM
+from render.engine.random import Streams
+from render.motion.jitter import JitterSpectrum, jittered
+from render.motion.trajectory import ConstantRate
+from render.records import EffectivePsf
+from render.tracing.motion.exposure import ExposureMotion, gauss_times
+
+RINGS_PER_PX = 3.0
+"""Radii of the quadrature over a pinhole, per pixel of its radius; the image has no detail below a third of a pixel."""
+STEPS_PER_CYCLE = 4.0
+"""Times at which an exposure is sampled, per cycle of the highest frequency."""
+LONG_CYCLES = 1e4
+"""Of the lowest frequency, over which frames are spread."""
+AIR_STEP_K = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Collimator:
+    """A collimator with errors; made by `build_collimator`."""
+
+    config: CollimatorConfig  # Its errors
+    # (float, float) By name of a filter: angle between its faces [arcsec], and where the image moves [deg]
+    wedge: Mapping[str, tuple[float, float]]
+
+    @property
+    def wedge_lever(self) -> float:
+        """Deviation of the collimated light over that of the filter: less than 1 near the target."""
+        distance = getattr(self.config, "filter_distance_mm", None)
+        return 1.0 if distance is None else float(distance / self.config.focal_length_mm)
+
+    @property
+    def source_radius_rad(self) -> float:
+        """Angular radius of a point of the target."""
+        return 0.5 * self.config.pinhole_um * UM_MM / self.config.focal_length_mm
+
+    @property
+    def spectrum(self) -> JitterSpectrum | None:
+        """Spectrum of the line of sight; None at rest."""
+        if not self.config.vibration_hz:
+            return None
+        psd = np.array(self.config.vibration_arcsec2_per_hz)
+        return JitterSpectrum(
+            frequency_hz=np.array(self.config.vibration_hz), psd_arcsec2_per_hz=np.stack([psd, psd, 0.0 * psd])
+        )
+
+    def focus_mm(self, wavelength_nm: FloatArray) -> FloatArray:
+        """Focus against its nominal place, away from the collimator."""
+        known = self.config.focus_wavelength_nm
+        if not known:
+            return np.zeros_like(wavelength_nm)
+        low, high = float(wavelength_nm.min()), float(wavelength_nm.max())
+        if low < known[0] or high > known[-1]:
+            raise DomainError(
+                f"collimator.focus_wavelength_nm = {known[0]:g} ... {known[-1]:g} nm does not cover the light of "
+                f"{low:.0f} ... {high:.0f} nm"
+            )
+        return np.asarray(PchipInterpolator(known, self.config.focus_um)(wavelength_nm)) * UM_MM
+
+    def light(
+        self, filters: Sequence[Filter], wavelength_nm: FloatArray, environment: Environment
+    ) -> Collimation | None:
+        """How the light behind filters is bent, at wavelengths (b, k) of them; None where it is collimated."""
+        config, wedges = self.config, [self.wedge.get(band.name, (0.0, 0.0)) for band in filters]
+        gradient = np.array(config.air_gradient_k_per_m)
+        if not (config.decollimation_um or any(config.focus_um) or gradient.any() or any(a for a, _ in wedges)):
+            return None
+        f = config.focal_length_mm
+        vergence = 1.0 / (f + config.decollimation_um * UM_MM) - 1.0 / (f + self.focus_mm(wavelength_nm))
+        # a source at a distance seems to move to the other side
+        slope = -vergence[..., None] * np.array(config.offset_mm)
+        for band, (angle, way) in enumerate(wedges):
+            if angle:
+                part = self.wedge_lever * refracted_slope(angle, config, wavelength_nm[band], environment)
+                slope[band] += part[:, None] * [np.cos(way * DEG_RAD), np.sin(way * DEG_RAD)]
+        if gradient.any():
+            slope = slope + _air_slope(config, wavelength_nm, environment)[..., None] * gradient
+        return Collimation(wavelength_nm=wavelength_nm, slope_rad=slope, vergence_per_mm=vergence)
+
+    def motion(self, exposure_s: float, pixel_rad: float) -> ExposureMotion | None:
+        """Attitudes that spread a point over the disk of its pinhole, weighted alike; None for a point."""
+        radius = self.source_radius_rad
+        if not radius:
+            return None
+        rings = 2 + int(np.ceil(RINGS_PER_PX * radius / pixel_rad))
+        disk = gauss_disk(rings, 8 * ((rings + 1) // 2))
+        # (-y, x, 0) turns the axis by (x, y)
+        vector = np.stack([-disk.y, disk.x, np.zeros_like(disk.x)], axis=-1) * radius
+        return ExposureMotion(
+            start_s=0.0,
+            exposure_s=exposure_s,
+            line_time_s=0.0,
+            time_s=np.full(len(disk.x), 0.5 * exposure_s),
+            weight=disk.weight,
+            rotation_cam_from_world=Rotation.from_rotvec(vector).as_matrix(),
+            rotation_mid=np.eye(3),
+            length_px=2.0 * radius / pixel_rad,
+            path=None,
+        )
+
+    def pinhole_psf(self, point: EffectivePsf, pixel_rad: float) -> EffectivePsf:
+        """The PSF of a pinhole from that of a point."""
+        radius = self.source_radius_rad / pixel_rad
+        if not radius:
+            return point
+
+        def transfer(frequency: FloatArray) -> FloatArray:
+            x = 2.0 * np.pi * radius * frequency
+            return np.where(x > 0.0, 2.0 * j1(x) / np.where(x > 0.0, x, 1.0), 1.0)
+
+        return convolved_psf(point, transfer, radius)
+
+    def power_arcsec2(self, exposure_s: float) -> tuple[float, float]:
+        """Variance of the line of sight per axis: of its mean over an exposure, and within one.
+
+        In closed form: the mean over a time T passes the part sinc(f T)^2 of the power at f.
+        """
+        slow = self.config.seeing_arcsec**2
+        if self.spectrum is None:
+            return slow, 0.0
+        edges = np.geomspace(self.config.vibration_hz[0], self.config.vibration_hz[-1], 20001)
+        edges[[0, -1]] = self.config.vibration_hz[0], self.config.vibration_hz[-1]
+        power = self.spectrum.power_arcsec2(edges)[0]
+        passed = np.sinc(np.sqrt(edges[1:] * edges[:-1]) * exposure_s) ** 2
+        return slow + float((power * passed).sum()), float((power * (1.0 - passed)).sum())
+
+    def offsets_px(self, streams: Streams, frames: int, exposure_s: float, pixel_arcsec: float) -> FloatArray | None:
+        """Mean line of sight (frames, 2) [px] of exposures, drawn; None where it is at rest.
+
+        Vibration is drawn as oscillations and averaged over the time of the exposure. Frames start at random times, so
+        that they have nothing in common, as those have that are taken further apart than the motion remembers.
+        """
+        config, spectrum = self.config, self.spectrum
+        if not config.seeing_arcsec and spectrum is None:
+            return None
+        here = streams.child("collimator")
+        offset = config.seeing_arcsec * here.generator("seeing").standard_normal((frames, 2))
+        if spectrum is not None:
+            still = ConstantRate(initial=Rotation.identity(), rate_rad_per_s=np.zeros(3), end_s=exposure_s)
+            moving = jittered(still, spectrum, streams=here)
+            nodes, weight = gauss_times(16 + int(STEPS_PER_CYCLE * spectrum.frequency_hz[-1] * exposure_s))
+            rate, phase = (2.0j * np.pi * moving.frequency_hz[:2], 1.0j * moving.phase_rad[:2])
+            swing = moving.amplitude_rad[:2] * (np.exp(rate[..., None] * nodes * exposure_s) @ weight)
+            last_s = LONG_CYCLES / spectrum.frequency_hz[0]
+            start_s = here.generator("start").uniform(0.0, last_s, frames)[:, None, None]
+            offset += (swing * np.exp(rate * start_s + phase)).real.sum(-1) / ARCSEC_RAD
+        return np.asarray(offset / pixel_arcsec)
+
+
+def convolved_psf(psf: EffectivePsf, transfer: Callable[[FloatArray], FloatArray], reach_px: float) -> EffectivePsf:
+    """A PSF convolved with a round kernel, by its transfer function of the spatial frequency [1/px]."""
+    size, edge = len(psf.values), int(np.ceil(reach_px * psf.oversampling)) + 1
+    padded = np.pad(psf.values, edge)
+    down, across = np.fft.fftfreq(len(padded)), np.fft.rfftfreq(len(padded))
+    values = np.fft.rfft2(padded) * transfer(np.hypot(down[:, None], across) * psf.oversampling)
+    return replace(psf, values=np.fft.irfft2(values, padded.shape)[edge : edge + size, edge : edge + size])
+
+
+def build_collimator(
+    config: CollimatorConfig, filters: Sequence[Filter] = (), setting: str = "filters.centres_nm"
+) -> Collimator | None:
+    """The collimator of a configuration; None for a perfect one."""
+    wedge: dict[str, tuple[float, float]] = {}
+    if isinstance(config, FilteredCollimatorConfig) and config.wedge_arcsec:
+        if len(config.wedge_arcsec) != len(filters):
+            raise DomainError(
+                f"collimator.wedge_arcsec has {len(config.wedge_arcsec)} values for {len(filters)} filters "
+                f"({setting}); give one for each"
+            )
+        get_glass(config.wedge_glass)
+        ways = config.wedge_direction_deg or (0.0,) * len(filters)
+        wedge = {band.name: (angle, way) for band, angle, way in zip(filters, config.wedge_arcsec, ways, strict=True)}
+    return None if config == type(config)() else Collimator(config=config, wedge=wedge)
+
+
+def refracted_slope(
+    angle_arcsec: float, config: CollimatorConfig, wavelength_nm: FloatArray, environment: Environment
+) -> FloatArray:
+    """Deviation [rad] of a ray by a prism, by Snell's law at both faces; the first is met squarely."""
+    assert isinstance(config, FilteredCollimatorConfig)
+    glass = get_glass(config.wedge_glass)
+    outside = air_index(wavelength_nm, environment.temperature_c, environment.pressure_hpa)
+    angle = angle_arcsec * ARCSEC_RAD
+    return np.asarray(np.arcsin(glass.absolute_index(wavelength_nm) / outside * np.sin(angle)) - angle)
+
+
+def _air_slope(config: CollimatorConfig, wavelength_nm: FloatArray, environment: Environment) -> FloatArray:
+    """Angle [rad] by which a source seems to move towards the warm side, for 1 K/m: path times gradient of n."""
+    if not environment.pressure_hpa:
+        raise DomainError("collimator.air_gradient_k_per_m: the lens stands in a vacuum; there is no air to refract")
+    cold, warm = (
+        air_index(wavelength_nm, environment.temperature_c + kelvin, environment.pressure_hpa)
+        for kelvin in (-AIR_STEP_K, AIR_STEP_K)
+    )
+    return np.asarray(config.air_path_m * (cold - warm) / (2.0 * AIR_STEP_K))

@@ -1,0 +1,204 @@
+"""Effects of the collimator's errors on the document's numbers: in closed form, and as measured on frames.
+
+The closed forms share no equation with the rendered light (`experiments.laboratory.devices.collimator`):
+
+* a thin prism turns light by (n - 1) times the angle between its faces, n the maker's index;
+* air of a gradient dT/dx bends it over the path L by L (n - 1) / T dT/dx (Gladstone-Dale, ideal gas);
+* a target that is p behind the focus F has the vergence -p / F^2: seen at a distance d from the axis of the beam it is
+  displaced by p d / F^2, and the focus of a camera of focal length f moves by f^2 p / F^2;
+* a disk of the radius R adds R^2 / 4 to the variance of the image along an axis;
+* the mean over the exposure T of a vibration at f keeps the part sinc(f T)^2 of its power (`Collimator.power_arcsec2`).
+
+All but the blur by vergence is constant over the field, where the lateral colour of a centred lens is odd: eq. 16
+contains the full half difference of two filters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from experiments.harness.quantities import Quantities
+from experiments.harness.sections import Section, agree, col, ratio_near
+from experiments.harness.summary import Measured, measured
+from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.ray_prediction import ORDER, bundle_prediction, light_shares, spots_of
+from experiments.laboratory.chromatic_error import shifts, table1
+from experiments.laboratory.devices.instrument import Instrument
+from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
+from optics.arrays import FloatArray
+from optics.frames import field_angles_deg
+from optics.glass.air import air_index
+from optics.glass.catalogue import get_glass
+from optics.rays.spots import SpotMoments, spot_moments
+from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM
+
+PARTS = {"wedge": "wedge", "air": "air", "decollimation": "decollimation"}
+"""What moves the image by an angle that depends on the wavelength."""
+KELVIN = 273.15
+MOTION_RATIO = 0.01
+"""Relative error of a line-of-sight motion in addition to noise, for some sixty rays of each bundle."""
+SPOT_RATIO = 0.03
+"""Largest relative error of the radius of a spot by a paraxial change of focus."""
+FIELD_RATIO = 0.03
+"""Change of the image scale over the field, by distortion and the slope of its plane."""
+
+
+def closed_motion_px(bench: Bench, instrument: Instrument) -> dict[str, FloatArray]:
+    """Motion of the image (b, 2) [px] behind every filter by each of `PARTS`."""
+    collimator, camera = bench.collimator, instrument.camera
+    none = np.zeros((len(bench.filters), 2))
+    found = dict.fromkeys(PARTS, none)
+    if collimator is None:
+        return found
+    config, f = collimator.config, collimator.config.focal_length_mm
+    wavelength, share = light_shares(bench, instrument)
+    px = instrument.focal_length_mm / camera.pixel_pitch_mm
+    if isinstance(config, FilteredCollimatorConfig):
+        minus_one = (share * (get_glass(config.wedge_glass).index(wavelength) - 1.0)).sum(1)
+        wedge = [collimator.wedge.get(band.name, (0.0, 0.0)) for band in bench.filters]
+        turn = [collimator.wedge_lever * k * a * ARCSEC_RAD for k, (a, _) in zip(minus_one, wedge, strict=True)]
+        way = [(np.cos(at * DEG_RAD), np.sin(at * DEG_RAD)) for _, at in wedge]
+        found["wedge"] = px * np.array(turn)[:, None] * np.array(way)
+    air = camera.lens.environment
+    if any(config.air_gradient_k_per_m):
+        thin = (share * (air_index(wavelength, air.temperature_c, air.pressure_hpa) - 1.0)).sum(1)
+        bend = config.air_path_m * thin / (KELVIN + air.temperature_c)
+        found["air"] = px * bend[:, None] * np.array(config.air_gradient_k_per_m)
+    behind = config.decollimation_um * UM_MM - (share * collimator.focus_mm(wavelength)).sum(1)
+    found["decollimation"] = px * (behind / f**2)[:, None] * np.array(config.offset_mm)
+    return found
+
+
+def closed_spot_um(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
+    """RMS radius (b,) [um] of the spots of points (p, j, 3): the camera refocused for every colour, and the disk."""
+    collimator = bench.collimator
+    assert collimator is not None
+    config, camera = collimator.config, instrument.camera
+    wavelength, share = light_shares(bench, instrument)
+    field = field_angles_deg(direction.reshape(-1, 3))
+    behind = config.decollimation_um * UM_MM - collimator.focus_mm(wavelength).ravel()
+    moved = (instrument.focal_length_mm / config.focal_length_mm) ** 2 * behind
+    spots = [
+        spot_moments(replace(camera, defocus_mm=camera.defocus_mm + shift).focused_lens, *field, wave, order=ORDER)
+        for shift, wave in zip(moved, wavelength.ravel(), strict=True)
+    ]
+    every = {name: np.concatenate([getattr(one, name) for one in spots], axis=1) for name in SpotMoments.__slots__}
+    _, radius_px, _ = spots_of(SpotMoments(**every), share, instrument, direction.shape[:2])
+    disk_px = collimator.source_radius_rad / (instrument.pixel_arcsec * ARCSEC_RAD)
+    return np.asarray(np.hypot(radius_px, disk_px / 2.0**0.5).mean((0, 1)) * camera.pixel_pitch_mm / UM_MM)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CollimatorShift:
+    """Contribution of the collimator to Table 1; the dimensions ``pair``, ``axis`` and ``band`` are described
+    elsewhere."""
+
+    part_px: FloatArray = col("Closed form", "px", "+.4f", "part pair axis", json="parts_px", key="collimator_part_px")
+    together_px: FloatArray = col("Together", "px", "+.4f", "pair axis", key="collimator_together_px")
+    seen_px: Any = col("Measured", "px", dims="pair axis", json_error="sigma_px", key="collimator_seen_px")
+    spot_ratio: FloatArray | None = col(
+        "Radius of the rendered spots over the closed form", dims="band", json="", shown=False, default=None
+    )
+
+
+def _parts_axis(q: Quantities, _: Any) -> None:
+    q.axis("part", list(PARTS), "Part", names=PARTS)
+
+
+COLLIMATOR = Section(
+    record=CollimatorShift,
+    prefix="collimator_",
+    place="collimator",
+    axes=_parts_axis,
+    table="collimator",
+    rows="pair axis",
+    across="part",
+    caption="Contributions of the collimator to Table 1.",
+    note="*Measured*: Table 1 of the frames minus Table 1 traced through the lens alone.",
+    verdicts=[
+        agree(
+            "collimator_seen_px",
+            "collimator_together_px",
+            slack=FIELD_RATIO,
+            title="collimator in Table 1, measured against (n - 1) wedge, air and decollimation",
+        ),
+        ratio_near(
+            "collimator_spot_ratio",
+            within=SPOT_RATIO,
+            title="radius of rendered spots over its closed form (refocused camera, disk)",
+        ),
+    ],
+)
+
+
+def collimator_shift(
+    bench: Bench,
+    instrument: Instrument,
+    direction: FloatArray,
+    table1_px: FloatArray,
+    sigma_px: FloatArray,
+    seen_spot_um: FloatArray | None = None,
+) -> CollimatorShift | None:
+    """Closed forms against measured Table 1 (pair, 2) and the spots (b,) of the light; None for a perfect one."""
+    if bench.collimator is None:
+        return None
+    without = shifts(bundle_prediction(replace(bench, collimator=None), instrument, direction), bench.pairs)
+    motion = closed_motion_px(bench, instrument)
+    parts = np.array([[(of[high] - of[low]) / 2.0 for _, high, low in bench.pairs] for of in motion.values()])
+    seen = table1_px - np.array([table1(shift) for shift in without.values()])
+    ratio = None if seen_spot_um is None else seen_spot_um / closed_spot_um(bench, instrument, direction)
+    return CollimatorShift(part_px=parts, together_px=parts.sum(0), seen_px=measured(seen, sigma_px), spot_ratio=ratio)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sight:
+    """Motion of the line of sight in the laboratory, per axis, 3 sigma: closed form, and what the stars share."""
+
+    between_arcsec: float = col(
+        "Line of sight from frame to frame, predicted",
+        "arcsec",
+        ".3f",
+        json="line_of_sight_between_arcsec_3sigma",
+    )
+    within_arcsec: float = col(
+        "Line of sight within a frame, predicted", "arcsec", ".3f", json="line_of_sight_within_arcsec_3sigma"
+    )
+    seen_arcsec: Sequence[Measured] = col(
+        "Line of sight from frame to frame, measured",
+        "arcsec",
+        dims="axis",
+        json="line_of_sight_seen_arcsec_3sigma",
+    )
+    ratio: Sequence[Measured] = col("Measured / predicted motion of the line of sight", dims="axis", json="")
+
+
+SIGHT = Section(
+    record=Sight,
+    prefix="collimator_",
+    place="collimator",
+    verdicts=[ratio_near("collimator_ratio", within=MOTION_RATIO)],
+)
+
+
+def sight_of(bench: Bench, instrument: Instrument, motion_px2: FloatArray) -> Sight | None:
+    """Motion common to the stars (levels, 2, 2) [px^2] against the integral of the spectrum.
+
+    None for a line of sight at rest, or of a single star.
+    """
+    between, within = np.sqrt(bench.power_px2(instrument))
+    if not between or not np.isfinite(motion_px2).all():
+        return None
+    motion, own = motion_px2.mean(0)
+    scale, seen = 3.0 * instrument.pixel_arcsec, np.sqrt(np.maximum(motion, 0.0))
+    # of so many draws, each with what the mean of the stars' own errors leaves
+    part = (1.0 + own.mean() / between**2) / np.sqrt(2.0 * bench.frames * len(motion_px2))
+    return Sight(
+        between_arcsec=float(scale * between),
+        within_arcsec=float(scale * within),
+        seen_arcsec=measured(scale * seen, np.full(2, scale * between * part)),
+        ratio=measured(seen / between, np.full(2, part)),
+    )

@@ -1,0 +1,40 @@
+"""Published results of the laboratory test that the experiments repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pydantic import BaseModel
+
+from experiments.laboratory.settings.tables import FilterConfig, InstrumentConfig, PassbandConfig
+
+ACC18_ARCSEC: Mapping[str, tuple[float, float]] = {
+    "TE": (1.14, 1.23),
+    "HSFE": (1.08, 1.01),
+    "LSFE-S": (0.03, 0.66),
+    "LSFE-C1": (0.29, 0.41),
+    "LSFE-C2": (0.5, 0.5),
+}
+"""ACC18, sections 2.1 to 2.3, (x, y) [arcsec, 3 sigma]; LSFE-C2 is the marking error of the target (section 2.3.3)."""
+
+ACC18_TABLE1_PX: Mapping[str, tuple[float, float]] = {"600-500": (-1e-4, 5e-3), "800-600": (0.12, 7e-3)}
+"""ACC18 Table 1, (X, Y): mean shift between filters, halved, by the wavelengths of the filters."""
+
+_OPEN = ("defocus_mm", "exposure_s", "diffraction")
+"""Of the instrument, what ACC18 does not state, and how stars are rendered; an instrument that differs in these is
+still the published one."""
+
+
+def is_published_sensor(config: BaseModel) -> bool:
+    """Whether a configuration runs the published sensor, so that its numbers compare with published ones. Lens,
+    detector, pass band and filters (as far as the experiment has them) have to be the defaults; focus and exposure are
+    free, for the document states neither, and stars may be rendered by rays or by waves.
+    """
+    standard = {"instrument": InstrumentConfig(), "passband": PassbandConfig(), "filters": FilterConfig()}
+    for key, wanted in standard.items():
+        given = getattr(config, key, wanted)
+        if isinstance(given, InstrumentConfig):
+            given = given.model_copy(update={name: getattr(wanted, name) for name in _OPEN})
+        if given != wanted:
+            return False
+    return True

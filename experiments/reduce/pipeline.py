@@ -1,0 +1,263 @@
+"""Sequence of the reduction of own frames: folder, centroids of every series, consistency checks, method.
+
+No rendering, no truth. Sections common to all methods are here; a method adds its own (`FramesTest`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.harness.drawings import cloud
+from experiments.harness.experiment import Experiment
+from experiments.harness.progress import Progress
+from experiments.harness.quantities import Outcome, Quantities, Quantity, positions
+from experiments.harness.sections import Section, above, col, judged
+from experiments.harness.summary import Measured
+from experiments.laboratory.bench.centroid_methods import MethodLabels, needs_epsf
+from experiments.reduce.checks import CHECKS, check_frames
+from experiments.reduce.folder import FrameFolder, read_folder
+from experiments.reduce.frames_toml import Layout
+from experiments.reduce.sequence import FEWEST_FOR_LAG
+from experiments.reduce.series import SeriesFrames
+from optics.arrays import FloatArray
+from optics.errors import ConfigError
+
+Errors = Sequence[Sequence[Measured]]
+Reduced = tuple[Sequence[SeriesFrames], Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FramesTest:
+    """Reduction of own frames by a method."""
+
+    title: str  # Of the report
+    layout: Layout  # What it asks of a folder
+    # ``reduce(folder, methods, config)``: centroids of the series, records of the method's own sections
+    reduce: Callable[[FrameFolder, Sequence[str], Any], Reduced]
+    sections: Mapping[str, Section]  # The method's own
+    # Numbers at the head of the report: label -> (quantity, coordinates or positions along some dimensions)
+    head: Mapping[str, tuple[str, Mapping[str, Any]]]
+    captions: Mapping[str, str] = field(default_factory=dict)  # Of its figures, by name
+    series: str = "Series"  # What readers call a series
+
+    def run(self, config: Any, *, progress: Progress) -> dict[str, Any]:
+        """Read the folder of the configuration, centroid its frames, reduce and judge them."""
+        with progress.stage("read"):
+            folder = read_folder(config.own_frames, window_px=config.window_px, layout=self.layout)
+        first = () if folder.settings.centroid is None else (folder.settings.centroid,)
+        wanted = (*first, *getattr(config, "methods", ("gaussian",)))
+        methods = tuple(dict.fromkeys(one for one in wanted if not needs_epsf(one)))
+        if not methods:
+            raise ConfigError("own frames have no PSF: use a centroid other than epsf, e.g. gaussian")
+        with progress.stage("reduce"):
+            series, own = self.reduce(folder, methods, config)
+        with progress.stage("check"):
+            checks = check_frames(folder, series, methods[0])
+        return {
+            "folder": folder_record(self, folder, series, methods),
+            "series": [series_record(one) for one in series],
+            "checks": checks,
+            **own,
+        }
+
+    def experiment(self, rendered: Experiment) -> Experiment:
+        """The experiment that takes over from one on rendered frames."""
+        return Experiment(
+            name=rendered.name,
+            config=rendered.config,
+            run=self.run,
+            sections=self.parts,
+            report=Path(__file__).with_name("report.md"),
+            renders=lambda _: False,
+            judged="reduction",
+            show=self.tables[:1],
+        )
+
+    def parts(self, result: Mapping[str, Any]) -> dict[str, Section]:
+        """Common sections and its own; limits of the sample are stated below its first table."""
+        own = dict(self.sections)
+        chief = next(name for name, one in own.items() if one.table_name(name))
+        said = result["folder"].few_text if "folder" in result else ""
+        if said:
+            own[chief] = replace(own[chief], note=f"{said} {own[chief].note}".strip())
+        return {**COMMON, **own}
+
+    def wrong(self, outcome: Outcome) -> list[str]:
+        """Faults, each cause once: advice of the criteria that do not hold, or their names."""
+        causes = [one.advice or one.name for one in judged(self.parts(outcome.result), outcome) if one.failed]
+        return [one for n, one in enumerate(causes) if not any(known in one for known in causes[:n])]
+
+    @property
+    def tables(self) -> list[str]:
+        """Names of its own tables, the chief one first."""
+        return [title for name, one in self.sections.items() if (title := one.table_name(name))]
+
+    def headline(self, outcome: Outcome) -> dict[str, Quantity]:
+        """Label -> number, for the head of the report; further dimensions are spread."""
+        numbers = {}
+        for label, (name, at) in self.head.items():
+            named = {dim: key for dim, key in at.items() if isinstance(key, str)}
+            placed = {dim: key for dim, key in at.items() if not isinstance(key, str)}
+            whole = outcome.quantity(name, **named).at(**placed)
+            for where in positions(dict(zip(whole.dims, whole.values.shape, strict=True)), whole.dims):
+                words = [outcome.names(dim)[place] for dim, place in where.items()]
+                numbers[", ".join([label, *words])] = whole.at(**where)
+        return numbers
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Folder:
+    """Contents of the folder, and treatment of its frames."""
+
+    test: FramesTest
+    methods: Sequence[str]  # Centroiders, the one that counts first
+    names: Sequence[str]  # Of the series
+    source: str = col("Source", default="frames")
+    points: int = col("Points")
+    dark_frames: int = col("Dark frames")
+    flat_frames: int = col("Flats")
+    bad_pixels: int = col("Pixels of the bad-pixel map")
+    frame_size_px: Sequence[int] = col("Size of a frame", "px", dims="side")
+    pixel_arcsec: float = col("Angle of a pixel", "arcsec")
+    fewest_frames: int = col("Frames of the shortest series")
+    few_text: str = col("Remarks on the frames", json="few_frames", shown=False)  # "" where they are enough
+    prnu_fraction: float = col("Stated residual PRNU", json="")
+    # Where there are no flats
+    percent_px: float | None = col(
+        "Shift by a PRNU of 1 %", "px", ".4f", json="without_flat.one_percent_moves_px", default=None
+    )
+    percent_over_noise: float | None = col(
+        "Over the noise of a mean", format=".2f", json="without_flat.over_noise_of_mean", default=None
+    )
+
+
+ENOUGH = 30
+"""Frames that ACC18 asks of a series."""
+
+
+def _few(test: FramesTest, shortest: SeriesFrames) -> str:
+    """Remark on series with fewer frames; poses are not judged by their number."""
+    if test.layout.fewest < 2 or shortest.frames >= ENOUGH:
+        return ""
+    scatter = 100.0 / np.sqrt(2.0 * (shortest.frames - 1))
+    return (
+        f"Only {shortest.frames} frames in {shortest.name}, fewer than {ENOUGH}: the scatter of a point is known to "
+        f"{scatter:.0f} %, and {'no' if shortest.frames < FEWEST_FOR_LAG else 'little'} drift or correlation of frames "
+        "would be noticed."
+    )
+
+
+def folder_record(
+    test: FramesTest, folder: FrameFolder, series: Sequence[SeriesFrames], methods: Sequence[str]
+) -> Folder:
+    """Numbers of a folder; the effect of a missing flat is the largest over the series."""
+    flat, percent = folder.flat, np.array([one.percent_px for one in series])
+    shortest = min(series, key=lambda one: one.frames)
+    noise = np.array([np.sqrt((one.predicted_px(methods[0]) ** 2).mean() / one.effective_frames) for one in series])
+    return Folder(
+        test=test,
+        methods=methods,
+        names=[one.name for one in series],
+        points=len(folder.series[0].found_px),
+        dark_frames=folder.dark_frames,
+        flat_frames=0 if flat is None else flat.frames,
+        bad_pixels=folder.bad_pixels,
+        frame_size_px=[folder.width_px, folder.height_px],
+        pixel_arcsec=folder.settings.pixel_arcsec,
+        fewest_frames=shortest.frames,
+        few_text=_few(test, shortest),
+        prnu_fraction=folder.settings.prnu_fraction,
+        percent_px=float(percent.max()) if flat is None else None,
+        percent_over_noise=float((percent / noise).max()) if flat is None else None,
+    )
+
+
+def _axes(q: Quantities, folder: Folder) -> None:
+    q.axis("method", list(folder.methods), "Centroider", names=MethodLabels())
+    q.axis("axis", ["x", "y"], "Axis")
+    q.axis("series", np.arange(len(folder.names)) + 1, folder.test.series, names=folder.names)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Series:
+    """A series as centroided."""
+
+    series_name: str = col("Name", json="name", shown=False)
+    frames: int = col("Frames")
+    effective_frames: float = col("Independent", format=".1f")
+    signal_e: float = col("Signal", "e-", ".0f")
+    usable_fraction: float = col("Usable", format=".3f")
+
+
+def series_record(one: SeriesFrames) -> Series:
+    """Numbers of a series."""
+    return Series(
+        series_name=one.name,
+        frames=one.frames,
+        effective_frames=one.effective_frames,
+        signal_e=one.signal_e,
+        usable_fraction=one.usable_fraction,
+    )
+
+
+COMMON = {
+    "folder": Section(record=Folder, axes=_axes),
+    "series": Section(
+        record=Series,
+        dim="series",
+        place="series[series]",
+        caption="Frames, equivalent independent frames, mean electrons in a window, smallest fraction of "
+        "frames with a position.",
+        verdicts=[
+            above(
+                "usable_fraction",
+                0.9,
+                title="fraction of frames with a position, smallest over points and centroiders",
+                advice="points are too faint for this centroider, or windows too small for the spot",
+            )
+        ],
+    ),
+    "checks": CHECKS,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """A target point in the last series, first centroider."""
+
+    mean_px: FloatArray = col("Mean", "px", ".4f", "axis", json="", key="mean_{axis}_px")
+    sigma_px: FloatArray = col("σ", "px", ".4f", "axis", json="", key="sigma_{axis}_px")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cloud:
+    """Centroids of the last series about the mean of each point, first centroider."""
+
+    apart_arcsec: FloatArray = col("Centroids about their mean", "arcsec", dims="frame point axis", json="")
+
+
+def points_of(folder: FrameFolder, series: SeriesFrames, method: str) -> dict[str, Any]:
+    """Records of the sections `POINTS`."""
+    place, points = series.points.position_px[method], series.points
+    rows = zip(points.mean_px(method), points.sigma_px(method), strict=True)
+    return {
+        "points": [Point(mean_px=mean, sigma_px=sigma) for mean, sigma in rows],
+        "cloud": Cloud(apart_arcsec=folder.settings.pixel_arcsec * (place - np.nanmean(place, axis=0))),
+    }
+
+
+POINTS = {
+    "points": Section(
+        record=Point,
+        dim="point",
+        across="axis",
+        caption="Centroids of the last series, first centroider; σ of a single frame.",
+    ),
+    "cloud": Section(record=Cloud, figures={"cloud": cloud("apart_arcsec")}),
+}
+POINTS_CAPTION = {"cloud": "All frames of all points about the mean of each point, last series."}
