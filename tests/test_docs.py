@@ -124,6 +124,19 @@ def test_the_script_with_stars_of_ones_own_runs_and_measures(tmp_path):
     assert (tmp_path / "frame.fits").exists()
 
 
+def block(page, name):
+    """The Python block of a page that imports a name."""
+    return next(script for script in scripts(page) if re.search(rf"^from .*\b{name}\b", script, re.M))
+
+
+def test_the_metrics_of_the_library_page_are_those_of_its_series(capsys):
+    error = np.random.default_rng(4).normal(0.5, 0.2, (20, 1000))
+    exec(block("docs/library.md", "ecss_metrics"), {"error_arcsec": error})
+    metrics, limit = capsys.readouterr().out.splitlines()
+    assert ast.literal_eval(metrics)["AME"] == pytest.approx(np.quantile(error, 0.997), rel=1e-9)
+    assert float(limit) == pytest.approx(0.05 ** (1.0 / 93.0))
+
+
 def test_pages_of_sensor_and_detector_files_are_those_of_their_models():
     spec = spec_from_file_location("make_sensor_file_page", ROOT / "docs" / "make_sensor_file_page.py")
     module = module_from_spec(spec)

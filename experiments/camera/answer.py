@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.accuracy.ecss_metrics import mixture_bound
 from experiments.camera.settings import Config
 from experiments.harness.range import value_at, with_value
 from experiments.harness.sections import col
 from experiments.harness.system import shared
 from experiments.harness.what_if import Requirement
 from experiments.laboratory.devices.instrument import stated_lens
-from experiments.laboratory.error_metrics import mixture_bound
 from experiments.laboratory.sensor_prediction import CameraPrediction, predict_camera
 from experiments.laboratory.settings.requirements import AT_LEAST
 from optics.arrays import FloatArray

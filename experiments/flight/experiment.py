@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta, norm
 
+from calib.accuracy.ecss_metrics import ecss_metrics, normal_factor, success_limit
 from calib.attitude.tracker import sky_coverage
 from experiments.flight.frames import Segment, render_flight
 from experiments.flight.prediction import Budget, SegmentErrors, build_budget
@@ -102,8 +102,7 @@ def _seen(segments: Sequence[Segment]) -> dict[str, Any]:
             n=len(solved),
         ),
         "acquired": Measured(value=share, uncertainty=math.sqrt(share * (1.0 - share) / len(ok)), n=len(ok)),
-        # Clopper and Pearson 1934, Biometrika 26, 404
-        "acquired_least": float(beta.ppf(1.0 - CONFIDENCE, ok.sum(), len(ok) - ok.sum() + 1)) if ok.any() else 0.0,
+        "acquired_least": success_limit(int(ok.sum()), len(ok), CONFIDENCE),
         "acquisition_s": Measured(
             value=float(spent.mean()), unit="s", uncertainty=float(spent.std() / np.sqrt(len(spent))), n=len(spent)
         ),
@@ -226,27 +225,21 @@ METRICS = (
 def metrics(terms: Sequence[Term], segments: Sequence[Segment]) -> list[Metric]:
     """Metrics at `LEVEL`, across about one axis, mixed interpretation: over the sampled orbit."""
     squares = {one.term: np.square(one.predicted_arcsec) for one in terms}
-    factor = float(norm.isf((1.0 - LEVEL) / 2.0))
-    seen = [one.error_arcsec[0, one.solved] for one in segments if one.solved.any()]
-    rows = []
-    for name, meaning, of in METRICS:
-        measured = None
-        if seen:
-            errors = {
-                "AME": np.concatenate(seen),
-                "MME": np.array([one.mean(axis=0) for one in seen]),
-                "RME": np.concatenate([one - one.mean(axis=0) for one in seen]),
-            }[name]
-            measured = [float(np.quantile(np.abs(errors[:, list(pick)]), LEVEL)) for _, pick in COMPONENTS]
-        rows.append(
-            Metric(
-                metric=name,
-                meaning=meaning,
-                predicted_arcsec=factor * np.sqrt(np.sum([squares[one] for one in of], axis=0)),
-                measured_arcsec=measured,
-            )
+    measured: list[dict[str, float]] = []
+    if any(segment.solved.any() for segment in segments):
+        # (segments, frames, 3) Of the first readout
+        error = np.array([np.where(part.solved[:, None], part.error_arcsec[0], np.nan) for part in segments])
+        series = error.reshape(-1, 3).T
+        measured = [ecss_metrics(series[list(pick)], error.shape[1], LEVEL) for _, pick in COMPONENTS]
+    return [
+        Metric(
+            metric=name,
+            meaning=meaning,
+            predicted_arcsec=normal_factor(LEVEL) * np.sqrt(np.sum([squares[term] for term in of], axis=0)),
+            measured_arcsec=[component[name] for component in measured] or None,
         )
-    return rows
+        for name, meaning, of in METRICS
+    ]
 
 
 # --- Begin and end of life

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.ecss_metrics import mixture_bound, normal_factor, quantile_limit
 from experiments.harness.outputs import flat
 from experiments.harness.progress import Progress
 from experiments.harness.provenance import without_paths
@@ -18,7 +19,6 @@ from experiments.harness.quantities import Outcome
 from experiments.harness.registry import declared
 from experiments.harness.run import Options, configuration
 from experiments.laboratory.devices.instrument import build_instrument, housing_of
-from experiments.laboratory.error_metrics import mixture_bound, normal_factor, quantile_limit
 from experiments.statement.clauses import CLAUSES
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, StarbenchError

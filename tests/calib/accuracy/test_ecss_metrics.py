@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from experiments.laboratory.error_metrics import (
-    level_of,
-    metrics,
+from calib.accuracy.ecss_metrics import (
+    bound_at_level,
+    ecss_metrics,
     mixture_bound,
     normal_factor,
     quantile_limit,
     runs_needed,
+    success_limit,
 )
 from optics.errors import DomainError
 
@@ -41,6 +42,13 @@ def test_runs_that_show_a_share_with_confidence(share, confidence, failures, run
     assert runs_needed(share, confidence, failures) == runs
 
 
+def test_runs_that_all_succeed_show_the_fraction_that_wilks_has():
+    """(1 - confidence)^(1/n); with failures, the limit of the runs that `runs_needed` asks for."""
+    assert success_limit(10, 10, 0.9) == pytest.approx(0.1**0.1, rel=1e-12)
+    assert success_limit(92, 93, 0.95) > 0.95 > success_limit(91, 92, 0.95)
+    assert success_limit(0, 5, 0.9) == 0.0
+
+
 def test_confidence_limit_of_a_quantile():
     """The largest of 59 exceeds the 95 % quantile with 95 % confidence, the largest of 58 does not."""
     assert quantile_limit(np.arange(59.0), 0.95, 0.95) == 58.0
@@ -51,33 +59,51 @@ def test_confidence_limit_of_a_quantile():
 
 
 def test_metrics_of_a_bias_a_drift_and_noise():
-    bias = metrics(np.full((3, 40), -2.0), 10, 0.9)
+    bias = ecss_metrics(np.full((3, 40), -2.0), 10, 0.9)
     assert bias == pytest.approx({"AME": 2.0, "MME": 2.0, "RME": 0.0, "MDE": 0.0})
-    ramp = metrics(np.arange(40.0)[None] * 0.5, 10, 0.9)
+    ramp = ecss_metrics(np.arange(40.0)[None] * 0.5, 10, 0.9)
     assert ramp["MDE"] == pytest.approx(5.0)  # ten steps of a half from window to window
     assert ramp["RME"] == pytest.approx(2.25)  # within a window from -2.25 to 2.25, the outermost a fifth of all
-    noise = metrics(np.random.default_rng(1).normal(size=(50, 4000)), 100, 0.95)
+    noise = ecss_metrics(np.random.default_rng(1).normal(size=(50, 4000)), 100, 0.95)
     assert noise["AME"] == pytest.approx(1.96, rel=0.01)
     assert noise["MME"] == pytest.approx(0.196, rel=0.08)  # 2000 means
     assert noise["MDE"] == pytest.approx(0.196 * np.sqrt(2.0), rel=0.08)
+
+
+def test_times_without_a_measurement_are_left_out():
+    error = np.random.default_rng(2).normal(size=(3, 60))
+    gaps = np.append(error, np.full((3, 20), np.nan), axis=1)
+    gaps[:, 5] = np.nan
+    short = np.delete(error, 5, axis=1)
+    found = ecss_metrics(gaps, 20, 0.9)
+    assert found["AME"] == pytest.approx(np.quantile(np.abs(short), 0.9))
+    means = np.stack([short[:, :19].mean(1), short[:, 19:39].mean(1), short[:, 39:].mean(1)], axis=1)
+    assert found["MME"] == pytest.approx(np.quantile(np.abs(means), 0.9))
+    assert ecss_metrics(gaps, 20, 0.9, "temporal")["AME"] == pytest.approx(
+        np.quantile(np.abs(short), 0.9, axis=1).max()
+    )
 
 
 def test_interpretations():
     """A bad sensor is the worst realisation, a bad moment the worst time; mixed they are rare."""
     error = np.ones((10, 200))
     error[3] = 5.0
-    assert level_of(error, 0.85, "temporal") == 5.0
-    assert level_of(error, 0.85, "ensemble") == 1.0
-    assert level_of(error, 0.85, "mixed") == 1.0
+    assert bound_at_level(error, 0.85, "temporal") == 5.0
+    assert bound_at_level(error, 0.85, "ensemble") == 1.0
+    assert bound_at_level(error, 0.85, "mixed") == 1.0
     error = np.ones((10, 200))
     error[:, 7] = 9.0
-    assert (level_of(error, 0.85, "temporal"), level_of(error, 0.85, "ensemble")) == (1.0, 9.0)
+    assert (bound_at_level(error, 0.85, "temporal"), bound_at_level(error, 0.85, "ensemble")) == (1.0, 9.0)
 
 
 def test_input_that_cannot_be():
     with pytest.raises(DomainError, match=r"level = 1\.5"):
         normal_factor(1.5)
     with pytest.raises(DomainError, match="window of 50"):
-        metrics(np.zeros((2, 40)), 50, 0.9)
+        ecss_metrics(np.zeros((2, 40)), 50, 0.9)
+    with pytest.raises(DomainError, match="no finite error"):
+        ecss_metrics(np.full((2, 40), np.nan), 10, 0.9)
+    with pytest.raises(DomainError, match="6 successes in 5 runs"):
+        success_limit(6, 5, 0.9)
     with pytest.raises(DomainError, match="failures"):
         runs_needed(0.9, 0.9, -1)
