@@ -304,13 +304,43 @@ def gradients():
     print(f"image {1e3 * forward:.0f} ms, gradient {1e3 * backward:.0f} ms of a core: {backward / forward:.1f} images")
 
 
+def transforms():
+    """Processor time of the sum of plane waves over a window, and FINUFFT's for the same sum, one thread each."""
+    import finufft
+
+    rng = np.random.default_rng(1)
+    print("| waves | samples | sum here [ms] | FINUFFT, 1e-6 | ratio |")
+    print("|---|---|---|---|---|")
+    for waves, window_px, highest in ((400, 13, 1.0), (1500, 21, 1.2), (4000, 31, 2.0), (12000, 61, 2.0)):
+        field = FieldSampling(highest)
+        pad = field.pixel(1.0, SIGMA_PX).reach_px
+        count, sample = len(window_samples(field, window_px, pad)), field.light_step
+        f = rng.uniform(-0.35 * highest, 0.35 * highest, (2, waves))
+        landing, turns, amplitude = rng.uniform(0.0, 1.0, (3, waves))
+        rays = landing, landing, *f, turns, amplitude
+
+        def here(rays=rays, field=field, window_px=window_px, pad=pad):
+            return window_light(lambda _: rays, np.ones(1), np.zeros(2), window_px, field, pad_px=pad)
+
+        def theirs(x=2.0 * np.pi * sample * f, count=count, turns=turns, amplitude=amplitude):
+            coefficient = amplitude * np.exp(2j * np.pi * turns)
+            u = finufft.nufft2d1(x[1], x[0], coefficient, (count, count), eps=1e-6, isign=1, nthreads=1)
+            return u.real**2 + u.imag**2
+
+        ours, other = (timed(run, 15)[1] * 1e3 for run in (here, theirs))
+        print(f"| {waves} | {count} | {ours:.2f} | {other:.2f} | {ours / other:.2f} |")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--speed", action="store_true", help="time it instead")
     parser.add_argument("--cost", action="store_true", help="measure the cost of images and grids")
     parser.add_argument("--gradient", action="store_true", help="measure the cost of a gradient")
+    parser.add_argument("--transform", action="store_true", help="measure the sum of plane waves beside FINUFFT")
     arguments = parser.parse_args()
-    if arguments.gradient:
+    if arguments.transform:
+        transforms()
+    elif arguments.gradient:
         gradients()
     elif arguments.cost:
         costs()

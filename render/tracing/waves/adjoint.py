@@ -4,8 +4,9 @@ With P the phase at the middle of the samples [turns], A the amplitude and E the
 
     U(X) = sum_j sqrt(pi) A_j exp{2 pi i [P_j + f_j X]},   I = sum E |U|^2,   dI = sum 2 E Re{conj(U) dU} + |U|^2 dE
 
-so that the adjoint of a weight G over the samples is one more sum, of G conj(U) over the window, for every ray. Both
-sums use a grid of frequencies as in `render.tracing.waves.windows`, forward and transposed.
+so that the adjoint of a weight G over the samples is one more sum, of G conj(U) over the window, for every ray.
+Both sums are non-uniform Fourier transforms in double precision, by FINUFFT (Barnett, Magland & af Klinteberg 2019,
+SIAM J. Sci. Comput. 41, C479).
 """
 
 from __future__ import annotations
@@ -13,21 +14,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
+import finufft
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from optics.arrays import FloatArray
 from render.engine.jit import dr
 from render.engine.upload import uploaded
 from render.tracing.waves.windows import BandLimited, FieldSampling, window_samples
 
-SPREAD, OVERSAMPLING = 9, 2
-"""Points of the grid of frequencies that a ray is spread to, along an axis, and how fine it is: errors of 1e-9."""
-BETA = math.pi * math.sqrt((SPREAD * (1.0 - 0.5 / OVERSAMPLING)) ** 2 - 0.8)
+SETTINGS: dict[str, Any] = {"eps": 1e-9, "nthreads": 1}
+ComplexArray = NDArray[np.complex128]
 ARRAYS = ("phase", "fx", "fy", "amplitude", "energy", "right", "down", "part")  # of `_Stamps`
 
 
@@ -74,33 +73,6 @@ class Window:
         return kernel(distance) * step, -kernel.slope(distance) * step
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Grid:
-    """Grid of frequencies for samples about 0, as that of `render.tracing.waves.windows`, in double precision."""
-
-    step: float  # [cycles/px]
-    waves: NDArray[np.complex128]  # (n, c) What leads from the grid to the samples
-
-
-@lru_cache(maxsize=16)
-def _grid(count: int, sample_px: float, highest: float) -> _Grid:
-    """Grid for a number of samples, of frequencies up to half the highest."""
-    samples = (np.arange(count) - 0.5 * (count - 1)) * sample_px
-    step = 1.0 / (OVERSAMPLING * count * sample_px)
-    reach = math.ceil(0.5 * highest / step + 0.5 * SPREAD + 1.0)
-    node, weight = np.polynomial.legendre.leggauss(100)
-    spread = 0.5 * SPREAD * (np.cos(np.pi * SPREAD * step * np.outer(samples, node)) @ (weight * _bell(node)[0]))
-    waves = np.exp(2j * np.pi * step * np.outer(samples, np.arange(-reach, reach + 1)))
-    return _Grid(step, np.asarray(waves / spread[:, None], np.complex128))
-
-
-def _bell(t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Kernel on [-1, 1], exponential of a semicircle, and its slope."""
-    root = np.sqrt(np.maximum(1.0 - t * t, 1e-12))
-    value = np.exp(BETA * (root - 1.0))
-    return value, -BETA * t / root * value
-
-
 class _Rays:
     """Waves of one star, band and wavelength over the samples of a window; frequencies count from a middle one."""
 
@@ -108,66 +80,34 @@ class _Rays:
         self, phase: FloatArray, fx: FloatArray, fy: FloatArray, amplitude: FloatArray, samples: FloatArray
     ) -> None:
         fx, fy = (f - 0.5 * (f.max() + f.min()) for f in (fx, fy))
-        highest = 2.0 * float(max(np.abs(fx).max(), np.abs(fy).max()))
-        self.grid = _grid(len(samples), round(float(samples[1] - samples[0]), 12), math.ceil(20.0 * highest) / 20.0)
+        step = 2.0 * np.pi * float(samples[1] - samples[0])
+        self.points = step * fy, step * fx  # [rad per sample]: rows first
         self.samples, self.amplitude = samples, amplitude
-        self.phase = np.sqrt(np.pi) * np.exp(2j * np.pi * phase)
-        side, steps = self.grid.waves.shape[1], np.arange(SPREAD, dtype=np.int32)
-        first, self.kernels = [], []
-        for frequency in (fx, fy):
-            place = frequency / self.grid.step + side // 2
-            one = np.ceil(place - 0.5 * SPREAD).astype(np.int32)
-            first.append(one)
-            self.kernels.append(_bell((one[:, None] + steps - place[:, None]) * (2.0 / SPREAD)))
-        self.index = (first[1] * side + first[0])[:, None, None] + steps[:, None] * np.int32(side) + steps
-        self.ends = np.arange(0, self.index.size + 1, SPREAD**2, dtype=np.int32)
+        # samples lie about 0; FINUFFT counts them from -(n // 2)
+        about = 0.5 * (len(samples) - 1) - len(samples) // 2
+        self.phase = np.sqrt(np.pi) * np.exp(2j * np.pi * phase - 1j * about * (self.points[0] + self.points[1]))
 
-    def _spread(self, along: int = 0, across: int = 0) -> csr_array:
-        """What takes values at frequencies of the grid to the rays (p, c^2), or to slopes by fx or fy."""
-        value = self.kernels[1][across][:, :, None] * self.kernels[0][along][:, None, :]
-        return csr_array(
-            (value.ravel(), self.index.ravel(), self.ends), (len(self.phase), self.grid.waves.shape[1] ** 2)
-        )
+    def _sums(self, *coefficients: ComplexArray) -> ComplexArray:
+        """Sums (c, rows, columns) of waves with c coefficients (p,)."""
+        shape = len(self.samples), len(self.samples)
+        return np.asarray(finufft.nufft2d1(*self.points, np.stack(coefficients), shape, isign=1, **SETTINGS))
 
-    def _sums(self, coefficients: list[NDArray[np.complex128]]) -> list[NDArray[np.complex128]]:
-        """Sums (rows, columns) of waves with coefficients (p,)."""
-        waves = self.grid.waves
-        parts = self._spread().T @ np.stack(coefficients, axis=-1).view(np.float64).reshape(len(self.phase), -1)
-        side = waves.shape[1]
-        grids = np.ascontiguousarray(parts.reshape(side, side, -1, 2).transpose(2, 0, 1, 3)).view(np.complex128)
-        return [waves @ one[..., 0] @ waves.T for one in grids]
-
-    def field(self) -> NDArray[np.complex128]:
+    def field(self) -> ComplexArray:
         """U (rows, columns), but for a wave of the middle frequency."""
-        return self._sums([self.phase * self.amplitude])[0]
+        return self._sums(self.phase * self.amplitude).reshape(len(self.samples), -1)
 
-    def change(
-        self, phase: FloatArray, fx: FloatArray, fy: FloatArray, amplitude: FloatArray
-    ) -> NDArray[np.complex128]:
+    def change(self, phase: FloatArray, fx: FloatArray, fy: FloatArray, amplitude: FloatArray) -> ComplexArray:
         """Change of U with changes of the rays."""
         turned = 2j * np.pi * self.amplitude * self.phase
-        parts = self._sums([turned * phase + self.phase * amplitude, turned * fx, turned * fy])
+        parts = self._sums(turned * phase + self.phase * amplitude, turned * fx, turned * fy)
         return np.asarray(parts[0] + parts[1] * self.samples + parts[2] * self.samples[:, None])
 
-    def adjoint(self, weight: NDArray[np.complex128]) -> tuple[FloatArray, ...]:
-        """Gradients of Re sum(weight U) with respect to phase, fx, fy and amplitude.
-
-        The sum over the samples is a function of the ray's frequency, whose slope is 2 pi i times that of its place.
-        """
-        waves = self.grid.waves
-        to_rays = np.ascontiguousarray(waves.T @ weight @ waves).ravel().view(np.float64).reshape(-1, 2)
-        slope = 2.0 / SPREAD / self.grid.step
-        whole, along, across = (
-            np.ascontiguousarray(self._spread(*which) @ to_rays).view(np.complex128)[:, 0] * self.phase
-            for which in ((0, 0), (1, 0), (0, 1))
-        )
-        by_place = -slope * self.amplitude  # a ray that moves up is nearer to what lies above
-        return (
-            -2.0 * np.pi * self.amplitude * whole.imag,
-            by_place * along.real,
-            by_place * across.real,
-            whole.real,
-        )
+    def adjoint(self, weight: ComplexArray) -> tuple[FloatArray, ...]:
+        """Gradients of Re sum(weight U) with respect to phase, fx, fy and amplitude."""
+        weights = np.stack([weight, weight * self.samples, weight * self.samples[:, None]])
+        whole, along, across = finufft.nufft2d2(*self.points, weights, isign=1, **SETTINGS) * self.phase
+        by_phase = -2.0 * np.pi * self.amplitude
+        return by_phase * whole.imag, by_phase * along.imag, by_phase * across.imag, whole.real
 
 
 @dataclass(frozen=True, slots=True)
