@@ -13,6 +13,7 @@ calib.measure      background, detection, stamps, centroiders, their bound, circ
 calib.cameras      camera models and their fit to a known map, line-of-sight maps
 calib.attitude     Wahba's problem, identification, association, attitudes linked by gyros
 calib.calibration  camera models and attitudes from many frames, with their bounds
+calib.detector     gain, noise and fixed pattern of a detector from its frames
 calib.directional  directions on the sphere: the Fisher distribution
 calib.fitting      least squares, robust loss, solutions
 calib.figures      stars marked in an image or on its page, residuals

@@ -32,7 +32,7 @@ ORDER = {
     " < response < glass < files < lens light < rays < lens_file < export waves < figures page",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing < plugins"
     " < baffle bench bodies forward < observation",
-    "calib": "directional fitting flags < records < cameras measure < attitude < accuracy calibration figures",
+    "calib": "directional fitting flags < records < cameras measure < attitude detector < accuracy calibration figures",
 }
 # What experiments share is below them; experiments know nothing of each other's inside.
 SHARED = {"harness", "laboratory", "reduce"}

@@ -10,18 +10,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from calib.calibration.observations import Observations
+from calib.detector.sky_transfer import SkyBlocks, averaging_ratio, neighbour_correlation, sky_blocks
+from calib.flags import StarFlag, has_flag
 from calib.measure.filtered_noise import FilteredNoise
 from calib.records import SensorImage
 from experiments.twin.camera import predicted_residuals
 from experiments.twin.measure import CameraFit, Prepared, attitude_of, star_fluxes
 from experiments.twin.night import FieldStars, Night, field_stars, star_mask
-from experiments.twin.noise import Blocks, blocks_of, correlation_of, whiteness
 from experiments.twin.photometry import fit_photometry
 from experiments.twin.psf import COLOUR_NAMES
 from experiments.twin.solve import Detections, detections, matched
@@ -31,8 +31,6 @@ from optics.attitude import attitude_error_arcsec
 PAIR_PX = 1.5
 """A detection within this distance of a catalogue star is that star."""
 HIGH_SIGMA = 6.0
-TRAIL_PX, TRAIL_LEAST = 2.5, 6
-"""Number of detections without a star along one line that are a satellite or an aircraft."""
 CLIP_PX = 0.7
 FEWEST = 8
 TAIL_SIGMA = 3.0
@@ -52,7 +50,7 @@ class FrameStats:
     width_px: FloatArray  # (m,) Of a Gaussian fit
     residual_px: FloatArray  # (m, 2) Of the camera, attitude of this frame
     place_px: FloatArray  # (m, 2)
-    blocks: Blocks
+    blocks: SkyBlocks
     fluxes: object  # Of the isolated bright stars, `experiments.twin.measure.Fluxes`
     attitude: Rotation
     halves_arcsec: FloatArray  # (3,) Between the attitudes by every other star, over 2
@@ -87,7 +85,7 @@ def frame_stats(
     field = field_stars(night, 0, fit.camera, attitude)
     inside = fit.camera.geometry.contains(field.place_px, margin_px=-4.0)
     height, false = _pairs(seen, field)
-    trail = _trail(seen.start_px[false])
+    trail = has_flag(table.flags[false], StarFlag.TRAIL)
     false = false[~trail]
     hot = known.hot
     one = replace(known, night=night, hot=hot)
@@ -107,7 +105,7 @@ def frame_stats(
         width_px=table.width_px[chosen],
         residual_px=residual[good],
         place_px=table.pixel_px[chosen],
-        blocks=blocks_of(image.dn, star_mask(image, field, seen, hot, known.width_px)),
+        blocks=sky_blocks(image.dn, star_mask(image, field, seen, hot, known.width_px)),
         fluxes=star_fluxes(one, fit.noise, fit.psf, fit.camera, Rotation.concatenate([attitude]), [0]),
         attitude=attitude,
         halves_arcsec=_halves(here.select(kept), fit),
@@ -134,28 +132,6 @@ def _pairs(seen: Detections, field: FieldStars) -> tuple[FloatArray, IntArray]:
     found = star < len(field)
     np.maximum.at(height, star[found], seen.significance[rows[found]])
     return height, rows[~found]
-
-
-def _trail(place_px: FloatArray) -> NDArray[np.bool_]:
-    """Mask of the places (n,) on one line with at least `TRAIL_LEAST` places."""
-    out = np.zeros(len(place_px), bool)
-    if not TRAIL_LEAST <= len(place_px) <= 400:
-        return out
-    for i in range(len(place_px)):
-        step = place_px - place_px[i]
-        length = np.linalg.norm(step, axis=1)
-        for j in range(i):
-            if length[j] > 5.0:
-                off = np.abs(step[:, 0] * step[j, 1] - step[:, 1] * step[j, 0]) / length[j]
-                on = off < TRAIL_PX
-                if on.sum() >= TRAIL_LEAST and on.sum() > out.sum() and _dense(step[on] @ step[j] / length[j]):
-                    out = on
-    return out
-
-
-def _dense(along: FloatArray) -> bool:
-    """Whether places follow each other: by chance a line across the frame has a few, far apart."""
-    return bool(np.median(np.diff(np.sort(along))) < 30.0)
 
 
 def _halves(stars: Observations, fit: CameraFit) -> FloatArray:
@@ -257,9 +233,9 @@ def statistics_of(frames: Sequence[FrameStats], limit_mag: float, airmass: Float
     height, stars = (np.concatenate([getattr(one, name) for one in frames]) for name in ("height", "magnitude"))
     rows = (np.abs(stars - (limit_mag - 1.5)) < 0.25) & (height > 0)
     add("snr", f"signal over noise at {limit_mag - 1.5:.1f} mag", float(np.median(height[rows])), limit=np.nan)
-    x, y, _ = correlation_of(blocks)
+    x, y, _ = neighbour_correlation(blocks)
     add("correlation", "correlation of neighbouring pixels", (x + y) / 2.0, limit=0.01, relative=False)
-    averaging = whiteness(blocks)
+    averaging = averaging_ratio(blocks)
     for side, value in zip((2, 8, 32), averaging, strict=True):
         add(f"averaging_{side}", f"noise of means of {side} × {side} px over that of white noise", value)
     add("tail", f"fraction of background pixels beyond {TAIL_SIGMA:g} sigma", _tail(blocks), "percent")
@@ -303,11 +279,11 @@ def _across(frames: Sequence[FrameStats]) -> float:
     return float(np.sqrt(np.nanmean([(one.halves_arcsec[:2] ** 2).mean() for one in frames])))
 
 
-def _tail(blocks: Sequence[Blocks]) -> float:
+def _tail(blocks: Sequence[SkyBlocks]) -> float:
     """Share of unclipped pixels beyond `TAIL_SIGMA` [%]."""
     share = []
     for one in blocks:
-        left = one.left_dn[np.isfinite(one.left_dn)]
+        left = one.residual_dn[np.isfinite(one.residual_dn)]
         share.append((np.abs(left) > TAIL_SIGMA * left.std()).mean())
     return 100.0 * float(np.mean(share))
 

@@ -1,7 +1,8 @@
 """From frames to a twin: the sequence of a run.
 
-Frames are read or rendered (`folder`, `synthetic`), solved (`solve`), measured (`camera`, `noise`, `psf`, `photometry`,
-by `measure` and `road`), every frame is held out in turn (`hold_out`), and the twin is written (`twin`).
+Frames are read or rendered (`folder`, `synthetic`), solved (`solve`), measured (`camera`, `psf`, `photometry` and
+`calib.detector.sky_transfer`, by `measure` and `pipeline`), every frame is held out in turn (`hold_out`), and the twin
+is written (`twin`).
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
 
+from calib.measure.trails import star_shape
 from calib.records import SensorImage
 from experiments.twin.solve import Detections, Solved
 from optics.arrays import FloatArray
@@ -15,9 +15,6 @@ FILLED = 0.5
 FEWEST = 4
 WIDE_PX = 2.5
 """Width from which stars count as out of focus: a Gaussian fit sees only the middle of a disk."""
-HALF_PX, BRIGHTEST = 12, 40
-TRAILED = 2.0
-"""Ratio of the axes from which stars are trailed; a lens that is out of focus or has coma stays below."""
 TILES, CLOUD_TILES = 5, 3
 FEWEST_EXPECTED, CLOUDED_SHARE, EMPTY_SHARE = 5, 0.5, 0.4
 
@@ -57,58 +54,22 @@ def _sky_words(one: Solved) -> str:
 
 def shape_words(image: SensorImage, seen: Detections) -> str:
     """Trailed or out of focus, with the size; nothing where stars are points."""
-    long_px, width_px, angle_deg = trail_of(image, seen)
-    if long_px > 0.0:
+    order = np.argsort(-seen.significance, kind="stable")
+    noise_dn = image.noise.gain_dn_per_e * float(np.median(seen.background.sigma_e))
+    shape = star_shape(image.dn, seen.start_px[order], noise_dn=noise_dn)
+    if shape.trail_px > 0.0:
         turn = (
-            f", {206265 * long_px / image.exposure_s:.3g} arcsec/s over the focal length in px"
+            f", {206265 * shape.trail_px / image.exposure_s:.3g} arcsec/s over the focal length in px"
             if (image.exposure_s)
             else ""
         )
         return (
-            f"trailed: stars are {long_px:.1f} px long at {angle_deg:.0f} deg from the columns' direction{turn}; "
-            "shorter exposures or a steady mount"
+            f"trailed: stars are {shape.trail_px:.1f} px long at {shape.angle_deg:.0f} deg from the columns' "
+            f"direction{turn}; shorter exposures or a steady mount"
         )
-    if width_px > WIDE_PX:
-        return f"out of focus: stars are {width_px:.1f} px wide (sigma), so that faint ones are lost in the noise"
+    if shape.width_px > WIDE_PX:
+        return f"out of focus: stars are {shape.width_px:.1f} px wide (sigma), so that faint ones are lost in the noise"
     return ""
-
-
-def trail_of(image: SensorImage, seen: Detections) -> tuple[float, float, float]:
-    """Length of the trails [px] (0: none), width (sigma) across them [px], angle [deg] from +x towards +y.
-
-    From the second moments of the light of the brightest stars, added up: what differs over the field averages out.
-    """
-    order = np.argsort(-seen.significance, kind="stable")
-    place = np.rint(seen.start_px[order]).astype(np.int64)
-    height, width = image.dn.shape
-    y, x = np.mgrid[-HALF_PX : HALF_PX + 1, -HALF_PX : HALF_PX + 1]
-    noise_dn = image.noise.gain_dn_per_e * float(np.median(seen.background.sigma_e))
-    found: list[FloatArray] = []
-    taken: list[FloatArray] = []
-    for at in place:
-        if any(np.abs(at - one).max() < HALF_PX for one in taken) or len(found) >= BRIGHTEST:
-            continue
-        taken.append(at)
-        if not (HALF_PX <= at[0] < width - HALF_PX and HALF_PX <= at[1] < height - HALF_PX):
-            continue
-        cut = image.dn[at[1] - HALF_PX : at[1] + HALF_PX + 1, at[0] - HALF_PX : at[0] + HALF_PX + 1]
-        light = cut - np.median(cut)
-        parts, _ = label(light > 3.0 * noise_dn, np.ones((3, 3)))
-        mine = parts[HALF_PX, HALF_PX]
-        light = np.where((parts == mine) & (mine > 0), light, 0.0)  # neighbours and noise would make it wide
-        if np.count_nonzero(light) < 6:
-            continue
-        share = light / light.sum()
-        mean = np.array([(share * x).sum(), (share * y).sum()])
-        off = np.stack([x - mean[0], y - mean[1]])
-        found.append(np.einsum("yx,ayx,byx->ab", share, off, off))
-    if len(found) < 3:
-        return 0.0, float("nan"), float("nan")
-    value, axes = np.linalg.eigh(np.median(found, axis=0))
-    short, long = np.sqrt(np.maximum(value, 1e-9))
-    angle = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])) % 180.0)
-    trail = float(np.sqrt(12.0 * (value[1] - value[0]))) if long > TRAILED * short else 0.0
-    return trail, float(short), angle
 
 
 def _empty_share(image: SensorImage, seen: Detections) -> float:

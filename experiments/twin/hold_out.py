@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
+from calib.detector.sky_transfer import BLOCK_PX
 from calib.measure.detection import detection_noise
 from calib.measure.filtered_noise import FilteredNoise
 from calib.records import SensorImage
@@ -21,7 +22,6 @@ from experiments.harness.progress import Progress
 from experiments.twin.compare import CLIP_PX, FrameStats, frame_stats, star_heights
 from experiments.twin.measure import CameraFit, Prepared, field_airmass, measure_camera, prepare, residuals
 from experiments.twin.night import field_stars
-from experiments.twin.noise import BLOCK_PX
 from experiments.twin.photometry import POGSON
 from experiments.twin.solve import FWHM_PX, Detections, detections
 from experiments.twin.twin import Assumed, Twin, TwinRenderer, as_image, build_twin

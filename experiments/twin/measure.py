@@ -16,12 +16,12 @@ from scipy.spatial.transform import Rotation
 from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
 from calib.cameras.base import CameraModel
+from calib.detector.sky_transfer import SkyBlocks, SkyNoise, sky_blocks, sky_photon_transfer
 from calib.flags import UNFIT, has_flag
 from calib.measure.centroid import get_centroider
 from calib.measure.stamps import extract_stamps
 from experiments.twin.camera import Order, attitudes_of, calibrated, chosen_order, cross_validated, predicted_residuals
 from experiments.twin.night import FieldStars, Night, field_stars, star_mask, star_sample
-from experiments.twin.noise import Blocks, NoiseFit, blocks_of, fit_noise
 from experiments.twin.photometry import POGSON, Photometry, fit_photometry
 from experiments.twin.psf import PsfModel, colour_class, fit_psf, linear_fit
 from experiments.twin.solve import matched, wahba
@@ -73,7 +73,7 @@ class CameraFit:
     calibration: Calibration
     order: str
     attitudes: Rotation  # Of all frames of the night, those that were left out included
-    noise: NoiseFit
+    noise: SkyNoise
     psf: PsfModel
     photometry: Photometry
     fluxes: Fluxes
@@ -182,7 +182,7 @@ class Prepared:
     night: Night
     camera: CameraModel  # First one
     attitudes: Rotation
-    blocks: tuple[Blocks, ...]
+    blocks: tuple[SkyBlocks, ...]
     hot: NDArray[np.bool_]  # (h, w)
     width_px: float  # Typical width of a star
     limit_mag: float  # About where half of the stars are found
@@ -196,7 +196,7 @@ def prepare(night: Night, made: Calibration, hot: NDArray[np.bool_], *, attitude
     width = float(np.nanmedian(np.concatenate(good)))
     for number, frame in enumerate(night.frames):
         stars = field_stars(night, number, made.model, attitudes[number])
-        blocks.append(blocks_of(frame.image.dn, star_mask(frame.image, stars, frame.seen, hot, width)))
+        blocks.append(sky_blocks(frame.image.dn, star_mask(frame.image, stars, frame.seen, hot, width)))
         _, known = matched(frame.seen, frame.direction, attitudes[number], made.model, MATCH_PX)
         found.append(np.sort(night.sky.magnitude[frame.rows[known]]))
     limit = float(np.median([one[int(0.9 * len(one))] for one in found if len(one)]))
@@ -211,11 +211,11 @@ def prepare(night: Night, made: Calibration, hot: NDArray[np.bool_], *, attitude
     )
 
 
-def noise_of(known: Prepared, used: Sequence[int], black_level_dn: float | None) -> NoiseFit:
+def noise_of(known: Prepared, used: Sequence[int], black_level_dn: float | None) -> SkyNoise:
     """Noise of some frames."""
     blocks = [known.blocks[k] for k in used]
     lowest = min(float(np.nanmin(one.level_dn[np.isfinite(one.variance_dn2)])) for one in blocks)
-    return fit_noise(blocks, lowest_dn=lowest, black_level_dn=black_level_dn)
+    return sky_photon_transfer(blocks, lowest_dn=lowest, black_level_dn=black_level_dn)
 
 
 def cross_validate(known: Prepared, orders: Sequence[str]) -> tuple[Order, list[Order]]:
@@ -292,7 +292,7 @@ def residuals(stars: Observations, camera: CameraModel, attitudes: Rotation) -> 
 
 def _psf(
     known: Prepared,
-    noise: NoiseFit,
+    noise: SkyNoise,
     camera: CameraModel,
     attitudes: Rotation,
     used: Sequence[int],
@@ -304,14 +304,14 @@ def _psf(
     )
     if len(sample) > PSF_STARS:
         sample = sample.select(np.arange(len(sample)) % -(-len(sample) // PSF_STARS) == 0)
-    constant = max(noise.intercept_dn2.value, 0.1) + noise.dsnu_dn.value**2
-    slope = 1.0 / noise.gain_e_per_dn.value
+    constant = max(noise.intercept_dn2, 0.1) + noise.dsnu_dn**2
+    slope = 1.0 / noise.gain_e_per_dn
     return fit_psf(sample, known.night.size_px, noise_dn2=(constant, slope), width_px=known.width_px, start=start)
 
 
 def star_fluxes(
     known: Prepared,
-    noise: NoiseFit,
+    noise: SkyNoise,
     psf: PsfModel,
     camera: CameraModel,
     attitudes: Rotation,
@@ -330,7 +330,7 @@ def star_fluxes(
     # weights of the background alone: bright stars then do not depend on what the PSF misses in its core
     weight = np.where(sample.valid, 1.0 / noise.variance_dn2(sample.level_dn)[:, None, None], 0.0)
     flux, background, variance = linear_fit(shape, sample.dn, weight)
-    gain = noise.gain_e_per_dn.value
+    gain = noise.gain_e_per_dn
     left = sample.dn - flux[:, None, None] * shape - background[:, None, None]
     # shot noise of the star itself, through the same weights
     share = (shape**3 * weight).sum((1, 2)) / np.maximum((shape**2 * weight).sum((1, 2)), 1e-12) ** 2

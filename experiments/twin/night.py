@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from calib.cameras.base import CameraModel
+from calib.detector.sky_transfer import SkyNoise
 from calib.records import NoiseModel, SensorImage
 from experiments.twin.camera import airmass, refracted
-from experiments.twin.noise import NoiseFit
 from experiments.twin.psf import StarSample, colour_class
 from experiments.twin.solve import Detections
 from optics.arrays import FloatArray, IntArray
@@ -209,9 +209,9 @@ def _others(
     return np.asarray((bright[near] != rows[:, None, None]) & (far < OTHER_PX))
 
 
-def with_noise(image: SensorImage, noise: NoiseFit) -> SensorImage:
+def with_noise(image: SensorImage, noise: SkyNoise) -> SensorImage:
     """The image with what was measured of its noise; the lowest black level is taken."""
-    gain = 1.0 / noise.gain_e_per_dn.value
+    gain = 1.0 / noise.gain_e_per_dn
     model = NoiseModel(
         read_noise_e=noise.read_noise_e[0], gain_dn_per_e=gain, offset_dn=noise.black_level_dn[0], quantised=True
     )

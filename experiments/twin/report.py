@@ -110,15 +110,13 @@ def camera_numbers(reduced: Reduced, whole: CameraFit, compared: HeldOut, limit_
         corner_px=float(np.linalg.norm(corners - ideal, axis=1).mean()),
         floor_px=whole.floor_px,
         width_px=Measured(value=float(width), uncertainty=float(width * np.hypot(psf_sigma[3], psf_sigma[4]) / 2.0)),
-        gain_e_per_dn=noise.gain_e_per_dn,
+        gain_e_per_dn=Measured(value=noise.gain_e_per_dn, uncertainty=noise.gain_error_e_per_dn, n=noise.blocks),
         read_noise_low_e=noise.read_noise_e[0],
         read_noise_high_e=noise.read_noise_e[1],
         black_low_dn=noise.black_level_dn[0],
         black_high_dn=noise.black_level_dn[1],
-        dsnu_dn=noise.dsnu_dn,
-        prnu_percent=Measured(
-            value=100.0 * noise.prnu_fraction.value, uncertainty=100.0 * (noise.prnu_fraction.uncertainty or 0.0)
-        ),
+        dsnu_dn=Measured(value=noise.dsnu_dn, uncertainty=noise.dsnu_error_dn),
+        prnu_percent=Measured(value=100.0 * noise.prnu, uncertainty=100.0 * noise.prnu_error),
         hot_pixels=int(reduced.known.hot.sum()),
         saturation_dn=reduced.saturation_dn,
         zero_point_mag=light.zero_point_above_mag or Measured(value=float("nan")),

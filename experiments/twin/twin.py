@@ -141,7 +141,7 @@ def build_twin(
     transmission = correction * area_mm2 / (0.25 * np.pi * aperture**2)
     width, height = fit.psf.size_px
     lens = _lens(fit, assumed, aperture, transmission, shape, name=name, source=source, taken=taken)
-    gain, (dsnu_e, dark_e, warm_e) = fit.noise.gain_e_per_dn.value, _pattern_e(fit)
+    gain, (dsnu_e, dark_e, warm_e) = fit.noise.gain_e_per_dn, _pattern_e(fit)
     detector = Detector(
         name=f"detector of {name}",
         source=f"{source}; quantum efficiency: {base.quantum_efficiency.name}, the difference is in the lens's file",
@@ -157,7 +157,7 @@ def build_twin(
             wavelength_nm=WAVELENGTHS_NM,
             value=efficiency,
         ),
-        prnu=fit.noise.prnu_fraction.value,
+        prnu=fit.noise.prnu,
         dark_current_e_per_s=dark_e / assumed.exposure_s,
         dark_reference_c=CHIP_C,
         dark_doubling_c=6.5,
@@ -191,10 +191,10 @@ def _pattern_e(fit: CameraFit) -> tuple[float, float, float]:
     The current is lognormal: the lightest tail with the second and third moment of the pattern. Its mean is a part of
     the sky, above which it cannot be.
     """
-    noise, gain = fit.noise, fit.noise.gain_e_per_dn.value
-    dsnu, spread = noise.dsnu_dn.value, WARM_PART * noise.dsnu_dn.value
-    if noise.third_dn3.value > 0.0:
-        skewness = noise.third_dn3.value / spread**3
+    noise, gain = fit.noise, fit.noise.gain_e_per_dn
+    dsnu, spread = noise.dsnu_dn, WARM_PART * noise.dsnu_dn
+    if noise.third_moment_dn3 > 0.0:
+        skewness = noise.third_moment_dn3 / spread**3
         ratio = 2.0 * np.sinh(np.arcsinh(skewness / 2.0) / 3.0)  # c^3 + 3 c of spread over mean c
         mean = spread / ratio
         if mean < noise.levels_dn.min() - noise.black_level_dn[0]:

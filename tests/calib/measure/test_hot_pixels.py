@@ -9,7 +9,6 @@ from calib.flags import StarFlag, has_flag
 from calib.measure.detection import detect, detection_noise
 from calib.measure.hot_pixels import find_hot_pixels, without_pixels
 from calib.measure.image import read_images, sensor_image
-from calib.measure.trails import trail_members
 from optics.errors import DomainError
 
 SIDE = 256
@@ -77,14 +76,6 @@ def test_a_satellite_is_no_row_of_stars(sky):
     assert on_line[member].all()
     assert (~member & ~on_line).sum() >= 7
     assert not table.fit[member].any()
-
-
-def test_a_star_in_the_direction_of_a_trail_is_no_piece_of_it():
-    """Light from column 8 to 62 with five pieces; in the dark beyond it a star on the same line."""
-    image = np.zeros((100, 120))
-    image[50, 8:63] = 10.0
-    x = np.array([12, 24, 36, 48, 60, 95])
-    assert trail_members(image, x, np.full(6, 50)).tolist() == [True] * 5 + [False]
 
 
 @pytest.mark.slow

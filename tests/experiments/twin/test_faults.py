@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.measure.image import sensor_image
 from experiments.harness.progress import Progress
-from experiments.twin.faults import clouded, trail_of, what_is_wrong
+from experiments.twin.faults import clouded, shape_words, what_is_wrong
 from experiments.twin.folder import NightFrame
 from experiments.twin.pipeline import _pitch_mm, reduce_night
 from experiments.twin.settings import Config
@@ -70,7 +70,7 @@ def test_a_good_frame_is_solved_and_nothing_is_wrong():
     one = solved(frame(light_of(1)))
     assert one.attitude is not None
     assert one.scale == pytest.approx(FOCAL_PX, rel=2e-3)
-    assert trail_of(one.image, one.seen)[0] == 0.0
+    assert shape_words(one.image, one.seen) == ""
 
 
 @pytest.mark.parametrize(
@@ -81,13 +81,7 @@ def test_images_that_are_no_points(options, words):
     one = solved(frame(light_of(2, **options)))
     told = what_is_wrong(one) if one.attitude is None else None
     assert told is None or words in told
-    long_px, width_px, angle = trail_of(one.image, one.seen)
-    if "trail_px" in options:  # as the light was drawn: 14 px along (0.8, 0.6)
-        assert long_px == pytest.approx(14.0, rel=0.12)
-        assert angle == pytest.approx(36.87, abs=2.0)
-    else:
-        assert long_px == 0.0
-        assert width_px > 2.5
+    assert words in shape_words(one.image, one.seen)
 
 
 def test_a_mirrored_sky_is_told():

@@ -1,4 +1,4 @@
-"""What the sky tells of a camera, against numbers that were put in: noise, PSF, light, zenith, refraction."""
+"""What the sky tells of a camera, against numbers that were put in: PSF, light, zenith, refraction."""
 
 from __future__ import annotations
 
@@ -10,79 +10,11 @@ import pytest
 from scipy.special import ndtr
 
 from experiments.twin.camera import fit_refraction, fit_zenith, refracted, zenith_of
-from experiments.twin.noise import _third, blocks_of, fit_noise
 from experiments.twin.photometry import COLOUR_KNOTS, fit_photometry
 from experiments.twin.psf import PsfModel, StarSample, fit_psf
 from experiments.twin.twin import CLASS_K, PSF_WAVES_NM, WAVELENGTHS_NM, mixture
-from optics.errors import DomainError
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
-
-GAIN_E_PER_DN, READ_E, DSNU_DN, PRNU = 2.5, 4.0, 1.2, 0.01
-
-
-def sky_frames(levels_dn, *, shape=(256, 320), black_dn=0.0, seed=3):
-    """Flat skies with a slope, read out by a detector of known noise, rounded to whole DN."""
-    rng = np.random.default_rng(seed)
-    offset, response = DSNU_DN * rng.standard_normal(shape), 1.0 + PRNU * rng.standard_normal(shape)
-    slope = np.linspace(0.9, 1.1, shape[1])
-    frames = []
-    for level in levels_dn:
-        electrons = rng.poisson(level * GAIN_E_PER_DN * slope * response) + READ_E * rng.standard_normal(shape)
-        frames.append(np.rint(electrons / GAIN_E_PER_DN + offset + black_dn))
-    return frames
-
-
-def measured(frames, **options):
-    nothing = np.zeros(frames[0].shape, bool)
-    return fit_noise([blocks_of(one, nothing) for one in frames], lowest_dn=100.0, **options)
-
-
-def test_noise_of_the_sky_gives_the_gain_and_the_pattern_within_their_errors():
-    found = measured(sky_frames(np.geomspace(120.0, 900.0, 6)))
-    for value, true in (
-        (found.gain_e_per_dn, GAIN_E_PER_DN),
-        (found.prnu_fraction, PRNU),
-        (found.dsnu_dn, DSNU_DN),
-    ):
-        assert abs(value.value - true) < 4.0 * value.uncertainty
-        assert value.uncertainty < 0.15 * true
-    low, high = found.read_noise_e
-    assert low < high  # the black level is not told by such frames
-    assert abs(low**2 - READ_E**2) < 4.0 * found.intercept_dn2.uncertainty * GAIN_E_PER_DN**2
-    np.testing.assert_allclose(found.correlation, 0.0, atol=0.01)
-    assert found.averaging[0] == pytest.approx(1.0, abs=0.03)
-
-
-def test_pattern_left_in_would_make_the_gain_wrong():
-    levels = np.geomspace(120.0, 900.0, 6)
-    with_pattern = measured(sky_frames(levels)).gain_e_per_dn.value
-    alone = [measured([one]).gain_e_per_dn.value for one in sky_frames(levels)[-2:]]  # one frame tells no pattern
-    assert min(alone) < 0.97 * with_pattern or max(alone) < 0.97 * with_pattern
-
-
-def test_warm_pixels_show_in_the_third_moment_of_the_pattern():
-    """A gamma distribution of shape 4 [sigma 3 DN, third moment 27 DN^3 times skewness 1] in noise of 7 DN."""
-    rng = np.random.default_rng(8)
-    warm = 1.5 * (rng.gamma(4.0, size=(512, 512)) - 4.0)
-    frames = [200.0 + warm + 7.0 * rng.standard_normal((512, 512)) for _ in range(6)]
-    nothing = np.zeros((512, 512), bool)
-    for images, true in ((frames, 27.0), ([one - warm for one in frames], 0.0)):
-        found = _third([blocks_of(one, nothing) for one in images])
-        assert abs(found.value - true) < 4.0 * found.uncertainty + 0.15 * true  # clipping takes a part of the tail
-        assert found.uncertainty < 2.0
-
-
-def test_a_stated_black_level_makes_the_read_noise_a_number():
-    found = measured(sky_frames(np.geomspace(120.0, 900.0, 5), black_dn=60.0), black_level_dn=60.0)
-    assert found.read_noise_e[0] == found.read_noise_e[1]
-    assert abs(found.gain_e_per_dn.value - GAIN_E_PER_DN) < 4.0 * found.gain_e_per_dn.uncertainty
-
-
-def test_frames_of_one_level_tell_no_gain():
-    flat = [np.full((256, 256), 100.0) + np.random.default_rng(k).standard_normal((256, 256)) for k in range(2)]
-    with pytest.raises(DomainError, match="the gain is not determined"):
-        measured(flat)
 
 
 @pytest.mark.slow

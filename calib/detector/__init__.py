@@ -1,0 +1,1 @@
+"""Detectors from their frames: photon transfer, mean frames, fixed pattern, defective pixels."""
