@@ -15,6 +15,7 @@ calib.attitude     Wahba's problem, identification, association, attitudes linke
 calib.calibration  camera models and attitudes from many frames, with their bounds
 calib.detector     gain, noise and fixed pattern of a detector from its frames
 calib.directional  directions on the sphere: the Fisher distribution
+calib.accuracy     error terms of a star camera from centroids (paper ACC18), and their sum
 calib.fitting      least squares, robust loss, solutions
 calib.figures      stars marked in an image or on its page, residuals
 =================  =====================================================================================================

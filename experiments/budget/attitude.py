@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.accuracy.error_budget import ErrorBudget, ErrorTerm, over_stars
 from calib.attitude.solve import solve_wahba_many
-from experiments.budget.combine import Budget, Value, over_stars
 from experiments.budget.settings import AttitudeConfig
 from experiments.harness.drawings import curves
 from experiments.harness.quantities import Quantities
@@ -55,7 +55,7 @@ class StarErrors:
     distortion_arcsec: FloatArray  # (2,)
 
     @classmethod
-    def of(cls, budget: Budget) -> StarErrors:
+    def of(cls, budget: ErrorBudget) -> StarErrors:
         """Split of a budget; the total is the same."""
         return cls(
             random_arcsec=np.hypot(budget["TE"].arcsec, budget["HSFE"].arcsec),
@@ -176,7 +176,7 @@ def attitude_study(
     }
 
 
-def solved_attitude(instrument: Instrument, budget: Budget, config: AttitudeConfig, streams: Streams) -> Value:
+def solved_attitude(instrument: Instrument, budget: ErrorBudget, config: AttitudeConfig, streams: Streams) -> ErrorTerm:
     """Error of attitudes from N stars all over the field with the errors of a budget, independent from star to star."""
     found = _scatter(
         _Field.of(instrument),
@@ -188,7 +188,7 @@ def solved_attitude(instrument: Instrument, budget: Budget, config: AttitudeConf
     )
     of_total = budget.total.uncertainty_arcsec / np.maximum(budget.total.arcsec, 1e-300)
     value = found.arcsec[:2]
-    return Value(
+    return ErrorTerm(
         arcsec=value, uncertainty_arcsec=value * np.hypot(of_total, 1.0 / np.sqrt(2.0 * config.trials)), n=config.trials
     )
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.budget.combine import Value
+from calib.accuracy.error_budget import ErrorTerm
 from experiments.budget.laboratory import Laboratory
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured, measured
@@ -42,13 +42,13 @@ class ChromaticTerm:
         """The pair with the largest entry, for x and y."""
         return [max((abs(float(v[axis])), name) for name, v in self.table1_px.items())[1] for axis in range(2)]
 
-    def value(self, pairs: list[str] | None = None) -> Value:
+    def value(self, pairs: list[str] | None = None) -> ErrorTerm:
         """The term: largest entry, divided by three, times three sigma."""
         names = self.largest() if pairs is None else pairs
         size = [abs(float(self.table1_px[name][axis])) for axis, name in enumerate(names)]
         size = [value if value > ROUNDING_PX else 0.0 for value in size]
         spread = [float(self.sigma_px[name][axis]) for axis, name in enumerate(names)]
-        return Value(
+        return ErrorTerm(
             arcsec=np.array(size) * self.pixel_arcsec,
             uncertainty_arcsec=np.array(spread) * self.pixel_arcsec,
             n=self.n,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.budget.combine import Value
+from calib.accuracy.error_budget import ErrorTerm
 from experiments.budget.settings import Config, MovedConfig
 from experiments.laboratory.bench.centroid_methods import has_own_epsf
 from experiments.laboratory.bench.checks import check_light
@@ -142,9 +142,9 @@ def grid_streams(lab: Laboratory) -> Streams:
     return Streams(lab.config.seed).child("budget", "grid")
 
 
-def marking(lab: Laboratory) -> Value:
+def marking(lab: Laboratory) -> ErrorTerm:
     """C2, the marking error of the target: an input."""
-    return Value(arcsec=np.full(2, 3.0 * lab.config.grid.marking_error_arcsec))
+    return ErrorTerm(arcsec=np.full(2, 3.0 * lab.config.grid.marking_error_arcsec))
 
 
 def places_px(lab: Laboratory) -> FloatArray:

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from calib.accuracy.error_budget import ErrorBudget, ErrorTerm, combine
 from experiments.budget.attitude import solved_attitude
 from experiments.budget.chromatic import ChromaticTerm, measured_terms
-from experiments.budget.combine import Budget, Value, combine
 from experiments.budget.laboratory import (
     Laboratory,
     grid_streams,
@@ -39,7 +38,7 @@ from render.engine.random import Streams
 class Measurement:
     """A budget from frames."""
 
-    budget: Budget  # The terms
+    budget: ErrorBudget  # The terms
     single_arcsec: FloatArray  # (2,) HSFE of one position against the truth, without temporal noise
     left_arcsec: FloatArray  # (2,) sigma_Dd, 3 sigma, RMS over the surveys
     found_arcsec: FloatArray  # (2,) sigma_d, 3 sigma, RMS over the surveys
@@ -88,13 +87,13 @@ def measure_terms(
     for method in lab.bench.methods:
         hsfe, single = _over_places(lab, places, method)
         every, rms, spread = _over_surveys(lab, distortion, method)
-        c1 = Value(
+        c1 = ErrorTerm(
             arcsec=rms[2],
             uncertainty_arcsec=spread[2] / np.sqrt(len(every)),
             n=len(every) * grid.rows * grid.columns,
         )
         term = {
-            "TE": _of_measured(temporal.te_arcsec(method)),
+            "TE": temporal.temporal_error(method),
             "HSFE": hsfe,
             "LSFE-S": chromatic[method].value(),
             "LSFE-C1": c1,
@@ -133,22 +132,14 @@ def _over_surveys(
     return every, np.sqrt((every**2).mean(0)), spread
 
 
-def _marking(distortion: DistortionMeasurement) -> Value | None:
+def _marking(distortion: DistortionMeasurement) -> ErrorTerm | None:
     """C2 as a laboratory has it: scatter of repeated surveys in the plane of the target; None of a single one."""
     plane = distortion.surveyed[..., :2] / distortion.surveyed[..., 2:]
     free = (len(plane) - 1) * plane.shape[1]
     if not free:
         return None
     value = 3.0 / ARCSEC_RAD * np.sqrt(((plane - plane.mean(0)) ** 2).sum((0, 1)) / free)
-    return Value(arcsec=value, uncertainty_arcsec=value / np.sqrt(2.0 * free), n=plane.shape[0] * plane.shape[1])
-
-
-def _of_measured(pair: Sequence[Any]) -> Value:
-    return Value(
-        arcsec=np.array([one.value for one in pair]),
-        uncertainty_arcsec=np.array([one.uncertainty for one in pair]),
-        n=int(pair[0].n),
-    )
+    return ErrorTerm(arcsec=value, uncertainty_arcsec=value / np.sqrt(2.0 * free), n=plane.shape[0] * plane.shape[1])
 
 
 def _step_tests(
@@ -171,14 +162,15 @@ def _step_tests(
     ]
 
 
-def _over_places(lab: Laboratory, places: Sequence[HighFrequencyMeasurement], method: str) -> tuple[Value, FloatArray]:
+def _over_places(
+    lab: Laboratory, places: Sequence[HighFrequencyMeasurement], method: str
+) -> tuple[ErrorTerm, FloatArray]:
     """HSFE over all places (RMS), and of one position."""
     scale = 3.0 * lab.instrument.pixel_arcsec
-    pairs = [one.document_arcsec(method) for one in places]
-    squares = np.array([[one.value**2 for one in pair] for pair in pairs])
-    errors = np.array([[2.0 * one.value * (one.uncertainty or 0.0) for one in pair] for pair in pairs])
-    single = np.array([(one.single_px(method) * scale) ** 2 for one in places])
-    value = np.sqrt(squares.mean(0))
+    terms = [place.high_frequency_error(method) for place in places]
+    value = np.sqrt(np.mean([term.arcsec**2 for term in terms], axis=0))
+    errors = np.array([2.0 * term.arcsec * np.nan_to_num(term.uncertainty_arcsec) for term in terms])
+    single = np.array([(place.single_px(method) * scale) ** 2 for place in places])
     spread = np.sqrt((errors**2).sum(0)) / len(errors) / np.maximum(2.0 * value, 1e-300)
-    count = sum(int(pair[0].n or 0) for pair in pairs)
-    return Value(arcsec=value, uncertainty_arcsec=spread, n=count), np.sqrt(single.mean(0))
+    count = sum(term.n for term in terms)
+    return ErrorTerm(arcsec=value, uncertainty_arcsec=spread, n=count), np.sqrt(single.mean(0))

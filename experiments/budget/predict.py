@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.accuracy.error_budget import ErrorBudget, ErrorTerm, combine
+from calib.accuracy.temporal import small_sample_factor
 from experiments.budget.chromatic import ChromaticTerm, predicted_terms, trace_target
-from experiments.budget.combine import Budget, Value, combine
 from experiments.budget.laboratory import (
     Laboratory,
     build_laboratory,
@@ -35,7 +36,7 @@ from experiments.laboratory.bench.epsf_session import predicted_epsfs, variance_
 from experiments.laboratory.devices.targets import grid_directions
 from experiments.laboratory.distortion_model import marking_errors, predict_distortion, predicted_numbers
 from experiments.laboratory.high_frequency_model import MethodPrediction, predict_high_frequency
-from experiments.laboratory.temporal_error import predict_temporal, small_sample_factor, target_place
+from experiments.laboratory.temporal_error import predict_temporal, target_place
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 
@@ -56,7 +57,7 @@ _CAUSES = {"S-curve": "s_curve", "PRNU": "prnu", "offset pattern": "pattern", "d
 class PredictedTerms:
     """A budget without frames."""
 
-    budget: Budget  # The terms
+    budget: ErrorBudget  # The terms
     bound_te_arcsec: FloatArray  # (2,) Cramer-Rao bound of the temporal error
     causes_arcsec: Mapping[str, FloatArray]  # (2,) What is in the HSFE, 3 sigma
     single_arcsec: FloatArray  # (2,) HSFE of one position, without temporal noise
@@ -93,7 +94,7 @@ def predict_terms(
     short = small_sample_factor(lab.config.frames)
     found = {}
     for method in lab.bench.methods:
-        te = Value(
+        te = ErrorTerm(
             arcsec=short * temporal.sampled_te_arcsec(method),
             uncertainty_arcsec=short * temporal.te_uncertainty_arcsec(method),
         )
@@ -103,7 +104,7 @@ def predict_terms(
             "TE": te,
             "HSFE": hsfe,
             "LSFE-S": chromatic[method].value(),
-            "LSFE-C1": Value(arcsec=number[2], uncertainty_arcsec=spread[2]),
+            "LSFE-C1": ErrorTerm(arcsec=number[2], uncertainty_arcsec=spread[2]),
             "LSFE-C2": marking(lab),
         }
         found[method] = PredictedTerms(
@@ -132,7 +133,7 @@ def coarse_terms(config: Config) -> PredictedTerms:
     check_laboratory(lab)
     terms = predict_terms(lab, draws=COARSE_DRAWS, step_draws=COARSE_DRAWS, coarse=True)[config.centroid]
     budget, hsfe = terms.budget, terms.budget["HSFE"]
-    scaled = Value(arcsec=hsfe.arcsec * factor, uncertainty_arcsec=hsfe.uncertainty_arcsec * factor)
+    scaled = ErrorTerm(arcsec=hsfe.arcsec * factor, uncertainty_arcsec=hsfe.uncertainty_arcsec * factor)
     return replace(
         terms,
         budget=combine({**budget.term, "HSFE": scaled}, stars=config.attitude.stars),
@@ -155,7 +156,7 @@ def _coarse(config: Config) -> tuple[Config, float]:
 
 def _steps(
     lab: Laboratory, draws: int, defect: NDArray[np.bool_] | None, *, coarse: bool
-) -> dict[str, tuple[Value, dict[str, FloatArray], FloatArray]]:
+) -> dict[str, tuple[ErrorTerm, dict[str, FloatArray], FloatArray]]:
     """HSFE, its causes and the error of one position, by centroider: RMS over places of the test."""
     bench, instrument = lab.bench, lab.instrument
     # the field changes slowly, but not what one PSF for all of it does to the S-curve
@@ -180,7 +181,7 @@ def _steps(
     return {method: _over_places(lab, [one[method] for one in predicted]) for method in bench.methods}
 
 
-def _over_places(lab: Laboratory, found: list[MethodPrediction]) -> tuple[Value, dict[str, FloatArray], FloatArray]:
+def _over_places(lab: Laboratory, found: list[MethodPrediction]) -> tuple[ErrorTerm, dict[str, FloatArray], FloatArray]:
     """RMS over places; the uncertainty is the scatter of the measured number: other chips, other noise, other paths."""
     scale, parts = 3.0 * lab.instrument.pixel_arcsec, _parts(found)
     mean = {label: np.sqrt(np.mean(np.square(values), axis=0)) for label, values in parts.items()}
@@ -195,7 +196,7 @@ def _over_places(lab: Laboratory, found: list[MethodPrediction]) -> tuple[Value,
     spread = np.sqrt(variance) / np.maximum(2.0 * whole, 1e-300)
     causes = {label: mean[label] * scale for label in _CAUSES}
     causes |= {"averaged noise": mean["noise"] * scale, "roll of the platform": mean["roll"] * scale}
-    return Value(arcsec=whole * scale, uncertainty_arcsec=spread * scale), causes, mean["single"] * scale
+    return ErrorTerm(arcsec=whole * scale, uncertainty_arcsec=spread * scale), causes, mean["single"] * scale
 
 
 def _parts(found: list[MethodPrediction]) -> Mapping[str, list[FloatArray]]:

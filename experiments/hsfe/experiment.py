@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.high_frequency import independent_position_rms_px, step_residual_px, step_rms_px
 from calib.measure.epsf import draw_epsf
 from experiments.harness.drawings import bars, cloud, curves
 from experiments.harness.progress import Progress
@@ -35,7 +36,6 @@ from experiments.laboratory.high_frequency_model import (
     predict_high_frequency,
 )
 from experiments.laboratory.settings.published import ACC18_ARCSEC, is_published_sensor
-from experiments.laboratory.step_statistics import step_residual_px
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
@@ -103,15 +103,16 @@ class Steps:
 
 def steps(seen: HighFrequencyMeasurement, before: MethodPrediction, after: MethodPrediction, method: str) -> Steps:
     """Measured, predicted for drawn paths of the hexapod, and predicted for the path that was seen."""
-    scale, document, single = 3.0 * seen.pixel_arcsec, seen.document_px(method), seen.single_px(method)
+    scale, printed = 3.0 * seen.pixel_arcsec, seen.high_frequency_error(method)
+    document, single = step_rms_px(seen.mean_px["all"][method]), seen.single_px(method)
     # of the temporal noise that is taken away, and of its product with the error
     noise2, count = (seen.sigma_px[method] ** 2).mean((0, 1)) / seen.frames, seen.sigma_px[method][..., 0].size
     taken = np.sqrt((noise2**2 / 2.0 + single**2 * noise2) / count) / np.maximum(single, 1e-12)
     return Steps(
-        document_arcsec=seen.document_arcsec(method),
+        document_arcsec=measured(printed.arcsec, printed.uncertainty_arcsec, n=printed.n, unit="arcsec"),
         predicted_arcsec=measured(scale * after.document_px, scale * after.scatter_px),
         ratio=over(document, after.document_px, after.scatter_px),
-        halved_arcsec=scale * seen.halved_px(method),
+        halved_arcsec=scale * independent_position_rms_px(document, seen.sigma_px[method], seen.frames),
         one_position_arcsec=scale * single,
         one_position_predicted_arcsec=scale * after.single_px,
         one_position_ratio=over(single, after.single_px, np.hypot(after.single_scatter_px, taken)),
@@ -270,6 +271,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         shapes = s_curves(bench, instrument, model["psf"][len(rest) // 2])
     first, star = config.methods[0], point_signal(config, instrument)
     left = step_residual_px(seen.mean_px["all"][first])
+    every = [steps(seen, before.method[m], after.method[m], m) for m in config.methods]
     return {
         "test": Test(
             frames=seen.frames,
@@ -280,12 +282,12 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
             signal_e=star.signal_e,
             magnitude_mag=star.magnitude_mag,
             signal_star=star.star,
-            hsfe_arcsec=seen.document_arcsec(first),
+            hsfe_arcsec=every[0].document_arcsec,
             published_arcsec=ACC18_ARCSEC["HSFE"] if is_published_sensor(config) else None,
             motion_px=seen.motion_px,
             residual_arcsec=seen.pixel_arcsec * left,
         ),
-        "steps": [steps(seen, before.method[m], after.method[m], m) for m in config.methods],
+        "steps": every,
         "causes": causes(seen, after, config.methods),
         "curves": shapes,
         "residuals": [

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from experiments.harness.drawings import cloud
-from experiments.harness.sections import Section, below, col
-from experiments.harness.summary import Measured
-from experiments.laboratory.step_statistics import (
+from calib.accuracy.high_frequency import (
     PositionError,
-    document_arcsec,
+    exchanged_positions,
+    high_frequency_error,
     position_error,
     step_residual_px,
 )
-from experiments.laboratory.temporal_error import scatter_interval
+from calib.accuracy.temporal import scatter_interval
+from experiments.harness.drawings import cloud
+from experiments.harness.sections import Section, below, col
+from experiments.harness.summary import Measured, measured
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import Layout
 from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
@@ -27,10 +26,6 @@ from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
-FEWEST_POSITIONS = 5
-"""Positions below which the fit of the commands follows two that are exchanged."""
-LEFT = 0.25
-"""Two positions are exchanged where that lowers the squares to this part."""
 INTERVAL = "interval_arcsec_3sigma[method][axis]"
 SINGLE = "single_position_arcsec_3sigma[method][axis]"
 
@@ -85,14 +80,11 @@ def steps(series: Sequence[SeriesFrames], methods: Sequence[str], scale: float) 
     mean = {m: np.stack([one.points.mean_px(m) for one in series]) for m in methods}
     frames = np.array([one.frames for one in series])
     errors = [position_error(mean[m], np.stack([one.points.sigma_px(m) for one in series]), frames) for m in methods]
-    printed = [document_arcsec(mean[m], scale / 3.0) for m in methods]
-    value, error = (
-        np.array([[getattr(one, part) or np.nan for one in pair] for pair in printed], float)
-        for part in ("value", "uncertainty")
-    )
+    printed = [high_frequency_error(mean[m], scale / 3.0) for m in methods]
+    value, error = (np.array([getattr(term, part) for term in printed]) for part in ("arcsec", "uncertainty_arcsec"))
     low, high = scatter_interval(value, error / value)
     return Steps(
-        hsfe_arcsec=printed,
+        hsfe_arcsec=measured(value, error, n=printed[0].n, unit="arcsec"),
         low_arcsec=low,
         high_arcsec=high,
         single_text=[[interval_text(one, axis, scale) for axis in range(2)] for one in errors],
@@ -105,29 +97,14 @@ def steps(series: Sequence[SeriesFrames], methods: Sequence[str], scale: float) 
     )
 
 
-def misplaced(seen_px: FloatArray, commanded_px: FloatArray, names: Sequence[str]) -> list[str]:
-    """The two of m positions (m, 2) that are exchanged, in words; scale and axes of the commands are fitted."""
-    count = len(seen_px)
-    if count < FEWEST_POSITIONS or not np.isfinite(commanded_px).all():
-        return []
-
-    def misfit(order: NDArray[np.int64]) -> float:
-        terms = np.column_stack([np.ones(count), commanded_px[order]])
-        return float(((seen_px - terms @ np.linalg.lstsq(terms, seen_px, rcond=None)[0]) ** 2).sum())
-
-    tried = {}
-    for one, other in combinations(range(count), 2):
-        order = np.arange(count)
-        order[[one, other]] = other, one
-        tried[one, other] = misfit(order)
-    best, before = min(tried, key=tried.__getitem__), misfit(np.arange(count))
-    if tried[best] > LEFT * before:
-        return []
-    far = float(np.linalg.norm(commanded_px[best[0]] - commanded_px[best[1]]))
-    return [
-        f"{names[best[0]]} and {names[best[1]]} are interchanged: each lies at the commanded position of the "
-        f"other, {far:.2g} px away"
-    ]
+def exchange_text(pair: tuple[int, int], commanded_px: FloatArray, names: Sequence[str]) -> str:
+    """Two exchanged positions in words."""
+    first, second = pair
+    distance = float(np.linalg.norm(commanded_px[first] - commanded_px[second]))
+    return (
+        f"{names[first]} and {names[second]} are interchanged: each lies at the commanded position of the other, "
+        f"{distance:.2g} px away"
+    )
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> Reduced:
@@ -139,11 +116,12 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> R
     series = [reduce_series(folder, one, methods) for one in folder.series]
     mean = np.stack([one.points.mean_px(methods[0]) for one in series])
     missing = (float("nan"), float("nan"))
-    seen, commanded = (mean - mean[0]).mean(1), np.array([one.settings.shift_px or missing for one in series])
-    said = misplaced(seen, commanded, [one.name for one in series])
+    shift, commanded = (mean - mean[0]).mean(1), np.array([one.settings.shift_px or missing for one in series])
+    pair = exchanged_positions(shift, commanded)
+    said = [] if pair is None else [exchange_text(pair, commanded, [one.name for one in series])]
     return series, {
         "steps": steps(series, methods, 3.0 * folder.settings.pixel_arcsec),
-        "positions": [Position(seen_px=one, commanded_px=other) for one, other in zip(seen, commanded, strict=True)],
+        "positions": [Position(seen_px=one, commanded_px=other) for one, other in zip(shift, commanded, strict=True)],
         "order": Order(said=said, misplaced=len(said)) if np.isfinite(commanded).all() else None,
         **points_of(folder, series[-1], methods[0]),
     }

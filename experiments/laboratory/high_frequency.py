@@ -13,7 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from experiments.harness.summary import Measured
+from calib.accuracy.error_budget import ErrorTerm
+from calib.accuracy.high_frequency import (
+    high_frequency_error,
+    position_rms_px,
+    step_rms_px,
+)
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.point_frames import PointFrames, Subtraction, read_points
 from experiments.laboratory.bench.point_scene import PointLight, PointScene, scene_of
@@ -26,12 +31,6 @@ from experiments.laboratory.bench.readout.centroids import (
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.hexapod import Hexapod, HexapodPath, step_path, turned
 from experiments.laboratory.devices.instrument import Instrument
-from experiments.laboratory.step_statistics import (
-    document_arcsec,
-    document_rms_px,
-    halved_px,
-    single_rms_px,
-)
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -106,22 +105,14 @@ class HighFrequencyMeasurement:
     # (`experiments.laboratory.bench.readout.centroids.common_motion_px2`)
     motion_px2: FloatArray
 
-    def document_px(self, method: str, run: str = "all") -> FloatArray:
-        """The document's RMS (2,), 1 sigma."""
-        return document_rms_px(self.mean_px[run][method])
-
-    def document_arcsec(self, method: str) -> tuple[Measured, Measured]:
-        """HSFE as printed (eq. 11-12), 3 sigma, x and y; uncertainty by the jackknife over the stars."""
-        return document_arcsec(self.mean_px["all"][method], self.pixel_arcsec)
-
-    def halved_px(self, method: str) -> FloatArray:
-        """Error of one position (2,) from the document's number, as if neighbours were independent (`halved_px`)."""
-        return halved_px(self.document_px(method), self.sigma_px[method], self.frames)
+    def high_frequency_error(self, method: str) -> ErrorTerm:
+        """HSFE as printed (eq. 11-12), 3 sigma."""
+        return high_frequency_error(self.mean_px["all"][method], self.pixel_arcsec)
 
     def single_px(self, method: str) -> FloatArray:
-        """Error of one position (2,) against the truth, common motion and temporal noise taken away."""
+        """Error of one position (2,) against the truth, common motion and temporal noise subtracted."""
         error = self.mean_px["all"][method] - self.photon_px
-        return single_rms_px(error, self.sigma_px[method], self.frames)
+        return position_rms_px(error, self.sigma_px[method], self.frames)
 
     def temporal_px(self, method: str) -> FloatArray:
         """Averaged temporal noise in the document's number (2,)."""
@@ -147,13 +138,13 @@ class HighFrequencyMeasurement:
 
     def cause_px(self, method: str, cause: str, *, alone: bool = True) -> FloatArray:
         """A cause's part (2,) in the document's number."""
-        found = document_rms_px(self.effect_px(method, cause, alone=alone)) ** 2
+        found = step_rms_px(self.effect_px(method, cause, alone=alone)) ** 2
         return np.sqrt(np.maximum(found - self._averaged2(self._left(method, cause, alone=alone)), 0.0))
 
     def cause_single_px(self, method: str, cause: str, *, alone: bool = True) -> FloatArray:
         """A cause's part (2,) in the error of a position."""
         noise = self._left(method, cause, alone=alone)
-        return single_rms_px(self.effect_px(method, cause, alone=alone), noise, self.frames)
+        return position_rms_px(self.effect_px(method, cause, alone=alone), noise, self.frames)
 
     def quadrature_px(self, method: str) -> FloatArray:
         """Causes (alone), roll and temporal noise, added in quadrature (2,): to be compared with `document_px`."""
@@ -167,7 +158,7 @@ class HighFrequencyMeasurement:
     @property
     def motion_px(self) -> FloatArray:
         """The document's number (2,) for the true motion of the light: what hexapod and distortion leave in it."""
-        return document_rms_px(self.photon_px)
+        return step_rms_px(self.photon_px)
 
     @property
     def step_px(self) -> FloatArray:

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.accuracy.high_frequency import position_rms_px, step_rms_px
 from calib.measure.centroid import Centroider
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.point_bench import Bench
@@ -39,7 +40,6 @@ from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.hexapod import Hexapod, turned
 from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.high_frequency import CAUSES, StepPlan
-from experiments.laboratory.step_statistics import document_rms_px, single_rms_px
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
@@ -185,16 +185,16 @@ class _Model:
         stars = curves[0].shape[1]
         share = 1.0 - 1.0 / stars
         cause = {
-            "s_curve": _rms([document_rms_px(one) for one in curves]),
+            "s_curve": _rms([step_rms_px(one) for one in curves]),
             "prnu": np.sqrt(share * self._steps2(prnu)),
             "pattern": np.sqrt(share * sum((self._steps2(part) for part in offsets), np.zeros(2))),
-            "defects": _rms([document_rms_px(one) for one in masked]),
+            "defects": _rms([step_rms_px(one) for one in masked]),
         }
         single = {
-            "s_curve": _rms([single_rms_px(one) for one in curves]),
+            "s_curve": _rms([position_rms_px(one) for one in curves]),
             "prnu": np.sqrt(_mean2(prnu[0])),
             "pattern": np.sqrt(sum((_mean2(part[0]) for part in offsets), np.zeros(2))),
-            "defects": _rms([single_rms_px(one) for one in masked]),
+            "defects": _rms([position_rms_px(one) for one in masked]),
         }
         document, error, lever = [], [], self._lever()
         for path, (curve, scatter) in enumerate(zip(curves, scatters, strict=True)):
@@ -208,8 +208,8 @@ class _Model:
             # the curve has some noise already: that of the draws whose mean it is
             left = np.sqrt(np.maximum(sigma**2 - scatter**2, 0.0))
             noisy = fixed + rolled + left * rng.standard_normal((draws, *left.shape))
-            document += [document_rms_px(one) for one in noisy]
-            error += [single_rms_px(one) for one in fixed]
+            document += [step_rms_px(one) for one in noisy]
+            error += [position_rms_px(one) for one in fixed]
         return MethodPrediction(
             s_curve_px=curves[0],
             cause_px={name: np.asarray(cause[name]) for name in CAUSES},
@@ -220,7 +220,7 @@ class _Model:
             document_px=_rms(document),
             scatter_px=np.std(document, axis=0, ddof=1),
             session_px2=np.reshape(
-                [document_rms_px(self._curve(one, windows, sigma)[0]) ** 2 for one in sessions], (-1, 2)
+                [step_rms_px(self._curve(one, windows, sigma)[0]) ** 2 for one in sessions], (-1, 2)
             ),
             single_px=_rms(error),
             single_scatter_px=np.std(error, axis=0, ddof=1),

@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import gammaln
-from scipy.stats import chi2
 
+from calib.accuracy.error_budget import ErrorTerm
+from calib.accuracy.temporal import temporal_error
 from calib.measure.centroid import Centroider
-from experiments.harness.summary import Measured
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.point_frames import read_points
 from experiments.laboratory.bench.point_noise import (
@@ -33,50 +31,6 @@ from render.engine.random import Streams
 from render.records import EffectivePsf, WindowStack
 
 
-def small_sample_factor(frames: float) -> float:
-    """Expectation of a standard deviation from ``frames`` normal samples (divisor N - 1) over the true one: c4(N)."""
-    n = float(frames)
-    return float(np.sqrt(2.0 / (n - 1.0)) * np.exp(gammaln(n / 2.0) - gammaln((n - 1.0) / 2.0)))
-
-
-def temporal_error_arcsec(sigma_px: FloatArray, pixel_arcsec: float, frames: int) -> tuple[Measured, Measured]:
-    """ACC18 eq. 1-2 per axis: three times the mean over the stars of their standard deviations."""
-    scale = 3.0 * pixel_arcsec
-    c4 = small_sample_factor(frames)
-    spread = np.sqrt((sigma_px**2).sum(0)) / len(sigma_px) * np.sqrt(1.0 - c4**2) / c4
-    value, count = sigma_px.mean(0), frames * len(sigma_px)
-    x, y = (
-        Measured(value=float(value[a] * scale), unit="arcsec", uncertainty=float(spread[a] * scale), n=count)
-        for a in range(2)
-    )
-    return x, y
-
-
-def scatter_interval(value: FloatArray, relative: FloatArray, *, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
-    """Two-sided confidence interval of standard deviations whose estimates have known relative standard deviations.
-
-    Of chi-square: so many degrees of freedom as give a standard deviation that scatter. Of one star in N frames these
-    are N - 1 and the interval is exact; the mean over stars is taken as a standard deviation of more of them. NaN where
-    an error is not known.
-    """
-    low, high = np.full(np.shape(value), np.nan), np.full(np.shape(value), np.nan)
-    for place, (found, share) in enumerate(zip(np.ravel(value), np.ravel(relative), strict=True)):
-        if not 0.0 < share < np.inf:
-            continue
-
-        def missed(log_degrees: float, share: float = float(share)) -> float:
-            c4 = small_sample_factor(np.exp(log_degrees) + 1.0)
-            return float(np.sqrt(1.0 - c4**2) / c4 - share)
-
-        ends = np.log([1e-2, 1e7])
-        degrees = float(np.exp(brentq(missed, *ends) if missed(ends[0]) > 0.0 > missed(ends[1]) else ends[0]))
-        # the mean of estimates is low by their own c4; by the one of the mean the square root of chi-square is
-        scale = float(found) * np.sqrt(degrees) * small_sample_factor(degrees + 1.0)
-        tails = chi2.isf([0.5 * (1.0 - level), 0.5 * (1.0 + level)], degrees)
-        low.flat[place], high.flat[place] = scale / np.sqrt(tails)
-    return low, high
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TemporalMeasurement:
     """Scatter of the centroids at l signal levels, j stars."""
@@ -91,9 +45,9 @@ class TemporalMeasurement:
     # (l, 2, 2) What the stars have in common (`experiments.laboratory.bench.readout.centroids.common_motion_px2`)
     motion_px2: FloatArray
 
-    def te_arcsec(self, method: str, level: int = 0) -> tuple[Measured, Measured]:
-        """Temporal error at a level, x and y, 3 sigma (`temporal_error_arcsec`)."""
-        return temporal_error_arcsec(self.sigma_px[method][level], self.pixel_arcsec, self.frames)
+    def temporal_error(self, method: str, level: int = 0) -> ErrorTerm:
+        """Temporal error at a level, 3 sigma."""
+        return temporal_error(self.sigma_px[method][level], self.pixel_arcsec, self.frames)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

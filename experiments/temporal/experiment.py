@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.temporal import relative_scatter, small_sample_factor
 from experiments.harness.drawings import cloud, curves
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import Measured
+from experiments.harness.summary import measured as with_error
 from experiments.laboratory.bench.point_quantities import point_quantities
 from experiments.laboratory.bench.point_scene import point_laboratory, point_signal, prepared_scene
 from experiments.laboratory.bench.signal import Signal
@@ -23,7 +25,6 @@ from experiments.laboratory.temporal_error import (
     TemporalPrediction,
     measure_temporal,
     predict_temporal,
-    small_sample_factor,
     target_place,
 )
 from experiments.temporal.settings import Config
@@ -59,31 +60,22 @@ def scatter(
 ) -> Scatter:
     """Eq. 1-2 of the frames at one level; the ratios leave out the small-sample factor of a standard deviation."""
     c4, signal_e = small_sample_factor(measured.frames), float(measured.levels_e[level])
-    seen = [measured.te_arcsec(m, level) for m in methods]
+    terms = [measured.temporal_error(m, level) for m in methods]
+    value, error = (np.array([getattr(term, part) for term in terms]) for part in ("arcsec", "uncertainty_arcsec"))
     drawn = np.array([predicted.sampled_te_arcsec(m, level) for m in methods])
     spread = np.array([predicted.te_uncertainty_arcsec(m, level) for m in methods])
     bound = predicted.bound_te_arcsec(level)
+    ratio, over_bound, count = value / (c4 * drawn), value / (c4 * bound), terms[0].n
     return Scatter(
         signal_e=signal_e,
         magnitude_mag=star.magnitude_of(signal_e),
-        measured_arcsec=seen,
+        measured_arcsec=with_error(value, error, n=count, unit="arcsec"),
         predicted_arcsec=drawn,
         predicted_linear_arcsec=np.array([predicted.te_arcsec(m, level) for m in methods]),
         bound_arcsec=bound,
-        ratio=over(seen, c4 * drawn, spread / drawn),
-        over_bound=over(seen, np.broadcast_to(c4 * bound, drawn.shape), np.zeros_like(drawn)),
+        ratio=with_error(ratio, ratio * np.hypot(error / value, spread / drawn), n=count),
+        over_bound=with_error(over_bound, over_bound * error / value, n=count),
     )
-
-
-def over(measured: Errors, expected: FloatArray, uncertainty: FloatArray) -> Errors:
-    """Measured values over expected ones, whose relative uncertainty is given."""
-
-    def ratio(one: Measured, by: float, own: float) -> Measured:
-        error = one.value / by * np.hypot((one.uncertainty or 0.0) / one.value, own)
-        return Measured(value=one.value / by, uncertainty=float(error), n=one.n)
-
-    rows = zip(measured, expected, uncertainty, strict=True)
-    return [[ratio(*cells) for cells in zip(*row, strict=True)] for row in rows]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,18 +101,13 @@ class Frames:
 
 def stars(measured: TemporalMeasurement, predicted: TemporalPrediction, method: str) -> list[Star]:
     """Every star at the first level."""
-    sigma, expected = measured.sigma_px[method][0], predicted.sampled_px[method][0]
-    error = expected * np.sqrt(1.0 - small_sample_factor(measured.frames) ** 2)
+    expected = predicted.sampled_px[method][0]
+    error = expected * small_sample_factor(measured.frames) * relative_scatter(measured.frames)
+    sigma = with_error(measured.sigma_px[method][0], error)
+    rows = zip(measured.light.photon_px, sigma, expected, predicted.bound_px[0], strict=True)
     return [
-        Star(
-            light_px=light,
-            sigma_px=[Measured(value=float(v), uncertainty=float(e)) for v, e in zip(own, spread, strict=True)],
-            predicted_px=drawn,
-            bound_px=bound,
-        )
-        for light, own, spread, drawn, bound in zip(
-            measured.light.photon_px, sigma, error, expected, predicted.bound_px[0], strict=True
-        )
+        Star(light_px=light, sigma_px=star_sigma, predicted_px=drawn, bound_px=bound)
+        for light, star_sigma, drawn, bound in rows
     ]
 
 

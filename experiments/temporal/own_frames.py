@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.temporal import scatter_interval, small_sample_factor, temporal_error
 from experiments.harness.drawings import curves
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
 from experiments.harness.summary import measured as with_error
-from experiments.laboratory.temporal_error import scatter_interval, small_sample_factor, temporal_error_arcsec
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import Layout
 from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
@@ -39,15 +39,14 @@ class Level:
 
 def level(series: SeriesFrames, methods: Sequence[str], pixel_arcsec: float) -> Level:
     """One series; the small-sample factor of the measured values is taken out of the ratio."""
-    measured = [temporal_error_arcsec(series.points.sigma_px(m), pixel_arcsec, series.frames) for m in methods]
+    terms = [temporal_error(series.points.sigma_px(m), pixel_arcsec, series.frames) for m in methods]
     model = np.array([3.0 * pixel_arcsec * series.predicted_px(m).mean(0) for m in methods])
-    value = np.array([[one.value for one in pair] for pair in measured])
-    error = np.array([[one.uncertainty for one in pair] for pair in measured])
-    error = error * np.array([[series.widening(m)] for m in methods])
+    value = np.array([term.arcsec for term in terms])
+    error = np.array([series.widening(m) * term.uncertainty_arcsec for m, term in zip(methods, terms, strict=True)])
     unbiased = value / small_sample_factor(series.frames)
     low, high = scatter_interval(unbiased, error / value)
     return Level(
-        measured_arcsec=with_error(value, error, n=measured[0][0].n, unit="arcsec"),
+        measured_arcsec=with_error(value, error, n=terms[0].n, unit="arcsec"),
         low_arcsec=low,
         high_arcsec=high,
         noise_model_arcsec=model,

@@ -17,6 +17,13 @@ ACC18_ARCSEC: Mapping[str, tuple[float, float]] = {
 }
 """ACC18, sections 2.1 to 2.3, (x, y) [arcsec, 3 sigma]; LSFE-C2 is the marking error of the target (section 2.3.3)."""
 
+ACC18_SUMS_ARCSEC: Mapping[str, tuple[float, float]] = {
+    "LSFE": (0.91, 1.12),
+    "total": (1.76, 1.95),
+    "attitude": (0.56, 0.62),
+}
+"""ACC18, section 2.4, for N = 10 stars; the LSFE in x is a slip (docs/theory/error_budget.md)."""
+
 ACC18_TABLE1_PX: Mapping[str, tuple[float, float]] = {"600-500": (-1e-4, 5e-3), "800-600": (0.12, 7e-3)}
 """ACC18 Table 1, (X, Y): mean shift between filters, halved, by the wavelengths of the filters."""
 

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from calib.accuracy.temporal import small_sample_factor
 from experiments.budget.laboratory import build_laboratory
 from experiments.budget.predict import coarse_terms, predict_terms
 from experiments.budget.settings import Config, main
 from experiments.harness.config import load_config
-from experiments.laboratory.temporal_error import small_sample_factor
 
 SMALL = [
     "target.rows=2",

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calib.accuracy.error_budget import ErrorTerm, combine
 from experiments.budget import predict as predict_module
 from experiments.budget.chromatic import ChromaticTerm, table1_of
-from experiments.budget.combine import Value, combine
 from experiments.budget.experiment import (
     EVERY,
     TESTED,
@@ -24,7 +24,6 @@ from experiments.budget.measure import _marking, _over_places, _over_surveys
 from experiments.budget.predict import _over_places as predicted_over_places
 from experiments.budget.settings import Config
 from experiments.harness.config import load_config
-from experiments.harness.summary import Measured
 from experiments.laboratory.settings.published import ACC18_ARCSEC
 from optics.units import ARCSEC_RAD
 
@@ -33,7 +32,7 @@ NAMES = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
 
 
 def value(arcsec, uncertainty, n=0):
-    return Value(arcsec=np.array(arcsec, float), uncertainty_arcsec=np.array(uncertainty, float), n=n)
+    return ErrorTerm(arcsec=np.array(arcsec, float), uncertainty_arcsec=np.array(uncertainty, float), n=n)
 
 
 def chromatic(x, sigma, n=0):
@@ -140,7 +139,7 @@ def test_step_tests_over_places():
     of_place = [(1.0, 0.04), (2.0, 0.03), (2.0, 0.05)]
     places = [
         SimpleNamespace(
-            document_arcsec=lambda _, v=v, e=e: [Measured(value=v, uncertainty=e, n=30)] * 2,
+            high_frequency_error=lambda _, v=v, e=e: value([v, v], [e, e], 30),
             single_px=lambda _, v=v: np.array([v, 2.0 * v]),
         )
         for v, e in of_place

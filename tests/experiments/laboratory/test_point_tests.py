@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.accuracy.temporal import small_sample_factor
 from experiments.laboratory import high_frequency_model
 from experiments.laboratory.bench.point_frames import read_points
 from experiments.laboratory.bench.point_scene import point_scene
@@ -16,13 +17,7 @@ from experiments.laboratory.distortion_error import measure_distortion
 from experiments.laboratory.distortion_model import predict_distortion
 from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency, switched
 from experiments.laboratory.high_frequency_model import predict_high_frequency
-from experiments.laboratory.temporal_error import (
-    measure_temporal,
-    predict_temporal,
-    small_sample_factor,
-    target_place,
-    temporal_error_arcsec,
-)
+from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
 from optics.errors import DomainError
 from render.engine.random import Streams
 
@@ -59,17 +54,6 @@ def steps(scene, bench, small_camera):
         streams=Streams(3),
         scene=scene,
     )
-
-
-def test_the_small_sample_factor_is_that_of_normal_samples():
-    rng, runs = np.random.default_rng(0), 200000
-    assert small_sample_factor(5) == pytest.approx(rng.normal(size=(runs, 5)).std(axis=1, ddof=1).mean(), rel=3e-3)
-    assert small_sample_factor(1000) == pytest.approx(1.0, abs=3e-4)
-
-
-def test_the_temporal_error_is_three_times_the_mean_in_arcsec():
-    x, y = temporal_error_arcsec(np.array([[0.01, 0.02], [0.03, 0.04]]), 5.5, 30)
-    assert (x.value, y.value) == (pytest.approx(0.33), pytest.approx(0.495))
 
 
 def test_temporal_error_agrees_with_its_prediction(bench, scene, small_camera, psf):

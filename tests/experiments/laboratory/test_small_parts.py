@@ -6,8 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.special import gamma
-from scipy.stats import chi2, norm
+from scipy.stats import norm
 
 from calib.records import NoiseModel
 from experiments.laboratory.bench.centroid_methods import has_own_epsf
@@ -21,12 +20,7 @@ from experiments.laboratory.distortion_error import camera_place, dense_grid, de
 from experiments.laboratory.distortion_model import DistortionPrediction, camera_projector
 from experiments.laboratory.distortion_statistics import camera_terms
 from experiments.laboratory.single_star.star import SingleStar
-from experiments.laboratory.temporal_error import (
-    TemporalPrediction,
-    scatter_interval,
-    target_place,
-    temporal_error_arcsec,
-)
+from experiments.laboratory.temporal_error import TemporalPrediction, target_place
 from optics.errors import DomainError
 from optics.light.band import TopHat
 from optics.light.spectrum import Blackbody
@@ -49,20 +43,6 @@ def test_the_nearest_psf_of_a_grid():
     psf = EffectivePsf(values=np.ones((9, 9)), oversampling=2)
     grid = PsfGrid(psfs=(psf,) * 3, place_px=place)
     assert grid.nearest(np.array([12.0, 31.0, 9.0, 60.0]), np.array([9.0, 10.0, 26.0, 0.0])).tolist() == [0, 1, 2, 1]
-
-
-def test_three_times_the_mean_over_the_stars_and_how_well_it_is_known():
-    """Drawn standard deviations of 5 stars in 20 frames: scatter over runs as stated; frames times stars behind it."""
-    rng, true = np.random.default_rng(2), np.array([0.02, 0.05])
-    drawn = [
-        temporal_error_arcsec((true * rng.standard_normal((20, 5, 2))).std(0, ddof=1), 4.0, 20) for _ in range(1000)
-    ]
-    for axis in range(2):
-        values = np.array([one[axis].value for one in drawn])
-        assert values.mean() == pytest.approx(12.0 * true[axis] * (1.0 - 1.0 / (4 * 19)), rel=0.01)
-        told = np.sqrt(np.mean([one[axis].uncertainty ** 2 for one in drawn]))
-        assert told == pytest.approx(values.std(), rel=4.0 / np.sqrt(2000))
-        assert drawn[0][axis].n == 100
 
 
 def test_the_target_stands_in_the_middle_of_the_first_chip(star_camera, bench_of):
@@ -112,14 +92,6 @@ def test_a_star_has_the_colour_of_its_lamp_behind_its_band(star_camera):
     assert mean == pytest.approx((planck * fine).sum() / planck.sum(), abs=0.3)
     spread = np.sqrt((planck * (fine - mean) ** 2).sum() / planck.sum())
     assert np.sqrt((rate * (wave - mean) ** 2).sum() / rate.sum()) == pytest.approx(spread, rel=0.02)
-
-
-def test_intervals_of_standard_deviations_are_those_of_chi_square():
-    """Ten frames of one star: nine degrees of freedom (scipy); no interval where the error is not known."""
-    c4 = np.sqrt(2.0 / 9.0) * gamma(5.0) / gamma(4.5)
-    low, high = scatter_interval(np.array([2.0, 2.0, 2.0]), np.array([np.sqrt(1 / c4**2 - 1), np.inf, 0.0]))
-    np.testing.assert_allclose([low[0], high[0]], 2.0 * c4 * np.sqrt(9.0 / chi2.isf([0.025, 0.975], 9)), rtol=1e-6)
-    assert np.isnan([*low[1:], *high[1:]]).all()
 
 
 def test_a_correction_that_is_the_lens_leaves_nothing_but_what_it_lacks(star_camera):

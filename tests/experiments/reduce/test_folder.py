@@ -135,9 +135,9 @@ def test_temporal_error_from_disk_is_that_in_memory(still, scene, camera):
     measured = measure_temporal(scene.bench, camera, place_px=PLACE, streams=Streams(4), scene=scene)
     series, sections = temporal_from_frames(read_folder(still, window_px=WINDOW_PX), METHODS)
     for method, pair in zip(METHODS, sections["levels"][0].measured_arcsec, strict=True):
-        for found, known in zip(pair, measured.te_arcsec(method), strict=True):
-            assert found.value == pytest.approx(known.value, rel=1e-12)
-            assert found.uncertainty == pytest.approx(known.uncertainty, rel=1e-12)
+        known = measured.temporal_error(method)
+        assert [found.value for found in pair] == pytest.approx(known.arcsec, rel=1e-12)
+        assert [found.uncertainty for found in pair] == pytest.approx(known.uncertainty_arcsec, rel=1e-12)
     known = measured.sigma_px["cog"][0]
     np.testing.assert_allclose(series[0].points.sigma_px("cog"), known, rtol=1e-12)
 
@@ -191,9 +191,9 @@ def test_step_test_from_disk_is_that_in_memory(steps, scene, camera):
     )
     _, sections = hsfe_from_frames(read_folder(steps, window_px=WINDOW_PX), METHODS)
     for method, pair in zip(METHODS, sections["steps"].hsfe_arcsec, strict=True):
-        for found, known in zip(pair, measured.document_arcsec(method), strict=True):
-            assert found.value == pytest.approx(known.value, rel=1e-9)
-            assert found.uncertainty == pytest.approx(known.uncertainty, rel=1e-9)
+        known = measured.high_frequency_error(method)
+        assert [found.value for found in pair] == pytest.approx(known.arcsec, rel=1e-9)
+        assert [found.uncertainty for found in pair] == pytest.approx(known.uncertainty_arcsec, rel=1e-9)
 
 
 def test_distortion_error_from_disk_is_that_in_memory(tmp_path, scene, camera):

@@ -10,8 +10,7 @@ import pytest
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import described, judged
 from experiments.harness.summary import Measured
-from experiments.hsfe.own_frames import misplaced
-from experiments.laboratory.temporal_error import scatter_interval, small_sample_factor
+from experiments.hsfe.own_frames import exchange_text
 from experiments.reduce import checks, sequence
 from experiments.reduce.poses import FIT, Fit
 from experiments.reduce.sequence import lag_one, largest_change, shared_noise
@@ -118,30 +117,9 @@ def test_scatter_over_the_noise_model_is_known_as_well_as_stated():
     assert one == pytest.approx(2.0 * other)
 
 
-@pytest.mark.parametrize(("frames", "stars"), [(2, 1), (3, 5), (30, 9)])
-def test_intervals_of_a_scatter_cover_it(frames, stars):
-    """Mean of the stars' standard deviations, as of ACC18 eq. 2; exact for a single star."""
-    rng, runs = np.random.default_rng(frames), 500
-    true = rng.uniform(0.5, 1.5, stars)
-    s = (true * rng.standard_normal((runs, frames, stars))).std(1, ddof=1)
-    c4 = small_sample_factor(frames)
-    error = np.sqrt((s**2).sum(1)) / stars * np.sqrt(1 - c4**2) / c4
-    low, high = scatter_interval(s.mean(1) / c4, error / s.mean(1))
-    covered = np.mean((low <= true.mean()) & (true.mean() <= high))
-    assert 0.95 - 4 * np.sqrt(0.05 * 0.95 / runs) < covered
-    if stars == 1:
-        assert covered < 0.95 + 4 * np.sqrt(0.05 * 0.95 / runs)
-
-
 def test_positions_in_the_wrong_order_are_named():
-    """Steps of 0.2 px along a diagonal by a stage of another scale, turned by 10 degrees; noise of 0.01 px."""
-    rng, names = np.random.default_rng(8), [f"step{n}" for n in range(12)]
     commanded = 0.2 * np.outer(np.arange(12), [0.7, 0.7])
-    turn = 0.97 * np.array([[0.985, -0.174], [0.174, 0.985]])
-    seen = commanded @ turn.T + 0.01 * rng.standard_normal((12, 2))
-    assert misplaced(seen, commanded, names) == []
-    seen[[3, 8]] = seen[[8, 3]]
-    (said,) = misplaced(seen, commanded, names)
+    said = exchange_text((3, 8), commanded, [f"step{n}" for n in range(12)])
     assert said == "step3 and step8 are interchanged: each lies at the commanded position of the other, 0.99 px away"
 
 

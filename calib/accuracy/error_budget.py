@@ -1,4 +1,4 @@
-"""Sum of the terms (ACC18, eq. 31-32), with uncertainties.
+"""Sum of the terms of the error budget of a star camera (ACC18, eq. 31-32), with uncertainties.
 
     sigma_LSFE = sqrt(sigma_S^2 + (sigma_C1 + sigma_C2)^2)
     total      = sqrt(TE^2 + HSFE^2 + sigma_LSFE^2)
@@ -19,7 +19,7 @@ from optics.records import freeze_all
 
 TERMS = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
 FRAME_TERMS = ("TE", "HSFE", "LSFE-S")
-"""Terms that frames alone measure: C2 is the scatter of surveys, and C1 of a good lens is that seen once more."""
+"""Terms that frames alone measure: C2 is the scatter of surveys, and C1 of a good lens follows from it."""
 SUMS = ("LSFE", "total", "attitude")
 ECSS = {
     "TE": "temporal noise",
@@ -33,33 +33,30 @@ ECSS = {
 }
 """Names of ECSS-E-ST-60-20C Rev.2."""
 
-PRINTED = {"LSFE": (0.91, 1.12), "total": (1.76, 1.95), "attitude": (0.56, 0.62)}
-"""ACC18, section 2.4, as printed, for N = 10 stars; the LSFE in x is a slip (docs/theory/error_budget.md)."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Value:
-    """A term, 3 sigma, per axis."""
+class ErrorTerm:
+    """A term of the budget, 3 sigma, per axis."""
 
     arcsec: FloatArray  # (2,) x (along a row), y (along a column)
-    # (2,) One standard deviation of the above
+    # (2,) Standard deviation of the term; NaN where the sample does not tell
     uncertainty_arcsec: FloatArray = field(default_factory=lambda: np.zeros(2))
-    n: int = 0  # Samples behind it; 0 where it is computed
+    n: int = 0  # Samples; 0 for a prediction
 
     def __post_init__(self) -> None:
         freeze_all(self, arcsec=(2,), uncertainty_arcsec=(2,), finite=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Budget:
+class ErrorBudget:
     """All terms and their sums."""
 
-    term: Mapping[str, Value]  # By the names of `TERMS`
-    lsfe: Value  # Eq. 31
-    total: Value  # Eq. 32
-    attitude: Value  # Predicted: `over_stars` of the total; measured: of solved attitudes
+    term: Mapping[str, ErrorTerm]  # By the names of `TERMS`
+    lsfe: ErrorTerm  # Eq. 31
+    total: ErrorTerm  # Eq. 32
+    attitude: ErrorTerm  # Predicted: `over_stars` of the total; measured: of solved attitudes
 
-    def __getitem__(self, name: str) -> Value:
+    def __getitem__(self, name: str) -> ErrorTerm:
         """A term or a sum by its name."""
         sums = {"LSFE": self.lsfe, "total": self.total, "attitude": self.attitude}
         return sums[name] if name in sums else self.term[name]
@@ -70,8 +67,21 @@ def over_stars(total_arcsec: FloatArray, stars: int) -> FloatArray:
     return np.asarray(total_arcsec / np.sqrt(stars))
 
 
-def combine(term: Mapping[str, Value], *, stars: int) -> Budget:
-    """Add up the terms; uncertainties to first order, terms independent."""
+def combine(term: Mapping[str, ErrorTerm], *, stars: int) -> ErrorBudget:
+    """Add up the terms (ACC18 eq. 31-32).
+
+    Parameters
+    ----------
+    term : mapping of str to ErrorTerm
+        The five terms by the names of `TERMS`.
+    stars : int
+        Number of stars N of the attitude.
+
+    Returns
+    -------
+    ErrorBudget
+        Terms and sums; uncertainties to first order, of independent terms.
+    """
     te, hsfe, s, c1, c2 = (term[name] for name in TERMS)
     linear = c1.arcsec + c2.arcsec
     lsfe = np.hypot(s.arcsec, linear)
@@ -81,12 +91,12 @@ def combine(term: Mapping[str, Value], *, stars: int) -> Budget:
         (te.arcsec * te.uncertainty_arcsec) ** 2 + (hsfe.arcsec * hsfe.uncertainty_arcsec) ** 2 + of_lsfe**2
     )
     least = 1e-300
-    total_value = Value(arcsec=total, uncertainty_arcsec=of_total / np.maximum(total, least))
-    return Budget(
+    total_term = ErrorTerm(arcsec=total, uncertainty_arcsec=of_total / np.maximum(total, least))
+    return ErrorBudget(
         term=dict(term),
-        lsfe=Value(arcsec=lsfe, uncertainty_arcsec=of_lsfe / np.maximum(lsfe, least)),
-        total=total_value,
-        attitude=Value(
-            arcsec=over_stars(total, stars), uncertainty_arcsec=over_stars(total_value.uncertainty_arcsec, stars)
+        lsfe=ErrorTerm(arcsec=lsfe, uncertainty_arcsec=of_lsfe / np.maximum(lsfe, least)),
+        total=total_term,
+        attitude=ErrorTerm(
+            arcsec=over_stars(total, stars), uncertainty_arcsec=over_stars(total_term.uncertainty_arcsec, stars)
         ),
     )
