@@ -163,12 +163,12 @@ def _catalogue(header: fits.Header, shape: tuple[int, int], faintest_mag: float)
     import numpy as np
     from astropy.wcs import WCS
 
+    from optics.frames import equatorial_deg
     from optics.page import Marks
     from render.sky.sky import load_sky
 
     known = load_sky(faintest_mag=faintest_mag)
-    ra = np.degrees(np.arctan2(known.direction[:, 1], known.direction[:, 0])) % 360.0
-    dec = np.degrees(np.arcsin(np.clip(known.direction[:, 2], -1.0, 1.0)))
+    ra, dec = equatorial_deg(known.direction)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         world = WCS(header, naxis=2).celestial

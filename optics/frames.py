@@ -53,6 +53,12 @@ def field_angles_deg(v_cam: ArrayLike) -> Pair:
     return np.arctan2(v[..., 0], v[..., 2]) * RAD_DEG, np.arctan2(v[..., 1], v[..., 2]) * RAD_DEG
 
 
+def equatorial_deg(v_icrs: ArrayLike) -> Pair:
+    """Right ascension, 0 to 360, and declination [deg] of directions (..., 3) along icrs."""
+    x, y, z = np.moveaxis(np.asarray(v_icrs, dtype=np.float64), -1, 0)
+    return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))
+
+
 def perpendicular(v: FloatArray) -> FloatArray:
     """Unit vectors (2, 3) perpendicular to a unit vector and each other, right-handed with it third."""
     first = np.cross(v, np.eye(3)[np.argmin(np.abs(v))])

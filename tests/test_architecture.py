@@ -29,7 +29,7 @@ ALLOWED = {"calib": {"render.records"}}
 # Rooms between two "<" know nothing of each other. A new room (or module at the top) has to be put in its place here.
 ORDER = {
     "optics": "arrays errors forbes units < attitude brown_conrady fits frames record_files records textfile < validate"
-    " < response < glass < files < lens light < rays < lens_file < export waves < figures page",
+    " < response < glass < files < lens light < rays < lens_file < export waves < figures lens_study page",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing < plugins"
     " < baffle bench bodies forward < observation",
     "calib": "directional fitting flags < records < cameras measure < attitude detector < accuracy calibration figures",

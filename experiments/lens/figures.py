@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from matplotlib.tri import Triangulation
 
 from experiments.harness.plotting import INK, PALETTE, band_colours, new_figure
 from experiments.harness.quantities import Outcome
-from experiments.lens.study import SHOWN, airy_radius_mm
 from optics.figures import draw_lens
+from optics.lens_study import SHOWN, airy_radius_mm
 from optics.rays.performance import white_focus
 from optics.waves.wavefront import Wavefront
 
@@ -48,8 +49,7 @@ def spots(outcome: Outcome) -> Figure:
             panel.plot(x, y, ".", color=colour, markersize=1.6, label=f"{wave:.0f} nm")
         panel.set(title=f"{made.field_deg[at]:.3g}°", xlabel="along the field [µm]", aspect="equal")
         if np.isfinite(airy):
-            turn = np.linspace(0.0, 2.0 * np.pi, 73)
-            panel.plot(airy * np.cos(turn), airy * np.sin(turn), color=INK, linewidth=1.0, label="Airy", zorder=5)
+            panel.add_patch(Circle((0.0, 0.0), airy, fill=False, color=INK, linewidth=1.0, label="Airy", zorder=5))
             reach = max(reach, airy)
     for panel in axes:
         panel.set(xlim=(-1.1 * reach, 1.1 * reach), ylim=(-1.1 * reach, 1.1 * reach))

@@ -12,9 +12,9 @@ from experiments.harness.plotting import house_style
 from experiments.harness.provenance import collect
 from experiments.harness.quantities import Outcome
 from experiments.lens import figures
-from experiments.lens.study import study
 from experiments.lens.tables import tables
 from optics.lens_file import LensFile
+from optics.lens_study import study
 
 
 def page_of(file: LensFile, shown: str) -> str:

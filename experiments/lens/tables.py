@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from experiments.harness.tables import Column, Table
-from experiments.lens.study import SHOWN, Study, white_rms_mm
+from optics.lens_study import SHOWN, Study, white_rms_mm
 
 _SHOWN_KEYS = {
     "kind", "radius_mm", "thickness_mm", "medium", "semi_diameter_mm", "conic", "inner_semi_diameter_mm", "stop",

@@ -59,3 +59,14 @@ def test_stars_beside_or_behind_the_camera_are_refused(angles):
         frames.field_direction(*angles)
     with pytest.raises(DomainError, match="behind the camera"):
         frames.field_angles_deg([0.0, 0.0, -1.0])
+
+
+def test_equatorial_angles_are_those_of_astropy():
+    from astropy.coordinates import SkyCoord
+
+    v = np.random.default_rng(2).standard_normal((50, 3))
+    v[0] = 0.0, 0.0, -1.0
+    known = SkyCoord(*v.T, representation_type="cartesian").spherical
+    ra, dec = frames.equatorial_deg(v)
+    assert ra == pytest.approx(known.lon.deg, abs=1e-12)
+    assert dec == pytest.approx(known.lat.deg, abs=1e-12)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.lens.study import airy_radius_mm, study
 from optics.lens_file import read_lens_file
+from optics.lens_study import airy_radius_mm, study
 
 IDEAL = """name = "ideal"
 source = "closed form"

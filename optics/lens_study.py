@@ -1,4 +1,4 @@
-"""All results on the page of a lens, computed once; missing ones with the reason."""
+"""Study of a lens file: first order, spots, distortion, MTF, wavefronts and diffraction images over the field."""
 
 from __future__ import annotations
 
@@ -230,7 +230,20 @@ def _within(light: FloatArray, grid: FloatArray, radius_mm: FloatArray) -> Float
 
 
 def study(file: LensFile, shown: str) -> Study:
-    """Compute a page."""
+    """Study a lens file.
+
+    Parameters
+    ----------
+    file : LensFile
+        The lens with the defaults of its file (`optics.lens_file.read_lens_file`).
+    shown : str
+        How the file is called.
+
+    Returns
+    -------
+    Study
+        All results; what cannot be computed is None, with the reason in ``missing``.
+    """
     lens = file.lens
     waves, weight = _waves(file)
     fields = np.array(FIELD_SHARES) * lens.max_field_deg
