@@ -83,9 +83,9 @@ def chromatic_lsfe_arcsec(name: str) -> float:
     from experiments.chromatic.settings import Config
     from experiments.chromatic.stars import stellar_shift
     from experiments.harness.config import load_config
-    from experiments.laboratory.devices.filter_wheel import open_band
-    from experiments.laboratory.devices.instrument import build_instrument
     from render.engine import Engine
+    from render.sensor_file.filters import open_band
+    from render.sensor_file.instrument import build_instrument
 
     Engine.start("llvm")
     config = load_config(Config, settings=settings_of(name))

@@ -30,12 +30,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.frame import make_camera, make_stars
 from experiments.chromatic import stars as chromatic
 from experiments.chromatic.settings import Config
-from experiments.laboratory.devices.filter_wheel import open_band
-from experiments.laboratory.devices.instrument import build_instrument
 from render.camera import Camera
 from render.engine import Engine
 from render.forward import StarRenderer
 from render.records import StarField
+from render.sensor_file.filters import open_band
+from render.sensor_file.instrument import build_instrument
 from render.tracing.tracer import Tracer
 
 LIMIT = 0.05

@@ -20,8 +20,8 @@ from experiments.harness.registry import found
 from experiments.harness.settings_text import about, toml_value
 from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
 from experiments.laboratory.settings.sensor_file import SensorConfig
-from experiments.laboratory.settings.tables import IdealLensConfig
 from render.detector.spec import UNSAID, DarkTable, DetectorFile, ResponseTable, list_detectors, load_detector
+from render.sensor_file.tables import IdealLensConfig
 
 PAGE = Path(__file__).with_name("sensor_file.md")
 DETECTOR_PAGE = Path(__file__).with_name("detector_file.md")

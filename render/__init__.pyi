@@ -24,7 +24,7 @@ from .records import Frame as Frame
 from .records import StarField as StarField
 from .records import Truth as Truth
 from .sensor import StarSensor as StarSensor
-from .sensor import load_star_sensor as load_star_sensor
+from .sensor_file.load import load_star_sensor as load_star_sensor
 from .sky.background import UniformSky as UniformSky
 from .sky.sky import Sky as Sky
 from .sky.sky import load_sky as load_sky

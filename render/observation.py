@@ -223,17 +223,18 @@ class SkySimulator:
     Parameters
     ----------
     sensor : StarSensor
-        Camera and detector (`render.sensor.load_star_sensor`).
+        Camera and detector (`render.load_star_sensor`).
     sky : Sky, optional
         The stars; the built-in sky to G = 8 if left out.
-    exposure_s : float
-        Exposure time.
+    exposure_s : float, optional
+        Exposure time; the sensor's if left out.
     passband : Band, optional
-        Filter in front of the camera (`StarSensor.passband`); the whole range of lens and detector if left out.
+        Filter in front of the camera (`StarSensor.passband`); the sensor's if left out, or the whole range of lens and
+        detector.
     nodes : int
         Wavelengths at which it is sampled.
     temperature_c : float, optional
-        Temperature of the detector; its reference temperature if left out.
+        Temperature of the detector; the sensor's if left out, or the reference temperature of the detector.
     background_e_per_s : float
         Uniform background [e-/s] in every pixel.
     zodiacal : bool
@@ -272,7 +273,7 @@ class SkySimulator:
         sensor: StarSensor,
         sky: Sky | None = None,
         *,
-        exposure_s: float = 0.2,
+        exposure_s: float | None = None,
         passband: Band | None = None,
         nodes: int = NODES,
         temperature_c: float | None = None,
@@ -286,7 +287,7 @@ class SkySimulator:
     ) -> None:
         sensor.check_field()
         self.sensor, self.sky = sensor, load_sky() if sky is None else sky
-        band = sensor.passband() if passband is None else passband
+        band = passband or sensor.band or sensor.passband()
         system = self.sky.catalog.magnitude_system
         self.light = star_light([band], nodes=nodes, magnitude_system=system)
         self.view = field_of_view(sensor.camera, margin_px=MARGIN_PX)
@@ -294,7 +295,9 @@ class SkySimulator:
         self.zodiacal, self.uniform = zodiacal, uniform
         if zodiacal or uniform is not None:
             self.diffuse = background_map(sensor.camera, [band])
-        self.temperature_c, self.background_e_per_s = temperature_c, background_e_per_s
+        self.temperature_c = sensor.temperature_c if temperature_c is None else temperature_c
+        self.background_e_per_s = background_e_per_s
+        exposure_s = sensor.exposure_s if exposure_s is None else exposure_s
         self.exposure_s, self._streams = exposure_s, Streams(seed)
         self._stray: StrayLight | None = None
         if stray_light is not None:
@@ -511,7 +514,7 @@ def observe(
     attitude: Rotation | Trajectory,
     sky: Sky | None = None,
     *,
-    exposure_s: float = 0.2,
+    exposure_s: float | None = None,
     seed: int = 0,
     rate_deg_per_s: ArrayLike | None = None,
     layers: bool = False,
@@ -527,8 +530,8 @@ def observe(
         cam from icrs (`optics.attitude_from_angles`), or how the camera moves, from its start on.
     sky : Sky, optional
         The stars (`load_sky`); the built-in sky to G = 8 if left out.
-    exposure_s : float
-        Exposure time.
+    exposure_s : float, optional
+        Exposure time; the sensor's if left out.
     seed : int
         Of the noise.
     rate_deg_per_s : (3,), optional

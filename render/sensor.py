@@ -1,4 +1,4 @@
-"""A star sensor: a camera and the detector that reads it out, by name."""
+"""A star sensor: a camera, the detector that reads it out, and how they are operated."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from optics.rays.spots import spot_moments
 from optics.rays.trace import Rays
 from render.camera import Camera, Diffraction, build_camera
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
+from render.detector.noise import PixelNoise
 from render.detector.spec import Detector, load_detector
 from render.records import PixelMap
 
@@ -37,11 +38,13 @@ _MAP_REACH = 0.985
 _REACH = 1.02
 """The corner of a detector may lie this much outside the field that the lens was made for."""
 _NEAR, _STEPS = 0.01, 16
+EXPOSURE_S = 0.2
+"""Exposure time where none is stated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarSensor:
-    """A camera and its detector; created by `load_star_sensor`.
+    """A camera and its detector; created by `build_star_sensor`, or from a file by `render.load_star_sensor`.
 
     Attributes
     ----------
@@ -53,11 +56,20 @@ class StarSensor:
         Scale of the image: displacement of chief rays at the detector per tangent of the field angle, about the axis,
         at the design wavelength (`optics.rays.chief.plate_scale_mm`). Where the detector is not in the paraxial focus,
         the paraxial focal length is another one.
+    exposure_s : float
+        Exposure time of frames that state none.
+    temperature_c : float or None
+        Temperature of the detector in these frames; None: its reference temperature.
+    band : Band or None
+        Light that reaches the lens in these frames; None: all that lens and detector are known for.
     """
 
     camera: Camera
     detector: Detector
     focal_length_mm: float
+    exposure_s: float = EXPOSURE_S
+    temperature_c: float | None = None
+    band: Band | None = None
 
     @property
     def pixel_arcsec(self) -> float:
@@ -145,6 +157,12 @@ class StarSensor:
                 f"{key}: {band.name!r} passes {start:g} ... {end:g} nm; lens {lens.name!r} on {self.detector.name!r} "
                 f"has data for {low:g} ... {high:g} nm (range of {limit})"
             )
+
+    def pixel_noise(self, detector: Detector | None = None) -> PixelNoise:
+        """Noise of a pixel in one exposure, of the sensor's detector or of another one under its conditions."""
+        chip = self.detector if detector is None else detector
+        temperature_c = chip.dark_reference_c if self.temperature_c is None else self.temperature_c
+        return PixelNoise.of(chip, temperature_c=temperature_c, exposure_s=self.exposure_s)
 
     def windowed(self, width_px: int, height_px: int) -> Self:
         """The sensor of which only the middle of the detector is read out.
@@ -290,7 +308,7 @@ def _through(camera: Camera, direction: FloatArray, wave: FloatArray) -> tuple[F
     return share, pull
 
 
-def load_star_sensor(
+def build_star_sensor(
     lens: str | Path | LensSystem,
     detector: str | Path | Detector,
     *,
@@ -331,7 +349,7 @@ def load_star_sensor(
 
     Examples
     --------
-    >>> sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=1024)
+    >>> sensor = build_star_sensor("star_tracker_26mm", "cmv4000", window_px=1024)
     >>> print(f"{sensor.pixel_arcsec:.1f} arcsec per pixel, {sensor.field_deg[0]:.1f} deg")
     44.3 arcsec per pixel, 12.5 deg
     """

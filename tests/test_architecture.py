@@ -29,9 +29,9 @@ ALLOWED = {"calib": {"render.records"}}
 # Rooms between two "<" know nothing of each other. A new room (or module at the top) has to be put in its place here.
 ORDER = {
     "optics": "arrays errors forbes units < attitude brown_conrady fits frames record_files records textfile < validate"
-    " < response < glass < files < lens light < rays < lens_file < export waves < figures lens_study page",
-    "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing < plugins"
-    " < baffle bench bodies forward < observation",
+    " < response settings < glass < files < lens light < rays < lens_file < export waves < figures lens_study page",
+    "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing"
+    " < plugins sensor_file < baffle bench bodies forward < observation",
     "calib": "directional fitting flags < records < cameras measure < attitude detector < accuracy calibration figures",
 }
 # What experiments share is below them; experiments know nothing of each other's inside.

@@ -9,13 +9,13 @@ import numpy as np
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.fit import fit_to_map
-from experiments.laboratory.devices.instrument import build_instrument
-from experiments.laboratory.settings.tables import InstrumentConfig
 from optics.brown_conrady import COEFFICIENTS
 from optics.frames import field_angles_deg
 from optics.lens.measured import MeasuredLens
 from optics.rays.chief import chief_ray_points
 from render.camera import Camera
+from render.sensor_file.instrument import build_instrument
+from render.sensor_file.tables import InstrumentConfig
 
 POINTS = 15
 """Along each side of the detector; seven would determine the four unknowns."""

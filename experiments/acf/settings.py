@@ -11,11 +11,13 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import AngleDeg, StrictModel
+from experiments.harness.config import AngleDeg
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.settings.sensor_file import SensorConfig, SensorExperimentConfig, read_sensor
-from experiments.laboratory.settings.tables import InstrumentConfig
+from experiments.laboratory.settings.sensor_file import SensorConfig, SensorExperimentConfig
+from optics.settings import StrictModel
 from optics.validate import parse_model
+from render.sensor_file.file import read_sensor
+from render.sensor_file.tables import InstrumentConfig
 
 WIDEST_DEG = 120.0
 """Across the diagonal; a rectilinear image of more is all edge."""
@@ -173,13 +175,13 @@ class Config(SensorExperimentConfig):
         """
         from experiments.acf.sensor import camera_settings
 
-        camera = camera_settings(InstrumentConfig.model_validate(read_sensor(file).get("instrument", {})))
+        camera = camera_settings(InstrumentConfig.model_validate(read_sensor(file, SensorConfig).get("instrument", {})))
         off = StartConfig().focal_length_mm / CameraConfig().focal_length_mm
         return {"camera": camera, "start": {"focal_length_mm": off * camera["focal_length_mm"]}}
 
     def as_sensor(self, file: Path | None) -> SensorConfig | None:
         """The sensor file that the camera was fitted to; None for a camera that is only a model."""
-        return None if file is None else parse_model(SensorConfig, read_sensor(file), str(file))
+        return None if file is None else parse_model(SensorConfig, read_sensor(file, SensorConfig), str(file))
 
     @model_validator(mode="after")
     def _enough(self) -> Config:

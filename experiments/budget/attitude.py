@@ -29,11 +29,11 @@ from experiments.harness.drawings import curves
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
+from render.sensor_file.instrument import Instrument
 
 READINGS = {
     "independent": "LSFE independent",

@@ -18,13 +18,10 @@ from experiments.laboratory.bench.point_scene import point_scene
 from experiments.laboratory.bench.ray_prediction import expected_spots
 from experiments.laboratory.bench.signal import Signal, signal_of
 from experiments.laboratory.devices.collimator import build_collimator
-from experiments.laboratory.devices.filter_wheel import Filter, interference_filters, open_band
 from experiments.laboratory.devices.hexapod import Hexapod
-from experiments.laboratory.devices.instrument import Instrument, build_instrument, configured_detector, configured_lens
 from experiments.laboratory.devices.target import corner_directions
 from experiments.laboratory.devices.targets import GridTarget
 from experiments.laboratory.high_frequency import StepPlan
-from experiments.laboratory.settings.detector import overridden
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.perturb import decentre, despace, tilt
@@ -33,6 +30,9 @@ from optics.light.spectrum import Blackbody
 from optics.units import UM_MM
 from render.engine.random import Streams
 from render.records import EffectivePsf
+from render.sensor_file.detector import overridden
+from render.sensor_file.filters import Filter, interference_filters, open_band
+from render.sensor_file.instrument import Instrument, build_instrument, configured_detector, configured_lens
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,24 +8,18 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import OddPx, StrictModel
+from experiments.harness.config import OddPx
 from experiments.harness.experiment import Experiment
 from experiments.harness.sweeps import SweptConfig, with_what_if
 from experiments.laboratory.bench.centroid_methods import CentroiderName, ProcessingName
 from experiments.laboratory.settings import tables as laboratory_settings
 from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
-from experiments.laboratory.settings.detector import DetectorConfig
 from experiments.laboratory.settings.points import SourceConfig
 from experiments.laboratory.settings.sensor_file import SensorExperimentConfig
-from experiments.laboratory.settings.tables import (
-    FilterConfig,
-    GridTargetConfig,
-    HexapodConfig,
-    InstrumentConfig,
-    PassbandConfig,
-    TargetConfig,
-    check_windows,
-)
+from experiments.laboratory.settings.tables import GridTargetConfig, HexapodConfig, TargetConfig, check_windows
+from optics.settings import StrictModel
+from render.sensor_file.detector import DetectorConfig
+from render.sensor_file.tables import FilterConfig, InstrumentConfig, PassbandConfig
 
 
 class MovedConfig(StrictModel):

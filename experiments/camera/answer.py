@@ -17,11 +17,11 @@ from experiments.harness.range import value_at, with_value
 from experiments.harness.sections import col
 from experiments.harness.system import shared
 from experiments.harness.what_if import Requirement
-from experiments.laboratory.devices.instrument import stated_lens
 from experiments.laboratory.sensor_prediction import CameraPrediction, predict_camera
-from experiments.laboratory.settings.requirements import AT_LEAST
 from optics.arrays import FloatArray
 from optics.errors import DomainError, StarbenchError
+from render.sensor_file.instrument import stated_lens
+from render.sensor_file.requirements import AT_LEAST
 
 
 def limits(config: Config) -> dict[str, tuple[float, bool]]:

@@ -30,9 +30,7 @@ from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame
 from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
 from experiments.laboratory.bench.readout.reduction import MeasuredFrame, Reduction, measure_frame
-from experiments.laboratory.devices.instrument import Instrument, build_instrument, configured_detector
 from experiments.laboratory.sensor_prediction import CameraPrediction, exposed_s, predict_camera
-from experiments.laboratory.settings.detector import overridden
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.errors import StarbenchError
@@ -43,6 +41,8 @@ from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate
 from render.records import Frame, StarField
+from render.sensor_file.detector import overridden
+from render.sensor_file.instrument import Instrument, build_instrument, configured_detector
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 
 MATCH_PX, MATCH_WIDTHS = 2.0, 0.6

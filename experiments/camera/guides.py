@@ -22,11 +22,11 @@ from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
 from experiments.laboratory.guide_stars import guide_stars
 from experiments.laboratory.sensor_prediction import CameraPrediction
-from experiments.laboratory.settings.catalogue import load_catalogue
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.errors import DomainError, StarbenchError
 from render.engine.random import Streams
+from render.sensor_file.catalogue import load_catalogue
 
 LEAST = (2, 3, 4, 5, 6, 8, 10, 15, 20)
 NEEDED = 4

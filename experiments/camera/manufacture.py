@@ -26,7 +26,6 @@ from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
 from experiments.laboratory.optical_state import AIRY_SIGMA
 from experiments.laboratory.sensor_prediction import CameraPrediction
-from experiments.laboratory.settings.sensor_file import ManufactureConfig
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_angles_deg
@@ -35,6 +34,7 @@ from optics.lens.system import AMBIENT, LensSystem
 from optics.rays.spots import trace_spots
 from optics.units import UM_MM
 from render.engine.random import Streams
+from render.sensor_file.file import ManufactureConfig
 from render.tracing.psf import ray_epsf
 
 GRID = (7, 5)

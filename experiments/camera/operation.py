@@ -20,11 +20,14 @@ from experiments.harness.range import with_value
 from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.system import shared
 from experiments.harness.what_if import Requirement, crossing, judge
-from experiments.laboratory.devices.ageing import aged_config, aged_detector, light_left
 from experiments.laboratory.optical_state import longest_trail_px, optical_state
 from experiments.laboratory.sensor_prediction import Accuracy, CameraPrediction, Optics, Sky, predict_camera
+from experiments.laboratory.settings.prediction import aged_config
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError
+from render.sensor_file.ageing import aged_transmission
+from render.sensor_file.detector import overridden
+from render.sensor_file.instrument import configured_detector
 
 AGES = 5
 RATE = "slew_rate_deg_per_s"
@@ -208,12 +211,12 @@ def over_life(prediction: CameraPrediction, limits: Limits) -> Life | None:
             lasts, fails = 0.0, min(missed, key=lambda one: one.excess).key
         elif held:
             lasts, fails = _first_missed(lambda part: aged_config(config, part), limits, 0.0, 1.0)
-    chips = [aged_detector(config, float(part)) for part in parts]
+    chips = [overridden(configured_detector(one.instrument), one.detector) for one in configs]
     factor = chips[0].dark_factor(config.instrument.chip_temperature_c) * config.instrument.exposure_s
     dark = [one.dark_current_e_per_s + one.damage_centres_per_px * one.damage_dark_e_per_s for one in chips]
     return Life(
         **_values(found, "life", (*_NAMES, "false_alarms_per_frame")),
-        life_light=np.array([light_left(config, float(part)) for part in parts]),
+        life_light=np.array([aged_transmission(config.life, float(part)) for part in parts]),
         life_dark_e=factor * np.array(dark),
         life_damaged_percent=100.0 * -np.expm1(-np.array([one.damage_centres_per_px for one in chips])),
         life_missed=sum(not one.met for one in end) if end else len(limits),

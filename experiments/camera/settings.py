@@ -8,10 +8,10 @@ from typing import ClassVar, Literal
 from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.harness.sweeps import SweptConfig, with_what_if
 from experiments.laboratory.settings.prediction import PredictedSensorConfig
+from optics.settings import StrictModel
 
 
 class MotionConfig(StrictModel):

@@ -42,8 +42,6 @@ from experiments.laboratory.chromatic_error import (
 )
 from experiments.laboratory.devices.collimator import build_collimator
 from experiments.laboratory.devices.collimator_effects import COLLIMATOR, collimator_shift
-from experiments.laboratory.devices.filter_wheel import interference_filters, open_band
-from experiments.laboratory.devices.instrument import Instrument, build_instrument
 from experiments.laboratory.devices.target import CORNERS, corner_directions
 from experiments.laboratory.settings.published import ACC18_ARCSEC, ACC18_TABLE1_PX, is_published_sensor
 from optics.arrays import FloatArray
@@ -54,6 +52,8 @@ from render.detector.readout import expose
 from render.engine.random import Streams
 from render.fits.files import write_frame
 from render.records import Frame
+from render.sensor_file.filters import interference_filters, open_band
+from render.sensor_file.instrument import Instrument, build_instrument
 
 PIXELS_ALARM = 1e-4
 """Of normal deviates; of 36 points, whose scatter is the standard deviation, it is Student's law and 1 in 1000."""

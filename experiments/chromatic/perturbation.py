@@ -15,12 +15,12 @@ from experiments.harness.sections import Section, col
 from experiments.laboratory.bench.point_bench import Bench, point_field
 from experiments.laboratory.bench.readout.search import SEARCH_MARGIN_PX
 from experiments.laboratory.chromatic_error import shifts, table1
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.lens.perturb import decentre, tilt
 from optics.lens.system import LensSystem
 from render.camera import PathLosses
+from render.sensor_file.instrument import Instrument
 from render.tracing.tracer import Tracer
 
 REACHED_PX = 1e-12

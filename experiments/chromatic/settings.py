@@ -7,20 +7,14 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import OddPx, StrictModel
+from experiments.harness.config import OddPx
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.bench.centroid_methods import MethodName
 from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
 from experiments.laboratory.settings.own_frames import OwnFramesConfig, or_own_frames
-from experiments.laboratory.settings.tables import (
-    FilterConfig,
-    InstrumentConfig,
-    PassbandConfig,
-    SignalConfig,
-    StarsConfig,
-    TargetConfig,
-    check_windows,
-)
+from experiments.laboratory.settings.tables import SignalConfig, StarsConfig, TargetConfig, check_windows
+from optics.settings import StrictModel
+from render.sensor_file.tables import FilterConfig, InstrumentConfig, PassbandConfig
 
 
 class DecentreConfig(StrictModel):

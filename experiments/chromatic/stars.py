@@ -9,13 +9,13 @@ import numpy as np
 
 from experiments.harness.drawings import curves
 from experiments.harness.sections import Section, col
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.settings.tables import StarsConfig
 from optics.arrays import FloatArray
 from optics.light.band import Band, band_nodes
 from optics.light.spectrum import Blackbody
 from render.forward import StarRenderer
 from render.records import StarField
+from render.sensor_file.instrument import Instrument
 
 NODES = 48
 """Wavelength nodes over the full pass band."""

@@ -8,9 +8,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import ExperimentConfig, FileName, StrictModel
+from experiments.harness.config import ExperimentConfig
 from experiments.harness.experiment import Experiment
 from optics.errors import ConfigError
+from optics.settings import FileName, StrictModel
 
 FaceName = Literal["+Z", "+X", "-X", "+Y", "-Y", "-Z"]
 

@@ -38,10 +38,10 @@ from experiments.laboratory.bench.readout.frames import empty_frame, mean_dark_f
 from experiments.laboratory.bench.readout.noise_model import true_noise
 from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
 from experiments.laboratory.bench.readout.reduction import Reduction, measure_frame
-from experiments.laboratory.devices.filter_wheel import open_band
 from optics.errors import ConfigError
 from render.engine import Engine
 from render.fits.files import read_frame
+from render.sensor_file.filters import open_band
 
 EXPORTS = (COCO, WEBDATASET)
 """Exports; names as of their folders."""

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from experiments.dataset.plan import FramePlan, plan_frame
 from experiments.dataset.scene import Disk, PointSources, Scene, diffuse_light, point_sources, resolved_light, smear_px
 from experiments.dataset.truth import FLAGS, FrameGhost, StarLightOnChip, pixel_flags, star_rows
-from experiments.laboratory.devices.instrument import Instrument
 from optics.attitude import angles_from_attitude, quat_xyzw
 from optics.units import RAD_DEG
 from render.bodies.ghost_sources import GhostSources
@@ -28,6 +27,7 @@ from render.engine.random import Streams
 from render.fits.headers import Card
 from render.forward import StarRenderer
 from render.records import Frame
+from render.sensor_file.instrument import Instrument
 from render.tracing.ghosts import Ghosting, GhostLight, GhostTruth
 from render.tracing.tracer import TracedStars
 

@@ -19,11 +19,7 @@ from experiments.dataset.plan import (
     sun_direction,
 )
 from experiments.dataset.settings import BackgroundConfig, Config, SkyPointing
-from experiments.laboratory.devices.filter_wheel import open_band
-from experiments.laboratory.devices.instrument import Instrument, build_instrument
 from experiments.laboratory.devices.scatter_laws import with_halos
-from experiments.laboratory.settings.catalogue import load_catalogue
-from experiments.laboratory.settings.tables import CatalogueConfig
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.band import Band
@@ -40,6 +36,10 @@ from render.detector.radiation import aged
 from render.detector.spec import Detector
 from render.fits.wcs import LensWcs, lens_wcs
 from render.records import StarField
+from render.sensor_file.catalogue import load_catalogue
+from render.sensor_file.filters import open_band
+from render.sensor_file.instrument import Instrument, build_instrument
+from render.sensor_file.tables import CatalogueConfig
 from render.sky.background import BackgroundMap, UniformSky, background_map, sky_background
 from render.sky.field import FieldOfView, SkyField, field_of, field_of_view
 from render.sky.star_light import StarLight, star_light

@@ -10,13 +10,14 @@ import click
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import AngleDeg, FileName, StrictModel
+from experiments.harness.config import AngleDeg
 from experiments.harness.experiment import Experiment
 from experiments.harness.interrupts import EXIT_FAILED, EXIT_GOOD, interrupts
 from experiments.laboratory.bench.centroid_methods import CentroiderName
 from experiments.laboratory.settings.sensor_file import SensorExperimentConfig
-from experiments.laboratory.settings.stray import ContaminationConfig, ScatterConfig
-from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig, PassbandConfig
+from optics.settings import FileName, StrictModel
+from render.sensor_file.stray import ContaminationConfig, ScatterConfig
+from render.sensor_file.tables import CatalogueConfig, InstrumentConfig, PassbandConfig
 
 DeclinationDeg = Annotated[float, Field(ge=-90, le=90)]
 RateDegPerS = Annotated[float, Field(ge=-360, le=360)]

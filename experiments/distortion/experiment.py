@@ -22,7 +22,6 @@ from experiments.harness.summary import measured
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.point_quantities import point_quantities
 from experiments.laboratory.bench.point_scene import point_laboratory, point_signal, prepared_scene
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.devices.targets import GridTarget, grid_directions
 from experiments.laboratory.distortion_error import (
     DistortionMeasurement,
@@ -37,6 +36,7 @@ from experiments.laboratory.settings.published import ACC18_ARCSEC, is_published
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams
+from render.sensor_file.instrument import Instrument
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

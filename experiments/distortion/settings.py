@@ -7,12 +7,13 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.bench.centroid_methods import MethodName
 from experiments.laboratory.settings.own_frames import or_own_frames
 from experiments.laboratory.settings.points import PointConfig
-from experiments.laboratory.settings.tables import GridTargetConfig, InstrumentConfig
+from experiments.laboratory.settings.tables import GridTargetConfig
+from optics.settings import StrictModel
+from render.sensor_file.tables import InstrumentConfig
 
 
 class WideConfig(StrictModel):

@@ -26,10 +26,10 @@ from experiments.laboratory.distortion_model import (
     predicted_numbers,
 )
 from experiments.laboratory.distortion_statistics import Reference
-from experiments.laboratory.settings.tables import PassbandConfig
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams
+from render.sensor_file.tables import PassbandConfig
 
 REFERENCE: Reference = "aligned"
 """Shift, roll and scale fitted: the residual is the distortion."""

@@ -49,7 +49,6 @@ from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.devices.turntable import Turntable
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
@@ -79,6 +78,7 @@ from optics.errors import ConfigError, DomainError
 from optics.units import RAD_ARCSEC
 from render.engine.random import Streams
 from render.forward import StarRenderer
+from render.sensor_file.instrument import Instrument
 from render.tracing.psf import epsf_tracer
 
 ACQUISITIONS = ("static", "dynamic")

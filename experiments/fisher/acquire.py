@@ -23,7 +23,6 @@ from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.readout.centroids import measured_positions
 from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.single_star.bench import Bench, aim
 from experiments.laboratory.single_star.star import SingleStar
 from optics.arrays import FloatArray
@@ -33,6 +32,7 @@ from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.records import EffectivePsf, StarField, WindowStack
+from render.sensor_file.instrument import Instrument
 from render.tracing.psf import render_epsf
 from render.tracing.tracer import Tracer
 

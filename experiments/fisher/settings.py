@@ -7,11 +7,12 @@ from typing import Annotated, ClassVar
 from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import Sorted, StrictModel
+from experiments.harness.config import Sorted
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.settings.own_frames import or_own_frames
 from experiments.laboratory.settings.tables import SignalConfig
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
+from optics.settings import StrictModel
 
 
 def _table() -> TableConfig:

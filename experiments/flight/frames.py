@@ -24,8 +24,6 @@ from experiments.flight.prediction import Budget, heated
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame
 from experiments.laboratory.bench.readout.psf_grid import PsfGrid, refined, render_psf_grid
-from experiments.laboratory.devices.instrument import Instrument, build_instrument, configured_detector
-from experiments.laboratory.settings.detector import overridden
 from optics.arrays import FloatArray
 from optics.attitude import aberrated, attitude_error_arcsec
 from optics.records import freeze
@@ -37,6 +35,8 @@ from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.motion.trajectory import Trajectory
 from render.records import Frame
+from render.sensor_file.detector import overridden
+from render.sensor_file.instrument import Instrument, build_instrument, configured_detector
 from render.sky.field import field_of_view
 from render.tracing.motion.exposure import exposure_motion
 

@@ -31,13 +31,6 @@ from calib.measure.centroid_prediction import phase_windows
 from calib.records import Stamps
 from experiments.flight.scenario import STATES, Flight, trail_of_rate
 from experiments.flight.settings import Config
-from experiments.laboratory.devices.ageing import aged_config
-from experiments.laboratory.devices.instrument import (
-    Instrument,
-    build_instrument,
-    configured_lens,
-    housing_of,
-)
 from experiments.laboratory.distortion_model import polynomial_basis
 from experiments.laboratory.guide_stars import guide_stars
 from experiments.laboratory.sensor_prediction import (
@@ -46,8 +39,7 @@ from experiments.laboratory.sensor_prediction import (
     detector_radii,
     predict_camera,
 )
-from experiments.laboratory.settings.catalogue import load_catalogue
-from experiments.laboratory.settings.prediction import PredictedSensorConfig, SlewConfig
+from experiments.laboratory.settings.prediction import PredictedSensorConfig, SlewConfig, aged_config
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.system import LensSystem
@@ -56,6 +48,8 @@ from optics.units import RAD_ARCSEC
 from render.catalogue.motion import directions_at
 from render.catalogue.temperature import star_temperature
 from render.records import EffectivePsf
+from render.sensor_file.catalogue import load_catalogue
+from render.sensor_file.instrument import Instrument, build_instrument, configured_lens, housing_of
 
 TERMS = ("bias", "thermo_elastic", "fov_spatial", "pixel_spatial", "temporal_noise", "aberration")
 STEP_K = {"mean_k": 1.0, "axial_k": 0.5, "transverse_x_k": 0.2, "transverse_y_k": 0.2, "radial_k": 0.5}

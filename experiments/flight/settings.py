@@ -7,11 +7,11 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
-from experiments.laboratory.settings.detector import DetectorConfig
-from experiments.laboratory.settings.sensor_file import LifeConfig, SensorConfig, SensorExperimentConfig
-from experiments.laboratory.settings.tables import FileName
+from experiments.laboratory.settings.sensor_file import SensorConfig, SensorExperimentConfig
+from optics.settings import FileName, StrictModel
+from render.sensor_file.detector import DetectorConfig
+from render.sensor_file.file import LifeConfig
 
 
 class OrbitConfig(StrictModel):

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import re
 import tomllib
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
-from pydantic.fields import FieldInfo
+from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError
 
 from optics.errors import ConfigError
-from optics.validate import MOST_LEVELS, parse_model, read_toml, refuse_values, without_lax
+from optics.settings import StrictModel, alternatives, is_model, read_settings
+from optics.validate import MOST_LEVELS, parse_model, refuse_values
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -30,90 +28,12 @@ OddPx = Annotated[int, AfterValidator(_odd)]
 """Type of the side of a window with a pixel in its middle."""
 
 
-@dataclass(frozen=True)
-class _IsFile:
-    """Marks text that may be the path of a file, or always is a path."""
-
-    always: bool = False
-
-
 AngleDeg = Annotated[float, Field(ge=-360, le=360)]
 """Type of an angle in a list of them."""
 PlacePx = Annotated[float, Field(ge=-1e5, le=1e5)]
 """Type of a coordinate on a detector in a list of them."""
-WavelengthNm = Annotated[float, Field(ge=0, le=1e5)]
-"""Type of a wavelength in a list of them."""
-StarK = Annotated[float, Field(ge=1000, le=1e5)]
-"""Type of a star's temperature in a list of them."""
 Sorted = AfterValidator(lambda values: tuple(sorted(set(values))))
 """Marks a list whose values count once each, in rising order."""
-FileName = Annotated[str, _IsFile()]
-"""Type of a setting that is a path, or the name of something built in; in a file, a path is relative to that file."""
-FolderName = Annotated[str, _IsFile(always=True)]
-"""Type of a setting that is always a path, in a file relative to that file."""
-
-# Last word of a field's name that tells its unit, or that says it has none.
-_LENGTHS_AND_TIMES = ("nm", "um", "mm", "m", "km", "s", "ms", "us", "min", "h", "px", "px2")
-_ANGLES = ("deg", "arcsec", "arcsec2", "arcmin", "rad")
-_OTHERS = ("e", "dn", "c", "k", "hpa", "mag", "hz", "percent", "photon", "photons", "ppm", "mb", "bit", "bits")
-_UNITS = frozenset((*_LENGTHS_AND_TIMES, *_ANGLES, *_OTHERS))
-_WRITTEN = {"e": "e-", "dn": "DN", "c": "C", "k": "K", "hpa": "hPa", "hz": "Hz", "mb": "MB", "percent": "%"}
-_PURE_NUMBERS = frozenset(
-    ("fraction", "ratio", "factor", "snr", "sigma", "probability", "confidence", "tolerance", "scale", "exponent")
-)
-
-
-def _holds_reals(annotation: Any) -> bool:
-    if annotation is float:
-        return True
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return False
-    return any(_holds_reals(argument) for argument in typing.get_args(annotation))
-
-
-def _tells_unit(name: str) -> bool:
-    words = name.lower().split("_")
-    return words[-1] in _UNITS | _PURE_NUMBERS or "per" in words[1:]
-
-
-def unit_of(name: str) -> str:
-    """Unit that the name of a key tells, "" if it tells none: ``read_noise_e`` e-, ``rate_deg_per_s`` deg/s."""
-    words = name.split("_")
-    if "per" in words[1:]:
-        at = words.index("per", 1)
-        above = words[at - 1] if words[at - 1] in _UNITS else "1"
-        return f"{_WRITTEN.get(above, above)}/{' '.join(_WRITTEN.get(word, word) for word in words[at + 1 :])}"
-    return _WRITTEN.get(words[-1], words[-1]) if words[-1] in _UNITS else ""
-
-
-class StrictModel(BaseModel):
-    """Base of every configuration table: frozen, unknown keys are errors, no NaN, units in the key names.
-
-    Values are of the type of their field: neither true nor "1.5" is a number.
-
-    A field that holds real numbers must end in its unit (``defocus_um``, ``rate_e_per_s``) or in a word that says it
-    has none (``_fraction``, ``_ratio``, ``_snr``, ...); other pure numbers are named in `dimensionless`.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
-
-    dimensionless: ClassVar[frozenset[str]] = frozenset()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_their_types(cls, values: Any) -> Any:
-        return without_lax(values, cls)
-
-    @classmethod
-    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Check the names of a new table's fields."""
-        super().__pydantic_init_subclass__(**kwargs)
-        for name, field in cls.model_fields.items():
-            if _holds_reals(field.annotation) and not _tells_unit(name) and name not in cls.dimensionless:
-                raise TypeError(
-                    f"{cls.__name__}.{name} holds real numbers, but its name does not end in a unit; "
-                    f"rename it (known units: {' '.join(sorted(_UNITS))}) or list it in {cls.__name__}.dimensionless"
-                )
 
 
 class ExperimentConfig(StrictModel):
@@ -197,56 +117,6 @@ def _as_experiment(model_class: type[BaseModel]) -> type[ExperimentConfig]:
     return model_class
 
 
-def read_settings(model_class: type[BaseModel], file: str | Path) -> dict[str, Any]:
-    """Settings of a TOML file, not yet validated; relative paths in it are taken from its folder."""
-    found: dict[str, Any] = _located([model_class], read_toml(file), Path(file).parent)
-    return found
-
-
-def _located(annotations: Sequence[Any], value: Any, folder: Path) -> Any:
-    """The value with its relative paths below a folder."""
-    if isinstance(value, Mapping):
-        models = [part for one in annotations for part in alternatives(one) if _is_model(part)]
-        inside = {key: [one.model_fields[key] for one in models if key in one.model_fields] for key in value}
-        return {key: _located([_annotated(one) for one in inside[key]], entry, folder) for key, entry in value.items()}
-    if isinstance(value, list):
-        items = [part for one in annotations for kind in alternatives(one) for part in typing.get_args(kind)]
-        return [_located(items, entry, folder) for entry in value]
-    if isinstance(value, str) and any(_is_path(value, mark) for one in annotations for mark in _marks(one)):
-        return str(folder / Path(value).expanduser())
-    return value
-
-
-def _is_path(text: str, mark: _IsFile) -> bool:
-    """A built-in name has neither a suffix nor a folder."""
-    path = Path(text)
-    return bool(text) and (mark.always or bool(path.suffix) or len(path.parts) > 1)
-
-
-def absolute(field: FieldInfo, value: Any) -> Any:
-    """The value of a field with its paths made absolute."""
-    if isinstance(value, (tuple, list)):
-        return [absolute(field, one) for one in value]
-    if isinstance(value, str) and any(_is_path(value, mark) for mark in _marks(_annotated(field))):
-        return os.path.abspath(Path(value).expanduser())
-    return value
-
-
-def _annotated(field: FieldInfo) -> Any:
-    return Annotated[field.annotation, "", *field.metadata]
-
-
-def _is_model(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
-
-
-def _marks(annotation: Any) -> Iterator[_IsFile]:
-    for one in typing.get_args(annotation):
-        if isinstance(one, _IsFile):
-            yield one
-        yield from _marks(one)
-
-
 def with_settings(
     model_class: type[BaseModel], values: Mapping[str, Any], settings: Iterable[str], option: str = "--set"
 ) -> dict[str, Any]:
@@ -310,7 +180,7 @@ def _laid(
 
 def _several_kinds(model_class: type[BaseModel], keys: Sequence[str]) -> bool:
     """Whether the table at a key may be one of several models, distinguished by their field ``kind``."""
-    models = [part for part in alternatives(_annotation_at(model_class, keys)) if _is_model(part)]
+    models = [part for part in alternatives(_annotation_at(model_class, keys)) if is_model(part)]
     return len(models) > 1 and all("kind" in model.model_fields for model in models)
 
 
@@ -321,7 +191,7 @@ def _annotation_at(model_class: type[BaseModel], keys: Sequence[str]) -> Any:
         found: list[Any] = []
         for annotation in annotations:
             for part in alternatives(annotation):
-                if _is_model(part):
+                if is_model(part):
                     if key in part.model_fields:
                         found.append(part.model_fields[key].annotation)
                 elif key.isdigit() and typing.get_origin(part) in (list, tuple):
@@ -330,15 +200,6 @@ def _annotation_at(model_class: type[BaseModel], keys: Sequence[str]) -> Any:
     if not annotations:
         return None
     return typing.Union[tuple(annotations)]  # noqa: UP007  # the members are known at run time only
-
-
-def alternatives(annotation: Any) -> Iterator[Any]:
-    """Members of a union, of ``Annotated`` and so on; anything else unchanged."""
-    if isinstance(annotation, type) or typing.get_origin(annotation) in (list, tuple, dict):
-        yield annotation
-    else:
-        for argument in typing.get_args(annotation):
-            yield from alternatives(argument)
 
 
 def _typed(annotation: Any, text: str) -> Any:

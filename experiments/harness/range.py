@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
-from experiments.harness.config import alternatives
 from optics.errors import ConfigError, unknown_name
+from optics.settings import alternatives
 from optics.validate import allowed_range, parse_model
 
 LARGEST = 200

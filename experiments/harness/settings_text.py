@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from experiments.harness.config import absolute, alternatives, unit_of
+from optics.settings import absolute, alternatives, unit_of
 from optics.textfile import toml_value
 from optics.validate import allowed_range
 

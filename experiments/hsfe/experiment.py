@@ -23,7 +23,6 @@ from experiments.laboratory.bench.readout.centroids import centroiders, motion_m
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.collimator_effects import SIGHT, sight_of
 from experiments.laboratory.devices.hexapod import Hexapod, turned
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.high_frequency import (
     CAUSES,
     HighFrequencyMeasurement,
@@ -41,6 +40,7 @@ from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams
 from render.records import EffectivePsf
+from render.sensor_file.instrument import Instrument
 
 Axes = Sequence[Measured]
 MODEL_SLACK = 0.03

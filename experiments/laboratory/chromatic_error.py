@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.points import PointMeasurement, PointReadout
 from experiments.laboratory.bench.target_light import target_light
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.devices.target import CORNERS, corner_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import ExpectedImage, WindowStack
+from render.sensor_file.instrument import Instrument
 
 CALIBRATIONS = {"as found": [], "principal point": [0, 1], "focal length": [2], "both": [0, 1, 2]}
 """Parameters that a camera model may have per band -> its columns in the design of `after_calibration`."""

@@ -12,7 +12,6 @@ from experiments.laboratory.bench.point_frames import read_points
 from experiments.laboratory.bench.point_scene import PointLight, PointScene, one_filter, scene_of
 from experiments.laboratory.bench.points import nominal_px
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.devices.targets import GridTarget, grid_directions, survey
 from experiments.laboratory.distortion_statistics import (
     DistortionStatistics,
@@ -27,6 +26,7 @@ from experiments.laboratory.distortion_statistics import (
 from optics.arrays import FloatArray
 from optics.records import freeze_all
 from render.engine.random import Streams
+from render.sensor_file.instrument import Instrument
 
 SESSIONS = ("earlier", "test")
 """The camera model of "calibrated" comes from the earlier session."""

@@ -45,7 +45,6 @@ from experiments.laboratory.bench.point_noise import (
 )
 from experiments.laboratory.bench.point_scene import one_filter
 from experiments.laboratory.bench.readout.centroids import centroiders, session_centroiders
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.devices.targets import GridTarget, grid_directions
 from experiments.laboratory.distortion_error import camera_place, dense_grid, traced_bundles
 from experiments.laboratory.distortion_statistics import REFERENCES, Reference, without_pointing
@@ -53,6 +52,7 @@ from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 from render.records import EffectivePsf
+from render.sensor_file.instrument import Instrument
 
 
 class Numbers(NamedTuple):

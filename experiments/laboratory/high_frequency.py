@@ -30,13 +30,13 @@ from experiments.laboratory.bench.readout.centroids import (
 )
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.hexapod import Hexapod, HexapodPath, step_path, turned
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 from render.detector.spec import Detector
 from render.engine.random import Streams
+from render.sensor_file.instrument import Instrument
 
 SWITCHES: Mapping[str, Mapping[str, float]] = {
     "prnu": {"prnu": 0.0},

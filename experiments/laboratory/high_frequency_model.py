@@ -38,7 +38,6 @@ from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from experiments.laboratory.bench.readout.centroids import centroiders, noiseless_positions, session_centroiders
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.hexapod import Hexapod, turned
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.high_frequency import CAUSES, StepPlan
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
@@ -46,6 +45,7 @@ from optics.units import ARCSEC_RAD
 from render.detector.noise import PixelNoise
 from render.engine.random import Streams
 from render.records import EffectivePsf
+from render.sensor_file.instrument import Instrument
 
 FIT_NOISE_PX = 0.03
 """Noise of a fit from which on its bias is drawn: below, it is less than some (0.03 px)^2 = 1e-3 px."""

@@ -11,17 +11,7 @@ import numpy as np
 
 from calib.measure.centroid import get_centroider
 from experiments.laboratory.bench.centroid_methods import needs_epsf
-from experiments.laboratory.devices.filter_wheel import open_band
-from experiments.laboratory.devices.instrument import (
-    PARTS,
-    Instrument,
-    build_instrument,
-    configured_detector,
-    radial_field_deg,
-)
-from experiments.laboratory.settings.detector import DetectorConfig, overridden
 from experiments.laboratory.settings.prediction import PredictedSensorConfig
-from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig, PassbandConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.band import Band
@@ -29,6 +19,10 @@ from optics.rays.performance import LensPerformance, lens_performance
 from optics.rays.spots import Spots, trace_spots
 from render.camera import Camera
 from render.records import EffectivePsf
+from render.sensor_file.detector import DetectorConfig, overridden
+from render.sensor_file.filters import open_band
+from render.sensor_file.instrument import PARTS, Instrument, build_instrument, configured_detector, radial_field_deg
+from render.sensor_file.tables import CatalogueConfig, InstrumentConfig, PassbandConfig
 from render.sky.star_light import StarLight, star_light
 from render.tracing.measured.images import measured_psfs
 from render.tracing.psf import ray_epsf, trailed, wave_images
@@ -147,7 +141,7 @@ def _moving(state: OpticalState, length_px: float, towards_rad: float) -> Optica
 
 def magnitude_system(config: CatalogueConfig) -> str:
     """Scale of the magnitudes of a catalogue."""
-    from experiments.laboratory.settings.catalogue import load_catalogue
+    from render.sensor_file.catalogue import load_catalogue
 
     return "G" if config.source == "gaia" else load_catalogue(config).magnitude_system
 

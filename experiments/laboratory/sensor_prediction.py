@@ -34,9 +34,7 @@ from calib.measure.detection_statistics import (
 from calib.records import NoiseModel
 from experiments.harness.sections import col
 from experiments.laboratory.bench.checks import focus_remark
-from experiments.laboratory.devices.instrument import configured_detector
 from experiments.laboratory.optical_state import COLD_K, HOT_K, OpticalState, optical_state
-from experiments.laboratory.settings.detector import overridden
 from experiments.laboratory.settings.prediction import PredictedSensorConfig
 from experiments.laboratory.sky_view import SkyView, sky_view
 from optics.arrays import FloatArray
@@ -45,6 +43,8 @@ from optics.units import RAD_ARCSEC
 from render.detector.noise import PixelNoise, damage_steps
 from render.detector.spec import Detector
 from render.records import EffectivePsf
+from render.sensor_file.detector import overridden
+from render.sensor_file.instrument import configured_detector
 
 FLUX_KNOTS = 14
 PLAIN = NoiseModel(read_noise_e=10.0)

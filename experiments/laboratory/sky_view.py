@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from experiments.laboratory.devices.instrument import build_instrument
-from experiments.laboratory.settings.catalogue import load_catalogue
 from experiments.laboratory.settings.prediction import PredictedSensorConfig
-from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.catalogue.index import build_index
 from render.catalogue.temperature import star_temperature
 from render.engine.random import Streams
+from render.sensor_file.catalogue import load_catalogue
+from render.sensor_file.instrument import build_instrument
+from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
 from render.sky.field import FieldOfView, field_of_view
 from render.sky.sampling import SkySample, sample_sky
 

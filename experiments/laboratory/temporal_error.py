@@ -24,11 +24,11 @@ from experiments.laboratory.bench.point_noise import (
 from experiments.laboratory.bench.point_scene import PointLight, PointScene, one_filter, scene_of
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from experiments.laboratory.bench.readout.centroids import centroiders, common_motion_px2, motion_method
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.devices.target import target_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf, WindowStack
+from render.sensor_file.instrument import Instrument
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

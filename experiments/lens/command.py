@@ -226,10 +226,10 @@ def thermal(
     glass: tuple[str, ...],
     catalogue: tuple[str, ...],
 ) -> None:
-    from experiments.laboratory.devices.instrument import housing_of
-    from experiments.laboratory.settings.housing import HousingConfig
     from experiments.lens.thermal import thermal_lines
     from optics.validate import parse_model
+    from render.sensor_file.housing import HousingConfig
+    from render.sensor_file.instrument import housing_of
 
     given: dict[str, Any] = {"diameter_mm": diameter, "mounted_z_mm": mounted}
     given |= {"material": None if housing is None else _material(housing)}

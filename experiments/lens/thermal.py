@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from experiments.laboratory.settings.housing import expansion_per_k
 from optics.errors import ConfigError, DomainError
 from optics.lens.system import LensSystem
 from optics.lens.thermal import COMPONENTS, Housing
 from optics.rays.thermal import Athermal, ThermalSensitivity, athermal_spacer, spacers_of, thermal_sensitivity
+from render.sensor_file.housing import expansion_per_k
 
 NAMES = dict(
     zip(

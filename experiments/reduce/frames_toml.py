@@ -11,9 +11,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from experiments.harness.config import AngleDeg, StrictModel
+from experiments.harness.config import AngleDeg
 from experiments.laboratory.bench.centroid_methods import CentroiderName
 from optics.errors import ConfigError
+from optics.settings import StrictModel
 from optics.validate import parse_model, read_toml
 
 Patterns = Annotated[tuple[str, ...], BeforeValidator(lambda value: (value,) if isinstance(value, str) else value)]

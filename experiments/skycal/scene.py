@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 from calib.attitude.gyro_attitude import integrate_rates
 from calib.attitude.link import rotation_of_angles
 from calib.cameras.base import SensorGeometry
-from experiments.laboratory.devices.filter_wheel import open_band
-from experiments.laboratory.devices.instrument import Instrument, build_instrument
 from experiments.skycal.settings import CameraConfig, Config, MotionConfig, SkyConfig
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
@@ -23,6 +21,8 @@ from render.engine.random import Streams
 from render.motion.gyro import Gyro, simulate_gyro
 from render.motion.trajectory import SampledAttitude, mounted
 from render.records import StarField
+from render.sensor_file.filters import open_band
+from render.sensor_file.instrument import Instrument, build_instrument
 from render.sky.field import FieldOfView, field_of_view
 from render.sky.sky import Sky, load_sky
 from render.sky.star_light import StarLight, star_light

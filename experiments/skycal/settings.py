@@ -11,17 +11,14 @@ from typing import Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import AngleDeg, OddPx, StrictModel
+from experiments.harness.config import AngleDeg, OddPx
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.bench.centroid_methods import CentroiderName
-from experiments.laboratory.settings.lens_defaults import lens_remarks
-from experiments.laboratory.settings.sensor_file import (
-    SensorConfig,
-    SensorExperimentConfig,
-    in_best_focus,
-    whole_sensor,
-)
-from experiments.laboratory.settings.tables import InstrumentConfig, PassbandConfig
+from experiments.laboratory.settings.sensor_file import SensorConfig, SensorExperimentConfig
+from optics.settings import StrictModel
+from render.sensor_file.file import in_best_focus, whole_sensor
+from render.sensor_file.lens_defaults import lens_remarks
+from render.sensor_file.tables import InstrumentConfig, PassbandConfig
 
 FEWEST_FRAMES = 4
 CAMERAS = ("narrow", "wide", "own")
@@ -184,7 +181,7 @@ class Config(SensorExperimentConfig):
     @classmethod
     def of_sensor(cls, file: Path) -> dict[str, Any]:
         """Settings that a sensor file decides: the camera ``own``, which then is the one that runs."""
-        given = whole_sensor(file)
+        given = whole_sensor(file, SensorConfig)
         own = {"instrument": given["instrument"], "faintest_mag": given["catalogue"]["faintest_mag"]}
         shared = {key: value for key, value in given.items() if key in cls.model_fields}
         return {**shared, "which": "own", "own": own}

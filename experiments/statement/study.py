@@ -18,12 +18,12 @@ from experiments.harness.provenance import without_paths
 from experiments.harness.quantities import Outcome
 from experiments.harness.registry import declared
 from experiments.harness.run import Options, configuration
-from experiments.laboratory.devices.instrument import build_instrument, housing_of
 from experiments.statement.clauses import CLAUSES
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, StarbenchError
 from optics.rays.thermal import ThermalSensitivity, thermal_sensitivity
 from optics.units import RAD_ARCSEC
+from render.sensor_file.instrument import build_instrument, housing_of
 
 LEVELS = (0.683, 0.95, 0.997)
 OVER_TEMPERATURE = {"focus_shift_um", "spot_thermal_px", "scale_change_ppm"}

@@ -16,10 +16,6 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, below, col, numbers_of
 from experiments.harness.summary import Measured
 from experiments.harness.what_if import REQUIREMENTS, judge
-from experiments.laboratory.devices.filter_wheel import open_band
-from experiments.laboratory.devices.instrument import Instrument, build_instrument
-from experiments.laboratory.settings.requirements import AT_LEAST
-from experiments.laboratory.settings.stray import BaffleConfig
 from experiments.straylight.drawing import draw_baffle, draw_causes, draw_frames
 from experiments.straylight.frames import Bench, SunFrames, light_map, rms
 from experiments.straylight.settings import Config
@@ -39,6 +35,10 @@ from render.baffle.geometry import VanedBaffle
 from render.baffle.light import WorstPaths
 from render.bodies.solar_system import RADIUS_KM
 from render.bodies.stray_light import BandLight, band_light, limb_pst
+from render.sensor_file.filters import open_band
+from render.sensor_file.instrument import Instrument, build_instrument
+from render.sensor_file.requirements import AT_LEAST
+from render.sensor_file.stray import BaffleConfig
 
 LABELS = {
     "ghosts": "Ghosts",

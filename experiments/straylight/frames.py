@@ -23,9 +23,6 @@ from experiments.laboratory.bench.readout.frames import mean_dark_frame
 from experiments.laboratory.bench.readout.noise_model import true_noise
 from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
 from experiments.laboratory.bench.readout.reduction import MeasuredFrame, Reduction, measure_frame
-from experiments.laboratory.devices.filter_wheel import open_band
-from experiments.laboratory.devices.instrument import Instrument
-from experiments.laboratory.settings.catalogue import load_catalogue
 from experiments.straylight.settings import Config
 from experiments.straylight.transmittance import Stray
 from optics.arrays import FloatArray
@@ -33,6 +30,9 @@ from optics.attitude import attitude_error_arcsec
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.observation import Observation, SkySimulator
+from render.sensor_file.catalogue import load_catalogue
+from render.sensor_file.filters import open_band
+from render.sensor_file.instrument import Instrument
 from render.sky.sky import load_sky
 
 MATCH_PX = 2.0

@@ -8,10 +8,10 @@ from typing import Annotated, ClassVar
 from pydantic import Field, field_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import FileName, StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.settings.sensor_file import SensorConfig, SensorExperimentConfig
-from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig
+from optics.settings import FileName, StrictModel
+from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
 
 
 class PstConfig(StrictModel):

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 
 from experiments.harness.system import prompt_pool
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.devices.scatter_laws import dust_law, surface_laws
-from experiments.laboratory.settings.stray import BaffleConfig
 from experiments.straylight.settings import Config
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -29,6 +27,8 @@ from optics.rays.stray import (
 )
 from render.baffle.geometry import BlackCoating, Mesh, VanedBaffle, black_coating, vaned_baffle
 from render.baffle.light import BaffleScene, lens_weight, read_mesh
+from render.sensor_file.instrument import Instrument
+from render.sensor_file.stray import BaffleConfig
 
 CAUSES = ("ghosts", "polish", "dust", "walls", "edges")
 DUSTIER = (100.0, 500.0, 1000.0)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import StrictModel
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.settings.own_frames import or_own_frames
 from experiments.laboratory.settings.points import StarTargetConfig
+from optics.settings import StrictModel
 
 
 class BrightnessConfig(StrictModel):

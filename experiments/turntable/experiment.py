@@ -13,7 +13,6 @@ from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities, shown_unit
 from experiments.harness.sections import Section, agree, below, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.devices.turntable import Turntable, axis_directions
 from experiments.laboratory.single_star.derivatives import reading_covariance_px2
 from experiments.laboratory.single_star.measure import Measurement, measure
@@ -51,6 +50,7 @@ from experiments.turntable.truth import Reduction, TracedMap, judge, traced_map
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from render.engine.random import Streams
+from render.sensor_file.instrument import Instrument
 
 TABLES = {"two_axis": "two-axis", "three_axis": "three-axis"}
 UNKNOWNS = {

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from experiments.harness.cli import command
-from experiments.harness.config import Sorted, StrictModel
+from experiments.harness.config import Sorted
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.settings.own_frames import or_own_frames
 from experiments.laboratory.single_star.settings import (
@@ -15,6 +15,7 @@ from experiments.laboratory.single_star.settings import (
     SingleStarConfig,
     TableConfig,
 )
+from optics.settings import StrictModel
 
 
 def _two_axes() -> TableConfig:

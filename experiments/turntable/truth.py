@@ -8,7 +8,6 @@ import numpy as np
 
 from calib.calibration.record import Calibration
 from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.devices.turntable import Turntable
 from experiments.laboratory.single_star.reduce import Data, calibrated_bench
 from experiments.laboratory.single_star.setup import build_star
@@ -17,6 +16,7 @@ from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
 from optics.records import freeze_all
 from optics.units import DEG_RAD
+from render.sensor_file.instrument import Instrument
 from render.tracing.tracer import Tracer
 
 MAP_COLUMNS, MAP_ROWS = 33, 17

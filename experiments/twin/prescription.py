@@ -25,7 +25,6 @@ from calib.records import NoiseModel, Stamps
 from experiments.harness.sections import col
 from experiments.harness.summary import Measured
 from experiments.laboratory.bench.readout.psf_grid import PsfGrid, render_psf_grid
-from experiments.laboratory.devices.instrument import Instrument, build_instrument, configured_lens
 from experiments.twin.camera import calibrated
 from experiments.twin.measure import CameraFit
 from optics.arrays import FloatArray
@@ -33,6 +32,7 @@ from optics.errors import DomainError
 from optics.export.write import toml_lens
 from optics.lens.perturb import tilt_image
 from optics.lens_file import read_lens_file
+from render.sensor_file.instrument import Instrument, build_instrument, configured_lens
 from render.sky.star_light import star_light
 
 STAR_K = 5000.0
@@ -66,18 +66,18 @@ class LensPose:
 
 def has_prescription(file: Path) -> bool:
     """Whether the lens of a sensor file has surfaces that can be traced."""
-    from experiments.laboratory.devices.instrument import stated_lens
-    from experiments.laboratory.settings.sensor_file import SensorConfig, read_sensor
+    from render.sensor_file.file import SensorFile, read_sensor
+    from render.sensor_file.instrument import stated_lens
 
-    lens = stated_lens(SensorConfig.model_validate(read_sensor(file)).instrument)
+    lens = stated_lens(SensorFile.model_validate(read_sensor(file)).instrument)
     return bool(lens.surfaces)
 
 
 def fit_lens_pose(file: Path, fit: CameraFit, limit_mag: float) -> LensPose:
     """Focus, tilt and decentre of the detector behind the lens of a sensor file, from a camera measured in frames."""
-    from experiments.laboratory.settings.sensor_file import SensorConfig, whole_sensor
+    from render.sensor_file.file import SensorFile, whole_sensor
 
-    config = SensorConfig.model_validate(whole_sensor(file))
+    config = SensorFile.model_validate(whole_sensor(file))
     width, height = fit.psf.size_px
     stated = build_instrument(config.instrument.model_copy(update={"width_px": width, "height_px": height}))
     stars = fit.gaussian
@@ -231,10 +231,10 @@ def _widths(grid: PsfGrid) -> FloatArray:
 
 def write_prescription(file: Path, pose: LensPose, folder: Path) -> tuple[Path, ...]:
     """``glass.toml`` and ``glass_sensor.toml``: the lens of a sensor file with its detector where the frames put it."""
-    from experiments.laboratory.settings.sensor_file import SensorConfig, whole_sensor
+    from render.sensor_file.file import SensorFile, whole_sensor
 
     given = whole_sensor(file)
-    config = SensorConfig.model_validate(given)
+    config = SensorFile.model_validate(given)
     tables: dict[str, Any] = dict(read_lens_file(str(config.instrument.lens)).tables)
     image = dict(tables.get("image", {}))
     before = [*image.get("tilt_deg", [0.0, 0.0]), 0.0][:3]

@@ -8,8 +8,9 @@ from typing import Any, Literal
 from pydantic import Field, field_validator
 
 from experiments.harness.cli import command
-from experiments.harness.config import ExperimentConfig, FileName, FolderName, StrictModel
+from experiments.harness.config import ExperimentConfig
 from experiments.harness.experiment import Experiment
+from optics.settings import FileName, FolderName, StrictModel
 from optics.validate import parse_model
 
 OrderName = Literal["pinhole", "radial_1", "radial_2", "brown_conrady", "polynomial_3"]
@@ -95,9 +96,9 @@ class Config(ExperimentConfig):
     def of_sensor(cls, file: Path) -> dict[str, Any]:
         """Settings of a sensor file known before frames are read: pitch, exposure time, whether its lens can be
         traced."""
-        from experiments.laboratory.settings.sensor_file import whole_sensor
         from experiments.twin.prescription import has_prescription
         from render.detector.spec import load_detector
+        from render.sensor_file.file import whole_sensor
 
         instrument = whole_sensor(file)["instrument"]
         chip = load_detector(instrument["detector"])
@@ -109,9 +110,10 @@ class Config(ExperimentConfig):
 
     def as_sensor(self, file: Path | None) -> StrictModel | None:
         """The sensor file that was given; the twin's own is written by a run."""
-        from experiments.laboratory.settings.sensor_file import SensorConfig, read_sensor
+        from experiments.laboratory.settings.sensor_file import SensorConfig
+        from render.sensor_file.file import read_sensor
 
-        return None if file is None else parse_model(SensorConfig, read_sensor(file), str(file))
+        return None if file is None else parse_model(SensorConfig, read_sensor(file, SensorConfig), str(file))
 
 
 experiment = Experiment(

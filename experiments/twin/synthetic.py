@@ -25,7 +25,7 @@ from optics.units import RAD_ARCSEC
 from render.detector.spec import Detector
 from render.engine.random import Streams
 from render.observation import SkySimulator
-from render.sensor import load_star_sensor
+from render.sensor import build_star_sensor
 from render.sky.sky import Sky, load_sky
 
 FAINTEST_MAG = 10.0
@@ -52,7 +52,7 @@ class KnownNight:
 
 def render_night(config: NightConfig, seed: int, progress: Progress) -> KnownNight:
     """Render the frames."""
-    sensor = load_star_sensor(
+    sensor = build_star_sensor(
         config.lens, config.detector, window_px=(config.width_px, config.height_px), defocus_mm=0.0
     )
     sky = load_sky(faintest_mag=FAINTEST_MAG)

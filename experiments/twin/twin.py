@@ -30,7 +30,7 @@ from render.detector.spec import Detector, load_detector
 from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.records import ExpectedImage
-from render.sensor import load_star_sensor
+from render.sensor import build_star_sensor
 from render.sky.star_light import star_light
 
 WAVELENGTHS_NM = np.arange(400.0, 1001.0, 25.0)
@@ -380,7 +380,7 @@ class TwinRenderer:
 
     def __init__(self, twin: Twin) -> None:
         lens = measured_lens(twin.lens)
-        self.sensor = load_star_sensor(lens, twin.detector, coating_nm=0.0, absorption=False)
+        self.sensor = build_star_sensor(lens, twin.detector, coating_nm=0.0, absorption=False)
         self._renderer = StarRenderer(self.sensor.camera, exposure_s=twin.exposure_s)
         self._light = star_light([self.sensor.passband()], nodes=NODES, magnitude_system="G")
         self._dark_e = twin.detector.dark_current_e_per_s * twin.exposure_s

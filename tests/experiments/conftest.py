@@ -59,8 +59,8 @@ def quick_run_of(tmp_path_factory):
 @pytest.fixture(scope="session")
 def star_camera():
     """The default instrument of the experiments."""
-    from experiments.laboratory.devices.instrument import build_instrument
-    from experiments.laboratory.settings.tables import InstrumentConfig
+    from render.sensor_file.instrument import build_instrument
+    from render.sensor_file.tables import InstrumentConfig
 
     return build_instrument(InstrumentConfig())
 
@@ -101,8 +101,8 @@ def small_detector(tmp_path_factory):
 @pytest.fixture(scope="session")
 def small_camera(small_detector):
     """The default lens in front of the small detector."""
-    from experiments.laboratory.devices.instrument import build_instrument
-    from experiments.laboratory.settings.tables import InstrumentConfig
+    from render.sensor_file.instrument import build_instrument
+    from render.sensor_file.tables import InstrumentConfig
 
     return build_instrument(InstrumentConfig(detector=str(small_detector)))
 

@@ -14,12 +14,13 @@ import numpy as np
 from pydantic import Field
 
 from experiments.harness.cli import command
-from experiments.harness.config import ExperimentConfig, StrictModel
+from experiments.harness.config import ExperimentConfig
 from experiments.harness.experiment import Experiment
 from experiments.harness.plotting import band_colours, new_figure
 from experiments.harness.sections import Section, below, col
 from experiments.harness.summary import Measured
 from optics.errors import DomainError
+from optics.settings import StrictModel
 
 
 class Band(StrictModel):

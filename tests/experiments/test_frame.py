@@ -14,7 +14,7 @@ from astropy.wcs import WCS
 from experiments.__main__ import main
 from optics.attitude import attitude_from_angles
 from render.fits.wcs import lens_wcs, sky_grid
-from render.sensor import load_star_sensor
+from render.sensor_file.load import load_star_sensor
 
 STARS = np.array([[20.3, 40.6, 5e4], [70.8, 15.2, 2e4]])
 

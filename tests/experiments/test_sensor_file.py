@@ -77,7 +77,7 @@ def without_folders(value):
 
 @pytest.mark.parametrize("name", OF_ONE_CAMERA)
 def test_a_strangers_sensor_is_the_instrument_of_every_experiment(name):
-    from experiments.laboratory.devices.instrument import build_instrument
+    from render.sensor_file.instrument import build_instrument
 
     config = load_config(config_class(name), sensor=EXAMPLE)
     instrument = build_instrument(config.instrument)
@@ -88,7 +88,7 @@ def test_a_strangers_sensor_is_the_instrument_of_every_experiment(name):
 
 
 def test_filters_are_measured_curves_and_keep_their_nominal_centres():
-    from experiments.laboratory.devices.filter_wheel import interference_filters
+    from render.sensor_file.filters import interference_filters
 
     filters = interference_filters(load_config(config_class("chromatic"), sensor=EXAMPLE).filters)
     assert [one.centre_nm for one in filters] == [490.0, 580.0, 700.0]

@@ -19,7 +19,7 @@ from render.bodies.solar_system import solar_system
 from render.bodies.sunlit_body import planet_body, sphere_photons
 from render.catalogue.motion import earth_observer
 from render.observation import SkySimulator, observe
-from render.sensor import load_star_sensor
+from render.sensor_file.load import load_star_sensor
 from render.sky.background import UniformSky
 from render.sky.sky import load_sky
 

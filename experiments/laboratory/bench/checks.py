@@ -8,12 +8,12 @@ import numpy as np
 
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.ray_prediction import expected_spots
-from experiments.laboratory.devices.instrument import Instrument, focus_of
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
 from optics.rays.spots import best_focus_shift_mm
 from render.sensor import StarSensor
+from render.sensor_file.instrument import Instrument, focus_of
 
 RADII = 4.0
 """Least width of a window in RMS radii of the spot."""

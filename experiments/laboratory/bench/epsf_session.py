@@ -22,12 +22,12 @@ from experiments.laboratory.bench.readout.windows import WindowReader
 from experiments.laboratory.bench.target_light import frame_light
 from experiments.laboratory.devices.collimator import convolved_psf
 from experiments.laboratory.devices.hexapod import Hexapod, turned
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.high_frequency import StepPlan
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf
+from render.sensor_file.instrument import Instrument
 
 POSITIONS, STAMPS = 5, 20
 """Steps of a fifth of a pixel cover it along both axes; a PSF of four samples per pixel needs 16 stars at least."""

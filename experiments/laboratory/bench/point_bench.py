@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from experiments.laboratory.devices.collimator import Collimator
-from experiments.laboratory.devices.filter_wheel import Filter
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.settings.tables import TargetConfig
 from optics.arrays import FloatArray
 from optics.light.band import band_nodes
@@ -15,6 +13,8 @@ from optics.light.collimation import Collimation
 from optics.light.spectrum import Sed
 from optics.rays.spots import collecting_area_mm2
 from render.records import EffectivePsf, StarField
+from render.sensor_file.filters import Filter
+from render.sensor_file.instrument import Instrument
 
 NODES = 16
 """Wavelength nodes per filter."""

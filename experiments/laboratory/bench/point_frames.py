@@ -19,12 +19,12 @@ from experiments.laboratory.bench.readout.centroids import (
 from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.laboratory.bench.readout.windows import WindowReader
 from experiments.laboratory.bench.target_light import frame_light
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.detector.spec import Detector
 from render.engine.random import Streams
 from render.records import WindowStack
+from render.sensor_file.instrument import Instrument
 
 Subtraction = Literal["dark", "raw"]
 """``dark``: minus the mean of frames with the lamp off. ``raw``: minus the nominal offset and one background value per

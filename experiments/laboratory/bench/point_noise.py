@@ -29,12 +29,12 @@ from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from experiments.laboratory.bench.readout.centroids import measured_positions, noiseless_positions
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.bench.readout.windows import cut_windows
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.records import freeze
 from render.detector.noise import PixelNoise
 from render.detector.spec import Detector
 from render.records import EffectivePsf
+from render.sensor_file.instrument import Instrument
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,8 +16,6 @@ from experiments.laboratory.bench.readout.windows import cut_windows
 from experiments.laboratory.bench.signal import Signal, signal_of
 from experiments.laboratory.bench.target_light import TargetLight, target_light
 from experiments.laboratory.devices.collimator import build_collimator
-from experiments.laboratory.devices.filter_wheel import open_band
-from experiments.laboratory.devices.instrument import Instrument, build_instrument
 from experiments.laboratory.settings.points import PointConfig
 from experiments.laboratory.settings.tables import TargetConfig
 from optics.arrays import FloatArray
@@ -26,6 +24,8 @@ from optics.light.spectrum import Blackbody
 from optics.records import freeze
 from render.engine.random import Streams
 from render.records import EffectivePsf
+from render.sensor_file.filters import open_band
+from render.sensor_file.instrument import Instrument, build_instrument
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,10 +19,10 @@ from experiments.laboratory.bench.readout.search import find_points
 from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
 from experiments.laboratory.bench.target_light import TargetLight, frame_light
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import ExpectedImage, WindowStack
+from render.sensor_file.instrument import Instrument
 
 PATTERNS = 48
 """Independent fixed patterns from which their effect on the centroids is predicted."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.laboratory.bench.point_bench import Bench
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
 from optics.light.band import band_nodes
 from optics.rays.spots import SpotMoments, spot_moments
+from render.sensor_file.instrument import Instrument
 
 ORDER = (5, 12)
 """Rings and azimuths in the pupil."""

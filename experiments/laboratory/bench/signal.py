@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.settings.tables import SignalConfig
 from optics.errors import DomainError
 from optics.light.band import Band, band_nodes
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
 from optics.rays.spots import collecting_area_mm2
+from render.sensor_file.instrument import Instrument
 
 NODES = 48
 

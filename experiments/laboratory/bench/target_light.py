@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from calib.measure.epsf import draw_epsf
 from experiments.laboratory.bench.point_bench import Bench, point_field
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.camera import Camera
 from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.records import EffectivePsf, ExpectedImage
+from render.sensor_file.instrument import Instrument
 from render.tracing.psf import epsf_tracer, render_epsf
 from render.tracing.tracer import Tracer
 

@@ -22,7 +22,6 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 from scipy.special import j1
 
-from experiments.laboratory.devices.filter_wheel import Filter
 from experiments.laboratory.settings.collimator import CollimatorConfig, FilteredCollimatorConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -36,6 +35,7 @@ from render.engine.random import Streams
 from render.motion.jitter import JitterSpectrum, jittered
 from render.motion.trajectory import ConstantRate
 from render.records import EffectivePsf
+from render.sensor_file.filters import Filter
 from render.tracing.motion.exposure import ExposureMotion, gauss_times
 
 RINGS_PER_PX = 3.0

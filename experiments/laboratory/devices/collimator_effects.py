@@ -27,7 +27,6 @@ from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.ray_prediction import ORDER, bundle_prediction, light_shares, spots_of
 from experiments.laboratory.chromatic_error import shifts, table1
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
@@ -35,6 +34,7 @@ from optics.glass.air import air_index
 from optics.glass.catalogue import get_glass
 from optics.rays.spots import SpotMoments, spot_moments
 from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM
+from render.sensor_file.instrument import Instrument
 
 PARTS = {"wedge": "wedge", "air": "air", "decollimation": "decollimation"}
 """What moves the image by an angle that depends on the wavelength."""

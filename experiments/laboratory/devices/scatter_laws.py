@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from experiments.laboratory.settings.stray import ContaminationConfig, ScatterConfig
 from optics.lens.system import AMBIENT, LensSystem
 from optics.light.scatter import HarveyShack, Particles, Together, polished, roughness_tis
 from optics.rays.stray import scattering_surfaces
 from render.camera import Camera
+from render.sensor_file.stray import ContaminationConfig, ScatterConfig
 
 
 def dust_law(lens: LensSystem, level: float, dust: ContaminationConfig) -> Particles:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.settings.tables import TargetConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from render.sensor_file.instrument import Instrument
 
 CORNERS = ("upper left", "upper right", "lower left", "lower right")
 """Positions of the target in the order of ACC18 (Fig. 3); row 0 is the upper edge."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
+from render.sensor_file.instrument import Instrument
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from experiments.harness.config import StrictModel
+from optics.settings import StrictModel
 
 
 class CollimatorConfig(StrictModel):

@@ -8,9 +8,9 @@ from typing import Any
 
 from pydantic import Field
 
-from experiments.harness.config import FolderName
 from experiments.harness.experiment import Experiment
 from experiments.laboratory.settings.sensor_file import SensorExperimentConfig
+from optics.settings import FolderName
 
 
 class OwnFramesConfig(SensorExperimentConfig):

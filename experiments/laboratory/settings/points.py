@@ -8,7 +8,8 @@ from experiments.harness.config import OddPx
 from experiments.laboratory.bench.centroid_methods import MethodName
 from experiments.laboratory.settings.collimator import CollimatorConfig
 from experiments.laboratory.settings.own_frames import OwnFramesConfig
-from experiments.laboratory.settings.tables import InstrumentConfig, PassbandConfig, SignalConfig, TargetConfig
+from experiments.laboratory.settings.tables import SignalConfig, TargetConfig
+from render.sensor_file.tables import InstrumentConfig, PassbandConfig
 
 
 class SourceConfig(SignalConfig):

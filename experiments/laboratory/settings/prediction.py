@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from pydantic import Field, model_validator
 
-from experiments.harness.config import StrictModel
-from experiments.laboratory.settings.detector import DetectorConfig
 from experiments.laboratory.settings.sensor_file import SensorConfig, SensorExperimentConfig
+from optics.settings import StrictModel
+from render.sensor_file.detector import DetectorConfig, overridden
 
 
 class StarConfig(StrictModel):
@@ -65,3 +65,24 @@ class PredictedSensorConfig(SensorExperimentConfig, SensorConfig):
                 "for a global shutter; set one of them to 0 (the dataset renders both)"
             )
         return self
+
+
+Sensor = TypeVar("Sensor", bound=PredictedSensorConfig)
+
+
+def aged_config(config: Sensor, fraction: float) -> Sensor:
+    """The sensor at a fraction of its life."""
+    from render.sensor_file.ageing import aged_detector, aged_transmission
+    from render.sensor_file.instrument import configured_detector
+
+    setting = config.instrument
+    detector = overridden(configured_detector(setting), config.detector)
+    detector = aged_detector(detector, config.life, fraction, temperature_c=setting.chip_temperature_c)
+    names = ("dark_current_e_per_s", "damage_centres_per_px", "damage_dark_e_per_s")
+    grown = {name: getattr(detector, name) for name in names}
+    return config.model_copy(
+        update={
+            "detector": config.detector.model_copy(update=grown),
+            "throughput_fraction": config.throughput_fraction * aged_transmission(config.life, fraction),
+        }
+    )

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from pydantic import BaseModel
 
-from experiments.laboratory.settings.tables import FilterConfig, InstrumentConfig, PassbandConfig
+from render.sensor_file.tables import FilterConfig, InstrumentConfig, PassbandConfig
 
 ACC18_ARCSEC: Mapping[str, tuple[float, float]] = {
     "TE": (1.14, 1.23),

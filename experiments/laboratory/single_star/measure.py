@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.single_star.bench import Bench, Visits, visit
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 from experiments.laboratory.single_star.setup import build_bench, build_star, grid_px
@@ -17,6 +16,7 @@ from optics.errors import DomainError
 from optics.records import freeze
 from render.engine.random import Streams
 from render.forward import StarRenderer
+from render.sensor_file.instrument import Instrument
 from render.tracing.psf import epsf_tracer, render_epsf
 
 

@@ -15,13 +15,13 @@ from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
 from calib.calibration.turntable import TableErrors, TurntableAttitudes, star_direction
 from calib.cameras import BrownConrady, CameraModel, SensorGeometry
-from experiments.laboratory.devices.instrument import Instrument
 from experiments.laboratory.devices.turntable import Turntable
 from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.measure import Measurement
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
+from render.sensor_file.instrument import Instrument
 
 START_ROUNDING = 0.05
 """A start focal length is the paraxial one rounded to this part of it."""

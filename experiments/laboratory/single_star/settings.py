@@ -6,9 +6,11 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from experiments.harness.config import AngleDeg, OddPx, PlacePx, StrictModel
+from experiments.harness.config import AngleDeg, OddPx, PlacePx
 from experiments.laboratory.settings.own_frames import OwnFramesConfig
-from experiments.laboratory.settings.tables import InstrumentConfig, PassbandConfig, SignalConfig
+from experiments.laboratory.settings.tables import SignalConfig
+from optics.settings import StrictModel
+from render.sensor_file.tables import InstrumentConfig, PassbandConfig
 
 LARGEST_STAR_ANGLE_DEG = 60.0
 LARGEST_INSTALLATION_DEG = 30.0

@@ -10,8 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from experiments.laboratory.bench.readout.search import SEARCH_PX
 from experiments.laboratory.bench.signal import Signal, signal_of
-from experiments.laboratory.devices.filter_wheel import open_band
-from experiments.laboratory.devices.instrument import Instrument, build_instrument
 from experiments.laboratory.devices.turntable import Turntable, axis_directions, build_turntable
 from experiments.laboratory.settings.tables import SignalConfig
 from experiments.laboratory.single_star.bench import Bench
@@ -20,6 +18,8 @@ from experiments.laboratory.single_star.star import SingleStar, star_direction
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.spectrum import Blackbody
+from render.sensor_file.filters import open_band
+from render.sensor_file.instrument import Instrument, build_instrument
 
 LEAST_COVERAGE = 0.5
 """Of the width and of the height of the detector; below, a calibration says nothing about the rest of the field."""

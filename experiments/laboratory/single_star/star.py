@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.band import Band, band_nodes
@@ -15,6 +14,7 @@ from optics.light.spectrum import Sed
 from optics.rays.spots import collecting_area_mm2
 from optics.units import DEG_RAD, RAD_DEG
 from render.records import StarField
+from render.sensor_file.instrument import Instrument
 
 NODES = 16
 

@@ -21,11 +21,11 @@ from experiments.laboratory.bench.readout.centroids import frame_statistics, mea
 from experiments.laboratory.bench.readout.search import find_star
 from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.records import freeze
 from render.engine.random import Streams
 from render.records import EffectivePsf, ExpectedImage, WindowStack
+from render.sensor_file.instrument import Instrument
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

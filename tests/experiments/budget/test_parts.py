@@ -17,13 +17,13 @@ from experiments.harness.config import load_config
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.run import configuration_file
 from experiments.harness.sections import described, judged
-from experiments.laboratory.settings.detector import DetectorConfig, overridden
 from experiments.laboratory.settings.published import ACC18_TABLE1_PX
 from optics.errors import ConfigError
 from optics.lens_file import load_lens
 from optics.rays.paraxial import axial_paraxial
 from render.detector.spec import load_detector
 from render.engine.random import Streams
+from render.sensor_file.detector import DetectorConfig, overridden
 
 
 def test_the_chromatic_term_in_x_is_a_slip_and_in_y_is_not():

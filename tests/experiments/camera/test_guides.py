@@ -7,9 +7,9 @@ from scipy.spatial import cKDTree
 from experiments.camera.guides import LEAST, coverage, lost_in_space
 from experiments.camera.settings import Config
 from experiments.laboratory.sensor_prediction import predict_camera
-from experiments.laboratory.settings.catalogue import load_catalogue
 from optics.validate import parse_model
 from render.catalogue.temperature import star_temperature
+from render.sensor_file.catalogue import load_catalogue
 
 TRACKER = {
     "instrument": {

@@ -7,8 +7,8 @@ from experiments.camera.answer import limits
 from experiments.camera.operation import in_motion, life_line, over_life
 from experiments.camera.settings import Config
 from experiments.harness.range import with_value
-from experiments.laboratory.devices.ageing import aged_config
 from experiments.laboratory.sensor_prediction import predict_camera
+from experiments.laboratory.settings.prediction import aged_config
 from optics.errors import ConfigError
 from optics.validate import parse_model
 

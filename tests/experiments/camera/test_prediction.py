@@ -15,11 +15,11 @@ from experiments.harness.sections import numbers_of
 from experiments.harness.what_if import judge, missed_words
 from experiments.laboratory.optical_state import optical_state
 from experiments.laboratory.sensor_prediction import accuracy
-from experiments.laboratory.settings.requirements import RequirementsConfig
 from optics.errors import ConfigError, DomainError
 from optics.light.photometry import band_photon_rate
 from optics.light.spectrum import Blackbody
 from optics.rays.spots import trace_spots
+from render.sensor_file.requirements import RequirementsConfig
 
 TRACKER = {
     "instrument": {

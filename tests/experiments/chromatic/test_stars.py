@@ -8,12 +8,13 @@ from scipy.constants import c, h, k
 
 from experiments.chromatic.stars import stars_of, stellar_shift
 from experiments.laboratory.bench.signal import electrons_of_star, signal_of
-from experiments.laboratory.devices.filter_wheel import open_band
-from experiments.laboratory.settings.tables import PassbandConfig, SignalConfig, StarsConfig
+from experiments.laboratory.settings.tables import SignalConfig, StarsConfig
 from optics.errors import DomainError
 from optics.lens.perturb import decentre
 from optics.light.band import TopHat
 from optics.rays.spots import trace_spots
+from render.sensor_file.filters import open_band
+from render.sensor_file.tables import PassbandConfig
 
 PASSBAND = TopHat(centre_nm=675.0, width_nm=450.0, edge_nm=20.0)
 TEMPERATURES_K = (3000.0, 4500.0, 5800.0, 9000.0, 30000.0)

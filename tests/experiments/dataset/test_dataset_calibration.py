@@ -15,9 +15,9 @@ from experiments.dataset.calibration import write_calibration
 from experiments.dataset.job import Job, make_frame
 from experiments.dataset.scene import build_scene
 from experiments.dataset.settings import Config, ScanPointing, VerifyConfig
-from experiments.laboratory.settings.tables import InstrumentConfig
 from render.detector.maps import sensor_maps
 from render.engine import Engine
+from render.sensor_file.tables import InstrumentConfig
 
 FRAMES = 20
 CONFIG = Config(

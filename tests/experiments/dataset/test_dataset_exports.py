@@ -16,8 +16,8 @@ from experiments.dataset.job import Job, make_frame
 from experiments.dataset.labels import CLASSES
 from experiments.dataset.settings import ConePointing, Config, VerifyConfig
 from experiments.dataset.truth_files import read_table
-from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig
 from render.fits.files import read_frame
+from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
 
 ABOUT = {"title": "", "version": "", "licence": "", "licence_url": "", "citation": ""}
 

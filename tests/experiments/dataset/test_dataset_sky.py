@@ -24,7 +24,6 @@ from experiments.dataset.settings import (
     VerifyConfig,
 )
 from experiments.dataset.truth import FLAGS, record_from_text
-from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig
 from optics.errors import StarbenchError
 from render.bodies.solar_system import solar_system
 from render.bodies.stray_light import band_light
@@ -32,6 +31,7 @@ from render.detector.cosmic_rays import cosmic_ray_hits
 from render.detector.maps import sensor_maps
 from render.engine import Engine
 from render.engine.random import Streams
+from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
 
 EPOCH = 2025.3
 CAMERA = {"instrument": InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=192, height_px=128), "nodes": 3}

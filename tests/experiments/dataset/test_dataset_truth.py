@@ -12,11 +12,11 @@ from experiments.dataset.job import _record
 from experiments.dataset.scene import build_scene, stars_of
 from experiments.dataset.settings import BackgroundConfig, ConePointing, Config, FixedRate, JitterConfig, ScanPointing
 from experiments.dataset.truth import FLAGS, flux_snr, footprint_px, record_from_text
-from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig, PassbandConfig
 from optics.errors import DomainError, StarbenchError
 from optics.frames import field_angles_deg
 from optics.rays.chief import chief_ray_points
 from render.forward import StarRenderer
+from render.sensor_file.tables import CatalogueConfig, InstrumentConfig, PassbandConfig
 
 SMALL = {
     "instrument": InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=256, height_px=192),

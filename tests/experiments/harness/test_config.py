@@ -7,8 +7,9 @@ from typing import Literal
 import pytest
 from pydantic import Field, model_validator
 
-from experiments.harness.config import ExperimentConfig, StrictModel, load_config
+from experiments.harness.config import ExperimentConfig, load_config
 from optics.errors import ConfigError
+from optics.settings import StrictModel
 
 
 class Lens(StrictModel):

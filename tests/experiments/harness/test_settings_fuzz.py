@@ -6,6 +6,7 @@ import importlib
 import math
 import typing
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +15,20 @@ from pydantic import BaseModel
 
 from experiments.dataset.folder import check
 from experiments.dataset.plan import read_attitudes
-from experiments.harness.config import alternatives, load_config
+from experiments.harness.config import load_config
 from experiments.harness.progress import Progress
 from experiments.harness.run import configuration_file
-from experiments.laboratory.settings.sensor_file import SensorConfig, read_sensor
-from experiments.laboratory.settings.tables import CatalogueConfig
+from experiments.laboratory.settings.sensor_file import SensorConfig
 from experiments.reduce.frames_toml import FolderSettings, read_settings
 from optics.errors import ConfigError
 from optics.lens_file import load_lens
+from optics.settings import alternatives
 from optics.validate import parse_model
 from render.catalogue.presets import preset_names
 from render.catalogue.read import read_catalog
 from render.detector.spec import load_detector
+from render.sensor_file.file import read_sensor
+from render.sensor_file.tables import CatalogueConfig
 
 PACKAGES = Path(importlib.import_module("experiments").__file__ or "").parent
 FOLDER = {
@@ -126,7 +129,7 @@ READERS = {
     "catalogue": lambda name: read_catalog(name, "plain"),
     "attitudes": lambda name: read_attitudes(name, "pointing.file"),
     "settings": lambda name: load_config(SensorConfig, file=name),
-    "sensor": read_sensor,
+    "sensor": partial(read_sensor, model=SensorConfig),
     "own frames": lambda name: read_settings(Path(name)),
     "dataset": lambda name: check(Path(name), Progress()),
     "built-in settings": lambda name: load_config(SensorConfig, file=configuration_file(name)),

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from experiments.laboratory.bench.checks import focus_remark
-from experiments.laboratory.devices.instrument import build_instrument
-from experiments.laboratory.settings.tables import InstrumentConfig
 from optics.rays.spots import spot_moments
+from render.sensor_file.instrument import build_instrument
+from render.sensor_file.tables import InstrumentConfig
 
 WAVELENGTH_NM = np.linspace(500.0, 800.0, 6)
 

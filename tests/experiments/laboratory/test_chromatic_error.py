@@ -20,11 +20,11 @@ from experiments.laboratory.chromatic_error import (
     table1,
     table1_sigma,
 )
-from experiments.laboratory.devices.instrument import build_instrument
-from experiments.laboratory.settings.tables import InstrumentConfig
 from optics.lens.perturb import decentre
 from optics.rays.spots import trace_spots
 from render.engine.random import Streams
+from render.sensor_file.instrument import build_instrument
+from render.sensor_file.tables import InstrumentConfig
 
 
 @pytest.fixture

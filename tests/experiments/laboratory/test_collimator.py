@@ -18,8 +18,6 @@ from experiments.laboratory.bench.target_light import frame_light, target_light
 from experiments.laboratory.chromatic_error import shifts, table1
 from experiments.laboratory.devices import collimator_effects as effects
 from experiments.laboratory.devices.collimator import build_collimator
-from experiments.laboratory.devices.filter_wheel import interference_filters
-from experiments.laboratory.devices.instrument import build_instrument
 from experiments.laboratory.devices.target import corner_directions
 from experiments.laboratory.settings.collimator import CollimatorConfig, FilteredCollimatorConfig
 from optics.errors import ConfigError, DomainError
@@ -28,6 +26,8 @@ from optics.light.spectrum import Blackbody
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 from render.records import EffectivePsf
+from render.sensor_file.filters import interference_filters
+from render.sensor_file.instrument import build_instrument
 
 D_LINE = np.array([[587.5618]])
 BAND = [SimpleNamespace(name="d")]

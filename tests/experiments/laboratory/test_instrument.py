@@ -5,8 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from experiments.laboratory.devices.instrument import build_instrument, configured_lens, housing_of
-from experiments.laboratory.settings.tables import InstrumentConfig
 from optics.errors import ConfigError, DomainError
 from optics.lens.perturb import decentre
 from optics.rays.paraxial import axial_paraxial
@@ -15,6 +13,8 @@ from optics.rays.spots import spot_moments
 from optics.units import ARCSEC_RAD
 from optics.validate import parse_model
 from render.fits.wcs import lens_wcs
+from render.sensor_file.instrument import build_instrument, configured_lens, housing_of
+from render.sensor_file.tables import InstrumentConfig
 
 INNER_STOP = {"lens": "double_gauss_50mm", "detector": "cmv4000", "absorption": False}
 TRIPLET = {"lens": "docs/examples/triplet_50mm/lens.toml", "detector": "cmv4000", "width_px": 1200, "height_px": 1200}

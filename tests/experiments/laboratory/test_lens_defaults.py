@@ -6,8 +6,8 @@ import pytest
 from experiments.camera.settings import Config as Camera
 from experiments.chromatic.settings import Config as Chromatic
 from experiments.harness.config import load_config
-from experiments.laboratory.devices.instrument import build_instrument
 from experiments.skycal.settings import Config as SkyCal
+from render.sensor_file.instrument import build_instrument
 
 SINGLET = """UNIT MM X W X CM MR CPMM
 NAME singlet

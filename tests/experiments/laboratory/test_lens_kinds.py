@@ -13,13 +13,13 @@ from experiments.camera.settings import Config as CameraConfig
 from experiments.chromatic.settings import Config as ChromaticConfig
 from experiments.harness.config import load_config
 from experiments.harness.range import leaf_keys, parse_sweep, with_value
-from experiments.laboratory.devices.instrument import build_instrument, configured_lens
-from experiments.laboratory.settings.sensor_file import read_sensor
 from optics.errors import ConfigError, DomainError
 from optics.export.write import write_measured_lens
 from optics.lens.measured import measured_from_table
 from render.forward import StarRenderer
 from render.records import StarField
+from render.sensor_file.file import read_sensor
+from render.sensor_file.instrument import build_instrument, configured_lens
 
 IDEAL = """
 [instrument]

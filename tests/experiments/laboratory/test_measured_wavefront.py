@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from experiments.laboratory.devices.instrument import configured_lens
-from experiments.laboratory.settings.tables import InstrumentConfig
 from optics.errors import ConfigError, DomainError
 from optics.waves.pupil_field import trace_pupil
 from optics.waves.wavefront import wavefront
+from render.sensor_file.instrument import configured_lens
+from render.sensor_file.tables import InstrumentConfig
 
 
 def rms_nm(**settings):

@@ -20,13 +20,13 @@ from experiments.laboratory.bench.points import PointReadout
 from experiments.laboratory.bench.readout.frames import empty_frame
 from experiments.laboratory.bench.readout.noise_model import true_noise
 from experiments.laboratory.bench.target_light import target_light
-from experiments.laboratory.devices.instrument import build_instrument
-from experiments.laboratory.settings.tables import CatalogueConfig, InstrumentConfig
 from experiments.laboratory.single_star.star_readings import WindowPlan, read_windows
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.forward import StarRenderer
+from render.sensor_file.instrument import build_instrument
+from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
 from render.tracing.psf import epsf_tracer, render_epsf
 
 DATA_FILE = """

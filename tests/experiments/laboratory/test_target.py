@@ -71,8 +71,8 @@ def test_target_fits_to_the_last_pixel(edge_px, fits):
 
 
 def test_target_outside_the_field_of_the_lens_is_refused():
-    from experiments.laboratory.devices.instrument import build_instrument
-    from experiments.laboratory.settings.tables import InstrumentConfig
+    from render.sensor_file.instrument import build_instrument
+    from render.sensor_file.tables import InstrumentConfig
 
     wide = build_instrument(InstrumentConfig(lens="star_tracker_26mm"))
     with pytest.raises(DomainError, match=r"deg from the axis.*field of 16.5 deg"):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.laboratory.devices.targets import GridTarget, grid_directions, survey
-from experiments.laboratory.settings.housing import expansion_per_k
 from optics.errors import ConfigError, DomainError
+from render.sensor_file.housing import expansion_per_k
 
 
 def on_the_detector(instrument, direction):

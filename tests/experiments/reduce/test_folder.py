@@ -20,11 +20,9 @@ from experiments.laboratory.bench.point_scene import point_scene
 from experiments.laboratory.bench.points import nominal_px
 from experiments.laboratory.bench.target_light import target_light
 from experiments.laboratory.devices.hexapod import Hexapod, turned
-from experiments.laboratory.devices.instrument import build_instrument
 from experiments.laboratory.devices.targets import GridTarget
 from experiments.laboratory.distortion_error import measure_distortion
 from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
-from experiments.laboratory.settings.tables import InstrumentConfig
 from experiments.laboratory.temporal_error import measure_temporal, target_place
 from experiments.reduce.checks import check_frames
 from experiments.reduce.folder import read_folder
@@ -36,6 +34,8 @@ from render.detector.readout import expose
 from render.engine.random import Streams
 from render.fits.files import write_frame
 from render.records import Frame
+from render.sensor_file.instrument import build_instrument
+from render.sensor_file.tables import InstrumentConfig
 
 METHODS = ("cog", "gaussian")
 FRAMES, DARK_FRAMES, WINDOW_PX = 6, 5, 13

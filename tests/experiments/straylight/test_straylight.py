@@ -121,7 +121,7 @@ def small(**settings) -> Config:
 @pytest.mark.slow
 def test_causes_follow_what_they_are_caused_by(tmp_path) -> None:
     """Twice the roughness, four times the light; no dust of its level, no detector, no light of theirs."""
-    from experiments.laboratory.devices.instrument import build_instrument
+    from render.sensor_file.instrument import build_instrument
 
     def parts(**settings):
         config = small(**settings)
@@ -147,7 +147,7 @@ def test_causes_follow_what_they_are_caused_by(tmp_path) -> None:
 @pytest.mark.slow
 def test_what_is_changed_does_what_it_should() -> None:
     """Order of variants: vanes and blacker coatings take light away, dust and rounder edges add it."""
-    from experiments.laboratory.devices.instrument import build_instrument
+    from render.sensor_file.instrument import build_instrument
 
     settings = small().pst.model_dump() | {"angles_deg": [5.0, 30.0, 36.0, 41.0, 90.0]}
     config = small(what_if=True, pst=settings)

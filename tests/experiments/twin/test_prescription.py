@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
-from experiments.laboratory.devices.instrument import build_instrument, configured_lens
-from experiments.laboratory.settings.sensor_file import SensorConfig, whole_sensor
-from experiments.laboratory.settings.tables import InstrumentConfig
 from experiments.twin.prescription import _as_calibrated, _widths, fit_lens_pose, pose_of_widths, write_prescription
 from optics.errors import DomainError
 from optics.lens.perturb import refocus, tilt_image
 from optics.lens_file import load_lens
+from render.sensor_file.file import SensorFile, whole_sensor
+from render.sensor_file.instrument import build_instrument, configured_lens
+from render.sensor_file.tables import InstrumentConfig
 from render.sky.star_light import star_light
 
 CONFIG = InstrumentConfig(
@@ -85,6 +85,6 @@ def test_the_written_lens_stands_where_the_frames_put_it(moved, tmp_path):
     assert again.image_position_mm[:2] == pytest.approx(moved.camera.lens.image_position_mm[:2], abs=0.01)
     ratio = _widths(render_psf_grid(back, light, temperature_k=5000.0, window_px=22, long_side=9)) / stars.width_px
     assert np.abs(ratio - 1.0).max() < 0.03
-    written = SensorConfig.model_validate(whole_sensor(tmp_path / "glass_sensor.toml")).instrument
+    written = SensorFile.model_validate(whole_sensor(tmp_path / "glass_sensor.toml")).instrument
     assert written.lens == str(tmp_path / "glass.toml")
     assert written.defocus_mm == pytest.approx(DEFOCUS_MM, abs=2e-3)

@@ -11,7 +11,7 @@ from optics.frames import field_angles_deg, field_direction
 from optics.lens_file import load_lens
 from optics.rays.spots import trace_spots
 from render.records import EffectivePsf, StarField
-from render.sensor import load_star_sensor
+from render.sensor_file.load import load_star_sensor
 from render.tracing import psf as psf_module
 from render.tracing.psf import epsf_tracer, ray_epsf, render_epsf, trailed, wave_images
 from render.tracing.tracer import Tracer

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from calib.measure.image import subtract_dark
 from calib.records import NoiseModel, SensorImage
-from experiments.laboratory.devices.instrument import Instrument
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.records import Frame
+from render.sensor_file.instrument import Instrument
 
 
 def empty_frame(instrument: Instrument, number: int, *, streams: Streams, sky_e: float = 0.0, label: str = "") -> Frame:

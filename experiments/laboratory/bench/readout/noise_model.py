@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.records import NoiseModel
-from experiments.laboratory.devices.instrument import Instrument
+from render.sensor_file.instrument import Instrument
 
 
 def nominal_noise(instrument: Instrument) -> NoiseModel:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from render.records import EffectivePsf
+from render.sensor_file.instrument import Instrument
 from render.sky.star_light import StarLight
 from render.tracing.psf import epsf_tracer, render_epsf, trailed
 

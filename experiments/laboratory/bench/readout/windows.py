@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from experiments.laboratory.devices.instrument import Instrument
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from render.detector.readout import expose_windows
 from render.engine.random import Streams
 from render.records import WindowStack
+from render.sensor_file.instrument import Instrument
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 
 from pydantic import Field, field_validator
 
-from experiments.harness.config import StrictModel
 from optics.errors import unknown_name
+from optics.settings import StrictModel
 
 EXPANSION_PPM_PER_K = {
     "aluminium_6061": 23.6,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from experiments.laboratory.settings.tables import FilterConfig, PassbandConfig
 from optics.errors import DomainError
 from optics.light.band import TabulatedBand, TopHat
 from optics.light.band_file import load_band
 from render.sensor import StarSensor
+from render.sensor_file.tables import FilterConfig, PassbandConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from math import hypot, isfinite
 from typing import TYPE_CHECKING, Any
 
-from experiments.laboratory.settings.tables import in_focus
 from optics.errors import StarbenchError
+from render.sensor_file.tables import in_focus
 
 if TYPE_CHECKING:
-    from experiments.laboratory.settings.tables import InstrumentConfig, PassbandConfig
     from optics.lens_file import LensFile
+    from render.sensor_file.tables import InstrumentConfig, PassbandConfig
 
 STEP_PX = 4
 """Unit of the width of windows [px]."""

@@ -8,9 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.laboratory.devices.filter_wheel import open_band
-from experiments.laboratory.settings.housing import HousingConfig, expansion_per_k
-from experiments.laboratory.settings.tables import InstrumentConfig, PassbandConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.glass.media import Environment
@@ -27,9 +24,11 @@ from optics.rays.spots import trace_spots
 from optics.response import Response
 from optics.waves.measured import with_wavefront
 from optics.waves.wavefront import PathMap, zernike_map
-from render.detector.noise import PixelNoise
 from render.detector.spec import Detector, load_detector
-from render.sensor import StarSensor, load_star_sensor
+from render.sensor import StarSensor, build_star_sensor
+from render.sensor_file.filters import open_band
+from render.sensor_file.housing import HousingConfig, expansion_per_k
+from render.sensor_file.tables import InstrumentConfig, PassbandConfig
 from render.sky.star_light import star_light
 
 PARTS = (0.0, 0.45, 0.7, 0.87, 1.0)
@@ -47,15 +46,6 @@ class Instrument(StarSensor):
     """A star sensor that was configured; its focal length is that of the configured lens, perturbed or not."""
 
     config: InstrumentConfig
-
-    def pixel_noise(self, detector: Detector | None = None) -> PixelNoise:
-        """Noise of a pixel in one exposure, of the own detector or of another one under its conditions."""
-        config = self.config
-        return PixelNoise.of(
-            self.detector if detector is None else detector,
-            temperature_c=config.chip_temperature_c,
-            exposure_s=config.exposure_s,
-        )
 
 
 def stated_lens(config: InstrumentConfig) -> LensSystem:
@@ -138,7 +128,7 @@ def build_instrument(
 ) -> Instrument:
     """Instrument of a configuration, cut to the window that is read out."""
     nominal = configured_lens(config)
-    sensor = load_star_sensor(
+    sensor = build_star_sensor(
         nominal if lens is None else lens,
         configured_detector(config) if detector is None else detector,
         defocus_mm=stated_defocus_mm(config),
@@ -153,6 +143,8 @@ def build_instrument(
         raise DomainError(f"instrument.{error}") from None
     return Instrument(
         config=config,
+        exposure_s=config.exposure_s,
+        temperature_c=config.chip_temperature_c,
         camera=sensor.camera,
         detector=sensor.detector,
         focal_length_mm=plate_scale_mm(replace(sensor.camera, lens=nominal).focused_lens),

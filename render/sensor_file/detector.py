@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from experiments.harness.config import StrictModel
+from optics.settings import StrictModel
 from optics.units import UM_MM
 from render.detector.spec import Detector
 

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from experiments.harness.config import FileName, StrictModel
+from optics.settings import FileName, StrictModel
 
 
 class BaffleConfig(StrictModel):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from experiments.harness.config import StrictModel
+from optics.settings import StrictModel
 
 AT_LEAST = frozenset(
     {

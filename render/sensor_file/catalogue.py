@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from experiments.laboratory.settings.tables import CatalogueConfig
 from optics.errors import ConfigError
 from render.catalogue.record import StarCatalog
+from render.sensor_file.tables import CatalogueConfig
 
 
 def load_catalogue(config: CatalogueConfig) -> StarCatalog:
