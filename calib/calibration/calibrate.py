@@ -31,6 +31,7 @@ from calib.fitting.solution import Solution
 from optics.arrays import BoolArray, FloatArray
 
 LEAST_COVERAGE = 8  # of the 16 parts of the detector that hold stars, below which the message says so
+FOLD_GRID = 9  # pixels along each side of the detector at which a fitted camera is inverted
 
 
 def calibrate(
@@ -146,6 +147,11 @@ def _calibration(
     if not _upright(camera):
         status = "refused"
         notes.insert(0, "the fitted camera is mirrored: one axis of the star positions is flipped")
+    elif _folded(camera, stars):
+        status = "refused"
+        notes.insert(
+            0, "the fitted camera folds its image among the stars: a false minimum; start nearer to the camera"
+        )
     covariance = np.zeros((len(mask), len(mask)))
     covariance[np.ix_(mask, mask)] = solution.covariance[:count, :count]
     used = selection.used.copy()
@@ -166,6 +172,13 @@ def _upright(camera: CameraModel) -> bool:
     """Whether +X and +Y of cam lead to larger columns and rows without a reflection, at the boresight."""
     by_direction: FloatArray = camera.project_jacobian(np.array([[0.0, 0.0, 1.0]])).by_direction[0]
     return bool(np.linalg.det(by_direction[:, :2]) > 0)
+
+
+def _folded(camera: CameraModel, stars: Observations) -> bool:
+    """Whether pixels between the stars have no direction: the image turns back on itself there."""
+    pixel = camera.geometry.grid_px(FOLD_GRID)
+    low, high = stars.pixel_px.min(axis=0, initial=np.inf), stars.pixel_px.max(axis=0, initial=-np.inf)
+    return not np.isfinite(camera.unproject(pixel[np.all((pixel >= low) & (pixel <= high), axis=1)])).all()
 
 
 def _coverage(stars: Observations, model: CameraModel) -> str:

@@ -30,12 +30,20 @@ from it is refused.
 s is reported as azimuth and elevation, s = (cos e sin a, sin e, cos e cos a): azimuth from +Z towards +X, elevation
 towards +Y; near e = 90 deg the azimuth loses its meaning, nothing else does. A is reported by the angles theta of ACF17
 (`calib.attitude.link`).
+
+False minima. With few poses and strong distortion the fit from an undistorted camera can end where the camera folds its
+image or chi-square contradicts the stated noise. Such a fit is repeated from cameras of barrel and pincushion
+distortion (`BENT_STARTS`), and the lowest chi-square is kept. If that is still improbable the status is "refuted".
+
+First order. Where the readings are coarse, the covariance, which is of first order, can be wrong. Along its least
+determined direction chi-square then does not rise by one at one stated standard deviation
+(`calib.fitting.linearity.chi_square_rise`); the solution holds the rise, and its message says so.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,13 +51,16 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import angle_per_increment, angles_of_rotation, exponential, right_jacobian, skew
 from calib.attitude.wahba import rotations_of_groups
-from calib.calibration.attitude_family import RotationFamily
+from calib.calibration.attitude_family import Outcome, RotationFamily
 from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
-from calib.calibration.star_problem import Prior
+from calib.calibration.star_problem import Prior, StarState
 from calib.calibration.verdict import parity_hint
 from calib.cameras.base import CameraModel
-from optics.arrays import FloatArray
+from calib.fitting.linearity import chi_square_rise
+from calib.fitting.misfit import joined
+from calib.fitting.robust_loss import Loss
+from optics.arrays import BoolArray, FloatArray
 from optics.errors import DomainError
 from optics.frames import perpendicular
 from optics.records import freeze, locked
@@ -59,6 +70,8 @@ TARGET_NAMES = ("target1_rad", "target2_rad", "target3_rad")
 INSTALLATION_NAMES = ("theta1_rad", "theta2_rad", "theta3_rad")
 LARGEST_TURN = np.deg2rad(60.0)  # of the star from its start; further is not an error of a bench
 SAME_DIRECTION = 1e-9  # rad: nominal directions closer than this are those of one star
+BENT_STARTS = (-0.05, 0.05, -0.15, 0.15)
+"""Distortions of further starts: displacement at the corner of the detector over the corner's distance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,6 +224,37 @@ class TurntableAttitudes(RotationFamily):
         """Errors of the readings, and of axes with a sigma."""
         return self.frames * self._reading_rate.shape[2] + int(np.count_nonzero(self.errors.axis_information))
 
+    def fit(
+        self, stars: Observations, model: CameraModel, free: BoolArray, start: Any, *, two_step: bool, loss: Loss
+    ) -> Outcome:
+        """Fit from the start, and from distorted cameras where chi-square refutes the result."""
+        best = RotationFamily.fit(self, stars, model, free, start, two_step=two_step, loss=loss)
+        for camera in _bent(model, free, start.camera):
+            if best.solution.converged and not best.solution.misfit.refuted:
+                break
+            other = RotationFamily.fit(
+                self, stars, model, free, StarState(camera, start.pose), two_step=two_step, loss=loss
+            )
+            if other.solution.converged and not (
+                best.solution.converged and best.solution.chi2 < other.solution.chi2 + 1.0
+            ):
+                best = other
+        if not best.solution.converged:
+            return best
+        solution = best.solution
+        rise, names = chi_square_rise(self.problem(stars, model, free), best.state, solution.robust_weight)
+        solution = replace(solution, chi2_rise=rise)
+        if solution.misfit.refuted:
+            return replace(best, solution=replace(solution, status="refuted"))
+        note = ""
+        if not solution.first_order:
+            note = (
+                "the stated errors are of first order and do not hold: one sigma along the least determined direction "
+                f"({', '.join(names)}) raises chi-square by {rise:.3g} where 1 is expected; finer readings or more of "
+                "the field are needed"
+            )
+        return replace(best, solution=replace(solution, message=joined(solution.message, note)))
+
     def start_pose(self, stars: Observations, model: CameraModel, *, robust: bool) -> TableState:
         """No table errors; the installation from all stars together."""
         nominal = _single_star(stars)
@@ -321,6 +365,20 @@ class TurntableAttitudes(RotationFamily):
             f"the fitted star lies {np.degrees(turned):.0f} deg from its start value: the image is mirrored "
             "(exchange the axes or turn one of them round), or the start of the star or the axes of the table are wrong"
         )
+
+
+def _bent(model: CameraModel, free: BoolArray, camera: FloatArray) -> list[FloatArray]:
+    """Start parameters (p,) with the cubic radial distortion of `BENT_STARTS`; none where it is not free."""
+    cubic = next((i for i, name in enumerate(model.parameter_names) if name.startswith("q1_") and free[i]), None)
+    if cubic is None:
+        return []
+    corner_px = model.geometry.half_diagonal_mm / model.geometry.pixel_pitch_mm
+    bends = []
+    for part in BENT_STARTS:
+        bent = np.array(camera)
+        bent[cubic] = part * corner_px * model.parameter_scales[cubic]
+        bends.append(bent)
+    return bends
 
 
 def _single_star(stars: Observations) -> FloatArray | None:

@@ -58,11 +58,22 @@ class ChiSquare:
         return float(min(1.0, 2.0 * min(gammainc(half, x), gammaincc(half, x))))
 
     @property
+    def contradicts(self) -> bool:
+        """Whether residuals and stated noise contradict each other, in either direction."""
+        ratio = self.ratio
+        return self.tested and not 1.0 / SAME_SPREAD <= ratio <= SAME_SPREAD and self.probability < NOTE_PROBABILITY
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the residuals are too large for the stated noise: a false minimum, a wrong model or wrong data."""
+        return self.contradicts and self.ratio > 1.0
+
+    @property
     def note(self) -> str:
         """One line where stated noise and residuals contradict each other, else nothing."""
-        ratio = self.ratio
-        if not self.tested or 1.0 / SAME_SPREAD <= ratio <= SAME_SPREAD or self.probability >= NOTE_PROBABILITY:
+        if not self.contradicts:
             return ""
+        ratio = self.ratio
         cause = (
             "the noise is stated too small or the model is wrong, which the covariance does not include"
             if ratio > 1.0

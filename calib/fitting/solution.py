@@ -12,7 +12,9 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 from optics.records import freeze_all
 
-STATUSES = ("converged", "stalled", "iteration_limit", "singular", "refused")
+STATUSES = ("converged", "stalled", "iteration_limit", "singular", "refused", "refuted")
+LARGEST_RISE = 1.5
+"""Chi-square at one standard deviation above which a covariance of first order does not hold; 1 is a linear problem."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -24,7 +26,8 @@ class Solution:
     # (p, p) Covariance from the noise the data state; infinite on the diagonal for what the data do not determine
     covariance: FloatArray
     # "converged"; "stalled" (no step lowers the cost, the gradient is not zero); "iteration_limit"; "singular"
-    # (unknowns that the data do not determine); "refused" (nothing was fitted, the message says why)
+    # (unknowns that the data do not determine); "refused" (nothing was fitted, the message says why); "refuted" (the
+    # residuals at the minimum contradict the stated noise: a false minimum, a wrong model or wrong data)
     status: str
     message: str  # One line on the status
     iterations: int  # Steps tried
@@ -37,6 +40,9 @@ class Solution:
     # Degrees of freedom that test the stated noise where the terms of ``chi2`` are correlated, so that there are
     # fewer than ``degrees_of_freedom``; 0 where no noise was stated; None: all of them
     independent: int | None = None
+    # Rise of chi-square at one standard deviation along the least determined direction, 1 for a linear problem; NaN:
+    # not evaluated
+    chi2_rise: float = float("nan")
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -69,6 +75,11 @@ class Solution:
     def converged(self) -> bool:
         """Whether the values may be used."""
         return self.status == "converged"
+
+    @property
+    def first_order(self) -> bool:
+        """Whether the covariance, which is of first order, describes the errors; True where it was not evaluated."""
+        return not self.chi2_rise > LARGEST_RISE
 
     @property
     def sigma(self) -> FloatArray:

@@ -141,7 +141,7 @@ def check_parity(
 def check_fit(calibration: Calibration, what: str, advice: str) -> None:
     """Refuse a calibration that did not converge or whose residuals are far above their noise."""
     solution = calibration.solution
-    if not (solution.converged and solution.reduced_chi2 <= LARGEST_REDUCED_CHI2):
+    if not (solution.status in ("converged", "refuted") and solution.reduced_chi2 <= LARGEST_REDUCED_CHI2):
         raise DomainError(
             f"{what}: the calibration ended as {solution.status!r} with residuals of "
             f"{np.sqrt(solution.reduced_chi2):.3g} times their noise; {advice}"

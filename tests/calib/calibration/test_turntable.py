@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.calibration.attitude_family import RotationFamily
 from calib.calibration.calibrate import calibrate
 from calib.calibration.observations import Observations
 from calib.calibration.turntable import TableErrors, TurntableAttitudes, star_direction
+from calib.fitting.robust_loss import get_loss
 from optics.errors import DomainError
+from optics.units import ARCSEC_RAD
 
 STAR = np.array([0.02, -0.01, 1.0]) / np.linalg.norm([0.02, -0.01, 1.0])
 NOMINAL = np.array([0.0, 0.0, 1.0])
@@ -262,3 +265,51 @@ def test_bad_input(scenes):
     found = calibrate(mirrored, scenes.START, TurntableAttitudes(table_rotation=table)).solution
     assert found.status == "refused"
     assert "180 deg from its start value: the image is mirrored" in found.message
+
+
+def test_few_poses_of_a_distorted_camera_end_in_the_true_minimum(scenes):
+    """12 to 16 poses, a fifth of barrel distortion at the corner: from an undistorted start alone some fits end in a
+    false minimum, most with the image folded over inside the detector."""
+    camera = scenes.CAMERA.with_parameters([10.0, -10.0, 25.6, -4e-3, 3e-5, 0.0, 2e-4, 2e-4])
+    single = []
+    for seed in range(12):
+        bench = Bench(scenes, count=60, camera=camera, seed=seed)
+        few = bench.observations.select(np.arange(12 + seed % 5))
+        family = TurntableAttitudes(table_rotation=bench.table(bench.angle[: len(few)]))
+        few = replace(few, frames=len(few))
+        found = calibrate(few, scenes.START, family)
+        assert found.converged, found.solution.message
+        assert not found.solution.misfit.refuted
+        assert np.abs(found.solution.pulls(bench.truth)).max() < 6.0
+        mask, start = np.ones(8, bool), family.start(few, scenes.START)
+        single.append(
+            RotationFamily.fit(family, few, scenes.START, mask, start, two_step=True, loss=get_loss("linear"))
+        )
+    assert sum(one.solution.misfit.refuted or not one.solution.converged for one in single) >= 2
+
+
+def test_a_fit_that_chi_square_refutes_is_not_converged(scenes):
+    bench = Bench(scenes, count=40)
+    wrong = replace(bench.observations, covariance_px2=bench.observations.covariance_px2 / 9.0)
+    found = calibrate(wrong, scenes.START, TurntableAttitudes(table_rotation=bench.table(bench.angle)))
+    assert found.solution.status == "refuted"
+    assert not found.converged
+    assert "residuals are 2.82 times" in found.solution.message
+
+
+@pytest.mark.parametrize(("reading_arcsec", "holds"), [(0.3, True), (20.0, False)])
+def test_errors_of_first_order_say_whether_they_hold(scenes, reading_arcsec, holds):
+    """42 poses of an 11 deg camera; with 20 arcsec the pulls of the principal point have an RMS of 2, with 0.3 of 1."""
+    camera = scenes.CAMERA.with_parameters([10.0, -10.0, 50.0, 2e-4, -4e-7, 1e-8, 2e-4, 2e-4])
+    bench = Bench(scenes, count=80, camera=camera, half_deg=5.5, sigma_px=0.0)
+    angle, rng = bench.angle[:42], np.random.default_rng(5)
+    sigma, rates = np.full(2, reading_arcsec * ARCSEC_RAD), bench.angle_rates(angle)
+    reading = angle + sigma * rng.standard_normal((42, 2))
+    stars = replace(bench.observations.select(np.arange(42)), frames=42)
+    errors = TableErrors(reading_rate=rates, reading_sigma_rad=sigma)
+    start = camera.with_parameters([0.0, 0.0, 47.0, 0, 0, 0, 0, 0])
+    solution = calibrate(stars, start, TurntableAttitudes(table_rotation=bench.table(reading), errors=errors)).solution
+    assert solution.converged
+    assert solution.first_order == holds
+    assert ("raises chi-square" in solution.message) != holds
+    assert (solution.chi2_rise == pytest.approx(1.0, abs=0.5)) == holds
