@@ -13,7 +13,7 @@ from calib.accuracy.ecss_metrics import ecss_metrics, normal_factor, success_lim
 from calib.attitude.tracker import sky_coverage
 from experiments.flight.frames import Segment, render_flight
 from experiments.flight.prediction import Budget, SegmentErrors, build_budget
-from experiments.flight.scenario import STATES, Flight, build_flight
+from experiments.flight.scenario import Flight, build_flight
 from experiments.flight.settings import Config
 from experiments.flight.terms import COMPONENTS, LABELS, VERDICTS, Term, measured_terms, predicted_terms
 from experiments.harness.drawings import bars, curves
@@ -23,6 +23,7 @@ from experiments.harness.sections import Section, above, below, col
 from experiments.harness.summary import Measured
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.lens.thermal import ThermalState
 
 HISTORY = 61
 """Times of the curves over the orbit."""
@@ -337,8 +338,8 @@ def per_kelvin(budget: Budget) -> list[Kelvin]:
     corner = budget.model.unproject(np.array([[-0.5, -0.5]]))
     found = []
     for name, shift in budget.sensitivity.items():
-        unit = np.array([float(name == one) for one in STATES])
-        errors = [budget.errors(float(start), state_k=unit) for start in budget.flight.segments_s]
+        state = ThermalState(**{name: 1.0}).vector
+        errors = [budget.errors(float(start), state_k=state) for start in budget.flight.segments_s]
         seen = np.array([one.thermal_arcsec for one in errors if one.available]).reshape(-1, 3)
         rms = [float(np.sqrt((seen[:, list(pick)] ** 2).mean())) if len(seen) else math.nan for _, pick in COMPONENTS]
         moved = float(np.linalg.norm(shift.at(corner)))

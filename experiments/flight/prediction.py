@@ -29,7 +29,7 @@ from calib.cameras.fit import fit_camera
 from calib.measure.centroid import centroider_class, get_centroider
 from calib.measure.centroid_prediction import phase_windows
 from calib.records import Stamps
-from experiments.flight.scenario import STATES, Flight, trail_of_rate
+from experiments.flight.scenario import Flight
 from experiments.flight.settings import Config
 from experiments.laboratory.distortion_model import polynomial_basis
 from experiments.laboratory.guide_stars import guide_stars
@@ -43,10 +43,11 @@ from experiments.laboratory.settings.prediction import PredictedSensorConfig, Sl
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.system import LensSystem
-from optics.lens.thermal import ThermalState, heated_lens
+from optics.lens.thermal import COMPONENTS, ThermalState, heated_lens
 from optics.units import RAD_ARCSEC
 from render.catalogue.motion import directions_at
 from render.catalogue.temperature import star_temperature
+from render.motion.trajectory import trail_of_rate
 from render.records import EffectivePsf
 from render.sensor_file.catalogue import load_catalogue
 from render.sensor_file.instrument import Instrument, build_instrument, configured_lens, housing_of
@@ -68,7 +69,7 @@ BACKGROUND_STEP = 1.02
 
 
 def heated(config: Config, state_k: FloatArray) -> LensSystem:
-    """The configured lens in a state (5,), in the order of `STATES`.
+    """The configured lens in a state (5,), in the order of `COMPONENTS`.
 
     Raises
     ------
@@ -215,7 +216,7 @@ class Budget:
         """Shift [px/K] of stars by every state that the flight has, from traces of the lens a little off."""
         used = np.abs(self.flight.thermal.values_k).max(axis=0) > 0.0
         found = {}
-        for name, there, unit in zip(STATES, used, np.eye(len(STATES)), strict=True):
+        for name, there, unit in zip(COMPONENTS, used, np.eye(len(COMPONENTS)), strict=True):
             if there:
                 step = STEP_K[name]
                 ends = [self._traced(sign * step * unit) for sign in (1.0, -1.0)]
@@ -392,7 +393,7 @@ class Budget:
         radius = np.hypot(*away.T)
         bias, spot = self.heat_px(float(state_k[0]), radius)
         total = bias[:, None] * away / np.maximum(radius, 1e-9)[:, None]
-        for name, value in zip(STATES, state_k, strict=True):
+        for name, value in zip(COMPONENTS, state_k, strict=True):
             if name in self.sensitivity:
                 total += value * self.sensitivity[name].at(v)
         return total, spot

@@ -10,21 +10,21 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from experiments.flight.orbit import Orbit, build_orbit
-from experiments.flight.settings import Config
+from experiments.flight.settings import Config, OrbitConfig
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
-from optics.errors import DomainError
+from optics.errors import DomainError, StarbenchError
+from optics.lens.thermal import COMPONENTS
+from optics.lens.thermal_history import ThermalHistory, first_order_response
 from optics.textfile import read_text
+from render.bodies.orbit_view import OrbitView, in_shadow, orbit_view
 from render.engine.random import Streams
 from render.motion.jitter import JitterSpectrum, jittered
-from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory
+from render.motion.orbit import Orbit, kepler_orbit, sgp4_orbit
+from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory, rate_of_trail
 
-STATES = ("mean_k", "axial_k", "transverse_x_k", "transverse_y_k", "radial_k")
-"""Temperatures of lens and housing, as `optics.lens.thermal.ThermalState` names them."""
 SAMPLES = 721
 """Times of the attitude of an elliptic orbit, per revolution."""
 BEFORE_S, AFTER_S = 60.0, 600.0
@@ -77,24 +77,12 @@ def _covers(time_s: FloatArray, end_s: float, what: str) -> None:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ThermalHistory:
-    """Temperatures of lens and housing relative to the calibration, over the orbit."""
-
-    time_s: FloatArray  # (t,) Increasing
-    values_k: FloatArray  # (t, 5) In the order of `STATES`
-
-    def at(self, time_s: ArrayLike) -> FloatArray:
-        """States (..., 5) [K]; constant beyond the ends."""
-        t = np.asarray(time_s, float)
-        return np.stack([np.interp(t, self.time_s, column) for column in self.values_k.T], axis=-1)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Flight:
     """Everything that is a function of time; made by `build_flight`."""
 
     config: Config
     orbit: Orbit
+    view: OrbitView  # Sun, Earth and Moon
     trajectory: Trajectory  # cam from icrs
     thermal: ThermalHistory
     straylight: Mapping[str, tuple[FloatArray, FloatArray]]  # body -> angles [deg], light [e-/px/s]
@@ -127,7 +115,7 @@ class Flight:
 
     def velocity_km_per_s(self, time_s: float) -> FloatArray:
         """True velocity (3,) against the barycentre."""
-        return self.orbit.velocity_km_per_s(time_s)
+        return np.asarray(self.view.earth.velocity_km_per_s + self.orbit.state(time_s)[1])
 
     def known_velocity_km_per_s(self, time_s: float) -> FloatArray | None:
         """Velocity (3,) known to the tracker; None: no correction."""
@@ -135,7 +123,7 @@ class Flight:
         if setting.corrected == "none":
             return None
         if setting.corrected == "earth":
-            return self.orbit.earth.velocity_km_per_s
+            return self.view.earth.velocity_km_per_s
         _, own = self.orbit.state(time_s)
         error = 1e-3 * setting.velocity_error_m_per_s * own / np.linalg.norm(own)
         return np.asarray(self.velocity_km_per_s(time_s) + error)
@@ -144,17 +132,15 @@ class Flight:
         """Angles (...,) from the boresight, of the law or of another attitude, to Sun, limb of the Earth and Moon."""
         t = np.asarray(time_s, float)
         boresight = (self.trajectory.attitude(t) if attitude is None else attitude).as_matrix()[..., 2, :]
-        moon_km = 384_400.0 * self.orbit.moon - self.orbit.state(t)[0]
-        moon = moon_km / np.linalg.norm(moon_km, axis=-1, keepdims=True)
-        return {
-            "sun": np.degrees(np.arccos(np.clip(boresight @ self.orbit.sun, -1.0, 1.0))),
-            "earth": self.orbit.earth_limb_deg(boresight, t),
-            "moon": np.degrees(np.arccos(np.clip((boresight * moon).sum(-1), -1.0, 1.0))),
-        }
+        return self.view.angles_deg(boresight, self.orbit.state(t)[0])
+
+    def shadowed(self, time_s: ArrayLike) -> NDArray[np.bool_]:
+        """Whether (...,) the Earth hides the Sun."""
+        return in_shadow(self.orbit.state(time_s)[0], self.view.sun)
 
     def background_e_per_s(self, time_s: ArrayLike, attitude: Rotation | None = None) -> FloatArray:
         """Stray light (...,) per pixel; in the shadow there is none of the Sun."""
-        angles, dark = self.angles_deg(time_s, attitude), self.orbit.shadowed(time_s)
+        angles, dark = self.angles_deg(time_s, attitude), self.shadowed(time_s)
         light = np.zeros(np.shape(time_s))
         for body, (angle, rate) in self.straylight.items():
             seen = np.interp(angles[body], angle, rate)
@@ -164,12 +150,20 @@ class Flight:
     def blinded(self, time_s: ArrayLike, attitude: Rotation | None = None) -> NDArray[np.bool_]:
         """Whether (...,) a body is within its exclusion angle."""
         angles, setting = self.angles_deg(time_s, attitude), self.config.straylight
-        dark = self.orbit.shadowed(time_s)
+        dark = self.shadowed(time_s)
         return np.asarray(
             ((angles["sun"] < setting.sun_exclusion_deg) & ~dark)
             | (angles["earth"] < setting.earth_exclusion_deg)
             | (angles["moon"] < setting.moon_exclusion_deg)
         )
+
+
+def build_orbit(config: OrbitConfig, epoch_year: float) -> Orbit:
+    """The orbit at an epoch: that of the two-line elements, where the configuration has them."""
+    try:
+        return sgp4_orbit(*config.tle) if config.tle else kepler_orbit(**config.kepler, epoch_year=epoch_year)
+    except StarbenchError as error:
+        raise type(error)(f"orbit.tle: {error}") from None
 
 
 def build_flight(config: Config) -> Flight:
@@ -181,6 +175,7 @@ def build_flight(config: Config) -> Flight:
         Tables that cannot be read, run backwards, or do not cover the orbit.
     """
     orbit = build_orbit(config.orbit, config.catalogue.epoch_year)
+    view = orbit_view(orbit.epoch_year)
     light = {
         body: _straylight(getattr(config.straylight, f"{body}_file"), f"straylight.{body}_file")
         for body in ("sun", "earth", "moon")
@@ -189,8 +184,9 @@ def build_flight(config: Config) -> Flight:
     return Flight(
         config=config,
         orbit=orbit,
+        view=view,
         trajectory=_trajectory(config, orbit),
-        thermal=_thermal(config, orbit),
+        thermal=_thermal(config, orbit, view),
         straylight=light,
     )
 
@@ -212,12 +208,11 @@ def _trajectory(config: Config, orbit: Orbit) -> Trajectory:
         base = _tabulated(law.file, orbit.period_s)
     elif law.law == "nadir":
         time = np.linspace(start, end, int(SAMPLES * (end - start) / orbit.period_s))
-        base = SampledAttitude(samples_s=time, attitudes=_nadir(orbit, time, law.off_zenith_deg))
+        base = SampledAttitude(samples_s=time, attitudes=orbit.local_vertical(time, law.off_zenith_deg))
     else:
         rate = np.zeros(3)
         if law.law == "turn":
-            towards = np.radians(law.direction_deg)
-            rate = np.radians(law.rate_deg_per_s) * np.array([np.sin(towards), -np.cos(towards), 0.0])
+            rate = rate_of_trail(law.rate_deg_per_s, law.direction_deg)
         at_zero = attitude_from_angles(law.ra_deg, law.dec_deg, law.roll_deg)
         base = ConstantRate(
             initial=Rotation.from_rotvec(-rate * start) * at_zero, rate_rad_per_s=rate, start_s=start, end_s=end
@@ -230,16 +225,6 @@ def _trajectory(config: Config, orbit: Orbit) -> Trajectory:
         frequency_hz=np.array([jitter.lowest_hz, jitter.highest_hz]), psd_arcsec2_per_hz=np.full((3, 2), level)
     )
     return jittered(base, spectrum, streams=Streams(config.seed).child("flight"))
-
-
-def _nadir(orbit: Orbit, time_s: FloatArray, off_zenith_deg: float) -> Rotation:
-    """Boresight from the zenith towards the pole of the orbit; columns against the flight."""
-    place, _ = orbit.state(time_s)
-    zenith = place / np.linalg.norm(place, axis=-1, keepdims=True)
-    tilt = np.radians(off_zenith_deg)
-    boresight = np.cos(tilt) * zenith + np.sin(tilt) * orbit.pole
-    ahead = np.cross(orbit.pole, zenith)
-    return Rotation.from_matrix(np.stack([-ahead, np.cross(boresight, -ahead), boresight], axis=1))
 
 
 def _tabulated(file: str, end_s: float) -> SampledAttitude:
@@ -265,20 +250,14 @@ def _tabulated(file: str, end_s: float) -> SampledAttitude:
     return SampledAttitude(samples_s=time, attitudes=turned)
 
 
-def trail_of_rate(rate_rad_per_s: FloatArray) -> tuple[float, float]:
-    """Rate across the line of sight [deg/s], and where stars trail to [deg] from columns towards rows."""
-    x, y = float(rate_rad_per_s[0]), float(rate_rad_per_s[1])
-    return float(np.degrees(np.hypot(x, y))), float(np.degrees(np.arctan2(x, -y))) if x or y else 0.0
-
-
 # --- Temperature
 
 
-def _thermal(config: Config, orbit: Orbit) -> ThermalHistory:
+def _thermal(config: Config, orbit: Orbit, view: OrbitView) -> ThermalHistory:
     setting, period = config.temperature, orbit.period_s
     time = np.linspace(0.0, period, SAMPLES)
     if setting.file:
-        table = read_columns(setting.file, "temperature.file", ("time_s", "mean_k"), STATES[1:])
+        table = read_columns(setting.file, "temperature.file", ("time_s", "mean_k"), COMPONENTS[1:])
         _covers(table["time_s"], period, f"temperature.file = {Path(setting.file).name}")
         gap = float(np.diff(table["time_s"]).max())
         if gap > LONGEST_GAP * period:
@@ -286,18 +265,14 @@ def _thermal(config: Config, orbit: Orbit) -> ThermalHistory:
                 f"temperature.file = {Path(setting.file).name}: a gap of {gap:g} s; at most "
                 f"{LONGEST_GAP * period:.0f} s, a twentieth of the orbit"
             )
-        columns = [table.get(name, np.zeros(len(table["time_s"]))) for name in STATES]
+        columns = [table.get(name, np.zeros(len(table["time_s"]))) for name in COMPONENTS]
         return ThermalHistory(time_s=table["time_s"], values_k=np.column_stack(columns))
     wave = np.cos(2.0 * np.pi * time / period + np.radians(setting.phase_deg))
     quarter = np.sin(2.0 * np.pi * time / period + np.radians(setting.phase_deg))
-    mean = setting.offset_k + setting.mean_k * wave + _eclipse(setting.eclipse_k, setting.eclipse_time_s, orbit, time)
+    # two revolutions before the flight: the response to the shadow is periodic
+    before = np.linspace(-2.0 * period, period, 3 * (SAMPLES - 1) + 1)
+    forcing = np.where(in_shadow(orbit.state(before)[0], view.sun), setting.eclipse_k, 0.0)
+    eclipse = first_order_response(forcing, step_s=before[1] - before[0], constant_s=setting.eclipse_time_s)
+    mean = setting.offset_k + setting.mean_k * wave + eclipse[-SAMPLES:]
     columns = [mean, setting.axial_k * quarter, setting.transverse_k * quarter, 0.0 * wave, setting.radial_k * quarter]
     return ThermalHistory(time_s=time, values_k=np.column_stack(columns))
-
-
-def _eclipse(step_k: float, constant_s: float, orbit: Orbit, time_s: FloatArray) -> FloatArray:
-    """Answer of the first order to the shadow, in its periodic state: two revolutions before."""
-    own = np.linspace(-2.0 * orbit.period_s, orbit.period_s, 3 * (len(time_s) - 1) + 1)
-    forced = np.where(orbit.shadowed(own), step_k, 0.0)
-    keep = float(np.exp(-(own[1] - own[0]) / constant_s))
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], forced)[-len(time_s) :])

@@ -29,6 +29,11 @@ class OrbitConfig(StrictModel):
         default=(), description="two-line elements in place of the keys above; SGP4 propagates them from their epoch"
     )
 
+    @property
+    def kepler(self) -> dict[str, float]:
+        """The elements by name."""
+        return self.model_dump(exclude={"tle"})
+
 
 class AttitudeLawConfig(StrictModel):
     """Attitude law."""

@@ -212,3 +212,15 @@ class Mounted:
 def mounted(body: Trajectory, mount: Rotation) -> Mounted:
     """Trajectory of an object fixed to a body, with ``v_thing = mount v_body``: ``mounted(body, cam_from_body)``."""
     return Mounted(body=body, mount=mount)
+
+
+def trail_of_rate(rate_rad_per_s: ArrayLike) -> tuple[float, float]:
+    """Rate across the line of sight [deg/s]; direction in which stars trail [deg], from column towards row."""
+    x, y, _ = np.asarray(rate_rad_per_s, float)
+    return float(np.degrees(np.hypot(x, y))), float(np.degrees(np.arctan2(x, -y))) if x or y else 0.0
+
+
+def rate_of_trail(rate_deg_per_s: float, direction_deg: float) -> FloatArray:
+    """Angular velocity (3,) in cam [rad/s] for which stars trail at a rate in a direction; inverts `trail_of_rate`."""
+    towards = np.radians(direction_deg)
+    return np.asarray(np.radians(rate_deg_per_s) * np.array([np.sin(towards), -np.cos(towards), 0.0]))

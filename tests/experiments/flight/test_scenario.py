@@ -1,73 +1,13 @@
-"""Orbit, attitude laws, temperatures and tables, against closed forms and another code."""
+"""Attitude laws, temperatures and tables of a flight."""
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from experiments.flight.orbit import EARTH_RADIUS_KM, build_orbit
-from experiments.flight.scenario import build_flight, trail_of_rate
+from experiments.flight.scenario import build_flight, build_orbit
 from experiments.flight.settings import Config, OrbitConfig
 from optics.errors import DomainError
-
-
-@pytest.fixture(scope="module")
-def orbit():
-    return build_orbit(OrbitConfig(perigee_km=700.0, eccentricity=0.3, perigee_deg=50.0), 2024.3)
-
-
-def test_an_elliptic_orbit_moves_by_newtons_law(orbit):
-    """Second differences of the position are the attraction of the Earth; the velocity its first differences."""
-    step, time = 0.5, np.linspace(0.0, orbit.period_s, 40)
-    before, place, after = (orbit.state(time + shift)[0] for shift in (-step, 0.0, step))
-    distance = np.linalg.norm(place, axis=1)
-    pull = -398600.4418 * place / distance[:, None] ** 3
-    np.testing.assert_allclose((after - 2.0 * place + before) / step**2, pull, atol=2e-6)
-    np.testing.assert_allclose((after - before) / (2.0 * step), orbit.state(time)[1], atol=1e-5)
-    assert distance.min() == pytest.approx(EARTH_RADIUS_KM + 700.0, rel=1e-3)
-    assert np.abs(place @ orbit.pole).max() < 1e-6
-    assert np.degrees(np.arccos(orbit.pole[2])) == pytest.approx(97.8, abs=1e-9)
-
-
-def test_two_line_elements_fly_as_sgp4_and_astropy_have_them():
-    """Of the space station; SGP4's axes turned to icrs by astropy with its own Earth orientation."""
-    pytest.importorskip("sgp4")
-    from astropy import units as u
-    from astropy.coordinates import GCRS, TEME, CartesianDifferential, CartesianRepresentation
-    from astropy.time import Time
-    from sgp4.api import Satrec
-
-    lines = (
-        "1 25544U 98067A   19343.69339541  .00001764  00000-0  38792-4 0  9991",
-        "2 25544  51.6439 211.2001 0007417  17.6667  85.6398 15.50103472202482",
-    )
-    orbit, satellite = build_orbit(OrbitConfig(tle=lines), 2016.0), Satrec.twoline2rv(*lines)
-    time = Time(satellite.jdsatepoch, satellite.jdsatepochF, format="jd") + 3000.0 * u.s
-    _, place, velocity = satellite.sgp4(time.jd1, time.jd2)
-    seen = CartesianRepresentation(place * u.km, differentials=CartesianDifferential(velocity * u.km / u.s))
-    true = TEME(seen, obstime=time).transform_to(GCRS(obstime=time)).cartesian
-    np.testing.assert_allclose(orbit.state(3000.0)[0], true.xyz.to_value(u.km), atol=3e-3)  # 0.1 arcsec
-    np.testing.assert_allclose(orbit.state(3000.0)[1], true.differentials["s"].d_xyz.to_value(u.km / u.s), atol=4e-6)
-    assert orbit.period_s == pytest.approx(86400.0 / 15.501, rel=1e-4)
-    assert orbit.epoch_year == pytest.approx(2019.9376, abs=1e-3)
-    with pytest.raises(DomainError, match="checksum"):
-        build_orbit(OrbitConfig(tle=(lines[0][:-1] + "5", lines[1])), 2016.0)
-
-
-def test_the_sun_is_where_astropy_has_it(orbit):
-    from astropy.coordinates import get_sun
-    from astropy.time import Time
-
-    sun = get_sun(Time(2024.3, format="jyear")).cartesian.xyz.value
-    assert np.degrees(np.arccos(sun @ orbit.sun / np.linalg.norm(sun))) < 0.02  # aberration, light time
-
-
-def test_half_of_a_low_noon_orbit_lies_in_the_shadow_that_its_height_makes():
-    """Sun in the plane of a circular orbit: asin(R / r) / pi of it lies in the cylinder of the shadow."""
-    sun = build_orbit(OrbitConfig(), 2024.2164).sun  # near the equinox: the Sun is in the equator
-    node = float(np.degrees(np.arctan2(sun[1], sun[0])))
-    orbit = build_orbit(OrbitConfig(perigee_km=600.0, inclination_deg=90.0, node_deg=node), 2024.2164)
-    share = orbit.shadowed(np.linspace(0.0, orbit.period_s, 4001)).mean()
-    assert share == pytest.approx(np.arcsin(EARTH_RADIUS_KM / (EARTH_RADIUS_KM + 600.0)) / np.pi, abs=2e-3)
+from render.motion.trajectory import trail_of_rate
 
 
 @pytest.mark.parametrize("law", ["inertial", "turn", "nadir"])
@@ -108,7 +48,7 @@ def test_the_eclipse_cools_the_lens_and_light_comes_from_tables(tmp_path):
     config = Config(temperature={"mean_k": 0, "offset_k": 0, "eclipse_k": -2}, straylight={"sun_file": str(table)})
     flight = build_flight(config)
     time = np.linspace(0.0, flight.period_s, 200)
-    dark = flight.orbit.shadowed(time)
+    dark = flight.shadowed(time)
     state = flight.thermal.at(time)[:, 0]
     assert 0.1 < dark.mean() < 0.45
     assert -2.0 < state.min() < -1.0
@@ -137,23 +77,9 @@ def test_tables_with_gaps_or_time_that_runs_backwards_are_told_in_a_line(tmp_pat
 
 
 def test_orbits_below_the_ground_and_half_laws_are_refused():
+    with pytest.raises(DomainError, match=r"orbit\.tle: two-line elements: .*checksum"):
+        build_orbit(OrbitConfig(tle=("1 25544U" + " " * 60 + "5", "2 25544" + " " * 61 + "5")), 2016.0)
     with pytest.raises(ValidationError, match="greater than or equal to 100"):
         Config(orbit={"perigee_km": -20.0})
     with pytest.raises(ValidationError, match="give both, or neither"):
         Config(attitude={"law": "table"})
-
-
-def test_a_refined_grid_of_psfs_is_linear_between_its_nodes():
-    from experiments.laboratory.bench.readout.psf_grid import PsfGrid, refined
-    from render.records import EffectivePsf
-
-    x, y = np.meshgrid([0.0, 10.0, 20.0], [0.0, 8.0])
-    shape = np.arange(81.0).reshape(9, 9) + 1.0
-    psfs = tuple(
-        EffectivePsf(values=(1.0 + a + 3.0 * b) * shape, oversampling=4) for a, b in zip(x.flat, y.flat, strict=True)
-    )
-    found = refined(PsfGrid(psfs=psfs, place_px=np.column_stack([x.ravel(), y.ravel()])), 4)
-    assert len(found.psfs) == 9 * 5
-    for psf, (a, b) in zip(found.psfs, found.place_px, strict=True):
-        np.testing.assert_allclose(psf.values, (1.0 + a + 3.0 * b) * shape)
-    assert {tuple(one) for one in found.place_px} >= {(2.5, 2.0), (20.0, 8.0), (17.5, 6.0)}

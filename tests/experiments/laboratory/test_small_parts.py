@@ -195,3 +195,19 @@ def test_a_frame_is_measured_in_the_window_that_was_asked_for(window_px, monkeyp
     np.testing.assert_allclose([found.x_px, found.y_px], [[30.3], [25.8]], atol=0.03)
     measure_frame(frame, made, smear_px=4.0)
     assert seen == [window_px, window_px + 4]
+
+
+def test_a_refined_grid_of_psfs_is_linear_between_its_nodes():
+    from experiments.laboratory.bench.readout.psf_grid import PsfGrid, refined
+    from render.records import EffectivePsf
+
+    x, y = np.meshgrid([0.0, 10.0, 20.0], [0.0, 8.0])
+    shape = np.arange(81.0).reshape(9, 9) + 1.0
+    psfs = tuple(
+        EffectivePsf(values=(1.0 + a + 3.0 * b) * shape, oversampling=4) for a, b in zip(x.flat, y.flat, strict=True)
+    )
+    found = refined(PsfGrid(psfs=psfs, place_px=np.column_stack([x.ravel(), y.ravel()])), 4)
+    assert len(found.psfs) == 9 * 5
+    for psf, (a, b) in zip(found.psfs, found.place_px, strict=True):
+        np.testing.assert_allclose(psf.values, (1.0 + a + 3.0 * b) * shape)
+    assert {tuple(one) for one in found.place_px} >= {(2.5, 2.0), (20.0, 8.0), (17.5, 6.0)}

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from optics.errors import DomainError
-from render.motion.trajectory import ConstantRate, SampledAttitude, Slew, mounted
+from render.motion.trajectory import ConstantRate, SampledAttitude, Slew, mounted, rate_of_trail, trail_of_rate
 
 START = Rotation.from_euler("zyx", [30, -20, 50], degrees=True)
 RATE = np.radians([0.3, -0.4, 0.5])
@@ -140,3 +140,13 @@ def test_camera_on_the_body():
 def test_bad_input_is_one_clear_line(make, line):
     with pytest.raises(DomainError, match=line):
         make()
+
+
+def test_a_star_on_the_boresight_trails_where_the_rate_is_made_for():
+    rate = rate_of_trail(0.3, 20.0)
+    path = ConstantRate(initial=Rotation.identity(), rate_rad_per_s=rate, end_s=1.0)
+    x, y, _ = path.attitude(1.0).apply([0.0, 0.0, 1.0])
+    assert np.degrees(np.hypot(x, y)) == pytest.approx(0.3, rel=1e-5)
+    assert np.degrees(np.arctan2(y, x)) == pytest.approx(20.0, abs=1e-9)
+    assert trail_of_rate(rate) == pytest.approx((0.3, 20.0))
+    assert trail_of_rate([0.0, 0.0, 1.0]) == (0.0, 0.0)
