@@ -1,5 +1,6 @@
 """Frames of the sky by name and angles: where astropy says that stars are, with the light that a catalogue says."""
 
+import hashlib
 import json
 import re
 
@@ -44,6 +45,17 @@ def simulator(sensor, sky):
 @pytest.fixture(scope="module")
 def observation(simulator):
     return simulator.observe(attitude_from_angles(*ORION, 90.0))
+
+
+@pytest.mark.parametrize(
+    ("rate_deg_per_s", "digest"), [(None, "b1934363e5607c93"), ((0.0, 0.1, 0.02), "ca9447c4d6d0c99d")]
+)
+def test_same_settings_and_seed_same_bytes(rate_deg_per_s, digest):
+    small, settings = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=(128, 96)), {"zodiacal": True}
+    settings |= {"exposure_s": 0.1, "seed": 3, "nodes": 3, "background_e_per_s": 20.0}
+    towards = attitude_from_angles(*ORION)
+    frame = observe(small, towards, load_sky(faintest_mag=8.0), rate_deg_per_s=rate_deg_per_s, **settings).frame
+    assert hashlib.sha256(frame.dn.tobytes()).hexdigest()[:16] == digest
 
 
 def test_layers_add_up(sensor, sky):
