@@ -9,18 +9,20 @@ The noise-equivalent angle of a star is its noise here times the angle of a pixe
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
 
 from calib.measure.centroid import centroider_class, get_centroider
 from calib.measure.crlb import fisher_information
 from calib.measure.epsf import EpsfModel, epsf_bank
-from calib.measure.linear_response import centroid_variance, linear_response
-from calib.records import NoiseModel, Stamps
+from calib.measure.linear_response import centroid_variance, linear_response, tight
+from calib.measure.stamps import noiseless_stamps
+from calib.records import NoiseModel
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 from optics.records import freeze
@@ -30,6 +32,8 @@ NOT_LINEAR = frozenset({"tcog"})
 SCALE_FREE = frozenset({"cog", "windowed"})
 """Centroiders whose weights do not depend on the light."""
 KNOTS = 3
+BOUND_PHASES, FLUX_KNOTS = 8, 25
+"""Sub-pixel phases and numbers of electrons at which `centroid_bound` is computed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +69,13 @@ class PhaseWindows:
     jacobian: FloatArray  # (f n, 3, pixels) Its derivatives by column, row and flux
     place_px: FloatArray  # (f n, 2) Column and row of the star in the window
     psf_index: NDArray[np.int64]  # (f n,) Which PSF
+
+    def bound_px(self, electrons: float, noise: NoiseModel, background_e: float = 0.0) -> FloatArray:
+        """Cramer-Rao bound (f n, 2) of x and y for a star of these electrons: flux unknown, background known."""
+        jacobian = self.jacobian * np.array([electrons, electrons, 1.0])[:, None]
+        expected = electrons * self.light.reshape(len(self.light), -1) + background_e
+        covariance = np.linalg.inv(fisher_information(jacobian, expected, noise))
+        return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, :2])
 
 
 @lru_cache(maxsize=24)
@@ -135,8 +146,6 @@ def predict_centroids(
     for value in flux:
         light = value * windows.light
         expected = light + background_e
-        jacobian = windows.jacobian * np.array([value, value, 1.0])[:, None]
-        inverse = np.linalg.inv(fisher_information(jacobian, expected.reshape(len(light), -1), noise))
         variance = noise.variance_e2(expected)
         if response is None:
             gain = _fit_gain(windows, float(value), noise, background_e)
@@ -147,7 +156,7 @@ def predict_centroids(
         apart = apart - apart.mean(1, keepdims=True)
         found = {
             "noise": centroid_variance(gain, variance),
-            "bound": np.diagonal(inverse, axis1=1, axis2=2)[:, :2],
+            "bound": windows.bound_px(value, noise, background_e) ** 2,
             "pattern": centroid_variance(gain, (prnu * light) ** 2 + offset_e**2),
             "phase": apart.reshape(-1, 2) ** 2,
         }
@@ -220,24 +229,13 @@ class CentroidResponse:
                 "valid; use another centroider, e.g. epsf or windowed"
             )
         windows = self.windows = phase_windows(psfs, window_px, phases)
-        chosen: Any = get_centroider(name)
-        if hasattr(chosen, "tolerance"):
-            chosen = replace(chosen, tolerance=1e-6)
-        count = len(windows.light)
+        chosen = tight(get_centroider(name))
         knots = 1 if name in SCALE_FREE or electrons[0] == electrons[1] else KNOTS
         self.log_flux = np.log(np.geomspace(*electrons, knots))
         self.gain, self.bias = [], []
         for value in np.exp(self.log_flux):
             light = value * windows.light
-            stamps = Stamps(
-                electrons=light,
-                valid=np.ones(light.shape, bool),
-                corner_px=np.zeros((count, 2), np.int64),
-                background_e=np.zeros(count),
-                start_px=windows.place_px,
-                flags=np.zeros(count, np.uint32),
-                psf_index=np.zeros(count, np.int64),
-            )
+            stamps = noiseless_stamps(light, start_px=windows.place_px)
             table = chosen.measure(stamps, noise)
             self.bias.append(np.stack([table.x_px, table.y_px], axis=-1) - windows.place_px)
             self.gain.append(value * linear_response(chosen, stamps, noise, light))
@@ -249,3 +247,52 @@ class CentroidResponse:
         high, part = min(low + 1, len(self.log_flux) - 1), share - low
         gain = (1.0 - part) * self.gain[low] + part * self.gain[high]
         return gain / flux, (1.0 - part) * self.bias[low] + part * self.bias[high]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CentroidBound:
+    """Cramer-Rao bound of a centroid against electrons, at some distances from the middle, at every sub-pixel phase."""
+
+    radius_px: FloatArray  # (r,) Increasing distances of the PSFs
+    electrons: FloatArray  # (k,) Increasing
+    sigma_px: FloatArray  # (r, k, p, p, 2) Of x and y, for phases (-1/2 + (i + 1/2) / p) of row and column
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "radius_px", shape=("r",), sizes=sizes)
+        freeze(self, "electrons", shape=("k",), sizes=sizes)
+        freeze(self, "sigma_px", shape=("r", "k", "p", "p", 2), sizes=sizes)
+
+    def at(self, electrons: FloatArray, position_px: FloatArray, radius_px: FloatArray) -> FloatArray:
+        """Bounds (n, 2) of stars at positions (n, 2): nearest PSF, interpolated in phase and in the log of the flux."""
+        nearest = np.abs(np.asarray(radius_px)[:, None] - self.radius_px).argmin(axis=1)
+        log_e = np.log(self.electrons)
+        flux = np.clip(np.interp(np.log(np.asarray(electrons)), log_e, np.arange(len(log_e))), 0, len(log_e) - 1)
+        phases = self.sigma_px.shape[2]
+        phase = (np.asarray(position_px) + 0.5) % 1.0 * phases - 0.5
+        padded = np.pad(np.log(self.sigma_px), ((0, 0), (0, 0), (1, 1), (1, 1), (0, 0)), mode="wrap")
+        place = np.stack([nearest, flux, phase[:, 1] + 1.0, phase[:, 0] + 1.0])
+        return np.stack([np.exp(map_coordinates(padded[..., axis], place, order=1)) for axis in (0, 1)], axis=-1)
+
+
+def centroid_bound(
+    psfs: Sequence[EffectivePsf],
+    radius_px: ArrayLike,
+    *,
+    noise: NoiseModel,
+    background_e: float,
+    window_px: int,
+    electrons: tuple[float, float],
+) -> CentroidBound:
+    """Bound for stars of unknown position and flux on a known background, in the window that is used.
+
+    Shapes: ``psfs`` r at distances ``radius_px`` (r,) from the middle, for stars between two numbers of electrons.
+    """
+    flux, windows = np.geomspace(*electrons, FLUX_KNOTS), phase_windows(tuple(psfs), window_px, BOUND_PHASES)
+    sigma = np.stack([windows.bound_px(float(value), noise, background_e) for value in flux], axis=1)
+    shape = (len(psfs), BOUND_PHASES, BOUND_PHASES, FLUX_KNOTS, 2)
+    return CentroidBound(
+        radius_px=np.asarray(radius_px, float),
+        electrons=flux,
+        sigma_px=np.moveaxis(sigma.reshape(shape), 3, 1),
+    )

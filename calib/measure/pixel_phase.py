@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 
 from calib.flags import StarFlag
 from calib.measure.gaussian import draw_gaussian
+from calib.measure.stamps import noiseless_stamps
 from calib.records import NoiseModel, Stamps, StarTable, X, Y
 from optics.arrays import FloatArray
 
@@ -55,15 +56,8 @@ def phase_table(centroider: MomentCentroider, shape: tuple[int, int]) -> PhaseTa
     count = len(place)
     moment, variance = np.empty((len(SIGMA_PX), count)), np.empty((len(SIGMA_PX), count))
     for k, sigma in enumerate(SIGMA_PX):
-        stars = Stamps(
-            electrons=1e6 * draw_gaussian(place[:, 0], place[:, 1], float(sigma), shape),
-            valid=np.ones((count, *shape), bool),
-            corner_px=np.zeros((count, 2), np.int64),
-            background_e=np.zeros(count),
-            start_px=place,
-            flags=np.zeros(count, np.uint32),
-            psf_index=np.zeros(count, np.int64),
-        )
+        light = 1e6 * draw_gaussian(place[:, 0], place[:, 1], float(sigma), shape)
+        stars = noiseless_stamps(light, start_px=place)
         table = centroider.measure_by(stars, NoiseModel(read_noise_e=1e-3), None)
         moment[k] = table.width_px**2
         variance[k] = np.mean((table.pixel_px - place) ** 2, axis=1)

@@ -161,6 +161,42 @@ def stamps_from_windows(
     return stamps, noise
 
 
+def centre_of_gravity(light_e: FloatArray) -> FloatArray:
+    """Column and row (n, 2) in windows (n, h, w) of their positive light."""
+    light = np.maximum(light_e, 0.0)
+    light = light / np.maximum(light.sum((1, 2), keepdims=True), 1e-300)
+    _, height, width = light.shape
+    return np.column_stack([light.sum(1) @ np.arange(width), light.sum(2) @ np.arange(height)])
+
+
+def noiseless_stamps(
+    light_e: FloatArray,
+    *,
+    corner_px: NDArray[np.int64] | None = None,
+    valid: NDArray[np.bool_] | None = None,
+    start_px: FloatArray | None = None,
+    psf_index: NDArray[np.int64] | None = None,
+) -> Stamps:
+    """Stamps of expected light (n, h, w) without background.
+
+    Measurements start at the centre of gravity of the usable pixels if ``start_px`` (n, 2) is left out; every window
+    has its own PSF if ``psf_index`` (n,) is.
+    """
+    count = len(light_e)
+    corner = np.zeros((count, 2), np.int64) if corner_px is None else corner_px
+    usable = np.ones(light_e.shape, bool) if valid is None else valid
+    light = np.where(usable, np.maximum(light_e, 0.0), 0.0)
+    return Stamps(
+        electrons=light,
+        valid=usable,
+        corner_px=corner,
+        background_e=np.zeros(count),
+        start_px=corner + centre_of_gravity(light) if start_px is None else start_px,
+        flags=np.zeros(count, np.uint32),
+        psf_index=np.arange(count) if psf_index is None else psf_index,
+    )
+
+
 def _check_size(size_px: int, height: int, width: int) -> None:
     if size_px < 3 or size_px % 2 == 0:
         raise DomainError(f"size_px = {size_px} px; a window needs an odd size of at least 3 px")

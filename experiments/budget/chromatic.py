@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.accuracy.error_budget import ErrorTerm
+from calib.measure.expected_windows import drawn_positions, noiseless_positions
 from experiments.budget.laboratory import Laboratory
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench.centroid_methods import has_own_epsf
 from experiments.laboratory.bench.epsf_session import variance_of_another
-from experiments.laboratory.bench.point_noise import drawn_positions, expected_windows, window_positions
-from experiments.laboratory.bench.ray_prediction import bundle_prediction
-from experiments.laboratory.bench.readout.centroids import centroiders, session_centroiders
+from experiments.laboratory.bench.point_bench import centroiders, session_centroiders
+from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
+from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.bench.target_light import target_light
 from experiments.laboratory.chromatic_error import measure_chromatic, rms, shifts, table1, table1_sigma
 from experiments.laboratory.devices.target import corner_directions
@@ -114,14 +115,14 @@ def _as_centroided(
     """Mean positions (p, j, b, 2) over drawn noise, their standard deviations, and positions (k, p, j, b, 2) by method:
     with the PSFs of drawn sessions where a method builds them, without noise then."""
     bench, instrument = replace(lab.filtered, methods=methods), lab.instrument
-    noise = instrument.pixel_noise()
+    noise, told = instrument.pixel_noise(), nominal_noise(instrument)
     place, error = ({m: np.empty_like(traced.place_px) for m in methods} for _ in range(2))
     built: dict[str, FloatArray] = {}
     rng = {m: Streams(lab.config.seed).generator("chromatic prediction") for m in methods}
     for p, points in enumerate(traced.direction):
         for band in range(traced.place_px.shape[2]):
             psf = [row[band] for row in traced.psf[p]]
-            windows = expected_windows(
+            windows = target_windows(
                 replace(bench, reference=band),
                 instrument,
                 points[None],
@@ -132,11 +133,11 @@ def _as_centroided(
             for method, centroider in centroiders(bench, psf).items():
                 if sessions := session_centroiders(bench, psf, method):
                     of_all = built.setdefault(method, np.empty((len(sessions), *traced.place_px.shape)))
-                    of_all[:, p, :, band] = [window_positions(one, instrument, windows)[0] for one in sessions]
+                    of_all[:, p, :, band] = [noiseless_positions(one, windows, told) for one in sessions]
                     place[method][p, :, band] = of_all[:, p, :, band].mean(0)
                     error[method][p, :, band] = 0.0
                     continue
-                drawn = drawn_positions(centroider, instrument, windows, noise, draws=draws, rng=rng[method])
+                drawn = drawn_positions(centroider, windows, told, noise, draws=draws, rng=rng[method])
                 place[method][p, :, band] = np.nanmean(drawn, axis=0)
                 error[method][p, :, band] = np.nanstd(drawn, axis=0, ddof=1) / np.sqrt(draws)
     return place, error, built

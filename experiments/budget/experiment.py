@@ -27,7 +27,7 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench.centroid_methods import MethodLabels
-from experiments.laboratory.bench.readout.centroids import motion_method
+from experiments.laboratory.bench.point_bench import motion_method
 from experiments.laboratory.devices.collimator_effects import COLLIMATOR, CollimatorShift, collimator_shift
 from experiments.laboratory.devices.target import corner_directions
 from experiments.laboratory.settings.published import ACC18_ARCSEC, ACC18_SUMS_ARCSEC, is_published_sensor

@@ -15,14 +15,11 @@ import numpy as np
 from astropy.stats import binom_conf_interval
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from scipy.stats import binom, norm
 
 from calib.flags import UNFIT, StarFlag, has_flag
-from calib.measure.centroid_prediction import phase_windows
-from calib.measure.crlb import fisher_information
-from calib.records import NoiseModel
+from calib.measure.centroid_prediction import CentroidBound, centroid_bound
 from experiments.dataset.truth import FLAGS
 from experiments.harness.drawings import curves
 from experiments.harness.quantities import Outcome
@@ -33,7 +30,6 @@ from experiments.laboratory.bench.readout.reduction import SMEAR_PX, MeasuredFra
 from optics.arrays import FloatArray
 from optics.frames import pixel_from_fits
 from optics.records import concatenated, freeze
-from render.records import EffectivePsf
 
 if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
@@ -140,55 +136,6 @@ def joined(parts: list[FoundStars]) -> FoundStars:
 
 BOUND_RADII = (0.0, 0.5, 0.9)
 """Where PSFs for the bound are taken: parts of the largest distance of a PSF from the middle."""
-PHASES = 8
-FLUX_KNOTS = 25
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CentroidBound:
-    """Cramer-Rao bound of a centroid against electrons, at some distances from the middle, at every sub-pixel phase."""
-
-    radius_px: FloatArray  # (r,) Increasing distances of the PSFs
-    electrons: FloatArray  # (k,) Increasing
-    sigma_px: FloatArray  # (r, k, p, p, 2) Of x and y, for phases (-1/2 + (i + 1/2) / p) of row and column
-
-    def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze(self, "radius_px", shape=("r",), sizes=sizes)
-        freeze(self, "electrons", shape=("k",), sizes=sizes)
-        freeze(self, "sigma_px", shape=("r", "k", "p", "p", 2), sizes=sizes)
-
-    def at(self, electrons: FloatArray, position_px: FloatArray, radius_px: FloatArray) -> FloatArray:
-        """Bounds (n, 2) of stars at positions (n, 2): nearest PSF, interpolated in phase and in the log of the flux."""
-        nearest = np.abs(np.asarray(radius_px)[:, None] - self.radius_px).argmin(axis=1)
-        log_e = np.log(self.electrons)
-        flux = np.clip(np.interp(np.log(np.asarray(electrons)), log_e, np.arange(len(log_e))), 0, len(log_e) - 1)
-        phases = self.sigma_px.shape[2]
-        phase = (np.asarray(position_px) + 0.5) % 1.0 * phases - 0.5
-        padded = np.pad(np.log(self.sigma_px), ((0, 0), (0, 0), (1, 1), (1, 1), (0, 0)), mode="wrap")
-        place = np.stack([nearest, flux, phase[:, 1] + 1.0, phase[:, 0] + 1.0])
-        return np.stack([np.exp(map_coordinates(padded[..., axis], place, order=1)) for axis in (0, 1)], axis=-1)
-
-
-def centroid_bound(
-    psfs: list[EffectivePsf],
-    radius_px: FloatArray,
-    *,
-    noise: NoiseModel,
-    background_e: float,
-    window_px: int,
-    electrons: tuple[float, float],
-) -> CentroidBound:
-    """Bound for stars of unknown position and flux on a known background, in the window that is used."""
-    flux, windows = np.geomspace(*electrons, FLUX_KNOTS), phase_windows(tuple(psfs), window_px, PHASES)
-    light = windows.light.reshape(len(windows.light), -1)
-    sigma = np.empty((len(psfs), FLUX_KNOTS, PHASES, PHASES, 2))
-    for column, value in enumerate(flux):
-        jacobian = windows.jacobian * np.array([value, value, 1.0])[:, None]
-        inverse = np.linalg.inv(fisher_information(jacobian, value * light + background_e, noise))
-        variance = np.diagonal(inverse, axis1=1, axis2=2)[:, :2]
-        sigma[:, column] = np.sqrt(variance).reshape(len(psfs), PHASES, PHASES, 2)
-    return CentroidBound(radius_px=np.asarray(radius_px, float), electrons=flux, sigma_px=sigma)
 
 
 def dataset_bound(scene: Scene, psfs: PsfGrid, sky_e: float) -> CentroidBound:

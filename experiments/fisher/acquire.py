@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.centroid import get_centroider
+from calib.measure.frame_positions import measured_positions
 from calib.measure.linear_response import centroid_covariance, linear_response
 from calib.records import NoiseModel, Stamps
-from experiments.laboratory.bench.readout.centroids import measured_positions
 from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
 from experiments.laboratory.single_star.bench import Bench, aim

@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 
 from calib.accuracy.high_frequency import independent_position_rms_px, step_residual_px, step_rms_px
-from calib.measure.epsf import draw_epsf
+from calib.measure.expected_windows import expected_windows, noiseless_positions
 from experiments.harness.drawings import bars, cloud, curves
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured, measured
 from experiments.hsfe.settings import Config
-from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method
 from experiments.laboratory.bench.point_quantities import point_quantities
 from experiments.laboratory.bench.point_scene import point_laboratory, point_signal, prepared_scene
-from experiments.laboratory.bench.readout.centroids import centroiders, motion_method, noiseless_positions
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.collimator_effects import SIGHT, sight_of
 from experiments.laboratory.devices.hexapod import Hexapod, turned
@@ -222,16 +221,10 @@ def s_curves(bench: Bench, instrument: Instrument, psf: EffectivePsf) -> Curves:
     """S-curves of a star from its PSF."""
     size, along = bench.window_px, np.linspace(-0.5, 0.5, PHASES)
     x, y = (v.ravel() for v in np.meshgrid(along, ACROSS))
-    light = bench.signal_e * np.maximum(draw_epsf(psf, x + size // 2, y + size // 2, (size, size)), 0.0)
-    given: dict[str, Any] = {
-        "light_e": light,
-        "corner_px": np.zeros((len(x), 2), np.int64),
-        "psf_index": np.zeros(len(x), np.int64),
-    }
-    errors = [
-        noiseless_positions(one, nominal_noise(instrument), **given)[0][:, 0] - x - size // 2
-        for one in centroiders(bench, [psf]).values()
-    ]
+    place, corner = np.column_stack([x, y]) + size // 2, np.zeros((len(x), 2), np.int64)
+    windows = expected_windows([psf], place, bench.signal_e, window_px=size, corner_px=corner)
+    told = nominal_noise(instrument)
+    errors = [noiseless_positions(one, windows, told)[:, 0] - place[:, 0] for one in centroiders(bench, [psf]).values()]
     return Curves(phase_px=along, s_curve_px=np.array(errors).reshape(len(errors), len(ACROSS), -1).mean(1))
 
 

@@ -33,18 +33,13 @@ from numpy.polynomial.legendre import legvander2d
 from numpy.typing import NDArray
 
 from calib.measure.centroid import Centroider
-from calib.measure.linear_response import centroid_covariance
+from calib.measure.expected_windows import ExpectedWindows, drawn_positions, noiseless_positions, window_response
+from calib.records import NoiseModel
 from experiments.laboratory.bench.centroid_methods import needs_epsf
-from experiments.laboratory.bench.point_bench import Bench
-from experiments.laboratory.bench.point_noise import (
-    ExpectedWindows,
-    drawn_positions,
-    expected_windows,
-    influence,
-    window_positions,
-)
+from experiments.laboratory.bench.point_bench import Bench, centroiders, session_centroiders
 from experiments.laboratory.bench.point_scene import one_filter
-from experiments.laboratory.bench.readout.centroids import centroiders, session_centroiders
+from experiments.laboratory.bench.ray_prediction import target_windows
+from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.targets import GridTarget, grid_directions
 from experiments.laboratory.distortion_error import camera_place, dense_grid, traced_bundles
 from experiments.laboratory.distortion_statistics import REFERENCES, Reference, without_pointing
@@ -197,31 +192,27 @@ def predict_distortion(
 ) -> DistortionPrediction:
     """Prediction for every centroider of the bench."""
     bench = one_filter(bench)
-    noise = instrument.pixel_noise()
-    windows = expected_windows(bench, instrument, direction[None], psf, defect=defect)
+    noise, told = instrument.pixel_noise(), nominal_noise(instrument)
+    windows = target_windows(bench, instrument, direction[None], psf, defect=defect)
     nominal, _ = camera_place(instrument, direction)
     marked = marking_errors(target, instrument, direction)
     found: dict[str, dict[Reference, Numbers]] = {}
     point: dict[str, FloatArray] = {}
     expected: dict[str, FloatArray] = {}
     for name, centroider in centroiders(bench, psf).items():
-        gain = influence(centroider, instrument, windows)
-
-        def covariance(variance_e2: FloatArray, gain_px_per_e: FloatArray = gain.gain_px_per_e) -> FloatArray:
-            return centroid_covariance(gain_px_per_e, variance_e2)
-
-        chip = covariance(noise.response_e2(windows.light_e))
-        position, single = gain.position_px, covariance(noise.temporal_e2(windows.light_e))
+        response = window_response(centroider, windows, told)
+        chip = response.covariance_px2(noise.response_e2(windows.light_e))
+        position, single = response.position_px, response.covariance_px2(noise.temporal_e2(windows.light_e))
         own = np.zeros_like(chip)
         if noise_draws and not needs_epsf(name):
             lots = Streams(seed).generator("distortion noise")
-            drawn = drawn_positions(centroider, instrument, windows, noise, draws=noise_draws, rng=lots)
+            drawn = drawn_positions(centroider, windows, told, noise, draws=noise_draws, rng=lots)
             position, single = np.nanmean(drawn, axis=0), _covariance(drawn)
             own = single / noise_draws
         if sessions := session_centroiders(bench, psf, name):
-            position, built = _over_sessions(sessions, instrument, windows)
+            position, built = _over_sessions(sessions, windows, told)
             chip, own = chip + built, own + built / len(sessions)
-        dark = covariance(np.full_like(windows.light_e, noise.floor_e2 / bench.dark_frames))
+        dark = response.covariance_px2(np.full_like(windows.light_e, noise.floor_e2 / bench.dark_frames))
         session = single / bench.frames + dark
         expected[name] = position
         point[name] = np.sqrt(np.diagonal(chip + session, axis1=1, axis2=2))
@@ -233,7 +224,7 @@ def predict_distortion(
         mean_px={m: {r: v.rms_px for r, v in of.items()} for m, of in found.items()},
         scatter_px={m: {r: v.scatter_px for r, v in of.items()} for m, of in found.items()},
         frozen_px={m: {r: v.frozen_px for r, v in of.items()} for m, of in found.items()},
-        bundle_px=windows.place_px,
+        bundle_px=windows.position_px,
         position_px=expected,
         point_px=point,
         marking_px=marked.marking_px,
@@ -241,11 +232,11 @@ def predict_distortion(
 
 
 def _over_sessions(
-    sessions: Sequence[Centroider], instrument: Instrument, windows: ExpectedWindows
+    sessions: Sequence[Centroider], windows: ExpectedWindows, told: NoiseModel
 ) -> tuple[FloatArray, FloatArray]:
     """Mean position (n, 2) over the PSFs that sessions might give, and the covariance (n, 2, 2) of what they do apart;
     what a PSF does to all points alike is a shift of the camera."""
-    position = np.stack([window_positions(one, instrument, windows)[0] for one in sessions])
+    position = np.stack([noiseless_positions(one, windows, told) for one in sessions])
     return position.mean(0), _covariance(position - position.mean(1, keepdims=True))
 
 

@@ -19,15 +19,11 @@ from calib.accuracy.high_frequency import (
     position_rms_px,
     step_rms_px,
 )
-from experiments.laboratory.bench.point_bench import Bench
+from calib.measure.frame_positions import common_motion_px2
+from calib.measure.stamps import noiseless_stamps
+from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method
 from experiments.laboratory.bench.point_frames import PointFrames, Subtraction, read_points
 from experiments.laboratory.bench.point_scene import PointLight, PointScene, scene_of
-from experiments.laboratory.bench.readout.centroids import (
-    centroiders,
-    common_motion_px2,
-    motion_method,
-    noiseless_positions,
-)
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.hexapod import Hexapod, HexapodPath, step_path, turned
 from experiments.laboratory.temporal_error import target_place
@@ -102,7 +98,7 @@ class HighFrequencyMeasurement:
     paired_px: Mapping[str, Mapping[str, FloatArray]]
     lights: tuple[PointLight, ...]  # The target at every position
     # (m, 2, 2) What the stars have in common in the frames
-    # (`experiments.laboratory.bench.readout.centroids.common_motion_px2`)
+    # (`calib.measure.frame_positions.common_motion_px2`)
     motion_px2: FloatArray
 
     def high_frequency_error(self, method: str) -> ErrorTerm:
@@ -271,8 +267,6 @@ def _noiseless(lights: Sequence[PointLight], bench: Bench, instrument: Instrumen
     """Results of each method on the rendered light."""
     noise, out = nominal_noise(instrument), {}
     for name, centroider in centroiders(bench, lights[0].psf).items():
-        found = [
-            noiseless_positions(centroider, noise, light_e=one.light_e, corner_px=one.corner_px)[0] for one in lights
-        ]
-        out[name] = np.stack(found)
+        stamps = [noiseless_stamps(one.light_e, corner_px=one.corner_px) for one in lights]
+        out[name] = np.stack([centroider.measure(one, noise).pixel_px for one in stamps])
     return out

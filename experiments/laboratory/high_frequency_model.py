@@ -23,19 +23,19 @@ from numpy.typing import NDArray
 
 from calib.accuracy.high_frequency import position_rms_px, step_rms_px
 from calib.measure.centroid import Centroider
-from experiments.laboratory.bench.centroid_methods import needs_epsf
-from experiments.laboratory.bench.point_bench import Bench
-from experiments.laboratory.bench.point_frames import Subtraction
-from experiments.laboratory.bench.point_noise import (
+from calib.measure.expected_windows import (
     ExpectedWindows,
     drawn_positions,
-    expected_windows,
-    influence,
-    window_positions,
+    noiseless_positions,
+    usable_pixels,
+    window_response,
 )
+from calib.records import NoiseModel
+from experiments.laboratory.bench.centroid_methods import needs_epsf
+from experiments.laboratory.bench.point_bench import Bench, centroiders, session_centroiders
+from experiments.laboratory.bench.point_frames import Subtraction
 from experiments.laboratory.bench.point_scene import one_filter
-from experiments.laboratory.bench.ray_prediction import bundle_prediction
-from experiments.laboratory.bench.readout.centroids import centroiders, noiseless_positions, session_centroiders
+from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import CAUSES, StepPlan
@@ -119,14 +119,15 @@ def predict_high_frequency(
     direction = turned(target_place(bench, instrument, place_px), path.commanded_rad)
     shift = np.zeros((plan.positions, 2)) if shift_px is None else np.asarray(shift_px, float)
     place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
-    windows = expected_windows(bench, instrument, direction, psf, place + shift[:, None], corner_px=corner_px)
+    windows = target_windows(bench, instrument, direction, psf, place + shift[:, None], corner_px=corner_px)
     error_px = hexapod.step_error_arcsec / instrument.pixel_arcsec if hexapod is not None and shift_px is None else 0.0
     drawn = [error_px * rng.standard_normal(shift.shape) for _ in range(PATHS if error_px > 0 else 0)]
     model = _Model(
-        bench=bench,
-        instrument=instrument,
+        told=nominal_noise(instrument),
+        frames=bench.frames,
+        dark_frames=bench.dark_frames,
         windows=windows,
-        others=[expected_windows(bench, instrument, direction, psf, place + one[:, None]) for one in drawn],
+        others=[target_windows(bench, instrument, direction, psf, place + one[:, None]) for one in drawn],
         offsets_px=drawn,
         positions=plan.positions,
         noise=instrument.pixel_noise(),
@@ -139,7 +140,7 @@ def predict_high_frequency(
     )
     return HighFrequencyPrediction(
         pixel_arcsec=instrument.pixel_arcsec,
-        place_px=windows.place_px.reshape(plan.positions, -1, 2),
+        place_px=windows.position_px.reshape(plan.positions, -1, 2),
         method={
             name: replace(model, noise_draws=0 if needs_epsf(name) else noise_draws).method(
                 one, session_centroiders(bench, psf, name), rng, fit_draws=noise_draws if needs_epsf(name) else 0
@@ -151,8 +152,9 @@ def predict_high_frequency(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Model:
-    bench: Bench
-    instrument: Instrument
+    told: NoiseModel
+    frames: int
+    dark_frames: int
     windows: ExpectedWindows
     others: Sequence[ExpectedWindows]  # On drawn paths, which stand so far (m, 2) beside
     offsets_px: Sequence[FloatArray]
@@ -170,12 +172,12 @@ class _Model:
     ) -> MethodPrediction:
         """Everything about one centroider, and the same with the PSF of each session."""
         windows, m = self.windows, self.positions
-        gain = influence(centroider, self.instrument, windows)
+        gain = window_response(centroider, windows, self.told)
         each = sessions or [centroider]
         # the ideal path is not one of those that an erring hexapod takes
         runs = [(each[i % len(each)], one) for i, one in enumerate(self.others or [windows] * len(each))]
         masked = [self._masked(*one) for one in runs]
-        sigma = gain.sigma_px(self.noise.temporal_e2(windows.light_e, frames=self.bench.frames)).reshape(m, -1, 2)
+        sigma = gain.sigma_px(self.noise.temporal_e2(windows.light_e, frames=self.frames)).reshape(m, -1, 2)
         curves, scatters = map(list, zip(*(self._curve(*one, sigma) for one in runs), strict=True))
         one_frame = gain.sigma_px(self.noise.temporal_e2(windows.light_e))
         if fit_draws and np.sqrt(np.mean(one_frame**2)) >= FIT_NOISE_PX:
@@ -228,7 +230,7 @@ class _Model:
 
     def _lever(self) -> FloatArray:
         """Motion of the stars (j, 2) per radian of roll, without their mean."""
-        place = self.windows.place_px.reshape(self.positions, -1, 2).mean(0)
+        place = self.windows.position_px.reshape(self.positions, -1, 2).mean(0)
         from_mean = place - place.mean(0)
         return np.column_stack([-from_mean[:, 1], from_mean[:, 0]])
 
@@ -240,7 +242,7 @@ class _Model:
         windows, noise = [self.windows], self.noise
         if self.offsets_px:
             windows += [self.windows.moved(NEAR_PX * along) for along in np.eye(2)]
-        gains = [gain, *(influence(centroider, self.instrument, one).gain_px_per_e for one in windows[1:])]
+        gains = [gain, *(window_response(centroider, one, self.told).gain_px_per_e for one in windows[1:])]
 
         def responses(size: float, of: Sequence[FloatArray]) -> FloatArray:
             first, *others = (self._fixed(one, size) for one in of)
@@ -250,7 +252,7 @@ class _Model:
         if self.subtraction == "raw":
             column = responses(noise.column_e, gains).sum(4, keepdims=True)
             return prnu, [responses(noise.offset_e, gains), column], []
-        return prnu, [], [responses(float(np.sqrt(noise.floor_e2 / self.bench.dark_frames)), gains)]
+        return prnu, [], [responses(float(np.sqrt(noise.floor_e2 / self.dark_frames)), gains)]
 
     def _on_path(self, response: FloatArray, path: int) -> FloatArray:
         """Response (j, m, 2, y, x) on a drawn path, or on the ideal one where none was drawn."""
@@ -271,8 +273,8 @@ class _Model:
         Of pairs of opposite noise; few are enough for a centroider that is nearly linear.
         """
         rng = Streams(self.seed).generator("high-frequency bias")
-        given = (centroider, self.instrument, windows)
-        noiseless, pairs = window_positions(*given)[0], np.empty((0, *windows.place_px.shape))
+        given = (centroider, windows, self.told)
+        noiseless, pairs = noiseless_positions(*given), np.empty((0, *windows.position_px.shape))
         for count in (min(FIRST_DRAWS, draws), draws - FIRST_DRAWS):
             drawn = drawn_positions(*given, self.noise, draws=2 * count, rng=rng, mirrored=True)
             new = drawn.reshape(count, 2, *noiseless.shape).mean(1) - noiseless  # NaN where a fit failed
@@ -286,14 +288,8 @@ class _Model:
         self, centroider: Centroider, windows: ExpectedWindows, sigma_px: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Error (m, j, 2) of the noiseless centroids, or of their mean over drawn noise, and its standard error."""
-        found, _ = noiseless_positions(
-            centroider,
-            nominal_noise(self.instrument),
-            light_e=windows.light_e,
-            corner_px=windows.corner_px,
-            psf_index=windows.psf_index,
-        )
-        error = np.asarray((found - windows.place_px).reshape(self.positions, -1, 2))
+        found = noiseless_positions(centroider, windows, self.told)
+        error = np.asarray((found - windows.position_px).reshape(self.positions, -1, 2))
         if not self.noise_draws:
             return error, np.zeros_like(error)
         bias, scatter = self._bias(centroider, windows, self.noise_draws // 2, sigma_px)
@@ -317,26 +313,14 @@ class _Model:
 
     def _masked(self, centroider: Centroider, windows: ExpectedWindows) -> FloatArray:
         """What leaving out known bad pixels does to the noiseless centroids (m, j, 2)."""
-        moved = np.zeros_like(windows.place_px)
+        moved = np.zeros_like(windows.position_px)
         if self.defect is not None:
-            index = np.arange(self.bench.window_px)
-            rows = windows.corner_px[:, 1, None, None] + index[:, None]
-            columns = windows.corner_px[:, 0, None, None] + index
-            bad = self.defect[rows, columns]
-            hit = np.flatnonzero(bad.any((1, 2)))
-            found = []
-            for valid in (~bad[hit], np.ones_like(bad[hit])) if hit.size else ():
-                position, _ = noiseless_positions(
-                    centroider,
-                    nominal_noise(self.instrument),
-                    light_e=windows.light_e[hit],
-                    corner_px=windows.corner_px[hit],
-                    valid=valid,
-                    psf_index=windows.psf_index[hit],
-                )
-                found.append(position)
-            if found:
-                moved[hit] = found[0] - found[1]
+            valid = usable_pixels(self.defect, windows.corner_px, windows.light_e.shape[1])
+            hit = np.flatnonzero(~valid.all((1, 2)))
+            if hit.size:
+                masked, whole = (windows.select(hit, of) for of in (valid, np.ones_like(valid)))
+                with_mask, without = (noiseless_positions(centroider, one, self.told) for one in (masked, whole))
+                moved[hit] = with_mask - without
         return moved.reshape(self.positions, -1, 2)
 
 

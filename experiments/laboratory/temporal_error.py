@@ -10,20 +10,13 @@ from numpy.typing import NDArray
 
 from calib.accuracy.error_budget import ErrorTerm
 from calib.accuracy.temporal import temporal_error
-from calib.measure.centroid import Centroider
-from experiments.laboratory.bench.point_bench import Bench
+from calib.measure.expected_windows import bound_px, drawn_positions, followed_px, window_response
+from calib.measure.frame_positions import common_motion_px2
+from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method
 from experiments.laboratory.bench.point_frames import read_points
-from experiments.laboratory.bench.point_noise import (
-    ExpectedWindows,
-    bound_px,
-    expected_windows,
-    influence,
-    sampled_px,
-    window_positions,
-)
 from experiments.laboratory.bench.point_scene import PointLight, PointScene, one_filter, scene_of
-from experiments.laboratory.bench.ray_prediction import bundle_prediction
-from experiments.laboratory.bench.readout.centroids import centroiders, common_motion_px2, motion_method
+from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
+from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.target import target_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
@@ -42,7 +35,7 @@ class TemporalMeasurement:
     light: PointLight  # The target as rendered, at the signal of the bench
     windows: WindowStack  # Readout at the level nearest to that of the bench
     position_px: Mapping[str, FloatArray]  # (f, j, 2) Centroids of these frames, dark-subtracted
-    # (l, 2, 2) What the stars have in common (`experiments.laboratory.bench.readout.centroids.common_motion_px2`)
+    # (l, 2, 2) What the stars have in common (`calib.measure.frame_positions.common_motion_px2`)
     motion_px2: FloatArray
 
     def temporal_error(self, method: str, level: int = 0) -> ErrorTerm:
@@ -160,7 +153,7 @@ def predict_temporal(
     direction = target_place(bench, instrument, place_px)[None]
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
     noise, rng = instrument.pixel_noise(), Streams(seed).generator("temporal prediction")
-    methods = centroiders(bench, psf)
+    methods, told = centroiders(bench, psf), nominal_noise(instrument)
     linear: dict[str, list[FloatArray]] = {m: [] for m in methods}
     sampled: dict[str, list[FloatArray]] = {m: [] for m in methods}
     device: dict[str, list[FloatArray]] = {m: [] for m in methods}
@@ -168,17 +161,18 @@ def predict_temporal(
     bound, step = [], bench.power_px2(instrument)[0] ** 0.5
     place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
     for level in levels:
-        windows = expected_windows(
+        windows = target_windows(
             replace(bench, signal_e=float(level)), instrument, direction, psf, place, defect=defect
         )
-        bound.append(bound_px(windows, noise))
+        bound.append(bound_px(windows, noise.floor_e2))
         for name, centroider in methods.items():
-            gain = influence(centroider, instrument, windows)
+            gain = window_response(centroider, windows, told)
             linear[name].append(gain.sigma_px(noise.temporal_e2(windows.light_e)))
             device[name].append(gain.device_sigma_px(windows.light_e, noise))
-            followed[name].append(_followed_px(centroider, instrument, windows, step))
+            followed[name].append(followed_px(centroider, windows, told, step))
             if draws >= 2:
-                sampled[name].append(sampled_px(centroider, instrument, windows, noise, draws=draws, rng=rng))
+                drawn = drawn_positions(centroider, windows, told, noise, draws=draws, rng=rng)
+                sampled[name].append(np.nanstd(drawn, axis=0, ddof=1))
     stacked = {m: np.stack(v) for m, v in linear.items()}
     common = {m: np.stack(v) for m, v in followed.items()}
     if step:
@@ -194,17 +188,3 @@ def predict_temporal(
         common_px=common,
         frames=bench.frames,
     )
-
-
-def _followed_px(
-    centroider: Centroider, instrument: Instrument, windows: ExpectedWindows, step_px: float
-) -> FloatArray:
-    """Response of a centroid (n, 2) to a step of the image: half of the way between both sides."""
-    if not step_px:
-        return np.zeros_like(windows.place_px)
-    ends = []
-    for axis in range(2):
-        moved = (windows.moved(side * step_px * np.eye(2)[axis]) for side in (-1.0, 1.0))
-        low, high = (window_positions(centroider, instrument, one)[0][:, axis] for one in moved)
-        ends.append((high - low) / 2.0)
-    return np.stack(ends, axis=1)

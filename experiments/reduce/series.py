@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.centroid import get_centroider
+from calib.measure.frame_positions import measured_positions
 from calib.measure.linear_response import centroid_covariance, linear_response, tight
 from calib.records import NoiseModel, Stamps
+from experiments.laboratory.bench.point_bench import refuse_few_frames
 from experiments.laboratory.bench.point_frames import PointFrames
-from experiments.laboratory.bench.readout.centroids import measured_positions, refuse_few_frames
 from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.reduce.folder import FrameFolder, FrameSeries
 from experiments.reduce.frames_toml import SeriesSettings

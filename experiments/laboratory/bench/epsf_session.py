@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.epsf_build import build_epsf
+from calib.measure.expected_windows import ExpectedWindows
+from calib.measure.stamps import centre_of_gravity
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.point_bench import Bench
-from experiments.laboratory.bench.point_noise import ExpectedWindows, expected_windows
 from experiments.laboratory.bench.point_scene import PointScene, one_filter
-from experiments.laboratory.bench.readout.stamps import centre_of_gravity, dark_subtracted
+from experiments.laboratory.bench.ray_prediction import target_windows
+from experiments.laboratory.bench.readout.stamps import dark_subtracted
 from experiments.laboratory.bench.readout.windows import WindowReader
 from experiments.laboratory.bench.target_light import frame_light
 from experiments.laboratory.devices.collimator import convolved_psf
@@ -83,7 +85,7 @@ def predicted_epsfs(
         psf = [
             convolved_psf(one, lambda q: np.exp(-2.0 * np.pi**2 * between * q**2), 4.0 * between**0.5) for one in psf
         ]
-    windows = expected_windows(one_filter(bench), instrument, direction, psf)
+    windows = target_windows(one_filter(bench), instrument, direction, psf)
     spread = np.sqrt(noise.temporal_e2(windows.light_e, frames=frames, dark_frames=bench.dark_frames))
     found = []
     for _ in range(sessions):

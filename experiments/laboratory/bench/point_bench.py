@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from calib.measure.centroid import Centroider
+from calib.measure.frame_positions import FEWEST_FRAMES
+from experiments.laboratory.bench.centroid_methods import method_centroiders, needs_measured_epsf
 from experiments.laboratory.devices.collimator import Collimator
 from experiments.laboratory.settings.tables import TargetConfig
 from optics.arrays import FloatArray
+from optics.errors import DomainError
 from optics.light.band import band_nodes
 from optics.light.collimation import Collimation
 from optics.light.spectrum import Sed
@@ -87,3 +93,32 @@ def point_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
         band=nodes.name,
         collimation=bench.collimation(nodes.wavelength_nm, instrument),
     )
+
+
+def centroiders(bench: Bench, psf: Sequence[EffectivePsf]) -> dict[str, Centroider]:
+    """Centroiders of the bench by method; the PSF for all points is that of the middle one."""
+    reference = [psf[len(psf) // 2]] * len(psf)
+    return method_centroiders(bench.methods, own=psf, reference=reference, measured=bench.epsf)
+
+
+def session_centroiders(bench: Bench, psf: Sequence[EffectivePsf], method: str) -> list[Centroider]:
+    """A method with the PSF of each of the bench's drawn sessions; none if it uses no PSF that was built."""
+    if not needs_measured_epsf(method):
+        return []
+    return [centroiders(replace(bench, methods=(method,), epsf=one), psf)[method] for one in bench.sessions]
+
+
+def motion_method(methods: Sequence[str]) -> str:
+    """The method that a motion of the image is judged by: a fit of the true PSF has no S-curve; or the first."""
+    return "epsf" if "epsf" in methods else methods[0]
+
+
+def refuse_few_frames(position_px: FloatArray, method: str, *, where: str) -> None:
+    """Refuse positions (f, n, 2) of which a window has fewer than two."""
+    count = np.isfinite(position_px[..., 0]).sum(0)
+    if count.min() < FEWEST_FRAMES:
+        raise DomainError(
+            f"{where}: centroider {method!r} gives {count.min()} usable frames of {len(position_px)} at place "
+            f"{count.argmin()}; at least {FEWEST_FRAMES} are needed: raise the signal or the number of frames, or take "
+            "another centroider"
+        )

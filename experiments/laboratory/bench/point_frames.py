@@ -8,14 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from experiments.laboratory.bench.point_bench import Bench
+from calib.measure.frame_positions import frame_statistics, measured_positions
+from experiments.laboratory.bench.point_bench import Bench, centroiders, refuse_few_frames
 from experiments.laboratory.bench.point_scene import PointLight
-from experiments.laboratory.bench.readout.centroids import (
-    centroiders,
-    frame_statistics,
-    measured_positions,
-    refuse_few_frames,
-)
 from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.laboratory.bench.readout.windows import WindowReader
 from experiments.laboratory.bench.target_light import frame_light

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.centroid import Centroider
+from calib.measure.frame_positions import frame_statistics, measured_positions
 from calib.measure.linear_response import centroid_variance, linear_response, tight
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.centroid_methods import method_centroiders
-from experiments.laboratory.bench.point_bench import Bench
-from experiments.laboratory.bench.readout.centroids import frame_statistics, measured_positions, refuse_few_frames
+from experiments.laboratory.bench.point_bench import Bench, refuse_few_frames
 from experiments.laboratory.bench.readout.search import find_points
 from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners

@@ -1,14 +1,19 @@
-"""Image positions of target points, predicted by ray trace alone: no renderer, image or noise takes part."""
+"""Image positions of target points and windows around them, predicted without a rendered image."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.measure.expected_windows import ExpectedWindows, expected_windows
 from experiments.laboratory.bench.point_bench import Bench
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
 from optics.light.band import band_nodes
 from optics.rays.spots import SpotMoments, spot_moments
+from render.records import EffectivePsf
 from render.sensor_file.instrument import Instrument
 
 ORDER = (5, 12)
@@ -66,3 +71,29 @@ def spots_of(
 def bundle_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:
     """Photon-weighted bundle means (p, j, b, 2) [px] by the NumPy trace, without renderer, image or noise."""
     return expected_spots(bench, instrument, direction)[0]
+
+
+def target_windows(
+    bench: Bench,
+    instrument: Instrument,
+    direction: FloatArray,
+    psf: Sequence[EffectivePsf],
+    place_px: FloatArray | None = None,
+    *,
+    corner_px: NDArray[np.int64] | None = None,
+    defect: NDArray[np.bool_] | None = None,
+) -> ExpectedWindows:
+    """Windows around points (p, j, 3) behind the reference filter, at their traced images if no others are given."""
+    if place_px is None:
+        place_px = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
+    chip = instrument.detector
+    return expected_windows(
+        psf,
+        place_px,
+        bench.signal_e,
+        window_px=bench.window_px,
+        corner_px=corner_px,
+        defect=defect,
+        full_well_e=chip.full_well_e,
+        nonlinearity=chip.nonlinearity,
+    )

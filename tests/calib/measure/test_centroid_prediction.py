@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from calib.measure.centroid import get_centroider
-from calib.measure.centroid_prediction import phase_windows, predict_centroids, psf_mismatch
-from calib.records import NoiseModel, Stamps
+from calib.measure.centroid_prediction import centroid_bound, phase_windows, predict_centroids, psf_mismatch
+from calib.measure.stamps import noiseless_stamps
+from calib.records import NoiseModel
 from optics.errors import ConfigError
 from render.records import EffectivePsf
 
@@ -36,15 +37,7 @@ def test_noise_and_patterns_of_drawn_windows(name):
     for k, value in enumerate(flux):
         light = value * unit.light
         count = len(light)
-        stamps = Stamps(
-            electrons=light,
-            valid=np.ones(light.shape, bool),
-            corner_px=np.zeros((count, 2), np.int64),
-            background_e=np.zeros(count),
-            start_px=unit.place_px,
-            flags=np.zeros(count, np.uint32),
-            psf_index=np.zeros(count, np.int64),
-        )
+        stamps = noiseless_stamps(light, start_px=unit.place_px, psf_index=np.zeros(count, np.int64))
         many = stamps.select(np.tile(np.arange(count), draws))
         noisy = {
             "noise_px": rng.poisson(many.electrons) + 12.0 * rng.standard_normal(many.electrons.shape),
@@ -73,6 +66,17 @@ def test_faint_limit_is_the_read_noise():
     assert found.noise_px[0, 0] == pytest.approx(np.sqrt(8.0 * np.pi) * spread * read / flux, rel=0.02)
 
 
+def test_bound_between_its_knots_is_that_of_the_star():
+    """Photons alone, sigma 1.5 px: the same at every phase; nearest PSF by the distance from the middle."""
+    noise, electrons = NoiseModel(read_noise_e=1e-3), (1e3, 1e5)
+    psfs = [gaussian_psf(1.5), gaussian_psf(1.0)]
+    bound = centroid_bound(psfs, [0.0, 500.0], noise=noise, background_e=0.0, window_px=15, electrons=electrons)
+    place = np.random.default_rng(3).uniform(0, 100, (50, 2))
+    for radius_px, sigma in ((7.0, 1.5), (400.0, 1.0)):
+        found = bound.at(np.full(50, 4e4), place, np.full(50, radius_px))
+        np.testing.assert_allclose(found, np.sqrt(sigma**2 + 1 / 12) / 200, rtol=0.02)
+
+
 def test_no_method_beats_the_bound_and_thresholds_are_refused():
     psf = gaussian_psf(0.8)
     for name in ("windowed", "cog"):
@@ -93,16 +97,8 @@ def test_wrong_psf_is_what_the_fit_makes_of_it():
     true = EffectivePsf(values=shifted, oversampling=8)
     window, flux = 11, 20000.0
     light = flux * phase_windows((true,), window).light
-    place, count = phase_windows((told,), window).place_px, len(light)
-    stamps = Stamps(
-        electrons=light,
-        valid=np.ones(light.shape, bool),
-        corner_px=np.zeros((count, 2), np.int64),
-        background_e=np.zeros(count),
-        start_px=place,
-        flags=np.zeros(count, np.uint32),
-        psf_index=np.zeros(count, np.int64),
-    )
+    place = phase_windows((told,), window).place_px
+    stamps = noiseless_stamps(light, start_px=place, psf_index=np.zeros(len(light), np.int64))
     table = get_centroider("epsf", epsf=(told,)).measure(stamps, NOISE)
     predicted = psf_mismatch((told,), (true,), [flux], noise=NOISE, window_px=window)[0, 0]
     rms = np.sqrt(((np.column_stack([table.x_px, table.y_px]) - place) ** 2).mean())

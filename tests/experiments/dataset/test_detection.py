@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 
 from calib.flags import StarFlag
-from calib.records import NoiseModel, StarTable
-from experiments.dataset.detection import FoundStars, centroid_bound, compare_frame, detection, joined
+from calib.records import StarTable
+from experiments.dataset.detection import FoundStars, compare_frame, detection, joined
 from experiments.dataset.truth import FLAGS
 from experiments.laboratory.bench.readout.reduction import MeasuredFrame
-from render.records import EffectivePsf
-
-
-def gaussian_psf(sigma, oversampling=4, half=8):
-    from scipy.special import erf
-
-    at = np.arange(-half * oversampling, half * oversampling + 1) / oversampling
-    line = 0.5 * (erf((at + 0.5) / (np.sqrt(2) * sigma)) - erf((at - 0.5) / (np.sqrt(2) * sigma)))
-    return EffectivePsf(values=np.outer(line, line), oversampling=oversampling)
 
 
 def table(x, y, flags=None):
@@ -52,36 +43,6 @@ def truth(x, y, flags=0):
         "smear_y_px": np.zeros(n),
         "flags": np.broadcast_to(np.int32(flags), n).copy(),
     }
-
-
-def test_bound_of_a_wide_gaussian_is_its_width_over_the_root_of_its_electrons():
-    """No noise but photons, sigma 1.5 px: sqrt(sigma^2 + 1/12) / sqrt(N), the same at every phase."""
-    bound = centroid_bound(
-        [gaussian_psf(1.5)],
-        np.zeros(1),
-        noise=NoiseModel(read_noise_e=1e-3, gain_dn_per_e=1.0, offset_dn=0.0),
-        background_e=0.0,
-        window_px=15,
-        electrons=(1e3, 1e5),
-    )
-    rng = np.random.default_rng(3)
-    sigma = bound.at(np.full(50, 4e4), rng.uniform(0, 100, (50, 2)), np.full(50, 7.0))
-    np.testing.assert_allclose(sigma, np.sqrt(1.5**2 + 1 / 12) / 200, rtol=0.01)
-
-
-def test_bound_in_background_grows_as_the_background_over_the_flux():
-    """Read noise s, sigma w: sqrt(8 pi) w^2 s / N for faint stars (Winick 1986, J. Opt. Soc. Am. A 3, 1809)."""
-    width, noise = 1.5, 30.0
-    bound = centroid_bound(
-        [gaussian_psf(width)],
-        np.zeros(1),
-        noise=NoiseModel(read_noise_e=noise, gain_dn_per_e=1.0, offset_dn=0.0),
-        background_e=0.0,
-        window_px=15,
-        electrons=(100.0, 200.0),
-    )
-    sigma = bound.at(np.array([100.0]), np.array([[7.3, 9.1]]), np.zeros(1))
-    np.testing.assert_allclose(sigma, np.sqrt(8 * np.pi) * (width**2 + 1 / 12) * noise / 100.0, rtol=0.03)
 
 
 def test_stars_and_detections_are_paired_one_to_one():

@@ -13,7 +13,6 @@ from scipy.special import erf, j1
 from experiments.chromatic.settings import Config
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, expected_spots
-from experiments.laboratory.bench.readout.centroids import common_motion_px2
 from experiments.laboratory.bench.target_light import frame_light, target_light
 from experiments.laboratory.chromatic_error import shifts, table1
 from experiments.laboratory.devices import collimator_effects as effects
@@ -143,15 +142,6 @@ def test_motion_of_the_line_of_sight_over_its_prediction_scatters_as_stated():
     assert (ratio**2).mean() == pytest.approx(1.0, abs=4.0 * 2.0 * stated.mean() / np.sqrt(2 * runs))
     assert ratio.std() == pytest.approx(stated.mean(), rel=4.0 / np.sqrt(4 * runs) + 0.03)
     assert effects.sight_of(SimpleNamespace(power_px2=lambda _: (0.0, 0.0)), instrument, every[0]) is None
-
-
-def test_common_motion_of_points():
-    rng = np.random.default_rng(4)
-    common, own = rng.standard_normal((4000, 1, 2)) * [0.2, 0.1], 0.3 * rng.standard_normal((4000, 9, 2))
-    motion, left = common_motion_px2(common + own)
-    np.testing.assert_allclose(motion, [0.04, 0.01], rtol=0.1)
-    np.testing.assert_allclose(left, 0.01, rtol=0.05)
-    assert np.isnan(common_motion_px2(common)).all()
 
 
 @pytest.fixture(scope="module")

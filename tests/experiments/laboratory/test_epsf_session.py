@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calib.measure.centroid import get_centroider
+from calib.measure.expected_windows import noiseless_positions
 from experiments.laboratory.bench.epsf_session import (
     _pixels,
     epsf_session,
@@ -14,8 +15,9 @@ from experiments.laboratory.bench.epsf_session import (
     predicted_epsfs,
     variance_of_another,
 )
-from experiments.laboratory.bench.point_noise import expected_windows, influence
 from experiments.laboratory.bench.point_scene import one_filter, point_scene
+from experiments.laboratory.bench.ray_prediction import target_windows
+from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.hexapod import Hexapod
 from experiments.laboratory.temporal_error import target_place
 from render.engine.random import Streams
@@ -46,10 +48,11 @@ def test_a_measured_psf_places_stars_as_the_predicted_and_the_true_one_do(engine
     platform = Hexapod(step_error_arcsec=0.4, roll_error_arcsec=1.0, reading_error_arcsec=0.2)
     measured = measured_epsf(bench, small_camera, platform, psf=psf, streams=Streams(4), scene=scene)
     predicted = predicted_epsfs(bench, small_camera, psf, seed=1)[0]
-    windows = expected_windows(one_filter(bench), small_camera, rest[None], psf)
+    windows = target_windows(one_filter(bench), small_camera, rest[None], psf)
     alone = replace(windows, psf_index=np.zeros(len(rest), np.int64))
+    told = nominal_noise(small_camera)
     place = {
-        name: influence(get_centroider("epsf", epsf=one), small_camera, alone).position_px - windows.place_px
+        name: noiseless_positions(get_centroider("epsf", epsf=one), alone, told) - windows.position_px
         for name, one in (("measured", measured), ("predicted", predicted))
     }
     # 45 stars of 30 frames: a frame's 0.01 px becomes 0.002 px for each phase of the pixel; the points are 40 px apart

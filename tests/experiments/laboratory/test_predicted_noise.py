@@ -199,8 +199,9 @@ def test_signal_to_noise_ratio_of_the_truth(dataset, monkeypatch):
 
 def test_bound_of_the_dataset(dataset, engine):
     """The bound of a faint star is that of a background with the measured variance of a pixel."""
+    from calib.measure.centroid_prediction import centroid_bound
     from calib.records import NoiseModel
-    from experiments.dataset.detection import centroid_bound, dataset_bound
+    from experiments.dataset.detection import dataset_bound
     from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
 
     maker, made = dataset

@@ -10,8 +10,8 @@ from scipy.stats import norm
 
 from calib.records import NoiseModel
 from experiments.laboratory.bench.centroid_methods import has_own_epsf
+from experiments.laboratory.bench.point_bench import motion_method
 from experiments.laboratory.bench.readout import reduction
-from experiments.laboratory.bench.readout.centroids import motion_method
 from experiments.laboratory.bench.readout.psf_grid import PsfGrid
 from experiments.laboratory.bench.readout.reduction import Reduction, measure_frame
 from experiments.laboratory.bench.readout.search import SEARCH_PX, find_star

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.flags import StarFlag, has_flag
-from calib.measure.stamps import ring_background, stamps_from_windows
+from calib.measure.stamps import centre_of_gravity, ring_background, stamps_from_windows
 from calib.records import NoiseModel, Stamps
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -15,14 +15,6 @@ from render.records import WindowStack
 
 NEAR_PX = 3
 """Reach of the centre of gravity where fixed patterns are left in."""
-
-
-def centre_of_gravity(light_e: FloatArray) -> FloatArray:
-    """Column and row (n, 2) in windows (n, h, w) of their positive light."""
-    light = np.maximum(light_e, 0.0)
-    light = light / np.maximum(light.sum((1, 2), keepdims=True), 1e-300)
-    _, height, width = light.shape
-    return np.column_stack([light.sum(1) @ np.arange(width), light.sum(2) @ np.arange(height)])
 
 
 def dark_subtracted(

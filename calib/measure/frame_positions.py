@@ -1,0 +1,48 @@
+"""Positions of the same stars in several frames: measured, their mean and scatter, and their common motion."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.flags import StarFlag, has_flag
+from calib.measure.centroid import Centroider
+from calib.records import NoiseModel, Stamps
+from optics.arrays import FloatArray
+
+FEWEST_FRAMES = 2
+"""A scatter needs two."""
+
+
+def measured_positions(centroider: Centroider, stamps: Stamps, noise: NoiseModel, frames: int) -> FloatArray:
+    """Positions (f, n, 2) of n windows in f frames; NaN where the centroider failed."""
+    table = centroider.measure(stamps, noise)
+    position = np.stack([table.x_px, table.y_px], axis=-1).reshape(frames, -1, 2)
+    bad = has_flag(table.flags, StarFlag.NOT_CONVERGED | StarFlag.NO_DATA).reshape(frames, -1)
+    return np.where(bad[..., None], np.nan, position)
+
+
+def frame_statistics(position_px: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    """Mean (n, 2), standard deviation of a frame (n, 2) and number of usable frames (n,) of positions (f, n, 2).
+
+    Mean and standard deviation are NaN where fewer than two frames are usable.
+    """
+    count = np.isfinite(position_px[..., 0]).sum(0)
+    enough = (count >= FEWEST_FRAMES)[:, None]
+    filled = np.where(enough, position_px, 0.0)
+    mean, sigma = np.nanmean(filled, axis=0), np.nanstd(filled, axis=0, ddof=1)
+    return np.where(enough, mean, np.nan), np.where(enough, sigma, np.nan), count
+
+
+def common_motion_px2(position_px: FloatArray) -> FloatArray:
+    """Variance (2, 2) of positions (f, n, 2): first (x, y) of what the points have in common from frame to frame.
+
+    Then what the points' own noise leaves in the mean over them, which has been taken from the first. NaN for a single
+    point.
+    """
+    points = position_px.shape[1]
+    if points < 2:
+        return np.full((2, 2), np.nan)
+    mean = np.nanmean(position_px, axis=1)
+    noise = np.nanvar(position_px - mean[:, None], axis=0, ddof=1).mean(0) / (points - 1.0)
+    return np.stack([mean.var(0, ddof=1) - noise, noise])
