@@ -1,9 +1,15 @@
-"""Predicted covariance of attitudes from star directions and expected errors, without measurements."""
+"""Predicted errors of attitudes from star directions and the expected errors of the stars, without measurements.
+
+The attitude of stars at v with weights w errs, to first order, by ``e = M^-1 sum w (v x dv)`` for known changes dv of
+their directions, with ``M = sum w (I - v v^T)``, and with the covariance ``M^-1 [sum w^2 s^2 (I - v v^T)] M^-1`` for
+independent errors s across each direction; with the right weights, 1 / s^2, that is ``M^-1``.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy import constants
 
 from calib.attitude.wahba import adjugate3
 from optics.arrays import FloatArray
@@ -35,3 +41,30 @@ def attitude_covariance(
     covariance = np.full((frames, 3, 3), np.inf)
     covariance[known] = adjugate[known] / determinant[known, None, None]
     return covariance
+
+
+def attitude_of_shifts(v_cam: FloatArray, weight: FloatArray, shift_rad: FloatArray) -> FloatArray:
+    """Attitude error (3,) [rad] of stars (n, 3) whose directions change by ``shift_rad`` (n, 3); weights (n,)."""
+    return np.asarray(
+        np.linalg.solve(_information(v_cam, weight), (weight[:, None] * np.cross(v_cam, shift_rad)).sum(0))
+    )
+
+
+def covariance_of_noise(
+    v_cam: FloatArray, weight: FloatArray, variance_rad2: FloatArray, share: float = 1.0
+) -> FloatArray:
+    """Covariance (3, 3) of the attitude of stars (n, 3) that err independently, with weights of any kind.
+
+    ``share``: probability that a star is measured at all; its error and its weight are missing together.
+    """
+    inverse = np.linalg.inv(_information(v_cam, weight))
+    return np.asarray(inverse @ _information(v_cam, weight**2 * variance_rad2) @ inverse / share)
+
+
+def attitude_of_velocity(velocity_km_per_s: ArrayLike) -> FloatArray:
+    """Attitude error (3,) [rad] by an unknown velocity (3,) in cam: aberration moves all stars alike, z x V / c."""
+    return np.cross([0.0, 0.0, 1.0], np.asarray(velocity_km_per_s, float)) * 1e3 / constants.c
+
+
+def _information(v_cam: FloatArray, weight: FloatArray) -> FloatArray:
+    return np.asarray(weight.sum() * np.eye(3) - np.einsum("n,ni,nj->ij", weight, v_cam, v_cam))

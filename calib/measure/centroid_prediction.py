@@ -195,6 +195,26 @@ def psf_mismatch(
     return np.stack(found, axis=1)
 
 
+def fit_bias(
+    centroid: str,
+    psfs: tuple[EffectivePsf, ...],
+    true: tuple[EffectivePsf, ...],
+    electrons: float,
+    *,
+    noise: NoiseModel,
+    window_px: int = 11,
+    phases: int = 4,
+) -> FloatArray:
+    """Bias of a centroider of PSFs ``psfs`` on noiseless stars with the PSFs ``true``, (f, phases^2, 2) [px].
+
+    By the centroider itself (`psf_mismatch`: to first order), for positions at even sub-pixel phases.
+    """
+    windows = phase_windows(true, window_px, phases)
+    stamps = noiseless_stamps(electrons * windows.light, start_px=windows.place_px, psf_index=windows.psf_index)
+    measured_px = get_centroider(centroid, epsf=psfs).measure(stamps, noise).pixel_px
+    return np.asarray((measured_px - windows.place_px).reshape(len(true), -1, 2))
+
+
 def _fit_gain(windows: PhaseWindows, flux: float, noise: NoiseModel, background_e: float) -> FloatArray:
     """Response (n, 2, h, w) of weighted least squares for position and flux."""
     variance = noise.variance_e2(flux * windows.light + background_e)

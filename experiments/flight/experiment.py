@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.attitude_terms import AttitudeErrors
 from calib.accuracy.ecss_metrics import ecss_metrics, normal_factor, success_limit
 from calib.attitude.tracker import sky_coverage
 from experiments.flight.frames import Segment, render_flight
-from experiments.flight.prediction import Budget, SegmentErrors, build_budget
+from experiments.flight.prediction import Budget, build_budget
 from experiments.flight.scenario import Flight, build_flight
 from experiments.flight.settings import Config
 from experiments.flight.terms import COMPONENTS, LABELS, VERDICTS, Term, measured_terms, predicted_terms
@@ -170,7 +171,7 @@ class Part:
     status: str = col("First frame", json="")
 
 
-def parts(segments: Sequence[Segment], errors: Sequence[SegmentErrors]) -> list[Part]:
+def parts(segments: Sequence[Segment], errors: Sequence[AttitudeErrors]) -> list[Part]:
     """Segments and their prediction."""
 
     def switched(values: FloatArray) -> list[Measured]:
@@ -260,7 +261,7 @@ class Age:
     total_arcsec: FloatArray = col("Total", "arcsec", ".4g", "component")
 
 
-def age(budget: Budget, errors: Sequence[SegmentErrors]) -> Age:
+def age(budget: Budget, errors: Sequence[AttitudeErrors]) -> Age:
     """Predicted numbers of one life."""
     terms = {one.term: one.predicted_arcsec for one in predicted_terms(budget, errors)}
     nothing = np.full(len(COMPONENTS), np.nan)
@@ -363,7 +364,7 @@ def _term_axis(q: Quantities, terms: Sequence[Term]) -> None:
     q.axis("term", np.array(keys, dtype=object), "Term", names=[LABELS[key] for key in keys])
 
 
-def at_segments(budget: Budget, flight: Flight) -> list[SegmentErrors]:
+def at_segments(budget: Budget, flight: Flight) -> list[AttitudeErrors]:
     """Prediction in the middles of the segments."""
     half = 0.5 * (flight.config.frames.frames - 1) / flight.config.frames.rate_hz
     return [

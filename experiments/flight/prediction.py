@@ -1,37 +1,30 @@
 """The error budget in flight without frames: errors of guide stars, and the resulting attitude error.
 
 A star's errors come from the camera report's prediction (noise, pixel patterns and pixel phase against its electrons)
-and from ray traces (colour, distortion left by the camera model, heated lens). The attitude error from stars v with
-weights w = 1 / sigma^2 is, to first order,
-
-    e = M^-1 sum w (v x dv),   M = sum w (I - v v^T)
-
-for known displacements dv of the stars, with the covariance M^-1 [sum w^2 s^2 (I - v v^T)] M^-1 for independent errors
-s across each direction. An unknown velocity dV displaces all stars alike, and the attitude by z x dV / c (z: the
-boresight).
+and from ray traces (colour, distortion left by the camera model, heated lens); `calib.attitude.predicted` turns them
+into errors of the attitude.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import constants
 from scipy.spatial.transform import Rotation
 
+from calib.accuracy.attitude_terms import AttitudeErrors
 from calib.attitude.association import pixel_angle_rad
+from calib.attitude.predicted import attitude_of_shifts, attitude_of_velocity, covariance_of_noise
 from calib.attitude.tracker import GuideCatalogue, expected_guides
 from calib.cameras.base import CameraModel
+from calib.cameras.field_map import FieldMap, fit_field_map, fit_similarity
 from calib.cameras.fit import fit_camera
-from calib.measure.centroid import centroider_class, get_centroider
-from calib.measure.centroid_prediction import phase_windows
-from calib.records import Stamps
+from calib.measure.centroid import centroider_class
+from calib.measure.centroid_prediction import fit_bias
 from experiments.flight.scenario import Flight
 from experiments.flight.settings import Config
-from experiments.laboratory.distortion_model import polynomial_basis
 from experiments.laboratory.guide_stars import guide_stars
 from experiments.laboratory.sensor_prediction import (
     CameraPrediction,
@@ -52,11 +45,8 @@ from render.records import EffectivePsf
 from render.sensor_file.catalogue import load_catalogue
 from render.sensor_file.instrument import Instrument, build_instrument, configured_lens, housing_of
 
-TERMS = ("bias", "thermo_elastic", "fov_spatial", "pixel_spatial", "temporal_noise", "aberration")
 STEP_K = {"mean_k": 1.0, "axial_k": 0.5, "transverse_x_k": 0.2, "transverse_y_k": 0.2, "radial_k": 0.5}
 """Of the differences that sensitivities are made of."""
-DEGREE = 5
-"""Of the polynomials that maps of shifts over the field are read with."""
 SATURATION_MARGIN_MAG = 0.3
 FEW_ATTITUDES = 60
 AZIMUTH_DEG = 22.5
@@ -90,70 +80,6 @@ def heated(config: Config, state_k: FloatArray) -> LensSystem:
         raise DomainError(f"temperature: {error}") from None
 
 
-def attitude_of_shifts(v: FloatArray, weight: FloatArray, shift: FloatArray) -> FloatArray:
-    """Attitude error (3,) [rad] of stars (n, 3) that are displaced by ``shift`` (n, 3) [rad]."""
-    return np.asarray(np.linalg.solve(_information(v, weight), (weight[:, None] * np.cross(v, shift)).sum(0)))
-
-
-def covariance_of_noise(v: FloatArray, weight: FloatArray, variance: FloatArray) -> FloatArray:
-    """Covariance (3, 3) of the attitude of stars that err independently."""
-    inverse = np.linalg.inv(_information(v, weight))
-    return np.asarray(inverse @ _information(v, weight**2 * variance) @ inverse)
-
-
-def _information(v: FloatArray, weight: FloatArray) -> FloatArray:
-    return np.asarray(weight.sum() * np.eye(3) - np.einsum("n,ni,nj->ij", weight, v, v))
-
-
-# --- Maps over the field
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FieldMap:
-    """A shift over the field [px], as polynomials in the tangents of the direction."""
-
-    reach: float
-    coefficients: FloatArray  # (terms, 2)
-
-    @classmethod
-    def of(cls, direction: FloatArray, shift_px: FloatArray) -> FieldMap:
-        """Fitted to shifts (n, 2) at directions (n, 3)."""
-        tangent = direction[:, :2] / direction[:, 2:]
-        reach = float(np.abs(tangent).max())
-        basis = polynomial_basis(tangent / reach, DEGREE)
-        return cls(reach=reach, coefficients=np.asarray(np.linalg.lstsq(basis, shift_px, rcond=None)[0]))
-
-    def at(self, direction: FloatArray) -> FloatArray:
-        """Shifts (n, 2)."""
-        return np.asarray(
-            polynomial_basis(direction[:, :2] / direction[:, 2:] / self.reach, DEGREE) @ self.coefficients
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SegmentErrors:
-    """Predicted errors of the attitude at one time, about x, y and roll [arcsec]."""
-
-    time_s: float
-    available: bool
-    stars: float  # Guide stars, with their chance to be fit
-    noise_arcsec2: FloatArray  # (3,) Variance by temporal noise
-    pixel_arcsec2: FloatArray  # (3,) Variance by pixel patterns
-    fov_arcsec: FloatArray  # (3,) Error by colour and distortion
-    spot_arcsec2: FloatArray  # (3,) Variance by pixel phase: of the fit, and of spots of other colours
-    focus_arcsec2: FloatArray  # (3,) The same by those of the heated lens
-    thermal_arcsec: FloatArray  # (3,) Error by the heated lens
-    aberration_arcsec: FloatArray  # (3,) Error by the velocity that is not known
-
-    @property
-    def static_arcsec2(self) -> FloatArray:
-        """Variance (3,) by everything that depends on the pixels and their phases."""
-        return self.pixel_arcsec2 + self.spot_arcsec2 + self.focus_arcsec2
-
-
-VECTORS = tuple(one.name for one in fields(SegmentErrors) if one.name.endswith(("arcsec", "arcsec2")))
-
-
 class Budget:
     """The sensor as it was calibrated, its guide stars, and their errors at any time; made by `build_budget`."""
 
@@ -166,8 +92,9 @@ class Budget:
         self._map = self.instrument.pixel_map(state.band, temperature_k=config.star_temperature_k)
         self.model: CameraModel = fit_camera(self._map).camera
         self.pixel_rad = pixel_angle_rad(self.model)
+        self.pixel_arcsec = self.pixel_rad * RAD_ARCSEC
         residual = self._map.pixel_px - self.model.project(self._map.direction)
-        self._residual = FieldMap.of(self._map.direction, residual)
+        self._residual = fit_field_map(self._map.direction, residual)
         whole = load_catalogue(config.catalogue)
         stars = whole.select(np.flatnonzero(whole.magnitude <= config.catalogue.faintest_mag))
         self.stars = stars
@@ -215,23 +142,23 @@ class Budget:
     def sensitivity(self) -> Mapping[str, FieldMap]:
         """Shift [px/K] of stars by every state that the flight has, from traces of the lens a little off."""
         used = np.abs(self.flight.thermal.values_k).max(axis=0) > 0.0
-        found = {}
-        for name, there, unit in zip(COMPONENTS, used, np.eye(len(COMPONENTS)), strict=True):
-            if there:
+        maps = {}
+        for name, heated_once, unit in zip(COMPONENTS, used, np.eye(len(COMPONENTS)), strict=True):
+            if heated_once:
                 step = STEP_K[name]
-                ends = [self._traced(sign * step * unit) for sign in (1.0, -1.0)]
-                found[name] = FieldMap.of(self._map.direction, (ends[0] - ends[1]) / (2.0 * step))
-        return found
+                above, below = (self._traced(sign * step * unit) for sign in (1.0, -1.0))
+                maps[name] = fit_field_map(self._map.direction, (above - below) / (2.0 * step))
+        return maps
 
     def _traced(self, state_k: FloatArray) -> FloatArray:
         """Mean places of traced light (n, 2) through the lens in a state, for the directions of the map."""
         warm = build_instrument(self.config.instrument, lens=heated(self.config, state_k))
-        found = warm.pixel_map(self.nominal.state.band, temperature_k=self.config.star_temperature_k)
-        if found.direction.shape != self._map.direction.shape:
+        traced = warm.pixel_map(self.nominal.state.band, temperature_k=self.config.star_temperature_k)
+        if traced.direction.shape != self._map.direction.shape:
             raise DomainError(
                 "temperature: the heated lens loses light at the edge of the field; use smaller temperature changes"
             )
-        return np.asarray(found.pixel_px)
+        return np.asarray(traced.pixel_px)
 
     @cached_property
     def _colour_bias(self) -> tuple[FloatArray, FloatArray]:
@@ -265,31 +192,16 @@ class Budget:
         return self.camera(0.0, self._usual_rate)
 
     def _fit_bias(self, *others: tuple[EffectivePsf, ...]) -> tuple[FloatArray, FloatArray]:
-        """Fitted minus true places of stars with other PSFs, noiseless: radial mean and RMS over phases (k, f) [px]."""
-        state, processing = self.nominal.state, self.nominal.processing
-        shape = (len(others), len(state.radius_px))
-        mean, spread = np.zeros(shape), np.zeros(shape)
+        """Bias of the fit to stars with other PSFs, noiseless: radial mean and RMS over phases (k, f) [px]."""
         if not centroider_class(self.config.centroid).needs_epsf:
-            return mean, spread
+            return np.zeros((2, len(others), len(self.nominal.state.radius_px)))
         bright = float(self.nominal.electrons(np.array([np.median(self.guides.magnitude)]), 5800.0)[0])
+        own, noise, window_px = self.usual.state.psfs, self.nominal.processing.noise, self.config.window_px
+        bias = np.array(
+            [fit_bias(self.config.centroid, own, psfs, bright, noise=noise, window_px=window_px) for psfs in others]
+        )
         turn = np.radians(AZIMUTH_DEG)
-        for n, psfs in enumerate(others):
-            windows = phase_windows(psfs, self.config.window_px, 4)
-            count = len(windows.light)
-            stamps = Stamps(
-                electrons=bright * windows.light,
-                valid=np.ones(windows.light.shape, bool),
-                corner_px=np.zeros((count, 2), np.int64),
-                background_e=np.zeros(count),
-                start_px=windows.place_px,
-                flags=np.zeros(count, np.uint32),
-                psf_index=windows.psf_index,
-            )
-            fit = get_centroider(self.config.centroid, epsf=self.usual.state.psfs)
-            bias = (fit.measure(stamps, processing.noise).pixel_px - windows.place_px).reshape(len(psfs), -1, 2)
-            mean[n] = bias.mean(1) @ np.array([np.cos(turn), np.sin(turn)])
-            spread[n] = np.sqrt(bias.var(axis=1).mean(1))
-        return mean, spread
+        return bias.mean(axis=2) @ np.array([np.cos(turn), np.sin(turn)]), np.sqrt(bias.var(axis=2).mean(-1))
 
     def colour_px(self, temperature_k: FloatArray, radius_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Radial shift (n,) of stars by their colour as the centroider sees it, and its RMS over pixel phases."""
@@ -322,45 +234,37 @@ class Budget:
         )
         return rows, np.asarray(attitude.apply(seen)).reshape(-1, 3)
 
-    def errors(self, time_s: float, *, state_k: FloatArray | None = None) -> SegmentErrors:
+    def errors(self, time_s: float, *, state_k: FloatArray | None = None) -> AttitudeErrors:
         """Errors of the attitude at a time, with the lens in its state then or in another one."""
         path = self.flight.trajectory
         return self.errors_of(path.attitude(time_s), np.asarray(path.rate(time_s)), time_s, state_k=state_k)
 
     def errors_of(
         self, attitude: Rotation, rate_rad_per_s: FloatArray, time_s: float, *, state_k: FloatArray | None = None
-    ) -> SegmentErrors:
+    ) -> AttitudeErrors:
         """The same in another attitude, cam from icrs, that turns at another rate."""
         flight, config = self.flight, self.config
         rows, v = self.expected(attitude, flight.velocity_km_per_s(time_s))
         fit = (1.0 - self._bad) ** (config.window_px**2)
-        if len(rows) * fit < config.tracker.fewest or bool(flight.blinded(time_s, attitude)):
-            nothing = dict.fromkeys(VECTORS, np.full(3, np.nan))
-            return SegmentErrors(time_s=time_s, available=False, stars=len(rows) * fit, **nothing)
-        noise, pixel, phase, spot, shift = self._star_errors(
-            float(flight.background_e_per_s(time_s, attitude)), rate_rad_per_s, rows, v
-        )
-        weight = fit / (self.pixel_rad**2 * (noise**2 + self.told_px2(rows, v)))
-        scale = self.pixel_rad * RAD_ARCSEC
-
-        def variance(sigma_px: FloatArray) -> FloatArray:
-            # a star that is left out (a bad pixel in its window) takes its error along: 1 / fit of each weight
-            return np.asarray(scale**2 * np.diag(covariance_of_noise(v, weight / fit, sigma_px**2)) / fit)
-
-        state = flight.thermal.at(time_s) if state_k is None else state_k
-        warm, blurred = self._thermal_shift(state, v)
-        return SegmentErrors(
-            time_s=time_s,
-            available=True,
-            stars=len(rows) * fit,
-            noise_arcsec2=variance(noise),
-            pixel_arcsec2=variance(pixel),
-            fov_arcsec=RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, shift)),
-            spot_arcsec2=variance(np.hypot(phase, spot)),
-            focus_arcsec2=variance(blurred),
-            thermal_arcsec=RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, warm)),
-            aberration_arcsec=self.aberration_arcsec(time_s, attitude),
-        )
+        vectors = [name for name in AttitudeErrors.__slots__ if name.endswith(("arcsec", "arcsec2"))]
+        numbers = dict.fromkeys(vectors, np.full(3, np.nan))
+        available = len(rows) * fit >= config.tracker.fewest and not flight.blinded(time_s, attitude)
+        if available:
+            background = float(flight.background_e_per_s(time_s, attitude))
+            noise, pixel, phase, spot, shift = self._star_errors(background, rate_rad_per_s, rows, v)
+            weight = 1.0 / (noise**2 + self.unmodelled_px2(rows, v))
+            state = flight.thermal.at(time_s) if state_k is None else state_k
+            thermal, blurred = self._thermal_shift(state, v)
+            sigmas = {"noise": noise, "pixel": pixel, "spot": np.hypot(phase, spot), "focus": blurred}
+            numbers = {
+                f"{name}_arcsec2": self.pixel_arcsec**2 * np.diag(covariance_of_noise(v, weight, sigma**2, share=fit))
+                for name, sigma in sigmas.items()
+            } | {
+                f"{name}_arcsec": RAD_ARCSEC * attitude_of_shifts(v, weight, self._turned(v, moved))
+                for name, moved in (("fov", shift), ("thermal", thermal))
+            }
+            numbers["aberration_arcsec"] = self.aberration_arcsec(time_s, attitude)
+        return AttitudeErrors(time_s=time_s, available=available, stars=len(rows) * fit, **numbers)
 
     @property
     def _bad(self) -> float:
@@ -404,16 +308,16 @@ class Budget:
         return np.asarray(self.model.unproject(place + shift_px) - self.model.unproject(place))
 
     def aberration_arcsec(self, time_s: float, attitude: Rotation) -> FloatArray:
-        """Closed form: z x dV / c, with dV the true velocity less the known one, in cam."""
+        """Error (3,) by the true velocity less the known one."""
         known = self.flight.known_velocity_km_per_s(time_s)
-        left = self.flight.velocity_km_per_s(time_s) - (np.zeros(3) if known is None else known)
-        return np.asarray(RAD_ARCSEC * np.cross([0.0, 0.0, 1.0], attitude.apply(left)) * 1e3 / constants.c)
+        unknown = self.flight.velocity_km_per_s(time_s) - (np.zeros(3) if known is None else known)
+        return RAD_ARCSEC * attitude_of_velocity(attitude.apply(unknown))
 
     def _away(self, v: FloatArray) -> FloatArray:
         """Places (n, 2) of directions from the middle of the detector [px]."""
         return np.asarray(self.model.project(v) - self.model.geometry.centre_px)
 
-    def told_px2(self, rows: NDArray[np.int64], v: FloatArray) -> FloatArray:
+    def unmodelled_px2(self, rows: NDArray[np.int64], v: FloatArray) -> FloatArray:
         """Variance (n,) per axis that the tracker adds to the noise of guide stars, rows of `guides`."""
         return np.asarray(self.star_error_px[rows] ** 2 + 0.5 * self.scale_error**2 * (self._away(v) ** 2).sum(1))
 
@@ -442,14 +346,10 @@ class Budget:
             rate = np.asarray(self.flight.trajectory.rate(float(time)))
             _, pixel, phase, _, _ = self._star_errors(0.0, rate, rows, v)
             warm, blurred = self._thermal_shift(self.flight.thermal.at(float(time)), v)
-            # shift, roll and scale of the image: the first two are the attitude's
-            x, y = self._away(v).T
-            one, none = np.ones_like(x), np.zeros_like(x)
-            basis = np.concatenate([np.stack([one, none, -y, x], 1), np.stack([none, one, x, y], 1)])
-            found = np.linalg.lstsq(basis, warm.T.ravel(), rcond=None)[0]
-            left = (warm.T.ravel() - basis @ found).reshape(2, -1) + self._residual.at(v).T
-            squares += list(pixel**2 + phase**2 + blurred**2 + 0.5 * (left**2).sum(0))
-            scales.append(found[3])
+            (*_, growth), residual = fit_similarity(self._away(v), warm)  # shift and roll are the attitude's
+            residual = residual + self._residual.at(v)
+            squares += list(pixel**2 + phase**2 + blurred**2 + 0.5 * (residual**2).sum(1))
+            scales.append(growth)
         return float(np.mean(squares)), float(np.sqrt(np.mean(np.square(scales))))
 
     def bias_arcsec(self) -> FloatArray:

@@ -29,9 +29,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial.legendre import legvander2d
 from numpy.typing import NDArray
 
+from calib.cameras.field_map import polynomial_basis
 from calib.measure.centroid import Centroider
 from calib.measure.expected_windows import ExpectedWindows, drawn_positions, noiseless_positions, window_response
 from calib.records import NoiseModel
@@ -95,13 +95,6 @@ class DistortionPrediction:
         """Standard deviation (3, 2) of the RMS over a number of surveys of one chip and one run."""
         one, frozen = self.scatter_px[method][reference], self.frozen_px[method][reference]
         return np.sqrt(frozen**2 + np.maximum(one**2 - frozen**2, 0.0) / surveys)
-
-
-def polynomial_basis(place: FloatArray, order: int) -> FloatArray:
-    """Products of Legendre polynomials at places (..., 2), total degree at most ``order``: (..., k)."""
-    terms = legvander2d(place[..., 0], place[..., 1], [order, order])
-    degree = np.add.outer(np.arange(order + 1), np.arange(order + 1)).ravel()
-    return np.asarray(terms[..., degree <= order])
 
 
 def camera_projector(place: FloatArray, reference: Reference) -> FloatArray:

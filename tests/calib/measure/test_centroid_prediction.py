@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from calib.measure.centroid import get_centroider
-from calib.measure.centroid_prediction import centroid_bound, phase_windows, predict_centroids, psf_mismatch
+from calib.measure.centroid_prediction import (
+    centroid_bound,
+    fit_bias,
+    phase_windows,
+    predict_centroids,
+    psf_mismatch,
+)
 from calib.measure.stamps import noiseless_stamps
 from calib.records import NoiseModel
 from optics.errors import ConfigError
@@ -96,11 +102,18 @@ def test_wrong_psf_is_what_the_fit_makes_of_it():
     shifted = np.stack([np.interp(offset + centre, offset, row) for row in tail])  # about its own mean again
     true = EffectivePsf(values=shifted, oversampling=8)
     window, flux = 11, 20000.0
-    light = flux * phase_windows((true,), window).light
-    place = phase_windows((told,), window).place_px
-    stamps = noiseless_stamps(light, start_px=place, psf_index=np.zeros(len(light), np.int64))
-    table = get_centroider("epsf", epsf=(told,)).measure(stamps, NOISE)
+    bias = fit_bias("epsf", (told,), (true,), flux, noise=NOISE, window_px=window)
+    assert bias.shape == (1, 16, 2)
     predicted = psf_mismatch((told,), (true,), [flux], noise=NOISE, window_px=window)[0, 0]
-    rms = np.sqrt(((np.column_stack([table.x_px, table.y_px]) - place) ** 2).mean())
-    assert predicted == pytest.approx(rms, rel=0.25)  # first order
+    assert predicted == pytest.approx(np.sqrt((bias**2).mean()), rel=0.25)  # first order
     assert psf_mismatch((told,), (told,), [flux], noise=NOISE, window_px=window)[0, 0] == 0.0
+
+
+def test_a_fit_is_off_by_as_much_as_its_psf():
+    """PSFs of the stars 0.03 px right of where the fit has them."""
+    told = gaussian_psf(0.8)
+    offset = (np.arange(len(told.values)) - len(told.values) // 2) / 8.0
+    moved = np.stack([np.interp(offset - 0.03, offset, row) for row in told.values])
+    bias = fit_bias("epsf", (told, told), (EffectivePsf(values=moved, oversampling=8), told), 2e4, noise=NOISE)
+    np.testing.assert_allclose(bias[0].mean(0), [0.03, 0.0], atol=1e-3)
+    np.testing.assert_allclose(bias[1], 0.0, atol=1e-5)

@@ -9,8 +9,9 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.solve import solve_wahba, solve_wahba_many
+from calib.cameras.field_map import fit_field_map
 from experiments.flight.loop import by_budget
-from experiments.flight.prediction import Budget, FieldMap, build_budget
+from experiments.flight.prediction import Budget, build_budget
 from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config
 from optics.attitude import aberrated, attitude_error_arcsec
@@ -38,7 +39,7 @@ def budget():
     made = build_budget(config, build_flight(config), old=True)
     direction = made._map.direction
     away = made._map.pixel_px - made.model.geometry.centre_px
-    made.__dict__["sensitivity"] = {"mean_k": FieldMap.of(direction, GROWTH * away)}
+    made.__dict__["sensitivity"] = {"mean_k": fit_field_map(direction, GROWTH * away)}
     return made
 
 
@@ -67,7 +68,7 @@ def test_random_errors_are_the_scatter_of_attitudes(budget, seen):
     fit, rng, draws = (1.0 - bad) ** (WINDOW * WINDOW), np.random.default_rng(5), 3000
     assert fit < 0.8
     assert told.stars == pytest.approx(fit * len(v))
-    stated = budget.pixel_rad * np.sqrt(noise**2 + budget.told_px2(rows, v))
+    stated = budget.pixel_rad * np.sqrt(noise**2 + budget.unmodelled_px2(rows, v))
     frame = np.repeat(np.arange(draws), len(v))
     for sigma, square in ((noise, told.noise_arcsec2), (pixel, told.pixel_arcsec2), (spot, told.spot_arcsec2)):
         place = budget.model.project(v) + sigma[:, None] * rng.standard_normal((draws, len(v), 2))
@@ -87,7 +88,7 @@ def test_known_shifts_turn_the_attitude_their_way(budget, seen):
     """Colour and what the camera model leaves; an image that grew by 6e-4; a velocity that is not all known."""
     attitude, told = seen
     rows, v, (noise, _, _, shift) = stars_of(budget, attitude)
-    sigma = np.sqrt(noise**2 + budget.told_px2(rows, v))
+    sigma = np.sqrt(noise**2 + budget.unmodelled_px2(rows, v))
     place = budget.model.project(v)
     away = place - budget.model.geometry.centre_px
     for moved, expected in ((shift, told.fov_arcsec), (3.0 * GROWTH * away, told.thermal_arcsec)):
@@ -173,7 +174,9 @@ def test_what_stars_err_by_besides_noise(budget, seen, monkeypatch):
     assert (rest * left[nearest]).sum() > 0.5 * (left[nearest] ** 2).sum()
     # an error of the scale, root mean square 1e-3: half of the square of the distance along an axis
     monkeypatch.setitem(budget.__dict__, "_alike", (budget._alike[0], 1e-3))
-    assert budget.told_px2(rows, v) == pytest.approx(budget.star_error_px[rows] ** 2 + ((1e-3 * away) ** 2).mean(1))
+    assert budget.unmodelled_px2(rows, v) == pytest.approx(
+        budget.star_error_px[rows] ** 2 + ((1e-3 * away) ** 2).mean(1)
+    )
     rng, star = np.random.default_rng(2), int(np.argmax(budget.temperature_k[budget.guides.row]))
     away = rng.uniform(-350.0, 350.0, (4000, 2))
     radius, kelvin = np.hypot(*away.T), float(budget.temperature_k[budget.guides.row[star]])
