@@ -17,14 +17,14 @@ from .fits.files import write_frame as write_frame
 from .fits.wcs import lens_wcs as lens_wcs
 from .forward import StarRenderer as StarRenderer
 from .observation import Observation as Observation
-from .observation import SkySimulator as SkySimulator
-from .observation import observe as observe
 from .records import ExpectedImage as ExpectedImage
 from .records import Frame as Frame
 from .records import StarField as StarField
 from .records import Truth as Truth
 from .sensor import StarSensor as StarSensor
 from .sensor_file.load import load_star_sensor as load_star_sensor
+from .simulator import SkySimulator as SkySimulator
+from .simulator import observe as observe
 from .sky.background import UniformSky as UniformSky
 from .sky.sky import Sky as Sky
 from .sky.sky import load_sky as load_sky

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from optics.arrays import FloatArray
+from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.light.collimation import Collimation
 from optics.records import freeze
@@ -154,6 +154,10 @@ class Truth:
                 object.__setattr__(self, name, np.full(np.shape(self.electrons_in), missing))
         for name in self.__dataclass_fields__:  # NaN is told by `missing`
             freeze(self, name, shape=("n", "b"), sizes=sizes, finite=name.startswith("electrons"))
+
+    def select(self, rows: slice | IntArray) -> Truth:
+        """Some of the stars."""
+        return Truth(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
 
     @property
     def missing(self) -> NDArray[np.str_]:

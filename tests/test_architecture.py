@@ -31,7 +31,7 @@ ORDER = {
     "optics": "arrays errors forbes units < attitude brown_conrady fits frames record_files records textfile < validate"
     " < response settings < glass < files < lens light < rays < lens_file < export waves < figures lens_study page",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing"
-    " < plugins sensor_file < baffle bench bodies forward < observation",
+    " < plugins sensor_file < baffle bench bodies forward < observation < simulator",
     "calib": "directional fitting flags < records < cameras measure < attitude detector < accuracy calibration figures",
 }
 # What experiments share is below them; experiments know nothing of each other's inside.

@@ -29,10 +29,11 @@ from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from render.detector.readout import expose
 from render.engine.random import Streams
-from render.observation import Observation, SkySimulator
+from render.observation import Observation
 from render.sensor_file.catalogue import load_catalogue
 from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument
+from render.simulator import SkySimulator
 from render.sky.sky import load_sky
 
 MATCH_PX = 2.0

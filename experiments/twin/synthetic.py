@@ -24,8 +24,8 @@ from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 from render.detector.spec import Detector
 from render.engine.random import Streams
-from render.observation import SkySimulator
 from render.sensor import build_star_sensor
+from render.simulator import SkySimulator
 from render.sky.sky import Sky, load_sky
 
 FAINTEST_MAG = 10.0

@@ -57,6 +57,11 @@ class BodyImage:
         freeze(self, "electrons", shape=("b",), sizes=sizes)
         freeze(self, "photon_px", shape=("b", 2), sizes=sizes, finite=False)
 
+    def dimmed(self, fraction: float) -> BodyImage:
+        """The image of which a fraction of the light arrives."""
+        image = replace(self.image, electrons=self.image.electrons * np.float32(fraction))
+        return replace(self, image=image, electrons=self.electrons * fraction)
+
 
 class BodyRenderer:
     """Renders bodies through one camera; keeps the maps of its lens."""

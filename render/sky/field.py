@@ -8,15 +8,16 @@ renders, with directions in icrs; the camera's world is the sky.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import constants
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
+from optics.attitude import aberrated
 from optics.errors import ConfigError, DomainError
 from optics.rays.paraxial import axial_paraxial
 from optics.records import freeze
@@ -194,17 +195,23 @@ def field_of(
     magnitude_limit: float | None = None,
     epoch_year: float | None = None,
     observer: Observer | None = None,
+    velocity_km_per_s: ArrayLike | None = None,
 ) -> SkyField:
     """Stars that fall on the detector or the margin around it; the attitude is cam from icrs.
 
     Stars without a magnitude are left out below a limit. The epoch is a Julian year, that of the catalogue if left out;
-    an observer adds parallax and aberration (`render.catalogue.motion.earth_observer`).
+    an observer adds parallax and aberration (`render.catalogue.motion.earth_observer`). A velocity (3,) along icrs
+    takes the place of the observer's; without an observer it adds aberration alone.
     """
     if not isinstance(attitude, Rotation) or not attitude.single:
         raise ConfigError("attitude must be one scipy Rotation, cam from icrs")
     matrix = attitude.as_matrix()
     epoch = index.catalog.epoch_year if epoch_year is None else float(epoch_year)
-    speed = 0.0 if observer is None else float(np.linalg.norm(observer.velocity_km_per_s))
+    velocity = np.zeros(3) if observer is None else observer.velocity_km_per_s
+    if velocity_km_per_s is not None:
+        velocity = np.asarray(velocity_km_per_s, np.float64)
+        observer = None if observer is None else replace(observer, velocity_km_per_s=velocity)
+    speed = float(np.linalg.norm(velocity))
     far = 0.0 if observer is None else float(np.linalg.norm(observer.position_au))
     # what may move in from outside; twice, for second orders
     slack = 2.0 * (
@@ -217,6 +224,8 @@ def field_of(
     rows = rows[view.inside(_turned(index.catalog.direction[rows], matrix), slack)]
     stars = index.catalog.select(rows)
     direction = directions_at(stars, epoch, observer)
+    if observer is None and speed:
+        direction = aberrated(direction, velocity)
     pixel = view.pixel_of(_turned(direction, matrix))
     seen = view.on_detector(pixel)
     return SkyField(

@@ -7,7 +7,7 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
@@ -87,9 +87,19 @@ class Sky:
             return np.zeros(len(self), bool)
         return np.asarray(np.isnan(self.catalog.proper_motion_rad_per_year).any(axis=1))
 
-    def field(self, view: FieldOfView, attitude: Rotation) -> SkyField:
-        """Stars that a camera sees in an attitude, cam from icrs; `SkyField.row` counts in this sky."""
-        return field_of(self.index, view, attitude, epoch_year=self.epoch_year, observer=self.observer)
+    def field(self, view: FieldOfView, attitude: Rotation, *, velocity_km_per_s: ArrayLike | None = None) -> SkyField:
+        """Stars that a camera sees in an attitude, cam from icrs; `SkyField.row` counts in this sky.
+
+        A velocity (3,) of the camera along icrs takes the place of the observer's.
+        """
+        return field_of(
+            self.index,
+            view,
+            attitude,
+            epoch_year=self.epoch_year,
+            observer=self.observer,
+            velocity_km_per_s=velocity_km_per_s,
+        )
 
     def star_field(self, field: SkyField, light: StarLight) -> StarField:
         """The stars of a field with their light, ready to be rendered."""

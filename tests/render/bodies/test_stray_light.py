@@ -11,8 +11,8 @@ from optics.errors import ConfigError
 from optics.light.pst import PointSourceTransmittance, write_pst
 from render.bodies.stray_light import EARTH_ALBEDO, StrayLight, band_light, earth_points, limb_pst
 from render.catalogue.motion import earth_observer
-from render.observation import SkySimulator
 from render.sensor_file.load import load_star_sensor
+from render.simulator import SkySimulator
 from render.sky.sky import load_sky
 from render.sky.sunlight import sunlight
 

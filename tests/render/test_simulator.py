@@ -19,8 +19,8 @@ from optics.rays.spots import collecting_area_mm2
 from render.bodies.solar_system import solar_system
 from render.bodies.sunlit_body import planet_body, sphere_photons
 from render.catalogue.motion import earth_observer
-from render.observation import SkySimulator, observe
 from render.sensor_file.load import load_star_sensor
+from render.simulator import SkySimulator, observe
 from render.sky.background import UniformSky
 from render.sky.sky import load_sky
 
