@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.accuracy.distortion_prediction import expected_numbers
 from calib.accuracy.error_budget import ErrorBudget, ErrorTerm, combine
 from calib.accuracy.temporal import small_sample_factor
 from experiments.budget.chromatic import ChromaticTerm, predicted_terms, trace_target
@@ -34,7 +35,7 @@ from experiments.budget.settings import Config
 from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
 from experiments.laboratory.bench.epsf_session import predicted_epsfs, variance_of_another
 from experiments.laboratory.devices.targets import grid_directions
-from experiments.laboratory.distortion_model import marking_errors, predict_distortion, predicted_numbers
+from experiments.laboratory.distortion_model import marking_errors, predict_distortion
 from experiments.laboratory.high_frequency_model import MethodPrediction, predict_high_frequency
 from experiments.laboratory.temporal_error import predict_temporal, target_place
 from optics.arrays import FloatArray
@@ -237,4 +238,4 @@ def _marking_alone_px(lab: Laboratory) -> FloatArray:
     """sigma_C1 (2,) [px] of marking errors alone."""
     grid, target = lab.config.grid, grid_target(lab)
     direction = grid_directions(target, lab.instrument, grid_streams(lab).generator("target"))
-    return predicted_numbers(marking_errors(target, lab.instrument, direction), grid.order, grid.reference).rms_px[2]
+    return expected_numbers(marking_errors(target, lab.instrument, direction), grid.order, grid.reference).rms_px[2]

@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.distortion import LABELS, REFERENCES, grid_residual_px
 from experiments.distortion.settings import Config
 from experiments.distortion.wide_field import WIDE, wide_field, wide_run
 from experiments.harness.drawings import arrows
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
-from experiments.harness.sections import Section, agree, col, ratio_near
+from experiments.harness.sections import Section, agree, below, col, ratio_near
 from experiments.harness.summary import measured
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.point_quantities import point_quantities
@@ -26,12 +27,11 @@ from experiments.laboratory.devices.targets import GridTarget, grid_directions
 from experiments.laboratory.distortion_error import (
     DistortionMeasurement,
     dense_grid,
-    dense_map,
+    grid_position,
     measure_distortion,
     traced_bundles,
 )
-from experiments.laboratory.distortion_model import DistortionPrediction, forecast_map, predict_distortion
-from experiments.laboratory.distortion_statistics import LABELS, REFERENCES
+from experiments.laboratory.distortion_model import DistortionPrediction, predict_distortion, predict_map
 from experiments.laboratory.settings.published import ACC18_ARCSEC, is_published_sensor
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
@@ -167,7 +167,7 @@ def points(frames: DistortionMeasurement, predicted: DistortionPrediction, confi
         light_px=light.photon_px,
         ray_trace_px=predicted.bundle_px,
         d_px=found.d_px,
-        left_px=found.left_px,
+        left_px=found.residual_px,
     )
 
 
@@ -195,11 +195,15 @@ class TrueMap:
         "reference axis",
         json="true_map_arcsec_3sigma[reference].row_left_out",
     )
-    forecast_arcsec: FloatArray = col("Predicted", "arcsec", ".3f", "axis", json="forecast_map_arcsec_3sigma")
-    # Its parts: distortion that the polynomial cannot follow, errors of the points carried into the map
-    bias_arcsec: FloatArray = col("Distortion after the correction", "arcsec", ".3f", "axis", json="")
-    carried_arcsec: FloatArray = col("Propagated point errors", "arcsec", ".3f", "axis", json="")
-    ratio: Any = col("After correction, all surveys / predicted", dims="axis", json="")
+    # Of the same reference; its parts: distortion that camera and polynomial cannot follow, errors of the points
+    # carried into the map
+    forecast_arcsec: FloatArray = col(
+        "Predicted", "arcsec", ".3f", "reference axis", json="forecast_map_arcsec_3sigma[reference]"
+    )
+    bias_arcsec: FloatArray = col("Distortion after the correction", "arcsec", ".3f", "reference axis", json="")
+    carried_arcsec: FloatArray = col("Propagated point errors", "arcsec", ".3f", "reference axis", json="")
+    ratio: Any = col("After correction, all surveys / predicted", dims="reference axis", json="")
+    over_left_out: FloatArray = col("One survey / left out", format=".2f", dims="reference axis", json="")
     place_px: FloatArray = col("Place", "px", dims="cell axis", json="")
     distortion_px: FloatArray = col("Distortion", "px", dims="cell axis", json="")
     left_px: FloatArray = col("After the correction", "px", dims="cell axis", json="")
@@ -209,52 +213,51 @@ def true_map(
     bench: Bench, instrument: Instrument, frames: DistortionMeasurement, config: Config, point_error_px: float
 ) -> TrueMap:
     """Traced bundles on a dense grid, against camera and polynomial of every survey."""
-    scale, grid = frames.arcsec_3sigma, (config.map_rows, 2 * config.map_rows - 1)
-    traced = traced_bundles(bench, instrument, dense_grid(instrument, *grid))
-    maps = {
-        reference: [
-            dense_map(
-                instrument,
-                *frames.correction(config.methods[0], reference, copy),
-                reference=reference,
-                order=config.order,
-                grid=grid,
-                traced_px=traced,
-            )
-            for copy in range(len(frames.surveyed))
-        ]
+    scale, grid, method = frames.arcsec_3sigma, (config.map_rows, 2 * config.map_rows - 1), config.methods[0]
+    direction = dense_grid(instrument, *grid)
+    nominal, position = grid_position(instrument, direction)
+    traced = traced_bundles(bench, instrument, direction)
+    errors = {of: frames.map_error_px(method, of, position, traced - nominal) for of in REFERENCES}
+    distortion, _ = grid_residual_px(nominal, position, traced, traced, "aligned")
+    expected = [
+        predict_map(
+            bench,
+            instrument,
+            GridTarget(**config.target.model_dump()),
+            order=config.order,
+            reference=reference,
+            point_error_px=point_error_px,
+            field_position=position,
+            field_offset_px=traced - nominal,
+        )
         for reference in REFERENCES
-    }
-    left = scale * np.array([np.sqrt(np.mean([one.rms_px**2 for one in every], axis=0)) for every in maps.values()])
-    target = GridTarget(**config.target.model_dump())
-    bias, carried = forecast_map(
-        bench,
-        instrument,
-        target,
-        order=config.order,
-        point_error_px=point_error_px,
-        traced_px=traced,
-        grid=grid,
-    )
-    forecast = scale * np.hypot(bias, carried)
-    missed = scale * np.array([frames.left_out_px(config.methods[0], reference) for reference in REFERENCES])
-    ratio = left[list(REFERENCES).index("aligned")] / forecast
-    shown, step = maps[config.reference][0], max(1, grid[0] // 8)
-    cells = np.arange(grid[0] * grid[1]).reshape(grid)[::step, ::step].ravel()
+    ]
+    one_survey = scale * np.array([rms(error[0]) for error in errors.values()])
+    surveys = scale * np.array([rms(error, (0, 1)) for error in errors.values()])
+    missed = scale * np.array([frames.left_out_px(method, reference) for reference in REFERENCES])
+    ratio = surveys / (scale * np.array([one.rms_px for one in expected]))
+    step = max(1, grid[0] // 8)
+    cells = np.arange(len(direction)).reshape(grid)[::step, ::step].ravel()
     return TrueMap(
-        uncorrected_arcsec=scale * np.array([every[0].uncorrected_rms_px for every in maps.values()]),
-        one_survey_arcsec=scale * np.array([every[0].rms_px for every in maps.values()]),
-        all_surveys_arcsec=left,
+        uncorrected_arcsec=np.tile(scale * rms(distortion), (len(REFERENCES), 1)),
+        one_survey_arcsec=one_survey,
+        all_surveys_arcsec=surveys,
         point_out_arcsec=missed[:, 0],
         row_out_arcsec=missed[:, 1],
-        forecast_arcsec=forecast,
-        bias_arcsec=scale * bias,
-        carried_arcsec=scale * carried,
+        forecast_arcsec=scale * np.array([one.rms_px for one in expected]),
+        bias_arcsec=scale * np.array([one.bias_px for one in expected]),
+        carried_arcsec=scale * np.array([one.noise_px for one in expected]),
         ratio=measured(ratio, ratio / np.sqrt(18.0 * config.surveys)),  # each map is of about nine coefficients
-        place_px=shown.nominal_px[cells],
-        distortion_px=shown.uncorrected_px[cells],
-        left_px=shown.corrected_px[cells],
+        over_left_out=one_survey / np.fmax(missed[:, 0], missed[:, 1]),
+        place_px=nominal[cells],
+        distortion_px=distortion[cells],
+        left_px=errors[config.reference][0, cells],
     )
+
+
+def rms(error_px: FloatArray, axes: int | tuple[int, int] = 0) -> FloatArray:
+    """Root mean square over axes."""
+    return np.sqrt((error_px**2).mean(axes))
 
 
 def axes(config: Config) -> Quantities:
@@ -371,8 +374,15 @@ SECTIONS = {
                 "map_ratio",
                 within=0.1,
                 title="True map error of all surveys over its prediction",
-                advice="a polynomial of this order does not describe the distortion between the points",
-            )
+                advice="the prediction does not know the lens, or the errors of the points",
+            ),
+            below(
+                "map_over_left_out",
+                1.0,
+                title="True map error of a survey over its error at points left out",
+                advice="points left out do not show the error of the map: the grid is too coarse for the order, or "
+                "ends too far from the edge of the detector (target.rows, target.columns, target.edge_px, order)",
+            ),
         ],
     ),
     "wide": WIDE,

@@ -8,17 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.distortion import (
+    HIGHEST_ORDER,
+    LABELS,
+    OrderComparison,
+    Reference,
+    compare_orders,
+    deleted_rms_px,
+    distortion_statistics,
+    grid_residual_px,
+)
 from experiments.harness.drawings import arrows
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, above, below, col
-from experiments.laboratory.distortion_error import grid_residual_px
-from experiments.laboratory.distortion_statistics import (
-    LABELS,
-    Reference,
-    distortion_statistics,
-    left_out,
-    polynomial_terms,
-)
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import Layout
 from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
@@ -28,7 +30,6 @@ from optics.errors import DomainError
 
 PLACE = "distortion_arcsec_3sigma[method][reference]"
 DIMS = "method reference axis"
-HIGHEST = 9
 OVER_BEST = 2.0
 """Ratio to the error of the best order above which the order is wrong, and not a target of few points."""
 
@@ -70,36 +71,13 @@ class Choice:
     over_best: float = col("Error at points left out over that of the best order", format=".3g")
 
 
-def orders(place: FloatArray, offset_px: FloatArray, order: int, reference: Reference, scale: float) -> list[Order]:
-    """Every order that the points determine, up to two above the requested one."""
-    rows = []
-    for one in range(1, min(order + 2, HIGHEST) + 1):
-        if len(place) <= (one + 1) * (one + 2) // 2:
-            break
-        point, row = left_out(place, offset_px, one, reference)
-        terms = polynomial_terms(place, one)
-        left = offset_px - terms @ np.linalg.lstsq(terms, offset_px, rcond=None)[0]
-        rows.append(
-            Order(
-                tried=one,
-                tried_left_arcsec=scale * float(np.sqrt(left.var(0, ddof=1).mean())),
-                tried_point_arcsec=scale * float(np.sqrt((point**2).mean())),
-                tried_row_arcsec=scale * float(np.sqrt((row**2).mean())),
-            )
-        )
-    return rows
-
-
-def choice(rows: Sequence[Order], order: int) -> Choice:
-    """Comparison of the requested order with the others, by the larger of both errors."""
-    worst = np.array([np.fmax(one.tried_point_arcsec, one.tried_row_arcsec) for one in rows])
-    tested = np.array([np.isfinite(one.tried_row_arcsec) for one in rows])
-    best = int(np.argmin(np.where(tested | ~tested.any(), worst, np.inf)))
-    return Choice(
-        tested_order=max((one.tried for one, can in zip(rows, tested, strict=True) if can), default=0),
-        best_order=rows[best].tried,
-        over_best=float(worst[order - 1] / worst[best]),
-    )
+def orders(tried: OrderComparison, scale: float) -> list[Order]:
+    """A record per order, in units of ``scale`` [arcsec/px]."""
+    columns = (tried.order, scale * tried.residual_px, scale * tried.point_px, scale * tried.line_px)
+    return [
+        Order(tried=int(order), tried_left_arcsec=after, tried_point_arcsec=point, tried_row_arcsec=line)
+        for order, after, point, line in zip(*columns, strict=True)
+    ]
 
 
 def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
@@ -115,33 +93,35 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
     series = [reduce_series(folder, one, methods) for session in by_session.values() for one in session]
     references: tuple[Reference, ...] = ("nominal", "aligned", "calibrated")
     references = references[: 1 + len(series)]
-    place = (folder.nominal_px - folder.centre_px) / (0.5 * np.hypot(folder.width_px, folder.height_px))
-    rows, scale = [], folder.settings.pixel_arcsec
+    position = (folder.nominal_px - folder.centre_px) / (0.5 * np.hypot(folder.width_px, folder.height_px))
+    rows, scale = [], 3.0 * folder.settings.pixel_arcsec
     for method in methods:
         earlier, test = (one.points.mean_px(method) for one in (series[0], series[-1]))
-        residuals = [grid_residual_px(folder.nominal_px, place, earlier, test, one)[0] for one in references]
-        rows.append([distortion_statistics(place, d, config.order) for d in residuals])
+        residuals = [grid_residual_px(folder.nominal_px, position, earlier, test, one)[0] for one in references]
+        rows.append([distortion_statistics(position, d, config.order) for d in residuals])
     offset = [series[-1].points.mean_px(m) - folder.nominal_px for m in methods]
-    missed = 3.0 * scale * np.array([[left_out(place, of, config.order, one) for one in references] for of in offset])
-    tried = orders(place, offset[0], config.order, references[-1], 3.0 * scale)
-    sigma = {
-        name: 3.0 * scale * np.array([[getattr(one, f"{name}_px") for one in row] for row in rows])
-        for name in ("sigma_d", "sigma_left", "sigma_c1")
-    }
+    missed = scale * np.array(
+        [[deleted_rms_px(position, of, config.order, one) for one in references] for of in offset]
+    )
+    tried = compare_orders(position, offset[0], references[-1], highest=min(config.order + 2, HIGHEST_ORDER))
+    sigma = scale * np.array([[one.sigma_px for one in row] for row in rows])
     grid = Grid(
         references=references,
-        sigma_d_arcsec=sigma["sigma_d"],
-        sigma_left_arcsec=sigma["sigma_left"],
-        sigma_c1_arcsec=sigma["sigma_c1"],
+        sigma_d_arcsec=sigma[:, :, 0],
+        sigma_left_arcsec=sigma[:, :, 1],
+        sigma_c1_arcsec=sigma[:, :, 2],
         left_out_arcsec=missed[:, :, 0],
         row_out_arcsec=missed[:, :, 1],
         order=config.order,
         nominal_px=folder.nominal_px,
-        found_arcsec=scale * rows[0][-1].d_px,
-        left_arcsec=scale * rows[0][-1].left_px,
+        found_arcsec=scale / 3.0 * rows[0][-1].d_px,
+        left_arcsec=scale / 3.0 * rows[0][-1].residual_px,
     )
-    found = {"grid": grid, "orders": tried, "choice": choice(tried, config.order)}
-    return series, {**found, **points_of(folder, series[-1], methods[0])}
+    choice = Choice(
+        tested_order=tried.tested_order, best_order=tried.best_order, over_best=tried.over_best(config.order)
+    )
+    sections = {"grid": grid, "orders": orders(tried, scale), "choice": choice}
+    return series, {**sections, **points_of(folder, series[-1], methods[0])}
 
 
 def _axes(q: Quantities, grid: Grid) -> None:

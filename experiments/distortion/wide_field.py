@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.distortion import Reference, grid_residual_px
+from calib.accuracy.distortion_prediction import expected_numbers
 from experiments.distortion.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import measured
 from experiments.laboratory.bench.point_scene import point_laboratory, prepared_scene
 from experiments.laboratory.devices.targets import GridTarget, grid_directions
-from experiments.laboratory.distortion_error import DistortionMeasurement, measure_distortion, residual_px
+from experiments.laboratory.distortion_error import DistortionMeasurement, grid_position, measure_distortion
 from experiments.laboratory.distortion_model import (
     DistortionPrediction,
     marking_errors,
     predict_distortion,
-    predicted_numbers,
 )
-from experiments.laboratory.distortion_statistics import Reference
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
 from render.engine.random import Streams
@@ -116,24 +116,25 @@ def wide_run(config: Config, streams: Streams, *, progress: Progress) -> WideRun
         defect=sensor_maps(instrument.detector).defect,
         seed=config.seed,
     )
-    alone = predicted_numbers(marking_errors(target, instrument, direction), wide.order, REFERENCE)
+    alone = expected_numbers(marking_errors(target, instrument, direction), wide.order, REFERENCE)
     return WideRun(method=config.methods[0], frames=frames, predicted=predicted, marking_px=alone.rms_px)
 
 
 def wide_field(run: WideRun) -> WideField:
     """Numbers of the first survey and of the prescription, and its residuals point by point."""
     frames, predicted, scale = run.frames, run.predicted, run.frames.arcsec_3sigma
-    found, place_px = frames.statistics(run.method, REFERENCE), predicted.position_px[run.method]
-    _, expected, _ = residual_px(frames.instrument, frames.direction, place_px, place_px, REFERENCE)
-    apart = found.d_px - expected
+    statistics, expected_px = frames.statistics(run.method, REFERENCE), predicted.position_px[run.method]
+    nominal, position = grid_position(frames.instrument, frames.direction)
+    distortion, _ = grid_residual_px(nominal, position, expected_px, expected_px, REFERENCE)
+    difference = statistics.d_px - distortion
     square = (predicted.point_px[run.method] ** 2 + predicted.marking_px**2).mean()
-    freedom = apart.size - 4  # shift, roll and scale are fitted
+    freedom = difference.size - 4  # shift, roll and scale are fitted
     return WideField(
-        measured_arcsec=scale * np.stack([found.sigma_d_px, found.sigma_left_px, found.sigma_c1_px]),
+        measured_arcsec=scale * statistics.sigma_px,
         predicted_arcsec=measured(
             scale * predicted.mean_px[run.method][REFERENCE], scale * predicted.scatter_px[run.method][REFERENCE]
         ),
         marking_arcsec=scale * run.marking_px,
-        residual_ratio=measured(np.sqrt((apart**2).sum() / square / freedom), 1.0 / np.sqrt(2.0 * freedom)),
+        residual_ratio=measured(np.sqrt((difference**2).sum() / square / freedom), 1.0 / np.sqrt(2.0 * freedom)),
         pixel_arcsec=frames.instrument.pixel_arcsec,
     )

@@ -7,22 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.accuracy.distortion import (
+    DistortionStatistics,
+    Reference,
+    deleted_rms_px,
+    distortion_statistics,
+    grid_residual_px,
+    map_error_px,
+)
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.point_frames import read_points
 from experiments.laboratory.bench.point_scene import PointLight, PointScene, one_filter, scene_of
 from experiments.laboratory.bench.points import nominal_px
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from experiments.laboratory.devices.targets import GridTarget, grid_directions, survey
-from experiments.laboratory.distortion_statistics import (
-    DistortionStatistics,
-    Reference,
-    camera_terms,
-    distortion_statistics,
-    fit_camera,
-    left_out,
-    polynomial_terms,
-    without_pointing,
-)
 from optics.arrays import FloatArray
 from optics.records import freeze_all
 from render.engine.random import Streams
@@ -32,39 +30,11 @@ SESSIONS = ("earlier", "test")
 """The camera model of "calibrated" comes from the earlier session."""
 
 
-def camera_place(instrument: Instrument, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+def grid_position(instrument: Instrument, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Nominal pixels (n, 2) of directions (n, 3), and the same from the middle in units of half the diagonal."""
     camera = instrument.camera
     nominal = nominal_px(instrument, direction)
     return nominal, (nominal - camera.centre_px) / (0.5 * np.hypot(camera.width_px, camera.height_px))
-
-
-def residual_px(
-    instrument: Instrument,
-    surveyed: FloatArray,
-    earlier_px: FloatArray,
-    test_px: FloatArray,
-    reference: Reference,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eq. 19-20: places (n, 2), residuals (n, 2) of a session, coefficients of the camera behind the coordinates."""
-    nominal, place = camera_place(instrument, surveyed)
-    return place, *grid_residual_px(nominal, place, earlier_px, test_px, reference)
-
-
-def grid_residual_px(
-    nominal_px: FloatArray,
-    place: FloatArray,
-    earlier_px: FloatArray,
-    test_px: FloatArray,
-    reference: Reference,
-) -> tuple[FloatArray, FloatArray]:
-    """Eq. 19-20 from nominal coordinates (n, 2) alone: residuals (n, 2), and coefficients of the camera behind them.
-
-    Parameters as of `residual_px`; ``place`` (n, 2) are the coordinates in units of order 1.
-    """
-    offset = (earlier_px if reference == "calibrated" else test_px) - nominal_px
-    coefficient = fit_camera(place, offset, reference)
-    return test_px - nominal_px - camera_terms(place, reference) @ coefficient, coefficient
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,49 +58,40 @@ class DistortionMeasurement:
         """Factor from px, 1 sigma, to arcsec, 3 sigma."""
         return 3.0 * self.instrument.pixel_arcsec
 
-    def _residual(self, method: str, reference: Reference, copy: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        earlier, test = self.session_px[method]
-        return residual_px(self.instrument, self.surveyed[copy], earlier, test, reference)
-
     def statistics(self, method: str, reference: Reference, copy: int = 0) -> DistortionStatistics:
-        """The document's numbers with one survey of the target."""
-        place, d, _ = self._residual(method, reference, copy)
-        return distortion_statistics(place, d, self.order)
+        """Numbers of ACC18 with one survey of the target."""
+        nominal, position = grid_position(self.instrument, self.surveyed[copy])
+        d_px, _ = grid_residual_px(nominal, position, *self.session_px[method], reference)
+        return distortion_statistics(position, d_px, self.order)
+
+    def over_surveys(self, method: str, reference: Reference) -> FloatArray:
+        """sigma_d, sigma_D and sigma_C1 (q, 3, 2) [px] of every survey: the same frames, another total station."""
+        return np.stack([self.statistics(method, reference, copy).sigma_px for copy in range(len(self.surveyed))])
 
     def left_out_px(self, method: str, reference: Reference) -> FloatArray:
         """RMS error (2, 2) per axis at points left out, and at rows or columns left out, of the first survey."""
-        nominal, place = camera_place(self.instrument, self.surveyed[0])
-        return left_out(place, self.session_px[method][1] - nominal, self.order, reference)
+        nominal, position = grid_position(self.instrument, self.surveyed[0])
+        return deleted_rms_px(position, self.session_px[method][1] - nominal, self.order, reference)
 
-    def over_surveys(self, method: str, reference: Reference) -> FloatArray:
-        """sigma_d, sigma_Dd and sigma_C1 (q, 3, 2) [px] of every survey: the same frames, another total station."""
-        every = (self.statistics(method, reference, copy) for copy in range(len(self.surveyed)))
-        return np.stack([np.stack([s.sigma_d_px, s.sigma_left_px, s.sigma_c1_px]) for s in every])
-
-    def correction(self, method: str, reference: Reference, copy: int = 0) -> tuple[FloatArray, FloatArray]:
-        """Coefficients of camera (k,) and polynomial (l, 2) that the calibration hands to the user."""
-        place, d, camera = self._residual(method, reference, copy)
-        return camera, distortion_statistics(place, d, self.order).coefficient_px
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DenseMap:
-    """True errors of a correction over the whole detector; m grid points, shift and roll taken out."""
-
-    nominal_px: FloatArray  # (m, 2) Grid on the detector
-    shape: tuple[int, int]  # Rows and columns of the grid
-    uncorrected_px: FloatArray  # (m, 2) Distortion: traced minus the best shift, roll and scale
-    corrected_px: FloatArray  # (m, 2) Traced minus camera and polynomial
-
-    @property
-    def rms_px(self) -> FloatArray:
-        """RMS error (2,) per axis that is left after the correction."""
-        return np.asarray(np.sqrt((self.corrected_px**2).mean(0)))
-
-    @property
-    def uncorrected_rms_px(self) -> FloatArray:
-        """RMS distortion (2,)."""
-        return np.asarray(np.sqrt((self.uncorrected_px**2).mean(0)))
+    def map_error_px(
+        self, method: str, reference: Reference, field_position: FloatArray, field_offset_px: FloatArray
+    ) -> FloatArray:
+        """True error (q, m, 2) of the correction of every survey at m field points (`map_error_px`)."""
+        errors = []
+        for surveyed in self.surveyed:
+            nominal, position = grid_position(self.instrument, surveyed)
+            d_px, camera_px = grid_residual_px(nominal, position, *self.session_px[method], reference)
+            errors.append(
+                map_error_px(
+                    field_position,
+                    field_offset_px,
+                    camera_px=camera_px,
+                    polynomial_px=distortion_statistics(position, d_px, self.order).coefficient_px,
+                    reference=reference,
+                    order=self.order,
+                )
+            )
+        return np.stack(errors)
 
 
 def dense_grid(instrument: Instrument, rows: int, columns: int) -> FloatArray:
@@ -139,29 +100,6 @@ def dense_grid(instrument: Instrument, rows: int, columns: int) -> FloatArray:
     x, y = np.meshgrid(np.linspace(0, camera.width_px - 1, columns), np.linspace(0, camera.height_px - 1, rows))
     # ideal corners lie just beyond the field of the lens; the chief ray there is the same smooth function
     return camera.nominal_direction(x, y, instrument.focal_length_mm).reshape(-1, 3)
-
-
-def dense_map(
-    instrument: Instrument,
-    camera: FloatArray,
-    polynomial: FloatArray,
-    *,
-    reference: Reference,
-    order: int,
-    grid: tuple[int, int],
-    traced_px: FloatArray,
-) -> DenseMap:
-    """Residuals of traced bundles (m, 2) after a correction on a dense grid (ACC18 Fig. 8: at the target points)."""
-    nominal, place = camera_place(instrument, dense_grid(instrument, *grid))
-    found = traced_px - nominal
-    aligned = camera_terms(place, "aligned") @ fit_camera(place, found, "aligned")
-    left = found - camera_terms(place, reference) @ camera - polynomial_terms(place, order) @ polynomial
-    return DenseMap(
-        nominal_px=nominal,
-        shape=grid,
-        uncorrected_px=found - aligned,
-        corrected_px=without_pointing(place, left),
-    )
 
 
 def traced_bundles(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:

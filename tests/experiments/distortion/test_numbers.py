@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.accuracy.distortion_prediction import ExpectedMapError
 from experiments.distortion import experiment as study
 from experiments.distortion.experiment import numbers, points, removed, true_map
 from experiments.distortion.settings import Config
@@ -98,8 +99,8 @@ def test_the_map_of_a_distortion_that_the_polynomial_knows(small_camera, config,
     camera = small_camera.camera
     grid = nominal_px(small_camera, dense_grid(small_camera, 9, 17))
     monkeypatch.setattr(study, "traced_bundles", lambda *_: grid + bent_px(grid, camera))
-    forecast = (np.array([0.3, 0.0]), np.array([0.4, 0.2]))
-    monkeypatch.setattr(study, "forecast_map", lambda *_, **__: forecast)
+    forecast = ExpectedMapError(bias_px=np.array([0.3, 0.0]), noise_px=np.array([0.4, 0.2]))
+    monkeypatch.setattr(study, "predict_map", lambda *_, **__: forecast)
     frames = measured_on(small_camera, config, marking_arcsec=0.0)
     found = true_map(None, small_camera, frames, config, 0.01)
     scale = 3.0 * small_camera.pixel_arcsec
@@ -112,8 +113,8 @@ def test_the_map_of_a_distortion_that_the_polynomial_knows(small_camera, config,
     bent = bent_px(grid, camera).T.ravel()
     left = (bent - design @ np.linalg.lstsq(design, bent, rcond=None)[0]).reshape(2, -1)
     np.testing.assert_allclose(found.uncorrected_arcsec[0], scale * np.sqrt((left**2).mean(1)), rtol=1e-6)
-    assert found.forecast_arcsec == pytest.approx(scale * np.array([0.5, 0.2]))
-    assert (found.bias_arcsec[0], found.carried_arcsec[0]) == pytest.approx((0.3 * scale, 0.4 * scale))
+    assert found.forecast_arcsec[2] == pytest.approx(scale * np.array([0.5, 0.2]))
+    assert (found.bias_arcsec[1, 0], found.carried_arcsec[1, 0]) == pytest.approx((0.3 * scale, 0.4 * scale))
     assert len(found.place_px) == 9 * 17  # 9 rows: every one is drawn
     assert np.abs(found.distortion_px).max() == pytest.approx(np.abs(left).max())
     assert np.isfinite(found.point_out_arcsec).all()
@@ -126,6 +127,6 @@ def test_the_map_of_a_distortion_that_the_polynomial_knows(small_camera, config,
     # a fit of k = 6 terms to W = 20 points: k / W of the variance at the points, shift and roll taken out
     error = 3.0 * MARKING_ARCSEC * np.sqrt((6 - 1.5) / 20.0)
     assert noisy.all_surveys_arcsec[0] == pytest.approx([error] * 2, rel=0.35)
-    assert noisy.ratio[0].value == pytest.approx(noisy.all_surveys_arcsec[1, 0] / (0.5 * scale))
-    assert noisy.ratio[0].uncertainty == pytest.approx(noisy.ratio[0].value / np.sqrt(18.0 * SURVEYS))
+    assert noisy.ratio[1][0].value == pytest.approx(noisy.all_surveys_arcsec[1, 0] / (0.5 * scale))
+    assert noisy.ratio[1][0].uncertainty == pytest.approx(noisy.ratio[1][0].value / np.sqrt(18.0 * SURVEYS))
     assert noisy.row_out_arcsec[0, 0] > noisy.point_out_arcsec[0, 0] > noisy.one_survey_arcsec[0, 0] / 2.0

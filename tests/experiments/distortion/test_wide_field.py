@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calib.accuracy.distortion import distortion_statistics, grid_residual_px
 from experiments.distortion.experiment import target_record
 from experiments.distortion.settings import Config
 from experiments.distortion.wide_field import REFERENCE, WideRun, wide_field
-from experiments.laboratory.distortion_error import camera_place, residual_px
-from experiments.laboratory.distortion_statistics import distortion_statistics
+from experiments.laboratory.distortion_error import grid_position
 
 POINT_PX, MARKING_PX = 0.03, 0.04
 
@@ -21,12 +21,12 @@ def test_residuals_less_the_prescription_are_noise_and_marking(small_camera):
     rng, size = np.random.default_rng(3), [small_camera.camera.width_px, small_camera.camera.height_px]
     pixel = rng.uniform(50.0, np.array(size) - 50.0, (32, 2))
     direction = small_camera.camera.nominal_direction(*pixel.T, small_camera.focal_length_mm)
-    nominal, place = camera_place(small_camera, direction)
+    nominal, place = grid_position(small_camera, direction)
     expected = nominal + 3.0 * place * (place**2).sum(1)[:, None]
     ratios = []
     for _ in range(300):
         seen = expected + np.hypot(POINT_PX, MARKING_PX) * rng.standard_normal(expected.shape) + [0.7, -0.4]
-        _, d, _ = residual_px(small_camera, direction, seen, seen, REFERENCE)
+        d, _ = grid_residual_px(nominal, place, seen, seen, REFERENCE)
         found = distortion_statistics(place, d, 3)
         frames = SimpleNamespace(
             arcsec_3sigma=3.0, instrument=small_camera, direction=direction, statistics=lambda *_, found=found: found
@@ -43,14 +43,12 @@ def test_residuals_less_the_prescription_are_noise_and_marking(small_camera):
         ratios.append(record.residual_ratio.value)
     assert np.mean(np.square(ratios)) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 60 / 300))
     assert record.residual_ratio.uncertainty == pytest.approx(np.std(ratios), rel=4.0 / np.sqrt(600))
-    np.testing.assert_allclose(
-        record.measured_arcsec, 3.0 * np.array([found.sigma_d_px, found.sigma_left_px, found.sigma_c1_px])
-    )
+    np.testing.assert_allclose(record.measured_arcsec, 3.0 * found.sigma_px)
     assert record.predicted_arcsec[2][1].value == pytest.approx(15.0)
     assert record.predicted_arcsec[2][1].uncertainty == pytest.approx(1.5)
     np.testing.assert_allclose(record.marking_arcsec, 6.0 * three)
     # the prescription's distortion is what is found, to the noise
-    _, distortion, _ = residual_px(small_camera, direction, expected, expected, REFERENCE)
+    distortion, _ = grid_residual_px(nominal, place, expected, expected, REFERENCE)
     np.testing.assert_allclose(record.measured_arcsec[0] / 3.0, distortion.std(0, ddof=1), rtol=0.2)
 
 
@@ -61,7 +59,7 @@ def test_the_share_of_pure_noise_that_a_polynomial_removes(star_camera):
     points, rng = config.target.rows * config.target.columns, np.random.default_rng(4)
     place = rng.uniform(-1.0, 1.0, (points, 2))
     removed = [
-        distortion_statistics(place, rng.standard_normal((points, 2)), config.order).sigma_c1_px for _ in range(400)
+        distortion_statistics(place, rng.standard_normal((points, 2)), config.order).sigma_px[2] for _ in range(400)
     ]
     share = np.sqrt(np.mean(np.square(removed)))
     assert record.noise_removed_arcsec / record.marking_arcsec == pytest.approx(share, rel=4.0 / np.sqrt(800 * 9))

@@ -16,26 +16,13 @@ from experiments.laboratory.bench.readout.psf_grid import PsfGrid
 from experiments.laboratory.bench.readout.reduction import Reduction, measure_frame
 from experiments.laboratory.bench.readout.search import SEARCH_PX, find_star
 from experiments.laboratory.bench.readout.stamps import ring_subtracted
-from experiments.laboratory.distortion_error import camera_place, dense_grid, dense_map
-from experiments.laboratory.distortion_model import DistortionPrediction, camera_projector
-from experiments.laboratory.distortion_statistics import camera_terms
+from experiments.laboratory.distortion_model import DistortionPrediction
 from experiments.laboratory.single_star.star import SingleStar
 from experiments.laboratory.temporal_error import TemporalPrediction, target_place
 from optics.errors import DomainError
 from optics.light.band import TopHat
 from optics.light.spectrum import Blackbody
 from render.records import EffectivePsf
-
-
-@pytest.mark.parametrize(("reference", "count"), [("nominal", 0), ("aligned", 4), ("calibrated", 8)])
-def test_what_a_camera_explains_is_kept_whole_and_nothing_else(reference, count):
-    """Brown and Conrady's terms, written in real coordinates; a projector has the trace of its dimension."""
-    place = np.random.default_rng(1).uniform(-1.0, 1.0, (40, 2))
-    projector = camera_projector(place, reference)
-    terms = camera_terms(place, reference).reshape(80, count)
-    np.testing.assert_allclose(projector @ terms, terms, atol=1e-12)
-    assert np.trace(projector) == pytest.approx(count)
-    np.testing.assert_allclose(projector @ projector, projector, atol=1e-12)
 
 
 def test_the_nearest_psf_of_a_grid():
@@ -92,21 +79,6 @@ def test_a_star_has_the_colour_of_its_lamp_behind_its_band(star_camera):
     assert mean == pytest.approx((planck * fine).sum() / planck.sum(), abs=0.3)
     spread = np.sqrt((planck * (fine - mean) ** 2).sum() / planck.sum())
     assert np.sqrt((rate * (wave - mean) ** 2).sum() / rate.sum()) == pytest.approx(spread, rel=0.02)
-
-
-def test_a_correction_that_is_the_lens_leaves_nothing_but_what_it_lacks(star_camera):
-    """Camera and polynomial written out; a y^3 that neither has is left, less its mean (a pointing)."""
-    grid, rng = (5, 7), np.random.default_rng(3)
-    nominal, place = camera_place(star_camera, dense_grid(star_camera, *grid))
-    camera, (x, y) = 0.1 * rng.standard_normal(4), place.T
-    by_camera = np.stack([camera[0] + camera[2] * x - camera[3] * y, camera[1] + camera[2] * y + camera[3] * x], axis=1)
-    by_order = 0.1 * np.array([[1.0, -2.0], [0.5, 3.0], [-4.0, 1.0]])
-    lens = nominal + by_camera + np.stack([np.ones_like(x), x, y], axis=1) @ by_order
-    extra = np.stack([0 * y, y**2], axis=1)
-    given = {"reference": "aligned", "order": 1, "grid": grid}
-    found = dense_map(star_camera, camera, by_order, traced_px=lens + extra, **given)
-    np.testing.assert_allclose(found.corrected_px, extra - extra.mean(0), atol=1e-10)
-    np.testing.assert_allclose(found.rms_px, extra.std(0), atol=1e-10)
 
 
 def test_only_the_own_reference_psf_is_a_place_s_own():

@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.cameras import BrownConrady
-from calib.cameras.base import SensorGeometry
-from experiments.laboratory.distortion_statistics import (
+from calib.accuracy.distortion import (
     camera_terms,
-    cross_validated,
+    compare_orders,
+    deleted_residuals_px,
     distortion_statistics,
-    fit_camera,
+    fit_camera_terms,
+    map_error_px,
     polynomial_terms,
     without_pointing,
 )
+from calib.cameras import BrownConrady
+from calib.cameras.base import SensorGeometry
 from optics.errors import DomainError
 
 X, Y = np.meshgrid(np.linspace(-0.89, 0.89, 8), np.linspace(-0.44, 0.44, 4))
@@ -24,8 +26,8 @@ PLACE = np.column_stack([X.ravel(), Y.ravel()])
 def test_a_cubic_leaves_nothing_of_a_cubic():
     d = polynomial_terms(PLACE, 3) @ np.random.default_rng(0).normal(size=(10, 2))
     found = distortion_statistics(PLACE, d, 3)
-    assert found.sigma_left_px.max() < 1e-12
-    np.testing.assert_allclose(found.sigma_c1_px, found.sigma_d_px)
+    assert found.sigma_px[1].max() < 1e-12
+    np.testing.assert_allclose(found.sigma_px[2], found.sigma_px[0])
 
 
 def test_a_cubic_leaves_all_of_an_orthogonal_quartic():
@@ -36,14 +38,14 @@ def test_a_cubic_leaves_all_of_an_orthogonal_quartic():
     quartic = quartic - lower @ np.linalg.lstsq(lower, quartic, rcond=None)[0]
     d = np.column_stack([quartic, np.zeros(32)])
     found = distortion_statistics(PLACE, d, 3)
-    np.testing.assert_allclose(found.left_px, d, atol=1e-14)
-    np.testing.assert_allclose(found.sigma_left_px, [np.sqrt((quartic**2).sum() / 31.0), 0.0], rtol=1e-9, atol=1e-15)
-    assert found.sigma_c1_px.max() < 1e-8
+    np.testing.assert_allclose(found.residual_px, d, atol=1e-14)
+    np.testing.assert_allclose(found.sigma_px[1], [np.sqrt((quartic**2).sum() / 31.0), 0.0], rtol=1e-9, atol=1e-15)
+    assert found.sigma_px[2].max() < 1e-8
 
 
 def test_of_pure_noise_a_cubic_removes_nine_of_31_parts():
     rng, runs = np.random.default_rng(1), 2000
-    removed = np.mean([distortion_statistics(PLACE, rng.normal(size=(32, 2)), 3).sigma_c1_px ** 2 for _ in range(runs)])
+    removed = np.mean([distortion_statistics(PLACE, rng.normal(size=(32, 2)), 3).sigma_px[2] ** 2 for _ in range(runs)])
     assert removed == pytest.approx(9.0 / 31.0, rel=4.0 * np.sqrt(2.0 / 9.0 / (2 * runs)))
 
 
@@ -51,8 +53,8 @@ def test_shift_roll_and_scale_change_what_is_found_but_not_what_is_left():
     d = 0.02 * np.random.default_rng(2).normal(size=(32, 2))
     more = d + camera_terms(PLACE, "aligned") @ np.array([1.0, -2.0, 0.5, 0.3])
     one, other = distortion_statistics(PLACE, d, 3), distortion_statistics(PLACE, more, 3)
-    np.testing.assert_allclose(one.left_px, other.left_px, atol=1e-12)
-    assert np.all(other.sigma_c1_px > 5 * one.sigma_c1_px)
+    np.testing.assert_allclose(one.residual_px, other.residual_px, atol=1e-12)
+    assert np.all(other.sigma_px[2] > 5 * one.sigma_px[2])
 
 
 def test_the_camera_follows_a_brown_conrady_lens():
@@ -64,7 +66,7 @@ def test_the_camera_follows_a_brown_conrady_lens():
     ideal = np.column_stack([PLACE * half * 0.0055 / 206.0, np.ones(32)])
     nominal = geometry.centre_px + PLACE * half
     offset = model.project(ideal / np.linalg.norm(ideal, axis=1, keepdims=True)) - nominal
-    left = offset - camera_terms(PLACE, "calibrated") @ fit_camera(PLACE, offset, "calibrated")
+    left = offset - camera_terms(PLACE, "calibrated") @ fit_camera_terms(PLACE, offset, "calibrated")
     assert np.abs(offset).max() > 0.5
     assert np.abs(left).max() < 1e-9
 
@@ -79,7 +81,7 @@ def test_too_few_points_are_refused():
     with pytest.raises(DomainError, match="order 3"):
         distortion_statistics(PLACE[:10], np.zeros((10, 2)), 3)
     with pytest.raises(DomainError, match="8 terms"):
-        fit_camera(PLACE[:4], np.zeros((4, 2)), "calibrated")
+        fit_camera_terms(PLACE[:4], np.zeros((4, 2)), "calibrated")
 
 
 @pytest.mark.parametrize("reference", ["aligned", "calibrated"])
@@ -87,7 +89,7 @@ def test_points_left_out_are_those_of_fits_without_them(reference):
     """Against fits repeated without a point, a row, a column; rows at the edge lose one point at a time."""
     place = np.stack(np.meshgrid(np.linspace(-0.7, 0.7, 7), np.linspace(-0.6, 0.6, 6)), -1).reshape(-1, 2)
     offset = np.random.default_rng(4).standard_normal(place.shape)
-    found = cross_validated(place, offset, 3, reference)
+    found = deleted_residuals_px(place, offset, 3, reference)
 
     def without(points):
         terms = np.kron(polynomial_terms(place, 3), np.eye(2))
@@ -112,9 +114,36 @@ def test_a_map_that_rows_do_not_test_is_not_stated():
             [0.0 * place[:, 1], 0.25 * np.prod([place[:, 1] / 0.6 - a for a in (-1, -1 / 3, 1 / 3, 1)], 0)]
         )
         offset = wave + np.random.default_rng(1).normal(0.0, 0.001, place.shape)
-        found = np.sqrt((cross_validated(place, offset, 3, "aligned") ** 2).mean((1, 2)))
+        found = np.sqrt((deleted_residuals_px(place, offset, 3, "aligned") ** 2).mean((1, 2)))
         assert np.isfinite(found[1]) == tested
         if tested:
             assert found[1] > 0.02
         else:
             assert found[0] < 0.003
+
+
+def test_a_correction_that_is_the_lens_leaves_only_what_it_lacks():
+    """Camera and polynomial written out; a y^2 along y that neither has stays, less its mean (a pointing)."""
+    x, y = (v.ravel() for v in np.meshgrid(np.linspace(-0.9, 0.9, 7), np.linspace(-0.45, 0.45, 5)))
+    a, b, scale, roll = camera = 0.1 * np.random.default_rng(3).standard_normal(4)
+    linear = 0.1 * np.array([[1.0, -2.0], [0.5, 3.0], [-4.0, 1.0]])
+    lens = np.stack([a + scale * x - roll * y, b + scale * y + roll * x], axis=1)
+    lens = lens + np.stack([np.ones_like(x), x, y], axis=1) @ linear
+    extra = np.stack([0 * y, y**2], axis=1)
+    given = {"camera_px": camera, "polynomial_px": linear, "reference": "aligned", "order": 1}
+    error = map_error_px(np.column_stack([x, y]), lens + extra, **given)
+    np.testing.assert_allclose(error, extra - extra.mean(0), atol=1e-10)
+
+
+def test_the_order_of_the_lens_is_the_best_of_those_tested():
+    """A quintic and 0.01 px of noise on 9 x 12 points; a grid of 4 rows tests no cubic."""
+    rng, x, y = np.random.default_rng(5), np.linspace(-0.9, 0.9, 12), np.linspace(-0.45, 0.45, 9)
+    position = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    offset = 5.0 * position * (position**2).sum(1, keepdims=True) ** 2 + 0.01 * rng.standard_normal(position.shape)
+    tried = compare_orders(position, offset, "aligned", highest=7)
+    assert (tried.best_order, tried.tested_order) == (5, 7)
+    assert tried.over_best(3) > 10.0
+    assert tried.residual_px[4] == pytest.approx(0.01, rel=0.2)
+    few = compare_orders(PLACE, np.zeros_like(PLACE), "aligned")
+    assert few.tested_order == 2
+    assert few.order.tolist() == [1, 2, 3, 4, 5, 6]
