@@ -12,8 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.cameras.base import CameraModel
+from calib.directional.fisher import mean_and_chords, sample_fisher
+from calib.directional.pixel_method import residual_sigma_px
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+
+BORESIGHT = np.array([0.0, 0.0, 1.0])
 
 
 def initial_frame_vectors(
@@ -59,3 +63,60 @@ def initial_frame_vectors(
     turn = table_rotation if table_rotation.single else table_rotation[found]
     vectors[found] = (turn * installation.inv()).apply(direction[found])
     return vectors
+
+
+def sampled_method_ratios(
+    model: CameraModel, count: int, sigma_rad: float, rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Ratios of the two methods for the accuracy of star vectors, from drawn noise at even places of a detector.
+
+    The bench is perfect: camera, table and star are known.
+
+    Parameters
+    ----------
+    model : CameraModel
+        The camera.
+    count : int
+        Star vectors.
+    sigma_rad : float
+        Noise per axis at the boresight [rad].
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    pixel_over_fisher : float
+        Pixel method over Fisher, noise isotropic on the sphere; expected
+        `calib.directional.pixel_method.spherical_noise_ratio` over a square field.
+    fisher_over_truth : float
+        Fisher over the truth, the same noise.
+    fisher_over_axis : float
+        Fisher over the pixel method, noise isotropic in pixels; expected `pixel_noise_ratio` over a square field.
+    """
+    size = [model.geometry.width_px, model.geometry.height_px]
+    pixel_rad = model.geometry.pixel_pitch_mm / model.value("focal_length_mm")
+    place = rng.uniform(-0.5, np.subtract(size, 0.5), (count, 2))
+    to_star = _turns(model.unproject(place))
+    vectors = sample_fisher(BORESIGHT, sigma_rad**-2, count, rng)
+    residual = model.project(np.einsum("nji,nj->ni", to_star, vectors)) - place
+    noise = sigma_rad / pixel_rad * rng.standard_normal(place.shape)
+    noisy = np.einsum("nij,nj->ni", to_star, model.unproject(place + noise))
+    fisher = _sigma(vectors)
+    return (
+        residual_sigma_px(residual) * pixel_rad / fisher,
+        fisher / sigma_rad,
+        _sigma(noisy) / (residual_sigma_px(noise) * pixel_rad),
+    )
+
+
+def _turns(direction: FloatArray) -> FloatArray:
+    """Rotations (n, 3, 3) that bring each direction to the star: what installation and table do on a perfect bench."""
+    across = np.cross([0.0, 1.0, 0.0], direction)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return np.stack([across, np.cross(direction, across), direction], axis=1)
+
+
+def _sigma(vectors: FloatArray) -> float:
+    """Standard deviation per axis, steps S400 and S500 without the checks of a single sample."""
+    chord2 = mean_and_chords(vectors[None])[1]
+    return float(np.sqrt(chord2.sum() / (2 * (len(vectors) - 1))))

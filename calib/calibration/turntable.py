@@ -17,7 +17,7 @@ their noise to the right directions of every star and not more; they are elimina
 Gauge. T_k is known, so nothing is left free that could be turned without changing an image, as long as the table moves
 about two axes. What would be free is fixed by convention: the laboratory frame *is* the table's frame at zero angles
 ("initial table frame"). A zero offset of the outermost axis turns s about it, one of the innermost turns A about it, a
-sideways tilt of a carried axis is a zero offset of its carrier (Turntable, experiments.laboratory); none of these are
+sideways tilt of a carried axis is a zero offset of its carrier (`calib.calibration.table_axes`); none of these are
 unknowns here, they are part of s and A. With one axis moving, s and A are not determined apart ("singular"). Nearly the
 same holds for the principal point and the two small turns of A across the boresight in a narrow field: their effects
 differ in second order of the field angle only. The condition number and the covariance show it; it is not hidden by
@@ -81,13 +81,13 @@ class TableErrors:
     Attributes
     ----------
     axis_rate : (f, q, 3)
-        Rotation vector of the table top in the laboratory per unit of each axis error, e.g. ``Turntable.lean_rates``.
+        Rotation vector of the table top in the laboratory per unit of each axis error, e.g. ``TableAxes.lean_rates``.
     axis_names : tuple of str
         Their names, q.
     axis_sigma_rad : (q,)
         Prior standard deviations [rad]; without, they are free.
     reading_rate : (f, k, 3)
-        Rotation vector in the laboratory per radian of each axis, e.g. ``Turntable.angle_rates``.
+        Rotation vector in the laboratory per radian of each axis, e.g. ``TableAxes.angle_rates``.
     reading_sigma_rad : (k,)
         Standard deviations of the readings [rad].
 

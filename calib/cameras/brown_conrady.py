@@ -37,6 +37,7 @@ from calib.cameras.distortion import distort_jacobian, undistort
 from optics.arrays import FloatArray
 from optics.brown_conrady import COEFFICIENTS, distort
 from optics.errors import DomainError
+from optics.units import DEG_RAD
 
 CHUNK = 2048
 """Directions handled together: their arrays stay in the processor's cache."""
@@ -81,6 +82,12 @@ class BrownConrady(CameraModel):
             raise DomainError(f"BrownConrady: focal_length_mm = {focal_length_mm} mm; it must be positive")
         values = [x0_px, y0_px, focal_length_mm, q1_per_mm2, q2_per_mm4, q3_per_mm6, p1_per_mm, p2_per_mm]
         return cls(geometry=geometry, parameters=np.array(values, dtype=np.float64))
+
+    @classmethod
+    def of_field(cls, geometry: SensorGeometry, field_deg: float) -> Self:
+        """An undistorted camera whose detector is as wide as a field [deg], edge to edge."""
+        half_mm = geometry.width_px * geometry.pixel_pitch_mm / 2
+        return cls.create(geometry, focal_length_mm=float(half_mm / np.tan(field_deg * DEG_RAD / 2)))
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

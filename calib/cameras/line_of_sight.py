@@ -66,6 +66,16 @@ class LineOfSightMap:
         return float(np.sqrt(np.mean(np.sum(self.error_arcsec**2, axis=1))))
 
     @property
+    def error_length_arcsec(self) -> FloatArray:
+        """Lengths (n,) of the errors."""
+        return np.asarray(np.linalg.norm(self.error_arcsec, axis=1))
+
+    @property
+    def predicted_length_arcsec(self) -> FloatArray:
+        """Root mean square lengths (n,) that the covariance predicts."""
+        return np.asarray(np.linalg.norm(self.predicted_sigma_arcsec, axis=1))
+
+    @property
     def predicted_rms_arcsec(self) -> float:
         """Root of the expected mean square length of the error; compare with `rms_arcsec`."""
         return float(np.sqrt(np.mean(np.sum(self.predicted_sigma_arcsec**2, axis=1))))

@@ -139,3 +139,30 @@ def draw_epsf(epsf: EffectivePsf, x_px: FloatArray, y_px: FloatArray, shape: tup
     model = EpsfModel(epsf_bank((epsf,), shape), np.zeros(len(x_px), np.int64))
     theta = np.column_stack([x_px, y_px, np.ones(len(x_px))])
     return model.evaluate(theta, np.arange(len(x_px)))[0].reshape(len(x_px), *shape)
+
+
+def smeared_epsfs(values: FloatArray, path_px: FloatArray, oversampling: int = 8) -> list[EffectivePsf]:
+    """PSFs averaged over the paths of their images, as of a star that moves during the exposure.
+
+    By the shift theorem of the discrete Fourier transform: exact for what the grid can hold.
+
+    Parameters
+    ----------
+    values : (n, m, m)
+        PSFs, one per image.
+    path_px : (n, t, 2)
+        Positions (x, y) of each image at equal parts of the exposure, from the PSF's centre [px].
+    oversampling : int
+        Samples of a PSF per pixel.
+    """
+    if not np.any(path_px):
+        return [EffectivePsf(values=psf, oversampling=oversampling) for psf in values]
+    side = values.shape[-1]
+    wave = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None, :]
+    smeared = []
+    for psf, path in zip(values, path_px * oversampling, strict=True):
+        phase = wave[0][None] * path[:, 1, None, None] + wave[1][None] * path[:, 0, None, None]
+        transfer = np.exp(-2j * np.pi * phase).mean(0)
+        moved = np.fft.irfft2(np.fft.rfft2(psf) * transfer, s=psf.shape)
+        smeared.append(EffectivePsf(values=moved, oversampling=oversampling))
+    return smeared

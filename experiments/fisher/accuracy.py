@@ -2,8 +2,8 @@
 
 Steps of FISHER23: S100 joint calibration, S200 acquisition, S300 star vectors in the table's frame, S400 concentration,
 S500 standard deviation per axis. Separate frames calibrate the camera; single frames at other places become star
-vectors. Their scatter is compared with the prediction from covariances (`experiments.fisher.predict`), and with the
-pixel-residual method on the same frames.
+vectors. Their scatter is compared with the prediction from covariances (`calib.directional.vector_scatter`), and
+with the pixel-residual method on the same frames.
 """
 
 from __future__ import annotations
@@ -14,35 +14,36 @@ from typing import Any
 
 import numpy as np
 
-from calib.attitude.star_vectors import initial_frame_vectors
 from calib.calibration.record import Calibration
-from calib.cameras.base import CameraModel
+from calib.calibration.star_bench import (
+    StarBench,
+    clock_covariance_px2,
+    design_star_last,
+    reading_covariance_px2,
+    residual_px,
+    star_direction,
+    star_vector_by_pixel,
+    star_vectors,
+)
+from calib.calibration.table_reduction import (
+    PoseData,
+    calibrate_on_table,
+    calibrated_bench,
+    check_count,
+    check_fit,
+    predicted_scatter,
+)
+from calib.cameras.base import CameraModel, unproject_jacobian
 from calib.directional.fisher import tangent_plane
-from experiments.fisher.acquire import (
-    Acquisition,
-    Motion,
-    Places,
-    acquire,
-    motion_of,
-    place_psfs,
-    smear_px,
-    smeared_psfs,
-    visit_once,
+from calib.directional.pixel_method import pixel_method_ratio
+from calib.directional.vector_accuracy import CONFIDENCE, VectorAccuracy, vector_accuracy
+from calib.directional.vector_scatter import (
+    VectorScatter,
+    pixel_method_scatter,
+    scatter_of_own_data,
+    vector_sigma_arcsec,
 )
-from experiments.fisher.field_of_view import baseline_over_sphere
-from experiments.fisher.predict import (
-    Scatter,
-    calibration_of_rows,
-    covariance_of_rows,
-    jitter_covariance_px2,
-    on_the_sphere,
-    predict_independent,
-    predict_same_data,
-    ratio_scatter,
-    table_covariance_px2,
-    tangent_maps,
-)
-from experiments.fisher.reduce import CONFIDENCE, Evaluation, evaluate, expected_px
+from calib.measure.epsf import smeared_epsfs
 from experiments.fisher.settings import Config
 from experiments.harness.drawings import bars, cloud
 from experiments.harness.progress import Progress
@@ -50,20 +51,19 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured
 from experiments.laboratory.devices.turntable import Turntable
-from experiments.laboratory.single_star.bench import Bench
-from experiments.laboratory.single_star.derivatives import reading_covariance_px2
-from experiments.laboratory.single_star.measure import measure
-from experiments.laboratory.single_star.reduce import (
-    Data,
-    calibrated_bench,
-    check_count,
-    check_fit,
-    reduce_data,
-    start_model,
+from experiments.laboratory.single_star.acquisition import (
+    Acquisition,
+    Motion,
+    Places,
+    acquire,
+    motion_of,
+    place_psfs,
+    smear_px,
+    visit_once,
 )
+from experiments.laboratory.single_star.measure import measure
 from experiments.laboratory.single_star.settings import GridConfig
 from experiments.laboratory.single_star.setup import (
-    averaged,
     build_bench,
     build_star,
     build_table,
@@ -71,15 +71,13 @@ from experiments.laboratory.single_star.setup import (
     check_table,
     grid_px,
     star_signal,
+    start_model,
 )
-from experiments.laboratory.single_star.star import star_direction
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import RAD_ARCSEC
 from render.engine.random import Streams
-from render.forward import StarRenderer
 from render.sensor_file.instrument import Instrument
-from render.tracing.psf import epsf_tracer
 
 ACQUISITIONS = ("static", "dynamic")
 CAUSES = {
@@ -95,6 +93,7 @@ LONGEST_SMEAR_PX = 40.0
 PATH_PER_PX = 4
 """Instants per pixel of the streak by which a PSF is smeared."""
 EXTRA_PSF_PX = 2
+NO_NOISE_PX2 = 1e-30
 RATIO_SLACK = 5e-4
 """Largest relative error of the predicted ratio of pixel method to Fisher, which is of first order in the noise."""
 ADVICE = (
@@ -153,11 +152,11 @@ class Calibrated:
     config: Config
     instrument: Instrument
     streams: Streams
-    true_bench: Bench  # As it really is
+    true_bench: StarBench  # As it really is
     believed: Turntable  # Axes taken as square
     calibration: Calibration
     model: CameraModel  # Camera and bench as calibrated
-    bench: Bench
+    bench: StarBench
 
     @property
     def wanted(self) -> FloatArray:
@@ -169,18 +168,13 @@ class Calibrated:
         """Side of a window that holds the streak as well as a window at rest holds the star."""
         return self.config.window_px + 2 * int(np.ceil(smear_px(motion, self.instrument) / 2))
 
-    def vectors(self, pixel_px: FloatArray, angle_rad: FloatArray) -> FloatArray:
-        """Star vectors (n, 3) of images and angles of the table (S300)."""
-        turn, mount = self.bench.table.rotation(np.array(angle_rad)), self.bench.installation
-        return initial_frame_vectors(self.model, np.array(pixel_px), installation=mount, table_rotation=turn)
-
 
 def calibrated(config: Config, instrument: Instrument, streams: Streams, stage: Any) -> Calibrated:
     """Render the frames of the calibration, and fit camera, star, installation and axes to them."""
     measurement = measure(config, instrument, config.table, streams.child("calibration"), advance=stage.advance)
     believed = build_table(config.table).nominal
     calibration = _fitted(
-        Data.of(measurement), averaged(believed, config.frames), config, instrument, "joint calibration (S100)"
+        measurement.pose_data, believed.averaged(config.frames), config, instrument, "joint calibration (S100)"
     )
     stage.advance()
     return Calibrated(
@@ -195,15 +189,15 @@ def calibrated(config: Config, instrument: Instrument, streams: Streams, stage: 
     )
 
 
-def _fitted(data: Data, table: Turntable, config: Config, instrument: Instrument, what: str) -> Calibration:
+def _fitted(data: PoseData, table: Turntable, config: Config, instrument: Instrument, what: str) -> Calibration:
     """Joint calibration from a poor start: a data sheet's focal length, the simulator's direction to whole degrees."""
     ahead = star_direction(round(config.star.azimuth_deg), round(config.star.elevation_deg))
-    calibration = reduce_data(data, table, start_model(instrument, None), leans=True, start_star=ahead)
+    calibration = calibrate_on_table(data, table, start_model(instrument, None), leans=True, start_star=ahead)
     check_fit(calibration, what, ADVICE)
     return calibration
 
 
-def acquisition(rig: Calibrated, name: str, motion: Motion, psfs: FloatArray, renderer: StarRenderer) -> Acquisition:
+def acquisition(rig: Calibrated, name: str, motion: Motion, psfs: FloatArray) -> Acquisition:
     """One frame and one reading at every place of the evaluation."""
     config, own = rig.config, rig.streams.child(name)
     wanted, rolls = rig.wanted, np.radians(config.table.rolls_deg)
@@ -214,9 +208,8 @@ def acquisition(rig: Calibrated, name: str, motion: Motion, psfs: FloatArray, re
         places,
         rig.true_bench,
         _dimmed_star(rig),
-        renderer,
-        smeared_psfs(psfs, _path_px(rig, places)),
-        expected_px(rig.model, rig.bench, places.reading_rad),
+        smeared_epsfs(psfs, _path_px(rig, places)),
+        rig.model.project(rig.bench.star_in_cam(places.reading_rad)),
         rig.instrument,
         window_px=rig.window_px(motion),
         dark_frames=config.dark_frames,
@@ -236,8 +229,8 @@ def _path_px(rig: Calibrated, places: Places) -> FloatArray:
         return np.zeros((len(places), 1, 2))
     instants = max(8, int(np.ceil(PATH_PER_PX * smear_px(motion, rig.instrument))))
     known = replace(places, true_rad=places.reading_rad, motion=replace(motion, samples=instants))
-    seen = known.directions(rig.bench, rig.instrument.config.exposure_s)
-    path = rig.model.project(seen.reshape(-1, 3)).reshape(len(seen), -1, 2)
+    direction = known.directions(rig.bench, rig.instrument.config.exposure_s)
+    path = rig.model.project(direction.reshape(-1, 3)).reshape(len(direction), -1, 2)
     return np.asarray(path - path.mean(1, keepdims=True))
 
 
@@ -281,14 +274,16 @@ def accuracy(rig: Calibrated, taken: Acquisition) -> tuple[Accuracy, dict[str, f
     """Steps S300 to S500 of one acquisition; scatter by cause, expected and realised."""
     motion, angle = taken.places.motion, taken.places.reading_rad
     probability = rig.config.evaluation.outlier_probability
-    found = evaluate(rig.model, rig.bench, taken.position_px, angle, outlier_probability=probability)
-    predicted, expected = _expected(rig, taken)
-    maps, noise = _noise(rig, taken)
+    found = _evaluated(rig.model, rig.bench, taken.position_px, angle, outlier_probability=probability)
+    causes = _noise(rig, taken)
+    predicted, expected = _expected(rig, taken, causes)
+    noise = sum(causes.values(), np.zeros_like(taken.covariance_px2))
+    by_pixel = star_vector_by_pixel(rig.model, rig.bench, angle)
     angles, n, fit = _angles_per_pixel(rig), found.fit.count, found.fit
     rest = found.sigma_arcsec**2 - expected["table"] ** 2
-    ratio = found.baseline_arcsec(angles["calibrated"]) / found.sigma_arcsec
+    ratio = found.pixel_method_arcsec(angles["calibrated"]) / found.sigma_arcsec
     # a rolled camera takes another mean off: some 1/n of a difference
-    chance = np.hypot(ratio_scatter(maps, noise), 1.0 / n if angle.shape[1] > 2 else 0.0)
+    chance = np.hypot(pixel_method_scatter(by_pixel, noise), 1.0 / n if angle.shape[1] > 2 else 0.0)
     return (
         Accuracy(
             n=n,
@@ -299,7 +294,7 @@ def accuracy(rig: Calibrated, taken: Acquisition) -> tuple[Accuracy, dict[str, f
             z_of_whole=float(np.sqrt(2.0 * predicted.satterthwaite)),
             sigma_without_table_arcsec=float(np.sqrt(rest)) if rest > 0 else float("nan"),
             baseline_over_fisher=Measured(value=ratio, uncertainty=float(ratio * chance)),
-            baseline_over_fisher_predicted=baseline_over_sphere(rig.model, np.array(taken.position_px), noise),
+            baseline_over_fisher_predicted=_pixel_method_ratio(rig.model, taken.position_px, noise),
             streak_px=smear_px(motion, rig.instrument),
             one_minus_resultant_length=fit.deficit,
             concentration_document=fit.concentration_document,
@@ -310,8 +305,8 @@ def accuracy(rig: Calibrated, taken: Acquisition) -> tuple[Accuracy, dict[str, f
             outliers=int(found.outlier.sum()),
             lost=taken.lost,
             effective_degrees=found.effective_degrees,
-            sigma_interval_95_own_degrees_arcsec=found.own_interval_arcsec(),
-            baseline_arcsec=np.array([found.baseline_arcsec(one) for one in angles.values()]),
+            sigma_interval_95_own_degrees_arcsec=found.effective_interval_arcsec(),
+            baseline_arcsec=np.array([found.pixel_method_arcsec(one) for one in angles.values()]),
             offset_arcsec=_offsets(found, len(rig.wanted)),
         ),
         expected,
@@ -319,39 +314,52 @@ def accuracy(rig: Calibrated, taken: Acquisition) -> tuple[Accuracy, dict[str, f
     )
 
 
-def _sigma(found: Evaluation) -> Measured:
+def _evaluated(
+    model: CameraModel, bench: StarBench, pixel_px: FloatArray, angle_rad: FloatArray, **options: Any
+) -> VectorAccuracy:
+    """Steps S300 to S500."""
+    vectors = star_vectors(model, bench, pixel_px, angle_rad)
+    return vector_accuracy(vectors, residual_px(model, bench, pixel_px, angle_rad), **options)
+
+
+def _sigma(found: VectorAccuracy) -> Measured:
     error = found.fit.sigma_uncertainty_rad * RAD_ARCSEC
     return Measured(value=found.sigma_arcsec, unit="arcsec", uncertainty=error, n=found.fit.count)
 
 
-def _offsets(found: Evaluation, count: int) -> FloatArray:
+def _offsets(found: VectorAccuracy, count: int) -> FloatArray:
     """Vectors about their mean (count, 2), NaN for places without a position."""
     offset = np.full((count, 2), np.nan)
     offset[: len(found.vectors)] = tangent_plane(found.vectors, found.fit.mean) * RAD_ARCSEC
     return offset
 
 
-def _noise(rig: Calibrated, taken: Acquisition) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of the vectors by the images, and covariance of the images with what the table adds."""
-    angle = np.array(taken.places.reading_rad)
-    table = table_covariance_px2(rig.model, rig.bench, angle, taken.places.motion)
-    return tangent_maps(rig.model, rig.bench, angle), np.array(taken.covariance_px2) + table
+def _noise(rig: Calibrated, taken: Acquisition) -> dict[str, FloatArray]:
+    """Covariances of the images by centroids, readings of the table and clocks."""
+    model, bench, motion = rig.model, rig.bench, taken.places.motion
+    angle = taken.places.reading_rad
+    return {
+        "centroids": taken.covariance_px2,
+        "readings": reading_covariance_px2(model, bench, angle),
+        "clocks": clock_covariance_px2(model, bench, angle, motion.rate_rad_per_s, motion.jitter_s),
+    }
 
 
-def _expected(rig: Calibrated, taken: Acquisition) -> tuple[Scatter, dict[str, float]]:
+def _expected(
+    rig: Calibrated, taken: Acquisition, noise: Mapping[str, FloatArray]
+) -> tuple[VectorScatter, dict[str, float]]:
     """Scatter from covariances, and the standard deviation per axis that each cause makes."""
-    model, bench, angle = rig.model, rig.bench, np.array(taken.places.reading_rad)
-    maps, noise = _noise(rig, taken)
-    rows, known = calibration_of_rows(model, bench, angle), covariance_of_rows(rig.calibration)
-    quiet = predict_independent(maps, 1e-30 * np.broadcast_to(np.eye(2), maps.shape), rows, known)
-    readings = on_the_sphere(maps, reading_covariance_px2(model, bench, angle))
-    clocks = on_the_sphere(maps, jitter_covariance_px2(model, bench, angle, taken.places.motion))
-    return predict_independent(maps, noise, rows, known), {
-        "centroids": on_the_sphere(maps, np.array(taken.covariance_px2)),
-        "readings": readings,
-        "clocks": clocks,
-        "table": float(np.hypot(readings, clocks)),
-        "calibration": quiet.sigma_arcsec,
+    angle = taken.places.reading_rad
+    by_pixel = star_vector_by_pixel(rig.model, rig.bench, angle)
+    total = sum(noise.values(), np.zeros(by_pixel.shape))
+    nothing = np.broadcast_to(NO_NOISE_PX2 * np.eye(2), by_pixel.shape)
+    alone = predicted_scatter(rig.calibration, rig.bench, angle, nothing)
+    causes = {name: vector_sigma_arcsec(by_pixel, one) for name, one in noise.items()}
+    table = float(np.hypot(causes["readings"], causes["clocks"]))
+    return predicted_scatter(rig.calibration, rig.bench, angle, total), {
+        **causes,
+        "table": table,
+        "calibration": alone.sigma_arcsec,
     }
 
 
@@ -359,14 +367,20 @@ def _realised(rig: Calibrated, taken: Acquisition) -> dict[str, float]:
     """What each cause did in this run, by putting the truth in place of the measured, one after the other."""
     places = taken.places
 
-    def spread(difference: FloatArray) -> float:
-        apart = difference - difference.mean(0)
-        return float(np.sqrt(np.sum(apart**2) / (2 * (len(apart) - 1))) * RAD_ARCSEC)
+    bench = rig.model, rig.bench
+    measured = star_vectors(*bench, taken.position_px, places.reading_rad)
+    rays = star_vectors(*bench, taken.bundle_px, places.reading_rad)
+    truth = star_vectors(*bench, taken.bundle_px, places.true_rad)
+    parts = {"centroids": measured - rays, "table": rays - truth, "calibration": truth}
+    # two of the three components of a vector scatter
+    return {name: float(np.sqrt(part.var(0, ddof=1).sum() / 2) * RAD_ARCSEC) for name, part in parts.items()}
 
-    measured = rig.vectors(taken.position_px, places.reading_rad)
-    rays = rig.vectors(taken.bundle_px, places.reading_rad)
-    truth = rig.vectors(taken.bundle_px, places.true_rad)
-    return {"centroids": spread(measured - rays), "table": spread(rays - truth), "calibration": spread(truth)}
+
+def _pixel_method_ratio(model: CameraModel, pixel_px: FloatArray, noise_px2: FloatArray) -> float:
+    """Expected ratio of the pixel method, with the angle per pixel of the axis, to the truth."""
+    axis_px = model.project(np.array([[0.0, 0.0, 1.0]]))
+    by_pixel, on_axis = (unproject_jacobian(model, pixel).by_pixel for pixel in (pixel_px, axis_px))
+    return pixel_method_ratio(by_pixel, on_axis[0], noise_px2)
 
 
 def _angles_per_pixel(rig: Calibrated) -> dict[str, float]:
@@ -430,22 +444,23 @@ class Setup:
 
 def same_data(rig: Calibrated, taken: Acquisition) -> SameData:
     """Calibrate with the vectors' own data, and evaluate them with the result."""
-    angle, count = np.array(taken.places.reading_rad), len(taken.places)
-    pixel, centroid = np.array(taken.position_px), np.array(taken.covariance_px2)
-    data = Data(pixel_px=pixel, covariance_px2=centroid, reading_rad=angle)
+    angle, count = taken.places.reading_rad, len(taken.places)
+    data = PoseData(pixel_px=taken.position_px, covariance_px2=taken.covariance_px2, reading_rad=angle)
     what = "joint calibration with the vectors' own data"
     calibration = _fitted(data, rig.believed, rig.config, rig.instrument, what)
     model, bench = calibration.model, calibrated_bench(calibration, rig.believed)
-    noise = centroid + reading_covariance_px2(model, bench, angle)
-    rows, unknowns = calibration_of_rows(model, bench, angle), len(calibration.solution.names)
+    noise = data.covariance_px2 + reading_covariance_px2(model, bench, angle)
+    by_pixel, unknowns = star_vector_by_pixel(model, bench, angle), len(calibration.solution.names)
     naive, corrected = (
-        evaluate(model, bench, pixel, angle, outlier_probability=None, degrees_of_freedom=freedom).sigma_arcsec
+        _evaluated(
+            model, bench, data.pixel_px, angle, outlier_probability=None, degrees_of_freedom=freedom
+        ).sigma_arcsec
         for freedom in (2.0 * (count - 1), 2.0 * count - unknowns)
     )
     return SameData(
         unknowns=unknowns,
         naive_arcsec=naive,
-        predicted_naive_arcsec=predict_same_data(tangent_maps(model, bench, angle), noise, rows).sigma_arcsec,
+        predicted_naive_arcsec=scatter_of_own_data(by_pixel, noise, design_star_last(model, bench, angle)).sigma_arcsec,
         corrected_arcsec=corrected,
     )
 
@@ -479,16 +494,14 @@ def rendered(config: Config, instrument: Instrument, streams: Streams, progress:
     """Calibrate, acquire at rest and on the move, evaluate: records of the sections."""
     with progress.stage("calibration (S100)", total=5) as stage:
         rig = calibrated(config, instrument, streams, stage)
-    renderer = StarRenderer(instrument.camera, exposure_s=instrument.config.exposure_s)
     moving = _motion(config)
     with progress.stage("acquisition (S200)", total=3) as stage:
         half = rig.window_px(moving) // 2 + EXTRA_PSF_PX
-        tracer = epsf_tracer(instrument.camera)
-        psfs = place_psfs(tracer, _dimmed_star(rig), rig.wanted, instrument, half)
+        psfs = place_psfs(_dimmed_star(rig), rig.wanted, instrument, half)
         stage.advance()
         taken = []
         for name, motion in zip(ACQUISITIONS, (Motion(), moving), strict=True):
-            taken.append(acquisition(rig, name, motion, psfs, renderer))
+            taken.append(acquisition(rig, name, motion, psfs))
             stage.advance()
     with progress.stage("evaluation (S300-S500)"):
         records, expected, realised = zip(*(accuracy(rig, one) for one in taken), strict=True)

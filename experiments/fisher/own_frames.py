@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from experiments.fisher.predict import (
-    calibration_of_rows,
-    covariance_of_rows,
-    on_the_sphere,
-    predict_independent,
-    tangent_maps,
+from calib.calibration.star_bench import (
+    reading_covariance_px2,
+    residual_px,
+    star_vector_by_pixel,
+    star_vectors,
 )
-from experiments.fisher.reduce import evaluate
+from calib.calibration.table_reduction import predicted_scatter
+from calib.directional.vector_accuracy import vector_accuracy
+from calib.directional.vector_scatter import vector_sigma_arcsec
 from experiments.harness.drawings import arrows
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import Section, agree, below, col
-from experiments.laboratory.single_star.derivatives import reading_covariance_px2
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import SETTINGS_FILE
 from experiments.reduce.pipeline import FramesTest, Reduced
@@ -89,21 +89,22 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
             f"{evaluated[int(np.argmax(lost))].name}: no position by {methods[0]!r}; take another centroid"
         )
     probability = config.evaluation.outlier_probability
-    evaluation = evaluate(model, bench, data.pixel_px, data.reading_rad, outlier_probability=probability)
+    off_px = residual_px(model, bench, data.pixel_px, data.reading_rad)
+    vectors = star_vectors(model, bench, data.pixel_px, data.reading_rad)
+    evaluation = vector_accuracy(vectors, off_px, outlier_probability=probability)
     kept = ~evaluation.outlier
     angle, centroid = data.reading_rad[kept], data.covariance_px2[kept]
-    maps, reading = tangent_maps(model, bench, angle), reading_covariance_px2(model, bench, angle)
-    rows, known = calibration_of_rows(model, bench, angle), covariance_of_rows(fitted.calibration)
-    predicted = predict_independent(maps, centroid + reading, rows, known)
+    reading, by_pixel = reading_covariance_px2(model, bench, angle), star_vector_by_pixel(model, bench, angle)
+    predicted = predicted_scatter(fitted.calibration, bench, angle, centroid + reading)
     scale = float(np.arctan(model.geometry.pixel_pitch_mm / model.value("focal_length_mm")) / ARCSEC_RAD)
     return (*fitted.series, *evaluated), {
         "vectors": Vectors(
             sigma_arcsec=evaluation.sigma_arcsec,
             interval_arcsec=evaluation.interval_arcsec(),
             predicted_arcsec=predicted.sigma_arcsec,
-            centroids_arcsec=on_the_sphere(maps, centroid),
-            readings_arcsec=on_the_sphere(maps, reading),
-            pixel_method_arcsec=evaluation.baseline_arcsec(scale),
+            centroids_arcsec=vector_sigma_arcsec(by_pixel, centroid),
+            readings_arcsec=vector_sigma_arcsec(by_pixel, reading),
+            pixel_method_arcsec=evaluation.pixel_method_arcsec(scale),
             z_score=predicted.z_score(evaluation.fit.chord_sum_rad2),
             z_of_whole=float(np.sqrt(2.0 * predicted.satterthwaite)),
             calibration_poses=len(fitted.series),

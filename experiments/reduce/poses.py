@@ -11,22 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.calibration.record import Calibration
+from calib.calibration.star_bench import StarBench, residual_px, star_direction
+from calib.calibration.table_reduction import (
+    PoseData,
+    calibrate_on_table,
+    calibrated_bench,
+    check_count,
+    check_fit,
+    check_parity,
+)
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import Section, above, col, ratio_near
 from experiments.harness.summary import Measured
 from experiments.laboratory.devices.turntable import Turntable, build_turntable
-from experiments.laboratory.single_star.bench import Bench
-from experiments.laboratory.single_star.reduce import (
-    Data,
-    calibrated_bench,
-    check_count,
-    check_fit,
-    check_parity,
-    reduce_data,
-)
-from experiments.laboratory.single_star.star import star_direction
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
 from experiments.reduce.series import SeriesFrames, reduce_series
@@ -48,14 +47,14 @@ class PoseCalibration:
     """Joint calibration of camera, star, installation and axes from n poses."""
 
     series: tuple[SeriesFrames, ...]  # Poses
-    data: Data  # Images and readings
+    data: PoseData  # Images and readings
     calibration: Calibration  # As the estimator gives it; axes that lean are unknowns
-    bench: Bench  # Table, star and installation as calibrated
+    bench: StarBench  # Table, star and installation as calibrated
 
     @property
     def residual_px(self) -> FloatArray:
         """Images minus the calibration's prediction at the angles as read (n, 2)."""
-        return np.asarray(self.data.pixel_px - self.calibration.model.project(self.bench.seen(self.data.reading_rad)))
+        return residual_px(self.calibration.model, self.bench, self.data.pixel_px, self.data.reading_rad)
 
     @property
     def coverage(self) -> float:
@@ -87,7 +86,7 @@ def calibrate_poses(folder: FrameFolder, methods: Sequence[str], use: Sequence[s
     star = star_direction(*s.table.star_deg)
     data = pose_data(series, table, methods[0])
     check_parity(data, table, start, star, key="axes in [table]")
-    calibration = reduce_data(data, table, start, leans=True, start_star=star)
+    calibration = calibrate_on_table(data, table, start, leans=True, start_star=star)
     advice = (
         "the axes, the reading noise or star_deg in [table], pixel_arcsec or pixel_pitch_um are wrong, readings belong "
         "to other frames, or too little of the field is visited"
@@ -114,11 +113,11 @@ def _believed_table(folder: FrameFolder) -> Turntable:
     return table
 
 
-def pose_data(series: Sequence[SeriesFrames], table: Turntable, method: str) -> Data:
+def pose_data(series: Sequence[SeriesFrames], table: Turntable, method: str) -> PoseData:
     """Mean images with their covariance, and readings, of poses."""
     keys = KEYS[len(table.axis)]
     position = [np.nanmean(one.points.position_px[method], axis=0)[0] for one in series]
-    return Data(
+    return PoseData(
         pixel_px=np.array(position),
         covariance_px2=np.array([one.mean_covariance_px2(method)[0] for one in series]),
         reading_rad=np.radians([[getattr(one.settings, key) for key in keys] for one in series]),

@@ -8,45 +8,47 @@ from typing import Any
 
 import numpy as np
 
+from calib.calibration.record import Calibration
+from calib.calibration.star_bench import StarBench, reading_covariance_px2, residual_px, star_direction
+from calib.calibration.table_axes import TableAxes, axis_directions
+from calib.calibration.table_bound import TableBound, map_error_by_noise, table_bound
+from calib.calibration.table_reduction import (
+    PoseData,
+    calibrate_on_table,
+    calibrated_bench,
+    check_count,
+    check_fit,
+    check_parity,
+)
+from calib.cameras.base import CameraModel
+from calib.cameras.line_of_sight import LineOfSightMap
 from experiments.harness.drawings import maps
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities, shown_unit
 from experiments.harness.sections import Section, agree, below, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.devices.turntable import Turntable, axis_directions
-from experiments.laboratory.single_star.derivatives import reading_covariance_px2
-from experiments.laboratory.single_star.measure import Measurement, measure
-from experiments.laboratory.single_star.reduce import (
-    Data,
-    check_count,
-    check_fit,
-    check_parity,
-    reduce_data,
-    start_model,
-)
+from experiments.laboratory.single_star.measure import Measurement, TracedMap, measure, traced_map
 from experiments.laboratory.single_star.settings import TableConfig
 from experiments.laboratory.single_star.setup import (
-    averaged,
     build_star,
     build_table,
     camera_under_test,
     check_table,
     grid_px,
     star_signal,
+    start_model,
 )
-from experiments.laboratory.single_star.star import star_direction
-from experiments.turntable.bound import Bound, bound, knowledge, noise_shares
 from experiments.turntable.fields import FIELDS, field_sweep
 from experiments.turntable.monte_carlo import (
     READINGS,
     Coordinates,
     MonteCarlo,
     equal_reading_noise_arcsec,
+    map_error,
     monte_carlo,
     reading_sweep,
 )
 from experiments.turntable.settings import Config
-from experiments.turntable.truth import Reduction, TracedMap, judge, traced_map
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from render.engine.random import Streams
@@ -91,6 +93,17 @@ ADVICE = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Reduction:
+    """One calibration, judged."""
+
+    calibration: Calibration  # As the estimator gives it
+    # Error against the traced lens after the best rotation, and what the covariance predicts
+    line_of_sight: LineOfSightMap
+    # (n, 2) Images minus what the calibration says at the angles as read, before any reading error is fitted
+    residual_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
     """Calibration of one table."""
 
@@ -100,7 +113,7 @@ class Case:
     # Of noise-free rays at true angles, leans known, so that only the camera model can err
     model: Reduction
     coordinates: Coordinates  # The bench with that model as its camera: the truth of the Monte-Carlo
-    bound: Bound  # Cramer-Rao bound, leans unknown
+    bound: TableBound  # Cramer-Rao bound, leans unknown
     knowledge: Mapping[str, float]  # Bounds of the map error if something were known that is not
     shares: Mapping[str, float]  # Map error that each cause of noise makes [arcsec, RMS length]; squares add up
     monte_carlo: MonteCarlo  # Many runs on coordinates
@@ -131,8 +144,8 @@ def one_table(
         reductions, alone = calibrations(config, instrument, traced, key, table, measurement)
         stage.advance()
     model, real = alone.calibration.model, measurement.bench
-    bench, angle = replace(real, table=averaged(real.table, config.frames)), np.array(measurement.visits.true_rad)
-    centroid_px2 = np.array(measurement.readings.covariance_px2)
+    bench, angle = replace(real, table=real.table.averaged(config.frames)), np.array(measurement.visits.true_rad)
+    centroid_px2 = measurement.readings.covariance_px2
     coordinates = Coordinates(
         model=model,
         bench=bench,
@@ -154,11 +167,29 @@ def one_table(
         reductions=reductions,
         model=alone,
         coordinates=coordinates,
-        bound=bound(model, bench, angle, noise, traced.direction, leans=True),
+        bound=table_bound(model, bench, angle, noise, traced.direction, leans=True),
         knowledge=knowledge(model, bench, angle, noise, traced.direction),
-        shares=noise_shares(model, bench, angle, centroid_px2, traced.direction),
+        shares=map_error_by_noise(model, bench, angle, centroid_px2, traced.direction),
         monte_carlo=found,
     )
+
+
+def knowledge(
+    model: CameraModel, bench: StarBench, angle_rad: FloatArray, noise_px2: FloatArray, map_direction: FloatArray
+) -> dict[str, float]:
+    """Bounds of the map error [arcsec, RMS length] of the joint calibration with something of it known."""
+    options: dict[str, dict[str, Any]] = {
+        "nothing more": {"leans": True},
+        "the axes' angles": {"leans": False},
+        "the star's direction": {"leans": True, "star": False},
+        "star and axes": {"leans": False, "star": False},
+        "no tangential distortion": {
+            "leans": True,
+            "free": [name for name in model.parameter_names if not name.startswith(("p1", "p2"))],
+        },
+    }
+    setup = model, bench, angle_rad, noise_px2, map_direction
+    return {label: table_bound(*setup, **known).map_sigma_arcsec for label, known in options.items()}
 
 
 def calibrations(
@@ -166,21 +197,25 @@ def calibrations(
 ) -> tuple[dict[str, Reduction], Reduction]:
     """Calibrations of the rendered run, and of noise-free rays."""
     start, ahead = start_model(instrument, config.reduction.focal_length_mm), star_direction(*config.reduction.star_deg)
-    believed = averaged(build_table(table, config.reduction.axes if key == "two_axis" else None), config.frames)
-    real = averaged(measurement.bench.table, config.frames)
+    believed = build_table(table, config.reduction.axes if key == "two_axis" else None).averaged(config.frames)
+    real = measurement.bench.table.averaged(config.frames)
     quiet = replace(real, reading_noise_arcsec=np.zeros(len(real.axis)))
-    rendered = Data.of(measurement)
-    rays = replace(
-        rendered, pixel_px=np.array(measurement.bundle_px), reading_rad=np.array(measurement.visits.true_rad)
-    )
+    rendered = measurement.pose_data
+    rays = replace(rendered, pixel_px=measurement.bundle_px, reading_rad=measurement.visits.true_rad)
 
-    def one(data: Data, taken: Turntable, *, leans: bool = False) -> Reduction:
-        return judge(reduce_data(data, taken, start, leans=leans, start_star=ahead), data, taken, traced)
+    def judged(data: PoseData, table: TableAxes, *, leans: bool = False) -> Reduction:
+        calibration = calibrate_on_table(data, table, start, leans=leans, start_star=ahead)
+        bench = calibrated_bench(calibration, table)
+        return Reduction(
+            calibration=calibration,
+            line_of_sight=map_error(calibration, traced),
+            residual_px=residual_px(calibration.model, bench, data.pixel_px, data.reading_rad),
+        )
 
     check_parity(rendered, believed.nominal, start, ahead)
-    estimated = one(rendered, believed.nominal, leans=True)
+    estimated = judged(rendered, believed.nominal, leans=True)
     check_fit(estimated.calibration, f"{TABLES[key]} table", ADVICE)
-    ignored, known, alone = one(rendered, believed.nominal), one(rendered, believed), one(rays, quiet)
+    ignored, known, alone = judged(rendered, believed.nominal), judged(rendered, believed), judged(rays, quiet)
     check_fit(alone.calibration, f"{TABLES[key]} table, camera model against noise-free rays", ADVICE)
     return {"estimated": estimated, "ignored": ignored, "known": known}, alone
 
@@ -237,9 +272,9 @@ def line_of_sight(case: Case, pixel_arcsec: float) -> LineOfSight:
         lost_runs=found.lost,
         places=len(readings.position_px),
         centroid_error_px=np.sqrt(((readings.position_px - case.measurement.bundle_px) ** 2).mean(0)),
-        centroid_predicted_px=np.sqrt(np.einsum("nii->ni", readings.covariance_px2).mean(0)),
-        line_error_arcsec=np.linalg.norm(line.error_arcsec, axis=1),
-        line_sigma_arcsec=np.linalg.norm(line.predicted_sigma_arcsec, axis=1),
+        centroid_predicted_px=np.sqrt((readings.sigma_px**2).mean(0)),
+        line_error_arcsec=line.error_length_arcsec,
+        line_sigma_arcsec=line.predicted_length_arcsec,
     )
 
 
@@ -317,7 +352,7 @@ class Share:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
-    """Bound of the map error if more were known."""
+    """TableBound of the map error if more were known."""
 
     given: str = col("Known", json="")
     known_arcsec: Sequence[float] = col(
@@ -365,7 +400,7 @@ def place_of(case: Case) -> Place:
         reading_deg=angles[1],
         bundle_px=case.measurement.bundle_px,
         centroid_px=readings.position_px,
-        sigma_px=np.sqrt(np.einsum("nii->ni", readings.covariance_px2)),
+        sigma_px=readings.sigma_px,
         residual_px=case.reductions["estimated"].residual_px,
     )
 
@@ -411,7 +446,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     with progress.stage("reading noise", total=len(study.reading_noise_arcsec)) as stage:
         readings = reading_sweep(two, traced, own, study.reading_noise_arcsec, study.sweep_runs, advance=stage.advance)
     with progress.stage("field of view"):
-        sigma_px = float(np.sqrt(np.einsum("nii->", two.covariance_px2) / (2 * len(two.covariance_px2))))
+        sigma_px = float(np.sqrt((cases[0].measurement.readings.sigma_px ** 2).mean()))
         fields = field_sweep(study.field_deg, sigma_px)
     equal = equal_reading_noise_arcsec(readings, two.with_reading_noise(0.0).map_bound_arcsec(traced))
     causes = list(dict.fromkeys(cause for case in cases[::-1] for cause in case.shares))

@@ -14,17 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.calibration.star_bench import StarBench, aiming_angles
+from calib.calibration.table_bound import TableBound, table_bound
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.cameras.base import CameraModel
 from experiments.harness.drawings import curves
 from experiments.harness.sections import Section, col
 from experiments.laboratory.devices.turntable import build_turntable
-from experiments.laboratory.single_star.bench import Bench, aim
-from experiments.turntable.bound import Bound, bound
 from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 
 SWEEP_PX, SWEEP_PITCH_MM = 2048, 0.0055
+SWEEP_SENSOR = SensorGeometry(width_px=SWEEP_PX, height_px=SWEEP_PX, pixel_pitch_mm=SWEEP_PITCH_MM)
 SWEEP_SIDE = 13
 """Cameras of the field sweep: pixels along each side, their pitch, places along each side."""
 
@@ -51,7 +52,7 @@ def field_sweep(fields_deg: Sequence[float], sigma_px: float) -> list[FieldPoint
     """Bounds for images of one standard deviation."""
     points = []
     for field in fields_deg:
-        model = ideal_camera(field)
+        model = BrownConrady.of_field(SWEEP_SENSOR, field)
         full, rolled = (ideal_bound(model, axes, sigma_px) for axes in ("xy", "xyz"))
         scale = float(SWEEP_PITCH_MM / model.value("focal_length_mm") * RAD_ARCSEC)
         per_axis = 1.0 / float(np.sqrt(2.0))  # of a length over two axes
@@ -74,22 +75,15 @@ def field_sweep(fields_deg: Sequence[float], sigma_px: float) -> list[FieldPoint
     return points
 
 
-def ideal_camera(field_deg: float) -> BrownConrady:
-    """Camera without distortion of that full field."""
-    geometry = SensorGeometry(width_px=SWEEP_PX, height_px=SWEEP_PX, pixel_pitch_mm=SWEEP_PITCH_MM)
-    focal = SWEEP_PX * SWEEP_PITCH_MM / 2 / np.tan(np.radians(field_deg) / 2)
-    return BrownConrady.create(geometry, focal_length_mm=float(focal))
-
-
 def ideal_bound(
     model: CameraModel, axes: str, sigma_px: float, *, star: bool = True, free: Sequence[str] | None = None
-) -> Bound:
+) -> TableBound:
     """Bound of one ideal camera on a perfect table; a third axis makes quarter turns."""
-    bench = Bench(table=build_turntable(axes), star=np.array([0.0, 0.0, 1.0]), installation=Rotation.identity())
+    bench = StarBench(table=build_turntable(axes), star=np.array([0.0, 0.0, 1.0]), installation=Rotation.identity())
     direction = model.unproject(model.geometry.grid_px(SWEEP_SIDE))
-    angle = aim(bench, direction, np.asarray(np.arange(len(direction)) % 4 * (np.pi / 2), np.float64))
+    angle = aiming_angles(bench, direction, np.asarray(np.arange(len(direction)) % 4 * (np.pi / 2), np.float64))
     covariance: FloatArray = np.tile(np.eye(2) * sigma_px**2, (len(direction), 1, 1))
-    return bound(model, bench, angle, covariance, direction, leans=False, free=free, star=star)
+    return table_bound(model, bench, angle, covariance, direction, leans=False, free=free, star=star)
 
 
 FIELDS = Section(
@@ -101,7 +95,7 @@ FIELDS = Section(
     table="field_sweep",
     columns="principal_point_sigma_px principal_point_sigma_arcsec principal_point_inflation map_sigma_arcsec "
     "rolled_point_px map_sigma_rolled_arcsec",
-    caption="Bound of principal point and line of sight over the field (Cramér–Rao).",
+    caption="TableBound of principal point and line of sight over the field (Cramér–Rao).",
     note=f"Ideal cameras of {SWEEP_PX} × {SWEEP_PX} px, {SWEEP_SIDE} × {SWEEP_SIDE} places, perfect tables. Inflated: "
     "over the standard deviation with everything else known. Rolled: quarter turns of a third axis between places.",
     figures={

@@ -7,19 +7,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.attitude.link import angles_of_rotation
+from calib.calibration.record import Calibration
+from calib.calibration.star_bench import (
+    StarBench,
+    reading_covariance_px2,
+    true_unknowns,
+    unknown_names,
+)
+from calib.calibration.table_bound import table_bound
+from calib.calibration.table_reduction import PoseData, calibrate_on_table
 from calib.cameras import CameraModel
+from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
 from experiments.harness.drawings import curves
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
-from experiments.laboratory.single_star.bench import Bench
-from experiments.laboratory.single_star.derivatives import reading_covariance_px2
-from experiments.laboratory.single_star.reduce import Data, reduce_data
-from experiments.laboratory.single_star.star import star_angles_deg
-from experiments.turntable.bound import bound
-from experiments.turntable.truth import TracedMap, judge
+from experiments.laboratory.devices.turntable import Turntable
+from experiments.laboratory.single_star.measure import TracedMap
 from optics.arrays import FloatArray
-from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 
 
@@ -28,33 +32,26 @@ class Coordinates:
     """A bench whose camera *is* a model, so that its parameters have a truth."""
 
     model: CameraModel  # The camera
-    bench: Bench  # Star, table, installation
+    bench: StarBench  # Star, table, installation
     true_rad: FloatArray  # (n, k) Angles
     covariance_px2: FloatArray  # (n, 2, 2) Of the centroids
     start: CameraModel  # Where every calibration starts
     start_star: FloatArray  # (3,) Start of the star's direction
 
-    def draw(self, streams: Streams, run: int) -> Data:
+    def draw(self, streams: Streams, run: int) -> PoseData:
         """One noisy data set."""
-        deviation = np.linalg.cholesky(self.covariance_px2)
-        normal = streams.generator("centroids", run).standard_normal((len(self.true_rad), 2))
-        exact = self.model.project(self.bench.seen(self.true_rad))
-        return Data(
-            pixel_px=exact + np.einsum("nij,nj->ni", deviation, normal),
+        assert isinstance(self.bench.table, Turntable)
+        exact = PoseData(
+            pixel_px=self.model.project(self.bench.star_in_cam(self.true_rad)),
             covariance_px2=self.covariance_px2,
             reading_rad=self.bench.table.read(self.true_rad, streams, call=run),
         )
+        return exact.scattered(streams.generator("centroids", run).standard_normal(exact.pixel_px.shape))
 
-    def truth(self, names: Sequence[str]) -> FloatArray:
+    @property
+    def truth(self) -> FloatArray:
         """True values of the estimator's unknowns."""
-        known = dict(zip(self.model.parameter_names, self.model.parameters, strict=True))
-        azimuth, elevation = star_angles_deg(self.bench.star) * DEG_RAD
-        known |= {"star_azimuth_rad": azimuth, "star_elevation_rad": elevation}
-        angles = angles_of_rotation(self.bench.installation)
-        known |= {f"theta{i + 1}_rad": angle for i, angle in enumerate(angles)}
-        leans = self.bench.table.non_orthogonality_arcsec * ARCSEC_RAD
-        known |= {f"lean{i + 1}_rad": lean for i, lean in enumerate(leans)}
-        return np.array([known[name] for name in names])
+        return true_unknowns(self.model, self.bench, leans=True)
 
     def with_reading_noise(self, sigma_arcsec: float) -> Coordinates:
         """The same with one reading noise on all axes."""
@@ -65,7 +62,7 @@ class Coordinates:
     def map_bound_arcsec(self, traced: TracedMap) -> float:
         """Cramer-Rao bound of the map error, axes' leans unknown."""
         noise = self.covariance_px2 + reading_covariance_px2(self.model, self.bench, self.true_rad)
-        return bound(self.model, self.bench, self.true_rad, noise, traced.direction, leans=True).map_sigma_arcsec
+        return table_bound(self.model, self.bench, self.true_rad, noise, traced.direction, leans=True).map_sigma_arcsec
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,29 +97,33 @@ class MonteCarlo:
         return Measured(value=rms, unit="arcsec", uncertainty=error, n=count)
 
 
+def map_error(calibration: Calibration, traced: TracedMap) -> LineOfSightMap:
+    """Error of a calibration over the field against the traced lens, and what the covariance predicts of it."""
+    return line_of_sight_map(calibration.model, traced.direction, traced.pixel_px, covariance=calibration.covariance)
+
+
 def monte_carlo(
     setup: Coordinates, traced: TracedMap, streams: Streams, runs: int, *, advance: Callable[[], None] = lambda: None
 ) -> MonteCarlo:
     """Calibrate fresh noise many times; the model is the truth here, not the traced lens."""
     believed = setup.bench.table.nominal
-    judged = TracedMap(direction=traced.direction, pixel_px=setup.model.project(traced.direction))
-    names: tuple[str, ...] = ()
+    traced_model = TracedMap(direction=traced.direction, pixel_px=setup.model.project(traced.direction))
+    names = unknown_names(setup.model, setup.bench, leans=True)
     errors, pulls, maps = [], [], []
     for run in range(runs):
         data = setup.draw(streams, run)
-        calibration = reduce_data(data, believed, setup.start, leans=True, start_star=setup.start_star)
+        calibration = calibrate_on_table(data, believed, setup.start, leans=True, start_star=setup.start_star)
         solution = calibration.solution
-        names = solution.names
         if solution.converged:
-            line = judge(calibration, data, believed, judged).line_of_sight
-            errors.append(solution.value - setup.truth(names))
+            line = map_error(calibration, traced_model)
+            errors.append(solution.value - setup.truth)
             pulls.append(errors[-1] / solution.sigma)
             maps.append((line.rms_arcsec, line.predicted_rms_arcsec, solution.reduced_chi2))
         advance()
     found, predicted, chi2 = np.array(maps, float).reshape(-1, 3).T
     return MonteCarlo(
         names=names,
-        truth=setup.truth(names),
+        truth=setup.truth,
         error=np.array(errors, float).reshape(-1, len(names)),
         pull=np.array(pulls, float).reshape(-1, len(names)),
         map_rms_arcsec=found,

@@ -53,7 +53,7 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> R
             poses=len(poses.series),
             map_error_arcsec=poses.map_error_arcsec,
             residual_px=np.sqrt((poses.residual_px**2).mean(0)),
-            centroid_px=np.sqrt(np.einsum("nii->ni", poses.data.covariance_px2).mean(0)),
+            centroid_px=np.sqrt(np.diagonal(poses.data.covariance_px2, axis1=1, axis2=2).mean(0)),
         ),
         "fit": fit_record(poses, folder),
         "poses": [

@@ -1,4 +1,4 @@
-"""Rendering and measurement of the star at all places of its image."""
+"""Rendering and measurement of the star at all places of its image; the map of the traced lens, without a model."""
 
 from __future__ import annotations
 
@@ -7,30 +7,47 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.laboratory.single_star.bench import Bench, Visits, visit
+from calib.calibration.star_bench import StarBench
+from calib.calibration.table_reduction import PoseData
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
 from experiments.laboratory.single_star.setup import build_bench, build_star, grid_px
 from experiments.laboratory.single_star.star_readings import StarReadings, WindowPlan, read_windows
+from experiments.laboratory.single_star.visits import Visits, visit
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze
+from optics.frames import field_angles_deg
+from optics.records import freeze, freeze_all
+from optics.units import DEG_RAD
 from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.sensor_file.instrument import Instrument
 from render.tracing.psf import epsf_tracer, render_epsf
+from render.tracing.tracer import Tracer
+
+MAP_COLUMNS, MAP_ROWS = 33, 17
+"""Points of the traced map over the detector."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
     """One table's run."""
 
-    bench: Bench  # As it really is
+    bench: StarBench  # As it really is
     visits: Visits  # Angles and directions
     bundle_px: FloatArray  # (n, 2) Truth: mean of the traced bundle at every place
     readings: StarReadings  # Centroids
 
     def __post_init__(self) -> None:
         freeze(self, "bundle_px", shape=(len(self.visits), 2))
+
+    @property
+    def pose_data(self) -> PoseData:
+        """Positions and readings."""
+        return PoseData(
+            pixel_px=self.readings.position_px,
+            covariance_px2=self.readings.covariance_px2,
+            reading_rad=self.visits.reading_rad,
+        )
 
 
 def measure(
@@ -62,6 +79,33 @@ def measure(
     readings = read_windows(expected, bundle, psfs, instrument, plan, streams=streams)
     advance()
     return Measurement(bench=bench, visits=visits, bundle_px=bundle, readings=readings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TracedMap:
+    """Landing points of the light of m directions by ray trace, without a model."""
+
+    direction: FloatArray  # (m, 3) Unit vectors in cam
+    pixel_px: FloatArray  # (m, 2) Photon-weighted mean of the traced bundle
+
+    def __post_init__(self) -> None:
+        freeze_all(self, direction=("m", 3), pixel_px=("m", 2))
+
+
+def traced_map(config: SingleStarConfig, instrument: Instrument) -> TracedMap:
+    """The camera's truth over the whole detector, for the light of the star simulator."""
+    camera = instrument.camera
+    x, y = (np.linspace(0, n - 1, c) for n, c in ((camera.width_px, MAP_COLUMNS), (camera.height_px, MAP_ROWS)))
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    direction = camera.nominal_direction(grid[:, 0], grid[:, 1], instrument.focal_length_mm)
+    field_x, field_y = field_angles_deg(direction)
+    within = np.hypot(np.tan(field_x * DEG_RAD), np.tan(field_y * DEG_RAD)) <= np.tan(
+        camera.lens.max_field_deg * DEG_RAD
+    )
+    direction = direction[within]
+    pixel = Tracer(camera).bundle_means(build_star(config, instrument).seen(direction, instrument))[:, 0]
+    seen = np.isfinite(pixel).all(axis=1)
+    return TracedMap(direction=direction[seen], pixel_px=pixel[seen])
 
 
 def _check_field(visits: Visits, instrument: Instrument) -> None:

@@ -8,19 +8,23 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.calibration.star_bench import StarBench, star_direction
+from calib.calibration.table_axes import axis_directions
+from calib.cameras import BrownConrady, SensorGeometry
 from experiments.laboratory.bench.readout.search import SEARCH_PX
 from experiments.laboratory.bench.signal import Signal, signal_of
-from experiments.laboratory.devices.turntable import Turntable, axis_directions, build_turntable
+from experiments.laboratory.devices.turntable import Turntable, build_turntable
 from experiments.laboratory.settings.tables import SignalConfig
-from experiments.laboratory.single_star.bench import Bench
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
-from experiments.laboratory.single_star.star import SingleStar, star_direction
+from experiments.laboratory.single_star.star import SingleStar
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.light.spectrum import Blackbody
 from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument, build_instrument
 
+START_ROUNDING = 0.05
+"""A start focal length is the paraxial one rounded to this part of it."""
 LEAST_COVERAGE = 0.5
 """Of the width and of the height of the detector; below, a calibration says nothing about the rest of the field."""
 
@@ -85,18 +89,13 @@ def check_table(key: str, config: TableConfig, count: int) -> None:
             )
 
 
-def averaged(table: Turntable, readings: int) -> Turntable:
-    """The table for the mean of several readings: random errors average out."""
-    return replace(table, reading_noise_arcsec=table.reading_noise_arcsec / np.sqrt(readings))
-
-
 def _spread(values: tuple[float, ...]) -> float | tuple[float, ...]:
     return values[0] if len(values) == 1 else values
 
 
-def build_bench(config: SingleStarConfig, table: TableConfig) -> Bench:
+def build_bench(config: SingleStarConfig, table: TableConfig) -> StarBench:
     """Star, table and mounting."""
-    return Bench(
+    return StarBench(
         table=build_table(table),
         star=star_direction(config.star.azimuth_deg, config.star.elevation_deg),
         installation=Rotation.from_rotvec(np.radians(config.installation_deg)),
@@ -128,3 +127,14 @@ def grid_px(config: SingleStarConfig, instrument: Instrument) -> FloatArray:
             "is needed: lower grid.columns or grid.rows"
         )
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+def start_model(instrument: Instrument, focal_length_mm: float | None) -> BrownConrady:
+    """Start camera from a data sheet: no distortion, principal point in the centre, f rounded."""
+    camera = instrument.camera
+    step = START_ROUNDING * instrument.focal_length_mm
+    rounded = step * np.floor(instrument.focal_length_mm / step - 0.5)
+    geometry = SensorGeometry(
+        width_px=camera.width_px, height_px=camera.height_px, pixel_pitch_mm=camera.pixel_pitch_mm
+    )
+    return BrownConrady.create(geometry, focal_length_mm=float(rounded if focal_length_mm is None else focal_length_mm))

@@ -5,37 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from calib.calibration.star_bench import star_direction
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.band import Band, band_nodes
 from optics.light.spectrum import Sed
 from optics.rays.spots import collecting_area_mm2
-from optics.units import DEG_RAD, RAD_DEG
 from render.records import StarField
 from render.sensor_file.instrument import Instrument
 
 NODES = 16
-
-
-def star_direction(azimuth_deg: ArrayLike, elevation_deg: ArrayLike) -> FloatArray:
-    """Unit vectors (..., 3) in the laboratory: +Z at azimuth 0, azimuth towards +X, elevation towards +Y.
-
-    The part of FISHER23 eq. 1, whose print does not show the order of its axes.
-    """
-    azimuth, elevation = (np.asarray(v, float) * DEG_RAD for v in (azimuth_deg, elevation_deg))
-    azimuth, elevation = np.broadcast_arrays(azimuth, elevation)
-    level = np.cos(elevation)
-    return np.stack([np.sin(azimuth) * level, np.sin(elevation), np.cos(azimuth) * level], axis=-1)
-
-
-def star_angles_deg(direction: ArrayLike) -> FloatArray:
-    """Azimuth and elevation (..., 2) [deg] of directions (..., 3); the inverse of `star_direction`."""
-    v = np.asarray(direction, float)
-    azimuth = np.arctan2(v[..., 0], v[..., 2])
-    elevation = np.arctan2(v[..., 1], np.hypot(v[..., 0], v[..., 2]))
-    return np.stack([azimuth, elevation], axis=-1) * RAD_DEG
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

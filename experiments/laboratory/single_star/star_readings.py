@@ -56,6 +56,11 @@ class StarReadings:
         freeze(self, "covariance_px2", shape=("n", 2, 2), sizes=sizes)
         freeze(self, "frames_used", shape=("n",), dtype=np.int64, sizes=sizes)
 
+    @property
+    def sigma_px(self) -> FloatArray:
+        """Standard deviations (n, 2) of the mean."""
+        return np.sqrt(np.diagonal(self.covariance_px2, axis1=1, axis2=2))
+
 
 def read_windows(
     expected: ExpectedImage,

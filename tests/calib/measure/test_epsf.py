@@ -6,10 +6,11 @@ import pytest
 from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import get_centroider
 from calib.measure.centroiders.epsf import EpsfCentroider
-from calib.measure.epsf import EpsfBank, EpsfModel, draw_epsf
+from calib.measure.epsf import EpsfBank, EpsfModel, draw_epsf, smeared_epsfs
 from calib.measure.epsf_build import build_epsf
 from calib.records import NoiseModel
 from optics.errors import DomainError
+from render.records import EffectivePsf
 
 
 @pytest.mark.parametrize(("sigma", "oversampling", "order"), [(0.5, 4, 4), (0.5, 8, 4), (0.7, 4, 4)])
@@ -156,3 +157,19 @@ def test_too_few_stars_and_half_an_index(sky, noise):
         build_epsf(stamps, noise, oversampling=2, star_index=[0, 1], frame_index=[0, 1])
     with pytest.raises(DomainError, match="oversampling = 0"):
         build_epsf(stamps, noise, oversampling=0)
+
+
+def test_smeared_psf_has_the_variance_of_its_path() -> None:
+    grid = np.arange(-80, 81) / 8.0
+    gauss = np.exp(-0.5 * (grid[:, None] ** 2 + grid[None, :] ** 2) / 0.8**2)
+    psf = gauss / gauss.sum() * 64
+    path = np.column_stack([np.linspace(-1.5, 1.5, 31), np.zeros(31)])
+    (smeared,) = smeared_epsfs(psf[None], path[None])
+    assert isinstance(smeared, EffectivePsf)
+    share = smeared.values / smeared.values.sum()
+    assert smeared.values.sum() == pytest.approx(64, rel=1e-9)
+    assert (share.sum(0) * grid).sum() == pytest.approx(0.0, abs=1e-9)
+    assert (share.sum(0) * grid**2).sum() == pytest.approx(0.64 + path[:, 0].var(), rel=1e-6)  # columns: along the path
+    assert (share.sum(1) * grid**2).sum() == pytest.approx(0.64, rel=1e-6)
+    (still,) = smeared_epsfs(psf[None], np.zeros((1, 1, 2)))
+    np.testing.assert_array_equal(still.values, psf)

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.calibration.star_bench import StarBench, aiming_angles, star_direction
+from calib.calibration.table_reduction import PoseData, calibrate_on_table
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.fisher.accuracy import Calibrated, _path_px, accuracy, same_data
-from experiments.fisher.acquire import Motion, visit_once
 from experiments.fisher.settings import Config
 from experiments.laboratory.devices.turntable import build_turntable
-from experiments.laboratory.single_star.bench import Bench, aim
-from experiments.laboratory.single_star.reduce import Data, reduce_data
-from experiments.laboratory.single_star.star import star_direction
+from experiments.laboratory.single_star.acquisition import Motion, visit_once
 from optics.units import RAD_ARCSEC
 from render.engine.random import Streams
 
@@ -29,17 +28,17 @@ def rig():
     geometry = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
     model = BrownConrady.create(geometry, focal_length_mm=50.0, x0_px=6.0, y0_px=-4.0, q1_per_mm2=2e-5)
     table = build_turntable("xy", reading_noise_arcsec=READING_ARCSEC, non_orthogonality_arcsec=4.0)
-    bench = Bench(
+    bench = StarBench(
         table=table, star=star_direction(0.3, -0.2), installation=Rotation.from_rotvec([0.01, -0.02, 0.3])
     )  # fmt: skip
-    angle = aim(bench, model.unproject(geometry.grid_px(6)), np.zeros(36))
-    exact = Data(
-        pixel_px=model.project(bench.seen(angle)),
+    angle = aiming_angles(bench, model.unproject(geometry.grid_px(6)), np.zeros(36))
+    exact = PoseData(
+        pixel_px=model.project(bench.star_in_cam(angle)),
         covariance_px2=np.tile(1e-12 * np.eye(2), (36, 1, 1)),
         reading_rad=angle,
     )
     still = build_turntable("xy", reading_noise_arcsec=(1e-6, 1e-6), non_orthogonality_arcsec=4.0)
-    calibration = reduce_data(exact, still, model, leans=True, start_star=np.array(bench.star))
+    calibration = calibrate_on_table(exact, still, model, leans=True, start_star=np.array(bench.star))
     camera = SimpleNamespace(
         width_px=2048,
         height_px=2048,
@@ -68,7 +67,7 @@ def taken_with(rig, seed, motion=None):
     """Images with centroid noise where the table truly stood, and its noisy readings."""
     wanted = rig.model.unproject(rig.model.geometry.grid_px(10))
     places = visit_once(rig.true_bench, wanted, np.zeros(COUNT), motion or Motion(), 10, Streams(seed))
-    seen = rig.model.project(rig.bench.seen(np.array(places.true_rad)))
+    seen = rig.model.project(rig.bench.star_in_cam(np.array(places.true_rad)))
     noise = SIGMA_PX * np.random.default_rng(seed).standard_normal(seen.shape)
     return SimpleNamespace(
         places=places,

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from calib.cameras import BrownConrady, SensorGeometry
-from experiments.fisher.accuracy import _angles_per_pixel, _realised, check_config
-from experiments.fisher.acquire import merged_nodes, smeared_psfs
+from experiments.fisher.accuracy import _angles_per_pixel, check_config
 from experiments.fisher.settings import Config, main
 from optics.errors import StarbenchError
-from render.records import EffectivePsf, StarField
 
 READING_ARCSEC, RATE_DEG_PER_S, JITTER_MS = 0.4, 0.05, 4.0
 DETECTOR = Config().instrument.detector
@@ -60,52 +58,6 @@ def test_angle_of_a_pixel_by_focal_length_and_by_the_field(star_camera) -> None:
     left, right = model.unproject([[-0.5, middle], [camera.width_px - 0.5, middle]])
     expected = [camera.pixel_pitch_mm / 200.0, np.arccos(left @ right) / camera.width_px]
     assert [list(found.values())[i] for i in (0, 2)] == pytest.approx(np.array(expected) * 648000 / np.pi, rel=1e-6)
-
-
-def test_scatter_of_each_cause_is_per_axis() -> None:
-    """Vectors that add angle and place: variances of its own two components, a mean taken off, of few vectors."""
-    rng, n = np.random.default_rng(1), 12
-    centroid, table = (np.column_stack([size * rng.standard_normal((n, 2)), np.zeros(n)]) for size in (2e-6, 5e-6))
-    zero = np.zeros((n, 3))
-    places = SimpleNamespace(reading_rad=table + 1.0, true_rad=zero)
-    taken = SimpleNamespace(position_px=centroid, bundle_px=zero, places=places)
-    found = _realised(SimpleNamespace(vectors=lambda place, angle: place + angle), taken)
-    expected = {"centroids": centroid, "table": table, "calibration": zero}
-    for name, apart in expected.items():
-        sigma = np.sqrt(apart[:, :2].var(0, ddof=1).mean())
-        assert found[name] == pytest.approx(sigma * 648000 / np.pi, rel=1e-9)
-
-
-def test_merged_nodes_keep_light_and_mean_wavelength() -> None:
-    rate = np.random.default_rng(1).uniform(0.5, 1.5, (1, 1, 6)) * np.ones((4, 1, 1))
-    stars = StarField(
-        direction=np.tile([0.0, 0.0, 1.0], (4, 1)),
-        wavelength_nm=np.array([[450.0, 500.0, 560.0, 640.0, 700.0, 800.0]]),
-        photon_rate=rate,
-        band=("x",),
-    )
-    merged = merged_nodes(stars)
-    assert merged.wavelength_nm.shape == (1, 3)
-    np.testing.assert_allclose(merged.photon_rate.sum(2), stars.photon_rate.sum(2))
-    np.testing.assert_allclose(
-        (merged.photon_rate * merged.wavelength_nm).sum(2), (stars.photon_rate * stars.wavelength_nm).sum(2)
-    )
-
-
-def test_smeared_psf_has_the_variance_of_its_path() -> None:
-    grid = np.arange(-80, 81) / 8.0
-    gauss = np.exp(-0.5 * (grid[:, None] ** 2 + grid[None, :] ** 2) / 0.8**2)
-    psf = gauss / gauss.sum() * 64
-    path = np.column_stack([np.linspace(-1.5, 1.5, 31), np.zeros(31)])
-    (smeared,) = smeared_psfs(psf[None], path[None])
-    assert isinstance(smeared, EffectivePsf)
-    share = smeared.values / smeared.values.sum()
-    assert smeared.values.sum() == pytest.approx(64, rel=1e-9)
-    assert (share.sum(0) * grid).sum() == pytest.approx(0.0, abs=1e-9)
-    assert (share.sum(0) * grid**2).sum() == pytest.approx(0.64 + path[:, 0].var(), rel=1e-6)  # columns: along the path
-    assert (share.sum(1) * grid**2).sum() == pytest.approx(0.64, rel=1e-6)
-    (still,) = smeared_psfs(psf[None], np.zeros((1, 1, 2)))
-    np.testing.assert_array_equal(still.values, psf)
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_mean_centroids_of_a_star_that_visits_places(visits, camera):
 
 @pytest.mark.slow
 def test_centroids_of_single_frames_on_the_turntable(visits, camera):
-    from experiments.fisher.acquire import Motion, Places, acquire
+    from experiments.laboratory.single_star.acquisition import Motion, Places, acquire
 
     star, direction, expected, psfs = visits
     truth = np.column_stack([expected.truth.bundle_x_px, expected.truth.bundle_y_px])

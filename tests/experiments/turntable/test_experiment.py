@@ -6,21 +6,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.calibration.star_bench import StarBench, aiming_angles, star_direction
+from calib.calibration.table_reduction import calibrate_on_table
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.harness.config import load_config
 from experiments.laboratory.devices.turntable import build_turntable
-from experiments.laboratory.single_star.bench import Bench, aim
-from experiments.laboratory.single_star.reduce import Data, check_fit, check_parity, reduce_data
-from experiments.laboratory.single_star.star import star_direction
+from experiments.laboratory.single_star.measure import TracedMap
 from experiments.turntable.experiment import point_over_line
 from experiments.turntable.monte_carlo import (
     Coordinates,
-    ReadingPoint,
-    equal_reading_noise_arcsec,
-    reading_sweep,
+    map_error,
 )
 from experiments.turntable.settings import Config, main
-from experiments.turntable.truth import TracedMap, judge
 from optics.errors import ConfigError
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
@@ -33,59 +30,28 @@ MAP = TracedMap(direction=MODEL.unproject(SENSOR.grid_px(11)), pixel_px=SENSOR.g
 
 
 def _setup(axes: str, *, reading_arcsec: float = 0.3, lean_arcsec: float = 8.0, side: int = 9) -> Coordinates:
-    bench = Bench(
+    bench = StarBench(
         table=build_turntable(axes, non_orthogonality_arcsec=lean_arcsec, reading_noise_arcsec=reading_arcsec),
         star=star_direction(0.5, -0.4),
         installation=Rotation.from_rotvec([0.01, 0.02, -0.05]),
     )
     direction = MODEL.unproject(SENSOR.grid_px(side))
-    angle = aim(bench, direction, np.asarray(np.arange(len(direction)) % 4 * (np.pi / 2)))
+    angle = aiming_angles(bench, direction, np.asarray(np.arange(len(direction)) % 4 * (np.pi / 2)))
     covariance = np.tile(np.array([[4e-4, 1e-4], [1e-4, 2e-4]]), (len(direction), 1, 1))
     return Coordinates(
         model=MODEL, bench=bench, true_rad=angle, covariance_px2=covariance, start=START, start_star=AHEAD
     )
 
 
-@pytest.mark.parametrize("axes", ["xy", "yx", "xyz"])
-def test_exact_data_give_the_truth_back(axes: str) -> None:
-    setup = _setup(axes)
-    exact = Data(
-        pixel_px=MODEL.project(setup.bench.seen(setup.true_rad)),
-        covariance_px2=setup.covariance_px2,
-        reading_rad=setup.true_rad,
-    )
-    believed = setup.bench.table.nominal
-    check_parity(exact, believed, START, AHEAD)
-    found = judge(reduce_data(exact, believed, START, leans=True), exact, believed, MAP)
-    check_fit(found.calibration, "exact", "")
-    solution = found.calibration.solution
-    np.testing.assert_allclose(found.star, setup.bench.star, atol=1e-7)
-    # the lean is linearised by the estimator: 8 arcsec squared is 1.5e-9 rad
-    off = np.abs(solution.value - setup.truth(solution.names)) / solution.sigma
-    assert off.max() < 0.05
-    assert found.line_of_sight.rms_arcsec < 1e-3
-    assert np.abs(found.residual_px).max() < 1e-3
-
-
-def test_sweep_of_the_reading_noise_lies_on_its_bound() -> None:
-    """N = 12 runs, 13 unknowns that pull together in part: RMS of a pull, map over its bound, to 4 / sqrt(120)."""
-    points = reading_sweep(_setup("xy", side=5), MAP, Streams(3), [0.3, 3.0], 12, advance=lambda: None)
-    for point in points:
-        assert point.runs == 12
-        assert point.pull_rms == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * 60))
-        assert point.measured_arcsec.value == pytest.approx(point.bound_arcsec, rel=4.0 / np.sqrt(2 * 60))
-    assert points[1].bound_arcsec > 5.0 * points[0].bound_arcsec
-
-
 def test_what_a_square_table_is_taken_for_does_not_fit() -> None:
     setup = _setup("xy", reading_arcsec=0.01, lean_arcsec=60.0)
     data = setup.draw(Streams(1), 0)
     believed = setup.bench.table.nominal
-    estimated = reduce_data(data, believed, START, leans=True)
-    ignored = reduce_data(data, believed, START, leans=False)
+    estimated = calibrate_on_table(data, believed, START, leans=True)
+    ignored = calibrate_on_table(data, believed, START, leans=False)
     assert estimated.solution.reduced_chi2 < 1.5
     assert ignored.solution.reduced_chi2 > 2.0
-    errors = [judge(c, data, believed, MAP).line_of_sight.rms_arcsec for c in (estimated, ignored)]
+    errors = [map_error(c, MAP).rms_arcsec for c in (estimated, ignored)]
     assert errors[1] > 5 * errors[0]
 
 
@@ -107,18 +73,6 @@ def test_settings_that_do_not_do(setting: str, words: str) -> None:
 
 def test_principal_point_and_line_of_sight_are_compared_per_axis() -> None:
     assert point_over_line(3.0, np.hypot(1.0, 1.0)) == pytest.approx(3.0)
-
-
-@pytest.mark.parametrize(("slope", "equal"), [(0.5, 0.06), (0.0, np.nan)])
-def test_reading_noise_that_counts_like_the_centroids(slope: float, equal: float) -> None:
-    """b^2 = 0.03^2 + (0.5 r)^2 is twice 0.03^2 at r = 0.06; without any slope there is none."""
-    points = [
-        ReadingPoint(
-            reading_arcsec=noise, measured_arcsec=None, bound_arcsec=np.hypot(0.03, slope * noise), pull_rms=1, runs=9
-        )
-        for noise in (0.01, 3.0, 0.3)
-    ]
-    assert equal_reading_noise_arcsec(points, 0.03) == pytest.approx(equal, nan_ok=True)
 
 
 TINY = [

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.calibration.star_bench import StarBench, aiming_angles, star_direction
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.laboratory.devices.turntable import build_turntable
-from experiments.laboratory.single_star.bench import Bench, aim
-from experiments.laboratory.single_star.star import star_direction
+from experiments.laboratory.single_star.measure import TracedMap
 from experiments.turntable.fields import field_sweep
 from experiments.turntable.monte_carlo import Coordinates, equal_reading_noise_arcsec, monte_carlo, reading_sweep
-from experiments.turntable.truth import TracedMap
 from render.engine.random import Streams
 
 SENSOR = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
@@ -22,7 +21,7 @@ RUNS = 12
 
 @pytest.fixture(scope="module")
 def setup():
-    bench = Bench(
+    bench = StarBench(
         table=build_turntable("xy", non_orthogonality_arcsec=20.0, reading_noise_arcsec=(0.2, 0.4)),
         star=star_direction(0.5, -0.4),
         installation=Rotation.from_rotvec([0.01, 0.02, -0.05]),
@@ -32,7 +31,7 @@ def setup():
     coordinates = Coordinates(
         model=MODEL,
         bench=bench,
-        true_rad=aim(bench, direction, np.zeros(49)),
+        true_rad=aiming_angles(bench, direction, np.zeros(49)),
         covariance_px2=covariance,
         start=MODEL,
         start_star=np.array(bench.star),
@@ -61,7 +60,7 @@ def test_pulls_are_normal_and_the_map_reaches_its_bound(setup):
 
 def test_drawn_centroids_have_the_covariance_that_is_told(setup):
     coordinates, _ = setup
-    exact = MODEL.project(coordinates.bench.seen(coordinates.true_rad))
+    exact = MODEL.project(coordinates.bench.star_in_cam(coordinates.true_rad))
     apart = np.concatenate([coordinates.draw(Streams(1), run).pixel_px - exact for run in range(60)])
     covariance = np.cov(apart.T) / 0.02**2
     np.testing.assert_allclose(covariance, [[1.0, 0.5], [0.5, 2.0]], atol=4.0 * 2.0 * np.sqrt(2.0 / len(apart)))

@@ -6,7 +6,7 @@ import pytest
 from experiments.harness.config import load_config
 from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.settings import SingleStarConfig, TableConfig
-from experiments.laboratory.single_star.setup import averaged, build_table, check_table, grid_px
+from experiments.laboratory.single_star.setup import build_table, check_table, grid_px
 from optics.errors import ConfigError, DomainError
 
 
@@ -16,7 +16,7 @@ def _table(**changes) -> TableConfig:
 
 
 def test_readings_average() -> None:
-    table = averaged(build_turntable("xy", reading_noise_arcsec=(0.3, 0.4)), 9)
+    table = build_turntable("xy", reading_noise_arcsec=(0.3, 0.4)).averaged(9)
     np.testing.assert_allclose(table.reading_noise_arcsec, [0.1, 0.4 / 3])
 
 

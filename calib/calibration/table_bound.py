@@ -1,7 +1,8 @@
-"""Cramer-Rao bound of the joint calibration from first principles, for any estimator.
+"""Cramer-Rao bound of the joint calibration on a turntable from first principles, for any estimator.
 
-Independent of the estimator in `calib`: the readings' noise is propagated to the images and the information summed
-there, with separate derivatives of the table and of the star. Only the camera's derivatives are shared.
+Independent of the estimator in `calib.calibration.turntable`: the readings' noise is propagated to the images and the
+information summed there, with separate derivatives of the table and of the star (`calib.calibration.star_bench`). Only
+the camera's derivatives are shared.
 """
 
 from __future__ import annotations
@@ -11,10 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.calibration.star_bench import StarBench, design_matrix, reading_covariance_px2, unknown_names
 from calib.cameras.base import CameraModel
 from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
-from experiments.laboratory.single_star.bench import Bench
-from experiments.laboratory.single_star.derivatives import design, reading_covariance_px2
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
@@ -22,13 +22,13 @@ WORST_CONDITION = 1e14
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bound:
+class TableBound:
     """The bound at one truth."""
 
     # Unknowns as `calib.calibration.turntable` names them: camera parameters, star, installation, leans
     names: tuple[str, ...]
     covariance: FloatArray  # (q, q) Of the unknowns; rows of camera parameters that are held are zero
-    alone: FloatArray  # (q,) Standard deviations if all other unknowns were known
+    known_sigma: FloatArray  # (q,) Standard deviations if all other unknowns were known
     condition: float  # Of the information matrix scaled to a unit diagonal
     map_sigma_arcsec: float  # RMS length of the line-of-sight error over the map, after the best rotation
     line_of_sight: LineOfSightMap  # At the truth
@@ -44,12 +44,12 @@ class Bound:
 
     def inflation(self, name: str) -> float:
         """Inflation of an unknown's standard deviation by the other unknowns."""
-        return self.of(name) / float(self.alone[self.names.index(name)])
+        return self.of(name) / float(self.known_sigma[self.names.index(name)])
 
 
-def bound(
+def table_bound(
     model: CameraModel,
-    bench: Bench,
+    bench: StarBench,
     angle_rad: FloatArray,
     covariance_px2: FloatArray,
     map_direction: FloatArray,
@@ -57,19 +57,33 @@ def bound(
     leans: bool,
     star: bool = True,
     free: Sequence[str] | None = None,
-) -> Bound:
+) -> TableBound:
     """Smallest covariance of all unknowns together, at the true camera and bench.
 
-    Shapes: ``angle_rad`` (n, k) of the table, ``covariance_px2`` (n, 2, 2) of the images, ``map_direction`` (m, 3),
-    where in cam the line of sight is judged. Unknown: with ``leans`` the non-orthogonality of the axes, with ``star``
-    its direction, of the camera the parameters ``free`` (None: all).
+    Parameters
+    ----------
+    model : CameraModel
+        True camera.
+    bench : StarBench
+        True star, table and installation.
+    angle_rad : (n, k)
+        Angles of the table.
+    covariance_px2 : (n, 2, 2)
+        Of the images; readings of the table are included with `reading_covariance_px2`.
+    map_direction : (m, 3)
+        Where in cam the line of sight is judged.
+    leans, star : bool
+        Whether the non-orthogonality of the axes, and the direction of the star, are unknown.
+    free : sequence of str, optional
+        Unknown parameters of the camera; all by default.
+
+    Raises
+    ------
+    DomainError
+        On fewer measurements than unknowns, or positions that do not determine them.
     """
-    columns = design(model, bench, angle_rad, leans=leans)
-    names = (
-        *model.parameter_names,
-        *("star_azimuth_rad", "star_elevation_rad", "theta1_rad", "theta2_rad", "theta3_rad"),
-        *(f"lean{i + 1}_rad" for i in range(len(bench.table.axis) - 1) if leans),
-    )
+    columns = design_matrix(model, bench, angle_rad, leans=leans)
+    names = unknown_names(model, bench, leans=leans)
     fixed = set() if free is None else set(model.parameter_names) - set(free)
     use = np.array([i for i, name in enumerate(names) if name not in fixed and (star or not name.startswith("star"))])
     if 2 * len(columns) < len(use):
@@ -88,45 +102,25 @@ def bound(
         )
     covariance = np.zeros((len(names), len(names)))
     covariance[np.ix_(use, use)] = np.linalg.inv(scaled) * np.outer(scale, scale)
-    alone = np.zeros(len(names))
-    alone[use] = scale
+    known_sigma = np.zeros(len(names))
+    known_sigma[use] = scale
     count = len(model.parameter_names)
-    judged = line_of_sight_map(
+    line_of_sight = line_of_sight_map(
         model, map_direction, model.project(map_direction), covariance=covariance[:count, :count]
     )
-    return Bound(
+    return TableBound(
         names=names,
         covariance=covariance,
-        alone=alone,
+        known_sigma=known_sigma,
         condition=condition,
-        map_sigma_arcsec=judged.predicted_rms_arcsec,
-        line_of_sight=judged,
+        map_sigma_arcsec=line_of_sight.predicted_rms_arcsec,
+        line_of_sight=line_of_sight,
     )
 
 
-def knowledge(
+def map_error_by_noise(
     model: CameraModel,
-    bench: Bench,
-    angle_rad: FloatArray,
-    covariance_px2: FloatArray,
-    map_direction: FloatArray,
-) -> dict[str, float]:
-    """Bounds of the map error [arcsec, RMS length] of the joint calibration with something of it known."""
-    centred = [name for name in model.parameter_names if not name.startswith(("p1", "p2"))]
-    given = model, bench, angle_rad, covariance_px2, map_direction
-    known = {
-        "nothing more": bound(*given, leans=True),
-        "the axes' angles": bound(*given, leans=False),
-        "the star's direction": bound(*given, leans=True, star=False),
-        "star and axes": bound(*given, leans=False, star=False),
-        "no tangential distortion": bound(*given, leans=True, free=centred),
-    }
-    return {label: one.map_sigma_arcsec for label, one in known.items()}
-
-
-def noise_shares(
-    model: CameraModel,
-    bench: Bench,
+    bench: StarBench,
     angle_rad: FloatArray,
     centroid_px2: FloatArray,
     map_direction: FloatArray,
@@ -135,14 +129,14 @@ def noise_shares(
 
     The best estimator weighs all noise together, theta = (J^T W J)^-1 J^T W y; each cause is carried through it.
     """
-    shares = {}
+    errors = {}
     parts = {"centroids": centroid_px2}
     for i, name in enumerate(bench.table.axis_names):
         only = np.where(np.arange(len(bench.table.axis)) == i, bench.table.reading_noise_arcsec, 0.0)
         quiet = replace(bench, table=replace(bench.table, reading_noise_arcsec=only))
         parts[f"readings, {name} axis"] = reading_covariance_px2(model, quiet, angle_rad)
     total = sum(parts.values(), np.zeros_like(centroid_px2))
-    rows = design(model, bench, angle_rad, leans=True)
+    rows = design_matrix(model, bench, angle_rad, leans=True)
     weighted = np.linalg.inv(total) @ rows
     information = np.einsum("nia,nib->ab", rows, weighted)
     scale = 1.0 / np.sqrt(np.diagonal(information))
@@ -152,5 +146,5 @@ def noise_shares(
     for name, part in parts.items():
         covariance = inverse @ np.einsum("nia,nij,njb->ab", weighted, part, weighted) @ inverse
         line = line_of_sight_map(model, map_direction, pixel, covariance=covariance[:count, :count])
-        shares[name] = float(line.predicted_rms_arcsec)
-    return shares
+        errors[name] = float(line.predicted_rms_arcsec)
+    return errors

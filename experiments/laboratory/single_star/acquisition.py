@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.calibration.star_bench import StarBench, aiming_angles
 from calib.measure.centroid import get_centroider
 from calib.measure.frame_positions import measured_positions
 from calib.measure.linear_response import centroid_covariance, linear_response
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
-from experiments.laboratory.single_star.bench import Bench, aim
+from experiments.laboratory.devices.turntable import Turntable
 from experiments.laboratory.single_star.star import SingleStar
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -33,8 +34,7 @@ from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.records import EffectivePsf, StarField, WindowStack
 from render.sensor_file.instrument import Instrument
-from render.tracing.psf import render_epsf
-from render.tracing.tracer import Tracer
+from render.tracing.psf import epsf_tracer, render_epsf
 
 CHUNK = 32
 """Places whose response is found at once; bounds the memory."""
@@ -52,11 +52,6 @@ class Motion:
     rate_rad_per_s: float = 0.0  # Speed of the second axis (the inner one of two); 0: at rest
     jitter_s: float = 0.0  # Standard deviation between mid-exposure and reading
     samples: int = 1  # Instants that are rendered
-
-    @property
-    def smear_rad(self) -> float:
-        """Standard deviation of a reading by the jitter."""
-        return abs(self.rate_rad_per_s) * self.jitter_s
 
     def instants_s(self, exposure_s: float) -> FloatArray:
         """Instants about mid-exposure, equally spaced (midpoint rule)."""
@@ -80,12 +75,12 @@ class Places:
     def __len__(self) -> int:
         return len(self.true_rad)
 
-    def directions(self, bench: Bench, exposure_s: float) -> FloatArray:
+    def directions(self, bench: StarBench, exposure_s: float) -> FloatArray:
         """Unit vectors (n, t, 3) in cam towards the star at the instants of the exposure."""
         instants = self.motion.instants_s(exposure_s)
         angle = self.true_rad[:, None] + self.rate_rad_per_s[:, None] * instants[None, :, None]
         count, axes = self.true_rad.shape
-        return bench.seen(angle.reshape(-1, axes)).reshape(count, len(instants), 3)
+        return bench.star_in_cam(angle.reshape(-1, axes)).reshape(count, len(instants), 3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,10 +102,11 @@ class Acquisition:
 
 
 def visit_once(
-    bench: Bench, wanted_cam: FloatArray, roll_rad: FloatArray, motion: Motion, columns: int, streams: Streams
+    bench: StarBench, wanted_cam: FloatArray, roll_rad: FloatArray, motion: Motion, columns: int, streams: Streams
 ) -> Places:
     """Turn the table to every place, or through it; read each axis once."""
-    true = bench.table.set(aim(bench, wanted_cam, roll_rad), streams)
+    assert isinstance(bench.table, Turntable)
+    true = bench.table.set(aiming_angles(bench, wanted_cam, roll_rad), streams)
     rate = np.zeros_like(true)
     rate[:, 1] = np.where(np.arange(len(true)) // columns % 2, -1, 1)
     rate *= motion.rate_rad_per_s
@@ -136,36 +132,18 @@ def merged_nodes(stars: StarField) -> StarField:
     )
 
 
-def place_psfs(tracer: Tracer, star: SingleStar, seen: FloatArray, instrument: Instrument, half_px: int) -> FloatArray:
+def place_psfs(star: SingleStar, direction: FloatArray, instrument: Instrument, half_px: int) -> FloatArray:
     """PSFs (n, m, m) at directions (n, 3); the oversampling is that of `render.tracing.psf.render_epsf`."""
-    light = merged_nodes(star.seen(seen, instrument))
+    light = merged_nodes(star.seen(direction, instrument))
+    tracer = epsf_tracer(instrument.camera)
     return np.stack([row[0].values for row in render_epsf(tracer, light, half_size_px=half_px)])
-
-
-def smeared_psfs(values: FloatArray, path_px: FloatArray, oversampling: int = 8) -> list[EffectivePsf]:
-    """PSFs averaged over the path of the image.
-
-    By the shift theorem of the discrete Fourier transform: exact for what the grid can hold.
-    """
-    if not np.any(path_px):
-        return [EffectivePsf(values=psf, oversampling=oversampling) for psf in values]
-    side = values.shape[-1]
-    wave = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None, :]
-    smeared = []
-    for psf, path in zip(values, path_px * oversampling, strict=True):
-        phase = wave[0][None] * path[:, 1, None, None] + wave[1][None] * path[:, 0, None, None]
-        transfer = np.exp(-2j * np.pi * phase).mean(0)
-        moved = np.fft.irfft2(np.fft.rfft2(psf) * transfer, s=psf.shape)
-        smeared.append(EffectivePsf(values=moved, oversampling=oversampling))
-    return smeared
 
 
 def acquire(
     name: str,
     places: Places,
-    bench: Bench,
+    bench: StarBench,
     star: SingleStar,
-    renderer: StarRenderer,
     psfs: Sequence[EffectivePsf],
     expected_px: FloatArray,
     instrument: Instrument,
@@ -179,6 +157,7 @@ def acquire(
     seen = places.directions(bench, exposure_s)
     count, instants, _ = seen.shape
     light = merged_nodes(star.seen(seen.reshape(-1, 3), instrument))
+    renderer = StarRenderer(instrument.camera, exposure_s=exposure_s)
     expected = renderer.render(replace(light, photon_rate=light.photon_rate / instants))
     truth = expected.truth
     assert truth is not None

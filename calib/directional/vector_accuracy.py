@@ -1,8 +1,8 @@
-"""Reduction of star vectors (S300-S500), and the pixel-residual method for comparison.
+"""Accuracy of star vectors by the Fisher distribution (FISHER23, S400 and S500), and by the pixel-residual method.
 
-S300 transforms every image to the table's frame at zero angles, S400 estimates the concentration, S500 converts it to a
-standard deviation per axis. FISHER23's usual method: the residuals of the images against the reprojected star, as a
-standard deviation in pixels, times one angle per pixel.
+S400 estimates the concentration of star vectors in the table's frame at zero angles (`calib.attitude.star_vectors`),
+S500 converts it to a standard deviation per axis. FISHER23's usual method: the residuals of the images against the
+reprojected star, as a standard deviation in pixels, times one angle per pixel.
 """
 
 from __future__ import annotations
@@ -10,11 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from numpy.typing import ArrayLike, NDArray
 
-from calib.attitude.star_vectors import initial_frame_vectors
-from calib.cameras.base import CameraModel
 from calib.directional.fisher import FisherFit, fit_fisher
 from calib.directional.fisher_checks import (
     Exponential,
@@ -24,7 +21,7 @@ from calib.directional.fisher_checks import (
     fisher_outliers,
     isotropy_check,
 )
-from experiments.laboratory.single_star.bench import Bench
+from calib.directional.pixel_method import residual_sigma_px
 from optics.arrays import FloatArray
 from optics.records import freeze
 from optics.units import RAD_ARCSEC
@@ -34,7 +31,7 @@ CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evaluation:
+class VectorAccuracy:
     """Accuracy of n star vectors."""
 
     vectors: FloatArray  # (n, 3) Unit vectors w_i in the table's frame at zero angles; outliers included
@@ -61,51 +58,53 @@ class Evaluation:
         low, high = self.fit.sigma_interval_rad(level)
         return low * RAD_ARCSEC, high * RAD_ARCSEC
 
-    def own_interval_arcsec(self) -> tuple[float, float]:
+    def effective_interval_arcsec(self) -> tuple[float, float]:
         """The interval by the degrees of freedom that the vectors themselves show."""
         low, high = self.fit.sigma_interval_rad(CONFIDENCE, effective=self.effective_degrees)
         return low * RAD_ARCSEC, high * RAD_ARCSEC
 
-    def baseline_arcsec(self, resolution_arcsec: float) -> float:
+    def pixel_method_arcsec(self, resolution_arcsec: float) -> float:
         """Standard deviation from pixel residuals, with one angle per pixel."""
-        return baseline_px(self.residual_px[~self.outlier]) * resolution_arcsec
+        return residual_sigma_px(self.residual_px[~self.outlier]) * resolution_arcsec
 
 
-def baseline_px(residual_px: FloatArray) -> float:
-    """Standard deviation per axis of pixel residuals (n, 2), of both axes together [px]: sigma_r / sqrt 2."""
-    apart = residual_px - residual_px.mean(0)
-    return float(np.sqrt(np.sum(apart**2) / (2 * (len(apart) - 1))))
-
-
-def expected_px(model: CameraModel, bench: Bench, reading_rad: FloatArray) -> FloatArray:
-    """Expected image of the star, (n, 2)."""
-    return np.asarray(model.project(bench.seen(np.array(reading_rad))))
-
-
-def evaluate(
-    model: CameraModel,
-    bench: Bench,
-    position_px: FloatArray,
-    reading_rad: FloatArray,
+def vector_accuracy(
+    vectors: ArrayLike,
+    residual_px: ArrayLike,
     *,
     outlier_probability: float | None = 0.01,
     degrees_of_freedom: float | None = None,
-) -> Evaluation:
-    """Steps S300 to S500."""
-    pixel, angle = np.array(position_px), np.array(reading_rad)
-    turn: Rotation = bench.table.rotation(angle)
-    vectors = initial_frame_vectors(model, pixel, installation=bench.installation, table_rotation=turn)
-    outlier = np.zeros(len(vectors), dtype=bool)
+) -> VectorAccuracy:
+    """Accuracy of star vectors that should all be equal.
+
+    Parameters
+    ----------
+    vectors : (n, 3)
+        Unit vectors in the table's frame at zero angles.
+    residual_px : (n, 2)
+        Images minus the reprojected star.
+    outlier_probability : float or None
+        False-alarm probability of the outlier test; None: no test.
+    degrees_of_freedom : float, optional
+        Of all vectors; 2 (n - 1) unless the calibration used the same data.
+
+    Raises
+    ------
+    DomainError
+        As `calib.directional.fisher.fit_fisher` and its checks.
+    """
+    every, residual = np.asarray(vectors, np.float64), np.asarray(residual_px, np.float64)
+    outlier = np.zeros(len(every), dtype=bool)
     if outlier_probability is not None:
-        outlier = fisher_outliers(vectors, level=outlier_probability)
-    kept = vectors[~outlier]
+        outlier = fisher_outliers(every, level=outlier_probability)
+    kept = every[~outlier]
     freedom = None if degrees_of_freedom is None else degrees_of_freedom - 2 * float(outlier.sum())
-    return Evaluation(
-        vectors=vectors,
+    return VectorAccuracy(
+        vectors=every,
         outlier=outlier,
         fit=fit_fisher(kept, degrees_of_freedom=freedom),
         isotropy=isotropy_check(kept),
         tails=exponential_check(kept),
         effective_degrees=effective_degrees(kept),
-        residual_px=pixel - expected_px(model, bench, angle),
+        residual_px=residual,
     )

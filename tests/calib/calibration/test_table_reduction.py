@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.cameras import BrownConrady, SensorGeometry
-from experiments.laboratory.devices.turntable import build_turntable
-from experiments.laboratory.single_star.bench import Bench, aim
-from experiments.laboratory.single_star.reduce import (
-    Data,
+from calib.calibration.star_bench import StarBench, aiming_angles, star_direction
+from calib.calibration.table_axes import TableAxes
+from calib.calibration.table_reduction import (
+    PoseData,
+    calibrate_on_table,
     calibrated_bench,
     check_count,
     check_fit,
     check_parity,
-    reduce_data,
 )
-from experiments.laboratory.single_star.star import star_direction
+from calib.cameras import BrownConrady, SensorGeometry
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 
@@ -26,45 +25,47 @@ MODEL = BrownConrady.create(SENSOR, focal_length_mm=40.0, x0_px=5.0, y0_px=-3.0,
 START = BrownConrady.create(SENSOR, focal_length_mm=38.0)
 AHEAD = np.array([0.0, 0.0, 1.0])
 LEAN_ARCSEC = 8.0
-BELIEVED = build_turntable("xy", reading_noise_arcsec=0.3)
+BELIEVED = TableAxes.create("xy", reading_noise_arcsec=0.3)
 
 
 @pytest.fixture(scope="module")
-def bench() -> Bench:
-    return Bench(
-        table=build_turntable("xy", non_orthogonality_arcsec=LEAN_ARCSEC, reading_noise_arcsec=0.3),
+def bench() -> StarBench:
+    return StarBench(
+        table=TableAxes.create("xy", non_orthogonality_arcsec=LEAN_ARCSEC, reading_noise_arcsec=0.3),
         star=star_direction(0.5, -0.4),
         installation=Rotation.from_rotvec([0.01, 0.02, -0.05]),
     )
 
 
 @pytest.fixture(scope="module")
-def exact(bench: Bench) -> Data:
+def exact(bench: StarBench) -> PoseData:
     """81 places over the detector, without noise."""
-    angle = aim(bench, MODEL.unproject(SENSOR.grid_px(9)), np.zeros(81))
+    angle = aiming_angles(bench, MODEL.unproject(SENSOR.grid_px(9)), np.zeros(81))
     covariance = np.tile(np.array([[4e-4, 1e-4], [1e-4, 2e-4]]), (81, 1, 1))
-    return Data(pixel_px=MODEL.project(bench.seen(angle)), covariance_px2=covariance, reading_rad=angle)
+    return PoseData(pixel_px=MODEL.project(bench.star_in_cam(angle)), covariance_px2=covariance, reading_rad=angle)
 
 
-def test_exact_data_give_the_bench_back(bench: Bench, exact: Data) -> None:
+def test_exact_data_give_the_bench_back(bench: StarBench, exact: PoseData) -> None:
     """The estimator is linear in the lean: (8 arcsec)^2 is 1.5e-9 rad."""
     check_parity(exact, BELIEVED, START, AHEAD)
-    calibration = reduce_data(exact, BELIEVED, START, leans=True)
+    calibration = calibrate_on_table(exact, BELIEVED, START, leans=True)
     check_fit(calibration, "exact", "")
     found = calibrated_bench(calibration, BELIEVED)
     assert found.table.non_orthogonality_arcsec[0] * ARCSEC_RAD == pytest.approx(LEAN_ARCSEC * ARCSEC_RAD, abs=2e-7)
     np.testing.assert_allclose(found.star, bench.star, atol=1e-7)
-    np.testing.assert_allclose(calibration.model.project(found.seen(exact.reading_rad)), exact.pixel_px, atol=1e-3)
+    np.testing.assert_allclose(
+        calibration.model.project(found.star_in_cam(exact.reading_rad)), exact.pixel_px, atol=1e-3
+    )
 
 
-def test_known_moves_of_the_data_come_back_with_their_sign(bench: Bench, exact: Data) -> None:
+def test_known_moves_of_the_data_come_back_with_their_sign(bench: StarBench, exact: PoseData) -> None:
     """Images: the principal point. Outer reading: the star about that axis. Inner one: the installation, A -> A R.
 
     All three hold exactly.
     """
     shift, outer, inner = np.array([0.9, -0.6]), 60.0 * ARCSEC_RAD, -40.0 * ARCSEC_RAD
     moved = replace(exact, pixel_px=exact.pixel_px + shift, reading_rad=exact.reading_rad + np.array([outer, inner]))
-    before, after = (reduce_data(data, BELIEVED, START, leans=True) for data in (exact, moved))
+    before, after = (calibrate_on_table(data, BELIEVED, START, leans=True) for data in (exact, moved))
     for name, size in zip(("x0_px", "y0_px"), shift, strict=True):
         assert after.model.value(name) - before.model.value(name) == pytest.approx(size, rel=1e-3)
     first, second = (calibrated_bench(one, BELIEVED) for one in (before, after))
@@ -76,12 +77,12 @@ def test_known_moves_of_the_data_come_back_with_their_sign(bench: Bench, exact: 
 
 
 @pytest.mark.parametrize("believed", ["x-y", "-xy", "yx"])
-def test_mirrored_axes_are_refused(believed: str, exact: Data) -> None:
+def test_mirrored_axes_are_refused(believed: str, exact: PoseData) -> None:
     with pytest.raises(DomainError, match="mirrored"):
-        check_parity(exact, build_turntable(believed), START, AHEAD)
+        check_parity(exact, TableAxes.create(believed), START, AHEAD)
 
 
-def test_a_believed_table_that_points_away(exact: Data) -> None:
+def test_a_believed_table_that_points_away(exact: PoseData) -> None:
     data = replace(exact, reading_rad=np.linspace([-2.5, 0.0], [2.5, 0.0], 81))
     with pytest.raises(DomainError, match="behind the camera"):
         check_parity(data, BELIEVED, START, AHEAD)
@@ -93,7 +94,7 @@ def test_too_few_places() -> None:
     check_count(8, BELIEVED)
 
 
-def test_a_fit_that_does_not_fit_is_no_result(exact: Data) -> None:
+def test_a_fit_that_does_not_fit_is_no_result(exact: PoseData) -> None:
     wrong = replace(exact, pixel_px=np.roll(exact.pixel_px, 1, axis=0))
     with pytest.raises(DomainError, match=r"times their noise; check order and signs"):
-        check_fit(reduce_data(wrong, BELIEVED, START, leans=True), "wrong", "check order and signs")
+        check_fit(calibrate_on_table(wrong, BELIEVED, START, leans=True), "wrong", "check order and signs")

@@ -1,7 +1,7 @@
-"""The joint calibration: from images and readings to the camera, the star, the installation and the table's axes.
+"""Joint calibration of poses: from images and readings to the camera, the star, the installation and the table's axes.
 
-The inputs are the data of a laboratory: images with their covariance, readings with their noise, the assumed axes of
-the table, poor start values.
+Inputs are the data of a laboratory: images with their covariance, readings with their noise, the assumed axes of the
+table, poor start values (FISHER23, S100). The estimator is `calib.calibration.turntable`.
 """
 
 from __future__ import annotations
@@ -13,18 +13,16 @@ import numpy as np
 from calib.calibration.calibrate import calibrate
 from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
+from calib.calibration.star_bench import StarBench, design_star_last, star_last, star_vector_by_pixel
+from calib.calibration.table_axes import TableAxes
 from calib.calibration.turntable import TableErrors, TurntableAttitudes, star_direction
-from calib.cameras import BrownConrady, CameraModel, SensorGeometry
-from experiments.laboratory.devices.turntable import Turntable
-from experiments.laboratory.single_star.bench import Bench
-from experiments.laboratory.single_star.measure import Measurement
+from calib.cameras.base import CameraModel
+from calib.directional.vector_scatter import VectorScatter, scatter_of_other_data
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.records import freeze
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
-from render.sensor_file.instrument import Instrument
 
-START_ROUNDING = 0.05
-"""A start focal length is the paraxial one rounded to this part of it."""
 READING_FLOOR_ARCSEC = 1e-4
 """Readings better than this count as exact."""
 AHEAD = np.array([0.0, 0.0, 1.0])
@@ -34,43 +32,48 @@ POSE_UNKNOWNS = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Data:
-    """Input data from the laboratory."""
+class PoseData:
+    """Images of the star and readings of the table at n poses."""
 
     pixel_px: FloatArray  # (n, 2) Mean images
     covariance_px2: FloatArray  # (n, 2, 2) Of the centroids alone
     reading_rad: FloatArray  # (n, k) Readings of the table
 
-    @classmethod
-    def of(cls, measurement: Measurement) -> Data:
-        """Positions and readings of a rendered run."""
-        return cls(
-            pixel_px=np.array(measurement.readings.position_px),
-            covariance_px2=np.array(measurement.readings.covariance_px2),
-            reading_rad=np.array(measurement.visits.reading_rad),
-        )
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "pixel_px", shape=("n", 2), sizes=sizes, finite=False)
+        freeze(self, "covariance_px2", shape=("n", 2, 2), sizes=sizes, finite=False)
+        freeze(self, "reading_rad", shape=("n", "k"), sizes=sizes)
+
+    def scattered(self, normal: FloatArray) -> PoseData:
+        """The same with noise of the covariance on the images, from independent standard normal deviates (n, 2)."""
+        root = np.linalg.cholesky(self.covariance_px2)
+        return replace(self, pixel_px=self.pixel_px + np.einsum("nij,nj->ni", root, normal))
 
 
-def start_model(instrument: Instrument, focal_length_mm: float | None) -> BrownConrady:
-    """Start camera from a data sheet: no distortion, principal point in the centre, f rounded."""
-    camera = instrument.camera
-    step = START_ROUNDING * instrument.focal_length_mm
-    rounded = step * np.floor(instrument.focal_length_mm / step - 0.5)
-    geometry = SensorGeometry(
-        width_px=camera.width_px, height_px=camera.height_px, pixel_pitch_mm=camera.pixel_pitch_mm
-    )
-    return BrownConrady.create(geometry, focal_length_mm=float(rounded if focal_length_mm is None else focal_length_mm))
-
-
-def reduce_data(
-    data: Data,
-    table: Turntable,
+def calibrate_on_table(
+    data: PoseData,
+    table: TableAxes,
     start: CameraModel,
     *,
     leans: bool,
     start_star: FloatArray | None = None,
 ) -> Calibration:
-    """Joint calibration (S100 of FISHER23) from data and belief."""
+    """Joint calibration (S100 of FISHER23).
+
+    Parameters
+    ----------
+    data : PoseData
+        Images and readings.
+    table : TableAxes
+        Axes as assumed, with the noise of a reading.
+    start : CameraModel
+        Start of the camera.
+    leans : bool
+        Whether the non-orthogonality of the axes is an unknown.
+    start_star : (3,), optional
+        Start of the star's direction in the laboratory; +Z by default.
+    """
     count = len(data.pixel_px)
     observations = Observations(
         pixel_px=data.pixel_px,
@@ -89,18 +92,44 @@ def reduce_data(
     return calibrate(observations, start, family)
 
 
-def calibrated_bench(calibration: Calibration, table: Turntable) -> Bench:
+def calibrated_bench(calibration: Calibration, table: TableAxes) -> StarBench:
     """The bench as a calibration knows it."""
     solution = calibration.solution
     leans = [float(v) for n, v in zip(solution.names, solution.value, strict=True) if n.startswith("lean")]
     if leans:
-        found = table.non_orthogonality_arcsec + np.array(leans) * RAD_ARCSEC
-        table = replace(table, non_orthogonality_arcsec=found)
+        lean = table.non_orthogonality_arcsec + np.array(leans) * RAD_ARCSEC
+        table = replace(table, non_orthogonality_arcsec=lean)
     assert calibration.installation is not None
-    return Bench(table=table, star=star_direction(calibration), installation=calibration.installation)
+    return StarBench(table=table, star=star_direction(calibration), installation=calibration.installation)
 
 
-def check_count(places: int, table: Turntable, *, advice: str = "raise grid.columns or grid.rows") -> None:
+def predicted_scatter(
+    calibration: Calibration, bench: StarBench, angle_rad: FloatArray, noise_px2: FloatArray
+) -> VectorScatter:
+    """Expected scatter of the star vectors of other poses, evaluated with a calibration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Of `calibrate_on_table` with unknown leans.
+    bench : StarBench
+        The same as a bench (`calibrated_bench`).
+    angle_rad : (n, k)
+        Angles of the table.
+    noise_px2 : (n, 2, 2)
+        Covariance of the images, with what readings of the table add.
+    """
+    model, solution = calibration.model, calibration.solution
+    order = star_last(solution.names)
+    return scatter_of_other_data(
+        star_vector_by_pixel(model, bench, angle_rad),
+        noise_px2,
+        design_star_last(model, bench, angle_rad),
+        solution.covariance[np.ix_(order, order)],
+    )
+
+
+def check_count(places: int, table: TableAxes, *, advice: str = "raise grid.columns or grid.rows") -> None:
     """Refuse fewer measurements than unknowns, before anything is rendered; ``advice`` says what to do."""
     unknowns = 8 + POSE_UNKNOWNS + len(table.axis) - 1
     if 2 * places <= unknowns:
@@ -111,7 +140,7 @@ def check_count(places: int, table: Turntable, *, advice: str = "raise grid.colu
 
 
 def check_parity(
-    data: Data, table: Turntable, start: CameraModel, start_star: FloatArray, *, key: str = "reduction.axes"
+    data: PoseData, table: TableAxes, start: CameraModel, start_star: FloatArray, *, key: str = "reduction.axes"
 ) -> None:
     """Refuse axes that turn opposite to the assumption; ``key`` is its setting.
 
