@@ -25,8 +25,8 @@ optics.glass.coating        `Stack` of `Film`, `QuarterWave`, `TabulatedCoating`
 optics.glass.media          `Environment`, `CATALOGUE_AIR`, `VACUUM`
 optics.rays.paraxial        `paraxial`, `axial_colour_mm`
 optics.rays.chief           `chief_ray_points`, `plate_scale_mm`, `distortion_map`
-optics.rays.spots           `spot_moments`, `trace_spots`, `lateral_colour`, `vignetting`, `best_focus_shift_mm`,
-                            `collecting_area_mm2`
+optics.rays.spots           `spot_moments`, `trace_spots`, `lateral_colour`, `vignetting`, `collecting_area_mm2`
+optics.rays.best_focus      `best_focus_shift_mm`, `white_focus`: spots through focus
 optics.rays.pupil           `entrance_pupil`, `star_rays`, `gauss_disk`, `sobol_disk`
 optics.rays.trace           `Rays`, `trace`, `trace_program`
 optics.rays.thermal         `thermal_sensitivity`, `athermal_spacer`

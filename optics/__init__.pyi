@@ -53,6 +53,7 @@ from .light.transmission import lens_transmission as lens_transmission
 from .page import Marks as Marks
 from .page import frame_page as frame_page
 from .page import save_frame_page as save_frame_page
+from .rays.best_focus import best_focus_shift_mm as best_focus_shift_mm
 from .rays.chief import chief_ray_points as chief_ray_points
 from .rays.chief import distortion_map as distortion_map
 from .rays.chief import plate_scale_mm as plate_scale_mm
@@ -66,7 +67,6 @@ from .rays.pupil import gauss_disk as gauss_disk
 from .rays.pupil import sobol_disk as sobol_disk
 from .rays.pupil import star_rays as star_rays
 from .rays.reverse import reverse as reverse
-from .rays.spots import best_focus_shift_mm as best_focus_shift_mm
 from .rays.spots import collecting_area_mm2 as collecting_area_mm2
 from .rays.spots import lateral_colour as lateral_colour
 from .rays.spots import spot_moments as spot_moments

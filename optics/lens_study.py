@@ -12,10 +12,11 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError, StarbenchError
 from optics.lens.system import LensSystem
 from optics.lens_file import LensFile
+from optics.rays.best_focus import focus_by_axis, white_focus
 from optics.rays.chief import chief_ray_points
 from optics.rays.paraxial import ParaxialLens, axial_paraxial
-from optics.rays.performance import LensPerformance, lens_performance, white_focus
-from optics.rays.spots import Spots, focus_moments, trace_spots
+from optics.rays.performance import LensPerformance, lens_performance
+from optics.rays.spots import Spots, trace_spots
 from optics.waves.image_quality import perfect_peak, strehl, transfer_function
 from optics.waves.pupil_field import PupilField, needed_order, trace_pupil
 from optics.waves.wavefront import Wavefront, wavefront
@@ -114,9 +115,8 @@ def _waves(file: LensFile) -> tuple[FloatArray, FloatArray]:
 
 def _along_and_across(spots: Spots, weight: FloatArray) -> FloatArray:
     """Shift of the image plane that makes the white spot smallest along and across the field, (f, 2) [mm]."""
-    cross, square = focus_moments(spots, spots.area_mm2 * (weight / weight.sum())[:, None])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return -cross / square
+    _, axes = focus_by_axis(spots, spots.area_mm2 * (weight / weight.sum())[:, None])
+    return np.stack([axis.best_mm for axis in axes], axis=-1)
 
 
 def _mtf(lens: Any, spots: Spots, weight: FloatArray, fields: FloatArray, limit: float) -> Mtf:

@@ -13,7 +13,7 @@ from experiments.harness.plotting import INK, PALETTE, band_colours, new_figure
 from experiments.harness.quantities import Outcome
 from optics.figures import draw_lens
 from optics.lens_study import SHOWN, airy_radius_mm
-from optics.rays.performance import white_focus
+from optics.rays.best_focus import white_focus
 from optics.waves.wavefront import Wavefront
 
 LONG_SIDE = 0.2

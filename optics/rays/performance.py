@@ -6,7 +6,7 @@ field.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,50 +14,12 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.system import LensSystem
+from optics.rays.best_focus import FocusCurve, focus_by_axis, white_focus
 from optics.rays.chief import chief_ray_points, plate_scale_mm
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.spots import Spots, trace_spots
 from optics.records import freeze
 from optics.units import DEG_RAD
-
-NO_SLOPE = 1e-20
-"""Mean square of slopes that is rounding."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FocusCurve:
-    """RMS spot radius against a shift z of the image: ``r^2 = square + 2 cross z + slope z^2``, exact for rays."""
-
-    # (...) Mean square of the ray heights about their mean, their mean product with the slopes, mean square of the
-    # slopes
-    square_mm2: FloatArray
-    cross_mm: FloatArray
-    slope: FloatArray
-
-    def __post_init__(self) -> None:
-        for name in ("square_mm2", "cross_mm", "slope"):
-            object.__setattr__(self, name, np.array(getattr(self, name), np.float64))
-            getattr(self, name).setflags(write=False)
-
-    def blurred(self, sigma_mm: float) -> FocusCurve:
-        """The curve of spots blurred by a round Gaussian of this standard deviation."""
-        return replace(self, square_mm2=self.square_mm2 + 2.0 * sigma_mm**2)
-
-    def rms_mm(self, shift_mm: ArrayLike = 0.0) -> FloatArray:
-        """RMS radius [mm] at image-plane shifts that broadcast against the curve."""
-        z = np.asarray(shift_mm, np.float64)
-        return np.sqrt(np.maximum(self.square_mm2 + 2.0 * self.cross_mm * z + self.slope * z * z, 0.0))
-
-    @property
-    def best_mm(self) -> FloatArray:
-        """Shift of the image plane with the smallest spot [mm]; 0 where slopes are not known (a measured lens)."""
-        known = ~(self.slope <= NO_SLOPE)
-        return np.asarray(np.where(known, -self.cross_mm / np.where(known, self.slope, 1.0), 0.0))
-
-    @property
-    def mean(self) -> FocusCurve:
-        """Curve of the mean square over all fields, alike."""
-        return FocusCurve(square_mm2=self.square_mm2.mean(), cross_mm=self.cross_mm.mean(), slope=self.slope.mean())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,7 +113,7 @@ def lens_performance(
     traced = trace_spots(lens, field, np.zeros_like(field), wave) if spots is None else spots
     first = axial_paraxial(lens, lens.design_wavelength_nm)
     chief, _ = chief_ray_points(lens, field, np.zeros_like(field), blocked="follow")
-    mean_x, _, single = _focus(traced, traced.area_mm2, (-1,))
+    (mean_x, _), (along_x, along_y) = focus_by_axis(traced, traced.area_mm2, (-1,))
     return LensPerformance(
         field_deg=field,
         wavelength_nm=wave,
@@ -163,30 +125,5 @@ def lens_performance(
         bundle_mm=mean_x,
         area_mm2=traced.area_mm2.sum(-1) * np.cos(field * DEG_RAD)[:, None],
         white=white_focus(traced, light),
-        single=single,
+        single=along_x + along_y,
     )
-
-
-def white_focus(spots: Spots, share: FloatArray) -> FocusCurve:
-    """Focus curve (f,) of all light about its common mean; ``share`` (w,) or (f, w) weighs the wavelengths."""
-    share = np.broadcast_to(share, spots.area_mm2.shape[:2])
-    return _focus(spots, spots.area_mm2 * share[..., None], (-2, -1))[2]
-
-
-def _focus(spots: Spots, weight: FloatArray, over: tuple[int, ...]) -> tuple[FloatArray, FloatArray, FocusCurve]:
-    """Means of x and y and the focus curve, weighted over some axes; NaN where no ray arrives."""
-    rays = spots.rays
-    total = weight.sum(over, keepdims=True)
-    w = np.divide(weight, total, out=np.full_like(weight, np.nan), where=total > 0)
-    means: list[FloatArray] = []
-    square = cross = slope2 = np.zeros(())
-    for position, component in ((rays.x, rays.dx), (rays.y, rays.dy)):
-        height = np.where(rays.ok, position, 0.0)
-        slope = np.where(rays.ok, component / np.where(rays.ok, rays.dz, 1.0), 0.0)
-        means.append((w * height).sum(over))
-        height = height - (w * height).sum(over, keepdims=True)
-        slope = slope - (w * slope).sum(over, keepdims=True)
-        square = square + (w * height * height).sum(over)
-        cross = cross + (w * height * slope).sum(over)
-        slope2 = slope2 + (w * slope * slope).sum(over)
-    return means[0], means[1], FocusCurve(square_mm2=square, cross_mm=cross, slope=slope2)

@@ -17,9 +17,9 @@ from optics.lens.thermal import Housing, Mount, ThermalState, heated_lens
 from optics.lens.without_glass import ideal_lens
 from optics.lens_file import load_lens
 from optics.light.band_file import load_band
+from optics.rays.best_focus import FocusCurve, white_focus
 from optics.rays.chief import plate_scale_mm
 from optics.rays.paraxial import stopped_down
-from optics.rays.performance import FocusCurve, white_focus
 from optics.rays.spots import trace_spots
 from optics.response import Response
 from optics.waves.measured import with_wavefront

@@ -11,7 +11,7 @@ from experiments.laboratory.bench.ray_prediction import expected_spots
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
-from optics.rays.spots import best_focus_shift_mm
+from optics.rays.best_focus import best_focus_shift_mm
 from render.sensor import StarSensor
 from render.sensor_file.instrument import Instrument, focus_of
 

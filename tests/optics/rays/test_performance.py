@@ -6,10 +6,11 @@ import pytest
 from optics.errors import DomainError
 from optics.lens.perturb import refocus
 from optics.lens_file import load_lens
+from optics.rays.best_focus import best_focus_shift_mm
 from optics.rays.chief import distortion_map
 from optics.rays.paraxial import axial_colour_mm, paraxial, stopped_down
 from optics.rays.performance import lens_performance
-from optics.rays.spots import best_focus_shift_mm, lateral_colour, spot_moments, vignetting
+from optics.rays.spots import lateral_colour, spot_moments, vignetting
 
 WAVES = np.array([520.0, 650.0, 800.0])
 

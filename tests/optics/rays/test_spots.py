@@ -10,7 +10,7 @@ from optics.lens.perturb import decentre, refocus
 from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points, distortion_map
 from optics.rays.pupil import gauss_disk, sobol_disk
-from optics.rays.spots import best_focus_shift_mm, lateral_colour, spot_moments, vignetting
+from optics.rays.spots import lateral_colour, spot_moments, vignetting
 
 CAMERA, TRACKER = load_lens("star_camera_206mm"), load_lens("star_tracker_26mm")
 
@@ -91,22 +91,6 @@ def test_distortion_map_has_the_symmetry_of_the_lens():
     assert 100 * grid.relative[0, 0] == pytest.approx(0.96, abs=0.01)
     corner = np.hypot(np.tan(np.radians(grid.field_x_deg[0, 0])), np.tan(np.radians(grid.field_y_deg[0, 0])))
     assert corner == pytest.approx(np.tan(np.radians(16.5)))
-
-
-def test_best_focus_is_a_minimum():
-    fields, waves = ([0.0, 1.5, 3.0], [0.0, 0.0, 0.0]), [500.0, 600.0, 700.0, 800.0]
-    shift = best_focus_shift_mm(CAMERA, *fields, waves)
-
-    def white_variance(z):
-        s = spot_moments(refocus(CAMERA, z), *fields, waves)
-        across = s.rms_radius_mm**2 + (s.x_mm - s.x_mm.mean(1, keepdims=True)) ** 2
-        return float(across.mean())
-
-    here, near, far = white_variance(shift), white_variance(shift - 0.002), white_variance(shift + 0.002)
-    assert here < near
-    assert here < far
-    assert near == pytest.approx(far, rel=1e-5)
-    assert best_focus_shift_mm(refocus(CAMERA, shift), *fields, waves) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_field_without_light_is_data_a_lens_without_light_an_error():
