@@ -17,10 +17,11 @@ from optics.lens.system import LensSystem
 from optics.lens_file import load_lens
 from optics.light.band import Band, TopHat, band_nodes
 from optics.light.spectrum import Blackbody
+from optics.rays.best_focus import FocusCurve, white_focus
 from optics.rays.chief import plate_scale_mm
 from optics.rays.ghosts import GhostPath
 from optics.rays.pupil import gauss_disk, launch_disks
-from optics.rays.spots import spot_moments
+from optics.rays.spots import spot_moments, trace_spots
 from optics.rays.trace import Rays
 from render.camera import Camera, Diffraction, build_camera
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
@@ -38,6 +39,8 @@ _MAP_REACH = 0.985
 _REACH = 1.02
 """The corner of a detector may lie this much outside the field that the lens was made for."""
 _NEAR, _STEPS = 0.01, 16
+FIELD_FRACTIONS = (0.0, 0.45, 0.7, 0.87, 1.0)
+"""Fields, as fractions of the distance from the middle to the corner of the detector."""
 EXPOSURE_S = 0.2
 """Exposure time where none is stated."""
 
@@ -212,6 +215,27 @@ class StarSensor:
         except ConvergenceError:
             told = wanted
         return camera.nominal_direction(told[:, 0], told[:, 1], self.focal_length_mm)
+
+    def radial_field_deg(self, radius_px: FloatArray) -> FloatArray:
+        """Field angles (n,) at distances (n,) from the middle of the detector."""
+        middle = self.camera.centre_px
+        direction = self.direction_at(middle[0] + radius_px, middle[1] + 0.0 * radius_px)
+        return np.degrees(np.arctan2(direction[:, 0], direction[:, 2]))
+
+    def focus_curve(self, wavelength_nm: FloatArray, fraction: FloatArray) -> FocusCurve:
+        """Mean square spot over the detector against a shift of the detector.
+
+        Parameters
+        ----------
+        wavelength_nm : (w,)
+            Wavelengths [nm].
+        fraction : (w,)
+            Light at each, relative.
+        """
+        camera, lens = self.camera, self.camera.focused_lens
+        radius_px = 0.5 * math.hypot(camera.width_px, camera.height_px) * np.array(FIELD_FRACTIONS)
+        field_deg = np.minimum(self.radial_field_deg(radius_px), lens.max_field_deg)
+        return white_focus(trace_spots(lens, field_deg, 0.0 * field_deg, wavelength_nm), fraction).mean
 
     def pixel_map(self, band: Band | None = None, *, temperature_k: float = TYPICAL_TEMPERATURE_K) -> PixelMap:
         """Positions of stars of one colour: photon-weighted means of traced rays on a grid over the detector.

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.glass.media import Environment
 from optics.lens.sag_map import read_map
@@ -17,10 +15,8 @@ from optics.lens.thermal import Housing, Mount, ThermalState, heated_lens
 from optics.lens.without_glass import ideal_lens
 from optics.lens_file import load_lens
 from optics.light.band_file import load_band
-from optics.rays.best_focus import FocusCurve, white_focus
 from optics.rays.chief import plate_scale_mm
 from optics.rays.paraxial import stopped_down
-from optics.rays.spots import trace_spots
 from optics.response import Response
 from optics.waves.measured import with_wavefront
 from optics.waves.wavefront import PathMap, zernike_map
@@ -31,8 +27,6 @@ from render.sensor_file.housing import HousingConfig, expansion_per_k
 from render.sensor_file.tables import InstrumentConfig, PassbandConfig
 from render.sky.star_light import star_light
 
-PARTS = (0.0, 0.45, 0.7, 0.87, 1.0)
-"""Fields, as parts of the distance from the middle to the corner of the detector."""
 NODES = 6
 """Wavelengths of a pass band."""
 STAR_K = 5800.0
@@ -151,20 +145,6 @@ def build_instrument(
     )
 
 
-def radial_field_deg(sensor: StarSensor, radius_px: FloatArray) -> FloatArray:
-    """Field angles (n,) at distances (n,) from the middle of the detector."""
-    middle = sensor.camera.centre_px
-    return np.degrees(np.arctan2(*sensor.direction_at(middle[0] + radius_px, middle[1] + 0.0 * radius_px).T[[0, 2]]))
-
-
-def focus_of(sensor: StarSensor, wavelength_nm: FloatArray, share: FloatArray) -> FocusCurve:
-    """Mean square spot over the detector against the defocus from where it stands; ``share`` weighs wavelengths."""
-    camera, lens = sensor.camera, sensor.camera.focused_lens
-    radius_px = 0.5 * math.hypot(camera.width_px, camera.height_px) * np.array(PARTS)
-    field_deg = np.minimum(radial_field_deg(sensor, radius_px), lens.max_field_deg)
-    return white_focus(trace_spots(lens, field_deg, 0.0 * field_deg, wavelength_nm), share).mean
-
-
 def best_defocus_mm(config: InstrumentConfig, passband: PassbandConfig) -> float:
     """Defocus of the least mean square spot over the detector, for a star of 5800 K through the pass band."""
     instrument = build_instrument(config.model_copy(update={"defocus_mm": 0.0}))
@@ -174,11 +154,11 @@ def best_defocus_mm(config: InstrumentConfig, passband: PassbandConfig) -> float
     light = star_light([open_band(passband, instrument)], nodes=NODES)
     wave = light.wavelength_nm[0]
     rate = light.photon_rate(np.zeros(1), np.array([STAR_K]))[0, 0] * camera.response_at(wave)
-    found_mm = 0.0
+    defocus_mm = 0.0
     for _ in range(REFOCUSED):  # the corners of the detector see another field in another focus
-        step_mm = float(focus_of(instrument, wave, rate / rate.sum()).best_mm)
-        found_mm += step_mm
+        step_mm = float(instrument.focus_curve(wave, rate / rate.sum()).best_mm)
+        defocus_mm += step_mm
         if abs(step_mm) < NEAR_MM:
             break
-        instrument = build_instrument(config.model_copy(update={"defocus_mm": found_mm}))
-    return round(found_mm, 5)
+        instrument = build_instrument(config.model_copy(update={"defocus_mm": defocus_mm}))
+    return round(defocus_mm, 5)

@@ -13,7 +13,7 @@ from optics.errors import DomainError
 from optics.frames import field_angles_deg
 from optics.rays.best_focus import best_focus_shift_mm
 from render.sensor import StarSensor
-from render.sensor_file.instrument import Instrument, focus_of
+from render.sensor_file.instrument import Instrument
 
 RADII = 4.0
 """Least width of a window in RMS radii of the spot."""
@@ -47,7 +47,7 @@ def check_light(bench: Bench, instrument: Instrument, direction: FloatArray) -> 
 
 def focus_remark(sensor: StarSensor, wavelength_nm: FloatArray, share: FloatArray | None = None) -> str:
     """Warning for stars far out of focus, such as at a lens file's own image plane; empty otherwise."""
-    focus = focus_of(sensor, wavelength_nm, np.ones(len(wavelength_nm)) if share is None else share)
+    focus = sensor.focus_curve(wavelength_nm, np.ones(len(wavelength_nm)) if share is None else share)
     radius_px, best_px = (float(focus.rms_mm(z)) / sensor.camera.pixel_pitch_mm for z in (0.0, focus.best_mm))
     if not (radius_px > WIDE_PX and radius_px > FAR_OUT * best_px):
         return ""

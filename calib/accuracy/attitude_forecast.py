@@ -1,0 +1,115 @@
+"""Stars in the field of many attitudes, and the attitude errors that they give, without frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.accuracy.star_errors import DetectionLimit, StarErrors, colour_distance
+from calib.attitude.predicted import attitude_covariance
+from optics.arrays import FloatArray
+from optics.units import RAD_ARCSEC
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sightings:
+    """m sightings of stars on the detector in f attitudes."""
+
+    frames: int  # f
+    frame: NDArray[np.int64]  # (m,) Which attitude
+    direction: FloatArray  # (m, 3) Unit vectors in cam
+    pixel_px: FloatArray  # (m, 2) Column and row
+    radius_px: FloatArray  # (m,) Distance from the middle of the detector
+    temperature_k: FloatArray  # (m,) Colour
+    electrons: FloatArray  # (m,) In one exposure
+    neighbour_e: FloatArray  # (m,) Electrons of the brightest other star within the window
+    brighter_px: FloatArray  # (m,) Distance of the nearest brighter star within the window; infinite: none
+    colour_shift_px: FloatArray  # (m,) Radial shift by the colour, against the reference star
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeForecast:
+    """Predicted attitude errors over f attitudes of the sky."""
+
+    found: FloatArray  # (f,) Expected number of stars that are detected
+    found_variance: FloatArray  # (f,) Variance of that number by noise
+    # (f,) Expected number of those that are fit: not saturated, whole and alone in their window, on good pixels
+    stars: FloatArray
+    # (f, 3) Standard deviation about x, y (across) and z (roll) by temporal noise; infinite where too few stars are fit
+    noise_arcsec: FloatArray
+    total_arcsec: FloatArray  # (f, 3) The same with patterns, pixel phase and star colours
+    sigma_px: FloatArray  # (m,) Error of each sighting, per axis, all terms
+    chance: FloatArray  # (m,) That it is detected
+
+    @property
+    def across_arcsec(self) -> FloatArray:
+        """(f,) Error across the boresight, root mean square of x and y."""
+        return np.sqrt((self.total_arcsec[:, :2] ** 2).mean(axis=1))
+
+
+def whole_windows(pixel_px: FloatArray, size_px: tuple[int, int], window_px: int) -> NDArray[np.bool_]:
+    """Which windows around positions (m, 2) lie on a detector of (columns, rows)."""
+    edge = window_px // 2 - 0.5
+    return ((pixel_px > edge) & (pixel_px < np.array(size_px) - 1 - edge)).all(axis=1)
+
+
+def attitude_forecast(
+    seen: Sightings,
+    stars: StarErrors,
+    limit: DetectionLimit,
+    *,
+    pixel_arcsec: float,
+    size_px: tuple[int, int],
+    window_px: int,
+    bad_fraction: float = 0.0,
+) -> AttitudeForecast:
+    """Attitudes from stars that are detected, alone and whole in their window, and not saturated.
+
+    Parameters
+    ----------
+    seen : Sightings
+        Stars in the field of each attitude.
+    stars : StarErrors
+        Errors against electrons.
+    limit : DetectionLimit
+        Detection and noise.
+    pixel_arcsec : float
+        Angle of a pixel.
+    size_px : (int, int)
+        Columns and rows of the detector.
+    window_px : int
+        Side of the centroid window.
+    bad_fraction : float
+        Fraction of the pixels that are defective; a window with one of them is not used.
+    """
+    r, electrons = seen.radius_px, seen.electrons
+    shown = stars.effective(electrons, seen.temperature_k, r)
+    chance = stars.detected_at(shown, r)
+    saturated = np.interp(r, stars.radius_px, stars.centroid.peak) * electrons > limit.frame.saturation_e
+    fit = np.where(saturated | ~whole_windows(seen.pixel_px, size_px, window_px), 0.0, chance)
+    fit = fit * (1.0 - bad_fraction) ** (window_px**2)
+    fit = fit * (1.0 - stars.detected_at(seen.neighbour_e, r))  # a neighbour within the window spoils both
+    # two equal Gaussians, filtered with their own width, have one maximum up to two standard deviations of the sum
+    chance = np.where(seen.brighter_px < 2.0 * np.sqrt(2.0) * limit.sigma_px, 0.0, chance)
+    noise = stars.sigma_at(stars.centroid.noise_px, shown, r)
+    static = stars.sigma_at(np.hypot(stars.centroid.pattern_px, stars.centroid.phase_px), electrons, r)
+    spot = stars.sigma_at(stars.colour_px, electrons, r) * colour_distance(seen.temperature_k, stars.reference_k)
+    variance = noise**2 + static**2 + 0.5 * seen.colour_shift_px**2 + spot**2
+    spread = []
+    for square in (noise**2, variance):
+        covariance = attitude_covariance(
+            seen.direction, square * (pixel_arcsec / RAD_ARCSEC) ** 2, seen.frame, seen.frames, share=fit
+        )
+        spread.append(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * RAD_ARCSEC)
+    sums = [np.bincount(seen.frame, values, seen.frames) for values in (chance, chance * (1.0 - chance), fit)]
+    return AttitudeForecast(
+        found=sums[0],
+        found_variance=sums[1],
+        stars=sums[2],
+        noise_arcsec=spread[0],
+        total_arcsec=spread[1],
+        sigma_px=np.sqrt(variance),
+        chance=chance,
+    )
