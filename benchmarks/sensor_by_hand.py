@@ -51,10 +51,10 @@ def by_camera() -> dict[str, float]:
             sky={"attitudes": 10},
         )
     )
-    noise = found.processing
+    noise, pixel = found.processing.frame, found.pixel
     return {
         STAR: found.value("electrons_e"),
-        "light and dark charge in a pixel [e-]": noise.background_e + noise.pixel.dark_e,
+        "light and dark charge in a pixel [e-]": noise.background_e + pixel.dark_e,
         PIXEL: math.sqrt(noise.empty_e2),
         "signal-to-noise ratio": found.value("snr"),
         "NEA [arcsec]": found.value("nea_arcsec"),

@@ -164,7 +164,7 @@ def _changes(config: Config, key: str, value: float, middle: CameraPrediction) -
 
 def parameters(config: Config, base: CameraPrediction) -> list[tuple[str, str, str, float, float, float]]:
     """Key, label, unit, low, value, high."""
-    change, chip = config.tornado, base.processing.detector
+    change, chip = config.tornado, base.detector
     share, depth_mm = change.change_fraction, base.value("depth_of_focus_um") * 1e-3
     rows = []
     for key, label, unit, own in (
@@ -216,14 +216,14 @@ def answer_lines(
         f"{lens.pixel_arcsec:.3f}\u2033 per pixel, focal length {lens.focal_length_mm:.3f} mm at F/{lens.f_number:.3g}"
     )
     depths = lens.best_focus_um / lens.depth_of_focus_um
-    best_mm = state.instrument.camera.defocus_mm + 1e-3 * lens.best_focus_um
+    best_mm = state.sensor.camera.defocus_mm + 1e-3 * lens.best_focus_um
     put = f"; defocus_mm = {best_mm:.4f}" if abs(depths) > 2.0 else ""
     kept = [one for one in found if one.gain > 0.0][:2]
     first = "; ".join(
         f"{one.label} {one.better:.3g} {one.unit}".rstrip() + f": error −{100 * one.gain:.0f} %" for one in kept
     )
     rows = {
-        "Sensor": config.name or f"{state.instrument.camera.lens.name} on {prediction.processing.detector.name}",
+        "Sensor": config.name or f"{state.sensor.camera.lens.name} on {prediction.detector.name}",
         "Field": f"{lens.field_width_deg:.2f}° × {lens.field_height_deg:.2f}°, diagonal {lens.field_diagonal_deg:.2f}°",
         "Scale": scale,
         "Focus": f"best {round(lens.best_focus_um):+d} µm from the detector, {abs(depths):.1f} depths of focus{put}",

@@ -174,7 +174,7 @@ def noise_of_chart(prediction: CameraPrediction, chart: ChartFrames, key: str = 
     gap = np.clip(np.searchsorted(star.radius_px, radius) - 1, 0, len(knots) - 2)
     model = max(MODEL_SHARE, 0.25 * float(np.sqrt((np.diff(knots)[gap] ** 2).mean())))
     # pixels differ in read noise: of the some 4 pi s^2 under a star each has its own
-    pixel = prediction.processing.pixel
+    pixel = prediction.pixel
     under = max(4.0 * np.pi * (prediction.state.fwhm_px / 2.3548) ** 2 * stars, 1.0)
     chips = 0.5 * np.sqrt(pixel.floor_e4 / under) / pixel.floor_e2
     return compared(
@@ -195,7 +195,7 @@ def _limit(prediction: CameraPrediction, rendered: Rendered) -> Compared:
     electrons, radius, seen = chart.electrons[faint], chart.radius_px[faint], chart.found[:, faint].mean(axis=0)
 
     def share(shift_mag: float) -> FloatArray:
-        return star.found_at(electrons * 10.0 ** (0.4 * shift_mag), radius)
+        return star.detected_at(electrons * 10.0 ** (0.4 * shift_mag), radius)
 
     def excess(shift_mag: float) -> float:
         return float(share(shift_mag).mean() - seen.mean())

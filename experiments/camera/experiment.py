@@ -21,11 +21,11 @@ from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.what_if import REQUIREMENTS, Requirement, judge, missed_words
-from experiments.laboratory.optical_state import OpticalState
 from experiments.laboratory.sensor_prediction import Accuracy, CameraPrediction, Optics, Sky, predict_camera
 from optics.arrays import FloatArray
 from optics.figures import draw_lens
 from optics.rays.spots import trace_spots
+from render.field_response import FieldResponse
 
 __all__ = ["SECTIONS", "predict", "predicted"]
 
@@ -51,7 +51,7 @@ class Setup:
 
 def setup(prediction: CameraPrediction, requirements: Sequence[Requirement]) -> Setup:
     """Texts of the report."""
-    lens, chip = prediction.state.instrument.camera.lens.name, prediction.processing.detector.name
+    lens, chip = prediction.state.sensor.camera.lens.name, prediction.detector.name
     return Setup(
         name=prediction.config.name or f"{lens} on {chip}",
         lens=lens,
@@ -64,8 +64,8 @@ def setup(prediction: CameraPrediction, requirements: Sequence[Requirement]) -> 
 
 def draw_section(outcome: Outcome) -> Figure:
     """Section through the lens with fans of rays to the middle, to 70 % of the half diagonal and to the corner."""
-    state: OpticalState = outcome.result["setup"].prediction.state
-    fields, measured = state.performance.field_deg, state.instrument.camera.lens.measured
+    state: FieldResponse = outcome.result["setup"].prediction.state
+    fields, measured = state.performance.field_deg, state.sensor.camera.lens.measured
     if measured is not None:
         figure, (light, width) = new_figure(1, 2, aspect_ratio=0.38)
         light.plot(fields, state.performance.vignetting, "o-")
@@ -73,7 +73,7 @@ def draw_section(outcome: Outcome) -> Figure:
         width.plot(fields, state.performance.white.rms_mm() * 1e3, "o-")
         width.set(xlabel="Field [°]", ylabel="RMS radius of the PSF [µm]", ylim=(0.0, None))
         return figure
-    figure = draw_lens(state.instrument.camera.focused_lens, fields_deg=[0.0, float(fields[2]), float(fields[-1])])
+    figure = draw_lens(state.sensor.camera.focused_lens, fields_deg=[0.0, float(fields[2]), float(fields[-1])])
     figure.axes[0].set_title("")
     width, height = figure.get_size_inches()
     figure.set_size_inches(7.6, 7.6 * height / width)
@@ -82,8 +82,8 @@ def draw_section(outcome: Outcome) -> Figure:
 
 def draw_spots(outcome: Outcome) -> Figure:
     """Rays of the pass band at three fields, the pixels of the detector behind them."""
-    state: OpticalState = outcome.result["setup"].prediction.state
-    focused, pitch = state.instrument.camera.focused_lens, state.instrument.camera.pixel_pitch_mm
+    state: FieldResponse = outcome.result["setup"].prediction.state
+    focused, pitch = state.sensor.camera.focused_lens, state.sensor.camera.pixel_pitch_mm
     chosen = [0, 2, 4]
     angles, waves = state.performance.field_deg[chosen], state.performance.wavelength_nm[[0, 2, 5]]
     traced = trace_spots(focused, angles, np.zeros(3), waves, order=(8, 30))
@@ -137,7 +137,7 @@ def fields(prediction: CameraPrediction) -> Fields:
         field_focus_um=1e3 * lens.white.best_mm,
         field_distortion_percent=100.0 * lens.distortion,
         field_vignetting_percent=100.0 * (1.0 - lens.vignetting),
-        field_colour_px=lens.lateral_colour_mm / prediction.state.instrument.camera.pixel_pitch_mm,
+        field_colour_px=lens.lateral_colour_mm / prediction.state.sensor.camera.pixel_pitch_mm,
         axial_colour_focus_um=1e3 * lens.axial_colour_mm,
         performance=lens,
     )
@@ -172,7 +172,7 @@ def magnitudes(prediction: CameraPrediction) -> Magnitudes:
     full, high = prediction.value("saturation_mag"), prediction.value("limiting_magnitude_mag") + 1.0
     magnitude = np.linspace(min(full - 0.5, high - 2.0), high, CURVE_POINTS)
     part = (np.arange(8) + 0.5) / 8.0 - 0.5
-    camera = state.instrument.camera
+    camera = state.sensor.camera
     radius = np.hypot(*np.meshgrid(part * camera.width_px, part * camera.height_px)).ravel()
     at = [prediction.electrons(np.full(len(radius), m), config.star.temperature_k, radius) for m in magnitude]
 
@@ -187,7 +187,7 @@ def magnitudes(prediction: CameraPrediction) -> Magnitudes:
         magnitude_single_arcsec=np.hypot(
             curve(stars.centroid.total_px), np.nan_to_num(prediction.value("colour_arcsec"))
         ),
-        magnitude_found=np.array([float(stars.found_at(e, radius).mean()) for e in at]),
+        magnitude_found=np.array([float(stars.detected_at(e, radius).mean()) for e in at]),
         magnitude_mag=magnitude,
         colours_k=config.star.colours_k,
     )

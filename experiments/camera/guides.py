@@ -1,6 +1,6 @@
 """Guide stars in the field, and identification lost in space.
 
-Guide stars (`experiments.laboratory.guide_stars`) do not saturate and have a detection probability of 0.9. For lost in
+Guide stars (`CameraPrediction.guide_stars`) do not saturate and have a detection probability of 0.9. For lost in
 space, star lists are drawn from the prediction (detections, centroid errors, false alarms) and identified by tetra3rs
 with the calibrated camera: thousands of times cheaper than frames (`experiments.camera.frames`).
 """
@@ -20,7 +20,6 @@ from calib.cameras.fit import fit_camera
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
-from experiments.laboratory.guide_stars import guide_stars
 from experiments.laboratory.sensor_prediction import CameraPrediction
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
@@ -50,14 +49,14 @@ class Coverage:
 def coverage(prediction: CameraPrediction) -> Coverage:
     """Guide stars in the attitudes of the prediction."""
     view, state, config = prediction.view, prediction.state, prediction.config
-    size = np.array([state.instrument.camera.width_px, state.instrument.camera.height_px])
+    size = np.array([state.sensor.camera.width_px, state.sensor.camera.height_px])
     edge = config.window_px // 2 - 0.5
     whole = ((view.sample.pixel_px > edge) & (view.sample.pixel_px < size - 1 - edge)).all(axis=1)
     brightest, faintest = prediction.value("saturation_mag"), prediction.limits_mag[0.9]
     known = load_catalogue(config.catalogue)
     stars = known.select(np.flatnonzero(known.magnitude <= view.depth_mag))
     try:
-        guides = guide_stars(prediction, stars, stars.direction, brightest_mag=brightest, faintest_mag=faintest).row
+        guides = prediction.guide_stars(stars, stars.direction, brightest_mag=brightest, faintest_mag=faintest).row
     except DomainError:  # none is left
         guides = np.empty(0, np.int64)
     guide = whole & np.isin(view.sample.row, guides)
@@ -101,7 +100,7 @@ def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] =
                 lost_attitudes=0,
                 lost_refusal=f"fields below {NARROWEST_DEG:g} deg are too narrow for patterns of the whole sky",
             )
-        model = fit_camera(state.instrument.pixel_map(state.band, temperature_k=config.star.temperature_k)).camera
+        model = fit_camera(state.sensor.pixel_map(state.band, temperature_k=config.star.temperature_k)).camera
         patterns = star_patterns(model)
     except StarbenchError as error:  # such as tetra3rs, which is an extra
         return LostInSpace(lost_attitudes=0, lost_refusal=str(error).splitlines()[0])

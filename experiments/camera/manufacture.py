@@ -24,7 +24,6 @@ from experiments.harness.drawings import bars
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
-from experiments.laboratory.optical_state import AIRY_SIGMA
 from experiments.laboratory.sensor_prediction import CameraPrediction
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
@@ -34,6 +33,7 @@ from optics.lens.system import AMBIENT, LensSystem
 from optics.rays.spots import trace_spots
 from optics.units import UM_MM
 from render.engine.random import Streams
+from render.field_response import AIRY_SIGMA
 from render.sensor_file.file import ManufactureConfig
 from render.tracing.psf import ray_epsf
 
@@ -104,13 +104,13 @@ class _Probe:
     """Traces lenses at the same places; compares with the nominal one."""
 
     def __init__(self, prediction: CameraPrediction) -> None:
-        state, camera = prediction.state, prediction.state.instrument.camera
+        state, camera = prediction.state, prediction.state.sensor.camera
         self.prediction, self.pitch_mm = prediction, camera.pixel_pitch_mm
         x, y = (np.linspace(-REACH, REACH, n) for n in GRID)
         place = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) * [camera.width_px / 2, camera.height_px / 2]
         self.place_px = place
-        self.field_deg = field_angles_deg(state.instrument.direction_at(*(place + camera.centre_px).T))
-        self.wave, self.share = state.light.wavelength_nm[0], state.share
+        self.field_deg = field_angles_deg(state.sensor.direction_at(*(place + camera.centre_px).T))
+        self.wave, self.share = state.light.wavelength_nm[0], state.fraction
         airy = AIRY_SIGMA * float(self.share @ self.wave) * 1e-6 * state.performance.f_number / self.pitch_mm
         airy *= camera.diffraction != "rays"
         self.blur_px = float(np.hypot(camera.blur_px, airy))
@@ -161,7 +161,7 @@ class _Probe:
             psfs,
             np.array([self.electrons * light.mean() / self.area]),
             noise=noise,
-            background_e=self.prediction.processing.background_e,
+            background_e=self.prediction.processing.frame.background_e,
             window_px=config.window_px,
             phases=4,  # two miss the middle of the pixel, where a sharp spot is worst
         )
@@ -221,7 +221,7 @@ def manufactured(
         If fewer than two lenses have an image.
     """
     config: Config = prediction.config
-    setting, lens = config.manufacture, prediction.state.instrument.camera.focused_lens
+    setting, lens = config.manufacture, prediction.state.sensor.camera.focused_lens
     lens.check_surfaces()
     probe, moves = _Probe(prediction), moves_of(lens, setting)
     nominal, reference = probe.trace(lens, refocused=False), probe.trace(lens, refocused=setting.refocused)

@@ -20,8 +20,15 @@ from experiments.harness.range import with_value
 from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.system import shared
 from experiments.harness.what_if import Requirement, crossing, judge
-from experiments.laboratory.optical_state import longest_trail_px, optical_state
-from experiments.laboratory.sensor_prediction import Accuracy, CameraPrediction, Optics, Sky, predict_camera
+from experiments.laboratory.sensor_prediction import (
+    Accuracy,
+    CameraPrediction,
+    Optics,
+    Sky,
+    longest_trail_px,
+    optical_state,
+    predict_camera,
+)
 from experiments.laboratory.settings.prediction import aged_config
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError

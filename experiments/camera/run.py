@@ -15,8 +15,7 @@ from experiments.harness.sections import numbers_of
 from experiments.harness.system import aside, prompt_import
 from experiments.harness.what_if import judge
 from experiments.laboratory.bench.checks import focus_remark
-from experiments.laboratory.optical_state import longest_trail_px
-from experiments.laboratory.sensor_prediction import CameraPrediction, predict_camera
+from experiments.laboratory.sensor_prediction import CameraPrediction, longest_trail_px, predict_camera
 
 MADE = ("lsfe_before_arcsec", "lsfe_after_arcsec")
 """Requirements on manufactured lenses."""
@@ -85,7 +84,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
 def _remarks(prediction: CameraPrediction) -> list[str]:
     """What does not fit: focus, and spots that the centroider cuts."""
     state = prediction.state
-    remark = focus_remark(state.instrument, state.light.wavelength_nm[0], state.share)
+    remark = focus_remark(state.sensor, state.light.wavelength_nm[0], state.fraction)
     room_px, setting, window_px = longest_trail_px(prediction.config, state)
     cut = f"{setting} {window_px} px cuts the spots: they need {math.ceil(window_px - room_px) // 2 * 2 + 1} px."
     return [*([remark] if remark else []), *([cut] if room_px < 0.0 else [])]

@@ -71,9 +71,9 @@ def mission(budget: Budget, history: Sequence[Moment], frames: Sequence[Segment]
     counts = sky_coverage(budget.guides, budget.model, attitudes=COVERAGE, margin_px=config.window_px // 2 + 1.0)
     rate = np.asarray(flight.trajectory.rate(np.array([one.time_min * 60.0 for one in history])))
     return Mission(
-        name=config.name or f"{state.instrument.camera.lens.name} on {budget.nominal.processing.detector.name}",
-        lens=state.instrument.camera.lens.name,
-        detector=budget.nominal.processing.detector.name,
+        name=config.name or f"{state.sensor.camera.lens.name} on {budget.nominal.detector.name}",
+        lens=state.sensor.camera.lens.name,
+        detector=budget.nominal.detector.name,
         period_s=flight.period_s,
         rate_deg_per_s=float(np.degrees(np.linalg.norm(rate[:, :2], axis=1).mean())),
         acceleration_bias_s2=config.instrument.exposure_s**2 / 24.0,
@@ -270,7 +270,7 @@ def age(budget: Budget, errors: Sequence[AttitudeErrors]) -> Age:
         age="end" if budget.old else "begin",
         limiting_magnitude_mag=budget.nominal.limits_mag[0.5],
         electrons_e=light,
-        dark_e=budget.nominal.processing.pixel.dark_e,
+        dark_e=budget.nominal.pixel.dark_e,
         stars=float(np.mean([one.stars for one in errors])),
         available_percent=100.0 * float(np.mean([one.available for one in errors])),
         noise_arcsec=terms.get("temporal_noise", nothing),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.accuracy.attitude_terms import AttitudeErrors
+from calib.accuracy.star_errors import colour_distance
 from calib.attitude.association import pixel_angle_rad
 from calib.attitude.predicted import attitude_of_shifts, attitude_of_velocity, covariance_of_noise
 from calib.attitude.tracker import GuideCatalogue, expected_guides
@@ -25,13 +26,7 @@ from calib.measure.centroid import centroider_class
 from calib.measure.centroid_prediction import fit_bias
 from experiments.flight.scenario import Flight
 from experiments.flight.settings import Config
-from experiments.laboratory.guide_stars import guide_stars
-from experiments.laboratory.sensor_prediction import (
-    CameraPrediction,
-    colour_distance,
-    detector_radii,
-    predict_camera,
-)
+from experiments.laboratory.sensor_prediction import CameraPrediction, detector_radii, predict_camera
 from experiments.laboratory.settings.prediction import PredictedSensorConfig, SlewConfig, aged_config
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -88,7 +83,7 @@ class Budget:
         self.sensor = _sensor(config, old)
         self.nominal: CameraPrediction = self.camera(0.0)
         state = self.nominal.state
-        self.instrument: Instrument = state.instrument
+        self.instrument: Instrument = state.sensor
         self._map = self.instrument.pixel_map(state.band, temperature_k=config.star_temperature_k)
         self.model: CameraModel = fit_camera(self._map).camera
         self.pixel_rad = pixel_angle_rad(self.model)
@@ -109,8 +104,7 @@ class Budget:
         limit = camera.value("limiting_magnitude_mag") - 1.5
         asked = self.config.tracker.faintest_mag
         faintest = limit if asked is None else asked
-        return guide_stars(
-            camera,
+        return camera.guide_stars(
             self.stars,
             self.direction,
             brightest_mag=camera.value("saturation_mag") + SATURATION_MARGIN_MAG,
@@ -268,7 +262,7 @@ class Budget:
 
     @property
     def _bad(self) -> float:
-        chip = self.nominal.processing.detector
+        chip = self.nominal.detector
         return chip.hot_fraction + chip.dead_fraction
 
     def _star_errors(
@@ -282,7 +276,7 @@ class Budget:
         electrons = camera.state.electrons_per_s(self.stars.magnitude[self.guides.row[rows]], kelvin, radius)
         electrons = electrons * self.config.instrument.exposure_s * self.sensor.throughput_fraction
         star = camera.stars
-        shown = star.effective(electrons, kelvin, radius, self.config.star_temperature_k)
+        shown = star.effective(electrons, kelvin, radius)
         noise = star.sigma_at(star.centroid.noise_px, shown, radius)
         pixel, phase = (
             star.sigma_at(each, electrons, radius) for each in (star.centroid.pattern_px, star.centroid.phase_px)

@@ -249,7 +249,7 @@ def detection_limit(config: PredictedSensorConfig, detector: Detector, fwhm_px: 
     clean_e2 = float(sound.temporal_e2(background_e, dark_frames=config.dark_frames))
     dark_s = detector.dark_factor(setting.chip_temperature_c) * setting.exposure_s * (1.0 + 1.0 / config.dark_frames)
     damage, fraction = damage_steps(detector)
-    top_e = min(detector.full_well_e, detector.adc_full_e)
+    top_e = min(detector.full_well_e, detector.converter_top_e)
     frame = FrameNoise(
         pixel=NoiseModel(
             read_noise_e=math.sqrt(pixel.read_e2 + pixel.dark_e),
@@ -343,9 +343,7 @@ def _at_rest(
         sensor.check_field()
     except DomainError as error:
         raise DomainError(f"instrument.width_px, instrument.height_px: {error}") from None
-    return field_response(
-        sensor, open_band(passband, sensor), magnitude_system=system, temperature_k=temperature_k
-    )
+    return field_response(sensor, open_band(passband, sensor), magnitude_system=system, temperature_k=temperature_k)
 
 
 # --- Sky of a configuration

@@ -53,7 +53,7 @@ def test_magnitude_limits_are_where_the_share_of_stars_passes(monkeypatch):
     monkeypatch.setattr("experiments.laboratory.sensor_prediction.exposed_s", lambda config: 0.5)
     state = SimpleNamespace(electrons_per_s=lambda magnitude, temperature, radius: np.full(len(radius), 2e6))
     stars = SimpleNamespace(
-        found_at=lambda electrons, radius: (electrons >= np.where(radius > 0.5, 400.0, 100.0)) * 1.0
+        detected_at=lambda electrons, radius: (electrons >= np.where(radius > 0.5, 400.0, 100.0)) * 1.0
     )
     limits = _limits(SimpleNamespace(star=SimpleNamespace(temperature_k=6000.0)), state, stars)
     assert limits[0.5] == pytest.approx(2.5 * np.log10(1e6 / 100.0), abs=0.06)

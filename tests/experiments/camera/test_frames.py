@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from scipy.constants import c, h, k
 
+from calib.accuracy.star_errors import colour_distance
 from experiments.camera import predict
 from experiments.camera.comparison import compare
 from experiments.camera.manufacture import _Probe
 from experiments.camera.settings import Config
 from experiments.harness.range import with_value
-from experiments.laboratory.optical_state import COLD_K, HOT_K, optical_state
-from experiments.laboratory.sensor_prediction import colour_distance
+from experiments.laboratory.sensor_prediction import optical_state
 from optics.rays.spots import trace_spots
+from render.field_response import COLD_K, HOT_K
 
 READOUTS, STARS, FRAMES, DRAWS = 3, 24, 20, 200
 
@@ -40,7 +41,7 @@ def drawn(prediction, rng, worse=1.0, fainter_mag=0.0):
     sigma = star.sigma_at(star.centroid.noise_px, electrons[:STARS], radius[:STARS])  # along both axes alike
     error = np.full((READOUTS, 2 * STARS, 2), np.nan)
     error[:, :STARS] = worse * sigma[:, None] * rng.standard_normal((READOUTS, STARS, 2))
-    share = star.found_at(electrons * 10.0 ** (-0.4 * fainter_mag), radius)
+    share = star.detected_at(electrons * 10.0 ** (-0.4 * fainter_mag), radius)
     alarms = rng.poisson(prediction.value("false_alarms_per_frame"), READOUTS + FRAMES)
     chart = SimpleNamespace(
         magnitude=magnitude,
@@ -118,19 +119,19 @@ def planck(wavelength_nm, kelvin):
 def test_optics_of_the_page_by_other_sums(tracker):
     """Vignetting, colour of stars and lateral colour, from the rays, black bodies of SciPy's constants."""
     state, pitch = tracker.state, 0.0055
-    wave, lens = state.light.wavelength_nm[0], state.instrument.camera.focused_lens
-    field = np.degrees(np.arctan(state.radius_px * pitch / state.instrument.focal_length_mm))
+    wave, lens = state.light.wavelength_nm[0], state.sensor.camera.focused_lens
+    field = np.degrees(np.arctan(state.radius_px * pitch / state.sensor.focal_length_mm))
     spots = trace_spots(lens, field, np.zeros_like(field), wave, order=(32, 64))
     area, x = spots.area_mm2.sum(-1), (spots.area_mm2 * spots.rays.x).sum(-1) / spots.area_mm2.sum(-1)
 
     def light(kelvin):
-        return planck(wave, kelvin) / planck(wave, 5800.0) * state.share  # nodes hold band, response and step
+        return planck(wave, kelvin) / planck(wave, 5800.0) * state.fraction  # nodes hold band, response and step
 
     def place(kelvin):
         weight = light(kelvin) * area
         return (weight * x).sum(1) / weight.sum(1)
 
-    white = (area * state.share).sum(1) * np.cos(np.radians(field))  # cross-section of the beam, not of the stop
+    white = (area * state.fraction).sum(1) * np.cos(np.radians(field))  # cross-section of the beam, not of the stop
     lost = 100.0 * (1.0 - (white / white[0]).min())
     assert tracker.value("vignetting_percent") == pytest.approx(lost, rel=2e-3)
     assert tracker.value("vignetting_percent") > 3.0
@@ -141,11 +142,15 @@ def test_optics_of_the_page_by_other_sums(tracker):
     assert tracker.value("lateral_colour_px") == pytest.approx(np.ptp(x, axis=1).max() / pitch, rel=1e-3)
     left = (
         spots.rays.x
-        - ((area * state.share)[..., None] * spots.rays.x * spots.area_mm2 / area[..., None]).sum((1, 2), keepdims=True)
-        / (area * state.share).sum(1)[:, None, None]
+        - ((area * state.fraction)[..., None] * spots.rays.x * spots.area_mm2 / area[..., None]).sum(
+            (1, 2), keepdims=True
+        )
+        / (area * state.fraction).sum(1)[:, None, None]
     )
     right = spots.rays.y
-    square = ((left**2 + right**2) * spots.area_mm2 * state.share[:, None]).sum((1, 2)) / (area * state.share).sum(1)
+    square = ((left**2 + right**2) * spots.area_mm2 * state.fraction[:, None]).sum((1, 2)) / (
+        area * state.fraction
+    ).sum(1)
     assert tracker.value("spot_um") == pytest.approx(1e3 * np.sqrt(square.max()), rel=1e-3)
 
 
@@ -162,8 +167,8 @@ def test_width_of_a_trail_by_hand(tracker):
     """A uniform trail of length L adds L²/12 along it: L²/24 to the mean of both axes."""
     slewing = with_value(tracker.config, "slew.rate_deg_per_s", 0.2)
     state, rest = optical_state(slewing), tracker.state
-    length_px = np.radians(0.2 * slewing.instrument.exposure_s) * state.instrument.focal_length_mm / 0.0055
-    assert state.trail_length_px == pytest.approx(length_px, rel=5e-3)
+    length_px = np.radians(0.2 * slewing.instrument.exposure_s) * state.sensor.focal_length_mm / 0.0055
+    assert np.hypot(*state.trail_px) == pytest.approx(length_px, rel=5e-3)
     assert length_px > 1.0
     grown = (state.fwhm_px**2 - rest.fwhm_px**2) / 2.3548**2
     assert grown == pytest.approx(length_px**2 / 24.0, rel=0.01)
@@ -171,7 +176,7 @@ def test_width_of_a_trail_by_hand(tracker):
 
 def test_spots_of_a_made_lens_are_those_of_the_lens(tracker):
     """The nominal lens, not focused again: root mean square radius about the mean of all light, on the axis."""
-    lens = tracker.state.instrument.camera.focused_lens
+    lens = tracker.state.sensor.camera.focused_lens
     probe = _Probe(tracker)
     found = probe.trace(lens, refocused=False)
     spots = trace_spots(lens, np.zeros(1), np.zeros(1), probe.wave, order=(24, 48))

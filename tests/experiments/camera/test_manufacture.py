@@ -49,7 +49,7 @@ def test_exact_lenses_are_the_nominal_one():
 
 def test_moves_are_those_of_their_names():
     config = sensor(decentre_um=3.0, index=1e-4)
-    lens = predict_camera(config).state.instrument.camera.focused_lens
+    lens = predict_camera(config).state.sensor.camera.focused_lens
     moves = moves_of(lens, config.manufacture)
     assert not any(name.startswith(("tilt", "wedge", "radius", "thickness")) for name in moves)
     first = lens.elements[0]

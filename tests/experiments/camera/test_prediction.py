@@ -13,8 +13,7 @@ from experiments.camera.settings import Config
 from experiments.harness.range import with_value
 from experiments.harness.sections import numbers_of
 from experiments.harness.what_if import judge, missed_words
-from experiments.laboratory.optical_state import optical_state
-from experiments.laboratory.sensor_prediction import accuracy
+from experiments.laboratory.sensor_prediction import accuracy, optical_state
 from optics.errors import ConfigError, DomainError
 from optics.light.photometry import band_photon_rate
 from optics.light.spectrum import Blackbody
@@ -56,7 +55,7 @@ def test_electrons_by_hand(tracker):
 
     The throughput changes by some 10 % about its value at the middle: 6 % is what this sum can promise.
     """
-    sensor, band = tracker.state.instrument, tracker.state.band
+    sensor, band = tracker.state.sensor, tracker.state.band
     photons = float(band_photon_rate(Blackbody(temperature_k=5800.0), 6.0, [band], system="G")[0])
     wave = np.linspace(500.0, 800.0, 61)
     throughput = float(sensor.camera.response_at(wave).mean())
@@ -67,7 +66,7 @@ def test_electrons_by_hand(tracker):
 def test_a_star_that_saturates_has_no_accuracy_and_meets_no_requirement(config):
     """The brightest pixel of the star of [star] holds more than the full well: nothing is quoted."""
     long = predict(with_value(config, "instrument.exposure_s", 20.0))
-    assert long.value("electrons_e") * float(long.stars.centroid.peak.max()) > long.processing.detector.full_well_e
+    assert long.value("electrons_e") * float(long.stars.centroid.peak.max()) > long.detector.full_well_e
     assert long.saturated
     for name in ("nea_arcsec", "single_star_arcsec", "snr"):
         assert np.isnan(long.value(name)), name
@@ -150,11 +149,11 @@ def test_electrons_of_a_lens_that_vignettes_follow_the_traced_beams():
     """double_gauss_50mm loses 43 % of a beam at the corner, from a kink near the axis on; five fields were 3 % off."""
     settings = {"lens": "double_gauss_50mm", "diffraction": "rays", "absorption": False}
     state = optical_state(Config.model_validate({"instrument": settings}))
-    camera, wave = state.instrument.camera, state.light.wavelength_nm[0]
+    camera, wave = state.sensor.camera, state.light.wavelength_nm[0]
     radius_px = np.linspace(0.0, state.radius_px[-1], 38)
-    field_deg = np.degrees(np.arctan(radius_px * camera.pixel_pitch_mm / state.instrument.focal_length_mm))
+    field_deg = np.degrees(np.arctan(radius_px * camera.pixel_pitch_mm / state.sensor.focal_length_mm))
     area = trace_spots(camera.focused_lens, field_deg, 0.0 * field_deg, wave, order=(20, 40)).area_mm2.sum(-1)
-    traced = (area * np.cos(np.radians(field_deg))[:, None]) @ state.share
+    traced = (area * np.cos(np.radians(field_deg))[:, None]) @ state.fraction
     magnitude, kelvin = np.zeros(len(radius_px)), np.full(len(radius_px), 5800.0)
     electrons = state.electrons_per_s(magnitude, kelvin, radius_px)
     ratio = (electrons / electrons[0]) / (traced / traced[0])

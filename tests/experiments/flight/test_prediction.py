@@ -64,7 +64,7 @@ def test_random_errors_are_the_scatter_of_attitudes(budget, seen):
     """3000 draws; a star with a bad pixel in its window is left out."""
     attitude, told = seen
     rows, v, (noise, pixel, spot, _) = stars_of(budget, attitude)
-    bad = 2e-3 + budget.nominal.processing.detector.dead_fraction
+    bad = 2e-3 + budget.nominal.detector.dead_fraction
     fit, rng, draws = (1.0 - bad) ** (WINDOW * WINDOW), np.random.default_rng(5), 3000
     assert fit < 0.8
     assert told.stars == pytest.approx(fit * len(v))

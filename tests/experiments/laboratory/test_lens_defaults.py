@@ -81,7 +81,7 @@ def test_a_sensor_file_takes_them_too_and_reports_say_so(lens, tmp_path):
 @pytest.mark.parametrize("passband", ["[450, 650]", pytest.param("[600, 900]", marks=pytest.mark.slow)])
 def test_the_best_focus_is_one_number_for_setting_report_and_remark(passband, tmp_path):
     """Another lens stands in its best focus unless a focus is stated; the report finds none better, to 1 um."""
-    from experiments.laboratory.optical_state import optical_state
+    from experiments.laboratory.sensor_prediction import optical_state
 
     sensor = tmp_path / "sensor.toml"
     chosen = 'lens = "cooke_triplet_50mm"\ndetector = "cmv4000"\nabsorption = false\n'
