@@ -24,8 +24,8 @@ from scipy.ndimage import gaussian_filter
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from experiments.camera import predict
 from experiments.camera.settings import Config
+from experiments.laboratory.sensor_prediction import predict_camera
 from render.detector.spec import load_detector
 
 FOCAL_MM, STOP, SPOT_UM, TRANSMISSION, EXPOSURE_S, STRAY_E_PER_S = 35.0, 1.8, 4.0, 0.8, 0.1, 500.0
@@ -40,7 +40,7 @@ def by_camera() -> dict[str, float]:
     """Numbers of the camera report."""
     lens = {"kind": "ideal", "focal_length_mm": FOCAL_MM, "f_number": STOP, "spot_um": SPOT_UM}
     chip = {"detector": "cmv4000", "width_px": 1024, "height_px": 1024, "exposure_s": EXPOSURE_S}
-    found = predict(
+    found = predict_camera(
         Config(
             instrument={"lens": {**lens, "transmission": TRANSMISSION}, **chip, "chip_temperature_c": CHIP_C},
             passband={"range_nm": [LOW_NM, HIGH_NM]},

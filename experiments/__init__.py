@@ -1,7 +1,7 @@
 """The experiments, one package each, with their common laboratory and harness.
 
 Commands (``python -m experiments.NAME``) run them; `run_experiment` does the same from Python and returns their
-numbers, tables and figures.
+numbers, tables and figures. `predict_sensor` states what the star sensor of a file will do.
 """
 
 import os

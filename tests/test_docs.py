@@ -2,6 +2,7 @@
 
 import ast
 import doctest
+import math
 import os
 import re
 import runpy
@@ -93,7 +94,7 @@ def test_the_ten_lines_are_ten_and_the_same_everywhere():
     statements = [node for node in ast.parse(script).body if not isinstance(node, ast.Import | ast.ImportFrom)]
     assert len(statements) <= 10
     assert not any(";" in line.split("#")[0] for line in script.splitlines())
-    assert script == scripts("docs/library.md")[0]
+    assert script == block("docs/library.md", "find_stars")
 
 
 @pytest.mark.slow
@@ -117,7 +118,7 @@ def test_the_ten_lines_find_the_attitude(tmp_path):
 
 @pytest.mark.slow
 def test_the_script_with_stars_of_ones_own_runs_and_measures(tmp_path):
-    said = run_script(scripts("docs/library.md")[1], tmp_path)
+    said = run_script(block("docs/library.md", "StarRenderer"), tmp_path)
     errors = [float(value) for value in re.findall(r"error ([+-][\d.]+)", said)]
     assert len(errors) == 10  # every star, nothing else
     assert max(map(abs, errors)) < 0.1  # a Gaussian on a spot with coma; a slip of half a pixel would show
@@ -127,6 +128,23 @@ def test_the_script_with_stars_of_ones_own_runs_and_measures(tmp_path):
 def block(page, name):
     """The Python block of a page that imports a name."""
     return next(script for script in scripts(page) if re.search(rf"^from .*\b{name}\b", script, re.M))
+
+
+def test_the_library_page_predicts_a_sensor_of_its_file(capsys, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    names = {}
+    exec(block("docs/library.md", "predict_sensor"), names)
+    shown = dict(line.split() for line in capsys.readouterr().out.splitlines()[:5])
+    assert names["prediction"].value("false_alarms_per_frame") == pytest.approx(0.1, rel=1e-3)
+    assert float(shown["snr"]) < math.sqrt(float(shown["electrons_e"]))  # photon noise alone
+    median = np.median(names["prediction"].attitude.across_arcsec)
+    assert median == pytest.approx(names["prediction"].value("attitude_cross_arcsec"), rel=0.01)
+
+
+def test_the_best_focus_of_the_library_page_is_one(capsys):
+    names = {}
+    exec(block("docs/library.md", "best_focus_shift_mm"), names)
+    assert names["defocus_mm"] == pytest.approx(0.01, abs=0.02)
 
 
 def test_the_metrics_of_the_library_page_are_those_of_its_series(capsys):

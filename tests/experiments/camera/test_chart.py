@@ -10,7 +10,6 @@ from scipy.spatial.distance import pdist
 
 from experiments.camera.frames import MATCH_PX, _scattered
 from experiments.laboratory.bench.readout.reduction import MeasuredFrame
-from experiments.laboratory.sensor_prediction import _limits
 
 
 @pytest.mark.parametrize(("width", "height", "count"), [(1024, 1024, 100), (4096, 2048, 300), (200, 150, 400)])
@@ -45,16 +44,3 @@ def test_detections_belong_to_the_nearest_star_once():
     assert MeasuredFrame.matched(far, stars, 13.0, MATCH_PX)[1] == (1 if 1.1 * MATCH_PX > 13.0 else 0)
     assert MeasuredFrame.matched(found([]), stars, 13.0, MATCH_PX)[1] == 0
     assert MeasuredFrame.matched(seen, np.full((2, 2), np.nan), 13.0, MATCH_PX)[1] == 4
-
-
-def test_magnitude_limits_are_where_the_share_of_stars_passes(monkeypatch):
-    """Found from 100 e- on in the middle, from 400 e- on at the edge: half at 100, nine tenths at 400 e-."""
-    monkeypatch.setattr("experiments.laboratory.sensor_prediction.detector_radii", lambda state: np.array([0.0, 1.0]))
-    monkeypatch.setattr("experiments.laboratory.sensor_prediction.exposed_s", lambda config: 0.5)
-    state = SimpleNamespace(electrons_per_s=lambda magnitude, temperature, radius: np.full(len(radius), 2e6))
-    stars = SimpleNamespace(
-        detected_at=lambda electrons, radius: (electrons >= np.where(radius > 0.5, 400.0, 100.0)) * 1.0
-    )
-    limits = _limits(SimpleNamespace(star=SimpleNamespace(temperature_k=6000.0)), state, stars)
-    assert limits[0.5] == pytest.approx(2.5 * np.log10(1e6 / 100.0), abs=0.06)
-    assert limits[0.9] == pytest.approx(2.5 * np.log10(1e6 / 400.0), abs=0.06)

@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from experiments.camera import predict
 from experiments.camera.settings import Config, experiment, main
 from experiments.harness.progress import Progress
 from experiments.harness.range import with_value
 from experiments.harness.what_if import run_comparison
+from experiments.laboratory.sensor_prediction import predict_camera
 from optics.errors import DomainError
 
 ONE = Config(
@@ -24,7 +24,7 @@ def test_each_sensor_is_what_it_is_alone_and_differs_in_what_was_changed():
     found = run_comparison(experiment, [ONE, other], progress=Progress())
     assert len({one.sensor for one in found["sensors"]}) == 2  # though both are the same lens on the same detector
     for sensor, config in zip(found["sensors"], (ONE, other), strict=True):
-        assert sensor.attitude_roll_arcsec == predict(config).value("attitude_roll_arcsec")
+        assert sensor.attitude_roll_arcsec == predict_camera(config).value("attitude_roll_arcsec")
     assert [(one.key, one.value) for one in found["differences"]] == [("instrument.exposure_s", ["0.1", "0.3"])]
     no_window = with_value(with_value(ONE, "instrument.width_px", 0), "instrument.height_px", 0)
     with pytest.raises(DomainError, match=r"sensor 2 .*width_px"):

@@ -73,14 +73,12 @@ def test_criteria_fail_on_a_wrong_prediction(sensor, tmp_path, engine, monkeypat
 
     from experiments.laboratory import sensor_prediction as prediction
 
-    true = prediction._processing
+    true = prediction.detection_limit
 
-    def quieter(config, state):
-        found = true(config, state)
-        pixel = replace(found.pixel, read_e2=found.pixel.read_e2 / 4.0)
-        return replace(found, pixel=pixel, empty_e2=found.empty_e2 - found.pixel.read_e2 * 0.75)
+    def quieter(config, detector, fwhm_px):
+        return true(config, replace(detector, read_noise_e=detector.read_noise_e / 2.0), fwhm_px)
 
-    monkeypatch.setattr(prediction, "_processing", quieter)
+    monkeypatch.setattr(prediction, "detection_limit", quieter)
     status, summary, _ = run(sensor, tmp_path)
     assert status == 1
     failed = " ".join(one["name"] for one in summary["criteria"] if one["passed"] is False)

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from scipy.constants import c, h, k
 
-from calib.accuracy.star_errors import colour_distance
-from experiments.camera import predict
 from experiments.camera.comparison import compare
 from experiments.camera.manufacture import _Probe
 from experiments.camera.settings import Config
 from experiments.harness.range import with_value
-from experiments.laboratory.sensor_prediction import optical_state
+from experiments.laboratory.sensor_prediction import optical_state, predict_camera
 from optics.rays.spots import trace_spots
 from render.field_response import COLD_K, HOT_K
 
@@ -22,7 +20,7 @@ READOUTS, STARS, FRAMES, DRAWS = 3, 24, 20, 200
 @pytest.fixture(scope="module")
 def tracker():
     chip = {"lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 1862, "height_px": 1862, "defocus_mm": 0.03}
-    return predict(
+    return predict_camera(
         Config(
             instrument={**chip, "diffraction": "rays"},
             passband={"range_nm": [500.0, 800.0]},
@@ -152,14 +150,6 @@ def test_optics_of_the_page_by_other_sums(tracker):
         area * state.fraction
     ).sum(1)
     assert tracker.value("spot_um") == pytest.approx(1e3 * np.sqrt(square.max()), rel=1e-3)
-
-
-def test_colour_distance_by_hand():
-    """1/T of 3500, 5800 and 10 000 K: 2.857e-4, 1.724e-4, 1e-4."""
-    found = colour_distance(np.array([3500.0, 5800.0, 10_000.0, 4365.0]), 5800.0)
-    assert found[:3] == pytest.approx([1.0, 0.0, 1.0])
-    assert found[3] == pytest.approx((1 / 4365 - 1 / 5800) / (1 / 3500 - 1 / 5800))
-    assert colour_distance(np.array([5000.0]), 3500.0)[0] == pytest.approx((1 / 3500 - 1 / 5000) / (1 / 3500 - 1e-4))
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from experiments.camera import predict
 from experiments.camera.answer import ThermalRange, answer_lines, limits, swings
 from experiments.camera.experiment import predicted
 from experiments.camera.guides import Coverage, LostInSpace
@@ -13,7 +12,7 @@ from experiments.camera.settings import Config
 from experiments.harness.range import with_value
 from experiments.harness.sections import numbers_of
 from experiments.harness.what_if import judge, missed_words
-from experiments.laboratory.sensor_prediction import accuracy, optical_state
+from experiments.laboratory.sensor_prediction import accuracy, optical_state, predict_camera
 from optics.errors import ConfigError, DomainError
 from optics.light.photometry import band_photon_rate
 from optics.light.spectrum import Blackbody
@@ -37,7 +36,7 @@ def config():
 
 @pytest.fixture(scope="module")
 def tracker(config):
-    return predict(config)
+    return predict_camera(config)
 
 
 def test_first_order_by_hand(tracker):
@@ -65,7 +64,7 @@ def test_electrons_by_hand(tracker):
 
 def test_a_star_that_saturates_has_no_accuracy_and_meets_no_requirement(config):
     """The brightest pixel of the star of [star] holds more than the full well: nothing is quoted."""
-    long = predict(with_value(config, "instrument.exposure_s", 20.0))
+    long = predict_camera(with_value(config, "instrument.exposure_s", 20.0))
     assert long.value("electrons_e") * float(long.stars.centroid.peak.max()) > long.detector.full_well_e
     assert long.saturated
     for name in ("nea_arcsec", "single_star_arcsec", "snr"):
@@ -75,13 +74,13 @@ def test_a_star_that_saturates_has_no_accuracy_and_meets_no_requirement(config):
 
 def test_twice_the_light_is_three_quarters_of_a_magnitude(config, tracker):
     """Faint stars: the limit of half the throughput is brighter by 2.5 log 2."""
-    half = predict(with_value(config, "throughput_fraction", 0.5))
+    half = predict_camera(with_value(config, "throughput_fraction", 0.5))
     shift = tracker.value("limiting_magnitude_mag") - half.value("limiting_magnitude_mag")
     assert shift == pytest.approx(2.5 * np.log10(2.0), abs=0.01)
 
 
 def test_false_alarms_that_were_asked_for(config):
-    asked = predict(with_value(config, "false_alarms_per_frame", 0.01))
+    asked = predict_camera(with_value(config, "false_alarms_per_frame", 0.01))
     assert asked.value("false_alarms_per_frame") == pytest.approx(0.01, rel=1e-3)
     assert asked.value("threshold_sigma") > 5.0
 
@@ -105,7 +104,7 @@ def test_tornado_and_verdicts(config, tracker):
     assert light.swing_limiting_magnitude_mag[0] == pytest.approx(2.5 * np.log10(0.8), abs=0.01)
     required = {"limiting_magnitude_mag": 3.0, "nea_arcsec": 0.01, "field_deg": 10.0}
     asked = config.model_copy(update={"requirements": RequirementsConfig(**required)})
-    verdicts = predicted(predict(asked))["requirements"]
+    verdicts = predicted(predict_camera(asked))["requirements"]
     assert {one.key: one.met for one in verdicts} == dict.fromkeys(required, True) | {"nea_arcsec": False}
     excess = {one.key: one.excess for one in verdicts}["limiting_magnitude_mag"]
     assert excess == pytest.approx(tracker.value("limiting_magnitude_mag") - 3.0)
@@ -117,8 +116,8 @@ def test_focus_gains_what_the_best_focus_gives(config):
     only = blurred.model_copy(
         update={"tornado": config.tornado.model_copy(update={"parameters": ("instrument.defocus_mm",)})}
     )
-    (focus,) = swings(only, predict(blurred))
-    at_best = predict(with_value(blurred, "instrument.defocus_mm", focus.better))
+    (focus,) = swings(only, predict_camera(blurred))
+    at_best = predict_camera(with_value(blurred, "instrument.defocus_mm", focus.better))
     assert abs(at_best.value("best_focus_um")) < 0.5
     assert focus.gain > 0.2
 
@@ -135,13 +134,13 @@ def test_every_requirement_has_its_prediction(tracker):
 
 def test_refused(config):
     with pytest.raises(ConfigError, match="threshold is at the noise level"):
-        predict(config.model_copy(update={"centroid": "tcog"}))
+        predict_camera(config.model_copy(update={"centroid": "tcog"}))
     with pytest.raises(DomainError, match="the signal of every star is below the noise"):
-        predict(with_value(with_value(config, "instrument.exposure_s", 1e-5), "throughput_fraction", 0.001))
+        predict_camera(with_value(with_value(config, "instrument.exposure_s", 1e-5), "throughput_fraction", 0.001))
     with pytest.raises(DomainError, match=r"stars are far out of focus: .* with instrument\.defocus_mm = "):
-        predict(with_value(config, "instrument.defocus_mm", 5.0))
+        predict_camera(with_value(config, "instrument.defocus_mm", 5.0))
     with pytest.raises(DomainError, match="read at most"):
-        predict(with_value(with_value(config, "instrument.width_px", 0), "instrument.height_px", 0))
+        predict_camera(with_value(with_value(config, "instrument.width_px", 0), "instrument.height_px", 0))
 
 
 @pytest.mark.slow

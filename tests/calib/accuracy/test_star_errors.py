@@ -1,0 +1,106 @@
+"""Stars of a Gaussian PSF: centroid errors and detection in closed form."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from calib.accuracy.star_errors import DetectionLimit, FrameNoise, StarErrors, colour_distance, mean_snr, star_errors
+from calib.records import NoiseModel
+from render.records import EffectivePsf
+
+SIGMA_PX, FWHM_PX, READ_E, DARK_FRAMES, BACKGROUND_E = 1.6, 1.6 * 2.3548, 20.0, 4, 30.0
+
+
+def gaussian(sigma_px):
+    """Pixel-integrated Gaussian."""
+    offset = np.arange(-80, 81) / 8.0
+    line = 0.5 * np.diff([erf((offset + edge) / (np.sqrt(2.0) * sigma_px)) for edge in (-0.5, 0.5)], axis=0)[0]
+    return EffectivePsf(values=np.outer(line, line), oversampling=8)
+
+
+FRAME = FrameNoise(
+    pixel=NoiseModel(read_noise_e=READ_E),
+    spread_e4=100.0,
+    prnu=0.01,
+    background_e=BACKGROUND_E,
+    dark_frames=DARK_FRAMES,
+    saturation_e=1e4,
+    clipped_ratio=0.9,
+)
+LIMIT = DetectionLimit(frame=FRAME, pixels=10**6, fwhm_px=FWHM_PX, threshold_sigma=6.0)
+
+
+@pytest.fixture(scope="module")
+def stars():
+    wider, sharper = gaussian(2.0), gaussian(1.28)
+    others = ((wider, wider), (sharper, sharper))
+    return star_errors((gaussian(SIGMA_PX),) * 2, LIMIT, radius_px=(0.0, 500.0), window_px=15, other_psfs=others)
+
+
+def test_noise_of_frames():
+    empty_e2 = READ_E**2 * (1.0 + 1.0 / DARK_FRAMES) + BACKGROUND_E
+    assert FRAME.empty_e2 == pytest.approx(empty_e2)
+    assert FRAME.noise.floor_e2 == pytest.approx(empty_e2 - BACKGROUND_E)
+    assert FRAME.spread == pytest.approx(10.0 / empty_e2)
+    assert FRAME.dark_pattern_e == pytest.approx(READ_E / 2.0)
+
+
+def test_noise_and_pattern_of_a_faint_star(stars):
+    """sigma_x = sqrt(8 pi s^4 B) / N in an even noise B per pixel (Thompson et al. 2002); a pattern the same."""
+    flux = stars.centroid.electrons[0]  # 20 e-: photon noise counts for nothing
+    scale = np.sqrt(8.0 * np.pi) * (SIGMA_PX**2 + 1.0 / 12.0) / flux
+    assert stars.centroid.noise_px[0, 0] == pytest.approx(scale * np.sqrt(READ_E**2 + BACKGROUND_E), rel=0.03)
+    assert stars.centroid.pattern_px[0, 0] == pytest.approx(scale * READ_E / 2.0, rel=0.03)
+    at = stars.sigma_at(stars.centroid.noise_px, np.array([2.0 * flux]), np.array([250.0]))
+    assert at[0] == pytest.approx(0.5 * scale * np.sqrt(READ_E**2 + BACKGROUND_E), rel=0.05)
+    assert stars.rms_at(stars.centroid.noise_px, np.full(3, 2.0 * flux), np.zeros(3)) == pytest.approx(at[0], rel=1e-6)
+
+
+def test_signal_to_noise_with_matched_weights():
+    """Faint: N / sqrt(B) times the root of the sum of squares of the PSF, 1 / (2 sqrt(pi) s)."""
+    expected = 50.0 / np.sqrt(FRAME.empty_e2) / (2.0 * np.sqrt(np.pi) * np.sqrt(SIGMA_PX**2 + 1.0 / 12.0))
+    assert mean_snr(gaussian(SIGMA_PX), 50.0, FRAME, 15) == pytest.approx(expected, rel=0.04)
+
+
+def test_half_of_the_stars_are_detected_where_the_filtered_light_is_the_threshold(stars):
+    """A Gaussian filtered with its own width peaks at N / (4 pi s^2) in a noise of sqrt(B / (4 pi s^2))."""
+    half = 6.0 * 0.9 * np.sqrt(FRAME.empty_e2 * 4.0 * np.pi) * SIGMA_PX
+    assert np.interp(0.5, stars.detection[0], stars.detection_electrons) == pytest.approx(half, rel=0.1)
+    assert stars.detected_at(np.array([0.1 * half, 5.0 * half]), np.zeros(2)).tolist() == [0.0, 1.0]
+
+
+def test_sharper_spots_count_for_more_light(stars):
+    """Root of the sum of squares of a Gaussian: 1 / s."""
+    kelvin = np.array([3500.0, 10_000.0, 5800.0])
+    found = stars.effective(np.full(3, 1000.0), kelvin, np.zeros(3))
+    width = np.sqrt(np.array([2.0, 1.28, SIGMA_PX]) ** 2 + 1.0 / 12.0)
+    np.testing.assert_allclose(found, 1000.0 * width[2] / width, rtol=0.01)
+
+
+def test_a_single_psf_is_that_of_the_whole_field(stars):
+    alone = star_errors((gaussian(SIGMA_PX),), LIMIT, window_px=15)
+    np.testing.assert_allclose(alone.centroid.noise_px[0], stars.centroid.noise_px[0])
+    assert not alone.colour_px.any()
+
+
+def test_a_limit_for_false_alarms():
+    limit = DetectionLimit.of_false_alarms(0.01, frame=FRAME, pixels=10**6, fwhm_px=FWHM_PX)
+    assert limit.false_alarms == pytest.approx(0.01, rel=1e-3)
+    assert limit.threshold_sigma == pytest.approx(limit.true_sigma / 0.9)
+
+
+def test_magnitude_limits_are_where_the_fraction_of_stars_passes():
+    """Detected from 100 e- on in the middle, from 400 e- on at the edge: half at 100, nine tenths at 400 e-."""
+    step = SimpleNamespace(detected_at=lambda e, radius: (e >= np.where(radius > 0.5, 400.0, 100.0)) * 1.0)
+    for fraction, electrons in ((0.5, 100.0), (0.9, 400.0)):
+        limit = StarErrors.limiting_magnitude(step, np.full(2, 1e6), np.array([0.0, 1.0]), fraction)
+        assert limit == pytest.approx(2.5 * np.log10(1e6 / electrons), abs=0.06)
+
+
+def test_colour_distance_by_hand():
+    """1/T of 3500, 5800 and 10 000 K: 2.857e-4, 1.724e-4, 1e-4."""
+    found = colour_distance(np.array([3500.0, 5800.0, 10_000.0, 4365.0]), 5800.0)
+    np.testing.assert_allclose(found, [1.0, 0.0, 1.0, 0.5], atol=2e-3)
+    assert colour_distance(np.array([5000.0]), 3500.0)[0] == pytest.approx((1 / 3500 - 1 / 5000) / (1 / 3500 - 1e-4))
