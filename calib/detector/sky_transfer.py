@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import norm
 
+from calib.detector.photon_transfer import QUANTISATION_DN2, deviation
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
@@ -28,7 +29,6 @@ KEPT_VARIANCE = float(1.0 - 2.0 * CLIP_SIGMA * norm.pdf(CLIP_SIGMA) / (2.0 * nor
 """Variance of a normal distribution truncated at `CLIP_SIGMA`, over that of the whole."""
 FEWEST_OF_A_BLOCK = 0.4
 """Fraction of the pixels of a block that must remain for it to count."""
-QUANTISATION_DN2 = 1.0 / 12.0
 DETERMINED_SIGMA = 4.0
 """Slope over its error from which the gain is determined."""
 SURE_SIGMA = 3.0
@@ -179,8 +179,8 @@ def sky_photon_transfer(
     )
     bins = np.array_split(np.argsort(level), min(24, max(len(level) // 20, 1)))
     third, third_error = pattern_third_moment(frames)
-    dsnu, dsnu_error = _root(dsnu2, dsnu2_error)
-    prnu, prnu_error = _root(prnu2, prnu2_error)
+    dsnu, dsnu_error = deviation(dsnu2, dsnu2_error)
+    prnu, prnu_error = deviation(prnu2, prnu2_error)
     return SkyNoise(
         gain_e_per_dn=gain,
         gain_error_e_per_dn=slope_error * gain**2,
@@ -200,11 +200,6 @@ def sky_photon_transfer(
         correlation=neighbour_correlation(frames),
         averaging=averaging_ratio(frames),
     )
-
-
-def _root(square: float, error: float) -> tuple[float, float]:
-    value = float(np.sqrt(max(square, 0.0)))
-    return value, error / (2.0 * value) if value > 0 else float(np.sqrt(error))
 
 
 def _line(x: FloatArray, y: FloatArray, weight: FloatArray, frame: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,149 @@
+"""Fixed pattern of a detector: PRNU and DSNU with standard errors, the response of the pixels, dead pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import uniform_filter
+
+from calib.detector.frame_statistics import FrameStatistics
+from calib.detector.photon_transfer import PhotonTransfer, deviation
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+
+LEAST_RESPONSE = 0.2
+"""Pixels with less of the mean response are dead."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FixedPattern:
+    """Photo response and dark signal non-uniformity, with standard errors."""
+
+    prnu: float  # Standard deviation of the response over its mean
+    prnu_error: float
+    dsnu_e: float  # Standard deviation of the dark signal
+    dsnu_error_e: float
+
+
+def fixed_pattern(
+    flat: FrameStatistics,
+    dark: FrameStatistics,
+    transfer: PhotonTransfer,
+    *,
+    usable: ArrayLike | None = None,
+    smooth_px: int | None = None,
+) -> FixedPattern:
+    """PRNU and DSNU (EMVA 1288 Release 4.0): spatial variance of mean frames less what temporal noise makes.
+
+    The PRNU is that of the flat minus the dark, so that the dark pattern and its own correlation with the response drop
+    out. The errors come from the scatter of the pixels, whatever the distribution of the pattern.
+
+    Parameters
+    ----------
+    flat, dark : FrameStatistics
+        Flats at about half of the range, and darks of the same exposure; two frames each at least.
+    transfer : PhotonTransfer
+        Gain, for the DSNU in electrons.
+    usable : (h, w) bool, optional
+        Pixels that count; all of them if not given.
+    smooth_px : int, optional
+        Side (odd) of a running mean that is subtracted first, for light that is not even; pixels nearer to the edge
+        than half of it do not count. The mean of all pixels if not given.
+
+    Raises
+    ------
+    DomainError
+        Fewer than two flats or darks.
+    """
+    if min(flat.frames, dark.frames) < 2:
+        raise DomainError(f"{flat.frames} flats and {dark.frames} darks; two of each are needed for PRNU and DSNU")
+    chosen = np.ones(dark.mean_dn.shape, bool) if usable is None else np.asarray(usable, bool)
+    dark_noise = dark.variance_dn2 / dark.frames
+    light = flat.mean_dn - dark.mean_dn
+    level = float(light[chosen].mean())
+    prnu, prnu_error = _deviation(light, flat.variance_dn2 / flat.frames + dark_noise, chosen, smooth_px)
+    dsnu, dsnu_error = _deviation(dark.mean_dn, dark_noise, chosen, smooth_px)
+    gain = transfer.gain_dn_per_e
+    return FixedPattern(
+        prnu=prnu / level,
+        prnu_error=prnu_error / level,
+        dsnu_e=dsnu / gain,
+        dsnu_error_e=float(np.hypot(dsnu_error, dsnu * transfer.gain_error_dn_per_e / gain)) / gain,
+    )
+
+
+def _deviation(
+    image: FloatArray, noise: FloatArray, chosen: NDArray[np.bool_], smooth_px: int | None
+) -> tuple[float, float]:
+    """Standard deviation of a pattern, and its error, from an image and the variance of its noise."""
+    if smooth_px is None:
+        residual = image[chosen] - image[chosen].mean()
+        kept: FloatArray | float = 1.0 - 1.0 / max(int(chosen.sum()), 2)
+    else:
+        fraction = uniform_filter(chosen.astype(float), smooth_px)
+        mean = uniform_filter(np.where(chosen, image, 0.0), smooth_px) / np.maximum(fraction, 1e-9)
+        chosen = chosen & _inside(chosen.shape, smooth_px // 2)  # at the edges uneven light would not cancel
+        residual, kept = (image - mean)[chosen], 1.0 - 1.0 / (smooth_px**2 * fraction[chosen])
+    square = residual**2 / kept - noise[chosen]
+    return deviation(float(square.mean()), float(square.std(ddof=1) / np.sqrt(square.size)))
+
+
+def _inside(shape: tuple[int, ...], margin_px: int) -> NDArray[np.bool_]:
+    inside = np.zeros(shape, bool)
+    inside[margin_px : shape[0] - margin_px, margin_px : shape[1] - margin_px] = True
+    return inside
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlatResponse:
+    """Response of the pixels from a mean flat."""
+
+    response: FloatArray  # (h, w) Mean over the usable pixels 1; 1 where a pixel is not usable
+    error: FloatArray  # (h, w) Standard deviation of it, by the noise of the frames behind it
+    unusable: NDArray[np.bool_]  # (h, w) Excluded, or with hardly any response
+    level_e: float  # Median of the electrons above the darks
+
+    @property
+    def pixel_to_pixel(self) -> float:
+        """Standard deviation of the response from pixel to pixel, noise included.
+
+        Robust, from differences of neighbouring columns over the square root of two: uneven light does not count.
+        """
+        ok = ~(self.unusable[:, 1:] | self.unusable[:, :-1])
+        step = np.diff(self.response, axis=1)[ok]
+        return 1.4826 * float(np.median(np.abs(step - np.median(step)))) / float(np.sqrt(2.0))
+
+    @property
+    def noise(self) -> float:
+        """RMS of ``error`` over the usable pixels."""
+        return float(np.sqrt(np.mean(self.error[~self.unusable] ** 2)))
+
+
+def flat_response(
+    electrons: FloatArray, usable: NDArray[np.bool_], *, floor_e2: float, flats: int, darks: int
+) -> FlatResponse:
+    """Response of the pixels, with the error that photons and the noise of a pixel without light give.
+
+    Parameters
+    ----------
+    electrons : (h, w)
+        Mean flat less the mean dark or the offset.
+    usable : (h, w) bool
+        Pixels that are neither defective nor saturated.
+    floor_e2 : float
+        Variance of a pixel without light, of one frame.
+    flats, darks : int
+        Frames behind the means; no darks if an offset without noise was subtracted.
+    """
+    level = float(np.median(electrons[usable])) if usable.any() else 0.0
+    usable = usable & (electrons > LEAST_RESPONSE * level)
+    mean = float(electrons[usable].mean()) if usable.any() else 1.0
+    variance = (np.maximum(electrons, 0.0) + floor_e2) / flats + (floor_e2 / darks if darks else 0.0)
+    return FlatResponse(
+        response=np.where(usable, electrons / mean, 1.0),
+        error=np.where(usable, np.sqrt(variance) / mean, 0.0),
+        unusable=~usable,
+        level_e=level,
+    )

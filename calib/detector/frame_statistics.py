@@ -1,0 +1,67 @@
+"""Mean and temporal variance of frames of one scene, pixel by pixel: mean darks, flats and their noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameStatistics:
+    """Mean and temporal variance of the pixels of n frames."""
+
+    mean_dn: FloatArray  # (h, w)
+    variance_dn2: FloatArray  # (h, w) From frame to frame, n - 1 degrees of freedom; NaN of a single frame
+    frames: int  # n
+    level_dn: FloatArray  # (n,) Mean over the pixels of every frame
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        freeze(self, "mean_dn", shape=("h", "w"), sizes=sizes)
+        freeze(self, "variance_dn2", shape=("h", "w"), finite=self.frames > 1, sizes=sizes)
+        freeze(self, "level_dn", shape=("n",), sizes={})
+
+    @property
+    def error_dn(self) -> FloatArray:
+        """Standard error of the mean (h, w)."""
+        return np.asarray(np.sqrt(self.variance_dn2 / self.frames))
+
+
+def frame_statistics(frames: Iterable[ArrayLike]) -> FrameStatistics:
+    """Mean and variance of frames that are given one at a time, so that they need not fit into memory together.
+
+    Sums are of differences from the first frame: exact for whole numbers, and squares keep their digits.
+
+    Parameters
+    ----------
+    frames : iterable of (h, w)
+        Frames of equal size [DN], or an array (n, h, w).
+
+    Raises
+    ------
+    DomainError
+        No frame, or frames of unlike size.
+    """
+    first = total = squares = None
+    level: list[float] = []
+    for frame in frames:
+        dn = np.asarray(frame, float)
+        if first is None:
+            first, total, squares = dn, np.zeros(dn.shape), np.zeros(dn.shape)
+        if dn.ndim != 2 or dn.shape != first.shape:
+            raise DomainError(f"frame {len(level)} has the shape {dn.shape}, the first {first.shape}; (h, w) is needed")
+        total += dn - first
+        squares += np.square(dn - first)
+        level.append(float(dn.mean()))
+    if first is None or total is None or squares is None:
+        raise DomainError("no frame; at least one is needed for a mean")
+    count = len(level)
+    variance = (squares - total**2 / count) / (count - 1) if count > 1 else np.full(first.shape, np.nan)
+    return FrameStatistics(mean_dn=first + total / count, variance_dn2=variance, frames=count, level_dn=np.array(level))
