@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter
 
-from calib.detector.frame_statistics import FrameStatistics
+from calib.detector.mean_frame import MeanFrame
 from calib.detector.photon_transfer import PhotonTransfer, deviation
+from calib.records import NoiseModel
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
@@ -28,8 +29,8 @@ class FixedPattern:
 
 
 def fixed_pattern(
-    flat: FrameStatistics,
-    dark: FrameStatistics,
+    flat: MeanFrame,
+    dark: MeanFrame,
     transfer: PhotonTransfer,
     *,
     usable: ArrayLike | None = None,
@@ -42,7 +43,7 @@ def fixed_pattern(
 
     Parameters
     ----------
-    flat, dark : FrameStatistics
+    flat, dark : MeanFrame
         Flats at about half of the range, and darks of the same exposure; two frames each at least.
     transfer : PhotonTransfer
         Gain, for the DSNU in electrons.
@@ -147,3 +148,44 @@ def flat_response(
         unusable=~usable,
         level_e=level,
     )
+
+
+def reduced_variance(
+    mean_e: FloatArray,
+    light_e: FloatArray,
+    noise: NoiseModel,
+    *,
+    dark_e: FloatArray | None = None,
+    dark_frames: int = 0,
+    response: FloatArray | None = None,
+    response_error: FloatArray | None = None,
+    prnu: float = 0.0,
+) -> tuple[FloatArray, FloatArray]:
+    """Variance of a pixel of reduced frames, from frame to frame and of what is the same in all of them [e-^2].
+
+    Reduced: less the mean dark frame or the offset, over the response.
+
+    Parameters
+    ----------
+    mean_e : (...)
+        Mean reduced frame.
+    light_e : (...)
+        The same without background.
+    noise : NoiseModel
+        Noise of a pixel without light and dark charge.
+    dark_e, dark_frames : (...), int
+        Mean dark frame that was subtracted, less the offset (its charge still makes noise), and the frames behind it.
+    response, response_error : (...)
+        Response that was divided by, and its error.
+    prnu : float
+        Standard deviation of the response that remains.
+    """
+    divisor: FloatArray | float = 1.0 if response is None else response
+    floor = noise.floor_e2 + (np.zeros(mean_e.shape) if dark_e is None else dark_e)
+    temporal = np.maximum(np.maximum(mean_e, 0.0) * divisor + floor, 0.0) / divisor**2
+    fixed = (prnu * light_e) ** 2
+    if dark_frames:
+        fixed = fixed + np.maximum(floor, 0.0) / dark_frames / divisor**2
+    if response_error is not None:
+        fixed = fixed + (light_e * response_error / divisor) ** 2
+    return temporal, fixed

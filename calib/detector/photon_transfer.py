@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.detector.frame_statistics import FrameStatistics
+from calib.detector.mean_frame import MeanFrame
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
@@ -34,14 +34,14 @@ class PhotonTransfer:
 
     gain_dn_per_e: float  # K
     gain_error_dn_per_e: float
-    read_noise_e: float  # RMS over the pixels, rounding excluded
+    read_noise_e: float  # RMS over the pixels, rounding excluded; NaN with a gain that is not positive
     read_noise_error_e: float
     pixels: int  # Behind them
 
 
 def flat_photon_transfer(
-    flats: Sequence[FrameStatistics],
-    dark: FrameStatistics,
+    flats: Sequence[MeanFrame],
+    dark: MeanFrame,
     *,
     usable: ArrayLike | None = None,
     dark_variance_dn2: float | None = None,
@@ -50,9 +50,9 @@ def flat_photon_transfer(
 
     Parameters
     ----------
-    flats : sequence of FrameStatistics
+    flats : sequence of MeanFrame
         Flats of two or more frames, a record per level; below saturation.
-    dark : FrameStatistics
+    dark : MeanFrame
         Darks; with a single frame its variance has to be given.
     usable : (h, w) bool, optional
         Pixels that count; all of them if not given.
@@ -81,8 +81,9 @@ def flat_photon_transfer(
         denominator += weight * light
     gain = float(numerator.mean() / denominator.mean())
     influence = (numerator - gain * denominator) / denominator.mean()
-    read_e2 = (float(floor.mean()) - QUANTISATION_DN2) / gain**2
-    read_influence = (floor - floor.mean()) / gain**2 - 2.0 * read_e2 * influence / gain
+    scale = gain if gain > 0.0 else float("nan")
+    read_e2 = (float(floor.mean()) - QUANTISATION_DN2) / scale**2
+    read_influence = (floor - floor.mean()) / scale**2 - 2.0 * read_e2 * influence / scale
     read_noise, read_noise_error = deviation(read_e2, float(read_influence.std(ddof=1) / np.sqrt(count)))
     return PhotonTransfer(
         gain_dn_per_e=gain,
@@ -93,14 +94,14 @@ def flat_photon_transfer(
     )
 
 
-def _without_flicker(flat: FrameStatistics, light_dn: FloatArray) -> FloatArray:
+def _without_flicker(flat: MeanFrame, light_dn: FloatArray) -> FloatArray:
     """Temporal variance (h, w) [DN^2] without that of the lamp, which the levels of the frames show."""
     mean_noise = flat.variance_dn2.mean() / flat.variance_dn2.size
     flicker = (flat.level_dn.var(ddof=1) - mean_noise) / light_dn.mean() ** 2
     return np.asarray(flat.variance_dn2 - flicker * light_dn**2)
 
 
-def block_gain(flat: FrameStatistics, dark: FrameStatistics, *, block_px: int) -> tuple[FloatArray, FloatArray]:
+def block_gain(flat: MeanFrame, dark: MeanFrame, *, block_px: int) -> tuple[FloatArray, FloatArray]:
     """System gain in square blocks of pixels, and its standard error: maps (h, w) [DN/e-].
 
     The pixels of a block have one value; the error of a block of a single pixel is NaN.

@@ -121,12 +121,13 @@ def window_photon_transfer(
     influence = inverse @ (instrument * weight[:, None]).T
     gain, read_dn2 = float(line[1]), float(line[0] + offset_dn * line[1]) - QUANTISATION_DN2
     ends = np.cumsum([len(window.design) for window in windows])[:-1]
-    read_influence = influence[0] + (offset_dn - 2.0 * read_dn2 / gain) * influence[1]  # of read_dn2 / K^2, times K^2
+    scale = gain if gain > 0.0 else float("nan")
+    read_influence = influence[0] + (offset_dn - 2.0 * read_dn2 / scale) * influence[1]  # of read_dn2 / K^2, times K^2
     gain_error, read_error = (
         _error(windows, np.split(row, ends), np.split(variance - design @ line, ends))
         for row in (influence[1], read_influence)
     )
-    read_noise, read_noise_error = deviation(read_dn2 / gain**2, read_error / gain**2)
+    read_noise, read_noise_error = deviation(read_dn2 / scale**2, read_error / scale**2)
     return PhotonTransfer(
         gain_dn_per_e=gain,
         gain_error_dn_per_e=gain_error,

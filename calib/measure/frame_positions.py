@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import f as fisher_f
 
 from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import Centroider
@@ -46,3 +47,11 @@ def common_motion_px2(position_px: FloatArray) -> FloatArray:
     mean = np.nanmean(position_px, axis=1)
     noise = np.nanvar(position_px - mean[:, None], axis=0, ddof=1).mean(0) / (points - 1.0)
     return np.stack([mean.var(0, ddof=1) - noise, noise])
+
+
+def common_motion_limit(frames: int, points: int, false_alarm: float) -> float:
+    """Variance of the mean over n points at rest, over that by their own noise, that chance reaches.
+
+    Fisher's F with (f - 1) and (f - 1)(n - 1) degrees of freedom, f frames.
+    """
+    return float(fisher_f.isf(false_alarm, frames - 1, (frames - 1) * (points - 1)))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,8 @@ from astropy.io import fits
 from astropy.io.fits.verify import VerifyWarning
 from numpy.typing import NDArray
 
+from calib.detector.mean_frame import MeanFrame, mean_frame
+from calib.detector.photon_transfer import block_gain
 from experiments.dataset.folder import storage_error, write_whole
 from experiments.dataset.frame import instrument_cards
 
@@ -32,20 +33,6 @@ FLAT_FRACTION = 0.5
 """Of the range to saturation."""
 BLOCK_PX = 32
 """A pixel's own gain from 20 frames would be known to a third; that of a block of this side [px] to 1 %."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Master:
-    """Mean [DN], variance of a frame [DN^2], number of frames."""
-
-    mean: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    frames: int
-
-    @property
-    def error(self) -> NDArray[np.float64]:
-        """Standard error of the mean."""
-        return np.sqrt(self.variance / self.frames)
 
 
 def write_calibration(scene: Scene, folder: Path, frames: int, done: Callable[[], None]) -> str:
@@ -64,12 +51,12 @@ def write_calibration(scene: Scene, folder: Path, frames: int, done: Callable[[]
     dark = _master(scene, "dark", frames, 0.0, config.exposure_s)
     done()
     light = _master(scene, "flat", frames, FLAT_FRACTION * span_e, config.exposure_s)
-    signal, signal_error = light.mean - dark.mean, np.hypot(light.error, dark.error)
+    signal, signal_error = light.mean_dn - dark.mean_dn, np.hypot(light.error_dn, dark.error_dn)
     level = float(np.median(signal))
-    gain, gain_error = _photon_transfer(light, dark)
+    gain, gain_error = block_gain(light, dark, block_px=BLOCK_PX)
     for name, image, noise, unit in (
-        ("bias", bias.mean, bias.error, "adu"),
-        ("dark", dark.mean, dark.error, "adu"),
+        ("bias", bias.mean_dn, bias.error_dn, "adu"),
+        ("dark", dark.mean_dn, dark.error_dn, "adu"),
         ("flat", signal / level, signal_error / level, ""),
         ("gain_map", gain, gain_error, "adu/electron"),
     ):
@@ -83,15 +70,14 @@ def write_calibration(scene: Scene, folder: Path, frames: int, done: Callable[[]
     return f"bias, dark, flat, gain map and defect map of {frames} frames each, with their standard errors"
 
 
-def _master(scene: Scene, name: str, frames: int, electrons: float, exposure_s: float) -> _Master:
+def _master(scene: Scene, name: str, frames: int, electrons: float, exposure_s: float) -> MeanFrame:
     from render.detector.readout import expose
 
     chip = scene.instrument.detector
     image = np.full(chip.shape, electrons, np.float32)
     streams = scene.plan.streams.child("calibration").child(name)
-    total, square = np.zeros(chip.shape), np.zeros(chip.shape)
-    for frame in range(frames):
-        read = expose(
+    return mean_frame(
+        expose(
             image,
             chip,
             streams=streams,
@@ -99,34 +85,9 @@ def _master(scene: Scene, name: str, frames: int, electrons: float, exposure_s: 
             exposure_s=exposure_s,
             temperature_c=scene.config.instrument.chip_temperature_c,
             band=scene.light.band[0],
-        )
-        dn = read.dn - chip.offset_dn  # near zero, so that squares keep their digits
-        total += dn
-        square += dn * dn
-    mean = total / frames
-    return _Master(chip.offset_dn + mean, (square - frames * mean * mean) / (frames - 1), frames)
-
-
-def _photon_transfer(light: _Master, dark: _Master) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gain K [DN/e-] in blocks, variance over mean (EMVA 1288 4.0, sec. 6.6), and its standard error.
-
-    The variance of n frames is uncertain by sqrt(2 / (n - 1)) of itself; the error of the mean is negligible.
-    """
-    shape = light.mean.shape
-    edges = [np.arange(0, size, BLOCK_PX) for size in shape]
-
-    def blocks(values: NDArray[Any]) -> NDArray[np.float64]:
-        return np.add.reduceat(np.add.reduceat(values, edges[0], axis=0), edges[1], axis=1, dtype=np.float64)
-
-    pixels = blocks(np.ones(shape))
-    gain = blocks(light.variance - dark.variance) / np.maximum(blocks(light.mean - dark.mean), 1e-9)
-    error = gain * np.sqrt(2.0 / ((light.frames - 1) * pixels))
-
-    def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        whole = np.repeat(np.repeat(values, BLOCK_PX, axis=0), BLOCK_PX, axis=1)
-        return whole[: shape[0], : shape[1]]
-
-    return spread(gain), spread(error)
+        ).dn
+        for frame in range(frames)
+    )
 
 
 def _write(path: Path, header: fits.Header, image: NDArray[Any], error: NDArray[Any] | None) -> None:

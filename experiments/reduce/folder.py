@@ -23,12 +23,12 @@ from experiments.laboratory.bench.readout.search import match_points
 from experiments.laboratory.bench.readout.windows import cut_windows, window_corners
 from experiments.reduce.frames import (
     Flat,
+    FrameGroup,
     FrameReader,
-    MeanFrame,
     bad_pixels,
     find_files,
     mean_flat,
-    mean_frame,
+    read_group,
     refuse_shared,
     same,
 )
@@ -105,26 +105,26 @@ def read_folder(folder: str | Path, *, window_px: int, layout: Layout | None = N
     bad = bad_pixels(reader, folder, settings)
     flat = mean_flat(reader, folder, settings, bad)
     nominal, excluded = _nominal_px(folder, settings, size_px), _excluded(size_px, bad, flat)
-    darks: dict[tuple[Path, ...], MeanFrame] = {}
+    darks: dict[tuple[Path, ...], FrameGroup] = {}
     filters: dict[str, SeriesSettings] = {}
     seen: dict[str, FloatArray] = {}
     corners: dict[str, NDArray[np.int64]] = {}
     series: list[FrameSeries] = []
     for number in _order(settings.series):
         own = settings.series[number]
-        mean = mean_frame(reader, files[number], own.name)
-        _check_count(own, mean.frames, layout.fewest)
-        _check_filter(own, mean.band, filters)
+        group = read_group(reader, files[number], own.name)
+        _check_count(own, group.mean.frames, layout.fewest)
+        _check_filter(own, group.band, filters)
         dark = None
         if paths := tuple(dark_files[number]):
-            dark = darks.setdefault(paths, darks.get(paths) or mean_frame(reader, paths, "dark"))
-            if not same(dark.exposure_s, mean.exposure_s):
+            dark = darks.setdefault(paths, darks.get(paths) or read_group(reader, paths, "dark"))
+            if not same(dark.exposure_s, group.exposure_s):
                 raise DomainError(
-                    f"{own.name}: exposed {mean.exposure_s:g} s, its dark frames {dark.exposure_s:g} s; dark frames "
+                    f"{own.name}: exposed {group.exposure_s:g} s, its dark frames {dark.exposure_s:g} s; dark frames "
                     "must have the exposure time of the frames"
                 )
         scene = {"all": "", "place": own.place, "none": own.name}[layout.same_scene]
-        found = _find(settings, mean, excluded, dark, seen.get(scene, nominal), layout.points)
+        found = _find(settings, group, excluded, dark, seen.get(scene, nominal), layout.points)
         seen.setdefault(scene, found)
         advice = "move the target, or take a smaller window_px"
         corner = window_corners(found, window_px, size_px, where=own.name, advice=advice)
@@ -140,10 +140,10 @@ def read_folder(folder: str | Path, *, window_px: int, layout: Layout | None = N
                 digest=digest,
                 taken=_taken(files[number]),
                 found_px=found,
-                dark_e=None if dark is None else cut_windows(dark.dn, corner, window_px) / gain,
-                dark_frames=0 if dark is None else dark.frames,
-                response=None if flat is None else cut_windows(flat.response, corner, window_px),
-                response_error=None if flat is None else cut_windows(flat.error, corner, window_px),
+                dark_e=None if dark is None else cut_windows(dark.mean.mean_dn, corner, window_px) / gain,
+                dark_frames=0 if dark is None else dark.mean.frames,
+                response=None if flat is None else cut_windows(flat.response.response, corner, window_px),
+                response_error=None if flat is None else cut_windows(flat.response.error, corner, window_px),
             )
         )
     return FrameFolder(
@@ -152,7 +152,7 @@ def read_folder(folder: str | Path, *, window_px: int, layout: Layout | None = N
         height_px=size_px[1],
         nominal_px=nominal,
         series=tuple(series),
-        dark_frames=sum(one.frames for one in darks.values()),
+        dark_frames=sum(one.mean.frames for one in darks.values()),
         flat=flat,
         bad_pixels=0 if bad is None else int(bad.sum()),
     )
@@ -235,27 +235,27 @@ def _coordinates(path: Path) -> tuple[str, FloatArray]:
 def _excluded(size_px: tuple[int, int], bad: NDArray[np.bool_] | None, flat: Flat | None) -> NDArray[np.bool_]:
     """Pixels (h, w) that no frame may use."""
     excluded = np.zeros(size_px[::-1], bool)
-    for more in (bad, None if flat is None else flat.unusable):
+    for more in (bad, None if flat is None else flat.response.unusable):
         excluded |= False if more is None else more
     return excluded
 
 
 def _find(
     settings: FolderSettings,
-    mean: MeanFrame,
+    group: FrameGroup,
     excluded: NDArray[np.bool_],
-    dark: MeanFrame | None,
+    dark: FrameGroup | None,
     reference: FloatArray | None,
     points: int | None,
 ) -> FloatArray:
     """Places (j, 2) of the points in the mean frame of a series."""
-    name = mean.name
+    name = group.name
     image = sensor_image(
-        mean.dn if dark is None else mean.dn - dark.dn + settings.offset_dn,
+        group.mean.mean_dn if dark is None else group.mean.mean_dn - dark.mean.mean_dn + settings.offset_dn,
         gain_dn_per_e=settings.gain_dn_per_e,
         offset_dn=settings.offset_dn,
-        read_noise_e=settings.read_noise_e / np.sqrt(mean.frames),
-        defect=mean.defect | excluded,
+        read_noise_e=settings.read_noise_e / np.sqrt(group.mean.frames),
+        defect=group.defect | excluded,
         quantised=False,
         source=name,
     )

@@ -18,9 +18,11 @@ import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
 
-from experiments.harness.summary import Measured
+from calib.detector.fixed_pattern import FlatResponse, flat_response
+from calib.detector.mean_frame import MeanFrame, mean_frame
+from calib.detector.photon_transfer import PhotonTransfer, flat_photon_transfer
+from calib.records import NoiseModel
 from experiments.reduce.frames_toml import SETTINGS_FILE, FolderSettings
-from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from render.fits.files import read_frames
 from render.records import Frame
@@ -131,77 +133,46 @@ def same(one: float | str, two: float | str) -> bool:
     return math.isnan(one) or math.isnan(two) or abs(one - two) <= SAME_EXPOSURE * max(abs(one), abs(two))
 
 
-LEAST_FLAT = 0.2
-"""Pixels with less of the mean response are not used."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MeanFrame:
-    """Mean of frames."""
+class FrameGroup:
+    """Mean of the frames of a group of files, and their metadata."""
 
     name: str  # For messages
-    dn: FloatArray  # (h, w) Mean [DN]
-    frames: int  # How many
+    mean: MeanFrame
     exposure_s: float  # Exposure time; NaN where unknown
     band: str  # Filter that the files name
     defect: NDArray[np.bool_]  # (h, w) Pixels that any of the frames calls so
     saturated: NDArray[np.bool_]  # (h, w)
-    variance_dn2: FloatArray | None  # (h, w) From frame to frame; None unless asked for, and of a single frame
-    level_dn: FloatArray  # (n,) Mean of every frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flat:
-    """Response of the pixels."""
+    """The flats of a folder."""
 
-    response: FloatArray  # (h, w) Mean over the usable pixels 1; 1 where a pixel is not usable
-    error: FloatArray  # (h, w) Standard deviation of it, by the noise of the frames behind it
-    unusable: NDArray[np.bool_]  # (h, w) Pixels with hardly any response
+    response: FlatResponse
     frames: int  # Flats
-    gain: Measured | None  # [DN/e-] By photon transfer; None of a single flat
-
-    @property
-    def pattern(self) -> tuple[float, float]:
-        """Standard deviation of the response from pixel to pixel, and the part of it that is noise of the flats.
-
-        Differences of neighbouring columns count, over the square root of two: an uneven light does not.
-        """
-        ok = ~(self.unusable[:, 1:] | self.unusable[:, :-1])
-        step = np.diff(self.response, axis=1)[ok]
-        spread = 1.4826 * float(np.median(np.abs(step - np.median(step)))) / np.sqrt(2.0)
-        return spread, float(np.sqrt(np.mean(self.error[~self.unusable] ** 2)))
+    transfer: PhotonTransfer | None  # Gain by photon transfer; None of a single flat
 
 
-def mean_frame(reader: FrameReader, files: Sequence[Path], name: str, *, variance: bool = False) -> MeanFrame:
+def read_group(reader: FrameReader, files: Sequence[Path], name: str) -> FrameGroup:
     """Mean of the frames of files, and their metadata."""
-    total: FloatArray | None = None
-    squares: FloatArray | float = 0.0
-    level: list[float] = []
-    defect = saturated = np.zeros((0, 0), bool)
-    count, exposure_s, band = 0, float("nan"), ""
-    for _, frame in reader.frames(files, name):
-        if total is None:
-            total = np.zeros(frame.dn.shape)
-            defect, saturated = np.zeros(frame.dn.shape, bool), np.zeros(frame.dn.shape, bool)
-            exposure_s, band = frame.exposure_s, frame.band
-        total += frame.dn
-        level.append(float(frame.dn.mean()))
-        if variance:
-            squares += np.square(frame.dn, dtype=np.float64)
-        defect |= frame.defect
-        saturated |= frame.saturated
-        count += 1
-    assert total is not None
-    return MeanFrame(
+    last: list[Frame] = []
+    masks: list[NDArray[np.bool_]] = []
+
+    def pixels() -> Iterator[NDArray[np.uint16]]:
+        for _, frame in reader.frames(files, name):
+            masks[:] = [frame.defect | (masks[0] if masks else False), frame.saturated | (masks[1] if masks else False)]
+            last[:] = [frame]
+            yield frame.dn
+
+    mean = mean_frame(pixels())
+    return FrameGroup(
         name=name,
-        dn=total / count,
-        frames=count,
-        exposure_s=exposure_s,
-        band=band,
-        defect=defect,
-        saturated=saturated,
-        variance_dn2=(squares - total**2 / count) / (count - 1) if variance and count > 1 else None,
-        level_dn=np.array(level),
+        mean=mean,
+        exposure_s=last[0].exposure_s,
+        band=last[0].band,
+        defect=masks[0],
+        saturated=masks[1],
     )
 
 
@@ -211,57 +182,44 @@ def mean_flat(
     """The flat of a folder; None where there is none."""
     if not settings.flat:
         return None
-    light = mean_frame(reader, find_files(folder, settings.flat, "flat"), "flat", variance=True)
+    light = read_group(reader, find_files(folder, settings.flat, "flat"), "flat")
     full = settings.saturation_dn or 65535.0
-    part = float((light.saturated | (light.dn >= full)).mean())
+    part = float((light.saturated | (light.mean.mean_dn >= full)).mean())
     if part > 0.01:
         raise DomainError(f"{SETTINGS_FILE}, flat: {part:.0%} of the pixels are saturated; expose the flats less")
     patterns = settings.flat_dark or settings.dark
-    offset: FloatArray | float = settings.offset_dn
-    dark: MeanFrame | None = None
-    dark_noise = 0.0
-    gain, floor = settings.gain_dn_per_e, settings.read_noise_e**2 + 1.0 / (12.0 * settings.gain_dn_per_e**2)
+    noise = NoiseModel(read_noise_e=settings.read_noise_e, gain_dn_per_e=settings.gain_dn_per_e, quantised=True)
     if patterns:
-        dark = mean_frame(reader, find_files(folder, patterns, "flat_dark"), "flat_dark", variance=True)
-        if not same(dark.exposure_s, light.exposure_s):
+        group = read_group(reader, find_files(folder, patterns, "flat_dark"), "flat_dark")
+        if not same(group.exposure_s, light.exposure_s):
             raise DomainError(
-                f"{SETTINGS_FILE}, flat: exposed {light.exposure_s:g} s, its dark frames {dark.exposure_s:g} s; give "
+                f"{SETTINGS_FILE}, flat: exposed {light.exposure_s:g} s, its dark frames {group.exposure_s:g} s; give "
                 "flat_dark, frames with the lamp off exposed as the flats"
             )
-        offset, dark_noise = dark.dn, floor / dark.frames
-    electrons = (light.dn - offset) / gain
-    usable = ~(light.defect | light.saturated) if bad is None else ~(light.defect | light.saturated | bad)
-    level = float(np.median(electrons[usable])) if usable.any() else 0.0
-    if level <= 10.0 * np.sqrt(floor):
+        dark = group.mean
+    else:
+        dark = mean_frame([np.full(light.mean.mean_dn.shape, settings.offset_dn)])
+    response = flat_response(
+        noise.to_electrons(light.mean.mean_dn - dark.mean_dn),
+        ~(light.defect | light.saturated | (False if bad is None else bad)),
+        floor_e2=noise.floor_e2,
+        flats=light.mean.frames,
+        darks=dark.frames if patterns else 0,
+    )
+    if response.level_e <= 10.0 * np.sqrt(noise.floor_e2):
         raise DomainError(
-            f"{SETTINGS_FILE}, flat: {level:.0f} e- above the dark frames, with a read noise of "
+            f"{SETTINGS_FILE}, flat: {response.level_e:.0f} e- above the dark frames, with a read noise of "
             f"{settings.read_noise_e:g} e-; brighter flats are needed"
         )
-    usable &= electrons > LEAST_FLAT * level
-    mean = float(electrons[usable].mean())
-    variance = (np.maximum(electrons, 0.0) + floor) / light.frames + dark_noise
+    stated = None if dark.frames > 1 else noise.floor_e2 * settings.gain_dn_per_e**2
+    several = light.mean.frames > 1
     return Flat(
-        response=np.where(usable, electrons / mean, 1.0),
-        error=np.where(usable, np.sqrt(variance) / mean, 0.0),
-        unusable=~usable,
-        frames=light.frames,
-        gain=_flat_gain(light, dark, (light.dn - offset)[usable], usable, floor * gain**2),
+        response=response,
+        frames=light.mean.frames,
+        transfer=flat_photon_transfer([light.mean], dark, usable=~response.unusable, dark_variance_dn2=stated)
+        if several
+        else None,
     )
-
-
-def _flat_gain(
-    light: MeanFrame, dark: MeanFrame | None, light_dn: FloatArray, usable: NDArray[np.bool_], floor_dn2: float
-) -> Measured | None:
-    """System gain K by photon transfer of the flats: growth of the variance over the dark frames' (EMVA 1288)."""
-    if light.variance_dn2 is None:
-        return None
-    lamp = float(light.level_dn.var(ddof=1)) / float(light_dn.mean()) ** 2  # relative variance of the lamp
-    bright = float(light.variance_dn2[usable].mean()) - lamp * float(np.mean(light_dn**2))
-    if dark is not None and dark.variance_dn2 is not None:
-        floor_dn2 = float(dark.variance_dn2[usable].mean())
-    value, count = (bright - floor_dn2) / float(light_dn.mean()), len(light_dn)
-    error = bright * np.sqrt(2.0 / (count * (light.frames - 1.0))) / float(light_dn.mean())
-    return Measured(value=value, unit="DN/e-", uncertainty=float(error), n=count)
 
 
 def bad_pixels(reader: FrameReader, folder: Path, settings: FolderSettings) -> NDArray[np.bool_] | None:

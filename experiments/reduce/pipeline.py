@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.frame_sequence import FEWEST_FOR_LAG
 from experiments.harness.drawings import cloud
 from experiments.harness.experiment import Experiment
 from experiments.harness.progress import Progress
@@ -22,7 +23,6 @@ from experiments.laboratory.bench.centroid_methods import MethodLabels, needs_ep
 from experiments.reduce.checks import CHECKS, check_frames
 from experiments.reduce.folder import FrameFolder, read_folder
 from experiments.reduce.frames_toml import Layout
-from experiments.reduce.sequence import FEWEST_FOR_LAG
 from experiments.reduce.series import SeriesFrames
 from optics.arrays import FloatArray
 from optics.errors import ConfigError

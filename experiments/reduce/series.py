@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.accuracy.frame_sequence import common_part, effective_frames, lag_one
+from calib.detector.fixed_pattern import reduced_variance
 from calib.measure.centroid import get_centroider
 from calib.measure.frame_positions import measured_positions
 from calib.measure.linear_response import centroid_covariance, linear_response, tight
@@ -17,7 +19,6 @@ from experiments.laboratory.bench.point_frames import PointFrames
 from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.reduce.folder import FrameFolder, FrameSeries
 from experiments.reduce.frames_toml import SeriesSettings
-from experiments.reduce.sequence import Lag, effective_frames, position_lags
 from optics.arrays import FloatArray
 
 _SATURATED = (
@@ -26,8 +27,17 @@ _SATURATED = (
 )
 
 
-CHANCE = 3.0
-"""Standard deviations up to which points that move alike are so by chance."""
+FALSE_ALARM = 1e-3
+"""Probability that a check objects to frames that are as they should be."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """What a check found in the frames of a series."""
+
+    value: float
+    limit: float  # Of its size, which noise reaches with the stated false alarm
+    text: str  # What and where, in words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +56,7 @@ class SeriesFrames:
     # standard deviation: noise of the mean dark frame and of the flat, and the response that no flat removes
     pattern_px: FloatArray
     origin: tuple[str, ...]  # File of every frame
-    lags: tuple[Lag, ...]  # Correlation of the first method's centroids from frame to frame
+    lags: tuple[Finding, ...]  # Correlation of the first method's centroids from frame to frame
     light: FloatArray  # (f,) Light of every frame over the mean, all points together
     percent_px: float  # RMS over points and axes of what a response that differs by 1 % from pixel to pixel moves them
 
@@ -78,22 +88,13 @@ class SeriesFrames:
 
     def widening(self, method: str) -> float:
         """Factor of the error of a scatter: frames that are correlated, and motion that points have in common."""
-        place = self.points.position_px[method]
-        whole = place[np.isfinite(place).all((1, 2))]
-        frames, points, _ = whole.shape
-        alike = 0.0
-        if points > 1 and frames > 2:
-            unit = whole - whole.mean(0)
-            unit = unit / np.maximum(np.linalg.norm(unit, axis=0), 1e-300)
-            squares = np.einsum("fja,fka->ajk", unit, unit) ** 2
-            between = (squares.sum() - 2 * points) / (2 * points * (points - 1))
-            more, chance = float(between) * (frames - 1) - 1.0, np.sqrt(2.0 / (points * (points - 1)))
-            alike = more / (frames - 1) if more > CHANCE * chance else 0.0
-        return float(np.sqrt(self.frames / self.effective_frames * (1.0 + (points - 1) * alike)))
+        position = self.points.position_px[method]
+        alike = common_part(position[np.isfinite(position).all((1, 2))])
+        return float(np.sqrt(self.frames / self.effective_frames * (1.0 + (position.shape[1] - 1) * alike)))
 
     def mean_covariance_px2(self, method: str) -> FloatArray:
         """Covariance (j, 2, 2) of the mean over the frames, dark frames and flat included; of the first method."""
-        fixed = np.einsum("jahw,jbhw->jab", self.pattern_px, self.pattern_px)
+        fixed = centroid_covariance(self.pattern_px, np.ones(self.mean_e.shape))
         return np.asarray(self.frame_covariance_px2[method] / self.effective_frames + fixed)
 
 
@@ -110,7 +111,16 @@ def reduce_series(
             refuse_few_frames(values, method, where=series.name)
     mean = stamps.electrons.reshape(frames, *series.windows.defect.shape).mean(0)
     light = mean - stamps.background_e[: len(mean), None, None]
-    temporal_e2, fixed_e2 = _variances(folder, series, mean, light, noise)
+    temporal_e2, fixed_e2 = reduced_variance(
+        mean,
+        light,
+        noise,
+        dark_e=None if series.dark_e is None else series.dark_e - noise.offset_dn / noise.gain_dn_per_e,
+        dark_frames=series.dark_frames,
+        response=series.response,
+        response_error=series.response_error,
+        prnu=folder.settings.prnu_fraction,
+    )
     one = stamps.select(slice(0, len(mean)))
     modelled = methods if every_model else methods[:1]
     gain = {m: linear_response(tight(get_centroider(m)), one, noise, mean) for m in modelled}
@@ -123,7 +133,7 @@ def reduce_series(
         frame_covariance_px2={m: centroid_covariance(gain[m], temporal_e2) for m in modelled},
         pattern_px=gain[methods[0]] * np.sqrt(fixed_e2)[:, None],
         origin=series.origin,
-        lags=position_lags(position[methods[0]], series.name, tests=len(folder.series)),
+        lags=_lags(position[methods[0]], series.name, tests=len(folder.series)),
         light=_light(stamps.electrons.reshape(frames, *light.shape) - (mean - light), light, ~series.windows.defect),
         percent_px=float(0.01 * np.sqrt(((gain[methods[0]] * light[:, None]) ** 2).sum((2, 3)).mean())),
     )
@@ -132,27 +142,31 @@ def reduce_series(
 def _light(frames_e: FloatArray, mean_e: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
     """Light (f,) of frames (f, j, h, w) over that of their mean, by least squares."""
     weight = np.where(usable, mean_e, 0.0)
-    return np.asarray(np.einsum("fjhw,jhw->f", frames_e, weight) / np.einsum("jhw,jhw->", mean_e, weight))
+    return np.asarray((frames_e * weight).sum((1, 2, 3)) / (mean_e * weight).sum())
+
+
+def _lags(position_px: FloatArray, series: str, *, tests: int) -> tuple[Finding, ...]:
+    """Correlations of centroids (f, j, 2) of a series, one of ``tests``: of all points together, x and y, and apart."""
+    whole = position_px[np.isfinite(position_px).all((1, 2))]
+    common = whole.mean(1)
+    apart = (whole - common[:, None]).reshape(len(whole), -1)
+    findings = []
+    for what, values, independent in (
+        ("x of all points", common[:, :1], 1),
+        ("y of all points", common[:, 1:], 1),
+        ("the points' own motion", apart, 2 * (whole.shape[1] - 1)),
+    ):
+        lag = lag_one(values, independent=independent, false_alarm=FALSE_ALARM / (3 * tests))
+        if lag is not None:
+            text = (
+                f"frames of {series} are not independent: {what}, correlation {lag.correlation:+.2f} with the next "
+                "frame"
+            )
+            findings.append(Finding(value=lag.correlation, limit=lag.limit, text=text))
+    return tuple(findings)
 
 
 def _stamps(series: FrameSeries) -> tuple[Stamps, NoiseModel]:
     if series.dark_e is None:
         return ring_subtracted(series.windows, series.found_px, response=series.response)
     return dark_subtracted(series.windows, series.dark_e, response=series.response)
-
-
-def _variances(
-    folder: FrameFolder, series: FrameSeries, mean_e: FloatArray, light_e: FloatArray, noise: NoiseModel
-) -> tuple[FloatArray, FloatArray]:
-    """Variance of a pixel from frame to frame, and of what is the same in all frames, (j, h, w) [e-^2] each."""
-    response: FloatArray | float = 1.0 if series.response is None else series.response
-    floor = np.full(mean_e.shape, noise.floor_e2)
-    if series.dark_e is not None:  # the charge that was subtracted still makes noise
-        floor = floor + (series.dark_e - noise.offset_dn / noise.gain_dn_per_e)
-    temporal = np.maximum(np.maximum(mean_e, 0.0) * response + floor, 0.0) / response**2
-    fixed = (folder.settings.prnu_fraction * light_e) ** 2
-    if series.dark_frames:
-        fixed = fixed + np.maximum(floor, 0.0) / series.dark_frames / response**2
-    if series.response_error is not None:
-        fixed = fixed + (light_e * series.response_error / response) ** 2
-    return temporal, fixed

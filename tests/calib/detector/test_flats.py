@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.detector.fixed_pattern import fixed_pattern, flat_response
-from calib.detector.frame_statistics import frame_statistics
+from calib.detector.fixed_pattern import fixed_pattern, flat_response, reduced_variance
+from calib.detector.mean_frame import mean_frame
 from calib.detector.photon_transfer import block_gain, flat_photon_transfer
+from calib.records import NoiseModel
 from optics.errors import DomainError
 
 GAIN = 0.25
@@ -22,7 +23,7 @@ def camera(rng, shape, *, read_e=12.0, spread=0.0, dsnu_e=0.0, prnu=0.0, tilt=0.
     def frames(level_e, count, flicker=0.0):
         lamp = 1.0 + flicker * rng.standard_normal((count, 1, 1))
         electrons = rng.poisson(level_e * lamp * response) + offset + read * rng.standard_normal((count, *shape))
-        return frame_statistics(np.rint(200.3 + GAIN * electrons))
+        return mean_frame(np.rint(200.3 + GAIN * electrons))
 
     return frames
 
@@ -33,16 +34,16 @@ def rms(pulls):
 
 def test_mean_and_variance_of_frames_are_those_of_numpy():
     dn = np.random.default_rng(1).integers(0, 4000, (7, 20, 30)).astype(np.uint16)
-    found = frame_statistics(iter(dn))
+    found = mean_frame(iter(dn))
     np.testing.assert_allclose(found.mean_dn, dn.mean(0), rtol=1e-14)
     np.testing.assert_allclose(found.variance_dn2, dn.var(0, ddof=1), rtol=1e-12)
     np.testing.assert_allclose(found.error_dn, dn.std(0, ddof=1) / np.sqrt(7), rtol=1e-12)
     np.testing.assert_allclose(found.level_dn, dn.mean((1, 2)))
-    assert np.isnan(frame_statistics(dn[:1]).variance_dn2).all()
+    assert np.isnan(mean_frame(dn[:1]).variance_dn2).all()
     with pytest.raises(DomainError, match="no frame"):
-        frame_statistics([])
+        mean_frame([])
     with pytest.raises(DomainError, match="frame 1 has the shape"):
-        frame_statistics([dn[0], dn[0, 1:]])
+        mean_frame([dn[0], dn[0, 1:]])
 
 
 @pytest.mark.parametrize(
@@ -99,7 +100,7 @@ def test_response_of_a_flat_scatters_as_its_error_says_and_dead_pixels_are_left_
 
     def mean(light_e, count):
         electrons = rng.poisson(light_e, (count, 200, 200)) + rng.normal(0.0, 3.0, (count, 200, 200))
-        return frame_statistics(np.rint(20.3 + gain * electrons)).mean_dn / gain
+        return mean_frame(np.rint(20.3 + gain * electrons)).mean_dn / gain
 
     electrons = mean(45.0, 4) - mean(0.0, 2)
     electrons[3, 4] = 5.0
@@ -126,3 +127,20 @@ def test_too_few_frames_are_refused():
     assert stated.read_noise_e * stated.gain_dn_per_e == pytest.approx(12.0 * GAIN)
     with pytest.raises(DomainError, match="two of each"):
         fixed_pattern(flat, single, stated)
+
+
+def test_variance_of_reduced_frames_is_that_of_drawn_ones():
+    """Dark charge of 300 e-, response 0.8, ten darks; of the fixed part, means of 400 frames with a hundred means."""
+    rng, noise = np.random.default_rng(3), NoiseModel(read_noise_e=5.0)
+    response, error = np.full(3, 0.8), np.full(3, 0.01)
+    light = np.array([0.0, 500.0, 4000.0])
+    frames = (rng.poisson(light * response + 300.0, (4000, 3)) + rng.normal(0.0, 5.0, (4000, 3)) - 300.0) / response
+    known = {"dark_e": np.full(3, 300.0), "dark_frames": 10, "response": response, "response_error": error}
+    temporal, fixed = reduced_variance(light, light, noise, **known, prnu=0.005)
+    np.testing.assert_allclose(frames.var(0), temporal, rtol=4.0 * np.sqrt(2 / 4000))
+    darks = rng.poisson(300.0, (4000, 10)).mean(1) + rng.normal(0.0, 5.0, (4000, 10)).mean(1)
+    pattern = light[:, None] * (0.005 * rng.standard_normal(4000) + 0.01 / 0.8 * rng.standard_normal(4000))
+    np.testing.assert_allclose((pattern + darks / 0.8).var(1), fixed, rtol=4.0 * np.sqrt(2 / 4000))
+    plain, nothing = reduced_variance(light, light, noise)
+    np.testing.assert_allclose(plain, light + 25.0)
+    np.testing.assert_array_equal(nothing, 0.0)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.detector.window_transfer import window_photon_transfer
+from calib.detector.window_transfer import common_noise, window_photon_transfer
+from optics.errors import DomainError
 
 GAIN, READ, SIGMA = 0.25, 12.0, 1.1
 

@@ -1,8 +1,9 @@
 """Mean, scatter and common motion of the positions of stars in several frames."""
 
 import numpy as np
+import pytest
 
-from calib.measure.frame_positions import common_motion_px2, frame_statistics
+from calib.measure.frame_positions import common_motion_limit, common_motion_px2, frame_statistics
 
 
 def test_statistics_leave_out_frames_without_a_position():
@@ -20,3 +21,11 @@ def test_common_motion_of_points():
     np.testing.assert_allclose(motion, [0.04, 0.01], rtol=0.1)
     np.testing.assert_allclose(left, 0.01, rtol=0.05)
     assert np.isnan(common_motion_px2(common)).all()
+
+
+def test_points_at_rest_move_in_common_as_often_as_stated():
+    """Four frames of two points: 5 % of 4000 axes, within four standard deviations."""
+    rng, limit = np.random.default_rng(6), common_motion_limit(4, 2, 0.05)
+    motion = np.array([common_motion_px2(rng.standard_normal((4, 2, 2))) for _ in range(2000)])
+    ratio = motion.sum(1) / motion[:, 1]
+    assert np.mean(ratio > limit) == pytest.approx(0.05, abs=4.0 * np.sqrt(0.05 * 0.95 / 4000))

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import re
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from astropy.io import fits
 
 from experiments.harness.progress import Progress
-from experiments.reduce import frames
-from experiments.reduce.checks import _gain_ratio, check_frames, photon_transfer
+from experiments.harness.quantities import Outcome, Quantities
+from experiments.harness.sections import described
+from experiments.harness.sections import judged as judge_sections
+from experiments.harness.summary import Measured
+from experiments.hsfe.own_frames import exchange_text
+from experiments.reduce.checks import check_frames
 from experiments.reduce.folder import read_folder
+from experiments.reduce.poses import FIT, Fit
 from experiments.temporal.own_frames import reduce
 from experiments.temporal.settings import Config, experiment
 
@@ -232,65 +236,16 @@ def test_noise_beside_that_of_the_model_is_named(tmp_path, rng):
     assert any("frames were averaged" in one for one in failed(criteria).values())
 
 
-def test_photon_transfer_states_its_own_error():
-    """Forty cameras whose offsets (12 e-) and read noise (30 %) differ from pixel to pixel, images that wander: pulls.
-
-    Offsets and spots of 1000 e- in the brightest pixel as of the CMV4000.
-    """
-    rng, pulls = np.random.default_rng(2), []
-    row, column = np.indices((13, 13)) - 6.0
-    for _ in range(40):
-        shape, offset, read = (
-            (25, 9, 13, 13),
-            rng.normal(0.0, 12.0, (9, 13, 13)),
-            READ * rng.lognormal(0, 0.3, (9, 13, 13)),
-        )
-        at = rng.normal(0.0, 0.03, (25, 1, 1, 1, 2))
-        spot = np.exp(-((column - at[..., 0]) ** 2 + (row - at[..., 1]) ** 2) / (2 * SIGMA**2))
-        light = np.broadcast_to(1000.0 * rng.uniform(0.95, 1.05, (25, 1, 1, 1)) * spot, shape)
-        electrons = rng.poisson(light) + offset + read * rng.standard_normal(shape)
-        dn = np.rint(200.0 + GAIN * electrons).clip(0, 65535).astype(np.uint16)
-        found = photon_transfer([dn], [np.ones(shape[1:], bool)])
-        pulls.append((found.value - GAIN) / found.uncertainty)
-        assert found.uncertainty < 0.1 * GAIN
-    assert np.mean(pulls) == pytest.approx(0.0, abs=4 / np.sqrt(40))
-    assert np.std(pulls) == pytest.approx(1.0, abs=4 / np.sqrt(80))
-    over = _gain_ratio(found, 0.5 * GAIN)
-    assert (over.value, over.uncertainty) == pytest.approx((2.0 * found.value / GAIN, 2.0 * found.uncertainty / GAIN))
+def test_positions_in_the_wrong_order_are_named():
+    commanded = 0.2 * np.outer(np.arange(12), [0.7, 0.7])
+    said = exchange_text((3, 8), commanded, [f"step{n}" for n in range(12)])
+    assert said == "step3 and step8 are interchanged: each lies at the commanded position of the other, 0.99 px away"
 
 
-def test_noise_of_a_flat_and_its_gain(monkeypatch):
-    """Four faint flats and two dark frames of 200 x 200 alike pixels: response scatters as stated; gain in 1 %.
-
-    45 e-, read noise 3 e-, and 10 e- per DN: rounding counts as much as reading.
-    """
-    rng, gain, exposed = np.random.default_rng(4), 0.1, (45.0, 0.0)
-
-    def taken(light_e, count):
-        electrons = rng.poisson(light_e, (count, 200, 200)) + rng.normal(0.0, 3.0, (count, 200, 200))
-        return np.rint(20.3 + gain * electrons)
-
-    def mean(reader, files, name, *, variance):
-        dn = taken(exposed[name == "flat_dark"], 2 if name == "flat_dark" else 4)
-        off = np.zeros(dn.shape[1:], bool)
-        return frames.MeanFrame(
-            name=name,
-            dn=dn.mean(0),
-            frames=len(dn),
-            exposure_s=1.0,
-            band="",
-            defect=off,
-            saturated=off,
-            variance_dn2=None if name == "flat_dark" else dn.var(0, ddof=1),
-            level_dn=dn.mean((1, 2)),
-        )
-
-    monkeypatch.setattr(frames, "mean_frame", mean)
-    monkeypatch.setattr(frames, "find_files", lambda *_: [])
-    given = {"gain_dn_per_e": gain, "offset_dn": 20.3, "read_noise_e": 3.0, "saturation_dn": None}
-    files = {"flat": ("f",), "flat_dark": (), "dark": ("d",)}
-    found = frames.mean_flat(None, None, SimpleNamespace(**given, **files), None)
-    assert found.response.std() == pytest.approx(np.sqrt((found.error**2).mean()), rel=0.03)
-    assert found.gain.value == pytest.approx(gain, abs=5.0 * found.gain.uncertainty)
-    assert found.gain.uncertainty < 0.01 * gain
-    assert found.pattern[0] == pytest.approx(found.response.std(), rel=0.06)  # by a median of few numbers
+@pytest.mark.parametrize(("ratio", "said"), [(0.5, "smaller than stated"), (1.0, ""), (1.5, "larger than stated")])
+def test_a_calibration_by_poses_is_judged_both_ways(ratio, said):
+    fit = Fit(misfit="m", flat=True, fit_ratio=Measured(value=ratio, uncertainty=0.07), coverage=1.0)
+    data = described({"fit": FIT}, Quantities(), {"fit": fit}).dataset
+    criterion = judge_sections({"fit": FIT}, Outcome(config=None, result={"fit": fit}, data=data))[0]
+    assert criterion.failed is bool(said)
+    assert not said or said in criterion.advice

@@ -14,7 +14,7 @@ from optics.records import freeze
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FrameStatistics:
+class MeanFrame:
     """Mean and temporal variance of the pixels of n frames."""
 
     mean_dn: FloatArray  # (h, w)
@@ -34,7 +34,7 @@ class FrameStatistics:
         return np.asarray(np.sqrt(self.variance_dn2 / self.frames))
 
 
-def frame_statistics(frames: Iterable[ArrayLike]) -> FrameStatistics:
+def mean_frame(frames: Iterable[ArrayLike]) -> MeanFrame:
     """Mean and variance of frames that are given one at a time, so that they need not fit into memory together.
 
     Sums are of differences from the first frame: exact for whole numbers, and squares keep their digits.
@@ -64,4 +64,4 @@ def frame_statistics(frames: Iterable[ArrayLike]) -> FrameStatistics:
         raise DomainError("no frame; at least one is needed for a mean")
     count = len(level)
     variance = (squares - total**2 / count) / (count - 1) if count > 1 else np.full(first.shape, np.nan)
-    return FrameStatistics(mean_dn=first + total / count, variance_dn2=variance, frames=count, level_dn=np.array(level))
+    return MeanFrame(mean_dn=first + total / count, variance_dn2=variance, frames=count, level_dn=np.array(level))
