@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.accuracy.budget_comparison import next_draw_variance
 from calib.accuracy.error_budget import ErrorTerm
 from calib.measure.expected_windows import drawn_positions, noiseless_positions
 from experiments.budget.laboratory import Laboratory
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench.centroid_methods import has_own_epsf
-from experiments.laboratory.bench.epsf_session import variance_of_another
 from experiments.laboratory.bench.point_bench import centroiders, session_centroiders
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
@@ -98,7 +98,7 @@ def predicted_terms(
             sigma[name] = np.sqrt(square) / (2.0 * traced.place_px.shape[0] * traced.place_px.shape[1])
             if method in built:  # one PSF for all filters and corners: its noise is in every shift
                 each = np.array([table1(shifts(one, [(name, high, low)])[name]) for one in built[method]])
-                sigma[name] = np.sqrt(sigma[name] ** 2 + variance_of_another(each))
+                sigma[name] = np.sqrt(sigma[name] ** 2 + next_draw_variance(each))
         found[method] = ChromaticTerm(
             table1_px={name: table1(v) for name, v in shift.items()},
             sigma_px=sigma,

@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.attitude_from_stars import DirectionErrors
+from calib.accuracy.budget_comparison import difference_sigma, frame_terms_ratio, term_pull, term_ratio
 from calib.accuracy.error_budget import ECSS, FRAME_TERMS, SUMS, TERMS
 from experiments.budget import attitude
-from experiments.budget.attitude import StarErrors, attitude_study
+from experiments.budget.attitude import attitude_study
 from experiments.budget.chromatic import TABLE1, table1_of
-from experiments.budget.laboratory import Laboratory, build_laboratory, check_laboratory
+from experiments.budget.laboratory import Laboratory, build_laboratory, check_laboratory, half_field
 from experiments.budget.measure import Measurement, measure_terms, steps_of
 from experiments.budget.predict import PredictedTerms, coarse_terms, predict_terms
 from experiments.budget.settings import Config
@@ -135,13 +137,7 @@ def compared(predicted: PredictedTerms, frames: Measurement | None = None) -> Co
     if frames is None:
         return Comparison(predicted_arcsec=first)
     b = [frames.budget[name] for name in EVERY]
-    ratio = np.full((2, len(EVERY), 2), np.nan)
-    for k, (name, one, other) in enumerate(zip(EVERY, a, b, strict=True)):
-        significant = (one.arcsec > 5.0 * other.uncertainty_arcsec) & (one.arcsec > 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            value = one.arcsec / other.arcsec
-            parts = one.uncertainty_arcsec / one.arcsec, other.uncertainty_arcsec / other.arcsec
-            ratio[:, k, significant] = np.stack([value, value * sigma_of_difference(name, *parts)])[:, significant]
+    ratio = np.stack([term_ratio(name, *terms) for name, *terms in zip(EVERY, a, b, strict=True)], axis=1)
     return Comparison(
         predicted_arcsec=first,
         measured_arcsec=measured([one.arcsec for one in b], [one.uncertainty_arcsec for one in b]),
@@ -160,39 +156,24 @@ def pulls(predicted: PredictedTerms, frames: Measurement, name: str) -> FloatArr
                 for pair in b.table1_px
             ]
         )
-    one, other = predicted.budget[name], frames.budget[name]
-    spread = sigma_of_difference(name, one.uncertainty_arcsec, other.uncertainty_arcsec)
-    return np.asarray((one.arcsec - other.arcsec) / spread)
+    return term_pull(name, predicted.budget[name], frames.budget[name])
 
 
 def agreement(predicted: PredictedTerms, frames: Measurement) -> Agreement:
     """Largest deviation of each term, and the root sum of squares of `FRAME_TERMS`, predicted over measured."""
-    sides, largest, whole = (predicted.budget, frames.budget), [], []
+    largest, whole = [], []
     for name in TESTED:
         entries = np.atleast_2d(pulls(predicted, frames, name))
         largest.append(entries[np.abs(entries).argmax(0), [0, 1]])
-        spread = sigma_of_difference(name, *(side[name].uncertainty_arcsec for side in sides))
-        whole.append(predicted.budget[name].arcsec / np.maximum(spread, 1e-300) * (name != "LSFE-C2"))
-    a, b = (np.sqrt(np.sum([side[name].arcsec ** 2 for name in FRAME_TERMS], axis=0)) for side in sides)
-    spread = np.zeros(2)
-    for name in FRAME_TERMS:
-        of = sigma_of_difference(name, *(side[name].uncertainty_arcsec for side in sides))
-        spread = spread + (frames.budget[name].arcsec * of) ** 2
+        term, other = predicted.budget[name], frames.budget[name]
+        spread = difference_sigma(name, term.uncertainty_arcsec, other.uncertainty_arcsec)
+        whole.append(term.arcsec / np.maximum(spread, 1e-300) * (name != "LSFE-C2"))
     return Agreement(
         pull=np.array(largest),
         deviation=measured(largest, 1.0),
         whole=np.array(whole),
-        together=measured(a / b, np.sqrt(spread) / b**2),
+        together=measured(*frame_terms_ratio(predicted.budget, frames.budget)),
     )
-
-
-def sigma_of_difference(name: str, predicted: FloatArray, frames: FloatArray) -> FloatArray:
-    """Standard deviation of a difference.
-
-    The predicted uncertainty of HSFE and C1 is the scatter of the measured number from chip to chip. It already
-    contains what jackknife and surveys give as the measured uncertainty, which is therefore not added.
-    """
-    return np.asarray(predicted if name in ("HSFE", "LSFE-C1") else np.hypot(predicted, frames))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -348,9 +329,9 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         thermal = thermal_term(lab, streams.child("temperature"))
     first, seen = predicted[config.centroid], frames[config.centroid]
     with progress.stage("attitude", total=len(config.attitude.counts)) as stage:
-        of_stars = StarErrors.of(seen.budget)
+        errors = DirectionErrors.of(seen.budget)
         study = attitude_study(
-            lab.instrument, of_stars, config.attitude, streams.child("attitude"), advance=stage.advance
+            half_field(lab.instrument), errors, config.attitude, streams.child("attitude"), advance=stage.advance
         )
     if isinstance(thermal, Thermal):
         term = np.array([one.value for one in thermal.measured_arcsec])

@@ -102,6 +102,12 @@ def build_laboratory(config: Config, lens: LensSystem | None = None) -> Laborato
     )
 
 
+def half_field(instrument: Instrument) -> FloatArray:
+    """Half width and half height (2,) of the detector as tangents of the field angle."""
+    camera = instrument.camera
+    return np.array([camera.width_px, camera.height_px]) / 2.0 * camera.pixel_pitch_mm / instrument.focal_length_mm
+
+
 def check_laboratory(lab: Laboratory) -> None:
     """Refuse spots wider than the window, and points that would be saturated: a pixel holds half of a sharp spot."""
     chip, signal, corners = (

@@ -6,18 +6,21 @@ its RMS taken, so that its uncertainty is small against 10 %.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.accuracy.attitude_from_stars import attitude_term
+from calib.accuracy.budget_comparison import repeated_term, survey_term
 from calib.accuracy.error_budget import ErrorBudget, ErrorTerm, combine
-from experiments.budget.attitude import solved_attitude
+from calib.accuracy.step_prediction import rms_over
 from experiments.budget.chromatic import ChromaticTerm, measured_terms
 from experiments.budget.laboratory import (
     Laboratory,
     grid_streams,
     grid_target,
+    half_field,
     marking,
     places_px,
     platform,
@@ -30,7 +33,6 @@ from experiments.laboratory.distortion_error import DistortionMeasurement, measu
 from experiments.laboratory.high_frequency import HighFrequencyMeasurement, measure_high_frequency
 from experiments.laboratory.temporal_error import measure_temporal, target_place
 from optics.arrays import FloatArray
-from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 
 
@@ -83,9 +85,8 @@ def measure_terms(
         scene=scene,
         advance=advance,
     )
-    found, c2 = {}, _marking(distortion) or marking(lab)
+    found, c2 = {}, survey_term(distortion.surveyed) or marking(lab)
     for method in lab.bench.methods:
-        hsfe, single = _over_places(lab, places, method)
         every, rms, spread = _over_surveys(lab, distortion, method)
         c1 = ErrorTerm(
             arcsec=rms[2],
@@ -94,16 +95,22 @@ def measure_terms(
         )
         term = {
             "TE": temporal.temporal_error(method),
-            "HSFE": hsfe,
+            "HSFE": repeated_term([place.high_frequency_error(method) for place in places]),
             "LSFE-S": chromatic[method].value(),
             "LSFE-C1": c1,
             "LSFE-C2": c2,
         }
         budget = combine(term, stars=lab.config.attitude.stars)
-        solved = solved_attitude(instrument, budget, lab.config.attitude, root.child("attitude", method))
+        solved = attitude_term(
+            budget,
+            half_field(instrument),
+            stars=lab.config.attitude.stars,
+            trials=lab.config.attitude.trials,
+            rng=root.child("attitude", method).generator("attitude"),
+        )
         found[method] = Measurement(
             budget=replace(budget, attitude=solved),
-            single_arcsec=single,
+            single_arcsec=3.0 * instrument.pixel_arcsec * rms_over([place.single_px(method) for place in places]),
             left_arcsec=rms[1],
             found_arcsec=rms[0],
             one_survey_arcsec=every[0, 2],
@@ -132,16 +139,6 @@ def _over_surveys(
     return every, np.sqrt((every**2).mean(0)), spread
 
 
-def _marking(distortion: DistortionMeasurement) -> ErrorTerm | None:
-    """C2 as a laboratory has it: scatter of repeated surveys in the plane of the target; None of a single one."""
-    plane = distortion.surveyed[..., :2] / distortion.surveyed[..., 2:]
-    free = (len(plane) - 1) * plane.shape[1]
-    if not free:
-        return None
-    value = 3.0 / ARCSEC_RAD * np.sqrt(((plane - plane.mean(0)) ** 2).sum((0, 1)) / free)
-    return ErrorTerm(arcsec=value, uncertainty_arcsec=value / np.sqrt(2.0 * free), n=plane.shape[0] * plane.shape[1])
-
-
 def _step_tests(
     lab: Laboratory, scene: PointScene, streams: Streams, advance: Callable[[], None]
 ) -> list[HighFrequencyMeasurement]:
@@ -160,17 +157,3 @@ def _step_tests(
         )
         for number, place in enumerate(places_px(lab))
     ]
-
-
-def _over_places(
-    lab: Laboratory, places: Sequence[HighFrequencyMeasurement], method: str
-) -> tuple[ErrorTerm, FloatArray]:
-    """HSFE over all places (RMS), and of one position."""
-    scale = 3.0 * lab.instrument.pixel_arcsec
-    terms = [place.high_frequency_error(method) for place in places]
-    value = np.sqrt(np.mean([term.arcsec**2 for term in terms], axis=0))
-    errors = np.array([2.0 * term.arcsec * np.nan_to_num(term.uncertainty_arcsec) for term in terms])
-    single = np.array([(place.single_px(method) * scale) ** 2 for place in places])
-    spread = np.sqrt((errors**2).sum(0)) / len(errors) / np.maximum(2.0 * value, 1e-300)
-    count = sum(term.n for term in terms)
-    return ErrorTerm(arcsec=value, uncertainty_arcsec=spread, n=count), np.sqrt(single.mean(0))

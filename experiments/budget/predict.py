@@ -8,7 +8,7 @@ term is scaled from W = 9 to the target's own number of stars.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from calib.accuracy.distortion_prediction import expected_numbers
 from calib.accuracy.error_budget import ErrorBudget, ErrorTerm, combine
+from calib.accuracy.step_prediction import StepPrediction, rms_over, step_term
 from calib.accuracy.temporal import small_sample_factor
 from experiments.budget.chromatic import ChromaticTerm, predicted_terms, trace_target
 from experiments.budget.laboratory import (
@@ -33,10 +34,10 @@ from experiments.budget.laboratory import (
 )
 from experiments.budget.settings import Config
 from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
-from experiments.laboratory.bench.epsf_session import predicted_epsfs, variance_of_another
+from experiments.laboratory.bench.epsf_session import predicted_epsfs
 from experiments.laboratory.devices.targets import grid_directions
 from experiments.laboratory.distortion_model import marking_errors, predict_distortion
-from experiments.laboratory.high_frequency_model import MethodPrediction, predict_high_frequency
+from experiments.laboratory.high_frequency_model import predict_high_frequency
 from experiments.laboratory.temporal_error import predict_temporal, target_place
 from optics.arrays import FloatArray
 from render.detector.maps import sensor_maps
@@ -50,7 +51,6 @@ SESSIONS = 8
 COARSE_POINTS, COARSE_POSITIONS, COARSE_DRAWS = 3, 6, 60
 """Points along a side of the target, positions of the step test and noisy copies of `coarse_terms`."""
 
-_STEP_PARTS = {"document": "document_px", "single": "single_px", "roll": "roll_px"}
 _CAUSES = {"S-curve": "s_curve", "PRNU": "prnu", "offset pattern": "pattern", "defects": "defects"}
 
 
@@ -85,7 +85,7 @@ def predict_terms(
     defect = None if coarse else sensor_maps(instrument.detector).defect
     scale = 3.0 * instrument.pixel_arcsec
     temporal = predict_temporal(lab.bench, instrument, psf=psf, draws=draws, defect=defect, seed=seed)
-    steps = _steps(lab, step_draws, defect, coarse=coarse)
+    steps = _step_predictions(lab, step_draws, defect, coarse=coarse)
     name = "chromatic, coarse" if coarse else "chromatic"
     traced = rendered_once(lab, lab.filtered, name, lambda: trace_target(lab, coarse=coarse))
     chromatic = predicted_terms(lab, traced, draws=draws, defect=defect)
@@ -99,11 +99,11 @@ def predict_terms(
             arcsec=short * temporal.sampled_te_arcsec(method),
             uncertainty_arcsec=short * temporal.te_uncertainty_arcsec(method),
         )
-        hsfe, causes, single = steps[method]
+        places = [one[method] for one in steps]
         number, spread = (v * scale for v in distortion[method])
         term = {
             "TE": te,
-            "HSFE": hsfe,
+            "HSFE": step_term(places, places=lab.config.steps.places, pixel_arcsec=instrument.pixel_arcsec),
             "LSFE-S": chromatic[method].value(),
             "LSFE-C1": ErrorTerm(arcsec=number[2], uncertainty_arcsec=spread[2]),
             "LSFE-C2": marking(lab),
@@ -111,8 +111,8 @@ def predict_terms(
         found[method] = PredictedTerms(
             budget=combine(term, stars=lab.config.attitude.stars),
             bound_te_arcsec=temporal.bound_te_arcsec(),
-            causes_arcsec=causes,
-            single_arcsec=single,
+            causes_arcsec=_causes_arcsec(places, instrument.pixel_arcsec),
+            single_arcsec=scale * rms_over([one.position_rms_px for one in places]),
             left_arcsec=number[1],
             found_arcsec=number[0],
             marking_alone_arcsec=alone * scale,
@@ -155,22 +155,19 @@ def _coarse(config: Config) -> tuple[Config, float]:
     return config.model_copy(update={"target": few, "steps": steps}), float(factor)
 
 
-def _steps(
+def _step_predictions(
     lab: Laboratory, draws: int, defect: NDArray[np.bool_] | None, *, coarse: bool
-) -> dict[str, tuple[ErrorTerm, dict[str, FloatArray], FloatArray]]:
-    """HSFE, its causes and the error of one position, by centroider: RMS over places of the test."""
-    bench, instrument = lab.bench, lab.instrument
+) -> list[Mapping[str, StepPrediction]]:
+    """The step test at places along the detector, by centroider."""
+    bench, instrument, found = lab.bench, lab.instrument, []
     # the field changes slowly, but not what one PSF for all of it does to the S-curve
     every = 1 if any(needs_measured_epsf(method) for method in bench.methods) else 2
-    places = places_px(lab)[:: every if not coarse else len(places_px(lab))]
-    predicted = []
-    for number, middle in enumerate(places):
-        direction = target_place(bench, instrument, middle.tolist())
-        one = predict_high_frequency(
+    for number, middle in enumerate(places_px(lab)[: 1 if coarse else None : every]):
+        predicted = predict_high_frequency(
             bench,
             instrument,
             step_plan(lab),
-            psf=psfs(lab, bench, f"place {number}", direction),
+            psf=psfs(lab, bench, f"place {number}", target_place(bench, instrument, middle.tolist())),
             hexapod=replace(platform(lab), step_error_arcsec=0.0) if coarse else platform(lab),
             place_px=middle.tolist(),
             defect=defect,
@@ -178,33 +175,16 @@ def _steps(
             noise_draws=STEP_NOISE_DRAWS // 3 if coarse else STEP_NOISE_DRAWS,
             seed=lab.config.seed + number,
         )
-        predicted.append(one.method)
-    return {method: _over_places(lab, [one[method] for one in predicted]) for method in bench.methods}
+        found.append(predicted.method)
+    return found
 
 
-def _over_places(lab: Laboratory, found: list[MethodPrediction]) -> tuple[ErrorTerm, dict[str, FloatArray], FloatArray]:
-    """RMS over places; the uncertainty is the scatter of the measured number: other chips, other noise, other paths."""
-    scale, parts = 3.0 * lab.instrument.pixel_arcsec, _parts(found)
-    mean = {label: np.sqrt(np.mean(np.square(values), axis=0)) for label, values in parts.items()}
-    whole = mean["document"]
-    variance = np.mean([(2.0 * one.document_px * one.scatter_px) ** 2 for one in found], axis=0)  # of the square
-    if len(found[0].session_px2):  # one session serves all places: what it does is no less over many of them
-        alone = np.mean([one.session_px2.var(0, ddof=1) for one in found], axis=0)
-        common = variance_of_another(np.mean([one.session_px2 for one in found], axis=0))
-    else:
-        alone = common = np.zeros(2)
-    variance = np.maximum(variance - alone, 0.0) / lab.config.steps.places + common
-    spread = np.sqrt(variance) / np.maximum(2.0 * whole, 1e-300)
-    causes = {label: mean[label] * scale for label in _CAUSES}
-    causes |= {"averaged noise": mean["noise"] * scale, "roll of the platform": mean["roll"] * scale}
-    return ErrorTerm(arcsec=whole * scale, uncertainty_arcsec=spread * scale), causes, mean["single"] * scale
-
-
-def _parts(found: list[MethodPrediction]) -> Mapping[str, list[FloatArray]]:
-    """Predicted quantities at each place (2,), by name."""
-    parts = {label: [getattr(one, name) for one in found] for label, name in _STEP_PARTS.items()}
-    parts |= {label: [one.cause_px[key] for one in found] for label, key in _CAUSES.items()}
-    return parts | {"noise": [np.hypot(one.temporal_px, one.dark_px) for one in found]}
+def _causes_arcsec(places: Sequence[StepPrediction], pixel_arcsec: float) -> dict[str, FloatArray]:
+    """Causes of the HSFE, 3 sigma, RMS over places."""
+    parts = {label: [one.cause_px[key] for one in places] for label, key in _CAUSES.items()}
+    parts["averaged noise"] = [np.hypot(one.temporal_px, one.dark_px) for one in places]
+    parts["roll of the platform"] = [one.roll_px for one in places]
+    return {label: 3.0 * pixel_arcsec * rms_over(values) for label, values in parts.items()}
 
 
 def _distortion(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib.accuracy.high_frequency import independent_position_rms_px, step_residual_px, step_rms_px
+from calib.accuracy.step_prediction import StepPrediction
 from calib.measure.expected_windows import expected_windows, noiseless_positions
 from experiments.harness.drawings import bars, cloud, curves
 from experiments.harness.progress import Progress
@@ -28,11 +29,7 @@ from experiments.laboratory.high_frequency import (
     StepPlan,
     measure_high_frequency,
 )
-from experiments.laboratory.high_frequency_model import (
-    HighFrequencyPrediction,
-    MethodPrediction,
-    predict_high_frequency,
-)
+from experiments.laboratory.high_frequency_model import HighFrequencyPrediction, predict_high_frequency
 from experiments.laboratory.settings.published import ACC18_ARCSEC, is_published_sensor
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
@@ -100,7 +97,7 @@ class Steps:
     quadrature_arcsec: FloatArray = col("Parts in quadrature", "arcsec", ".3f", "axis", json="quadrature", shown=False)
 
 
-def steps(seen: HighFrequencyMeasurement, before: MethodPrediction, after: MethodPrediction, method: str) -> Steps:
+def steps(seen: HighFrequencyMeasurement, before: StepPrediction, after: StepPrediction, method: str) -> Steps:
     """Measured, predicted for drawn paths of the hexapod, and predicted for the path that was seen."""
     scale, printed = 3.0 * seen.pixel_arcsec, seen.high_frequency_error(method)
     document, single = step_rms_px(seen.mean_px["all"][method]), seen.single_px(method)
@@ -109,14 +106,14 @@ def steps(seen: HighFrequencyMeasurement, before: MethodPrediction, after: Metho
     taken = np.sqrt((noise2**2 / 2.0 + single**2 * noise2) / count) / np.maximum(single, 1e-12)
     return Steps(
         document_arcsec=measured(printed.arcsec, printed.uncertainty_arcsec, n=printed.n, unit="arcsec"),
-        predicted_arcsec=measured(scale * after.document_px, scale * after.scatter_px),
-        ratio=over(document, after.document_px, after.scatter_px),
+        predicted_arcsec=measured(scale * after.step_rms_px, scale * after.step_rms_scatter_px),
+        ratio=over(document, after.step_rms_px, after.step_rms_scatter_px),
         halved_arcsec=scale * independent_position_rms_px(document, seen.sigma_px[method], seen.frames),
         one_position_arcsec=scale * single,
-        one_position_predicted_arcsec=scale * after.single_px,
-        one_position_ratio=over(single, after.single_px, np.hypot(after.single_scatter_px, taken)),
-        predicted_before_arcsec=measured(scale * before.document_px, scale * before.scatter_px),
-        ratio_before=over(document, before.document_px, before.scatter_px),
+        one_position_predicted_arcsec=scale * after.position_rms_px,
+        one_position_ratio=over(single, after.position_rms_px, np.hypot(after.position_rms_scatter_px, taken)),
+        predicted_before_arcsec=measured(scale * before.step_rms_px, scale * before.step_rms_scatter_px),
+        ratio_before=over(document, before.step_rms_px, before.step_rms_scatter_px),
         dark_arcsec=scale * after.dark_px,
         roll_arcsec=scale * after.roll_px,
         quadrature_arcsec=scale * seen.quadrature_px(method),
@@ -182,7 +179,7 @@ def causes(seen: HighFrequencyMeasurement, after: HighFrequencyPrediction, metho
             off_arcsec=scale * np.array([seen.cause_px(m, cause, alone=False) for m in methods]),
             cause_predicted_arcsec=scale * np.array([one.cause_px[cause] for one in model]),
             alone_position_arcsec=scale * np.array([seen.cause_single_px(m, cause) for m in methods]),
-            position_predicted_arcsec=scale * np.array([one.cause_single_px[cause] for one in model]),
+            position_predicted_arcsec=scale * np.array([one.cause_position_px[cause] for one in model]),
         )
         for cause in CAUSES
     ]

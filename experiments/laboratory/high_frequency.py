@@ -19,6 +19,7 @@ from calib.accuracy.high_frequency import (
     position_rms_px,
     step_rms_px,
 )
+from calib.accuracy.step_prediction import CAUSES
 from calib.measure.frame_positions import common_motion_px2
 from calib.measure.stamps import noiseless_stamps
 from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method
@@ -40,8 +41,6 @@ SWITCHES: Mapping[str, Mapping[str, float]] = {
     "defects": {"hot_fraction": 0.0, "dead_fraction": 0.0},
 }
 """What to set in a detector to switch a cause off."""
-CAUSES = ("s_curve", *SWITCHES)
-"""S-curve: what pixels and the centroider's model make of a noiseless image; it is no property of the detector."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

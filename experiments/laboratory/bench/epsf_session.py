@@ -95,17 +95,6 @@ def predicted_epsfs(
     return tuple(found)
 
 
-def variance_of_another(drawn: FloatArray) -> FloatArray:
-    """Squared deviation that one more of k draws (k, ...) has from their mean, by what these k tell.
-
-    The mean has an error of its own, 1 / k, and a variance known from a few is Student's with k - 1 degrees of freedom,
-    (k - 1) / (k - 3) (JCGM 101:2008, 6.4.9.4); up to three say too little for that.
-    """
-    k = len(drawn)
-    student = (k - 1.0) / (k - 3.0) if k > 3 else 1.0
-    return np.asarray(student * drawn.var(0, ddof=1) * (1.0 + 1.0 / k))
-
-
 def _pixels(windows: ExpectedWindows, positions: int, rng: np.random.Generator) -> FloatArray:
     """A normal deviate for every pixel of the chip, in the windows (n, h, w) of every position of the same points."""
     corner = windows.corner_px.reshape(positions, -1, 2)

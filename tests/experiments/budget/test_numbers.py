@@ -166,9 +166,9 @@ def test_predicted_steps_over_places():
 
     def place(sessions=()):
         return SimpleNamespace(
-            document_px=np.array([0.03, 0.04]),
-            single_px=np.array([0.05, 0.06]),
-            scatter_px=np.array([0.002, 0.004]),
+            step_rms_px=np.array([0.03, 0.04]),
+            position_rms_px=np.array([0.05, 0.06]),
+            step_rms_scatter_px=np.array([0.002, 0.004]),
             temporal_px=np.array([0.003, 0.0]),
             dark_px=np.array([0.004, 0.0]),
             roll_px=np.array([0.007, 0.007]),

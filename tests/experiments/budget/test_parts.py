@@ -8,7 +8,7 @@ import pytest
 from calib.accuracy import error_budget as combine_module
 from calib.accuracy.error_budget import TERMS, ErrorTerm, combine
 from experiments.budget import attitude as attitude_module
-from experiments.budget.attitude import READINGS, StarErrors, attitude_study, solved_attitude
+from experiments.budget.attitude import READINGS, DirectionErrors, attitude_study, solved_attitude
 from experiments.budget.experiment import chief
 from experiments.budget.laboratory import build_laboratory, moved_lens
 from experiments.budget.settings import AttitudeConfig, Config, MovedConfig
@@ -79,7 +79,7 @@ def test_named_configuration_changes_the_instrument_alone():
 
 
 def _errors(random, chromatic, distortion):
-    return StarErrors(
+    return DirectionErrors(
         random_arcsec=np.full(2, random),
         chromatic_arcsec=np.full(2, chromatic),
         distortion_arcsec=np.full(2, distortion),
@@ -111,7 +111,7 @@ def test_unequal_errors_on_an_oblong_detector_by_hand():
     """
     camera = SimpleNamespace(width_px=2000, height_px=800, pixel_pitch_mm=0.005)
     instrument, none = SimpleNamespace(camera=camera, focal_length_mm=100.0), np.zeros(2)
-    errors = StarErrors(random_arcsec=np.array([3.0, 1.0]), chromatic_arcsec=none, distortion_arcsec=none)
+    errors = DirectionErrors(random_arcsec=np.array([3.0, 1.0]), chromatic_arcsec=none, distortion_arcsec=none)
     xx, yy = 0.05**2 / 3.0, 0.02**2 / 3.0
     expected = np.array([3.0, 1.0, np.sqrt(9.0 * yy + 1.0 * xx) / (xx + yy)]) / np.sqrt(60.0)
     settings = AttitudeConfig(stars=60, counts=(60,), trials=300)

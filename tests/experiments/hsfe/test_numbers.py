@@ -43,10 +43,15 @@ def drawn(rng):
 
 def model(document, single):
     """A prediction with a scatter of a tenth, without finite samples of its own."""
-    given = {"document_px": document, "scatter_px": 0.1 * document, "single_px": single, "roll_px": 0.5 * document}
-    given |= {"single_scatter_px": 0.1 * single, "dark_px": 0.25 * document, "temporal_px": 2.0 * document}
+    given = {
+        "step_rms_px": document,
+        "step_rms_scatter_px": 0.1 * document,
+        "position_rms_px": single,
+        "roll_px": 0.5 * document,
+    }
+    given |= {"position_rms_scatter_px": 0.1 * single, "dark_px": 0.25 * document, "temporal_px": 2.0 * document}
     parts = {cause: document * n for n, cause in enumerate(CAUSES, 1)}
-    return SimpleNamespace(**given, cause_px=parts, cause_single_px=parts, s_curve_px=np.zeros((POSITIONS, STARS, 2)))
+    return SimpleNamespace(**given, cause_px=parts, cause_position_px=parts, s_curve_px=np.zeros((POSITIONS, STARS, 2)))
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +89,7 @@ def test_the_error_of_one_position_is_as_uncertain_as_its_noise_makes_it():
         noise = NOISE_PX / np.sqrt(FRAMES) * rng.standard_normal(error.shape)
         one.mean_px["all"]["cog"][:] = one.photon_px + error + noise
         apart.append(one.single_px("cog"))
-        exact = SimpleNamespace(**{**vars(model(ERROR_PX, ERROR_PX)), "single_scatter_px": np.zeros(2)})
+        exact = SimpleNamespace(**{**vars(model(ERROR_PX, ERROR_PX)), "position_rms_scatter_px": np.zeros(2)})
         ratio = steps(one, exact, exact, "cog").one_position_ratio
         told.append([part.uncertainty for part in ratio])
     np.testing.assert_allclose(np.mean(told, axis=0), np.std(apart, axis=0) / ERROR_PX, rtol=4.0 / np.sqrt(240))

@@ -91,7 +91,7 @@ def test_high_frequency_causes_add_in_squares_to_the_documents_number(bench, sma
         "epsf"
     ]
     parts = [*of.cause_px.values(), of.temporal_px, of.dark_px, of.roll_px]
-    np.testing.assert_allclose(np.square(parts).sum(0), of.document_px**2, rtol=4.5 * np.sqrt(2 / 10 / 400))
+    np.testing.assert_allclose(np.square(parts).sum(0), of.step_rms_px**2, rtol=4.5 * np.sqrt(2 / 10 / 400))
 
 
 def test_draws_behind_an_s_curve_add_no_noise(bench, small_camera, psf):
@@ -100,8 +100,8 @@ def test_draws_behind_an_s_curve_add_no_noise(bench, small_camera, psf):
     given = {"psf": psf, "place_px": PLACE, "draws": 400}
     drawn = predict_high_frequency(gravity, small_camera, plan, noise_draws=20, **given).method["cog"]
     exact = predict_high_frequency(gravity, small_camera, plan, **given).method["cog"]
-    assert np.all(exact.temporal_px > 0.3 * exact.document_px)
-    np.testing.assert_allclose(drawn.document_px**2, exact.document_px**2, rtol=6.0 * np.sqrt(2 / 10 / 400))
+    assert np.all(exact.temporal_px > 0.3 * exact.step_rms_px)
+    np.testing.assert_allclose(drawn.step_rms_px**2, exact.step_rms_px**2, rtol=6.0 * np.sqrt(2 / 10 / 400))
 
 
 def test_patterns_are_sampled_by_the_steps_of_an_erring_platform(bench, small_camera, psf, monkeypatch):
