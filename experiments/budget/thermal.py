@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.cameras.field_map import growth_along_axes, smooth_map_rms
 from experiments.budget.laboratory import Laboratory, build_laboratory
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured, measured
@@ -29,8 +30,7 @@ from experiments.laboratory.bench.points import nominal_px
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.lens.system import LensSystem
-from optics.rays.paraxial import axial_paraxial
+from optics.rays.thermal import paraxial_change_per_k
 from render.engine.random import Streams
 
 METHOD = "cog"
@@ -72,13 +72,6 @@ class Thermal:
     corner_px_per_k: float = col("Outermost star", "px/K", ".3f", json="outermost_star_px_per_k")
 
 
-def cubic_basis(place_px: FloatArray) -> FloatArray:
-    """Values (n, 10) of the monomials up to the third degree (ACC18 eq. 19), coordinates scaled to -1 ... 1."""
-    low, high = place_px.min(0), place_px.max(0)
-    x, y = ((2.0 * place_px - low - high) / (high - low)).T
-    return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
-
-
 def chamber(lab: Laboratory, temperature_c: float) -> Laboratory:
     """The laboratory with lens and housing at a temperature; everything else unchanged, the focus too."""
     config = lab.config
@@ -115,30 +108,27 @@ def thermal_term(lab: Laboratory, streams: Streams) -> Thermal | str:
     try:
         ends = [warmed(lab, -span), warmed(lab, span)]
         chambers = [chamber(lab, thermometer_c(lab) + excursion) for excursion in (-span, span)]
-        slopes = [warmed(lab, -STEP_K), warmed(lab, STEP_K)]
+        cold, warm = (warmed(lab, step).instrument.camera.focused_lens for step in (-STEP_K, STEP_K))
     except DomainError as error:
         return str(error)
     direction = field_directions(lab)
     place = nominal_px(lab.instrument, direction)
     traced = [bundle_prediction(one_filter(end.bench), end.instrument, direction[None])[0, :, 0] for end in ends]
     seen, read = _images(lab, chambers, direction, streams), [thermometer_c(one) for one in chambers]
-    basis, centred = cubic_basis(place), place - lab.instrument.camera.centre_px
-    predicted, shift = (traced[1] - traced[0]) / 2.0, (seen[1] - seen[0]) / (read[1] - read[0]) * span
-    scale = lab.instrument.pixel_arcsec  # the excursion is three sigma already
-    size, sigma = _smooth_rms(basis, shift)
-    slope, spread = _slopes(centred, shift)
-    paraxial = [_paraxial(one.instrument.camera.focused_lens) for one in slopes]
+    predicted, shift = (traced[1] - traced[0]) / (2.0 * span), (seen[1] - seen[0]) / (read[1] - read[0])  # [px/K]
+    scale = span * lab.instrument.pixel_arcsec  # the excursion is three sigma already
+    growth, focus = paraxial_change_per_k(cold, warm, STEP_K)
     return Thermal(
         calibrated_at_c=thermometer_c(lab),
-        stars=len(basis),
+        stars=len(place),
         signal_e=max(lab.bench.signal_e, BRIGHT_E),
-        predicted_arcsec=predicted.std(axis=0) * scale,
-        measured_arcsec=measured(size * scale, sigma * scale, 2 * len(basis) * lab.bench.frames),
-        scale_ppm_per_k=_slopes(centred, predicted)[0] * 1e6 / span,
-        measured_scale_ppm_per_k=measured(slope * 1e6 / span, spread * 1e6 / span),
-        paraxial_ppm_per_k=float(np.log(paraxial[1][0] / paraxial[0][0]) / (2.0 * STEP_K) * 1e6),
-        focus_um_per_k=(paraxial[1][1] - paraxial[0][1]) / (2.0 * STEP_K) * 1e3,
-        corner_px_per_k=float(np.hypot(*(predicted - predicted.mean(0)).T).max() / span),
+        predicted_arcsec=scale * predicted.std(axis=0),
+        measured_arcsec=measured(*(scale * v for v in smooth_map_rms(place, shift)), place.size * lab.bench.frames),
+        scale_ppm_per_k=1e6 * growth_along_axes(place, predicted)[0],
+        measured_scale_ppm_per_k=measured(*(1e6 * v for v in growth_along_axes(place, shift))),
+        paraxial_ppm_per_k=1e6 * growth,
+        focus_um_per_k=focus,
+        corner_px_per_k=float(np.abs((predicted - predicted.mean(0)) @ [1.0, 1j]).max()),
     )
 
 
@@ -155,39 +145,6 @@ def _images(
         frames = read_points(light, scene.bench, end.instrument, streams=streams.child(name, "frames"))
         found.append(frames.mean_px(METHOD))
     return found[0], found[1]
-
-
-def _left(basis: FloatArray, shift_px: FloatArray) -> FloatArray:
-    """RMS (2,) about a smooth map, free parameters counted: noise, S-curve and response of the chip."""
-    left = shift_px - basis @ np.linalg.lstsq(basis, shift_px, rcond=None)[0]
-    return np.asarray(np.sqrt((left**2).sum(0) / (len(basis) - basis.shape[1])))
-
-
-def _smooth_rms(basis: FloatArray, shift_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """RMS (2,) of a smooth map less its mean, without what noise adds, and its standard deviation."""
-    noise, (count, free) = _left(basis, shift_px), basis.shape
-    smooth = basis @ np.linalg.lstsq(basis, shift_px, rcond=None)[0]
-    square = smooth.var(axis=0) - noise**2 * (free - 1) / count
-    return np.sqrt(np.maximum(square, 0.0)), noise / np.sqrt(count)
-
-
-def _slopes(place_px: FloatArray, shift_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Growth (2,) of x along x and of y along y by straight lines, and its standard deviation."""
-    design = np.column_stack([np.ones(len(place_px)), place_px])
-    coefficient = np.linalg.lstsq(design, shift_px, rcond=None)[0]
-    left = shift_px - design @ coefficient
-    sigma = np.sqrt((left**2).sum(0) / (len(design) - design.shape[1]))
-    spread = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
-    return np.diag(coefficient[1:]), spread[1:] * sigma
-
-
-def _paraxial(lens: LensSystem) -> tuple[float, float]:
-    """Height of the chief ray on the detector over the slope of the star, and focus behind the detector [mm]."""
-    p = axial_paraxial(lens, lens.design_wavelength_nm)
-    z = float(lens.image_position_mm[2])
-    # through the rear nodal point a star stays at efl x slope in the focal plane; from there along the chief ray
-    lever = (z - p.exit_pupil_z_mm) / (p.rear_focus_z_mm - p.exit_pupil_z_mm) if np.isfinite(p.exit_pupil_z_mm) else 1.0
-    return p.efl_mm * lever, float(lens.axis[-1][2]) * (p.rear_focus_z_mm - z)
 
 
 THERMAL = Section(

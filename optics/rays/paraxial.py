@@ -188,6 +188,24 @@ def chief_ray(lens: LensSystem, field_deg: float, wavelength_nm: float | None = 
     return np.array(heights), np.array([*slopes, slopes[-1]])
 
 
+def focus_behind_mm(lens: LensSystem) -> float:
+    """Paraxial focus behind the image plane, along the light, at the design wavelength; also of a perturbed lens."""
+    p = axial_paraxial(lens, lens.design_wavelength_nm)
+    return float(lens.axis[-1][2]) * (p.rear_focus_z_mm - float(lens.image_position_mm[2]))
+
+
+def image_scale_mm(lens: LensSystem) -> float:
+    """Height of the paraxial chief ray on the detector over the slope of the star, in focus or not.
+
+    Through the rear nodal point a star stays at efl x slope in the focal plane; from there along the chief ray.
+    """
+    p = axial_paraxial(lens, lens.design_wavelength_nm)
+    if not np.isfinite(p.exit_pupil_z_mm):
+        return p.efl_mm
+    z = float(lens.image_position_mm[2])
+    return p.efl_mm * (z - p.exit_pupil_z_mm) / (p.rear_focus_z_mm - p.exit_pupil_z_mm)
+
+
 def axial_colour_mm(lens: LensSystem, wavelength_nm: ArrayLike, reference_nm: float | None = None) -> FloatArray:
     """Shift of the rear focus [mm] from that of the reference wavelength (default: design wavelength).
 

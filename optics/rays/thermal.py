@@ -15,7 +15,7 @@ from optics.errors import ConvergenceError, DomainError
 from optics.lens.system import AMBIENT, LensSystem
 from optics.lens.thermal import COMPONENTS, DETECTOR, STOP, Housing, ThermalState, heated_lens, with_spacers
 from optics.rays.chief import plate_scale_mm
-from optics.rays.paraxial import axial_paraxial
+from optics.rays.paraxial import axial_paraxial, focus_behind_mm, image_scale_mm
 from optics.rays.spots import Spots, trace_spots
 from optics.records import freeze, freeze_all
 from optics.units import DEG_RAD, RAD_ARCSEC
@@ -238,16 +238,19 @@ def _summarised(
     )
 
 
-def _focus_mm(lens: LensSystem) -> float:
-    """Paraxial focus behind the image plane, along the light."""
-    p = axial_paraxial(lens, lens.design_wavelength_nm)
-    return float(lens.axis[-1][2]) * (p.rear_focus_z_mm - float(lens.image_position_mm[2]))
-
-
 def focus_um_per_k(lens: LensSystem, housing: Housing, state: ThermalState, *, step_k: float = STEP_K) -> float:
     """Derivative of the paraxial focus behind the detector along a state of 1 K [um/K]."""
-    up, down = (_focus_mm(heated_lens(lens, state * (sign * step_k), housing)) for sign in (1.0, -1.0))
+    up, down = (focus_behind_mm(heated_lens(lens, state * (sign * step_k), housing)) for sign in (1.0, -1.0))
     return (up - down) / (2.0 * step_k) * 1e3
+
+
+def paraxial_change_per_k(cold: LensSystem, warm: LensSystem, step_k: float) -> tuple[float, float]:
+    """Growth of the image [1/K] and of the focus behind the detector [um/K], of lenses a step colder and warmer.
+
+    Of paraxial rays alone: no real ray is traced.
+    """
+    growth = np.log(image_scale_mm(warm) / image_scale_mm(cold)) / (2.0 * step_k)
+    return float(growth), (focus_behind_mm(warm) - focus_behind_mm(cold)) / (2.0 * step_k) * 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -330,6 +333,6 @@ def athermal_spacer(lens: LensSystem, housing: Housing, *, spacer: str = DETECTO
         expansion_per_k=root,
         housing=made,
         focus_um_per_k=focus(root),
-        focus_um_at_20_k=(_focus_mm(heated[2]) - _focus_mm(lens)) * 1e3,
+        focus_um_at_20_k=(focus_behind_mm(heated[2]) - focus_behind_mm(lens)) * 1e3,
         scale_ppm_per_k=float(np.log(efl[1] / efl[0]) / (2.0 * STEP_K) * 1e6),
     )

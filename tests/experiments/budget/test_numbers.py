@@ -20,12 +20,10 @@ from experiments.budget.experiment import (
     tuned,
 )
 from experiments.budget.laboratory import build_laboratory, grid_target, marking, places_px, platform, step_plan
-from experiments.budget.measure import _marking, _over_places, _over_surveys
-from experiments.budget.predict import _over_places as predicted_over_places
+from experiments.budget.measure import _over_surveys
 from experiments.budget.settings import Config
 from experiments.harness.config import load_config
 from experiments.laboratory.settings.published import ACC18_ARCSEC
-from optics.units import ARCSEC_RAD
 
 PIXEL_ARCSEC = 5.5
 NAMES = ("TE", "HSFE", "LSFE-S", "LSFE-C1", "LSFE-C2")
@@ -118,75 +116,6 @@ def test_deviations_of_both_sides():
     assert found.together[0].value == pytest.approx(a / b)
 
 
-def test_uncertainty_of_the_terms_together_is_that_of_drawn_terms():
-    """20 000 budgets whose terms scatter as stated: the ratio's scatter, known to 0.5 %, second order to 2 %."""
-    rng, truth, errors = np.random.default_rng(2), np.array([0.5, 0.3, 0.33]), np.array([0.02, 0.03, 0.01])
-    a, b = (truth + errors * rng.standard_normal((20_000, 3)) for _ in range(2))
-    b[:, 1] = truth[1]  # of HSFE the prediction's uncertainty is all
-    drawn = np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)
-    term = {
-        name: value([t, t], [e, e])
-        for name, t, e in zip(("TE", "HSFE", "LSFE-S"), truth, errors, strict=True)
-    }  # fmt: skip
-    term |= {name: value([0.2, 0.2], [0.01, 0.01]) for name in ("LSFE-C1", "LSFE-C2")}
-    one = SimpleNamespace(budget=combine(term, stars=4), chromatic=chromatic(0.06, 0.003))
-    assert agreement(one, one).together[0].uncertainty == pytest.approx(drawn.std(), rel=0.03)
-
-
-def test_step_tests_over_places():
-    """RMS over the places; 30 000 drawn step tests scatter as stated."""
-    lab = SimpleNamespace(instrument=SimpleNamespace(pixel_arcsec=PIXEL_ARCSEC))
-    of_place = [(1.0, 0.04), (2.0, 0.03), (2.0, 0.05)]
-    places = [
-        SimpleNamespace(
-            high_frequency_error=lambda _, v=v, e=e: value([v, v], [e, e], 30),
-            single_px=lambda _, v=v: np.array([v, 2.0 * v]),
-        )
-        for v, e in of_place
-    ]
-    found, single = _over_places(lab, places, "cog")
-    assert found.arcsec == pytest.approx([np.sqrt(3.0)] * 2)
-    assert found.n == 90
-    draws = np.array([v for v, _ in of_place]) + np.array([e for _, e in of_place]) * np.random.default_rng(
-        1
-    ).standard_normal((30_000, 3))
-    assert found.uncertainty_arcsec[0] == pytest.approx(np.sqrt((draws**2).mean(1)).std(), rel=0.03)
-    assert single == pytest.approx(3.0 * PIXEL_ARCSEC * np.sqrt(3.0) * np.array([1.0, 2.0]))
-
-
-def test_predicted_steps_over_places():
-    """Places differ by chip and noise: the RMS over four scatters half as much as one; a PSF's session by all of it."""
-    lab = SimpleNamespace(
-        instrument=SimpleNamespace(pixel_arcsec=PIXEL_ARCSEC), config=SimpleNamespace(steps=SimpleNamespace(places=4))
-    )
-
-    class Anything(dict):
-        def __missing__(self, key):
-            return np.array([0.01, 0.02])
-
-    def place(sessions=()):
-        return SimpleNamespace(
-            step_rms_px=np.array([0.03, 0.04]),
-            position_rms_px=np.array([0.05, 0.06]),
-            step_rms_scatter_px=np.array([0.002, 0.004]),
-            temporal_px=np.array([0.003, 0.0]),
-            dark_px=np.array([0.004, 0.0]),
-            roll_px=np.array([0.007, 0.007]),
-            cause_px=Anything(),
-            session_px2=np.array(sessions),
-        )
-
-    found, causes, single = predicted_over_places(lab, [place()] * 2)
-    scale = 3.0 * PIXEL_ARCSEC
-    assert found.arcsec == pytest.approx(scale * np.array([0.03, 0.04]))
-    assert found.uncertainty_arcsec == pytest.approx(scale * np.array([0.001, 0.002]))
-    assert single == pytest.approx(scale * np.array([0.05, 0.06]))
-    assert causes["averaged noise"] == pytest.approx(scale * np.array([0.005, 0.0]))
-    sessions = np.array([[1.0, 1.0], [3.0, 3.0]]) * 1e-5
-    shared, *_ = predicted_over_places(lab, [place(sessions)] * 2)
-    assert (shared.uncertainty_arcsec > found.uncertainty_arcsec).all()
-
-
 def test_prediction_is_put_together_from_its_parts(monkeypatch):
     """Terms are 3 sigma in arcsec; the mean standard deviation of five frames is 0.94 of the error's."""
     table = chromatic(0.06, 0.003)
@@ -195,7 +124,16 @@ def test_prediction_is_put_together_from_its_parts(monkeypatch):
         te_uncertainty_arcsec=lambda _: np.array([0.1, 0.2]),
         bound_te_arcsec=lambda: np.array([0.9, 1.8]),
     )
-    of_steps = value([0.5, 0.6], [0.01, 0.02]), {"PRNU": np.ones(2)}, np.array([0.7, 0.8])
+    steps = SimpleNamespace(
+        cause_px=dict.fromkeys(("s_curve", "prnu", "pattern", "defects"), np.full(2, 0.01)),
+        temporal_px=np.full(2, 0.003),
+        dark_px=np.full(2, 0.004),
+        roll_px=np.full(2, 0.02),
+        step_rms_px=np.array([0.5, 0.6]) / (3.0 * PIXEL_ARCSEC),
+        step_rms_scatter_px=np.zeros(2),
+        position_rms_px=np.array([0.7, 0.8]),
+        session_px2=np.zeros((0, 2)),
+    )
     c1_px = np.array([[0.1, 0.2], [0.02, 0.03], [0.01, 0.04]])  # before the fit, after it, in the map
     for name, result in {
         "psfs": None,
@@ -204,7 +142,7 @@ def test_prediction_is_put_together_from_its_parts(monkeypatch):
         "trace_target": None,
         "rendered_once": None,
         "predict_temporal": temporal,
-        "_steps": {"cog": of_steps},
+        "_step_predictions": [{"cog": steps}],
         "predicted_terms": {"cog": table},
         "_distortion": {"cog": (c1_px, 0.1 * c1_px)},
         "_marking_alone_px": np.array([0.005, 0.006]),
@@ -215,13 +153,15 @@ def test_prediction_is_put_together_from_its_parts(monkeypatch):
         instrument=SimpleNamespace(pixel_arcsec=PIXEL_ARCSEC, detector=None),
         bench=SimpleNamespace(methods=("cog",)),
         filtered=None,
-        config=SimpleNamespace(seed=1, frames=5, attitude=SimpleNamespace(stars=16)),
+        config=SimpleNamespace(seed=1, frames=5, attitude=SimpleNamespace(stars=16), steps=SimpleNamespace(places=2)),
     )
     (found,) = predict_module.predict_terms(lab).values()
     budget = found.budget
     assert budget["TE"].arcsec == pytest.approx([0.94, 1.88], rel=1e-4)
     assert budget["TE"].uncertainty_arcsec == pytest.approx([0.094, 0.188], rel=1e-4)
-    assert (budget["HSFE"].arcsec[1], budget["LSFE-C2"].arcsec[0]) == (0.6, 0.3)
+    assert (budget["HSFE"].arcsec[1], budget["LSFE-C2"].arcsec[0]) == pytest.approx((0.6, 0.3))
+    assert found.causes_arcsec["averaged noise"] == pytest.approx([3.0 * PIXEL_ARCSEC * 0.005] * 2)
+    assert found.single_arcsec == pytest.approx(3.0 * PIXEL_ARCSEC * np.array([0.7, 0.8]))
     assert budget["LSFE-C1"].arcsec == pytest.approx([0.165, 0.66])  # 3 x 5.5 arcsec
     assert budget["LSFE-C1"].uncertainty_arcsec == pytest.approx([0.0165, 0.066])
     assert (found.found_arcsec[0], found.left_arcsec[1]) == pytest.approx((1.65, 0.495))
@@ -230,8 +170,7 @@ def test_prediction_is_put_together_from_its_parts(monkeypatch):
     assert budget.attitude.arcsec[0] == pytest.approx(np.linalg.norm([0.94, 0.5, lsfe]) / 4.0, rel=1e-4)
 
 
-def test_surveys_and_the_marking_error():
-    """4000 drawn surveys of five points: C2 is three standard deviations of a coordinate."""
+def test_numbers_of_surveys():
     lab = SimpleNamespace(
         instrument=SimpleNamespace(pixel_arcsec=PIXEL_ARCSEC),
         config=SimpleNamespace(grid=SimpleNamespace(reference="aligned")),
@@ -242,15 +181,6 @@ def test_surveys_and_the_marking_error():
     assert every[0, 2, 1] == pytest.approx(6.0 * scale)
     assert rms[0, 0] == pytest.approx(np.sqrt(5.0) * scale)
     assert spread[0, 0] == pytest.approx(np.sqrt(2.0) * scale)
-    rng = np.random.default_rng(4)
-    place = np.concatenate([rng.uniform(-0.05, 0.05, (5, 2)), np.ones((5, 1))], axis=1)
-    surveyed = np.tile(place, (4000, 1, 1))
-    surveyed[..., :2] += 0.2 * ARCSEC_RAD * rng.standard_normal((4000, 5, 2))
-    found = _marking(SimpleNamespace(surveyed=surveyed * rng.uniform(0.5, 2.0, (4000, 5, 1))))
-    assert found.arcsec == pytest.approx([0.6, 0.6], rel=4.0 / np.sqrt(2 * 20_000))
-    assert found.uncertainty_arcsec == pytest.approx(found.arcsec / np.sqrt(2 * 3999 * 5))
-    assert found.n == 20_000
-    assert _marking(SimpleNamespace(surveyed=surveyed[:1])) is None
 
 
 def test_sections_of_a_prediction_alone_and_with_frames():

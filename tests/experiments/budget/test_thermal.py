@@ -1,5 +1,7 @@
 """LSFE-T: what a housing and a glass do to the scale of an image, in closed form where there is one."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from experiments.budget import thermal
 from experiments.budget.experiment import axes
 from experiments.budget.laboratory import build_laboratory
 from experiments.budget.settings import Config
-from experiments.budget.thermal import THERMAL, field_directions, thermal_term, warmed
+from experiments.budget.thermal import PLACES, THERMAL, field_directions, thermal_term, warmed
 from experiments.harness.config import load_config
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import described, judged
@@ -72,6 +74,23 @@ def test_frames_show_the_growth(engine):
     np.testing.assert_allclose(term.predicted_arcsec, expected, rtol=0.04)  # eight and six cells a side
     for one, wanted in zip(term.measured_arcsec, expected, strict=True):
         assert one.value == pytest.approx(wanted, abs=5.0 * one.uncertainty)
+
+
+def test_stars_are_spread_over_the_detector_at_all_fractions_of_a_pixel(star_camera):
+    camera = star_camera.camera
+    direction = field_directions(SimpleNamespace(instrument=star_camera))
+    tangent = star_camera.focal_length_mm * direction[:, :2] / direction[:, 2:] / camera.pixel_pitch_mm
+    pixel = tangent + np.array(camera.centre_px)
+    size = np.array([camera.width_px, camera.height_px]) / PLACES
+    cell = np.floor((pixel + 0.5) / size).astype(int)
+    assert len(set(map(tuple, cell))) == PLACES[0] * PLACES[1]
+    assert (cell >= 0).all() and (cell < PLACES).all()  # noqa: PT018
+    middle = (cell + 0.5) * size - 0.5
+    assert ((pixel - middle) >= -1e-6).all()
+    assert ((pixel - middle) < 1.0).all()
+    # a row of middles stands on one fraction; spread evenly it leaves at most gaps of a few over the number of stars
+    fractions = np.sort(np.mod(pixel, 1.0), axis=0)
+    assert np.diff(fractions, axis=0).max() < 4.0 / len(pixel)
 
 
 def test_it_can_be_switched_off():

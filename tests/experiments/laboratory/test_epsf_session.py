@@ -13,7 +13,6 @@ from experiments.laboratory.bench.epsf_session import (
     epsf_session,
     measured_epsf,
     predicted_epsfs,
-    variance_of_another,
 )
 from experiments.laboratory.bench.point_scene import one_filter, point_scene
 from experiments.laboratory.bench.ray_prediction import target_windows
@@ -59,11 +58,3 @@ def test_a_measured_psf_places_stars_as_the_predicted_and_the_true_one_do(engine
     for found in place.values():
         assert np.sqrt((found**2).mean()) < 8e-3
     assert np.sqrt(((place["measured"] - place["predicted"]) ** 2).mean()) < 6e-3
-
-
-@pytest.mark.parametrize("k", [5, 8, 40])
-def test_one_more_draw_lies_within_what_a_few_tell(k):
-    """Mean squared pull of a further normal draw is 1, however few it is judged by."""
-    drawn = np.random.default_rng(k).standard_normal((k + 1, 200_000))
-    pull2 = (drawn[k] - drawn[:k].mean(0)) ** 2 / variance_of_another(drawn[:k])
-    assert pull2.mean() == pytest.approx(1.0, abs=0.05)

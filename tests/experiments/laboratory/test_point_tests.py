@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from calib.accuracy.temporal import small_sample_factor
-from experiments.laboratory import high_frequency_model
 from experiments.laboratory.bench.point_frames import read_points
 from experiments.laboratory.bench.point_scene import point_scene
 from experiments.laboratory.devices.hexapod import Hexapod
@@ -81,48 +80,6 @@ def test_faint_stars_are_refused(small_camera, bench, engine):
 def test_the_image_steps_as_told(steps):
     np.testing.assert_allclose(steps.step_px, 0.25 / np.sqrt(2.0), rtol=0.01)  # distortion and field change the scale
     assert steps.motion_px.max() < 1e-3
-
-
-def test_high_frequency_causes_add_in_squares_to_the_documents_number(bench, small_camera, psf):
-    """Rationale: the number is drawn and reduced, its parts are closed forms, six stars less their mean counting 5/6.
-    Expected: the sum of squares within 400 draws of some 20 differences each."""
-    plan, rolling = StepPlan(positions=3, step_px=0.25), replace(IDEAL, roll_error_arcsec=20.0)
-    of = predict_high_frequency(bench, small_camera, plan, psf=psf, place_px=PLACE, hexapod=rolling, draws=400).method[
-        "epsf"
-    ]
-    parts = [*of.cause_px.values(), of.temporal_px, of.dark_px, of.roll_px]
-    np.testing.assert_allclose(np.square(parts).sum(0), of.step_rms_px**2, rtol=4.5 * np.sqrt(2 / 10 / 400))
-
-
-def test_draws_behind_an_s_curve_add_no_noise(bench, small_camera, psf):
-    """Rationale: a mean over 20 draws has twice the variance of 40 frames. Expected: the number has that of frames."""
-    gravity, plan = replace(bench, methods=("cog",)), StepPlan(positions=3, step_px=0.25)
-    given = {"psf": psf, "place_px": PLACE, "draws": 400}
-    drawn = predict_high_frequency(gravity, small_camera, plan, noise_draws=20, **given).method["cog"]
-    exact = predict_high_frequency(gravity, small_camera, plan, **given).method["cog"]
-    assert np.all(exact.temporal_px > 0.3 * exact.step_rms_px)
-    np.testing.assert_allclose(drawn.step_rms_px**2, exact.step_rms_px**2, rtol=6.0 * np.sqrt(2 / 10 / 400))
-
-
-def test_patterns_are_sampled_by_the_steps_of_an_erring_platform(bench, small_camera, psf, monkeypatch):
-    """Rationale: over so short a way an influence changes in proportion. Expected: PRNU squared as steps squared are.
-
-    Per axis s^2 / 2 of equal steps along the diagonal, and 2 e^2 of errors e of both positions: 1 + 4 e^2 / s^2.
-    """
-    gravity, s, e, paths = replace(bench, methods=("cog",)), 0.1, 0.04, 100
-    monkeypatch.setattr(high_frequency_model, "PATHS", paths)
-
-    def square(platform):
-        plan = StepPlan(positions=3, step_px=s)
-        of = predict_high_frequency(
-            gravity, small_camera, plan, psf=psf, place_px=PLACE, draws=2, hexapod=platform
-        ).method["cog"]
-        return of.cause_px["prnu"] ** 2, of.dark_px**2
-
-    erring = replace(IDEAL, step_error_arcsec=e * small_camera.pixel_arcsec)
-    for found, equal in zip(square(erring), square(IDEAL), strict=True):
-        # two steps of two axes a path, each with a variance of twice its mean at most
-        np.testing.assert_allclose(found / equal, 1.0 + 4.0 * e**2 / s**2, rtol=4.0 / np.sqrt(2.0 * paths))
 
 
 def test_the_s_curve_is_that_of_the_sampled_psf(steps, bench, small_camera, psf):

@@ -15,7 +15,16 @@ from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import LensSystem, Surface
 from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points, plate_scale_mm
-from optics.rays.paraxial import axial_colour_mm, chief_ray, image_of, lateral_colour_mm, paraxial, refocused
+from optics.rays.paraxial import (
+    axial_colour_mm,
+    chief_ray,
+    focus_behind_mm,
+    image_of,
+    image_scale_mm,
+    lateral_colour_mm,
+    paraxial,
+    refocused,
+)
 from optics.rays.trace import Rays, trace
 
 N15 = Glass(
@@ -132,3 +141,13 @@ def test_tilted_decentred_and_powerless_lenses_are_refused():
         paraxial(flat)
     with pytest.raises(DomainError, match="front focal plane"):
         image_of(lens, paraxial(lens).front_focus_z_mm)
+
+
+@pytest.mark.parametrize("defocus_mm", [0.0, 2.0])
+def test_scale_of_the_image_is_the_height_of_the_chief_ray_over_its_slope(defocus_mm):
+    """Of a lens in focus and out of it; the focus stays where it is when the detector moves away."""
+    lens = load_lens("star_camera_206mm")
+    moved = replace(lens, image_position_mm=lens.image_position_mm + defocus_mm * np.eye(3)[2])
+    heights, _ = chief_ray(moved, 1.0)
+    assert image_scale_mm(moved) == pytest.approx(abs(heights[-1]) / np.tan(np.radians(1.0)), rel=1e-9)
+    assert focus_behind_mm(lens) - focus_behind_mm(moved) == pytest.approx(defocus_mm, abs=1e-9)
