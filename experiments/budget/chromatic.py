@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.accuracy.budget_comparison import next_draw_variance
+from calib.accuracy.chromatic import rms_shift_px, shifts, table1
 from calib.accuracy.error_budget import ErrorTerm
 from calib.measure.expected_windows import drawn_positions, noiseless_positions
 from experiments.budget.laboratory import Laboratory
@@ -19,7 +20,7 @@ from experiments.laboratory.bench.point_bench import centroiders, session_centro
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.bench.target_light import target_light
-from experiments.laboratory.chromatic_error import measure_chromatic, rms, shifts, table1, table1_sigma
+from experiments.laboratory.chromatic_error import measure_chromatic
 from experiments.laboratory.devices.target import corner_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
@@ -102,7 +103,7 @@ def predicted_terms(
         found[method] = ChromaticTerm(
             table1_px={name: table1(v) for name, v in shift.items()},
             sigma_px=sigma,
-            rms_px={name: rms(v) for name, v in shift.items()},
+            rms_px={name: rms_shift_px(v) for name, v in shift.items()},
             pixel_arcsec=lab.instrument.pixel_arcsec,
             n=0,
         )
@@ -153,8 +154,8 @@ def measured_terms(
         shift = shifts(frames.mean_px[method], bench.pairs)
         found[method] = ChromaticTerm(
             table1_px={name: table1(v) for name, v in shift.items()},
-            sigma_px=table1_sigma(frames, bench.pairs, method),
-            rms_px={name: rms(v) for name, v in shift.items()},
+            sigma_px=frames.table1_sigma(bench.pairs, method),
+            rms_px={name: rms_shift_px(v) for name, v in shift.items()},
             pixel_arcsec=lab.instrument.pixel_arcsec,
             n=bench.frames * int(np.prod(frames.nominal_px.shape[:2])),
         )

@@ -15,6 +15,16 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from calib.accuracy.chromatic import (
+    CALIBRATIONS,
+    after_calibration,
+    band_pairs,
+    chromatic_error,
+    independent_shifts,
+    rms_shift_px,
+    shifts,
+    table1,
+)
 from experiments.chromatic.perturbation import ELEMENTS, MOVEMENT, Movement, choose, solve, solve_perturbation
 from experiments.chromatic.settings import Config
 from experiments.chromatic.stars import STARS, stars_of, stellar_shift
@@ -26,20 +36,11 @@ from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import measured
 from experiments.laboratory.bench.centroid_methods import MethodLabels
 from experiments.laboratory.bench.checks import check_light
-from experiments.laboratory.bench.point_bench import Bench, band_pairs
+from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
+from experiments.laboratory.bench.readout.windows import WindowReader
 from experiments.laboratory.bench.signal import electrons_of_star, signal_of
-from experiments.laboratory.chromatic_error import (
-    CALIBRATIONS,
-    ChromaticMeasurement,
-    after_calibration,
-    measure_chromatic,
-    rms,
-    shift_sigma,
-    shifts,
-    table1,
-    table1_sigma,
-)
+from experiments.laboratory.chromatic_error import ChromaticMeasurement, measure_chromatic
 from experiments.laboratory.devices.collimator import build_collimator
 from experiments.laboratory.devices.collimator_effects import COLLIMATOR, collimator_shift
 from experiments.laboratory.devices.target import CORNERS, corner_directions
@@ -48,7 +49,6 @@ from optics.arrays import FloatArray
 from optics.errors import unknown_name
 from optics.light.spectrum import Blackbody
 from optics.rays.paraxial import chief_ray
-from render.detector.readout import expose
 from render.engine.random import Streams
 from render.fits.files import write_frame
 from render.records import Frame
@@ -81,7 +81,7 @@ class Lens:
     @property
     def measured_px(self) -> tuple[FloatArray, FloatArray]:
         """Shifts (pair, p, j, 2) of the frames, and their standard deviations."""
-        sigma = shift_sigma(self.frames, self.bench.pairs, self.method)
+        sigma = self.frames.shift_sigma(self.bench.pairs, self.method)
         return self.shift_px(self.frames.mean_px[self.method]), np.stack(list(sigma.values()))
 
 
@@ -139,13 +139,14 @@ def entries(lens: Lens, *, published: bool) -> Entries:
     shift, sigma = lens.measured_px
     traced, pixels = lens.shift_px(lens.traced_px), lens.shift_px(frames.pixels_px)
     phases = (pixels - traced).reshape(len(pairs), -1, 2)
-    entry, error = table1(shift), np.stack(list(table1_sigma(frames, pairs, lens.method).values()))
+    entry, error = table1(shift), np.stack(list(frames.table1_sigma(pairs, lens.method).values()))
     count = lens.bench.frames * shift[0, ..., 0].size
-    worst, scale = np.abs(entry).argmax(0), lens.instrument.pixel_arcsec
-    largest, its_error = (np.take_along_axis(one, worst[None], axis=0)[0] for one in (np.abs(entry), error))
+    term = chromatic_error(entry, error, lens.instrument.pixel_arcsec, count)
     pulls = (shift - traced) / sigma
     # pairs share the reference band: correlation 1/2, so 1/4 between their squares
-    freedom = independent(pulls, frames, sigma) / (1.0 + (len(pairs) - 1) / 4.0)
+    freedom = independent_shifts(pulls.size, pulls.shape[2], frames.common_mean_px, sigma) / (
+        1.0 + (len(pairs) - 1) / 4.0
+    )
     known: dict[str, Any] = {}
     if published:
         values = [ACC18_TABLE1_PX.get(name, (np.nan, np.nan)) for name in names]
@@ -155,19 +156,12 @@ def entries(lens: Lens, *, published: bool) -> Entries:
         table1_px=measured(entry, error),
         predicted_table1_px=table1(traced),
         pixels_table1_px=measured(table1(pixels), phases.std(1, ddof=1) / (2.0 * np.sqrt(phases.shape[1]))),
-        rms_shift_px=np.stack([rms(one) for one in shift]),
+        rms_shift_px=np.stack([rms_shift_px(one) for one in shift]),
         table1_n=count,
-        # the document: per axis the largest entry, divided by three, times three
-        lsfe_arcsec=measured(scale * largest, scale * its_error, count, "arcsec"),
+        lsfe_arcsec=measured(term.arcsec, term.uncertainty_arcsec, term.n, "arcsec"),
         mean_squared_pull=measured(float((pulls**2).mean()), np.sqrt(2.0 / freedom)),
         **known,
     )
-
-
-def independent(pulls: FloatArray, frames: ChromaticMeasurement, sigma_px: FloatArray) -> float:
-    """Pulls (n, p, j, 2) that count as independent in the mean of their squares: a line of sight moves all points."""
-    correlation = 2.0 * frames.common_mean_px**2 / float((sigma_px**2).mean())
-    return pulls.size / (1.0 + (pulls.shape[2] - 1.0) * correlation**2)
 
 
 def field_map(o: Outcome, pairs: Sequence[str] = ()) -> Figure:
@@ -181,7 +175,7 @@ def field_map(o: Outcome, pairs: Sequence[str] = ()) -> Figure:
         for panel, (lens, label) in zip(row, lenses.items(), strict=True):
             place = o.values("nominal_px", lens=lens)
             found, traced = (o.values(f"{kind}_shift_px", lens=lens, pair=pair) for kind in ("measured", "predicted"))
-            longest = float(np.linalg.norm(found, axis=-1).max())
+            longest = float(np.hypot(*found.T).max())
             style = {"angles": "xy", "scale_units": "xy", "scale": longest / (1.2 * o.config.target.pitch_px)}
             panel.quiver(*place.T, *traced.T, color="#c3c8ce", width=0.009, headwidth=3, **style)
             panel.quiver(*place.T, *found.T, color=colour, width=0.0035, headwidth=4, **style)
@@ -255,7 +249,7 @@ def calibration(lens: Lens) -> Calibration:
     """A principal point and a focal length per band, each alone and together."""
     place = lens.frames.nominal_px - lens.instrument.camera.centre_px
     found, traced = (
-        np.array([[np.linalg.norm(rms(left)) for left in after_calibration(one, place).values()] for one in shift])
+        np.array([[np.hypot(*rms_shift_px(one)) for one in after_calibration(pair, place).values()] for pair in shift])
         for shift in (lens.measured_px[0], lens.shift_px(lens.traced_px))
     )
     return Calibration(residual_px=found, traced_residual_px=traced)
@@ -383,8 +377,8 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     example = lenses[0].frames.example
     table = [entries(lens, published=is_published_sensor(config)) for lens in lenses]
     seen = lenses[0].shift_px(lenses[0].frames.mean_px[bench.methods[0]])
-    sigma = np.stack(list(table1_sigma(lenses[0].frames, bench.pairs, bench.methods[0]).values()))
-    image_px = float(np.linalg.norm(chosen.boresight_px))
+    sigma = np.stack(list(lenses[0].frames.table1_sigma(bench.pairs, bench.methods[0]).values()))
+    image_px = float(np.hypot(*chosen.boresight_px))
     return {
         "table1": table,
         "points": [points(lens) for lens in lenses],
@@ -404,12 +398,8 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         "collimator": collimator_shift(bench, instrument, direction, table1(seen), sigma, lenses[0].frames.rms_spot_um),
         "bench": BenchRecord(
             instrument=instrument,
-            frame=expose(
-                example,
-                instrument.detector,
-                streams=streams.child("centred", "example"),
-                temperature_c=config.instrument.chip_temperature_c,
-                band=example.band[bench.reference],
+            frame=WindowReader(instrument, streams.child("centred", "example")).frame(
+                example, example.band[bench.reference]
             ),
             signal_e=signal.signal_e,
             signal_star=signal.star,

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from experiments.chromatic.filters import exchanged, parts_of_shift
+from calib.accuracy.chromatic import CALIBRATIONS, after_calibration, band_pairs, rms_shift_px, shifts, table1
+from calib.accuracy.filter_wedge import exchanged_filters, separate_wedge, spot_radius_px
 from experiments.harness.drawings import arrows
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, below, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.bench.point_bench import band_pairs
-from experiments.laboratory.chromatic_error import CALIBRATIONS, after_calibration, rms, shifts, table1
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
 from experiments.reduce.pipeline import FramesTest, Reduced
@@ -163,7 +162,7 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
                 shift_arcsec=scale * shift[name].reshape(-1, 2),
             )
         )
-        of = parts_of_shift(shift[name], sigma[name], place - folder.centre_px, angles[:, high], angles[:, low])
+        of = separate_wedge(shift[name], sigma[name], place - folder.centre_px, angles[:, high], angles[:, low])
         constants.append(
             Constant(
                 constant_px=measured(of.constant_px, of.constant_sigma_px),
@@ -173,8 +172,8 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
             )
         )
         left = after_calibration(shift[name], place - folder.centre_px)
-        residuals.append(Residual(residual_px=np.array([np.linalg.norm(rms(left[step])) for step in CALIBRATIONS])))
-    swaps = exchanged(seen.grid, seen.filters_nm)
+        residuals.append(Residual(residual_px=np.array([np.hypot(*rms_shift_px(left[step])) for step in CALIBRATIONS])))
+    swaps = exchange_text(seen)
     every = [seen.shift_px(m) for m in methods]
     whole, spread = (np.stack([one[name].reshape(-1, 2) for name in names]) for one in (shift, sigma))
     return [one for row in seen.grid for one in row], {
@@ -185,6 +184,22 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any) -> Reduced:
         "centroiders": [Centroider(method_table1_px=np.array([table1(of[name]) for name in names])) for of in every],
         "points": Points(filters_nm=seen.filters_nm, place_px=place.reshape(-1, 2), shift_px=measured(whole, spread)),
     }
+
+
+def exchange_text(seen: FilterFrames) -> list[str]:
+    """Exchanged series by place and filter, in words."""
+    rate = np.array([[one.light_per_s for one in row] for row in seen.grid])
+    texts = []
+    for place, one, other in exchanged_filters(
+        rate, np.array([[spot_radius_px(s.mean_e) for s in r] for r in seen.grid])
+    ):
+        ratios = rate[:, other] / rate[:, one]
+        low, high = f"{seen.filters_nm[one]:g}", f"{seen.filters_nm[other]:g}"
+        texts.append(
+            f"the files of {low} and {high} nm at place {seen.grid[place][one].settings.place!r} (light of {high} over "
+            f"{low} nm is {ratios[place]:.3g} there, {np.delete(ratios, place).mean():.3g} elsewhere)"
+        )
+    return [" or ".join(texts)] if texts else []
 
 
 def _told(apart: bool, turned: bool) -> str:

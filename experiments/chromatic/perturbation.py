@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.optimize import brentq
 
+from calib.accuracy.chromatic import shifts, table1
 from experiments.chromatic.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, col
 from experiments.laboratory.bench.point_bench import Bench, point_field
 from experiments.laboratory.bench.readout.search import SEARCH_MARGIN_PX
-from experiments.laboratory.chromatic_error import shifts, table1
+from experiments.laboratory.bench.target_light import bundle_means
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
-from optics.lens.perturb import decentre, tilt
+from optics.lens.movement import moved_element, refined_movement, smallest_movement
 from optics.lens.system import LensSystem
 from render.camera import PathLosses
 from render.sensor_file.instrument import Instrument
-from render.tracing.tracer import Tracer
 
-REACHED_PX = 1e-12
-"""A mean shift that differs by no more from the wanted one needs no movement; mirrors have no other."""
-POLISHED_PX = 3e-7
-POLISHINGS = 5
-"""Largest difference from the wanted entry, and largest number of corrections."""
+REFINED_PX = 3e-7
+"""Largest difference from the wanted entry."""
 LIMIT = {"decentre": 3.0, "tilt": 3.0}
 """Largest movement that is tried [mm, deg]."""
 UNIT = {"decentre": 1e3, "tilt": 60.0}
-"""um per mm, arcmin per deg: `Solution.amount` against the argument of `perturbed`."""
+"""um per mm, arcmin per deg: `Solution.amount` against the argument of `moved_element`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,8 +52,8 @@ class Solution:
         return f"{self.element} {self.movement}"
 
     def apply(self, lens: LensSystem, axis: int) -> LensSystem:
-        """The lens with the element moved by this amount; see `perturbed`."""
-        return perturbed(lens, self.element, self.kind, axis, self.amount / UNIT[self.kind])
+        """The lens with the element moved by this amount; see `moved_element`."""
+        return moved_element(lens, self.element, self.kind, axis, self.amount / UNIT[self.kind])
 
 
 ELEMENTS = Section(
@@ -90,13 +86,6 @@ class Movement:
 
 
 MOVEMENT = Section(record=Movement, prefix="moved_", place="decentre_solution")
-
-
-def perturbed(lens: LensSystem, element: str, kind: str, axis: int, amount: float) -> LensSystem:
-    """The lens with one element moved: ``decentre`` [mm] along x or y, ``tilt`` [deg] in the plane of x or y and z."""
-    if kind == "decentre":
-        return decentre(lens, element, *((amount, 0.0) if axis == 0 else (0.0, amount)))
-    return tilt(lens, element, *((0.0, amount) if axis == 0 else (amount, 0.0)))
 
 
 def solve(
@@ -140,17 +129,17 @@ def solve_perturbation(
     stars = point_field(bench, instrument, direction.reshape(-1, 3))
 
     def means(amount: float, losses: PathLosses | None) -> FloatArray:
-        camera = replace(instrument.camera, lens=perturbed(lens, element, kind, axis, amount), losses=losses)
-        mean = Tracer(camera, general=True).bundle_means(stars, rings=4, arms=12)
+        moved = moved_element(lens, element, kind, axis, amount)
+        mean = bundle_means(replace(instrument.camera, lens=moved, losses=losses), stars)
         return mean.reshape(*direction.shape[:2], len(bench.filters), 2)
 
     def excess(amount: float, losses: PathLosses | None = None) -> float:
         return float(table1(shifts(means(amount, losses), bench.pairs)[pair])[axis]) - wanted_px
 
     weights = instrument.camera.losses if weighted else None
-    amount, rest = _root(excess, LIMIT[kind]), means(0.0, weights)
+    amount, rest = smallest_movement(excess, LIMIT[kind]), means(0.0, weights)
     if np.isfinite(amount) and weights is not None:
-        amount = _polished(partial(excess, losses=weights), excess, amount)
+        amount = refined_movement(partial(excess, losses=weights), excess, amount, REFINED_PX)
     there = means(amount, weights) if np.isfinite(amount) else np.full_like(rest, np.nan)
     entries = np.array([table1(shift) for shift in shifts(there, bench.pairs).values()])
     boresight = (there - rest)[:, :, bench.reference].mean((0, 1))
@@ -167,42 +156,6 @@ def solve_perturbation(
         boresight_px=boresight,
         image_px=float(boresight[axis]),
     )
-
-
-def _polished(weighted: Callable[[float], float], plain: Callable[[float], float], amount: float) -> float:
-    """Root of the rays weighted by their transmission, from that of rays that weigh alike: 1 % away, one slope."""
-    step = 1e-2 * abs(amount) + 1e-6
-    slope = (plain(amount + step) - plain(amount - step)) / (2 * step)
-    for _ in range(POLISHINGS):
-        off = weighted(amount)
-        if abs(off) < POLISHED_PX:
-            return amount
-        amount -= off / slope
-    return amount
-
-
-def _root(excess: Callable[[float], float], limit: float) -> float:
-    """Root nearest to zero within +-limit, looked for where the slope at zero tells; NaN if there is none."""
-    rest = excess(0.0)
-    if abs(rest) < REACHED_PX:
-        return 0.0
-    step = limit * 1e-2
-    slope = (excess(step) - excess(-step)) / (2 * step)
-    guess = -rest / slope if slope != 0.0 else np.inf
-    if not abs(guess) < 1.5 * limit:
-        return float("nan")
-    for margin in (0.3 * abs(guess) + 0.1 * step, limit):
-        low, high = max(guess - margin, -limit), min(guess + margin, limit)
-        if low < high and excess(low) * excess(high) <= 0:
-            break
-    else:
-        return float("nan")
-    root, state = brentq(excess, low, high, xtol=limit * 1e-6, full_output=True)
-    if not state.converged:
-        raise ConvergenceError(
-            f"the search for a movement with the wanted shift did not converge in {state.iterations} steps"
-        )
-    return float(root)
 
 
 def choose(config: Config, bench: Bench, lens: LensSystem, solutions: Sequence[Solution]) -> Solution:

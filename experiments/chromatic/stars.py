@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,14 +11,16 @@ from experiments.harness.drawings import curves
 from experiments.harness.sections import Section, col
 from experiments.laboratory.settings.tables import StarsConfig
 from optics.arrays import FloatArray
+from optics.frames import field_angles_deg
 from optics.light.band import Band, band_nodes
 from optics.light.spectrum import Blackbody
-from render.forward import StarRenderer
-from render.records import StarField
+from optics.rays.photocentre import photocentre
 from render.sensor_file.instrument import Instrument
 
 NODES = 48
 """Wavelength nodes over the full pass band."""
+ORDER = (5, 12)
+"""Rings and azimuths in the pupil."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,8 +29,8 @@ class StellarShift:
 
     temperature_k: FloatArray  # (t,) Effective temperatures
     direction: FloatArray  # (g, 3) Field points, unit vectors in cam
-    position_px: FloatArray  # (g, 2) Field points (photon centroid of the reference star)
-    shift_px: FloatArray  # (t, g, 2) Photon centroid minus that of the reference star at the same place
+    position_px: FloatArray  # (g, 2) Photocentre of the reference star at the field points
+    shift_px: FloatArray  # (t, g, 2) Photocentre minus that of the reference star at the same place
 
     @property
     def rms_px(self) -> FloatArray:
@@ -43,32 +45,28 @@ class StellarShift:
 
 
 def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> StellarShift:
-    """Render every colour at every field point and compare the truth."""
+    """Photocentres of every colour at every field point, by ray trace."""
     camera = instrument.camera
     fraction = (np.arange(config.grid) + 0.5) / config.grid
     x, y = np.meshgrid(fraction * camera.width_px - 0.5, fraction * camera.height_px - 0.5)
-    place = camera.nominal_direction(x.ravel(), y.ravel(), instrument.focal_length_mm)
-    temperatures: Sequence[float] = [*config.temperatures_k, config.reference_k]
+    direction = camera.nominal_direction(x.ravel(), y.ravel(), instrument.focal_length_mm)
     nodes = band_nodes([band], NODES)
-    light = nodes.weight_nm * nodes.transmission
-    spectra = [light * Blackbody(temperature_k=t).photon_density(nodes.wavelength_nm) for t in temperatures]
-    rate = np.stack([spectrum / spectrum.sum() for spectrum in spectra])
-    stars = StarField(
-        direction=np.tile(place, (len(temperatures), 1)),
-        wavelength_nm=nodes.wavelength_nm,
-        photon_rate=np.repeat(rate, len(place), axis=0),
-        band=("full",),
-    )
-    by_rays = replace(camera, diffraction="rays")  # which tell the mean of all light of diffraction images too
-    truth = StarRenderer(by_rays).render(stars).truth
-    assert truth is not None
-    position = np.stack([truth.photon_x_px, truth.photon_y_px], axis=-1).reshape(len(temperatures), len(place), 2)
+    wavelength_nm = nodes.wavelength_nm[0]
+    response = nodes.weight_nm[0] * nodes.transmission[0] * camera.response_at(wavelength_nm)
+    spectrum = response * blackbody_photons([*config.temperatures_k, config.reference_k], wavelength_nm)
+    light = photocentre(camera.focused_lens, *field_angles_deg(direction), wavelength_nm, spectrum, order=ORDER)
+    position = np.moveaxis(np.stack(camera.to_pixel(light.x_mm, light.y_mm), axis=-1), 1, 0)
     return StellarShift(
         temperature_k=np.array(config.temperatures_k),
-        direction=place,
+        direction=direction,
         position_px=position[-1],
         shift_px=position[:-1] - position[-1],
     )
+
+
+def blackbody_photons(temperature_k: Sequence[float], wavelength_nm: FloatArray) -> FloatArray:
+    """Photon spectra (t, w) of black bodies."""
+    return np.stack([Blackbody(temperature_k=t).photon_density(wavelength_nm) for t in temperature_k])
 
 
 def of_lenses(centred: str, moved: str = "") -> Mapping[str, str]:
@@ -112,8 +110,8 @@ def stars_of(shift: StellarShift, filter_shift_px: Mapping[str, FloatArray]) -> 
     mean = shift.shift_px.mean(1)
     return Stars(
         rms_px=shift.rms_px,
-        mean_size_px=np.linalg.norm(mean, axis=1),
-        max_px=np.linalg.norm(shift.shift_px, axis=2).max(1),
+        mean_size_px=np.hypot(*mean.T),
+        max_px=np.hypot(*np.moveaxis(shift.shift_px, 2, 0)).max(1),
         mean_px=mean,
         most_different_px=shift.most_different_rms_px,
         half_px=float(half),

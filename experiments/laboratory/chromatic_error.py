@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.accuracy.chromatic import Pair, shift_sigma, table1_sigma
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.points import PointMeasurement, PointReadout
 from experiments.laboratory.bench.target_light import target_light
@@ -16,38 +17,6 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import ExpectedImage, WindowStack
 from render.sensor_file.instrument import Instrument
-
-CALIBRATIONS = {"as found": [], "principal point": [0, 1], "focal length": [2], "both": [0, 1, 2]}
-"""Parameters that a camera model may have per band -> its columns in the design of `after_calibration`."""
-
-
-def shifts(position_px: FloatArray, pairs: Sequence[tuple[str, int, int]]) -> dict[str, FloatArray]:
-    """Shift (..., 2) of every point for each pair of bands, from positions (..., b, 2); ACC18 eq. 15."""
-    return {name: position_px[..., high, :] - position_px[..., low, :] for name, high, low in pairs}
-
-
-def table1(shift_px: FloatArray) -> FloatArray:
-    """Signed mean over positions and points, halved (ACC18 eq. 16): (..., p, j, 2) -> (..., 2)."""
-    return np.asarray(shift_px.mean((-3, -2)) / 2.0)
-
-
-def rms(shift_px: FloatArray) -> FloatArray:
-    """Root mean square per axis over positions and points, (p, j, 2) -> (2,)."""
-    return np.asarray(np.sqrt((shift_px**2).mean((0, 1))))
-
-
-def after_calibration(shift_px: FloatArray, from_centre_px: FloatArray) -> dict[str, FloatArray]:
-    """Shifts that remain when a camera model has parameters of its own for the band."""
-    shift, place = shift_px.reshape(-1, 2), from_centre_px.reshape(-1, 2)
-    one = np.zeros((len(shift), 2, 3))
-    one[:, 0, 0] = one[:, 1, 1] = 1.0
-    one[:, :, 2] = place
-    design, data = one.reshape(-1, 3), shift.ravel()
-    left = {}
-    for name, use in CALIBRATIONS.items():
-        fit = design[:, use] @ np.linalg.lstsq(design[:, use], data, rcond=None)[0] if use else np.zeros_like(data)
-        left[name] = (data - fit).reshape(shift_px.shape)
-    return left
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +44,16 @@ class ChromaticMeasurement:
     def common_mean_px(self) -> float:
         """The same of the mean over the frames of a position."""
         return float(self.common_px / np.sqrt(self.frames_used.mean()))
+
+    def shift_sigma(self, pairs: Sequence[Pair], method: str) -> dict[str, FloatArray]:
+        """Standard deviation (p, j, 2) of every shift, by pair of bands."""
+        sampled = self.sigma_px[method], self.frames_used, self.pattern_px[method]
+        return shift_sigma(*sampled, pairs, variance_fraction=self.noise_px**2 + self.common_px**2)
+
+    def table1_sigma(self, pairs: Sequence[Pair], method: str) -> dict[str, FloatArray]:
+        """Standard deviation (2,) of an entry of Table 1, by pair; any method with its effect of fixed patterns."""
+        sampled = self.sigma_px[method], self.frames_used, self.pattern_px[method]
+        return table1_sigma(*sampled, pairs, common_px=self.common_mean_px)
 
 
 def measure_chromatic(
@@ -113,39 +92,3 @@ def measure_chromatic(
         windows=parts[0].windows,
         common_px=bench.power_px2(instrument)[0] ** 0.5,
     )
-
-
-def shift_sigma(
-    measured: ChromaticMeasurement, pairs: Sequence[tuple[str, int, int]], method: str
-) -> dict[str, FloatArray]:
-    """Standard deviation (p, j, 2) of every shift, by pair of bands.
-
-    The scatter of the frames, pooled over the points of a position (one point's own estimate from 30 frames would have
-    pulls of Student's law), and shared out among them as predicted: the centroid error of a small spot changes by a
-    factor of three with its place on the pixels.
-    """
-    pattern = shifts(measured.pattern_px[method], pairs)
-    share = measured.noise_px**2 + measured.common_px**2
-    of_frame = share * (measured.sigma_px[method] ** 2 / share).mean(1, keepdims=True)
-    of_mean = of_frame / measured.frames_used[..., None]
-    return {
-        name: np.sqrt(of_mean[..., high, :] + of_mean[..., low, :] + (pattern[name] ** 2).mean(0))
-        for name, high, low in pairs
-    }
-
-
-def table1_sigma(
-    measured: ChromaticMeasurement, pairs: Sequence[tuple[str, int, int]], method: str
-) -> dict[str, FloatArray]:
-    """Standard deviation (2,) of the mean of eq. 16, by pair of bands; any method with its effect of fixed patterns."""
-    pattern = shifts(measured.pattern_px[method], pairs)
-    of_mean = (measured.sigma_px[method] ** 2).mean(1, keepdims=True) / measured.frames_used[..., None]
-    sigma = {}
-    for name, high, low in pairs:
-        temporal = of_mean[..., high, :] + of_mean[..., low, :]
-        count = temporal.shape[0] * temporal.shape[1]
-        # what the points of a position have in common does not average over them
-        common = 2.0 * measured.common_mean_px**2 * (1.0 / temporal.shape[0] - 1.0 / count) / 4.0
-        own = temporal.sum((0, 1)) / (2 * count) ** 2
-        sigma[name] = np.sqrt(own + common + (table1(pattern[name]) ** 2).mean(0))
-    return sigma

@@ -71,6 +71,11 @@ class SeriesFrames:
         return self.points.windows.exposure_s
 
     @property
+    def light_per_s(self) -> float:
+        """Electrons per point and second, at least 1e-3; per frame where the exposure time is not known."""
+        return max(self.signal_e, 1e-3) / (self.exposure_s if self.exposure_s > 0 else 1.0)
+
+    @property
     def usable_fraction(self) -> float:
         """Smallest share over points and methods of frames that gave a position."""
         return float(min(np.isfinite(p[..., 0]).mean(0).min() for p in self.points.position_px.values()))

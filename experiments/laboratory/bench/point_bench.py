@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.accuracy.chromatic import band_pairs
 from calib.measure.centroid import Centroider
 from calib.measure.frame_positions import FEWEST_FRAMES
 from experiments.laboratory.bench.centroid_methods import method_centroiders, needs_measured_epsf
@@ -66,16 +67,6 @@ class Bench:
         if self.collimator is None:
             return None
         return self.collimator.light(self.filters, wavelength_nm, instrument.camera.lens.environment)
-
-
-def band_pairs(centres_nm: Sequence[float], reference: int) -> list[tuple[str, int, int]]:
-    """Name, minuend and subtrahend of each difference as ACC18 eq. 15 has them: the longer wavelength first."""
-    pairs = []
-    for band in range(len(centres_nm)):
-        if band != reference:
-            high, low = (band, reference) if centres_nm[band] > centres_nm[reference] else (reference, band)
-            pairs.append((f"{centres_nm[high]:g}-{centres_nm[low]:g}", high, low))
-    return pairs
 
 
 def point_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> StarField:

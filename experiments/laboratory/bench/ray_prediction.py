@@ -12,6 +12,7 @@ from experiments.laboratory.bench.point_bench import Bench
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
 from optics.light.band import band_nodes
+from optics.rays.photocentre import photocentres_of
 from optics.rays.spots import SpotMoments, spot_moments
 from render.records import EffectivePsf
 from render.sensor_file.instrument import Instrument
@@ -55,17 +56,13 @@ def spots_of(
     spot: SpotMoments, share: FloatArray, instrument: Instrument, shape: tuple[int, ...]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """As `expected_spots`, from the moments of p j fields at all wavelengths of all bands and their shares (b, k)."""
-    camera = instrument.camera
-    x, y, second, area = (
-        v.reshape(-1, *share.shape) for v in (spot.x_mm, spot.y_mm, spot.xx_mm2 + spot.yy_mm2, spot.transmitted_mm2)
-    )
-    light = share * area / np.maximum((share * area).sum(2, keepdims=True), 1e-300)
-    mean_x, mean_y = ((v * light).sum(2) for v in (x, y))
-    apart = (x - mean_x[..., None]) ** 2 + (y - mean_y[..., None]) ** 2
-    radius = np.sqrt(((second + apart) * light).sum(2)) / camera.pixel_pitch_mm
-    shape = (*shape, len(share))
-    place = np.stack(camera.to_pixel(mean_x, mean_y), axis=-1).reshape(*shape, 2)
-    return place, radius.reshape(shape), (area * share).sum(2).reshape(shape)
+    camera, bands = instrument.camera, len(share)
+    spectrum = np.zeros((bands, *share.shape))
+    spectrum[np.arange(bands), np.arange(bands)] = share
+    light = photocentres_of(spot, spectrum.reshape(bands, -1))
+    place = np.stack(camera.to_pixel(light.x_mm, light.y_mm), axis=-1).reshape(*shape, bands, 2)
+    radius_px = light.rms_radius_mm / camera.pixel_pitch_mm
+    return place, radius_px.reshape(*shape, bands), light.area_mm2.reshape(*shape, bands)
 
 
 def bundle_prediction(bench: Bench, instrument: Instrument, direction: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from optics.units import ARCSEC_RAD
 from render.camera import Camera
 from render.engine.random import Streams
 from render.forward import StarRenderer
-from render.records import EffectivePsf, ExpectedImage
+from render.records import EffectivePsf, ExpectedImage, StarField
 from render.sensor_file.instrument import Instrument
 from render.tracing.psf import epsf_tracer, render_epsf
 from render.tracing.tracer import Tracer
@@ -47,6 +47,12 @@ class TargetLight:
             return found
         pixel_rad = self.instrument.pixel_arcsec * ARCSEC_RAD
         return [[collimator.pinhole_psf(psf, pixel_rad) for psf in row] for row in found]
+
+
+def bundle_means(camera: Camera, stars: StarField) -> FloatArray:
+    """Mean landing points (n, b, 2) [px] by the renderer's kernel, without an image; rays count by the transmission of
+    their paths where the camera has losses."""
+    return Tracer(camera, general=True).bundle_means(stars, rings=4, arms=12)
 
 
 def seen_camera(bench: Bench, instrument: Instrument) -> Camera:

@@ -21,12 +21,12 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.chromatic import shifts, table1
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.ray_prediction import ORDER, bundle_prediction, light_shares, spots_of
-from experiments.laboratory.chromatic_error import shifts, table1
 from experiments.laboratory.settings.collimator import FilteredCollimatorConfig
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg

@@ -7,33 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calib.accuracy.chromatic import band_pairs
 from experiments.chromatic.experiment import (
     Lens,
     calibration,
     centroiders,
     entries,
-    independent,
     points,
 )
 from experiments.chromatic.perturbation import choose
 from experiments.chromatic.settings import Config
-from experiments.laboratory.bench.point_bench import band_pairs
 from experiments.laboratory.chromatic_error import ChromaticMeasurement
 from optics.errors import ConvergenceError, DomainError
-
-
-def test_a_line_of_sight_that_moves_all_points_leaves_fewer_independent_pulls():
-    """Pulls of two bands with a common part: the scatter of their mean square over runs is sqrt(2 / independent)."""
-    rng, points, own, common = np.random.default_rng(2), 4, 0.03, 0.03
-    shape = (1, 4, points, 2)
-    sigma = np.full(shape, np.sqrt(2.0 * (own**2 + common**2)))
-    runs = []
-    for _ in range(10_000):
-        noise = [own * rng.standard_normal(shape) + common * rng.standard_normal((1, 4, 1, 2)) for _ in range(2)]
-        runs.append((((noise[0] - noise[1]) / sigma) ** 2).mean())
-    count = independent(np.zeros(shape), SimpleNamespace(common_mean_px=common), sigma)
-    assert np.std(runs) == pytest.approx(np.sqrt(2.0 / count), rel=4.0 / np.sqrt(20_000))
-    assert independent(np.zeros(shape), SimpleNamespace(common_mean_px=0.0), sigma) == 4 * points * 2
 
 
 def solution(element, kind, amount, moves=5.0):

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.chromatic.perturbation import _root, perturbed, solve_perturbation
+from experiments.chromatic.perturbation import solve_perturbation
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from experiments.laboratory.devices.target import corner_directions
+from optics.lens.movement import moved_element
 from optics.rays.ghosts import trace_ghost
 from optics.rays.trace import Rays
 
@@ -17,7 +18,7 @@ def test_mirrored_decentre_gives_the_mirrored_image(star_camera, bench_of):
     direction = corner_directions(bench.target, star_camera)
 
     def image(kind, axis, amount, points):
-        lens = perturbed(star_camera.camera.lens, "L2", kind, axis, amount)
+        lens = moved_element(star_camera.camera.lens, "L2", kind, axis, amount)
         moved = replace(star_camera, camera=replace(star_camera.camera, lens=lens))
         return bundle_prediction(bench, moved, points) - [2047.5, 1023.5]
 
@@ -125,7 +126,7 @@ def test_solution_by_an_independent_trace(solution_of, star_camera, bench_of, el
     bench, found = bench_of(rows=1, columns=1), solution_of(element, kind, axis)
     assert found.table1_px[1][axis] == pytest.approx(0.12, abs=1e-6)
     amount = found.amount / {"decentre": 1e3, "tilt": 60.0}[kind]
-    lens = perturbed(star_camera.camera.lens, element, kind, axis, amount)
+    lens = moved_element(star_camera.camera.lens, element, kind, axis, amount)
     moved = replace(star_camera, camera=replace(star_camera.camera, lens=lens))
     direction = corner_directions(bench.target, star_camera)
     expected = np.zeros(2)
@@ -143,21 +144,3 @@ def test_no_shift_needs_no_movement(solution_of):
 
 def test_unreachable_shift_is_nan(solution_of):
     assert np.isnan(solution_of(wanted_px=50.0).amount)
-
-
-@pytest.mark.parametrize(
-    ("function", "root"),
-    [
-        (lambda x: 2 * x - 1, 0.5),
-        (lambda x: -2 * x - 1, -0.5),
-        (lambda x: x, 0.0),
-        (lambda x: x + 0.3 * x**3 - 1.3, 1.0),
-        (lambda x: x - 2.99, 2.99),
-        (lambda x: x - 3.01, np.nan),
-        (lambda x: np.exp(x) - 4.5, np.log(4.5)),  # far from linear: the slope alone would look beyond the limit
-        (lambda x: 1.0 + x * x, np.nan),
-        (lambda x: np.nan, np.nan),
-    ],
-)
-def test_root_nearest_to_zero(function, root):
-    assert _root(function, 3.0) == pytest.approx(root, abs=1e-5, nan_ok=True)

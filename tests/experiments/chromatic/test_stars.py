@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.constants import c, h, k
 
 from experiments.chromatic.stars import stars_of, stellar_shift
 from experiments.laboratory.bench.signal import electrons_of_star, signal_of
@@ -12,7 +11,6 @@ from experiments.laboratory.settings.tables import SignalConfig, StarsConfig
 from optics.errors import DomainError
 from optics.lens.perturb import decentre
 from optics.light.band import TopHat
-from optics.rays.spots import trace_spots
 from render.sensor_file.filters import open_band
 from render.sensor_file.tables import PassbandConfig
 
@@ -28,24 +26,6 @@ def shift(star_camera):
 def test_reference_star_does_not_move(shift):
     assert np.all(shift.shift_px[2] == 0)
     assert shift.rms_px[2] == 0
-
-
-def test_shift_is_that_of_colours_weighted_by_a_black_body(shift, star_camera):
-    """Rays of 48 colours through the lens at a corner, weighted by Planck's law, pass band and response."""
-    wave, camera = np.linspace(440.0, 910.0, 48), star_camera.camera
-    place = shift.direction[0]
-    field = np.degrees(np.arctan(place[:2] / place[2]))[:, None]
-    spots = trace_spots(camera.focused_lens, *field, wave, order=(12, 24))
-    area = spots.area_mm2[0]
-    x = camera.to_pixel((area * spots.rays.x[0]).sum(1) / area.sum(1), 0.0 * wave)[0]
-
-    def mean(kelvin):
-        photons = wave**-4.0 / np.expm1(h * c / (wave * 1e-9 * k * kelvin))
-        weight = photons * PASSBAND.transmission(wave) * camera.response_at(wave) * area.sum(1)
-        return (weight * x).sum() / weight.sum()
-
-    expected = [mean(kelvin) - mean(5800.0) for kelvin in TEMPERATURES_K]
-    np.testing.assert_allclose(shift.shift_px[:, 0, 0], expected, atol=2e-3, rtol=0.02)
 
 
 def test_shift_has_the_symmetry_of_the_lens(shift):
@@ -68,8 +48,7 @@ def test_statistics_of_the_field(shift):
     assert shift.most_different_rms_px == pytest.approx(shift.rms_px[0] + shift.rms_px[-1], rel=0.05)
 
 
-@pytest.mark.slow
-def test_decentred_element_shifts_all_stars_alike(engine, star_camera):
+def test_decentred_element_shifts_all_stars_alike(star_camera):
     """A prism moves red against blue everywhere by about the same: the mean over the field no longer vanishes."""
     camera = replace(star_camera.camera, lens=decentre(star_camera.camera.lens, "L2", 0.117))
     config = StarsConfig(temperatures_k=(3000.0, 30000.0), grid=2)
@@ -125,7 +104,6 @@ def test_half_of_the_light_passes_at_the_ends_of_the_range(star_camera):
     assert band.transmission(np.array([439.0, 450.0, 461.0, 675.0, 900.0])) == pytest.approx([0, 0.5, 1, 1, 0.5])
 
 
-def test_light_outside_the_glass_is_refused_by_name(engine, star_camera):
-    """The renderer's complaint arrives as it was raised, not wrapped by Mitsuba."""
-    with pytest.raises(DomainError, match=r"290\.\d+ nm is outside 334 ... 2500 nm.*N-KZFS4"):
+def test_light_outside_the_tables_is_refused_by_name(star_camera):
+    with pytest.raises(DomainError, match=r"star_camera_206mm.*290\.\d+ nm is outside 400 ... 1000 nm"):
         stellar_shift(StarsConfig(grid=2), TopHat(centre_nm=600.0, width_nm=600.0, edge_nm=20.0), star_camera)

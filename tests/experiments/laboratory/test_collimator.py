@@ -10,11 +10,11 @@ import pytest
 from pydantic import ValidationError
 from scipy.special import erf, j1
 
+from calib.accuracy.chromatic import shifts, table1
 from experiments.chromatic.settings import Config
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, expected_spots
 from experiments.laboratory.bench.target_light import frame_light, target_light
-from experiments.laboratory.chromatic_error import shifts, table1
 from experiments.laboratory.devices import collimator_effects as effects
 from experiments.laboratory.devices.collimator import build_collimator
 from experiments.laboratory.devices.target import corner_directions

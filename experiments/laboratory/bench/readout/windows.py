@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from render.detector.readout import expose_windows
+from render.detector.readout import expose, expose_windows
 from render.engine.random import Streams
-from render.records import WindowStack
+from render.records import ExpectedImage, Frame, WindowStack
 from render.sensor_file.instrument import Instrument
 
 
@@ -50,6 +50,11 @@ class WindowReader:
             temperature_c=config.chip_temperature_c,
             band=label,
         )
+
+    def frame(self, image: ExpectedImage, band: str) -> Frame:
+        """One frame of the whole detector."""
+        celsius = self.instrument.config.chip_temperature_c
+        return expose(image, self.instrument.detector, streams=self.streams, temperature_c=celsius, band=band)
 
     def dark(self, corner_px: NDArray[np.int64], size_px: int, *, frames: int, label: str = "dark") -> FloatArray:
         """Mean (n, h, w) [e-] of frames without light, offset included."""
