@@ -59,6 +59,12 @@ def equatorial_deg(v_icrs: ArrayLike) -> Pair:
     return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))
 
 
+def polar_direction(angle_deg: ArrayLike, azimuth_deg: ArrayLike = 0.0) -> FloatArray:
+    """Unit vectors (..., 3) in cam at angles from the boresight and azimuths from columns towards rows [deg]."""
+    a, p = np.broadcast_arrays(np.radians(angle_deg), np.radians(azimuth_deg))
+    return np.stack([np.sin(a) * np.cos(p), np.sin(a) * np.sin(p), np.cos(a)], axis=-1)
+
+
 def perpendicular(v: FloatArray) -> FloatArray:
     """Unit vectors (2, 3) perpendicular to a unit vector and each other, right-handed with it third."""
     first = np.cross(v, np.eye(3)[np.argmin(np.abs(v))])

@@ -18,7 +18,8 @@ WARM = "#d55e00"
 def draw_baffle(outcome: Outcome) -> Figure:
     """Section through lens and baffle; lines from the surfaces seen to the entrance, thicker where more light comes."""
     setup: Any = outcome.result["setup"]
-    lens, baffle = setup.camera.focused_lens, setup.stray.baffle
+    lens, scene = setup.camera.focused_lens, setup.stray.scene
+    baffle = None if scene is None else scene.baffle or scene.mesh
     figure = draw_lens(lens, fields_deg=[0.0, float(0.9 * setup.field_deg)])
     panel = figure.axes[0]
     panel.set_title("")

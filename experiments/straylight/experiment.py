@@ -17,24 +17,17 @@ from experiments.harness.sections import Section, below, col, numbers_of
 from experiments.harness.summary import Measured
 from experiments.harness.what_if import REQUIREMENTS, judge
 from experiments.straylight.drawing import draw_baffle, draw_causes, draw_frames
-from experiments.straylight.frames import Bench, SunFrames, light_map, rms
+from experiments.straylight.frames import Bench, SunFrames, rms
 from experiments.straylight.settings import Config
-from experiments.straylight.transmittance import (
-    CAUSES,
-    SMALLEST,
-    Stray,
-    check_baffle,
-    direction,
-    lens_part,
-    transmittance,
-)
+from experiments.straylight.transmittance import bare_lens, behind_baffle, check_baffle
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.frames import polar_direction
 from optics.light.pst import PointSourceTransmittance, read_pst, write_pst
 from render.baffle.geometry import VanedBaffle
 from render.baffle.light import WorstPaths
-from render.bodies.solar_system import RADIUS_KM
-from render.bodies.stray_light import BandLight, band_light, limb_pst
+from render.baffle.transmittance import CAUSES, SensorTransmittance
+from render.bodies.stray_light import BandLight, band_light, earth_limb_pst
 from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument, build_instrument
 from render.sensor_file.requirements import AT_LEAST
@@ -79,7 +72,7 @@ class Setup:
     walls_error_percent: float = col("Standard error of walls and vanes, largest", "percent", ".1f")
     walls_limit_percent: float = col("Standard error requested", "percent", ".1f", json="")
     whole_baffle: bool = col("No baffle was stated", json="")
-    stray: Any
+    stray: SensorTransmittance
     worst: WorstPaths | None
     worst_deg: float
     camera: Any
@@ -101,7 +94,7 @@ class Angle:
     azimuth_deg: FloatArray  # Of the table
 
 
-def by_angle(stray: Stray, light: BandLight, exposure_s: float) -> list[Angle]:
+def by_angle(stray: SensorTransmittance, light: BandLight, exposure_s: float) -> list[Angle]:
     """The table, with electrons from Sun and Moon."""
     pst = stray.pst
     total, error = pst.total, pst.total_error
@@ -132,12 +125,8 @@ class Limb:
 
 def limb(config: Config, pst: PointSourceTransmittance, light: BandLight, angles: Sequence[float]) -> list[Limb]:
     """Electrons per pixel by the Earth for a sensor at an altitude."""
-    radius = math.asin(RADIUS_KM["earth"] / (RADIUS_KM["earth"] + config.earth_altitude_km))
     scale = light.sun_e_per_s * config.instrument.exposure_s
-    return [
-        Limb(limb_deg=a, earth_e=scale * limb_pst(pst, direction(a + math.degrees(radius), 0.0), radius))
-        for a in angles
-    ]
+    return [Limb(limb_deg=a, earth_e=scale * earth_limb_pst(pst, a, config.earth_altitude_km)) for a in angles]
 
 
 # --- Frames
@@ -167,9 +156,11 @@ def _mean(values: Any) -> Measured:
     return Measured(value=float(known.mean()), uncertainty=error, n=len(known))
 
 
-def at_sun(config: Config, bench: Bench, stray: Stray, scale_e: float, angle: float, before: SunFrames) -> SunAngle:
+def at_sun(
+    config: Config, bench: Bench, stray: SensorTransmittance, scale_e: float, angle: float, before: SunFrames
+) -> SunAngle:
     """Frames with the Sun at an angle."""
-    light = scale_e * light_map(stray, angle, bench.instrument.detector.shape)
+    light = scale_e * stray.over_pixels(angle, bench.instrument.detector.shape)
     seen = bench.look(light, "sky", before)
     more = float(seen.false.mean() - before.false.mean())
     full = bench.instrument.detector.full_well_e
@@ -189,17 +180,6 @@ def at_sun(config: Config, bench: Bench, stray: Stray, scale_e: float, angle: fl
     )
 
 
-def sun_angles(pst: PointSourceTransmittance, scale_e: float, count: int, full_e: float) -> list[float]:
-    """Angles at even steps of the Sun's light, from a few electrons to a full well, and the last one of the table."""
-    log_angle = np.linspace(np.log(pst.angle_deg[0]), np.log(pst.angle_deg[-1]), 4000)
-    azimuth = float(pst.azimuth_deg[0])
-    light = scale_e * pst.at(np.stack([direction(float(np.exp(a)), azimuth) for a in log_angle]))
-    envelope = np.maximum.accumulate(light[::-1])[::-1]  # what is seen from an angle on
-    wanted = np.geomspace(max(2.0, envelope[-1] * 1.01), max(min(full_e, envelope[0]), 3.0), count - 1)
-    found = [float(np.exp(log_angle[np.flatnonzero(envelope >= one)[-1]])) for one in wanted if (envelope >= one).any()]
-    return sorted({*found, float(pst.angle_deg[-1])})
-
-
 # --- Exclusion angle
 
 
@@ -217,7 +197,11 @@ class Exclusion:
 
 
 def exclusion(
-    config: Config, stray: Stray, light: BandLight, frames: list[SunAngle], look: Callable[[float], SunAngle]
+    config: Config,
+    stray: SensorTransmittance,
+    light: BandLight,
+    frames: list[SunAngle],
+    look: Callable[[float], SunAngle],
 ) -> tuple[Exclusion, list[SunAngle]]:
     """The largest angle at which a rate is passed, narrowed down by more frames; its light tells Moon and Earth."""
     rows = sorted(frames, key=lambda one: one.sun_deg)
@@ -237,7 +221,9 @@ def exclusion(
     earth = limb(config, stray.pst, light, [0.5 * k for k in range(181)])
     return Exclusion(
         sun_exclusion_deg=angle,
-        moon_exclusion_deg=angle_of(stray.pst, critical / (light.full_moon_e_per_s * config.instrument.exposure_s)),
+        moon_exclusion_deg=float(
+            stray.pst.last_angle_deg(critical / (light.full_moon_e_per_s * config.instrument.exposure_s))
+        ),
         earth_exclusion_deg=max((one.limb_deg for one in earth if one.earth_e > critical), default=0.0),
         critical_e=critical,
         nearest_usable_deg=usable,
@@ -246,16 +232,10 @@ def exclusion(
     ), sorted(rows, key=lambda one: one.sun_deg)
 
 
+FAINTEST_E = 2.0
+"""Stray light of the farthest Sun."""
 REFINED = 3
 """Halvings between the last angle that is not usable and the next one."""
-
-
-def angle_of(pst: PointSourceTransmittance, value: float) -> float:
-    """Largest angle at which PST exceeds a value; 0 where it never does."""
-    angles = np.geomspace(pst.angle_deg[0], pst.angle_deg[-1], 4000)
-    seen = pst.at(np.stack([direction(float(a), float(pst.azimuth_deg[0])) for a in angles]))
-    above = np.flatnonzero(seen > value)
-    return float(angles[above[-1]]) if len(above) else 0.0
 
 
 # --- What if
@@ -277,13 +257,14 @@ NEAR_DEG = 7.0
 
 
 def changes(
-    config: Config, stray: Stray, light: BandLight, critical: float, advance: Callable[[], None]
+    config: Config, stray: SensorTransmittance, light: BandLight, critical: float, advance: Callable[[], None]
 ) -> list[Change]:
     """Dust, coating and vanes; exclusion angles by the light at which frames cease to be usable."""
     assert stray.lens is not None
     angles = np.array(config.pst.angles_deg)
     scale = light.sun_e_per_s * config.instrument.exposure_s
-    shade = stray.baffle.shade_deg if isinstance(stray.baffle, VanedBaffle) else 35.0
+    tube = None if stray.scene is None else stray.scene.baffle
+    shade = 35.0 if tube is None else tube.shade_deg
     chosen = [int(a) for a in np.flatnonzero(angles >= shade - NEAR_DEG)]
     own, rows = config.baffle, []
     variants: list[tuple[str, Any, str]] = [("as it is", own, "dust")]
@@ -298,15 +279,15 @@ def changes(
         variants.append(("no baffle", own.model_copy(update={"fitted": False}), "dust"))
     for label, baffle, dust in variants:
         same = baffle is own and dust == "dust"
-        pst = stray.pst if same else transmittance(config, stray.lens, baffle, dust=dust, angles=chosen).pst
-        outside, inside = (float(pst.at(direction(min(shade + by, 89.0), 0.0))) for by in (5.0, -5.0))
+        pst = stray.pst if same else behind_baffle(config, stray.lens, baffle, dust=dust, chosen=chosen).pst
+        outside, inside = pst.at(polar_direction([min(shade + 5.0, 89.0), shade - 5.0])).tolist()
         rows.append(
             Change(
                 change=label,
                 outside_pst=outside,
                 outside_e=scale * outside,
                 inside_pst=inside,
-                exclusion_deg=angle_of(pst, critical / scale),
+                exclusion_deg=float(pst.last_angle_deg(critical / scale)),
             )
         )
         advance()
@@ -329,7 +310,9 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         raise DomainError(
             "no star is detected in frames without the Sun; lengthen the exposure or lower threshold_sigma"
         )
-    angles = sun_angles(stray.pst, scale, config.frames.levels, instrument.detector.full_well_e)
+    # from a few electrons to a full well
+    full_e = instrument.detector.full_well_e
+    angles = stray.pst.angles_by_value(config.frames.levels, FAINTEST_E / scale, full_e / scale)
 
     def look(angle: float) -> SunAngle:
         return at_sun(config, bench, stray, scale, angle, before)
@@ -356,21 +339,20 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     }
 
 
-def _stray(config: Config, instrument: Instrument, progress: Progress) -> Stray:
+def _stray(config: Config, instrument: Instrument, progress: Progress) -> SensorTransmittance:
     if config.pst.file:
         pst = read_pst(config.pst.file)
-        return Stray(pst=pst, direct=np.ones(pst.total.shape))
+        return SensorTransmittance(pst=pst, direct=np.ones(pst.total.shape))
     check_baffle(config, instrument)
     count = len(config.pst.angles_deg) * len(config.pst.azimuths_deg)
     with progress.stage("lens", total=count) as stage:
-        lens = lens_part(config, instrument, stage.advance)
+        lens = bare_lens(config, instrument, stage.advance)
     with progress.stage("baffle", total=count) as stage:
-        stray = transmittance(config, lens, config.baffle, advance=stage.advance)
-    return stray
+        return behind_baffle(config, lens, config.baffle, advance=stage.advance)
 
 
-def _setup(config: Config, instrument: Instrument, stray: Stray, scale: float) -> Setup:
-    baffle, nothing = stray.baffle, math.nan
+def _setup(config: Config, instrument: Instrument, stray: SensorTransmittance, scale: float) -> Setup:
+    baffle, nothing = None if stray.scene is None else stray.scene.baffle or stray.scene.mesh, math.nan
     vaned = baffle if isinstance(baffle, VanedBaffle) else None
     words = "none"
     if vaned is not None:
@@ -382,7 +364,8 @@ def _setup(config: Config, instrument: Instrument, stray: Stray, scale: float) -
     worst, worst_deg = None, nothing
     if stray.scene is not None:
         worst_deg = min(vaned.shade_deg + 5.0, 85.0) if vaned is not None else 45.0
-        worst = stray.scene.worst_paths(direction(worst_deg, 0.0), stray.weight)
+        assert stray.weight is not None
+        worst = stray.scene.worst_paths(polar_direction(worst_deg), stray.weight)
     coating = "" if stray.scene is None else f"{stray.scene.coating.name}: {stray.scene.coating.source}"
     return Setup(
         name=config.name or f"{instrument.camera.lens.name} on {instrument.detector.name}",
@@ -396,7 +379,7 @@ def _setup(config: Config, instrument: Instrument, stray: Stray, scale: float) -
         field_deg=0.5 * math.hypot(*instrument.field_deg),
         rays=stray.rays,
         sun_e=scale,
-        walls_error_percent=_walls_error_percent(stray.pst),
+        walls_error_percent=stray.worst_percent,
         walls_limit_percent=100.0 * config.pst.walls_error,
         whole_baffle=config.baffle == BaffleConfig(),
         stray=stray,
@@ -404,15 +387,6 @@ def _setup(config: Config, instrument: Instrument, stray: Stray, scale: float) -
         worst_deg=worst_deg,
         camera=instrument.camera,
     )
-
-
-def _walls_error_percent(pst: PointSourceTransmittance) -> float:
-    """Relative error of the light by walls and vanes [%], where it matters; 0 without them."""
-    if "walls" not in pst.causes:
-        return 0.0
-    value, error = (one[pst.causes.index("walls")] for one in (pst.value, pst.error))
-    counted = error > SMALLEST
-    return float(100.0 * (error[counted] / value[counted]).max(initial=0.0))
 
 
 def save_table(result: dict[str, Any], folder: Path) -> None:

@@ -13,7 +13,6 @@ from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.star_attitude import identify_stars, solve_attitude
@@ -24,7 +23,6 @@ from experiments.laboratory.bench.readout.noise_model import true_noise
 from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
 from experiments.laboratory.bench.readout.reduction import MeasuredFrame, Reduction, measure_frame
 from experiments.straylight.settings import Config
-from experiments.straylight.transmittance import Stray
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from render.detector.readout import expose
@@ -39,7 +37,6 @@ from render.sky.sky import load_sky
 MATCH_PX = 2.0
 ROUGH_PX = 5.0
 TYPICAL_K = 5800.0
-FLOOR = 1e-30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,39 +51,6 @@ class SunFrames:
     error_arcsec: FloatArray  # (m, 3) Attitude, NaN where there is none
     stars: tuple[NDArray[np.bool_], ...]  # Which are found
     example_e: NDArray[np.float32]  # The first frame
-
-
-def light_map(stray: Stray, angle_deg: float, shape: tuple[int, int]) -> FloatArray:
-    """PST over the pixels (h, w) for a source at an angle and the first azimuth.
-
-    Scatter of the lens as it lies on the detector, everything else even.
-    """
-    from experiments.straylight.transmittance import direction
-
-    azimuth = float(stray.pst.azimuth_deg[0])
-    mean = float(stray.pst.at(direction(angle_deg, azimuth)))
-    if stray.lens is None:
-        return np.full(shape, mean)
-    angles = stray.pst.angle_deg
-    share = stray.direct[0] * sum(stray.lens.value[name][0] for name in ("polish", "dust"))
-    place = np.log(np.clip(angle_deg, angles[0], angles[-1]))
-
-    def between(values: FloatArray) -> FloatArray:
-        log = np.log(np.maximum(values, FLOOR)).reshape(len(angles), -1)
-        row = np.array([np.interp(place, np.log(angles), column) for column in log.T])
-        return np.exp(row).reshape(values.shape[1:])
-
-    own = between(np.asarray(share))
-    if own <= 10.0 * FLOOR:
-        return np.full(shape, mean)
-    pattern = between(sum(stray.lens.places[name][0] for name in ("polish", "dust")))
-    count = len(pattern)
-    knots = [(np.arange(count) + 0.5) / count * size - 0.5 for size in shape]
-    order = min(3, count - 1)
-    spline = RectBivariateSpline(*knots, np.log(np.maximum(pattern, FLOOR)), kx=order, ky=order)
-    rows, columns = (np.clip(np.arange(size), knot[0], knot[-1]) for size, knot in zip(shape, knots, strict=True))
-    image = np.exp(spline(rows, columns))
-    return np.asarray(max(mean - float(own), 0.0) + float(own) * image / image.mean())
 
 
 class Bench:

@@ -16,10 +16,13 @@ from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
+from optics.frames import polar_direction
 from optics.records import freeze
 
 FLOOR = 1e-30
 """Value in place of zero light where logarithms are taken."""
+FINE = 4000
+"""Angles between which a value is looked up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,6 +85,25 @@ class PointSourceTransmittance:
         lower, upper = (np.take_along_axis(rows, at[None], axis=0)[0] for at in (below, above))
         found = np.exp((1.0 - share) * lower + share * upper)
         return np.where((angle > 90.0) | (found <= 2.0 * FLOOR), 0.0, found)
+
+    def last_angle_deg(self, value: ArrayLike) -> FloatArray:
+        """Largest angles (...,) at which the total of the first azimuth reaches values (...,); 0: nowhere."""
+        angle, largest = self._beyond()
+        count = (largest >= np.asarray(value, float)[..., None]).sum(axis=-1)
+        return np.where(count > 0, angle[count - 1], 0.0)
+
+    def angles_by_value(self, count: int, least: float, most: float) -> list[float]:
+        """Angles [deg] at which the total falls by even factors from ``most`` to ``least``, and the last angle."""
+        _, largest = self._beyond()
+        low, high = max(least, float(largest[-1]) * 1.01), max(min(most, float(largest[0])), 1.5 * least)
+        angles = self.last_angle_deg(np.geomspace(low, high, count - 1))
+        return sorted({*angles[angles > 0.0].tolist(), float(self.angle_deg[-1])})
+
+    def _beyond(self) -> tuple[FloatArray, FloatArray]:
+        """A fine grid of angles at the first azimuth, and the largest total at each of them or beyond it."""
+        angle = np.geomspace(self.angle_deg[0], self.angle_deg[-1], FINE)
+        total = self.at(polar_direction(angle, self.azimuth_deg[0]))
+        return angle, np.maximum.accumulate(total[::-1])[::-1]
 
 
 def write_pst(path: str | Path, pst: PointSourceTransmittance) -> Path:

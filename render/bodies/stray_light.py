@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
+from optics.frames import polar_direction
 from optics.light.band import Band, band_nodes
 from optics.light.photometry import band_photon_rate
 from optics.light.pst import PointSourceTransmittance, read_pst
@@ -82,6 +83,12 @@ def limb_pst(pst: PointSourceTransmittance, towards_centre: ArrayLike, radius_ra
     """Irradiance on the detector over that of the Sun: the Earth's disk in full light."""
     points, solid = earth_points(towards_centre, radius_rad)
     return float(EARTH_ALBEDO / np.pi * (pst.at(points) * solid).sum())
+
+
+def earth_limb_pst(pst: PointSourceTransmittance, limb_deg: float, altitude_km: float) -> float:
+    """`limb_pst` at an altitude, the limb of the Earth at an angle from the boresight, at azimuth 0."""
+    radius = math.asin(RADIUS_KM["earth"] / (RADIUS_KM["earth"] + altitude_km))
+    return limb_pst(pst, polar_direction(limb_deg + math.degrees(radius)), radius)
 
 
 class StrayLight:
