@@ -19,6 +19,13 @@ def test_field_angles_are_those_of_the_projections():
     np.testing.assert_allclose(frames.field_angles_deg(v), (3.0, -2.0), atol=1e-13)
 
 
+def test_polar_directions_broadcast():
+    v = frames.polar_direction([0.0, 30.0, 90.0], 45.0)
+    half = np.sqrt(0.5)
+    expected = [[0.0, 0.0, 1.0], [0.5 * half, 0.5 * half, np.sqrt(0.75)], [half, half, 0.0]]
+    np.testing.assert_allclose(v, expected, atol=1e-15)
+
+
 def test_light_travels_away_from_its_star():
     """x_lens = -X_cam, y_lens = Y_cam, z_lens = -Z_cam, and light runs against the direction of the star."""
     lens_axes_in_cam = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError
 from optics.light.pst import PointSourceTransmittance, write_pst
-from render.bodies.stray_light import EARTH_ALBEDO, StrayLight, band_light, earth_points, limb_pst
+from render.bodies.stray_light import EARTH_ALBEDO, StrayLight, band_light, earth_limb_pst, earth_points, limb_pst
 from render.catalogue.motion import earth_observer
 from render.sensor_file.load import load_star_sensor
 from render.simulator import SkySimulator
@@ -37,6 +37,8 @@ def test_a_disk_that_reaches_behind_the_camera_counts_in_front() -> None:
     """A hemisphere about a point abeam: half of it in front, of PST 1e-6."""
     half = limb_pst(flat(), [1.0, 0.0, 0.0], 0.5 * np.pi)
     assert half == pytest.approx(EARTH_ALBEDO / np.pi * 1e-6 * np.pi, rel=0.02)
+    # seen from a radius above the ground the disk reaches 30 deg; its limb at 60 deg: centre abeam
+    assert earth_limb_pst(flat(), 60.0, 6371.0084) == pytest.approx(limb_pst(flat(), [1.0, 0.0, 0.0], np.pi / 6))
     whole = limb_pst(flat(), [0.0, 0.0, 1.0], 0.5)
     assert whole == pytest.approx(EARTH_ALBEDO * 2e-6 * (1.0 - np.cos(0.5)), rel=1e-9)
 
