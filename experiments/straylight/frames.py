@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,8 @@ from experiments.laboratory.bench.readout.reduction import MeasuredFrame, Reduct
 from experiments.straylight.settings import Config
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
-from render.detector.readout import expose
 from render.engine.random import Streams
-from render.observation import Observation
+from render.observation import SkyLight
 from render.sensor_file.catalogue import load_catalogue
 from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument
@@ -54,27 +54,34 @@ class SunFrames:
 
 
 class Bench:
-    """Everything that all frames share."""
+    """Light of the attitudes, and what all frames share."""
 
     def __init__(self, config: Config, instrument: Instrument, advance: Callable[[], None] = lambda: None) -> None:
         self.config, self.instrument = config, instrument
-        self.streams = Streams(config.seed).child("straylight")
-        setting = config.instrument
+        streams = Streams(config.seed).child("straylight")
         band = open_band(config.passband, instrument)
-        catalogue = load_catalogue(config.catalogue)
         sky = load_sky(
-            catalogue, faintest_mag=config.frames.faintest_mag, epoch_year=config.catalogue.epoch_year,
+            load_catalogue(config.catalogue),
+            faintest_mag=config.frames.faintest_mag,
+            epoch_year=config.catalogue.epoch_year,
             temperature=config.catalogue.temperature,
-        )  # fmt: skip
-        simulator = SkySimulator(instrument, sky, exposure_s=setting.exposure_s, passband=band)
-        self.pixel_rad = math.radians(instrument.pixel_arcsec / 3600.0)
+        )
+        self.simulator = SkySimulator(
+            instrument,
+            sky,
+            exposure_s=config.instrument.exposure_s,
+            passband=band,
+            temperature_c=config.instrument.chip_temperature_c,
+            background_e_per_s=config.background_e_per_s,
+            seed=streams,
+        )
         psfs = None
         if needs_epsf(config.centroid):
             psfs = render_psf_grid(
-                instrument, simulator.light, temperature_k=TYPICAL_K, window_px=config.window_px, long_side=7
+                instrument, self.simulator.light, temperature_k=TYPICAL_K, window_px=config.window_px, long_side=7
             )
         self.reduction = Reduction(
-            dark_dn=mean_dark_frame(instrument, config.dark_frames, streams=self.streams, label="dark"),
+            dark_dn=mean_dark_frame(instrument, config.dark_frames, streams=streams, label="dark"),
             noise=true_noise(instrument, dark_frames=config.dark_frames),
             centroid=config.centroid,
             window_px=config.window_px,
@@ -82,65 +89,53 @@ class Bench:
             psfs=psfs,
         )
         self.model = fit_camera(instrument.pixel_map(band, temperature_k=TYPICAL_K)).camera
-        turned = Rotation.random(config.frames.attitudes, rng=self.streams.generator("attitudes"))
-        self.fields: list[tuple[Observation, Rotation]] = []
-        for number, truth in enumerate(turned):
-            away = ROUGH_PX * self.pixel_rad * self.streams.generator("rough", number).standard_normal(3)
-            self.fields.append((simulator.observe(truth), Rotation.from_rotvec(away) * truth))
+        rough_rad = ROUGH_PX * math.radians(instrument.pixel_arcsec / 3600.0)
+        self.fields: list[tuple[SkyLight, Rotation]] = []
+        for number, truth in enumerate(Rotation.random(config.frames.attitudes, rng=streams.generator("attitudes"))):
+            error = Rotation.from_rotvec(rough_rad * streams.generator("rough", number).standard_normal(3))
+            self.fields.append((self.simulator.expected(truth), error * truth))
             advance()
 
     def look(self, light_e: FloatArray | float, label: str, before: SunFrames | None = None) -> SunFrames:
         """Read all fields out under more light [e-] and measure them; ``before``: without it."""
-        config, shape = self.config, self.instrument.detector.shape
-        added = np.broadcast_to(np.asarray(light_e, dtype=np.float32), shape)
-        found, false, lost, solved, errors, centroids, which = [], [], [], [], [], [], []
-        example = None
-        for number, (sky, rough) in enumerate(self.fields):
-            truth = sky.truth
-            place_px = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
-            frame = expose(
-                sky.expected.electrons[:, :, 0] + added,
-                self.instrument.detector,
-                streams=self.streams,
-                frame=number,
-                exposure_s=config.instrument.exposure_s,
-                temperature_c=config.instrument.chip_temperature_c,
-                background_e_per_s=config.background_e_per_s,
-                band=label,
-            )
-            measured = measure_frame(frame, self.reduction)
-            partner, wrong = measured.matched(place_px, config.window_px, MATCH_PX)
-            seen = partner >= 0
-            base = seen if before is None else before.stars[number]
-            which.append(seen)
-            found.append(int(seen.sum()))
-            false.append(wrong)
-            lost.append(float((base & ~seen).sum() / max(base.sum(), 1)))
-            fit = seen.copy()
-            fit[seen] = measured.fit[partner[seen]]
-            centroids.append((measured.stars.pixel_px[partner[fit]] - place_px[fit]).ravel())
-            error = self._attitude(measured, sky, rough)
-            solved.append(bool(np.isfinite(error).all()))
-            errors.append(error)
-            if example is None:
-                example = ((frame.dn - self.reduction.dark_dn) / np.float32(frame.gain_dn_per_e)).astype(np.float32)
-        assert example is not None
+        rows = [self._look(number, light_e, label, before) for number in range(len(self.fields))]
+        detected, false, lost, centroid, error, example = zip(*rows, strict=True)
+        error_arcsec = np.array(error)
         return SunFrames(
-            found=np.array(found, np.int64),
+            found=np.array([int(stars.sum()) for stars in detected], np.int64),
             false=np.array(false, np.int64),
             lost=np.array(lost),
-            error_px=np.concatenate(centroids),
-            solved=np.array(solved),
-            error_arcsec=np.array(errors),
-            stars=tuple(which),
-            example_e=example,
+            error_px=np.concatenate(centroid),
+            solved=np.isfinite(error_arcsec).all(axis=1),
+            error_arcsec=error_arcsec,
+            stars=detected,
+            example_e=example[0],
         )
 
-    def _attitude(self, measured: MeasuredFrame, sky: Observation, rough: Rotation) -> FloatArray:
-        known = SimpleNamespace(id=np.asarray(sky.field.stars.id), direction=np.asarray(sky.field.direction))
-        found = identify_stars(measured.stars, self.model, known, near=rough, radius_px=4.0 * ROUGH_PX)
-        solution = solve_attitude(measured.stars, found, self.model, known)
-        return attitude_error_arcsec(solution.solution.rotation, sky.attitude) if solution.ok else np.full(3, np.nan)
+    def _look(self, number: int, light_e: FloatArray | float, label: str, before: SunFrames | None) -> tuple[Any, ...]:
+        """One field: stars detected, false detections, fraction lost, centroid and attitude errors, the frame."""
+        light, rough = self.fields[number]
+        position_px = np.column_stack([light.truth.photon_x_px[:, 0], light.truth.photon_y_px[:, 0]])
+        frame = self.simulator.read(light, frame=number, label=label, added_e=np.asarray(light_e, np.float32))
+        measured = measure_frame(frame, self.reduction)
+        partner, false = measured.matched(position_px, self.config.window_px, MATCH_PX)
+        detected = partner >= 0
+        known = detected if before is None else before.stars[number]
+        lost = float((known & ~detected).sum() / max(known.sum(), 1))
+        fit = detected.copy()
+        fit[detected] = measured.fit[partner[detected]]
+        centroid = (measured.stars.pixel_px[partner[fit]] - position_px[fit]).ravel()
+        example = (frame.dn - self.reduction.dark_dn) / np.float32(frame.gain_dn_per_e)
+        return detected, false, lost, centroid, self._attitude(measured, light, rough), example.astype(np.float32)
+
+    def _attitude(self, measured: MeasuredFrame, light: SkyLight, rough: Rotation) -> FloatArray:
+        assert light.field is not None
+        known = SimpleNamespace(id=np.asarray(light.field.stars.id), direction=np.asarray(light.field.direction))
+        matches = identify_stars(measured.stars, self.model, known, near=rough, radius_px=4.0 * ROUGH_PX)
+        solution = solve_attitude(measured.stars, matches, self.model, known)
+        if not solution.ok:
+            return np.full(3, np.nan)
+        return attitude_error_arcsec(solution.solution.rotation, light.attitude)
 
 
 def rms(values: Sequence[float] | FloatArray) -> float:

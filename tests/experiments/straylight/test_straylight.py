@@ -1,92 +1,188 @@
-"""Stray light: bad input in a line, choice of angles, exclusion angle; whole runs are in the slow tests."""
+"""Stray light: bad input in a line, exclusion angle, variants, frames of a small sensor, the section of its baffle."""
 
 import json
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from experiments.straylight.experiment import angle_of, changes, exclusion, sun_angles
+from experiments.harness.progress import Progress
+from experiments.straylight import drawing, experiment
+from experiments.straylight.experiment import changes, exclusion
 from experiments.straylight.settings import Config, main
-from experiments.straylight.transmittance import Stray, direction, lens_part, transmittance
-from optics.errors import DomainError
+from experiments.straylight.transmittance import bare_lens, behind_baffle, check_baffle
+from optics.frames import polar_direction
 from optics.light.pst import PointSourceTransmittance, read_pst
+from render.baffle.transmittance import SensorTransmittance
 from render.bodies.stray_light import BandLight
+from render.sensor_file.instrument import build_instrument
 
 LIGHT = BandLight(sun_e_per_s=1e10, full_moon_e_per_s=1e4, moon_zero_e_per_s=0.1)
+SINGLET = """name = "singlet"
+source = "test"
+design_wavelength_nm = 600.0
+max_field_deg = 10.0
+surface = [
+  {radius_mm = 25.0, thickness_mm = 3.0, medium = "N-BK7", semi_diameter_mm = 5.0, stop = true},
+  {radius_mm = inf, thickness_mm = 46.0, medium = "air", semi_diameter_mm = 6.0},
+]
+"""
 
 
-def cliff() -> PointSourceTransmittance:
-    """PST of (angle / deg)^-4, a tenth of a millionth of it from 35 deg on."""
+def cliff() -> SensorTransmittance:
+    """PST of (angle / deg)^-4, a thousandth of it from 35 deg on."""
     angle = np.array([0.3, 1.0, 10.0, 34.0, 36.0, 90.0])
-    value = angle**-4.0 * np.where(angle > 35.0, 1e-3, 1.0)
-    shape = (1, 1, len(angle))
-    return PointSourceTransmittance(
-        angle_deg=angle, azimuth_deg=np.zeros(1), causes=("pst",), value=value.reshape(shape), error=np.zeros(shape)
+    value = (angle**-4.0 * np.where(angle > 35.0, 1e-3, 1.0)).reshape(1, 1, -1)
+    pst = PointSourceTransmittance(
+        angle_deg=angle, azimuth_deg=np.zeros(1), causes=("pst",), value=value, error=0.0 * value
     )
+    return SensorTransmittance(pst=pst, direct=np.ones((1, 6)))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Frames:
-    """What `exclusion` needs of frames: usable below a light."""
-
-    sun_deg: float
-    light_e: float
-    usable: bool
+def frames(angle: float, light_e: float, usable: bool) -> SimpleNamespace:
+    """What `exclusion` needs of frames."""
+    return SimpleNamespace(sun_deg=angle, light_e=light_e, usable=usable)
 
 
-def looked(angle: float) -> Frames:
-    light = 2e9 * float(cliff().at(direction(angle, 0.0)))
-    return Frames(sun_deg=angle, light_e=light, usable=light < 700.0)
-
-
-def test_angles_are_spread_over_the_light() -> None:
-    angles = sun_angles(cliff(), 2e9, 8, 1e4)
-    assert angles == sorted(angles)
-    assert angles[-1] == 90.0
-    light = 2e9 * cliff().at(np.stack([direction(a, 0.0) for a in angles[:-1]]))
-    assert light.max() == pytest.approx(1e4, rel=0.02)
-    assert (np.diff(light) < 0.0).all()
-    assert np.abs(np.diff(np.log(light))).max() < 2.5
+def looked(angle: float) -> SimpleNamespace:
+    light = 2e9 * float(cliff().pst.at(polar_direction(angle)))
+    return frames(angle, light, light < 700.0)
 
 
 def test_the_exclusion_angle_is_where_frames_cease_to_be_usable() -> None:
-    config = Config()
-    stray = Stray(pst=cliff(), direct=np.ones((1, 6)))
-    rows = [looked(angle) for angle in (2.0, 20.0, 34.0, 60.0, 90.0)]
-    found, more = exclusion(config, stray, LIGHT, rows, looked)
-    truth = angle_of(cliff(), 700.0 / 2e9)
+    stray, rows = cliff(), [looked(angle) for angle in (2.0, 20.0, 34.0, 60.0, 90.0)]
+    found, more = exclusion(Config(), stray, LIGHT, rows, looked)
+    truth = stray.pst.last_angle_deg(700.0 / 2e9)
     assert found.farthest_unusable_deg <= truth <= found.nearest_usable_deg
     assert found.sun_exclusion_deg == pytest.approx(truth, abs=4.0)
     assert len(more) == len(rows) + 3
     assert found.bounded
     # the Moon's light equals that where its PST is 1e6 times as large
-    assert found.moon_exclusion_deg == pytest.approx(angle_of(cliff(), found.critical_e / 2e3), rel=1e-9)
+    assert found.moon_exclusion_deg == pytest.approx(stray.pst.last_angle_deg(found.critical_e / 2e3), rel=1e-9)
 
 
-def test_no_angle_and_every_angle() -> None:
-    config, stray = Config(), Stray(pst=cliff(), direct=np.ones((1, 6)))
-    good, _ = exclusion(
-        config, stray, LIGHT, [Frames(sun_deg=a, light_e=1.0, usable=True) for a in (10.0, 90.0)], looked
-    )
-    assert (good.sun_exclusion_deg, good.bounded) == (0.0, False)
-    bad, _ = exclusion(
-        config, stray, LIGHT, [Frames(sun_deg=a, light_e=1.0, usable=False) for a in (10.0, 90.0)], looked
-    )
-    assert (bad.sun_exclusion_deg, bad.bounded) == (180.0, False)
+@pytest.mark.parametrize(("usable", "angle"), [(True, 0.0), (False, 180.0)])
+def test_no_angle_and_every_angle(usable: bool, angle: float) -> None:
+    found, _ = exclusion(Config(), cliff(), LIGHT, [frames(a, 1.0, usable) for a in (10.0, 90.0)], looked)
+    assert (found.sun_exclusion_deg, found.bounded) == (angle, False)
 
 
 def test_usable_again_nearer_by_does_not_count() -> None:
     """The largest angle at which a rate is passed, however the frames look inside it."""
     rows = [
-        Frames(sun_deg=a, light_e=light, usable=ok)
+        frames(a, light, ok)
         for a, light, ok in ((10.0, 900.0, False), (20.0, 10.0, True), (30.0, 800.0, False), (60.0, 5.0, True))
     ]
-    found, _ = exclusion(
-        Config(), Stray(pst=cliff(), direct=np.ones((1, 6))), LIGHT, rows,
-        lambda a: Frames(sun_deg=a, light_e=100.0, usable=a > 40.0),
-    )  # fmt: skip
+    found, _ = exclusion(Config(), cliff(), LIGHT, rows, lambda a: frames(a, 100.0, a > 40.0))
     assert 30.0 < found.sun_exclusion_deg < 60.0
+
+
+def test_variants_change_one_thing_at_a_time(monkeypatch) -> None:
+    """Each with its baffle and dust, at the angles near the shade; twice the light reaches 2^(1/4) as far inside."""
+    asked, stray = [], cliff()
+    stray = SensorTransmittance(pst=stray.pst, direct=stray.direct, lens=SimpleNamespace(value={"dust 500": None}))
+
+    def twice(config, lens, baffle, *, dust, chosen):
+        asked.append((baffle.fitted, baffle.vanes, baffle.coating, baffle.edge_radius_um, dust))
+        pst = stray.pst
+        return SimpleNamespace(pst=PointSourceTransmittance(
+            angle_deg=pst.angle_deg, azimuth_deg=pst.azimuth_deg, causes=pst.causes, value=2.0 * pst.value,
+            error=pst.error,
+        ))  # fmt: skip
+
+    monkeypatch.setattr(experiment, "behind_baffle", twice)
+    ticks = []
+    rows = changes(Config(), stray, LIGHT, 700.0, lambda: ticks.append(1))
+    assert [row.change for row in rows] == [
+        "as it is", "dust of level 500", "coating black_anodised", "coating magic_black", "edges twice as round",
+        "no vanes", "no baffle",
+    ]  # fmt: skip
+    assert len(ticks) == len(rows)
+    assert asked == [
+        (True, None, "z306", 20.0, "dust 500"), (True, None, "black_anodised", 20.0, "dust"),
+        (True, None, "magic_black", 20.0, "dust"), (True, None, "z306", 40.0, "dust"),
+        (True, 0, "z306", 20.0, "dust"), (False, None, "z306", 20.0, "dust"),
+    ]  # fmt: skip
+    assert rows[0].outside_pst == float(stray.pst.at(polar_direction(40.0)))
+    assert rows[1].outside_pst == pytest.approx(2.0 * rows[0].outside_pst)
+    assert rows[1].inside_pst == pytest.approx(2.0 * rows[0].inside_pst)
+    assert rows[0].outside_e == pytest.approx(2e9 * rows[0].outside_pst)
+    assert rows[1].exclusion_deg > rows[0].exclusion_deg > 0.0
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """Frames of a small sensor under a table of one's own."""
+    file = tmp_path_factory.mktemp("pst") / "my.csv"
+    file.write_text("angle_deg,pst\n1,1e-3\n30,1e-7\n40,1e-9\n90,1e-10\n")
+    chip = {"lens": "star_tracker_26mm", "detector": "cmv4000", "width_px": 256, "height_px": 256, "exposure_s": 0.2}
+    config = Config.model_validate(
+        {
+            "instrument": {**chip, "diffraction": "rays", "defocus_mm": 0.0}, "passband": {"range_nm": [500, 800]},
+            "centroid": "gaussian", "pst": {"file": str(file)}, "dark_frames": 2,
+            "frames": {"attitudes": 2, "levels": 4, "faintest_mag": 7}, "requirements": {"sun_exclusion_deg": 10.0},
+        }
+    )  # fmt: skip
+    return config, experiment.run(config, progress=Progress())
+
+
+def test_frames_under_a_table_of_ones_own(seen) -> None:
+    _, result = seen
+    rows, excluded, scale = result["frames"], result["exclusion"], result["setup"].sun_e
+    for row in rows:
+        assert row.light_e == pytest.approx(scale * result["setup"].stray.pst.at(polar_direction(row.sun_deg)))
+    far, near = rows[-1], rows[0]
+    assert far.usable
+    assert (far.lost.value, far.false.value, far.solved) == (0.0, 0.0, 100.0)
+    assert far.centroid_px < 0.2
+    assert far.cross_arcsec < 30.0
+    assert not near.usable
+    assert near.found.value < far.found.value
+    assert near.saturated == 100.0
+    assert excluded.farthest_unusable_deg < excluded.sun_exclusion_deg < excluded.nearest_usable_deg
+    assert result["setup"].baffle == "part of the table"
+    assert not result["requirements"][0].met
+    assert [row.limb_deg for row in result["limb"]] == sorted(row.limb_deg for row in result["limb"])
+    assert all(a.earth_e > b.earth_e for a, b in zip(result["limb"], result["limb"][1:], strict=False))
+    assert [row.sun_e[0] for row in result["pst"]] == pytest.approx(scale * np.array([1e-3, 1e-7, 1e-9, 1e-10]))
+
+
+def test_pictures_hold_what_was_seen(seen) -> None:
+    outcome = SimpleNamespace(result=seen[1])
+    assert len(drawing.draw_frames(outcome).axes) == 3
+    panel = drawing.draw_causes(outcome).axes[0]
+    assert [line.get_label() for line in panel.lines][:2] == ["pst", "total"]
+
+
+def test_lens_and_baffle_of_a_sensor_file(tmp_path, monkeypatch) -> None:
+    """A singlet behind its default baffle: lit inside the shade, dark outside but for walls; drawn in section."""
+    for name, few in (("LOG2_PASS", 12), ("MOST_PASSES", 2), ("FEWEST_PASSES", 2)):
+        monkeypatch.setattr(f"render.baffle.light.{name}", few)
+    (tmp_path / "singlet.toml").write_text(SINGLET)
+    chip = {"lens": str(tmp_path / "singlet.toml"), "detector": "cmv4000", "width_px": 256, "height_px": 256}
+    pst = {"angles_deg": [5.0, 20.0, 40.0], "azimuths_deg": [0.0], "points": 3, "rings": 2, "ghost_rings": 4,
+           "ghost_arms": 8, "walls_error": 0.99}  # fmt: skip
+    config = Config.model_validate({"instrument": {**chip, "absorption": False, "defocus_mm": 0.0}, "pst": pst})
+    instrument, ticks = build_instrument(config.instrument), []
+    check_baffle(config, instrument)
+    lens = bare_lens(config, instrument, lambda: ticks.append(1))
+    assert len(ticks) == 3
+    assert set(lens.value) == {"ghosts", "polish", "dust", "dust 100", "dust 500", "dust 1000"}
+    assert (lens.value["dust 1000"][:, :2] > lens.value["dust"][:, :2]).all()
+    stray = behind_baffle(config, lens, config.baffle)
+    assert 0.0 < stray.direct[0, 1] < stray.direct[0, 0] < 1.0
+    np.testing.assert_array_equal(stray.pst.value[:3, 0, 2], 0.0)  # in the shade
+    assert (stray.pst.value[3:] > 0.0).all()
+    setup = experiment._setup(config, instrument, stray, 2e9)
+    assert setup.shade_deg == pytest.approx(35.0)
+    assert setup.vanes > 2
+    assert setup.worst_deg == pytest.approx(40.0)
+    outcome = SimpleNamespace(result={"setup": setup})
+    assert len(drawing.draw_baffle(outcome).axes[0].lines) > 2 * setup.vanes + len(setup.worst.share)
+    labels = {line.get_label() for line in drawing.draw_causes(outcome).axes[0].lines}
+    assert labels > {"polish", "dust", "walls, vanes", "vane edges", "total"}
+    open_ = behind_baffle(config, lens, config.baffle.model_copy(update={"fitted": False}))
+    np.testing.assert_array_equal(open_.pst.value[3:], 0.0)
 
 
 @pytest.mark.parametrize(
@@ -108,64 +204,6 @@ def test_bad_input_is_one_line(arguments, words: str, tmp_path, capsys) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def small(**settings) -> Config:
-    return Config.model_validate(
-        {
-            "pst": {"angles_deg": [5.0, 20.0, 40.0], "azimuths_deg": [0.0], "points": 3, "rings": 2,
-                    "ghost_rings": 4, "ghost_arms": 8, "walls_error": 0.2},
-            "what_if": False, **settings,
-        }
-    )  # fmt: skip
-
-
-@pytest.mark.slow
-def test_causes_follow_what_they_are_caused_by(tmp_path) -> None:
-    """Twice the roughness, four times the light; no dust of its level, no detector, no light of theirs."""
-    from render.sensor_file.instrument import build_instrument
-
-    def parts(**settings):
-        config = small(**settings)
-        return config, lens_part(config, build_instrument(config.instrument), lambda: None)
-
-    config, one = parts()
-    _, rough = parts(scatter={"roughness_nm": 3.0, "detector_reflectance": 0.0})
-    np.testing.assert_allclose(rough.value["polish"], 4.0 * one.value["polish"], rtol=1e-9)
-    assert (rough.value["ghosts"][:, 0] < one.value["ghosts"][:, 0]).all()
-    _, dusty = parts(contamination={"level": 500.0, "inner_level": 500.0})
-    assert (dusty.value["dust"] > 5.0 * one.value["dust"]).all()
-    found = transmittance(config, one, config.baffle)
-    np.testing.assert_array_equal(found.pst.value[:3, 0, 2], 0.0)  # in the shade
-    np.testing.assert_allclose(found.pst.value[:3, 0, 0], [one.value[k][0, 0] for k in ("ghosts", "polish", "dust")])
-    assert 0.0 < found.direct[0, 1] < 1.0
-    assert (found.pst.value[3:] > 0.0).all()
-    bare = transmittance(config, one, config.baffle.model_copy(update={"fitted": False}))
-    np.testing.assert_array_equal(bare.pst.value[3:], 0.0)
-    with pytest.raises(DomainError, match="baffle: the baffle cuts the beam"):
-        transmittance(config, one, config.baffle.model_copy(update={"clearance_mm": -2.0}))
-
-
-@pytest.mark.slow
-def test_what_is_changed_does_what_it_should() -> None:
-    """Order of variants: vanes and blacker coatings take light away, dust and rounder edges add it."""
-    from render.sensor_file.instrument import build_instrument
-
-    settings = small().pst.model_dump() | {"angles_deg": [5.0, 30.0, 36.0, 41.0, 90.0]}
-    config = small(what_if=True, pst=settings)
-    lens = lens_part(config, build_instrument(config.instrument), lambda: None)
-    stray = transmittance(config, lens, config.baffle)
-    rows = changes(config, stray, LIGHT, 100.0, lambda: None)
-    outside = {one.change: one.outside_pst for one in rows}
-    now = outside["as it is"]
-    assert now == float(stray.pst.at(direction(40.0, 0.0)))
-    assert outside["coating magic_black"] < 0.5 * now
-    assert now < outside["edges twice as round"] < 2.0 * now
-    assert now < outside["dust of level 500"] < outside["dust of level 1000"]
-    assert 5.0 * now < outside["no vanes"] < outside["no baffle"]
-    inside = {one.change: one.inside_pst for one in rows}
-    assert inside["no baffle"] > inside["as it is"]
-    assert inside["coating magic_black"] == pytest.approx(inside["as it is"], rel=0.02)  # the lens itself leads there
-
-
 @pytest.mark.slow
 def test_a_table_of_ones_own_takes_the_place_of_all(tmp_path) -> None:
     """Frames under a given light: the exclusion angle is where the table says, whatever the lens."""
@@ -180,7 +218,7 @@ def test_a_table_of_ones_own_takes_the_place_of_all(tmp_path) -> None:
     results = json.loads((tmp_path / "out" / "summary.json").read_text())["results"]
     kept = read_pst(tmp_path / "out" / "pst.ecsv")
     critical = results["critical_e"] / results["sun_e"]
-    assert results["sun_exclusion_deg"] == pytest.approx(angle_of(kept, critical), abs=1.0)
+    assert results["sun_exclusion_deg"] == pytest.approx(kept.last_angle_deg(critical), abs=1.0)
     assert 30.0 < results["sun_exclusion_deg"] < 45.0
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Exclusion angle of the Sun" in page
