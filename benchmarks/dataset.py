@@ -79,8 +79,9 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
 
     from experiments.dataset import job as work
     from experiments.dataset.frame import FrameMaker
-    from experiments.dataset.scene import build_scene, point_sources
-    from render.detector import readout
+    from experiments.dataset.scene import build_scene
+    from render import simulator
+    from render.sky.sky import Sky
 
     dr.set_thread_count(1)
     maker = FrameMaker(build_scene(load_config(Config, settings=settings)))
@@ -99,15 +100,15 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
     from experiments.dataset import frame as module
 
     replaced = {
-        (module, "point_sources"): ("stars of the field", point_sources),
-        (module, "expose"): ("read out", readout.expose),
+        (Sky, "field"): ("stars of the field", Sky.field),
+        (simulator, "expose"): ("read out", simulator.expose),
         (module, "star_rows"): ("truth and flags", module.star_rows),
         (work, "_write_fits"): ("write FITS", work._write_fits),
         (work, "truth_bytes"): ("write truth", work.truth_bytes),
     }
     for (owner, name), (label, function) in replaced.items():
         setattr(owner, name, timed(label, function))
-    renderer = maker._renderer
+    renderer = maker.scene.simulator._renderer(None)
     renderer.trace = timed("trace and splat", renderer.trace)  # type: ignore[method-assign]
     total = timed("all", work._write)
     with tempfile.TemporaryDirectory() as folder:

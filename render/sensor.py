@@ -87,6 +87,12 @@ class StarSensor:
         return float(width), float(height)
 
     @property
+    def diagonal_deg(self) -> float:
+        """Diagonal of the field of an undistorted lens."""
+        half_mm = 0.5 * self.camera.pixel_pitch_mm * math.hypot(self.camera.width_px, self.camera.height_px)
+        return math.degrees(2.0 * math.atan(half_mm / self.focal_length_mm))
+
+    @property
     def known_range_nm(self) -> tuple[float, float]:
         """Wavelengths of the lens design with data of glasses, coatings and quantum efficiency."""
         ranges = [glass.range_nm for glass in self.camera.lens.glasses.values()]

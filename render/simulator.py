@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from optics.arrays import FloatArray
 from optics.errors import ConfigError
 from optics.lens.thermal import Housing, ThermalState, heated_lens
 from optics.light.band import Band
@@ -24,6 +26,7 @@ from render.bodies.ghost_sources import GhostSources
 from render.bodies.solar_system import SolarSystem, hiding_spheres, joined, planet_field, solar_system
 from render.bodies.stray_light import StrayLight, band_light
 from render.camera import FAR_NOISE, Camera, build_camera
+from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.cosmic_rays import CosmicRayEnvironment, CosmicRayHits, cosmic_ray_hits
 from render.detector.maps import dark_electrons
 from render.detector.readout import expose
@@ -40,6 +43,9 @@ from render.sky.star_light import star_light
 from render.tracing.convergence import MOTION_TOLERANCE, TOLERANCE
 from render.tracing.ghosts import Ghosting, GhostLight, GhostTruth
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
+
+if TYPE_CHECKING:
+    from render.bodies.body_image import BodyRenderer
 
 NODES = 6
 MARGIN_PX = 16.0
@@ -167,12 +173,15 @@ class SkySimulator:
         self.zodiacal, self.uniform = zodiacal, uniform
         if zodiacal or uniform is not None:
             self.diffuse = background_map(sensor.camera, [self.band])
-        names = bodies.name if isinstance(bodies, SolarSystem) else tuple(bodies)
-        self._stray = self._stray_light(stray_light, earth="earth" in names, ghosts=bool(ghosts))
+        self._body_names = bodies.name if isinstance(bodies, SolarSystem) else tuple(bodies)
+        self._stray = self._stray_light(stray_light, ghosts=bool(ghosts))
         self.disks: SolarSystem | None = None
         self._points: tuple[SolarSystem, StarField] | None = None
         if len(bodies):
-            self._add_bodies(bodies, disks_above_px, nodes)
+            known = self._solar_system(bodies)
+            large = known.angular_diameter_rad > disks_above_px * np.radians(sensor.pixel_arcsec / 3600.0)
+            points = known.select(~large & np.isfinite(known.magnitude_v))
+            self.disks, self._points = known.select(large), (points, planet_field(points, [self.band], nodes=nodes))
         self._motion_tolerance = MOTION_TOLERANCE if tolerance is None else tolerance
         self._rendering: dict[str, Any] = {
             "exposure_s": self.exposure_s,
@@ -181,8 +190,8 @@ class SkySimulator:
             "sobol_log2_rays": sobol_log2_rays,
             "contents": None if self.disks is None else hiding_spheres(self.disks),
         }
-        self._renderers: dict[bytes, StarRenderer] = {b"": StarRenderer(sensor.camera, **self._rendering)}
-        self._ghosts = self._ghost_sources(ghosts, names) if ghosts else None
+        self._renderers: dict[bytes, StarRenderer] = {}
+        self._ghosts = ghosts
         self._still_disks: tuple[bytes, tuple[BodyDisk, ...]] = b"", ()  # of an attitude that may come again
 
     @property
@@ -192,9 +201,7 @@ class SkySimulator:
             self._sky = load_sky()
         return self._sky
 
-    def _stray_light(
-        self, table: str | Path | PointSourceTransmittance | None, *, earth: bool, ghosts: bool
-    ) -> StrayLight | None:
+    def _stray_light(self, table: str | Path | PointSourceTransmittance | None, *, ghosts: bool) -> StrayLight | None:
         if table is None:
             return None
         return StrayLight(
@@ -202,40 +209,47 @@ class SkySimulator:
             band_light(self.sensor.detector, self.band),
             observer=self.sky.observer,
             epoch_year=self.sky.epoch_year,
-            earth=earth,
+            earth="earth" in self._body_names,
             ghosts=ghosts,
         )
 
-    def _add_bodies(self, bodies: Sequence[str] | SolarSystem, disks_above_px: float, nodes: int) -> None:
-        """Sort bodies by size, prepare their light."""
+    def _solar_system(self, bodies: Sequence[str] | SolarSystem) -> SolarSystem:
+        if isinstance(bodies, SolarSystem):
+            return bodies
+        if self.sky.observer is None:
+            raise ConfigError(f"bodies = {', '.join(bodies)}: the sky needs an observer, load_sky(observer='earth')")
+        return solar_system(self.sky.epoch_year, observer=self.sky.observer, bodies=bodies)
+
+    @cached_property
+    def _body_renderer(self) -> BodyRenderer:
         from render.bodies.body_image import BodyRenderer
 
-        if isinstance(bodies, SolarSystem):
-            known = bodies
-        elif self.sky.observer is None:
-            raise ConfigError(f"bodies = {', '.join(bodies)}: the sky needs an observer, load_sky(observer='earth')")
-        else:
-            known = solar_system(self.sky.epoch_year, observer=self.sky.observer, bodies=bodies)
-        large = known.angular_diameter_rad > disks_above_px * np.radians(self.sensor.pixel_arcsec / 3600.0)
-        self.disks = known.select(large)
-        points = known.select(~large & np.isfinite(known.magnitude_v))
-        self._points = points, planet_field(points, [self.band], nodes=nodes)
-        self._bodies = BodyRenderer(self.sensor.camera, [self.band], view=self.view)
+        return BodyRenderer(self.sensor.camera, [self.band], view=self.view)
 
-    def _ghost_sources(self, ghosts: bool | GhostLight, bodies: Sequence[str]) -> GhostSources:
-        faint = GhostLight(least_e=FAR_NOISE * max(self.sensor.detector.read_noise_e, 1.0))
-        sky = self.sky
+    @cached_property
+    def _ghost_sources(self) -> GhostSources | None:
+        """All that may make ghosts; None where none are rendered."""
+        if not self._ghosts:
+            return None
+        faint, sky = GhostLight(least_e=FAR_NOISE * max(self.sensor.detector.read_noise_e, 1.0)), self.sky
         return GhostSources(
-            Ghosting(self.sensor.camera, ghosts if isinstance(ghosts, GhostLight) else faint),
+            Ghosting(self.sensor.camera, self._ghosts if isinstance(self._ghosts, GhostLight) else faint),
             self.light.stars(sky.direction, sky.magnitude, sky.temperature_k),
             sky.id,
             exposure_s=self.exposure_s * self.throughput_fraction,
             bands=[self.band],
             observer=sky.observer,
             epoch_year=sky.epoch_year,
-            bodies=bodies,
+            bodies=self._body_names,
             stray=self._stray,
         )
+
+    @cached_property
+    def axial_transmission(self) -> float:
+        """Part of the light of a star on the axis, within the stop, that the other apertures let through."""
+        star = self.light.stars(np.array([[0.0, 0.0, 1.0]]), 0.0, TYPICAL_TEMPERATURE_K)
+        truth = StarRenderer(self.sensor.camera, tolerance=self._rendering["tolerance"]).trace(star).truth
+        return float(1.0 - truth.electrons_vignetted[0, 0] / truth.electrons_in[0, 0])
 
     def expected(
         self,
@@ -298,7 +312,7 @@ class SkySimulator:
         layers = {name: image[:, :, 0] for name, image in traced.layers().items()}
         ghosts: GhostTruth | None = None
         beside: tuple[str, ...] = ()
-        if self._ghosts is not None:
+        if self._ghost_sources is not None:
             layers["ghosts"], ghosts, beside = self._ghost_light(stars, traced.truth, count, field, middle)
         layers |= self._diffuse_light(middle)
         disks = self._seen_disks(middle, path, begin)
@@ -458,6 +472,28 @@ class SkySimulator:
             ).dn
         return np.asarray(total / frames, np.float32)
 
+    def pixel_px(self, v_cam: FloatArray) -> FloatArray:
+        """Column and row (n, 2) of directions (n, 3) in cam in front of the camera; undistorted beyond the field."""
+        camera = self.sensor.camera
+        scale = self.sensor.focal_length_mm / camera.pixel_pitch_mm
+        traced = self.view.pixel_of(v_cam)
+        return np.where(np.isfinite(traced), traced, v_cam[:, :2] / v_cam[:, 2:] * scale + camera.centre_px)
+
+    def smear_px(
+        self, path: Trajectory, direction: FloatArray, row_px: FloatArray, *, start_s: float | None = None
+    ) -> FloatArray:
+        """Motion (n, 2) of chief rays at the design wavelength from the start to the end of their row's exposure [px].
+
+        ``direction`` (n, 3) along icrs, ``row_px`` (n,) the rows on which they land; other parameters as in `expected`.
+        """
+        begin_s = path.start_s if start_s is None else start_s
+        rows = np.clip(np.nan_to_num(row_px), 0.0, self.sensor.camera.height_px - 1.0)
+        first_s = begin_s + rows * self.line_time_s
+        ends = [
+            self.view.pixel_of(path.attitude(times).apply(direction)) for times in (first_s, first_s + self.exposure_s)
+        ]
+        return np.asarray(ends[1] - ends[0])
+
     # --- Pointing, lens and light of one exposure
 
     @property
@@ -508,10 +544,11 @@ class SkySimulator:
         """Renderer of the lens in a temperature state."""
         key = b"" if state is None or not state.vector.any() else state.vector.tobytes()
         if key not in self._renderers:
-            assert state is not None
-            if self.housing is None:
-                raise ConfigError("lens_state: SkySimulator(..., housing=Housing(expansion_per_k=...)) is needed")
-            camera = _relensed(self.sensor, heated_lens(self.sensor.camera.lens, state, self.housing))
+            camera = self.sensor.camera
+            if state is not None and key:
+                if self.housing is None:
+                    raise ConfigError("lens_state: SkySimulator(..., housing=Housing(expansion_per_k=...)) is needed")
+                camera = _relensed(self.sensor, heated_lens(camera.lens, state, self.housing))
             self._renderers[key] = StarRenderer(camera, **self._rendering)
         return self._renderers[key]
 
@@ -531,14 +568,14 @@ class SkySimulator:
         self, sources: StarField, truth: Truth, count: int, field: SkyField | None, attitude: Rotation
     ) -> tuple[NDArray[np.float32], GhostTruth, tuple[str, ...]]:
         """Ghosts of ``count`` stars in the frame and, for those of a sky, of all that is outside."""
-        assert self._ghosts is not None
+        assert self._ghost_sources is not None
         image = np.zeros((*self.sensor.detector.shape, 1), np.float32)
         stars = replace(sources, direction=sources.direction[:count], photon_rate=sources.photon_rate[:count])
         known = truth.select(slice(count))
         if field is None:
             v = stars.direction @ attitude.as_matrix().T
-            return image[:, :, 0], self._ghosts.ghosting.add(image, v, stars.wavelength_nm, known), ()
-        ghosts, beside = self._ghosts.add(image, attitude, stars, field.stars.id, known)
+            return image[:, :, 0], self._ghost_sources.ghosting.add(image, v, stars.wavelength_nm, known), ()
+        ghosts, beside = self._ghost_sources.add(image, attitude, stars, field.stars.id, known)
         return image[:, :, 0], ghosts, beside
 
     def _diffuse_light(self, attitude: Rotation) -> dict[str, NDArray[np.float32]]:
@@ -566,7 +603,7 @@ class SkySimulator:
         if key and self._still_disks[0] == key:
             return self._still_disks[1]
         rate = np.zeros(3) if path is None else path.rate(begin_s + 0.5 * self._duration_s)
-        images = self._bodies.render_system(
+        images = self._body_renderer.render_system(
             self.disks,
             attitude.as_matrix(),
             turn_rad=float(np.linalg.norm(rate)) * self._duration_s,

@@ -93,14 +93,14 @@ def data_card(
         baseline=baseline,
         exports=exports,
         page=page,
-        about=about(scene.config, scene.catalogue.catalog),
+        about=about(scene.config, scene.catalogue),
         config=scene.config,
         records=records,
         scene=scene,
         instrument=scene.instrument,
         camera=scene.instrument.camera,
         chip=scene.instrument.detector,
-        catalogue=scene.catalogue.catalog,
+        catalogue=scene.catalogue,
         jitter=scene.plan.jitter,
         stars=sum(record.stars for record in records),
         fastest_deg_per_s=max(math.hypot(*record.rate_deg_per_s) for record in records),
@@ -149,7 +149,7 @@ _PARQUET = "application/x-parquet"
 
 def croissant(scene: Scene, records: Sequence[FrameRecord], folder: Path) -> str:
     """JSON-LD text of what a dataset holds; ``folder`` holds the index."""
-    words = about(scene.config, scene.catalogue.catalog)
+    words = about(scene.config, scene.catalogue)
     truth = scene.config.files.truth
     files = [
         {

@@ -19,7 +19,6 @@ from experiments.dataset.card import about, chosen, write_closing_files
 from experiments.dataset.detection import Example, compare_frame, dataset_bound, joined, wcs_misses_px
 from experiments.dataset.exports import COCO, WEBDATASET, check_webdataset, export_coco, export_shards
 from experiments.dataset.folder import DatasetFolder, StorageError, for_workers, frame_files, in_words, software
-from experiments.dataset.frame import FrameMaker
 from experiments.dataset.job import Job
 from experiments.dataset.labels import LabelMaker
 from experiments.dataset.scene import Scene, build_scene
@@ -199,8 +198,8 @@ def _export(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress
                 records,
                 diffusion_px=scene.instrument.camera.blur_px,
                 bits=config.png_bits,
-                labels=LabelMaker(scene, FrameMaker(scene).hits).labels,
-                about=about(config, scene.catalogue.catalog),
+                labels=LabelMaker(scene).labels,
+                about=about(config, scene.catalogue),
                 done=stage.advance,
             )
     if config.calibration_frames > 1:
@@ -228,7 +227,7 @@ def evaluate(
     config, camera, instrument = scene.config, scene.instrument.camera, scene.instrument
     streams, dark_frames = scene.plan.streams.child("verify"), config.verify.dark_frames
     dark = mean_dark_frame(instrument, dark_frames, streams=streams, label=EMPTY)
-    temperature_k = float(np.median(scene.temperature_k))
+    temperature_k = float(np.median(scene.sky.temperature_k))
     psfs = render_psf_grid(instrument, scene.light, temperature_k=temperature_k, window_px=config.window_px)
     reduction = Reduction(
         dark_dn=dark,

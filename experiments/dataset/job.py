@@ -185,7 +185,7 @@ def _layers(scene: Scene, made: MadeFrame) -> bytes:
 def pixel_marks(scene: Scene, made: MadeFrame) -> dict[str, NDArray[np.bool_]]:
     """Pixels (h, w) struck by cosmic rays, and pixels of disks, where a dataset may have them, by card of the mask."""
     marks = {} if made.struck is None else {"COSMIC": made.struck}
-    if scene.sky_light.disks is not None:
+    if scene.simulator.disks is not None:
         disk = np.zeros(made.frame.dn.shape, np.bool_)
         for label in body_labels(scene, made.plan):
             disk[tuple(label.pixels)] = True

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from experiments.dataset.plan import FramePlan, plan_frame
-from experiments.dataset.scene import PLANET_IDS, Disk, Scene
+from experiments.dataset.scene import PLANET_IDS, Scene
 from experiments.dataset.truth import DiskTruth
-from optics.arrays import FloatArray
+from optics.frames import equatorial_deg
 from optics.units import ARCSEC_RAD
-from render.detector.cosmic_rays import CosmicRayHits
+from render.detector.clusters import ChargeCluster, charge_clusters
 from render.detector.maps import sensor_maps
+from render.observation import BodyDisk
 
 IntArray = NDArray[np.int64]
 
@@ -58,15 +58,15 @@ def pixels_of_ellipse(x: float, y: float, half_x: float, half_y: float, shape: t
 class LabelMaker:
     """Labels of the frames of one dataset."""
 
-    def __init__(self, scene: Scene, hits_of: Callable[[int], CosmicRayHits | None]) -> None:
-        self.scene, self._hits_of = scene, hits_of
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
         self._hot = self._hot_pixels()
 
     def labels(self, frame: int) -> list[Label]:
         """Labels of a frame but its stars and point-like planets, which have rows in its truth."""
-        hits = self._hits_of(frame)
+        hits = self.scene.simulator.hits(frame)
         bodies = body_labels(self.scene, plan_frame(self.scene.plan, frame))
-        return [*bodies, *self._hot, *([] if hits is None else _tracks(hits))]
+        return [*bodies, *self._hot, *(() if hits is None else map(_track, charge_clusters(hits)))]
 
     def _hot_pixels(self) -> list[Label]:
         instrument = self.scene.instrument
@@ -90,13 +90,13 @@ class LabelMaker:
 
 def body_labels(scene: Scene, plan: FramePlan) -> list[Label]:
     """Labels of the disks that a frame shows."""
-    disks = scene.sky_light.disks
+    disks = scene.simulator.disks
     if disks is None or not len(disks):
         return []
     camera = scene.instrument.camera
     v_cam = disks.direction @ plan.attitude.as_matrix().T
     ahead = np.flatnonzero(v_cam[:, 2] > 0.0)
-    place = pixel_of(scene, v_cam[ahead])
+    place = scene.simulator.pixel_px(v_cam[ahead])
     radius = 0.5 * disks.angular_diameter_rad[ahead] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)
     labels = []
     for body, (x, y), r in zip(ahead, place, radius, strict=True):
@@ -107,14 +107,6 @@ def body_labels(scene: Scene, plan: FramePlan) -> list[Label]:
             pixels = pixels_of_ellipse(float(x), float(y), float(r), float(r), (camera.height_px, camera.width_px))
             labels.append(Label(kind=kind, name=name, x_px=float(x), y_px=float(y), box_px=box, pixels=pixels))
     return labels
-
-
-def pixel_of(scene: Scene, v_cam: FloatArray) -> FloatArray:
-    """Column and row (n, 2) of directions; by an undistorted lens outside the field, from where disks reach in."""
-    camera = scene.instrument.camera
-    ideal = v_cam[:, :2] / v_cam[:, 2:] * (scene.instrument.focal_length_mm / camera.pixel_pitch_mm) + camera.centre_px
-    traced = scene.view.pixel_of(v_cam)
-    return np.where(np.isfinite(traced), traced, ideal)
 
 
 def _clipped(
@@ -128,61 +120,43 @@ def _clipped(
     return float(left), float(top), float(right - left), float(bottom - top)
 
 
-def _tracks(hits: CosmicRayHits) -> list[Label]:
-    """One label for every group of neighbouring pixels."""
-    charge = np.zeros(hits.shape)
-    charge[hits.row, hits.column] = hits.charge_e
-    group, count = ndimage.label(charge >= 1.0, structure=np.ones((3, 3)))
-    numbers = np.arange(1, count + 1)
-    total = np.atleast_1d(ndimage.sum_labels(charge, group, numbers))
-    middle = ndimage.center_of_mass(charge, group, numbers)
-    labels = []
-    places = ndimage.find_objects(group)
-    for number, (rows, columns), (y, x), electrons in zip(numbers, places, middle, total, strict=True):
-        box = (columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
-        inside = np.nonzero(group[rows, columns] == number)
-        labels.append(
-            Label(
-                kind="cosmic_ray",
-                x_px=float(x),
-                y_px=float(y),
-                box_px=tuple(float(v) for v in box),  # type: ignore[arg-type]  # four of them
-                pixels=np.stack(inside) + np.array([[rows.start], [columns.start]]),
-                electrons=float(electrons),
-            )
-        )
-    return labels
+def _track(cluster: ChargeCluster) -> Label:
+    return Label(
+        kind="cosmic_ray",
+        x_px=cluster.x_px,
+        y_px=cluster.y_px,
+        box_px=tuple(float(v) for v in cluster.box_px),  # type: ignore[arg-type]  # four of them
+        pixels=cluster.pixels,
+        electrons=cluster.charge_e,
+    )
 
 
 # --- What is true of the bodies that a frame shows as disks
 
 
-def disk_truth(scene: Scene, plan: FramePlan, disks: Sequence[Disk]) -> tuple[DiskTruth, ...]:
+def disk_truth(scene: Scene, plan: FramePlan, disks: Sequence[BodyDisk]) -> tuple[DiskTruth, ...]:
     """Truth of those disks of a frame whose light reaches the detector."""
-    system = scene.sky_light.disks
     lit = [disk for disk in disks if disk.image.electrons[0] > 0.0]
-    if system is None or not lit:
+    if scene.simulator.disks is None or not lit:
         return ()
-    rows = [disk.row for disk in lit]
-    turn = plan.attitude.as_matrix()
-    v_cam, to_sun = system.direction[rows] @ turn.T, system.to_sun_au[rows] @ turn.T
-    ra, dec = np.degrees(np.arctan2(*system.direction[rows].T[1::-1])) % 360.0, np.arcsin(system.direction[rows, 2])
+    bodies, turn = scene.simulator.disks.select([disk.row for disk in lit]), plan.attitude.as_matrix()
+    place, (ra, dec) = scene.simulator.pixel_px(bodies.direction @ turn.T), equatorial_deg(bodies.direction)
+    sun_angle, pixel_rad = np.degrees(bodies.sun_angle_rad(turn)), scene.instrument.pixel_arcsec * ARCSEC_RAD
     truths = []
-    for k, (disk, (x, y)) in enumerate(zip(lit, pixel_of(scene, v_cam), strict=True)):
-        across = to_sun[k] - v_cam[k] * (to_sun[k] @ v_cam[k])
-        magnitude = float(system.magnitude_v[disk.row])
+    for k, (disk, (x, y)) in enumerate(zip(lit, place, strict=True)):
+        magnitude = float(bodies.magnitude_v[k])
         truths.append(
             DiskTruth(
                 name=disk.name,
                 kind="moon" if disk.name == "moon" else "planet",
                 star_id=PLANET_IDS[disk.name],
                 ra_deg=float(ra[k]),
-                dec_deg=float(np.degrees(dec[k])),
+                dec_deg=float(dec[k]),
                 x_px=float(x),
                 y_px=float(y),
-                diameter_px=float(system.angular_diameter_rad[disk.row] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)),
-                phase_deg=float(np.degrees(system.phase_rad[disk.row])),
-                sun_angle_deg=math.degrees(math.atan2(across[1], across[0])),
+                diameter_px=float(bodies.angular_diameter_rad[k] / pixel_rad),
+                phase_deg=float(np.degrees(bodies.phase_rad[k])),
+                sun_angle_deg=float(sun_angle[k]),
                 magnitude=None if math.isnan(magnitude) else magnitude,
                 electrons=float(disk.image.electrons[0]),
                 photon_x_px=float(disk.image.photon_px[0, 0]),

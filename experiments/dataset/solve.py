@@ -35,7 +35,6 @@ from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.records import freeze
 from optics.units import RAD_ARCSEC
-from render.catalogue.motion import directions_at
 
 if TYPE_CHECKING:
     from calib.cameras.fit import MapFit
@@ -192,8 +191,7 @@ class BlindSolver:
         self.blind = _field_deg(scene) >= NARROWEST_BLIND_DEG  # nothing but the camera is known before
         # why no frame can be solved; "" if they can
         self.missing = "" if patterns or not self.blind else "tetra3rs is not installed: pip install '.[solve]'"
-        catalogue = scene.catalogue.catalog
-        direction = directions_at(catalogue, scene.config.catalogue.epoch_year, scene.observer)
+        catalogue, direction = scene.catalogue, scene.sky.direction
         known = scene.config.catalogue.source == "gaia"  # the identifiers of tetra3rs are Gaia's
         self.sky = SkyMap(
             direction=direction,

@@ -14,7 +14,7 @@ from optics.arrays import FloatArray
 from optics.units import RAD_DEG
 
 if TYPE_CHECKING:
-    from experiments.dataset.scene import PointSources
+    from experiments.dataset.frame import PointSources
     from render.records import Truth
 
 
@@ -90,7 +90,7 @@ class StarLightOnChip:
     empty_e2: float  # Temporal variance of a pixel without starlight [e-^2]: sky, dark charge, read noise, rounding
     pixel_flags: NDArray[np.uint8]  # (h, w) Bits of `FLAGS` for single pixels: saturated, defect, cosmic_ray
     smear_px: FloatArray  # (n, 2) Motion of every star during the exposure
-    axis_share: float  # Part of the light of a star on the axis that the lens lets through
+    axial_transmission: float  # Part of the light of a star on the axis that the apertures let through
 
 
 def pixel_flags(
@@ -176,7 +176,7 @@ def _flags(values: dict[str, FloatArray], half: FloatArray, on_chip: StarLightOn
     flags = np.zeros(len(sent), np.int32)
     flags[values["electrons_off_edge"] > SHARE_LOST * lost] |= FLAGS["off_edge"][0]
     through = sent - values["electrons_vignetted"]
-    flags[through < (1.0 - VIGNETTED_SHARE) * on_chip.axis_share * sent] |= FLAGS["vignetted"][0]
+    flags[through < (1.0 - VIGNETTED_SHARE) * on_chip.axial_transmission * sent] |= FLAGS["vignetted"][0]
     flags[values["electrons_hidden"] > SHARE_LOST * sent] |= FLAGS["hidden"][0]
     dark = ~(arrived > DARK_SHARE * sent)
     flags[dark] |= FLAGS["no_light"][0]

@@ -93,6 +93,12 @@ class SolarSystem:
         """Diameter of the disk (n,)."""
         return np.asarray(2.0 * np.arcsin(self.radius_km * 1e3 / constants.au / self.distance_au))
 
+    def sun_angle_rad(self, rotation_cam_from_icrs: FloatArray) -> FloatArray:
+        """Direction of the Sun (n,) in the image of an attitude, seen from each body: from +column towards +row."""
+        v_cam, to_sun = self.direction @ rotation_cam_from_icrs.T, self.to_sun_au @ rotation_cam_from_icrs.T
+        across = to_sun - v_cam * np.sum(to_sun * v_cam, axis=1, keepdims=True)
+        return np.asarray(np.arctan2(across[:, 1], across[:, 0]))
+
     def select(self, rows: ArrayLike) -> SolarSystem:
         """Some of the bodies, by mask or index (m,)."""
         chosen = np.arange(len(self))[np.asarray(rows)]

@@ -106,6 +106,14 @@ class CosmicRayHits:
         ):  # fmt: skip
             freeze(self, name, shape=("n",), sizes=sizes)
 
+    @property
+    def struck(self) -> NDArray[np.bool_]:
+        """Pixels (h, w) with at least an electron."""
+        mask = np.zeros(self.shape, np.bool_)
+        counts = self.charge_e >= 1.0
+        mask[self.row[counts], self.column[counts]] = True
+        return mask
+
     def __len__(self) -> int:
         return len(self.x_px)
 

@@ -81,6 +81,12 @@ class LensWcs:
             freeze(self, name, shape=(order + 1, order + 1))
         object.__setattr__(self, "_constant", tuple(_constant_cards(self)))
 
+    def field_deg(self, width_px: int, height_px: int) -> tuple[float, float]:
+        """Field of view along columns and rows, at the scale of the boresight."""
+        scale = math.sqrt(abs(float(np.linalg.det(self.linear))))
+        width, height = (math.degrees(2.0 * math.atan(0.5 * scale * size)) for size in (width_px, height_px))
+        return width, height
+
     def header(self, rotation_cam_from_icrs: ArrayLike) -> list[Card]:
         """Header cards of an exposure."""
         rotation = np.asarray(rotation_cam_from_icrs, np.float64)

@@ -27,10 +27,8 @@ from experiments.dataset.truth import FLAGS, record_from_text
 from optics.errors import StarbenchError
 from render.bodies.solar_system import solar_system
 from render.bodies.stray_light import band_light
-from render.detector.cosmic_rays import cosmic_ray_hits
 from render.detector.maps import sensor_maps
 from render.engine import Engine
-from render.engine.random import Streams
 from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
 
 EPOCH = 2025.3
@@ -113,7 +111,7 @@ def test_stray_light_of_the_sun(engine, tmp_path):
         )
         scene = build_scene(config)
         made[name] = FrameMaker(scene).make(0)
-    band = band_light(scene.instrument.detector, scene.sky_light.bands[0])
+    band = band_light(scene.instrument.detector, scene.simulator.band)
     wanted = 0.2 * 1e-7 * band.sun_e_per_s
     assert made["lit"].background_e - 0.2 == pytest.approx(wanted, rel=0.04)  # the Sun's distance changes by 1.7 %
     assert made["behind"].background_e == pytest.approx(0.2, abs=0.01)
@@ -236,27 +234,6 @@ def shot():
     return scene, FrameMaker(scene)
 
 
-def test_every_struck_pixel_is_in_one_track_and_no_charge_is_lost(shot):
-    scene, _ = shot
-    hits = cosmic_ray_hits(
-        scene.instrument.detector,
-        "deep_space_solar_minimum",
-        streams=Streams(3),
-        frame=0,
-        exposure_s=600.0,
-        depth_um=10.0,
-    )
-    tracks = [one for one in LabelMaker(scene, lambda _: hits).labels(3) if one.kind == "cosmic_ray"]
-    strong = hits.charge_e >= 1.0
-    assert 10 < len(tracks) < 500
-    assert sum(one.electrons for one in tracks) == pytest.approx(hits.charge_e[strong].sum(), rel=1e-9)
-    boxes = np.array([one.box_px for one in tracks])
-    row, column = hits.row[strong] + 0.5, hits.column[strong] + 0.5
-    inside = (column[:, None] > boxes[:, 0]) & (column[:, None] < boxes[:, 0] + boxes[:, 2])
-    inside &= (row[:, None] > boxes[:, 1]) & (row[:, None] < boxes[:, 1] + boxes[:, 3])
-    assert inside.any(1).all()
-
-
 @pytest.mark.slow
 def test_pixels_that_cosmic_rays_struck_are_marked(shot):
     """Expected behaviour: every pixel with an electron of theirs, in datasets that ask for them alone."""
@@ -265,7 +242,7 @@ def test_pixels_that_cosmic_rays_struck_are_marked(shot):
     flare = FrameMaker(build_scene(config))
     made = flare.make(0)
     struck = pixel_marks(flare.scene, made)["COSMIC"]
-    hits = flare.hits(0)
+    hits = flare.scene.simulator.hits(0)
     assert set(zip(*np.nonzero(struck), strict=True)) >= set(
         zip(hits.row[hits.charge_e >= 1].tolist(), hits.column[hits.charge_e >= 1].tolist(), strict=True)
     )
@@ -275,7 +252,7 @@ def test_pixels_that_cosmic_rays_struck_are_marked(shot):
 
 def test_hot_pixels_stand_out_of_frames_without_light(shot):
     scene, maker = shot
-    hot = [one for one in LabelMaker(scene, maker.hits).labels(0) if one.kind == "hot_pixel"]
+    hot = [one for one in LabelMaker(scene).labels(0) if one.kind == "hot_pixel"]
     defect = sensor_maps(scene.instrument.detector).defect
     assert 0 < len(hot) <= defect.sum()
     frames = np.stack([maker.make(k).frame.dn for k in range(6)]).astype(float)
@@ -352,7 +329,7 @@ def test_a_field_with_the_moon_has_its_disk_where_the_label_says():
     assert config.background.moon_planets
     scene = build_scene(config)
     maker = FrameMaker(scene)
-    labels = LabelMaker(scene, maker.hits)
+    labels = LabelMaker(scene)
     for frame in range(2):
         (moon,) = [one for one in labels.labels(frame) if one.name == "moon"]
         made = maker.make(frame)
