@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -192,6 +192,7 @@ class SkySimulator:
         }
         self._renderers: dict[bytes, StarRenderer] = {}
         self._ghosts = ghosts
+        self._hits: dict[tuple[int, str | None, Streams], CosmicRayHits] = {}
         self._still_disks: tuple[bytes, tuple[BodyDisk, ...]] = b"", ()  # of an attitude that may come again
 
     @property
@@ -321,7 +322,7 @@ class SkySimulator:
             for disk in disks:
                 layers["bodies"] += disk.image.image.electrons[:, :, 0]
         return SkyLight(
-            electrons=np.asarray(sum(layers.values()), np.float32),
+            electrons=reduce(np.add, layers.values()),
             layers=layers,
             sources=stars,
             truth=traced.truth,
@@ -394,14 +395,19 @@ class SkySimulator:
         if self._cosmic_rays is None:
             return None
         root = self._streams if streams is None else streams
-        return cosmic_ray_hits(
-            self.sensor.detector,
-            self._cosmic_rays,
-            streams=root if label is None else root.child(label),
-            frame=frame,
-            exposure_s=self.exposure_s,
-            depth_um=self._silicon_depth_um,
-        )
+        key = frame, label, root
+        if key not in self._hits:
+            while len(self._hits) > 1:  # this frame's and the one's before
+                self._hits.pop(next(iter(self._hits)))
+            self._hits[key] = cosmic_ray_hits(
+                self.sensor.detector,
+                self._cosmic_rays,
+                streams=root if label is None else root.child(label),
+                frame=frame,
+                exposure_s=self.exposure_s,
+                depth_um=self._silicon_depth_um,
+            )
+        return self._hits[key]
 
     def observe(
         self,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from experiments.dataset.plan import FramePlan, plan_frame
 from experiments.dataset.scene import PLANET_IDS, Scene
-from experiments.dataset.truth import FLAGS, FrameGhost, StarLightOnChip, pixel_flags, star_rows
+from experiments.dataset.truth import FLAGS, FrameGhost, PointSources, StarLightOnChip, pixel_flags, star_rows
 from optics.arrays import FloatArray
 from optics.attitude import angles_from_attitude, quat_xyzw
 from optics.units import RAD_DEG
@@ -128,20 +128,6 @@ class FrameMaker:
         return self.scene.simulator.smear_px(
             plan.trajectory, np.array(sources.direction), light.truth.chief_y_px[:, 0], start_s=plan.start_s
         )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PointSources:
-    """n point sources as the truth lists them: stars in the order of the catalogue, planets behind them."""
-
-    direction: FloatArray  # (n, 3) Unit vectors along icrs
-    star_id: NDArray[np.int64]  # (n,)
-    catalogue_row: NDArray[np.int64]  # (n,) -1 for planets
-    magnitude: FloatArray  # (n,)
-    temperature_k: FloatArray  # (n,) NaN for planets
-
-    def __len__(self) -> int:
-        return len(self.direction)
 
 
 def point_sources(scene: Scene, light: SkyLight) -> PointSources:

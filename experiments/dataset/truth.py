@@ -14,7 +14,6 @@ from optics.arrays import FloatArray
 from optics.units import RAD_DEG
 
 if TYPE_CHECKING:
-    from experiments.dataset.frame import PointSources
     from render.records import Truth
 
 
@@ -81,6 +80,20 @@ DARK_SHARE = 1e-6
 BESIDE_PX = 16.0
 FOOTPRINT_SIGMA = 3.0
 LARGEST_FOOTPRINT_PX = 512.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PointSources:
+    """n point sources as the truth lists them: stars in the order of the catalogue, planets behind them."""
+
+    direction: FloatArray  # (n, 3) Unit vectors along icrs
+    star_id: NDArray[np.int64]  # (n,)
+    catalogue_row: NDArray[np.int64]  # (n,) -1 for planets
+    magnitude: FloatArray  # (n,)
+    temperature_k: FloatArray  # (n,) NaN for planets
+
+    def __len__(self) -> int:
+        return len(self.direction)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
