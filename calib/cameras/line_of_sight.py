@@ -188,14 +188,64 @@ def _predicted(
         raise DomainError(f"covariance of shape {spread.shape} for a camera with {count} parameters")
     if not np.all(np.isfinite(spread)):
         return np.full((len(direction), 2), np.inf), np.full(count, np.inf)
-    turning = np.cross(direction[:, :, None], jacobian, axis=1)
-    moment = len(direction) * np.eye(3) - direction.T @ direction
-    rotation = np.linalg.solve(moment, turning.sum(axis=0))
-    remaining = jacobian + np.cross(direction[:, :, None], rotation[None, :, :], axis=1)
-    along = np.einsum("nai,nip->nap", axes, remaining)
+    along = _without_rotation(direction, axes, jacobian)
     variance = np.einsum("nap,pq,naq->na", along, spread, along, optimize=True)
     square = np.einsum("nap,naq->pq", along, along) / len(direction)
     weights = np.linalg.eigvals(
         square @ spread
     ).real  # of a product of two positive semidefinite matrices: none below 0
     return np.sqrt(np.maximum(variance, 0.0)), np.maximum(weights, 0.0)
+
+
+def _without_rotation(direction: FloatArray, axes: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """Derivatives (n, 2, p) along the axes by the parameters, the rotation that fits them best removed."""
+    turning = np.cross(direction[:, :, None], jacobian, axis=1)
+    moment = len(direction) * np.eye(3) - direction.T @ direction
+    rotation = np.linalg.solve(moment, turning.sum(axis=0))
+    remaining = jacobian + np.cross(direction[:, :, None], rotation[None, :, :], axis=1)
+    return np.einsum("nai,nip->nap", axes, remaining)
+
+
+def mean_square_matrix(model: CameraModel, pixel_px: ArrayLike) -> FloatArray:
+    """Matrix (p, p) of the mean square error over pixels [arcsec^2]: ``e @ matrix @ e`` for errors e of the parameters.
+
+    The length of the error after the best rotation, to first order; pixels (n, 2) as of `line_of_sight_map`.
+    """
+    direction, _, jacobian = unproject_jacobian(model, checked_vectors(pixel_px, 2, "pixel_px"))
+    along = _without_rotation(direction, _tangent_axes(direction), jacobian) * RAD_ARCSEC
+    return np.asarray(np.einsum("nap,naq->pq", along, along) / len(direction))
+
+
+def expected_rms(matrix: FloatArray, covariance: FloatArray) -> float:
+    """Root of the expected mean square for parameters of that covariance (at least (p, p)), by `mean_square_matrix`."""
+    count = len(matrix)
+    return float(np.sqrt(np.trace(matrix @ covariance[:count, :count])))
+
+
+def drawn_rms(
+    matrix: FloatArray, better: FloatArray, worse: FloatArray, count: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """RMS errors (count,) of an efficient estimate and of a worse one from the same data, for drawn parameter errors.
+
+    The additional error of the worse one is independent of the efficient one's error (otherwise their mean would be
+    better still).
+
+    Parameters
+    ----------
+    matrix : (p, p)
+        Of `mean_square_matrix`.
+    better, worse : (p, p)
+        Covariances of the parameters.
+    count : int
+        Draws.
+    rng : numpy.random.Generator
+        Source of randomness.
+    """
+    scale = np.sqrt(np.diag(worse))
+    errors = []
+    for covariance in (better, worse - better):
+        size, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+        root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
+        errors.append(rng.standard_normal((count, len(scale))) @ root.T)
+    first, second = (np.einsum("dp,pq,dq->d", one, matrix, one) for one in (errors[0], errors[0] + errors[1]))
+    return np.sqrt(first), np.sqrt(second)

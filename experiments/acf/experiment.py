@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.calibration.linked_design import correlated_covariance
 from calib.cameras.brown_conrady import BrownConrady
 from experiments.acf.gain import GAIN, gains, sweep_points
-from experiments.acf.linear_model import correlated
 from experiments.acf.methods import ERRORS, METHODS, RATIOS, fig5_points, methods
 from experiments.acf.reprojection import (
     REPROJECTION,
@@ -76,8 +76,8 @@ def _check_distortion(config: Config) -> None:
         y0_px=config.camera.y0_px,
     )
     corner = camera.geometry.grid_px(2)
-    moved = np.linalg.norm(plain.project(camera.unproject(corner)) - corner, axis=1)
-    part = float((moved / np.linalg.norm(corner - camera.geometry.centre_px - camera.parameters[:2], axis=1)).max())
+    moved = np.hypot(*(plain.project(camera.unproject(corner)) - corner).T)
+    part = float((moved / np.hypot(*(corner - camera.geometry.centre_px - camera.parameters[:2]).T)).max())
     if not part <= MOST_DISTORTION:
         raise DomainError(
             f"camera: this distortion moves the image by {100 * part:.0f} % of its distance from the principal point "
@@ -96,21 +96,16 @@ def _check_point(config: Config, point: Point, key: str) -> None:
         )
     design = sky.calibrating
     swept_deg = float(np.degrees(Rotation.from_matrix(design.link[:, :, :3]).magnitude().max()))
-    columns = design.by_unknown()
-    if len(columns) >= columns.shape[1]:
-        scaled = columns / np.maximum(np.sqrt((columns**2).sum(0)), 1e-300)
-        size = np.linalg.svd(scaled, compute_uv=False) ** 2
-        if size[-1] > LEAST_PART * size[0]:
-            covariance = correlated(design, max(config.noise_px))
-            worst_deg = float(np.degrees(np.sqrt(np.diag(covariance)[-3:].max())))
-            if worst_deg <= WORST_DEG:
-                return
-            raise DomainError(
-                f"the installation would be determined to {worst_deg:.1f} deg only (the body turns by "
-                f"{swept_deg:.2g} deg, "
-                f"{len(design.frame)} stars calibrate); at most {WORST_DEG:g} deg can be calibrated: a faster "
-                f"gyro.angular_speed_deg_per_s, more frames or more stars ({key}) are needed"
-            )
+    if design.least_information() > LEAST_PART:
+        covariance = correlated_covariance(design, max(config.noise_px))
+        worst_deg = float(np.degrees(np.sqrt(np.diag(covariance)[-3:].max())))
+        if worst_deg <= WORST_DEG:
+            return
+        raise DomainError(
+            f"the installation would be determined to {worst_deg:.1f} deg only (the body turns by "
+            f"{swept_deg:.2g} deg, {len(design.frame)} stars calibrate); at most {WORST_DEG:g} deg can be calibrated: "
+            f"a faster gyro.angular_speed_deg_per_s, more frames or more stars ({key}) are needed"
+        )
     raise DomainError(
         f"{key}: {len(design.frame)} stars in the frames that calibrate do not determine the 14 unknowns; more "
         "stars or frames are needed"

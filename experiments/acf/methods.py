@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.acf.linear_model import sight_arcsec
+from calib.cameras.line_of_sight import expected_rms
+from calib.fitting.normal_errors import correlated_errors, normalised_squares
 from experiments.acf.reprojection import root_mean_square
 from experiments.acf.settings import Config
 from experiments.acf.simulate import build_scene
@@ -178,8 +179,8 @@ def expected_errors(config: Config, method: str, runs: Sequence[Trials], expecte
         sigma = np.sqrt(np.stack([(one.of(method, "sigma")[:, :3] ** 2).mean(0) for one in runs]))
         return np.concatenate([sigma.T, np.full((2, len(sigma)), np.nan)])
     camera = [getattr(one, BOUNDS[method])[:8, :8] for one in expected]
-    operator = field_of(config, None).operator
-    sight = np.array([sight_arcsec(operator, one) for one in camera])
+    matrix = field_of(config, None).mean_square
+    sight = np.array([expected_rms(matrix, one) for one in camera])
     return np.stack(
         [*np.stack([np.sqrt(np.diag(one)[:3]) for one in camera]).T, largest_distortion(config, camera), sight]
     )
@@ -192,10 +193,9 @@ def largest_distortion(config: Config, camera: Sequence[FloatArray]) -> FloatArr
     draw = Streams(config.seed).child("acf").generator("expected distortion").standard_normal((DRAWS, 5))
     largest = []
     for covariance in camera:
-        scale = np.sqrt(np.diag(covariance)[3:])
-        root = np.linalg.cholesky(covariance[3:, 3:] / np.outer(scale, scale)) * scale[:, None]
-        moved = np.einsum("nap,dp->dna", by_coefficient, draw @ root.T)
-        largest.append(float(np.linalg.norm(moved, axis=2).max(1).mean()))
+        errors = correlated_errors(covariance[3:, 3:], draw)
+        moved = np.moveaxis(by_coefficient @ errors.T, 1, 0)  # (2, n, d)
+        largest.append(float(np.hypot(*moved).max(axis=0).mean()))
     return np.array(largest)
 
 
@@ -248,13 +248,9 @@ def pulls(runs: Sequence[Trials], expected: Sequence[Covariances]) -> list[Pull]
 
 def nees_ratio(runs: Sequence[Trials], expected: Sequence[Covariances]) -> Measured:
     """Root of the normalised estimation error squared over its 14 degrees of freedom, all noises of Fig. 5 together."""
-    squares = []
-    for one, should in zip(runs, expected, strict=True):
-        scale = np.sqrt(np.diag(should.linked))
-        pull = one.of("linked", "error") / scale
-        correlation = should.linked / np.outer(scale, scale)
-        squares.append((pull * np.linalg.solve(correlation, pull.T).T).sum(axis=1))
-    square, unknowns = np.concatenate(squares), len(scale)
+    pairs = zip(runs, expected, strict=True)
+    square = np.concatenate([normalised_squares(one.of("linked", "error"), should.linked) for one, should in pairs])
+    unknowns = len(expected[0].linked)
     ratio = float(np.sqrt(square.mean() / unknowns))
     return Measured(value=ratio, uncertainty=float(1.0 / np.sqrt(2.0 * unknowns * len(square))), n=len(square))
 

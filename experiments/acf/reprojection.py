@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from experiments.acf.linear_model import Reprojection, reprojection, reprojections
+from calib.calibration.linked_design import Reprojection, reprojections, stars_of_reprojection
 from experiments.acf.settings import CameraConfig, Config
-from experiments.acf.trials import Point, Trials, gyro_error, sky_of, table1_gyro
+from experiments.acf.trials import Point, Trials, gyro_drift, sky_of, table1_gyro
 from experiments.harness.drawings import curves
 from experiments.harness.sections import Section, col, ratio_near
 from experiments.harness.summary import Measured, measured
@@ -82,7 +82,7 @@ def root_mean_square(square: FloatArray, axis: int) -> tuple[FloatArray, FloatAr
 def expected_at(config: Config, point: Point, gyro: int, noises_px: Sequence[float] = ()) -> list[Reprojection]:
     """Expectation for the stars of a point, at its noise or at several."""
     sky, pair = sky_of(config, point, 0), point.gyro[gyro]
-    error = gyro_error(sky.scene, pair) if any(pair) else None
+    error = gyro_drift(sky.scene, pair) if any(pair) else None
     return reprojections(sky.calibrating, sky.judging, noises_px or [point.noise_px], error)
 
 
@@ -163,8 +163,8 @@ def fig4(config: Config, trials: Mapping[str, Trials], inferred: Point) -> list[
     for point in (table2_point(config), inferred):
         (expected,), runs = expected_at(config, point, 0), trials[point.name]
         rms, error = root_mean_square(runs.of("acc", "reprojection_px2"), 0)
-        length = np.linalg.norm(runs.of("acc", "reprojected_px"), axis=2)
-        published = float(np.linalg.norm(FIG4_RMS_PX))
+        length = np.hypot(*np.moveaxis(runs.of("acc", "reprojected_px"), 2, 0))
+        published = float(np.hypot(*FIG4_RMS_PX))
         of_document: dict[str, Any] = {
             "published_px": FIG4_RMS_PX,
             "published_length_px": published,
@@ -251,15 +251,15 @@ def matching_stars(config: Config, pixel_um: float, stars: int = 40) -> Matching
     sky = sky_of(config, point, 0)
     tried = np.geomspace(5.0, 125.0, 25)
     expected = expected_at(config, point, 0, [sigma_px * float(np.sqrt(stars / n)) for n in tried])
-    perfect = reprojection(sky.calibrating, sky.judging, sigma_px).total_px ** 2
-    gyro = expected[0].total_px ** 2 - perfect * stars / tried[0]
-    wanted = float(FIG4_RMS_PX @ FIG4_RMS_PX)
-    within = tried[[abs(np.sqrt(wanted) - one.mean_px) < one.scatter_px for one in expected]]
+    wanted_px2 = float(FIG4_RMS_PX @ FIG4_RMS_PX)
+    drift = gyro_drift(sky.scene, pair)
+    factor, gyro_px2 = stars_of_reprojection(sky.calibrating, sky.judging, sigma_px, drift, wanted_px2)
+    within = tried[[abs(np.sqrt(wanted_px2) - one.mean_px) < one.scatter_px for one in expected]]
     return Matching(
         pixel_um=pixel_um,
-        closed_form=14.0 * sigma_px**2 / wanted / ((config.frames + 1) // 2),
-        with_gyro=stars * perfect / (wanted - gyro) if wanted > gyro else float("inf"),
-        gyro_px=float(np.sqrt(max(gyro, 0.0))),
+        closed_form=14.0 * sigma_px**2 / wanted_px2 / ((config.frames + 1) // 2),
+        with_gyro=stars * factor,
+        gyro_px=float(np.sqrt(gyro_px2)),
         range=within[[0, -1]] if len(within) else np.full(2, np.nan),
     )
 

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.gyro_attitude import integrate_rates_many
 from calib.attitude.link import rotation_of_angles
+from calib.calibration.drawn_stars import DrawnStars
 from calib.calibration.observations import Observations
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
@@ -21,47 +22,9 @@ from optics.records import freeze_all
 from optics.units import DEG_RAD
 from render.engine.random import Streams
 from render.motion.gyro import Gyro, simulate_gyro_runs
+from render.motion.trajectory import TurningAxis, swept_rotation
 
 HOUR_S = 3600.0
-TILT = float(np.arctan(np.sqrt(0.5)))
-"""Of the turning axis against its plane: each body axis then has the same mean square rate."""
-SPARE = 3.0
-"""Where n stars per frame are wanted, the sky holds this many times n, plus 20; the brightest are seen."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TurningAxis:
-    """A body whose rate keeps its size while its direction goes round the body's z axis: a `render` trajectory.
-
-    The rate is speed (cos b cos wt, cos b sin wt, sin b). In axes that go round with it the rate is constant, so that
-    with w0 = speed (cos b, 0, sin b) the attitude is exactly R(t) = exp([z]w t) exp(-[w0 + w z]t) R(0).
-    """
-
-    initial: Rotation  # Body from reference at time 0
-    speed_rad_per_s: float  # Size of the rate
-    turns_rad_per_s: float  # w: how fast the axis goes round; 0 for a fixed axis
-    end_s: float  # Last time
-
-    @property
-    def start_s(self) -> float:
-        """First time [s]."""
-        return 0.0
-
-    @property
-    def _fixed(self) -> FloatArray:
-        return self.speed_rad_per_s * np.array([np.cos(TILT), 0.0, np.sin(TILT)])
-
-    def attitude(self, time_s: ArrayLike) -> Rotation:
-        """Body from reference at a time, or at n of them [s]."""
-        time = np.asarray(time_s, float)[..., None]
-        z = np.array([0.0, 0.0, self.turns_rad_per_s])
-        return Rotation.from_rotvec(z * time) * Rotation.from_rotvec(-(self._fixed + z) * time) * self.initial
-
-    def rate(self, time_s: ArrayLike) -> FloatArray:
-        """Angular velocity in body axes [rad/s]."""
-        time = np.asarray(time_s, float)[..., None]
-        z = np.array([0.0, 0.0, self.turns_rad_per_s])
-        return np.asarray(Rotation.from_rotvec(z * time).apply(self._fixed))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +62,7 @@ def build_camera(config: Config, pixel_um: float | None = None) -> BrownConrady:
     folded = ~np.isfinite(camera.unproject(pixel)).all(axis=1)
     if folded.any():
         centre = camera.geometry.centre_px + camera.parameters[:2]
-        radius_mm = pitch_mm * float(np.linalg.norm(pixel[folded] - centre, axis=1).min())
+        radius_mm = pitch_mm * float(np.hypot(*(pixel[folded] - centre).T).min())
         raise DomainError(
             f"camera: this distortion folds the image over {radius_mm:.1f} mm from the principal point, inside the "
             f"detector (half its diagonal is {camera.geometry.half_diagonal_mm:.1f} mm); use smaller q1_per_mm2 ... "
@@ -135,19 +98,9 @@ def build_scene(config: Config, pixel_um: float | None = None) -> Scene:
         body=body * body[0].inv(),
         installation=installation,
         time_s=time,
-        swept=_swept(trajectory, time),
+        swept=swept_rotation(trajectory, time),
         motion=trajectory,
     )
-
-
-def _swept(trajectory: TurningAxis, time_s: FloatArray, substeps: int = 20) -> FloatArray:
-    """Integral of the first body from the body at t (Simpson's rule between frames)."""
-    fine = np.linspace(time_s[0], time_s[-1], 2 * substeps * (len(time_s) - 1) + 1)
-    turned = (trajectory.attitude(time_s[0]) * trajectory.attitude(fine).inv()).as_matrix()
-    step = fine[1] - fine[0]
-    pieces = step / 3.0 * (turned[:-1:2] + 4.0 * turned[1::2] + turned[2::2])
-    sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(pieces, axis=0)])
-    return np.asarray(sums[::substeps])
 
 
 def gyro_rotations(
@@ -167,58 +120,7 @@ def gyro_rotations(
     return list(integrate_rates_many(time, rates, scene.time_s))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stars:
-    """Noise-free stars in frames."""
-
-    pixel_px: FloatArray  # (n, 2) Where they fall
-    direction: FloatArray  # (n, 3) Unit vectors, icrs
-    frame: IntArray  # (n,) Frame of each
-    star: IntArray  # (n,) Number in the sky
-
-    def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        freeze_all(self, pixel_px=("n", 2), direction=("n", 3), sizes=sizes)
-        freeze_all(self, frame=("n",), star=("n",), sizes=sizes, dtype=np.int64)
-
-    def __len__(self) -> int:
-        return len(self.frame)
-
-
-def draw_stars(scene: Scene, streams: Streams, sky: int, *, mean: float | None = None, exactly: int = 0) -> Stars:
-    """A uniform random sky, seen by the camera along its path."""
-    camera, geometry = scene.camera, scene.camera.geometry
-    dense = SPARE * (exactly if mean is None else mean) + 20.0
-    pitch, focal = geometry.pixel_pitch_mm, camera.value("focal_length_mm")
-    half = 0.5 * pitch * np.array([geometry.width_px, geometry.height_px]) / focal
-    cap = np.cos(1.05 * np.arctan(np.hypot(*half)) + 0.01)
-    rng = streams.generator("sky", sky)
-    count = rng.poisson(dense * 4.0 * np.pi / _solid_angle(*half))
-    z, angle = rng.uniform(-1.0, 1.0, count), rng.uniform(0.0, 2.0 * np.pi, count)
-    ring = np.sqrt(1.0 - z * z)
-    sky_direction = np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
-    parts: list[tuple[FloatArray, IntArray]] = []  # stars are numbered in the order of their brightness
-    for matrix in scene.attitude.as_matrix():
-        near = np.flatnonzero(sky_direction @ matrix[2] > cap)
-        pixel = camera.project(sky_direction[near] @ matrix.T)
-        inside = geometry.contains(pixel)
-        chosen = slice(exactly) if mean is None else slice(None)
-        parts.append((pixel[inside][chosen], near[inside][chosen]))
-    pixel, star = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-    frame = np.repeat(np.arange(len(parts)), [len(part[1]) for part in parts])
-    if mean is not None:
-        faintest = np.sort(star)[min(round(mean * len(parts)), len(star) - 1)]
-        bright = star < faintest
-        pixel, star, frame = pixel[bright], star[bright], frame[bright]
-    return Stars(pixel_px=pixel, direction=sky_direction[star], frame=frame, star=star)
-
-
-def _solid_angle(half_x: float, half_y: float) -> float:
-    """Of a rectilinear field with these half widths in units of the focal length [sr]."""
-    return float(4.0 * np.arctan(half_x * half_y / np.sqrt(1.0 + half_x**2 + half_y**2)))
-
-
-def choose_frames(stars: Stars, scene: Scene, which: str) -> tuple[NDArray[np.bool_], IntArray]:
+def choose_frames(stars: DrawnStars, scene: Scene, which: str) -> tuple[NDArray[np.bool_], IntArray]:
     """Stars of the frames that calibrate, and the frames: "odd" (first, third, ...), "even", or "all"."""
     frames = np.arange(len(scene.time_s))
     kept = {"odd": frames % 2 == 0, "even": frames % 2 == 1, "all": frames >= 0}[which]
@@ -226,7 +128,7 @@ def choose_frames(stars: Stars, scene: Scene, which: str) -> tuple[NDArray[np.bo
 
 
 def observe(
-    stars: Stars, mask: NDArray[np.bool_], frames: IntArray, noise_px: float, rng: np.random.Generator
+    stars: DrawnStars, mask: NDArray[np.bool_], frames: IntArray, noise_px: float, rng: np.random.Generator
 ) -> Observations:
     """Noisy positions of some of the stars; frames are numbered anew."""
     number = np.full(int(frames.max()) + 1, -1)

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.attitude.link import angles_of_rotation, increment_per_angle, rotation_of_angles
-from experiments.acf.linear_model import Design, correlated, free, linked
+from calib.attitude.link import angle_per_increment, angles_of_rotation, rotation_of_angles
+from calib.calibration.linked_design import LinkedDesign, correlated_covariance, free_bound, linked_bound
+from calib.fitting.normal_errors import log_likelihood
 from experiments.acf.reprojection import root_mean_square, table2_point
 from experiments.acf.settings import Config
 from experiments.acf.simulate import build_scene
-from experiments.acf.trials import Point, Trials, gyro_error, sky_of, table1_gyro
+from experiments.acf.trials import Point, Trials, gyro_drift, sky_of, table1_gyro
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
 from optics.arrays import FloatArray
@@ -59,20 +60,20 @@ class Covariances:
 def covariances(config: Config, point: Point) -> Covariances:
     """Covariances of the estimates of a point, with its first gyro."""
     sky = sky_of(config, point, 0)
-    used, error = sky.calibrating, gyro_error(sky.scene, point.gyro[0])
+    used, error = sky.calibrating, gyro_drift(sky.scene, point.gyro[0])
     to_angles = np.eye(14)
     for start, rotation in ((8, sky.scene.attitude[0]), (11, sky.scene.installation)):
         rows = slice(start, start + 3)
-        to_angles[rows, rows] = np.linalg.inv(increment_per_angle(angles_of_rotation(rotation)))
+        to_angles[rows, rows] = angle_per_increment(angles_of_rotation(rotation))
 
     def angles(covariance: FloatArray) -> FloatArray:
         return np.asarray(to_angles @ covariance @ to_angles.T)
 
     return Covariances(
-        perfect=angles(correlated(used, point.noise_px)),
-        acc=angles(correlated(used, point.noise_px, error)),
-        linked=angles(linked(used, point.noise_px, error)),
-        free=free(used, point.noise_px),
+        perfect=angles(correlated_covariance(used, point.noise_px)),
+        acc=angles(correlated_covariance(used, point.noise_px, error)),
+        linked=angles(linked_bound(used, point.noise_px, error)),
+        free=free_bound(used, point.noise_px),
     )
 
 
@@ -183,25 +184,17 @@ def printed_reprojection_px2(config: Config, pixel_um: float, printed: FloatArra
 def _fit(config: Config, pixel_um: float, stars: FloatArray, printed: FloatArray) -> FloatArray:
     """chi^2 of the printed errors and logarithm of their likelihood (2, s), for numbers of stars per frame (s,)."""
     scene, design = build_scene(config, pixel_um), _even_design(config, pixel_um)
-    perfect = correlated(design, 0.1)
-    gyro = correlated(design, 0.1, gyro_error(scene, table1_gyro(config))) - perfect
+    perfect = correlated_covariance(design, 0.1)
+    gyro = correlated_covariance(design, 0.1, gyro_drift(scene, table1_gyro(config))) - perfect
     unit = np.eye(FIRST)
-    unit[CAMERA:, CAMERA:] = np.linalg.inv(increment_per_angle(DEG_RAD * TRUE[CAMERA:FIRST])) / DEG_RAD
+    unit[CAMERA:, CAMERA:] = angle_per_increment(DEG_RAD * TRUE[CAMERA:FIRST]) / DEG_RAD
     perfect, gyro = (unit @ part[:FIRST, :FIRST] @ unit.T for part in (perfect, gyro))
     error = (printed - TRUE)[:FIRST]
     rounding = np.diag(ROUNDING[:FIRST] ** 2 / 12.0)
-    fit = np.empty((2, len(stars)))
-    for k, count in enumerate(stars):
-        covariance = perfect * (PLACES**2 / count) + gyro + rounding
-        scale = np.sqrt(np.diag(covariance))
-        correlation, pull = covariance / np.outer(scale, scale), error / scale
-        chi2 = float(pull @ np.linalg.solve(correlation, pull))
-        determinant = float(np.linalg.slogdet(correlation)[1] + 2.0 * np.log(scale).sum())
-        fit[:, k] = chi2, -0.5 * (chi2 + determinant)
-    return fit
+    return np.transpose([log_likelihood(error, perfect * (PLACES**2 / count) + gyro + rounding) for count in stars])
 
 
-def _even_design(config: Config, pixel_um: float) -> Design:
+def _even_design(config: Config, pixel_um: float) -> LinkedDesign:
     """Stars spread evenly over the detector, in the frames that calibrate."""
     scene = build_scene(config, pixel_um)
     camera, geometry = scene.camera, scene.camera.geometry
@@ -210,7 +203,7 @@ def _even_design(config: Config, pixel_um: float) -> Design:
     seen = camera.unproject(geometry.centre_px + place)
     frames = np.arange(0, config.frames, 2)
     direction = np.concatenate([rotation.inv().apply(seen) for rotation in scene.attitude[frames]])
-    return Design.at(camera, scene.attitude, scene.installation, direction, np.repeat(frames, len(seen)))
+    return LinkedDesign.at(camera, scene.attitude, scene.installation, direction, np.repeat(frames, len(seen)))
 
 
 TABLE2 = {

@@ -20,25 +20,16 @@ from calib.attitude.link import angles_of_rotation, link_attitudes
 from calib.calibration.attitude_correlated import AttitudeCorrelated
 from calib.calibration.attitude_family import AttitudeFamily
 from calib.calibration.calibrate import calibrate
+from calib.calibration.drawn_stars import DrawnStars, draw_stars
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.gyro_linked import GyroLinked, GyroNoise
+from calib.calibration.linked_design import GyroDrift, LinkedDesign, correlated_covariance, free_bound, linked_bound
 from calib.calibration.no_attitude import NoAttitude
 from calib.calibration.observations import Observations
 from calib.cameras.brown_conrady import BrownConrady
-from calib.cameras.line_of_sight import line_of_sight_map
-from experiments.acf.linear_model import Design, GyroError, correlated, free, linked, sight_arcsec, sight_operator
+from calib.cameras.line_of_sight import drawn_rms, expected_rms, line_of_sight_map, mean_square_matrix
 from experiments.acf.settings import Config
-from experiments.acf.simulate import (
-    HOUR_S,
-    Scene,
-    Stars,
-    build_scene,
-    choose_frames,
-    draw_stars,
-    gyro_rotations,
-    observe,
-    start_camera,
-)
+from experiments.acf.simulate import HOUR_S, Scene, build_scene, choose_frames, gyro_rotations, observe, start_camera
 from experiments.harness.system import one_thread, shared
 from optics.arrays import FloatArray
 from optics.units import DEG_RAD
@@ -107,18 +98,18 @@ class Sky:
     """Stars of a sky, and the design at the truth."""
 
     scene: Scene
-    stars: Stars
+    stars: DrawnStars
     used: NDArray[np.bool_]  # (n,) Stars that calibrate
     kept: NDArray[np.int64]  # Frames that calibrate
-    design: Design
+    design: LinkedDesign
 
     @property
-    def calibrating(self) -> Design:
+    def calibrating(self) -> LinkedDesign:
         """Design of the stars that calibrate."""
         return self.design.select(self.used)
 
     @property
-    def judging(self) -> Design:
+    def judging(self) -> LinkedDesign:
         """Design of the stars that are reprojected."""
         return self.design.select(~self.used)
 
@@ -143,7 +134,7 @@ def work(task: Task) -> dict[str, FloatArray]:
                 judged = _judged(task, sky, observed, method, k or 0, rotation)
                 row |= {f"{method if k is None else f'{method}@{k}'}.{what}": v for what, v in judged.items()}
         if point.own_sky:
-            row |= _bounds(point, sky, grid.operator, streams.generator("expected gain", run))
+            row |= _bounds(point, sky, grid.mean_square, streams.generator("expected gain", run))
         rows.append(row)
     return {key: np.stack([np.asarray(row[key], float) for row in rows]) for key in rows[0]}
 
@@ -155,13 +146,11 @@ def _shared_sky(config: Config, which: str, exactly: int | None, pixel_um: float
 
 def _drawn(config: Config, which: str, exactly: int | None, pixel_um: float | None, number: int) -> Sky:
     scene = build_scene(config, pixel_um)
-    streams = Streams(config.seed).child("acf")
-    if exactly is None:
-        stars = draw_stars(scene, streams, number, mean=config.sky.stars_per_frame)
-    else:
-        stars = draw_stars(scene, streams, number, exactly=exactly)
+    rng = Streams(config.seed).child("acf").generator("sky", number)
+    mean = config.sky.stars_per_frame if exactly is None else None
+    stars = draw_stars(scene.camera, scene.attitude, rng, mean=mean, exactly=exactly or 0)
     used, kept = choose_frames(stars, scene, which)
-    design = Design.at(scene.camera, scene.attitude, scene.installation, stars.direction, stars.frame)
+    design = LinkedDesign.at(scene.camera, scene.attitude, scene.installation, stars.direction, stars.frame)
     return Sky(scene=scene, stars=stars, used=used, kept=kept, design=design)
 
 
@@ -221,17 +210,16 @@ def _judged(
 def _reprojected(sky: Sky, camera: BrownConrady, attitude: Rotation) -> FloatArray:
     """Noise-free stars of the frames that did not calibrate: predicted minus true position (n, 2)."""
     frame, direction = (part[~sky.used] for part in (sky.stars.frame, sky.stars.direction))
-    seen = np.einsum("nij,nj->ni", attitude.as_matrix()[frame], direction)
-    return np.asarray(camera.project(seen) - sky.stars.pixel_px[~sky.used])
+    return np.asarray(camera.project(attitude[frame].apply(direction)) - sky.stars.pixel_px[~sky.used])
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A grid over the detector, for maps: places, true directions, `sight_operator`."""
+    """A grid over the detector, for maps: places, true directions, `mean_square_matrix`."""
 
     pixel_px: FloatArray
     direction: FloatArray
-    operator: FloatArray
+    mean_square: FloatArray
 
 
 @lru_cache(maxsize=8)
@@ -239,7 +227,7 @@ def field_of(config: Config, pixel_um: float | None) -> Field:
     """The grid of a configuration's camera."""
     camera = build_scene(config, pixel_um).camera
     pixel = camera.geometry.grid_px(GRID)
-    return Field(pixel, camera.unproject(pixel), sight_operator(camera, GRID))
+    return Field(pixel, camera.unproject(pixel), mean_square_matrix(camera, pixel))
 
 
 def residual_distortion(true: BrownConrady, camera: BrownConrady, grid: Field) -> float:
@@ -250,12 +238,12 @@ def residual_distortion(true: BrownConrady, camera: BrownConrady, grid: Field) -
     """
     frame = np.array([name in true.pinhole_names for name in true.parameter_names])
     same = true.with_parameters(np.where(frame, true.parameters, camera.parameters))
-    return float(np.linalg.norm(same.project(grid.direction) - grid.pixel_px, axis=1).max())
+    return float(np.hypot(*(same.project(grid.direction) - grid.pixel_px).T).max())
 
 
-def gyro_error(scene: Scene, pair: tuple[float, float]) -> GyroError:
+def gyro_drift(scene: Scene, pair: tuple[float, float]) -> GyroDrift:
     """Error of a gyro with that bias [deg/h] and angle random walk [deg/sqrt(h)]."""
-    return GyroError.of(
+    return GyroDrift.of(
         scene.time_s,
         scene.swept,
         bias_rad_per_s=pair[0] * DEG_RAD / HOUR_S,
@@ -263,44 +251,26 @@ def gyro_error(scene: Scene, pair: tuple[float, float]) -> GyroError:
     )
 
 
-def _bounds(point: Point, sky: Sky, operator: FloatArray, rng: np.random.Generator) -> dict[str, FloatArray]:
+def _bounds(point: Point, sky: Sky, matrix: FloatArray, rng: np.random.Generator) -> dict[str, FloatArray]:
     """Predicted sigma of the camera's parameters and, last, of the line of sight [arcsec]; drawn errors of the latter,
     for free attitudes and for a gyro of stated noise on the same stars."""
     design = sky.calibrating
 
     def figures(covariance: FloatArray) -> FloatArray:
         count = len(sky.scene.camera.parameters)
-        return np.append(np.sqrt(np.diag(covariance)[:count]), sight_arcsec(operator, covariance))
+        return np.append(np.sqrt(np.diag(covariance)[:count]), expected_rms(matrix, covariance))
 
-    alone = free(design, point.noise_px)
+    alone = free_bound(design, point.noise_px)
     result = {"bound.free": figures(alone)}
     for k, pair in enumerate(point.gyro):
-        error = gyro_error(sky.scene, pair)
-        result[f"bound@{k}.acc"] = figures(correlated(design, point.noise_px, error))
-        weighted = linked(design, point.noise_px, error)
+        error = gyro_drift(sky.scene, pair)
+        result[f"bound@{k}.acc"] = figures(correlated_covariance(design, point.noise_px, error))
+        weighted = linked_bound(design, point.noise_px, error)
         result[f"bound@{k}.linked"] = figures(weighted)
-        size = operator.shape[1]
-        drawn = drawn_sights(operator, weighted[:size, :size], alone[:size, :size], rng)
+        size = len(matrix)
+        drawn = drawn_rms(matrix, weighted[:size, :size], alone, DRAWN, rng)
         result |= {f"drawn@{k}.{name}": one for name, one in zip(("linked", "free"), drawn, strict=True)}
     return result
-
-
-def drawn_sights(
-    operator: FloatArray, better: FloatArray, worse: FloatArray, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """RMS errors (d,) of the line of sight [arcsec] of an efficient estimate and of a worse one from the same data.
-
-    The additional error of the worse one is independent of the efficient one's error (otherwise their mean would be
-    better still).
-    """
-    scale = np.sqrt(np.diag(worse))
-    errors = []
-    for covariance in (better, worse - better):
-        size, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
-        root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
-        errors.append(rng.standard_normal((DRAWN, len(scale))) @ root.T)
-    first, second = (one @ operator.T for one in (errors[0], errors[0] + errors[1]))
-    return np.sqrt(2.0 * (first**2).mean(axis=1)), np.sqrt(2.0 * (second**2).mean(axis=1))
 
 
 def perform(config: Config, points: Sequence[Point], *, advance: Callable[[int], None]) -> dict[str, Trials]:

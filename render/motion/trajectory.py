@@ -11,6 +11,7 @@ a body that turns by a positive angle about its z axis sees the stars turn by th
 * `ConstantRate`: exact, ``R(t) = exp(-rate (t - t0)) R(t0)``.
 * `SampledAttitude`: a spline through given attitudes, with continuous rate and acceleration (`scipy` RotationSpline).
 * `Slew`: a turn about one fixed axis that begins and ends at rest.
+* `TurningAxis`: a rate of constant size whose direction goes round an axis of the body.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
 
+TURNING_TILT = float(np.arctan(np.sqrt(0.5)))
+"""Of the axis of `TurningAxis` against its plane: each body axis then has the same mean square rate."""
 SLACK_S = 1e-9  # a time this far outside still counts as the end: sums of steps do not land on it exactly
 
 
@@ -181,6 +184,45 @@ class Slew:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TurningAxis:
+    """A body whose rate keeps its size while its direction goes round the body's z axis.
+
+    The rate is speed (cos b cos wt, cos b sin wt, sin b). In axes that go round with it the rate is constant, so that
+    with w0 = speed (cos b, 0, sin b) the attitude is exactly R(t) = exp([z]w t) exp(-[w0 + w z]t) R(0).
+    """
+
+    initial: Rotation  # Body from reference at time 0
+    speed_rad_per_s: float  # Size of the rate
+    turns_rad_per_s: float  # w: how fast the axis goes round; 0 for a fixed axis
+    end_s: float  # Last time
+
+    def __post_init__(self) -> None:
+        _check_single("TurningAxis", "initial", self.initial)
+        _check_span("TurningAxis", 0.0, self.end_s)
+
+    @property
+    def start_s(self) -> float:
+        """First time [s]."""
+        return 0.0
+
+    @property
+    def _fixed(self) -> FloatArray:
+        return self.speed_rad_per_s * np.array([np.cos(TURNING_TILT), 0.0, np.sin(TURNING_TILT)])
+
+    def attitude(self, time_s: ArrayLike) -> Rotation:
+        """Body from reference at a time, or at n of them [s]."""
+        time = _times(self, time_s)[..., None]
+        z = np.array([0.0, 0.0, self.turns_rad_per_s])
+        return Rotation.from_rotvec(z * time) * Rotation.from_rotvec(-(self._fixed + z) * time) * self.initial
+
+    def rate(self, time_s: ArrayLike) -> FloatArray:
+        """Angular velocity in body axes [rad/s]."""
+        time = _times(self, time_s)[..., None]
+        z = np.array([0.0, 0.0, self.turns_rad_per_s])
+        return np.asarray(Rotation.from_rotvec(z * time).apply(self._fixed))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Mounted:
     """The motion of an object fixed to a moving body, e.g. a camera; see `mounted`."""
 
@@ -224,3 +266,19 @@ def rate_of_trail(rate_deg_per_s: float, direction_deg: float) -> FloatArray:
     """Angular velocity (3,) in cam [rad/s] for which stars trail at a rate in a direction; inverts `trail_of_rate`."""
     towards = np.radians(direction_deg)
     return np.asarray(np.radians(rate_deg_per_s) * np.array([np.sin(towards), -np.cos(towards), 0.0]))
+
+
+def swept_rotation(trajectory: Trajectory, time_s: FloatArray, substeps: int = 20) -> FloatArray:
+    """Integral over time of the rotation (3, 3) from the body at t to the body at the first time, up to n times [s].
+
+    What a constant bias of a gyro adds to the attitude in axes of the first body. Simpson's rule between the times,
+    which are equally spaced.
+
+    Shapes: ``time_s`` (n,), returns (n, 3, 3).
+    """
+    fine = np.linspace(time_s[0], time_s[-1], 2 * substeps * (len(time_s) - 1) + 1)
+    turned = (trajectory.attitude(time_s[0]) * trajectory.attitude(fine).inv()).as_matrix()
+    step = fine[1] - fine[0]
+    pieces = step / 3.0 * (turned[:-1:2] + 4.0 * turned[1::2] + turned[2::2])
+    sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(pieces, axis=0)])
+    return np.asarray(sums[::substeps])

@@ -6,7 +6,6 @@ import pytest
 from experiments.acf import table2 as table2_module
 from experiments.acf import trials as monte_carlo
 from experiments.acf.gain import gain, gains, sweep_points
-from experiments.acf.linear_model import sight_arcsec
 from experiments.acf.methods import fig5_points, largest_distortion, methods
 from experiments.acf.reprojection import (
     counts,
@@ -33,18 +32,7 @@ from experiments.acf.table2 import (
     sums,
     table2,
 )
-from experiments.acf.trials import (
-    COMPARED,
-    Point,
-    Task,
-    Trials,
-    drawn_sights,
-    field_of,
-    perform,
-    residual_distortion,
-    sky_of,
-    work,
-)
+from experiments.acf.trials import COMPARED, Point, Task, Trials, field_of, perform, residual_distortion, sky_of, work
 
 CONFIG = Config(
     frames=12,
@@ -175,20 +163,6 @@ def test_gains_by_hand():
     spread = np.log(2.0) / np.sqrt(2.0)
     assert few.linked_z == pytest.approx([0.5 * np.log(2.0) / spread] * 2)
     assert few.linked_whole == pytest.approx([1.0 / spread] * 2)
-
-
-def test_drawn_sights_have_both_covariances():
-    """20 draws of 400: mean squares of the efficient and of the worse estimate, and their product, within 4 sigma."""
-    rng, operator = np.random.default_rng(4), np.random.default_rng(1).standard_normal((30, 3))
-    better = np.diag([1.0, 4.0, 9.0]) * 1e-2
-    worse = better + np.outer([1.0, 2.0, -1.0], [1.0, 2.0, -1.0]) * 1e-2
-    drawn = [drawn_sights(operator, better, worse, rng) for _ in range(20)]
-    for found, covariance in zip(np.concatenate(drawn, axis=1), (better, worse), strict=True):
-        expected = sight_arcsec(operator, covariance) ** 2
-        square = found**2
-        assert square.mean() == pytest.approx(expected, abs=4.0 * square.std() / np.sqrt(square.size))
-    first, second = np.concatenate(drawn, axis=1)
-    assert np.corrcoef(first**2, second**2)[0, 1] > 0.3  # the same stars
 
 
 @pytest.fixture(scope="module")
@@ -332,7 +306,7 @@ def test_what_a_run_is_judged_by(monkeypatch):
 def test_stars_of_the_design_stand_evenly_over_the_detector(monkeypatch):
     """Eleven by eleven middles of equal cells, in every second frame of the night."""
     seen = {}
-    monkeypatch.setattr(table2_module.Design, "at", lambda *given: seen.update(given=given))
+    monkeypatch.setattr(table2_module.LinkedDesign, "at", lambda *given: seen.update(given=given))
     table2_module._even_design(CONFIG, 8.0)
     camera, attitude, _, direction, frame = seen["given"]
     assert np.unique(frame).tolist() == [0, 2, 4, 6, 8, 10]

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import angles_of_rotation, link_attitudes
+from calib.calibration.drawn_stars import draw_stars
 from experiments.acf.settings import Config, SkyConfig
-from experiments.acf.simulate import TurningAxis, build_scene, choose_frames, draw_stars, gyro_rotations, observe
+from experiments.acf.simulate import build_scene, choose_frames, gyro_rotations, observe
 from experiments.acf.table2 import TRUE
 from render.engine.random import Streams
 
@@ -16,19 +16,6 @@ CONFIG = Config()
 @pytest.fixture(scope="module")
 def scene():
     return build_scene(CONFIG)
-
-
-@pytest.mark.parametrize("turns", [0.0, 0.3])
-def test_rate_of_a_turning_axis_is_the_derivative_of_its_attitude(turns):
-    """R(t + dt) = exp(-rate dt) R(t), by central differences; the rate keeps its size."""
-    start = Rotation.from_rotvec([0.4, -0.2, 0.9])
-    motion = TurningAxis(initial=start, speed_rad_per_s=0.2, turns_rad_per_s=turns, end_s=10.0)
-    assert (motion.attitude(0.0) * start.inv()).magnitude() < 1e-15
-    time = np.array([0.5, 3.0, 9.0])
-    step = 1e-4
-    turned = (motion.attitude(time + step) * motion.attitude(time - step).inv()).as_rotvec()
-    assert motion.rate(time) == pytest.approx(-turned / (2 * step), abs=1e-8)
-    assert np.linalg.norm(motion.rate(time), axis=1) == pytest.approx(0.2, rel=1e-12)
 
 
 def test_scene_is_the_one_of_table_1_and_2(scene):
@@ -57,7 +44,7 @@ def test_stars_lie_where_the_printed_equations_put_them():
     config = CONFIG.model_copy(update={"frames": 30, "sky": SkyConfig(phi_deg=angles["phi"])})
     config = config.model_copy(update={"gyro": config.gyro.model_copy(update={"installation_deg": angles["theta"]})})
     scene = build_scene(config)
-    stars = draw_stars(scene, Streams(3), 0, mean=10.0)
+    stars = draw_stars(scene.camera, scene.attitude, np.random.default_rng([3, 0]), mean=10.0)
 
     def slope(time_s, matrix):
         along, tilt = 2 * np.pi * time_s / 29.0, np.arctan(np.sqrt(0.5))
@@ -89,14 +76,6 @@ def test_stars_lie_where_the_printed_equations_put_them():
     assert place == pytest.approx(stars.pixel_px, abs=1e-9)
 
 
-def test_swept_is_the_integral_of_the_rotation(scene):
-    """Against a midpoint sum 50 times finer than a frame; error of that is some 1e-4 of a step."""
-    time = (np.arange(59 * 50) + 0.5) / 50
-    turned = (scene.motion.attitude(0.0) * scene.motion.attitude(time).inv()).as_matrix()
-    sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(turned / 50, axis=0)])[::50]
-    assert scene.swept == pytest.approx(sums, abs=1e-5)
-
-
 def test_gyro_without_errors_gives_the_truth(scene):
     """0.1 nano-degrees of walk: what is left is the integration, at 100 Hz."""
     (found,) = gyro_rotations(scene, CONFIG, Streams(1), range(1), (0.0, 1e-10))
@@ -110,40 +89,8 @@ def test_gyro_runs_do_not_depend_on_their_company(scene):
     assert np.array_equal(both[1].as_quat(), alone.as_quat())
 
 
-def test_number_of_stars(scene):
-    stars = draw_stars(scene, Streams(2), 0, mean=34.0)
-    assert len(stars) / 60 == pytest.approx(34.0, abs=1.0)  # the next fainter star may be in all frames
-    exact = draw_stars(scene, Streams(2), 0, exactly=7)
-    assert np.bincount(exact.frame).tolist() == [7] * 60
-
-
-def test_stars_are_where_the_camera_sees_them(scene):
-    stars = draw_stars(scene, Streams(2), 3, mean=20.0)
-    assert np.linalg.norm(stars.direction, axis=1) == pytest.approx(1.0, abs=1e-12)
-    assert stars.pixel_px.min() >= -0.5
-    assert stars.pixel_px.max() <= 1023.5
-    seen = scene.camera.unproject(stars.pixel_px)
-    turned = np.einsum("nij,nj->ni", scene.attitude.as_matrix()[stars.frame], stars.direction)
-    assert seen == pytest.approx(turned, abs=1e-12)
-    order = np.argsort(stars.star, kind="stable")
-    same = np.diff(stars.star[order]) == 0
-    assert np.all(np.diff(stars.direction[order], axis=0)[same] == 0)  # a star is one star in all frames
-
-
-def test_sky_is_uniform(scene):
-    """30 skies in the first frame, 8 equal bins along each axis: chi^2 of 7, at 1e-3."""
-    pixel = np.concatenate(
-        [(s := draw_stars(scene, Streams(5), k, mean=40.0)).pixel_px[s.frame == 0] for k in range(30)]
-    )
-    for axis in range(2):
-        count = np.histogram(pixel[:, axis], bins=8, range=(-0.5, 1023.5))[0]
-        expected = len(pixel) / 8
-        # the outer bins see 10 % less sky per pixel, and distortion moves some stars out
-        assert ((count - expected) ** 2 / expected).sum() < 24.3 + len(pixel) * 0.05**2
-
-
 def test_noise_of_a_star_does_not_depend_on_the_frames_used(scene):
-    stars = draw_stars(scene, Streams(2), 0, mean=20.0)
+    stars = draw_stars(scene.camera, scene.attitude, np.random.default_rng([2, 0]), mean=20.0)
     found = {}
     for which in ("odd", "all"):
         used, kept = choose_frames(stars, scene, which)
@@ -158,3 +105,12 @@ def test_noise_of_a_star_does_not_depend_on_the_frames_used(scene):
 
 def test_another_pixel_is_another_field():
     assert build_scene(CONFIG, 6.4).camera.geometry.pixel_pitch_mm == pytest.approx(6.4e-3)
+
+
+def test_frames_are_chosen_as_the_document_counts_them(scene):
+    """Frames 1, 3, 5 ... calibrate."""
+    stars = draw_stars(scene.camera, scene.attitude, np.random.default_rng(1), mean=20.0)
+    used, kept = choose_frames(stars, scene, "odd")
+    assert kept.tolist() == list(range(0, 60, 2))
+    assert np.array_equal(used, stars.frame % 2 == 0)
+    assert choose_frames(stars, scene, "all")[0].all()

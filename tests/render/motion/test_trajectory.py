@@ -5,7 +5,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from optics.errors import DomainError
-from render.motion.trajectory import ConstantRate, SampledAttitude, Slew, mounted, rate_of_trail, trail_of_rate
+from render.motion.trajectory import (
+    ConstantRate,
+    SampledAttitude,
+    Slew,
+    TurningAxis,
+    mounted,
+    rate_of_trail,
+    swept_rotation,
+    trail_of_rate,
+)
 
 START = Rotation.from_euler("zyx", [30, -20, 50], degrees=True)
 RATE = np.radians([0.3, -0.4, 0.5])
@@ -22,6 +31,7 @@ FAMILY = {
     "constant": ConstantRate(initial=START, rate_rad_per_s=RATE, end_s=20.0),
     "sampled": wobble(),
     "slew": Slew(initial=START, final=Rotation.from_euler("xz", [70, -40], degrees=True) * START, end_s=20.0),
+    "turning": TurningAxis(initial=START, speed_rad_per_s=0.05, turns_rad_per_s=0.3, end_s=20.0),
     "camera": mounted(wobble(), Rotation.from_euler("xyz", [2, 92, -30], degrees=True)),
 }
 
@@ -150,3 +160,13 @@ def test_a_star_on_the_boresight_trails_where_the_rate_is_made_for():
     assert np.degrees(np.arctan2(y, x)) == pytest.approx(20.0, abs=1e-9)
     assert trail_of_rate(rate) == pytest.approx((0.3, 20.0))
     assert trail_of_rate([0.0, 0.0, 1.0]) == (0.0, 0.0)
+
+
+def test_swept_rotation_is_the_integral():
+    """Against a midpoint sum 50 times finer than the times; error of that is some 1e-4 of a step."""
+    motion = FAMILY["turning"]
+    time = (np.arange(19 * 50) + 0.5) / 50
+    turned = (motion.attitude(0.0) * motion.attitude(time).inv()).as_matrix()
+    sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(turned / 50, axis=0)])[::50]
+    assert swept_rotation(motion, np.arange(20.0)) == pytest.approx(sums, abs=1e-4)
+    assert np.linalg.norm(motion.rate(time), axis=1) == pytest.approx(0.05, rel=1e-12)

@@ -1,6 +1,5 @@
 """Predictions of the attitude-correlated-frames experiment: derivatives, closed forms, limits, sampled statistics."""
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -8,22 +7,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import link_attitudes
-from calib.cameras.line_of_sight import line_of_sight_map
-from experiments.acf.linear_model import (
-    Design,
-    GyroError,
-    correlated,
-    free,
-    linked,
+from calib.calibration.drawn_stars import draw_stars
+from calib.calibration.linked_design import (
+    GyroDrift,
+    LinkedDesign,
+    correlated_covariance,
+    free_bound,
+    linked_bound,
     reprojection,
-    sight_arcsec,
-    sight_operator,
+    stars_of_reprojection,
 )
-from experiments.acf.methods import nees_ratio
 from experiments.acf.settings import Config, SweepConfig
-from experiments.acf.simulate import build_scene, choose_frames, draw_stars, gyro_rotations
-from experiments.acf.table2 import Covariances
-from experiments.acf.trials import Point, Trials
+from experiments.acf.simulate import build_scene, gyro_rotations
 from optics.units import DEG_RAD
 from render.engine.random import Streams
 
@@ -38,23 +33,23 @@ def scene():
 
 @pytest.fixture(scope="module")
 def stars(scene):
-    return draw_stars(scene, Streams(1), 0, mean=20.0)
+    return draw_stars(scene.camera, scene.attitude, np.random.default_rng(1), mean=20.0)
 
 
 @pytest.fixture(scope="module")
 def design(scene, stars):
-    return Design.at(scene.camera, scene.attitude, scene.installation, stars.direction, stars.frame)
+    return LinkedDesign.at(scene.camera, scene.attitude, scene.installation, stars.direction, stars.frame)
 
 
-def gyro_error(scene, bias=0.3, walk=0.05):
-    return GyroError.of(
+def gyro_drift(scene, bias=0.3, walk=0.05):
+    return GyroDrift.of(
         scene.time_s, scene.swept, bias_rad_per_s=bias * DEG_RAD / 3600, walk_rad_per_sqrt_s=walk * DEG_RAD / 60
     )
 
 
-def seen_at(scene, stars, camera, first, installation, body):
-    attitude = link_attitudes(first, installation, body).as_matrix()
-    return camera.project(np.einsum("nij,nj->ni", attitude[stars.frame], stars.direction))
+def projected(scene, stars, camera, first, installation, body):
+    attitude = link_attitudes(first, installation, body)
+    return camera.project(attitude[stars.frame].apply(stars.direction.copy()))
 
 
 def test_derivatives_by_the_unknowns(scene, stars, design):
@@ -70,7 +65,7 @@ def test_derivatives_by_the_unknowns(scene, stars, design):
             else:
                 turn[k - 8] = sign * step
             moved.append(
-                seen_at(
+                projected(
                     scene,
                     stars,
                     camera.with_parameters(parameters),
@@ -91,7 +86,7 @@ def test_derivatives_by_the_gyro(scene, stars, design):
         drift = np.zeros((CONFIG.frames, 3))
         drift[:, axis] = 1e-6
         moved = [
-            seen_at(
+            projected(
                 scene,
                 stars,
                 scene.camera,
@@ -121,7 +116,7 @@ def test_reprojection_with_gyro_against_drawn_errors(scene, design):
     four of these, and 1 % for the second-order formula of the mean.
     """
     odd, even = (design.select(design.frame % 2 == k) for k in (0, 1))
-    error = gyro_error(scene)
+    error = gyro_drift(scene)
     rng = np.random.default_rng(3)
     h, ahead = odd.by_unknown(), even.by_unknown()
     scale = np.linalg.norm(h, axis=0)
@@ -138,10 +133,10 @@ def test_reprojection_with_gyro_against_drawn_errors(scene, design):
     away = unknown @ (ahead / scale).T + shift(even, drift)
     length = np.sqrt((away**2).sum(1) / len(even.frame))
     spread = (
-        np.sqrt(np.diag(correlated(odd, SIGMA, error))) * scale
+        np.sqrt(np.diag(correlated_covariance(odd, SIGMA, error))) * scale
     )  # with the gyro's error, which ACC does not know of
     np.testing.assert_allclose(np.sqrt((unknown**2).mean(0)), spread, rtol=4 / np.sqrt(6000) + 0.02)
-    assert (spread > 1.05 * np.sqrt(np.diag(correlated(odd, SIGMA))) * scale).any()
+    assert (spread > 1.05 * np.sqrt(np.diag(correlated_covariance(odd, SIGMA))) * scale).any()
     found = reprojection(odd, even, SIGMA, error)
     assert length.mean() == pytest.approx(
         found.mean_px, abs=4 * found.scatter_px / np.sqrt(3000) + 0.01 * found.mean_px
@@ -153,29 +148,32 @@ def test_reprojection_with_gyro_against_drawn_errors(scene, design):
 
 def test_limits_of_the_weighted_gyro(scene, design):
     """A perfect gyro gives ACC, a useless one free attitudes; in between the bound is in between."""
-    perfect = np.diag(correlated(design, SIGMA))[:8]
-    alone = np.diag(free(design, SIGMA))
-    assert np.diag(linked(design, SIGMA, gyro_error(scene, 0.0, 0.0)))[:8] == pytest.approx(perfect, rel=1e-9)
-    assert np.diag(linked(design, SIGMA, gyro_error(scene, 0.0, 1e4)))[:8] == pytest.approx(alone, rel=1e-3)
-    between = np.diag(linked(design, SIGMA, gyro_error(scene)))[:8]
+    perfect = np.diag(correlated_covariance(design, SIGMA))[:8]
+    alone = np.diag(free_bound(design, SIGMA))
+    assert np.diag(linked_bound(design, SIGMA, gyro_drift(scene, 0.0, 0.0)))[:8] == pytest.approx(perfect, rel=1e-9)
+    assert np.diag(linked_bound(design, SIGMA, gyro_drift(scene, 0.0, 1e4)))[:8] == pytest.approx(alone, rel=1e-3)
+    between = np.diag(linked_bound(design, SIGMA, gyro_drift(scene)))[:8]
     assert np.all(perfect < between)
     assert np.all(between < alone)
 
 
 def test_trusting_a_gyro_is_never_better_than_weighting_it(scene, design):
     for factor in (0.1, 1.0, 10.0):
-        error = gyro_error(scene, 0.3 * factor, 0.05 * factor)
-        assert np.all(np.diag(correlated(design, SIGMA, error)) >= np.diag(linked(design, SIGMA, error)) * (1 - 1e-9))
+        error = gyro_drift(scene, 0.3 * factor, 0.05 * factor)
+        assert np.all(
+            np.diag(correlated_covariance(design, SIGMA, error))
+            >= np.diag(linked_bound(design, SIGMA, error)) * (1 - 1e-9)
+        )
 
 
 def test_lonely_stars_tell_nothing_of_the_camera(design):
     """A frame of one star has two measurements and three unknowns."""
-    everything = free(design, SIGMA)
+    everything = free_bound(design, SIGMA)
     keep = design.frame != 5
     lonely = keep.copy()
     lonely[np.flatnonzero(~keep)[0]] = True
-    without = np.diag(free(design.select(keep), SIGMA))
-    assert np.diag(free(design.select(lonely), SIGMA)) == pytest.approx(without, rel=1e-9)
+    without = np.diag(free_bound(design.select(keep), SIGMA))
+    assert np.diag(free_bound(design.select(lonely), SIGMA)) == pytest.approx(without, rel=1e-9)
     assert np.all(np.diag(everything) < without)
 
 
@@ -187,7 +185,7 @@ def test_covariance_of_the_gyro_against_the_simulated_one():
     found = gyro_rotations(scene, config, Streams(4).child("gyro"), range(500), noise)
     # measured = truth exp(-e), e in the axes of the body at the first frame
     drift = np.stack([-(scene.body.inv() * one).as_rotvec() for one in found]).reshape(500, -1)
-    expected = gyro_error(scene, *noise).covariance
+    expected = gyro_drift(scene, *noise).covariance
     assert np.abs(drift[:, :3]).max() < 1e-12  # no error at the first frame
     measured, expected = (drift.T @ drift / 500)[3:, 3:], expected[3:, 3:]
     size = np.sqrt(np.diag(expected))
@@ -196,60 +194,32 @@ def test_covariance_of_the_gyro_against_the_simulated_one():
     assert np.abs(away).max() < 4.5 * np.sqrt(2 / 500)
     # frames at any times: a walk has the covariance of the earlier one
     time = np.array([0.0, 1.0, 5.0, 5.5])
-    walk = GyroError.of(time, np.zeros((4, 3, 3)), bias_rad_per_s=1.0, walk_rad_per_sqrt_s=2.0).covariance
+    walk = GyroDrift.of(time, np.zeros((4, 3, 3)), bias_rad_per_s=1.0, walk_rad_per_sqrt_s=2.0).covariance
     np.testing.assert_allclose(walk, 4.0 * np.kron(np.minimum.outer(time, time), np.eye(3)), atol=1e-12)
 
 
 def test_drift_of_a_constant_bias_is_that_of_the_integrated_rates(scene):
     """A record's bias has one of eight signs; to first order its drift is the integral in axes of the first body."""
-    steady = gyro_error(scene, 3.0, 0.0).steady
+    steady = gyro_drift(scene, 3.0, 0.0).steady
     expected = steady @ np.array(list(product((-1.0, 1.0), repeat=3))).T
     for one in gyro_rotations(scene, CONFIG, Streams(4).child("gyro"), range(4), (3.0, 0.0)):
         drift = -(scene.body.inv() * one).as_rotvec().reshape(-1, 1)
         assert np.abs(drift - expected).max(0).min() < 1e-4 * np.abs(steady).max()
 
 
-def test_line_of_sight_operator_against_the_map(scene):
-    """Linear in small changes of the parameters; the map removes its rotation by Kabsch's method."""
-    camera = scene.camera
-    operator = sight_operator(camera, 9)
-    pixel = camera.geometry.grid_px(9)
-    truth = camera.unproject(pixel)
-    rng = np.random.default_rng(5)
-    for _ in range(3):
-        change = 0.01 * rng.standard_normal(8) * camera.parameter_scales
-        found = line_of_sight_map(camera.with_parameters(camera.parameters + change), truth, pixel)
-        expected = np.sqrt(((operator @ change) ** 2).sum() / len(pixel))
-        assert expected == pytest.approx(found.rms_arcsec, rel=2e-3)
-    covariance = np.diag((0.01 * camera.parameter_scales) ** 2)
-    drawn = rng.standard_normal((4000, 8)) * 0.01 * camera.parameter_scales
-    mean_square = ((drawn @ operator.T) ** 2).sum(1).mean() / len(pixel)
-    assert sight_arcsec(operator, covariance) == pytest.approx(np.sqrt(mean_square), rel=4 / np.sqrt(2 * 4000) * 1.5)
+def test_least_information_tells_what_is_not_determined(design):
+    """Eight stars of one frame, seen twice, have 32 coordinates for 14 unknowns, and determine 8 + 3 at most."""
+    assert design.least_information() > 1e-12
+    one_frame = np.flatnonzero(design.frame == 0)[:8]
+    assert design.select(np.concatenate([one_frame, one_frame])).least_information() < 1e-12
+    assert design.select(np.arange(len(design.frame)) < 5).least_information() == 0.0
 
 
-def test_frames_are_chosen_as_the_document_counts_them(scene, stars):
-    """Frames 1, 3, 5 ... calibrate."""
-    used, kept = choose_frames(stars, scene, "odd")
-    assert kept.tolist() == [0, 2, 4, 6, 8, 10]
-    assert np.array_equal(used, stars.frame % 2 == 0)
-    assert choose_frames(stars, scene, "all")[0].all()
-
-
-@pytest.mark.parametrize(
-    ("grown", "bias", "expected"), [(1.0, 0.0, 1.0), (1.25, 0.0, 1.25), (1.0, 2.0, np.sqrt(9 / 7))]
-)
-def test_normalised_errors_notice_a_wrong_covariance_and_a_bias(design, scene, grown, bias, expected):
-    """4000 errors of 14 correlated unknowns: the ratio is known to 1 / sqrt(2 14 4000) = 0.3 %; 1 % is asked."""
-    covariance = linked(design, SIGMA, gyro_error(scene))
-    scale = np.sqrt(np.diag(covariance))
-    root = scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale))
-    drawn = Streams(5).generator("errors").standard_normal((4000, 14))
-    drawn[:, 3] += bias  # adds bias^2 / 14 to the mean square
-    point = Point(name="", runs=4000, noise_px=SIGMA, gyro=((0.0, 0.0),), methods=("linked",))
-    runs = Trials(point=point, values={"linked@0.error": grown * drawn @ root.T})
-    every = Covariances(perfect=covariance, acc=covariance, linked=covariance, free=covariance[:8, :8])
-    assert nees_ratio([runs], [every]).value == pytest.approx(expected, rel=0.01)
-    if expected == 1.0:  # a hundred nights of 40 runs each
-        nights = [replace(runs, values={"linked@0.error": part}) for part in np.split(drawn @ root.T, 100)]
-        ratios = [nees_ratio([one], [every]) for one in nights]
-        assert np.std([one.value for one in ratios]) == pytest.approx(ratios[0].uncertainty, rel=4.0 / np.sqrt(200))
+def test_number_of_stars_that_gives_an_error(scene, design):
+    """Twice the mean square of the stars, less the gyro's own: half of the stars."""
+    odd, even = (design.select(design.frame % 2 == k) for k in (0, 1))
+    error = gyro_drift(scene)
+    stars2, both2 = (reprojection(odd, even, SIGMA, one).total_px ** 2 for one in (None, error))
+    factor, gyro2 = stars_of_reprojection(odd, even, SIGMA, error, both2 + stars2)
+    assert (factor, gyro2) == (pytest.approx(0.5), pytest.approx(both2 - stars2))
+    assert stars_of_reprojection(odd, even, SIGMA, error, 0.5 * gyro2)[0] == np.inf

@@ -1,4 +1,4 @@
-"""Expected calibration errors from the design alone, without drawn stars or adjustments.
+"""Expected errors of a calibration with frames linked by a gyro, from the design alone, without stars or adjustments.
 
 Linear model of star j in frame k, all perturbations small and to the left (cam from reference):
 
@@ -16,25 +16,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
 
-from calib.cameras.base import unproject_jacobian
+from calib.attitude.link import skew
+from calib.cameras.base import CameraModel
 from optics.arrays import FloatArray, IntArray
 from optics.records import freeze, freeze_all
-from optics.units import ARCSEC_RAD
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
-
-    from calib.cameras.base import CameraModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Design:
+class LinkedDesign:
     """Derivatives at the truth."""
 
     by_model: FloatArray  # (n, 2, p) Of a star's pixel position by the camera's parameters
@@ -52,12 +48,12 @@ class Design:
     @classmethod
     def at(
         cls, model: CameraModel, attitude: Rotation, installation: Rotation, direction: FloatArray, frame: IntArray
-    ) -> Design:
+    ) -> LinkedDesign:
         """Design of stars seen by a camera."""
         matrix = attitude.as_matrix()
-        seen = np.einsum("nij,nj->ni", matrix[frame], direction)
-        jacobian = model.project_jacobian(seen)
-        turn = -_cross_matrix(seen)  # v + d x v
+        direction_cam = np.einsum("nij,nj->ni", matrix[frame], direction)
+        jacobian = model.project_jacobian(direction_cam)
+        turn = -skew(direction_cam)  # v + d x v
         moved = matrix @ matrix[0].T
         return cls(
             by_model=jacobian.by_parameter,
@@ -67,9 +63,9 @@ class Design:
             drift=-moved @ installation.as_matrix(),
         )
 
-    def select(self, mask: NDArray[np.bool_]) -> Design:
+    def select(self, mask: NDArray[np.bool_]) -> LinkedDesign:
         """The same with some of the stars."""
-        return Design(
+        return LinkedDesign(
             by_model=self.by_model[mask],
             by_attitude=self.by_attitude[mask],
             frame=self.frame[mask],
@@ -87,13 +83,22 @@ class Design:
         tied = self.by_attitude @ self.link[self.frame]
         return np.concatenate([self.by_model, tied], axis=2).reshape(-1, self.by_model.shape[2] + 6)
 
+    def least_information(self) -> float:
+        """Smallest over largest eigenvalue of the scaled normal matrix; 0 for fewer measurements than unknowns."""
+        columns = self.by_unknown()
+        if len(columns) < columns.shape[1]:
+            return 0.0
+        scaled = columns / np.maximum(np.sqrt((columns**2).sum(0)), 1e-300)
+        size = np.linalg.svd(scaled, compute_uv=False) ** 2
+        return float(size[-1] / size[0])
+
     def by_drift(self) -> FloatArray:
         """(2 n, 3): by the gyro's accumulated error of the star's frame."""
         return (self.by_attitude @ self.drift[self.frame]).reshape(-1, 3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GyroError:
+class GyroDrift:
     """Accumulated error of a gyro at the frames: e = steady s + walk w [rad]."""
 
     steady: FloatArray  # (3 f, 3) By the signs s (each +1 or -1) of the three axes' bias
@@ -105,7 +110,7 @@ class GyroError:
     @classmethod
     def of(
         cls, time_s: FloatArray, swept: FloatArray, *, bias_rad_per_s: float, walk_rad_per_sqrt_s: float
-    ) -> GyroError:
+    ) -> GyroDrift:
         """Error at frames."""
         step = np.sqrt(np.diff(time_s))
         reached = np.tril(np.ones((len(time_s), len(step))), -1) * step
@@ -120,7 +125,7 @@ class GyroError:
         return np.asarray(self.steady @ self.steady.T + self.walk @ self.walk.T)
 
 
-def correlated(design: Design, sigma_px: float, gyro: GyroError | None = None) -> FloatArray:
+def correlated_covariance(design: LinkedDesign, sigma_px: float, gyro: GyroDrift | None = None) -> FloatArray:
     """Covariance (p + 6, p + 6) of ACC (eq. 11), which takes the gyro as perfect."""
     normal, scale = _scaled_normal(design)
     inverse = np.linalg.inv(normal)
@@ -131,15 +136,15 @@ def correlated(design: Design, sigma_px: float, gyro: GyroError | None = None) -
     return np.asarray(covariance / np.outer(scale, scale))
 
 
-def linked(design: Design, sigma_px: float, gyro: GyroError) -> FloatArray:
+def linked_bound(design: LinkedDesign, sigma_px: float, gyro: GyroDrift) -> FloatArray:
     """Cramer-Rao bound (p + 6, p + 6) with a gyro of that covariance, weighted by its noise.
 
-    Between `correlated` (perfect gyro) and `free` (useless gyro).
+    Between `correlated_covariance` (perfect gyro) and `free_bound` (useless gyro).
     """
     normal, scale = _scaled_normal(design)
     drift = _per_frame_drift(design) / scale[:, None]
-    own = _drift(design)
-    inner = (own.T @ own).toarray()
+    drift_rows = _drift(design)
+    inner = (drift_rows.T @ drift_rows).toarray()
     # sum over the gyro's errors as a prior, without inverting its singular covariance (the first frame has no error)
     prior = gyro.covariance
     carried = prior @ np.linalg.solve(sigma_px**2 * np.eye(len(prior)) + inner @ prior, drift.T)
@@ -147,7 +152,7 @@ def linked(design: Design, sigma_px: float, gyro: GyroError) -> FloatArray:
     return np.asarray(sigma_px**2 * np.linalg.inv(reduced) / np.outer(scale, scale))
 
 
-def free(design: Design, sigma_px: float) -> FloatArray:
+def free_bound(design: LinkedDesign, sigma_px: float) -> FloatArray:
     """Cramer-Rao bound (p, p) of the camera parameters when every frame has an attitude of its own."""
     count = design.by_model.shape[2]
     flat = design.by_model.reshape(-1, count)
@@ -159,8 +164,8 @@ def free(design: Design, sigma_px: float) -> FloatArray:
         # a frame of one star leaves one direction of its attitude open: the pseudo-inverse takes what there is
         basis, size, _ = np.linalg.svd(attitude, full_matrices=False)
         basis = basis[:, size > 1e-9 * size[0]]
-        share = basis.T @ camera
-        normal -= share.T @ share
+        known = basis.T @ camera
+        normal -= known.T @ known
     return np.asarray(sigma_px**2 * np.linalg.inv(normal) / np.outer(scale, scale))
 
 
@@ -179,7 +184,9 @@ class Reprojection:
         freeze(self, "axis_px", shape=(2,))
 
 
-def reprojection(used: Design, judged: Design, sigma_px: float, gyro: GyroError | None = None) -> Reprojection:
+def reprojection(
+    used: LinkedDesign, judged: LinkedDesign, sigma_px: float, gyro: GyroDrift | None = None
+) -> Reprojection:
     """Reprojection error of ACC on other frames, where the gyro's error counts a second time.
 
     For a perfect gyro and frames alike this is sigma sqrt(14 / n): the 14 unknowns share the information of n stars.
@@ -188,7 +195,7 @@ def reprojection(used: Design, judged: Design, sigma_px: float, gyro: GyroError 
 
 
 def reprojections(
-    used: Design, judged: Design, sigmas_px: Sequence[float], gyro: GyroError | None = None
+    used: LinkedDesign, judged: LinkedDesign, sigmas_px: Sequence[float], gyro: GyroDrift | None = None
 ) -> list[Reprojection]:
     """As `reprojection`, for several noises of the same stars."""
     normal, scale = _scaled_normal(used)
@@ -201,7 +208,7 @@ def reprojections(
     stars, unknowns, signs = len(judged.frame), len(scale), 0 if gyro is None else 3
     by_axis = np.stack([(sources[axis::2] ** 2).sum(0) for axis in range(2)]) / stars
     gram = sources.T @ sources / stars
-    found = []
+    results = []
     for sigma in sigmas_px:
         size = np.where(np.arange(len(gram)) < unknowns, sigma, 1.0)
         axis_px2 = by_axis @ size**2
@@ -210,7 +217,7 @@ def reprojections(
         variance = 2.0 * (float(((gram * np.outer(size, size)) ** 2).sum()) - fixed)
         mean_square = float(axis_px2.sum())
         total = float(np.sqrt(mean_square))
-        found.append(
+        results.append(
             Reprojection(
                 axis_px=np.sqrt(axis_px2),
                 total_px=total,
@@ -218,41 +225,30 @@ def reprojections(
                 scatter_px=float(np.sqrt(variance)) / (2.0 * total),
             )
         )
-    return found
+    return results
 
 
-def sight_operator(model: CameraModel, points: int) -> FloatArray:
-    """Line-of-sight error over the detector after the best rotation, by the camera's parameters (2 n, p) [arcsec].
+def stars_of_reprojection(
+    used: LinkedDesign, judged: LinkedDesign, sigma_px: float, gyro: GyroDrift, mean_square_px2: float
+) -> tuple[float, float]:
+    """Number of stars at which the expected mean square of the reprojection error is a given one.
 
-    Rows are the components across the line of sight, in two directions square to it, of a grid of ``points`` along each
-    side: ``sqrt(trace(O C O^T) / n)`` is the expected RMS length for parameters of covariance C.
+    The stars' part of the mean square is proportional to 1 / n, the gyro's does not depend on n.
+
+    Returns
+    -------
+    factor : float
+        Number of stars over that of the designs; infinite where the gyro alone gives more.
+    gyro_px2 : float
+        Mean square by the gyro alone.
     """
-    pixel = model.geometry.grid_px(points)
-    direction, _, by_parameter = unproject_jacobian(model, pixel)
-    across = np.linalg.svd(direction[:, None, :])[2][:, 1:, :]
-    change = (across @ by_parameter).reshape(-1, by_parameter.shape[2])
-    turn = (across @ -_cross_matrix(direction)).reshape(-1, 3)
-    left = change - turn @ np.linalg.lstsq(turn, change, rcond=None)[0]
-    return np.asarray(left / ARCSEC_RAD)
+    stars_px2 = reprojection(used, judged, sigma_px).total_px ** 2
+    gyro_px2 = reprojection(used, judged, sigma_px, gyro).total_px ** 2 - stars_px2
+    room_px2 = mean_square_px2 - gyro_px2
+    return stars_px2 / room_px2 if room_px2 > 0 else float("inf"), max(gyro_px2, 0.0)
 
 
-def sight_arcsec(operator: FloatArray, covariance: FloatArray) -> float:
-    """Expected RMS length of the line-of-sight map's error, of parameters with that covariance [arcsec]."""
-    count = operator.shape[1]
-    square = np.einsum("ij,jk,ik->", operator, covariance[:count, :count], operator, optimize=True)
-    return float(np.sqrt(2.0 * square / len(operator)))
-
-
-def _cross_matrix(v: FloatArray) -> FloatArray:
-    """(n, 3, 3) with ``_cross_matrix(v) @ w = v x w``."""
-    matrix = np.zeros((len(v), 3, 3))
-    matrix[:, 0, 1], matrix[:, 0, 2] = -v[:, 2], v[:, 1]
-    matrix[:, 1, 0], matrix[:, 1, 2] = v[:, 2], -v[:, 0]
-    matrix[:, 2, 0], matrix[:, 2, 1] = -v[:, 1], v[:, 0]
-    return matrix
-
-
-def _scaled_normal(design: Design) -> tuple[FloatArray, FloatArray]:
+def _scaled_normal(design: LinkedDesign) -> tuple[FloatArray, FloatArray]:
     """Normal matrix of all unknowns with columns of length one, and the lengths."""
     columns = design.by_unknown()
     scale = np.sqrt((columns**2).sum(0))
@@ -260,21 +256,21 @@ def _scaled_normal(design: Design) -> tuple[FloatArray, FloatArray]:
     return columns.T @ columns, scale
 
 
-def _frame_rows(design: Design) -> list[IntArray]:
+def _frame_rows(design: LinkedDesign) -> list[IntArray]:
     """Stars of each frame that has any."""
     order = np.argsort(design.frame, kind="stable")
     edges = np.flatnonzero(np.diff(design.frame[order])) + 1
     return np.split(order, edges)
 
 
-def _drift(design: Design) -> Any:
+def _drift(design: LinkedDesign) -> Any:
     """(2 n, 3 f), sparse: shifts of the stars by the gyro's errors, each by that of its frame."""
-    own = design.by_drift()
+    rows = design.by_drift()
     column = 3 * np.repeat(design.frame, 2)[:, None] + np.arange(3)
-    row = np.broadcast_to(np.arange(len(own))[:, None], column.shape)
-    return csr_array((own.ravel(), (row.ravel(), column.ravel())), shape=(len(own), 3 * design.frames))
+    row = np.broadcast_to(np.arange(len(rows))[:, None], column.shape)
+    return csr_array((rows.ravel(), (row.ravel(), column.ravel())), shape=(len(rows), 3 * design.frames))
 
 
-def _per_frame_drift(design: Design) -> FloatArray:
+def _per_frame_drift(design: LinkedDesign) -> FloatArray:
     """(p + 6, 3 f): unknowns against the gyro's errors, summed over stars."""
     return np.asarray((_drift(design).T @ design.by_unknown()).T)
