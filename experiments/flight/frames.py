@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,30 +20,26 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.patterns import kept_database
 from calib.attitude.tracker import StarTracker, TrackedAttitude
-from experiments.flight.prediction import Budget, heated
+from experiments.flight.prediction import Budget
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame
 from experiments.laboratory.bench.readout.psf_grid import PsfGrid, refined, render_psf_grid
 from optics.arrays import FloatArray
-from optics.attitude import aberrated, attitude_error_arcsec
+from optics.attitude import attitude_error_arcsec
+from optics.lens.thermal import ThermalState
 from optics.records import freeze
 from optics.units import ARCSEC_RAD
-from render.bodies.solar_system import BODIES, joined, planet_field, solar_system
-from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_hits
-from render.detector.readout import expose
+from render.bodies.solar_system import BODIES, solar_system
 from render.engine.random import Streams
-from render.forward import StarRenderer
 from render.motion.trajectory import Trajectory
+from render.observation import SkyLight
 from render.records import Frame
 from render.sensor_file.detector import overridden
-from render.sensor_file.instrument import Instrument, build_instrument, configured_detector
-from render.sky.field import field_of_view
-from render.tracing.motion.exposure import exposure_motion
+from render.sensor_file.instrument import build_instrument, configured_detector, housing_of
+from render.simulator import SkySimulator
 
 MARGIN_PX = 32.0
 """Strip around the detector whose stars are rendered: their light may reach it."""
-ABERRATED_RAD = 1.3e-4
-"""Largest aberration, in a low orbit about the Earth."""
 PLANETS = tuple(name for name in BODIES if name != "moon")
 BLENDED = 4
 """Steps between rendered PSFs of the tracker; those between are blended."""
@@ -86,95 +82,59 @@ class Segment:
 
 
 class Camera:
-    """Renders and reads frames of the sensor at its temperatures; a lens is prepared once per state."""
+    """Frames of the sensor along the flight."""
 
     def __init__(self, budget: Budget) -> None:
         config = self.config = budget.config
         self.budget, self.flight = budget, budget.flight
-        self._whole = overridden(configured_detector(config.instrument), budget.sensor.detector)
-        self.nominal: Instrument = build_instrument(config.instrument, detector=self._whole)
-        self.detector = self.nominal.detector
+        setting, state = config.instrument, budget.nominal.state
+        chip = overridden(configured_detector(setting), budget.sensor.detector)
+        self.nominal = build_instrument(setting, detector=chip)
         self.streams = Streams(config.seed).child("flight", "old" if budget.old else "new")
-        self._view = field_of_view(self.nominal.camera, margin_px=MARGIN_PX)
-        self._renderers: dict[bytes, StarRenderer] = {}
-        light = budget.nominal.state.light
-        planets = solar_system(budget.flight.orbit.epoch_year, bodies=PLANETS if config.frames.planets else ())
-        planets = planets.select(np.isfinite(planets.magnitude_v))  # near the Sun some have no published magnitude
-        self.planets = planet_field(planets, [budget.nominal.state.band], nodes=light.wavelength_nm.shape[1])
-
-    def renderer(self, state_k: FloatArray) -> StarRenderer:
-        """Renderer of the lens in a state."""
-        key = np.asarray(state_k, float).tobytes()
-        if key not in self._renderers:
-            lens = heated(self.config, state_k)
-            camera = build_instrument(self.config.instrument, lens=lens, detector=self._whole).camera
-            exposure_s = self.config.instrument.exposure_s
-            self._renderers[key] = StarRenderer(camera, exposure_s=exposure_s, tolerance=1e-4, by_grid=True)
-        return self._renderers[key]
-
-    def expected(self, time_s: float, state_k: FloatArray, trajectory: Trajectory | None = None) -> FloatArray:
-        """Noiseless electrons (h, w) of an exposure about a time."""
-        path = self.flight.trajectory if trajectory is None else trajectory
-        exposure, attitude = self.config.instrument.exposure_s, path.attitude(time_s)
-        rate = path.rate(time_s + exposure * np.array([-0.5, 0.0, 0.5]))
-        turn_rad = float(np.linalg.norm(rate, axis=1).max()) * exposure
-        row, near = (self._near(attitude, each, turn_rad) for each in (self.budget.direction, self.planets.direction))
-        seen = aberrated(self.budget.direction[row], self.flight.velocity_km_per_s(time_s))
-        stars = joined(
-            self.budget.nominal.state.light.stars(
-                seen, self.budget.stars.magnitude[row], self.budget.temperature_k[row]
-            ),
-            replace(self.planets, direction=self.planets.direction[near], photon_rate=self.planets.photon_rate[near]),
-        )
-        stars = replace(stars, photon_rate=stars.photon_rate * self.budget.sensor.throughput_fraction)
-        renderer = self.renderer(state_k)
-        if turn_rad > STILL_PX * self.budget.pixel_rad or self.config.jitter.rms_arcsec:
-            motion = exposure_motion(path, start_s=time_s - 0.5 * exposure, exposure_s=exposure, camera=renderer.camera)
-            traced = renderer.trace(stars, motion=motion)
-        else:
-            traced = renderer.trace(stars, rotation_cam_from_world=attitude.as_matrix())
-        return np.array(traced.electrons[:, :, 0])
-
-    def _near(self, attitude: Rotation, direction: FloatArray, turn_rad: float) -> NDArray[np.int64]:
-        """Rows of directions along icrs whose light may reach the detector; all about it where light scatters."""
-        slack_rad = ABERRATED_RAD + turn_rad
-        row = np.flatnonzero(direction @ attitude.as_matrix()[2] > np.cos(1.1 * self._view.radius_rad + slack_rad))
-        if self.nominal.camera.scatter is not None:
-            return row
-        return row[self._view.inside(attitude.apply(direction[row]), slack_rad)]
-
-    def read(self, electrons: FloatArray, time_s: float, number: int, label: str) -> Frame:
-        """One readout; the same number and label: the same noise."""
-        setting = self.config.instrument
-        return expose(
-            electrons,
-            self.detector,
-            streams=self.streams,
-            frame=number,
+        planets = solar_system(self.flight.orbit.epoch_year, bodies=PLANETS) if config.frames.planets else ()
+        self.simulator = SkySimulator(
+            self.nominal,
+            budget.sky,
             exposure_s=setting.exposure_s,
+            passband=state.band,
+            nodes=state.light.wavelength_nm.shape[1],
+            throughput_fraction=budget.sensor.throughput_fraction,
             temperature_c=setting.chip_temperature_c,
-            background_e_per_s=float(self.flight.background_e_per_s(time_s)),
-            band=label,
-            hits=self.hits(number, label),
+            seed=self.streams,
+            bodies=planets,
+            disks_above_px=np.inf,
+            cosmic_rays=None if config.frames.cosmic_rays == "none" else config.frames.cosmic_rays,
+            housing=housing_of(setting.housing),
+            margin_px=MARGIN_PX,
+            tolerance=1e-4,
+            by_grid=True,
         )
 
-    def hits(self, number: int, label: str) -> CosmicRayHits | None:
-        """Cosmic rays of a readout; None without them."""
-        if self.config.frames.cosmic_rays == "none":
-            return None
-        streams, exposure_s = self.streams.child(label), self.config.instrument.exposure_s
-        return cosmic_ray_hits(
-            self.detector, self.config.frames.cosmic_rays, streams=streams, frame=number, exposure_s=exposure_s
+    def expected(self, time_s: float, state_k: FloatArray, trajectory: Trajectory | None = None) -> SkyLight:
+        """Light of an exposure about a time, through the lens in a state."""
+        path = self.flight.trajectory if trajectory is None else trajectory
+        exposure = self.config.instrument.exposure_s
+        start = time_s - 0.5 * exposure
+        during = path.attitude(start + exposure * np.array([0.0, 0.5, 1.0]))
+        turn_rad = 2.0 * (during[1:] * during[:-1].inv()).magnitude().max()
+        pointing: dict[str, Any] = {"attitude": path.attitude(time_s)}
+        if turn_rad > STILL_PX * self.budget.pixel_rad or self.config.jitter.rms_arcsec:
+            pointing = {"attitude": path, "start_s": start}
+        return self.simulator.expected(
+            **pointing,
+            velocity_km_per_s=self.flight.velocity_km_per_s(time_s),
+            lens_state=ThermalState.of(np.asarray(state_k, float)),
         )
 
-    def false_stars(self, time_s: float, number: int, label: str) -> int:
+    def read(self, light: SkyLight, time_s: float, number: int, label: str) -> Frame:
+        """One readout; the same number and label: the same noise."""
+        background = float(self.flight.background_e_per_s(time_s))
+        return self.simulator.read(light, frame=number, label=label, background_e_per_s=background)
+
+    def false_stars(self, light: SkyLight, number: int, label: str) -> int:
         """Planets in the field and tracks of cosmic rays of a readout."""
-        camera, hits = self.nominal.camera, self.hits(number, label)
-        v = self.planets.direction @ self.flight.trajectory.attitude(time_s).as_matrix().T
-        place = self.budget.model.project(v)
-        with np.errstate(invalid="ignore"):
-            inside = ((place > -0.5) & (place < np.array([camera.width_px, camera.height_px]) - 0.5)).all(axis=1)
-        return int(inside.sum()) + (0 if hits is None else len(hits))
+        hits = self.simulator.hits(number, label)
+        return (0 if light.planets is None else len(light.planets)) + (0 if hits is None else len(hits))
 
 
 def psf_grid(budget: Budget) -> PsfGrid | None:
@@ -249,7 +209,7 @@ def _segment(camera: Camera, tracker: StarTracker, number: int, start_s: float, 
     for k, at_s in enumerate(times if not blinded else ()):
         truth, known = flight.trajectory.attitude(at_s), flight.known_velocity_km_per_s(at_s)
         image, key = camera.expected(at_s, state), number * count + k
-        frame, false_stars[k] = camera.read(image, at_s, key, "first"), camera.false_stars(at_s, key, "first")
+        frame, false_stars[k] = camera.read(image, at_s, key, "first"), camera.false_stars(image, key, "first")
         began = time.perf_counter()
         found = tracker(frame, at_s, velocity_km_per_s=known, rate_rad_per_s=flight.trajectory.rate(at_s))
         if k == 0:

@@ -33,12 +33,11 @@ from optics.errors import DomainError
 from optics.lens.system import LensSystem
 from optics.lens.thermal import COMPONENTS, ThermalState, heated_lens
 from optics.units import RAD_ARCSEC
-from render.catalogue.motion import directions_at
-from render.catalogue.temperature import star_temperature
 from render.motion.trajectory import trail_of_rate
 from render.records import EffectivePsf
 from render.sensor_file.catalogue import load_catalogue
 from render.sensor_file.instrument import Instrument, build_instrument, configured_lens, housing_of
+from render.sky.sky import load_sky
 
 STEP_K = {"mean_k": 1.0, "axial_k": 0.5, "transverse_x_k": 0.2, "transverse_y_k": 0.2, "radial_k": 0.5}
 """Of the differences that sensitivities are made of."""
@@ -90,11 +89,13 @@ class Budget:
         self.pixel_arcsec = self.pixel_rad * RAD_ARCSEC
         residual = self._map.pixel_px - self.model.project(self._map.direction)
         self._residual = fit_field_map(self._map.direction, residual)
-        whole = load_catalogue(config.catalogue)
-        stars = whole.select(np.flatnonzero(whole.magnitude <= config.catalogue.faintest_mag))
-        self.stars = stars
-        self.direction = directions_at(stars, config.catalogue.epoch_year)
-        self.temperature_k = star_temperature(stars, config.catalogue.temperature)
+        catalogue = config.catalogue
+        self.sky = load_sky(
+            load_catalogue(catalogue),
+            faintest_mag=catalogue.faintest_mag,
+            epoch_year=catalogue.epoch_year,
+            temperature=catalogue.temperature,
+        )
         self.guides = self._guides()
 
     # --- Sky
@@ -105,8 +106,8 @@ class Budget:
         asked = self.config.tracker.faintest_mag
         faintest = limit if asked is None else asked
         return camera.guide_stars(
-            self.stars,
-            self.direction,
+            self.sky.catalog,
+            self.sky.direction,
             brightest_mag=camera.value("saturation_mag") + SATURATION_MARGIN_MAG,
             faintest_mag=faintest,
             throughput=self.sensor.throughput_fraction / camera.config.throughput_fraction,
@@ -272,8 +273,8 @@ class Budget:
         camera = self.camera(background_e_per_s, rate_rad_per_s)
         away = self._away(v)
         radius = np.hypot(*away.T)
-        kelvin = self.temperature_k[self.guides.row[rows]]
-        electrons = camera.state.electrons_per_s(self.stars.magnitude[self.guides.row[rows]], kelvin, radius)
+        kelvin = self.sky.temperature_k[self.guides.row[rows]]
+        electrons = camera.state.electrons_per_s(self.sky.magnitude[self.guides.row[rows]], kelvin, radius)
         electrons = electrons * self.config.instrument.exposure_s * self.sensor.throughput_fraction
         star = camera.stars
         shown = star.effective(electrons, kelvin, radius)
@@ -318,7 +319,7 @@ class Budget:
     @cached_property
     def star_error_px(self) -> FloatArray:
         """Error per axis of every guide star without noise and scale, RMS over field and flight, by its own colour."""
-        radius, kelvin = detector_radii(self.nominal.state), self.temperature_k[self.guides.row]
+        radius, kelvin = detector_radii(self.nominal.state), self.sky.temperature_k[self.guides.row]
         known, index = np.unique(kelvin.round(-1), return_inverse=True)
         colour, spot = self.colour_px(np.repeat(known, len(radius)), np.tile(radius, len(known)))
         colour2 = (0.5 * colour**2 + spot**2).reshape(len(known), -1).mean(1)[index]

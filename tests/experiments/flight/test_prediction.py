@@ -163,10 +163,10 @@ def test_what_stars_err_by_besides_noise(budget, seen, monkeypatch):
     assert np.std(left - budget._residual.at(direction)) < 0.5 * np.std(left)
     rows, v, (_, _, _, shift) = stars_of(budget, seen[0])
     away = budget.model.project(v) - budget.model.geometry.centre_px
-    colour = budget.colour_px(budget.temperature_k[budget.guides.row[rows]], np.hypot(*away.T))[0]
+    colour = budget.colour_px(budget.sky.temperature_k[budget.guides.row[rows]], np.hypot(*away.T))[0]
     radius, sky = np.hypot(*away.T), budget.guides.row[rows]
     stars, state = budget.nominal.stars, budget.nominal.state
-    electrons = 0.8 * 0.2 * state.electrons_per_s(budget.stars.magnitude[sky], budget.temperature_k[sky], radius)
+    electrons = 0.8 * 0.2 * state.electrons_per_s(budget.sky.magnitude[sky], budget.sky.temperature_k[sky], radius)
     pattern = stars.sigma_at(stars.centroid.pattern_px, electrons, radius)
     assert budget._star_errors(0.0, REST, rows, v)[1] == pytest.approx(pattern, rel=1e-9)
     rest = shift - colour[:, None] * away / np.hypot(*away.T)[:, None]
@@ -177,9 +177,9 @@ def test_what_stars_err_by_besides_noise(budget, seen, monkeypatch):
     assert budget.unmodelled_px2(rows, v) == pytest.approx(
         budget.star_error_px[rows] ** 2 + ((1e-3 * away) ** 2).mean(1)
     )
-    rng, star = np.random.default_rng(2), int(np.argmax(budget.temperature_k[budget.guides.row]))
+    rng, star = np.random.default_rng(2), int(np.argmax(budget.sky.temperature_k[budget.guides.row]))
     away = rng.uniform(-350.0, 350.0, (4000, 2))
-    radius, kelvin = np.hypot(*away.T), float(budget.temperature_k[budget.guides.row[star]])
+    radius, kelvin = np.hypot(*away.T), float(budget.sky.temperature_k[budget.guides.row[star]])
     shift, spot = budget.colour_px(np.full(4000, kelvin), radius)
     moved = shift[:, None] * away / radius[:, None]
     expected = (moved**2).mean() + (spot**2).mean() + budget._alike[0]
