@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from calib.accuracy.ecss_metrics import mixture_bound, normal_factor, quantile_limit
+from calib.attitude.predicted import attitude_of_velocity
 from experiments.harness.outputs import flat
 from experiments.harness.progress import Progress
 from experiments.harness.provenance import without_paths
@@ -31,8 +30,7 @@ OVER_TEMPERATURE = {"focus_shift_um", "spot_thermal_px", "scale_change_ppm"}
 CONFIDENCE = 0.9
 """Of a limit that a sample of the sky tells."""
 ANALYSIS, RENDERED, INPUT = "analysis", "rendered simulation", "input"
-LIGHT_M_PER_S = 299_792_458.0
-EARTH_M_PER_S = 29_784.7
+EARTH_KM_PER_S = 29.7847
 """Mean orbital speed of the Earth."""
 
 
@@ -111,7 +109,7 @@ def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str |
         *_attitude(number, across, roll, at),
         *_terms(number, config, at),
         *(() if thermal is None else _thermal(thermal, number)),
-        *_aberration(),
+        _aberration(),
         *([] if told is None else _flight(told, Path(str(flight)).name)),
     ]
     return Statement(
@@ -121,7 +119,7 @@ def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str |
         conditions=conditions,
         errors=errors,
         detection=[
-            *_detection(number, config, at),
+            *_detection(number, at),
             *([] if told is None else _availability(told, Path(str(flight)).name)),
         ],
         requirements=judged,
@@ -184,128 +182,77 @@ def _percent(level: float) -> str:
 
 
 def _attitude(number: _Numbers, across: FloatArray, roll: FloatArray, at: str) -> Iterator[Line]:
-    for level in LEVELS:
-        yield Line(
-            clause="total",
-            what="attitude",
-            value=_arcsec(mixture_bound(across, level), mixture_bound(roll, level)),
-            statistic=f"AME, {_percent(level)}, mixed",
-            conditions=at,
-        )
-    factor = normal_factor(0.997)
-    yield Line(
-        clause="total",
-        what="attitude, worst 1 % of the sky",
-        value=_arcsec(*(factor * one for one in number.pair("_worst"))),
-        statistic="AME, 99.7 %, ensemble, normal error",
-        conditions=at,
-    )
-    yield Line(
-        clause="total",
-        what="attitude, worst 1 % of the sky",
-        value=_arcsec(*(factor * quantile_limit(one, 0.99, CONFIDENCE) for one in (across, roll))),
-        statistic=f"the same, upper limit at {_percent(CONFIDENCE)} confidence",
-        conditions=at,
-    )
+    axes, factor, worst = (across, roll), normal_factor(0.997), "attitude, worst 1 % of the sky"
+    rows = [("attitude", [mixture_bound(a, p) for a in axes], f"AME, {_percent(p)}, mixed") for p in LEVELS]
+    rows.append((worst, [factor * v for v in number.pair("_worst")], "AME, 99.7 %, ensemble, normal error"))
+    limits = [factor * quantile_limit(axis, 0.99, CONFIDENCE) for axis in axes]
+    rows.append((worst, limits, f"the same, upper limit at {_percent(CONFIDENCE)} confidence"))
+    for what, values, statistic in rows:
+        yield Line(clause="total", what=what, value=_arcsec(*values), statistic=statistic, conditions=at)
 
 
 def _terms(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
-    factor = normal_factor(0.997)
-    sigma = "99.7 %, normal error"
+    factor, sigma = normal_factor(0.997), "99.7 %, normal error"
+    star = f"star of {config.star.magnitude_mag:g} mag, mean over the detector"
+    rows: list[tuple[str, str, Sequence[float], str, str]] = []
     for part, where in (("", "median of the sky"), ("_worst", "worst 1 % of the sky")):
         noise, total = number.pair(f"{part}_noise"), number.pair(part)
         spatial = [math.sqrt(max(t * t - n * n, 0.0)) for t, n in zip(total, noise, strict=True)]
-        yield Line(
-            clause="temporal_noise",
-            what=f"attitude, {where}",
-            value=_arcsec(*(factor * one for one in noise)),
-            statistic=f"RME, {sigma}, ensemble",
-            conditions=at,
-        )
-        yield Line(
-            clause="pixel_spatial",
-            what=f"attitude, {where}; with star colours (FOV spatial)",
-            value=_arcsec(*(factor * one for one in spatial)),
-            statistic=f"{sigma}, ensemble",
-            conditions=f"{at}; squares of quantiles subtracted",
-        )
-    star = f"star of {config.star.magnitude_mag:g} mag, mean over the detector"
-    for clause, what, values in (
-        ("temporal_noise", "noise-equivalent angle", (number("nea_arcsec"),)),
-        ("pixel_spatial", "pixel patterns and pixel phase", (number("pattern_arcsec"), number("phase_arcsec"))),
-        ("fov_spatial", "star colours (distortion calibrated)", (number("colour_arcsec"),)),
+        what, squares = f"attitude, {where}; with star colours (FOV spatial)", f"{at}; squares of quantiles subtracted"
+        rows.append(("temporal_noise", f"attitude, {where}", noise, f"RME, {sigma}, ensemble", at))
+        rows.append(("pixel_spatial", what, spatial, f"{sigma}, ensemble", squares))
+    for clause, what, parts in (
+        ("temporal_noise", "noise-equivalent angle", ("nea",)),
+        ("pixel_spatial", "pixel patterns and pixel phase", ("pattern", "phase")),
+        ("fov_spatial", "star colours (distortion calibrated)", ("colour",)),
     ):
-        yield Line(
-            clause=clause,
-            what=f"single star, {what}",
-            value=_arcsec(factor * math.sqrt(sum(v * v for v in values))),
-            statistic=sigma,
-            conditions=star,
-        )
+        size = math.hypot(*(number(f"{part}_arcsec") for part in parts))
+        rows.append((clause, f"single star, {what}", (size,), sigma, star))
+    for clause, what, values, statistic, conditions in rows:
+        value = _arcsec(*(factor * v for v in values))
+        yield Line(clause=clause, what=what, value=value, statistic=statistic, conditions=conditions)
 
 
 def _thermal(found: ThermalSensitivity, number: _Numbers) -> Iterator[Line]:
     corner = math.tan(math.radians(0.5 * number("field_diagonal_deg"))) * RAD_ARCSEC * 1e-6
-    across = float(np.linalg.norm(found.boresight_arcsec_per_k[2]))
+    across, (uniform, axial) = math.hypot(*found.boresight_arcsec_per_k[2]), found.scale_ppm_per_k[:2]
+    along = f"1 K from front to detector: {axial:+.3g} ppm"
     for what, value, where in (
         ("line of sight, lens against detector", f"{across:.3g}″/K", "1 K across the housing"),
-        (
-            "corner of the field, scale",
-            f"{found.scale_ppm_per_k[0] * corner:+.3g}″/K",
-            f"1 K, uniform: {found.scale_ppm_per_k[0]:+.3g} ppm",
-        ),
-        (
-            "corner of the field, scale",
-            f"{found.scale_ppm_per_k[1] * corner:+.3g}″/K",
-            f"1 K from front to detector: {found.scale_ppm_per_k[1]:+.3g} ppm",
-        ),
+        ("corner of the field, scale", f"{uniform * corner:+.3g}″/K", f"1 K, uniform: {uniform:+.3g} ppm"),
+        ("corner of the field, scale", f"{axial * corner:+.3g}″/K", along),
         ("field, without shift, scale and roll", f"{found.distortion_arcsec_per_k[0]:.2g}″/K", "1 K, uniform; RMS"),
         ("best focus", f"{found.focus_um_per_k[0]:+.3g} µm/K", "1 K, uniform"),
     ):
         yield Line(clause="thermo_elastic", what=what, value=value, statistic="derivative", conditions=where)
 
 
-def _aberration() -> Iterator[Line]:
-    size = EARTH_M_PER_S / LIGHT_M_PER_S * RAD_ARCSEC
-    yield Line(
+def _aberration() -> Line:
+    return Line(
         clause="aberration",
         what="uncorrected, orbit of the Earth about the Sun",
-        value=_arcsec(size),
+        value=_arcsec(RAD_ARCSEC * float(attitude_of_velocity([EARTH_KM_PER_S, 0.0, 0.0])[1])),
         statistic="largest",
         conditions="speed of 29.785 km/s across the line of sight",
     )
 
 
-def _detection(number: _Numbers, config: Any, at: str) -> Iterator[Line]:
-    half = (f"±{0.5 * number(f'field_{side}_deg'):.2f}°" for side in ("width", "height"))
-    frame = "one frame"
-    yield Line(
-        clause="field",
-        what="about the X and Y axes",
-        value=" × ".join(half),
-        statistic="",
-        conditions=frame,
-    )
+def _detection(number: _Numbers, at: str) -> Iterator[Line]:
+    half = " × ".join(f"±{0.5 * number(f'field_{side}_deg'):.2f}°" for side in ("width", "height"))
+    limit, complete = (f"{number(f'{name}_magnitude_mag'):.2f} mag" for name in ("limiting", "complete"))
+    mean, worst = (f"{number(f'stars_{name}_per_frame'):.1f}" for name in ("mean", "worst"))
+    brightest, alarms = f"{number('saturation_mag'):.2f} mag", f"{number('false_alarms_per_frame'):.2g}"
     for clause, what, value, statistic in (
-        (
-            "detection",
-            "limiting magnitude",
-            f"{number('limiting_magnitude_mag'):.2f} mag",
-            "half of the stars detected",
-        ),
-        (
-            "detection",
-            "limiting magnitude",
-            f"{number('complete_magnitude_mag'):.2f} mag",
-            "90 % of the stars detected",
-        ),
-        ("detection", "brightest star", f"{number('saturation_mag'):.2f} mag", "brightest pixel full on the axis"),
-        ("detection", "stars in a frame", f"{number('stars_mean_per_frame'):.1f}", "mean over the sky"),
-        ("detection", "stars in a frame", f"{number('stars_worst_per_frame'):.1f}", "1 % quantile of the sky"),
-        ("false_star", "by noise, in a frame", f"{number('false_alarms_per_frame'):.2g}", "expectation"),
+        ("field", "about the X and Y axes", half, ""),
+        ("detection", "limiting magnitude", limit, "half of the stars detected"),
+        ("detection", "limiting magnitude", complete, "90 % of the stars detected"),
+        ("detection", "brightest star", brightest, "brightest pixel full on the axis"),
+        ("detection", "stars in a frame", mean, "mean over the sky"),
+        ("detection", "stars in a frame", worst, "1 % quantile of the sky"),
+        ("false_star", "by noise, in a frame", alarms, "expectation"),
         ("bandwidth", "update rate", f"{number('update_rate_hz'):.3g} Hz", "exposures without a gap"),
     ):
-        where = at if "sky" in statistic else frame
+        where = at if "sky" in statistic else "one frame"
         yield Line(clause=clause, what=what, value=value, statistic=statistic, conditions=where)
 
 
@@ -337,45 +284,31 @@ def read_flight(folder: Path, config: Any) -> Mapping[str, Any]:
     return results
 
 
-def _number(value: Any) -> float:
-    """Plain, or with its uncertainty; NaN where there is none."""
-    value = value.get("value") if isinstance(value, dict) else value
+def _number(value: Any, key: str = "value") -> float:
+    """A number, plain or with its uncertainty (``key``); NaN where there is none."""
+    value = value.get(key) if isinstance(value, dict) else value if key == "value" else None
     return float(value) if isinstance(value, int | float) else math.nan
 
 
-def _of(value: Any) -> list[float]:
+def _pair(value: Any, key: str = "value") -> list[float]:
     """Numbers across and about the boresight."""
-    parts = value.values() if isinstance(value, dict) and "value" not in value else value
-    return [_number(one) for one in parts] if isinstance(parts, list) or hasattr(parts, "__iter__") else []
-
-
-def _spread(value: Any) -> list[float]:
-    """Uncertainty across and about the boresight; NaN where none is stated."""
-    parts = value.values() if isinstance(value, dict) else ()
-    return [_number(one.get("uncertainty")) if isinstance(one, dict) else math.nan for one in parts]
+    return [_number(part, key) for part in (value.values() if isinstance(value, dict) else value or ())]
 
 
 def _flight(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
-    where = f"orbit of the flight {folder}"
+    where, what = f"orbit of the flight {folder}", "attitude over the flight"
     for name, term in results.get("terms", {}).items():
         for key, derivation in (("measured_arcsec", RENDERED), ("predicted_arcsec", ANALYSIS)):
-            values = [] if term.get(key) is None else _of(term[key])
+            values, spread = _pair(term.get(key)), _pair(term.get(key), "uncertainty")
             if name in CLAUSES and any(map(math.isfinite, values)):
-                spread = _spread(term[key])
-                known = f" ± {_arcsec(*spread)} (1σ)" if any(map(math.isfinite, spread)) else ""
-                yield Line(
-                    clause=name,
-                    what="attitude over the flight",
-                    value=_arcsec(*values),
-                    statistic=f"RMS{known}",
-                    conditions=where,
-                    derivation=derivation,
-                )
+                rms = f"RMS ± {_arcsec(*spread)} (1σ)" if any(map(math.isfinite, spread)) else "RMS"
+                value = _arcsec(*values)
+                yield Line(clause=name, what=what, value=value, statistic=rms, conditions=where, derivation=derivation)
     for life, age in zip(("begin of life", "end of life"), results.get("lives", ()), strict=False):
         yield Line(
             clause="total",
-            what=f"attitude over the flight, {life}",
-            value=_arcsec(*_of(age.get("total_arcsec", {}))),
+            what=f"{what}, {life}",
+            value=_arcsec(*_pair(age.get("total_arcsec"))),
             statistic="RMS, all terms",
             conditions=f"{where}; {_number(age.get('dark_e')):.3g} e⁻ of dark charge in a pixel",
         )
@@ -391,12 +324,9 @@ def _availability(results: Mapping[str, Any], folder: str) -> Iterator[Line]:
         ("acquisition", "wrong_attitudes", "wrong attitudes", "", RENDERED),
     ):
         value = _number(results.get(key))
+        statistic = "mean" if key != "acquired_least" else "Clopper and Pearson"
         if math.isfinite(value):
+            text = f"{value:.4g}{unit}"
             yield Line(
-                clause=clause,
-                what=what,
-                value=f"{value:.4g}{unit}",
-                statistic="mean" if key != "acquired_least" else "Clopper and Pearson",
-                conditions=where,
-                derivation=derivation,
+                clause=clause, what=what, value=text, statistic=statistic, conditions=where, derivation=derivation
             )
