@@ -155,6 +155,38 @@ def test_the_metrics_of_the_library_page_are_those_of_its_series(capsys):
     assert float(limit) == pytest.approx(0.05 ** (1.0 / 93.0))
 
 
+def test_the_error_terms_of_the_library_page_are_those_of_drawn_centroids(capsys):
+    """0.02 px of noise at 5.5 arcsec; half of a filter shift of 0.24 px; a cubic distortion that is removed."""
+    rng = np.random.default_rng(6)
+    grid = np.stack(np.meshgrid(np.linspace(-0.9, 0.9, 8), np.linspace(-0.45, 0.45, 6)), -1).reshape(-1, 2)
+    filter_px = rng.uniform(0, 1000, (4, 9, 1, 2)) + np.array([[0.0, 0.1], [0.0, 0.0], [0.24, 0.0]])
+    nominal_px = 1000.0 * grid
+    test_px = nominal_px + 3.0 * grid**3 + 0.02 * rng.standard_normal(grid.shape)
+    names = {
+        "centroid_px": 0.02 * rng.standard_normal((50, 40, 2)),
+        "step_px": 0.02 * rng.standard_normal((12, 40, 2)),
+        "sigma_px": np.full((12, 40, 2), 1e-6),
+        "frames": np.full(12, 10),
+        "filter_px": filter_px,
+        "nominal_px": nominal_px,
+        "position": grid,
+        "earlier_px": test_px,
+        "test_px": test_px,
+    }
+    for name in ("temporal_error", "high_frequency_error", "band_pairs", "deleted_rms_px", "photocentre"):
+        exec(block("docs/library.md", name), names)
+    assert names["te"].arcsec == pytest.approx([0.33, 0.33], rel=0.05)
+    lines = capsys.readouterr().out.splitlines()
+    assert numbers(lines[1]) == pytest.approx([0.33 * 2**0.5] * 2, rel=0.15)
+    assert numbers(lines[2]) == pytest.approx([0.02] * 2, rel=0.15)
+    assert numbers(lines[4].split(" ", 1)[1]) == pytest.approx([0.12, 0.0], abs=1e-9)
+    left_out = np.reshape(numbers(" ".join(lines[8:])), (2, 2))
+    assert (left_out[0] > 0.02).all()
+    assert (left_out < 0.1).all()
+    assert 0.05 < abs(names["shift_um"][1]) < 2.0
+    assert abs(names["shift_um"][0]) < 1e-9
+
+
 def test_pages_of_sensor_and_detector_files_are_those_of_their_models():
     spec = spec_from_file_location("make_sensor_file_page", ROOT / "docs" / "make_sensor_file_page.py")
     module = module_from_spec(spec)

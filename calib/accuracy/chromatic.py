@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.accuracy.error_budget import ErrorTerm
 from optics.arrays import FloatArray
@@ -79,10 +80,10 @@ def after_calibration(shift_px: FloatArray, from_centre_px: FloatArray) -> dict[
         Positions from the principal point [px].
     """
     shift, position = shift_px.reshape(-1, 2), from_centre_px.reshape(-1, 2)
-    design_matrix = np.zeros((len(shift), 2, 3))
-    design_matrix[:, 0, 0] = design_matrix[:, 1, 1] = 1.0
-    design_matrix[:, :, 2] = position
-    design_matrix, data = design_matrix.reshape(-1, 3), shift.ravel()
+    unit, zero = np.ones(len(shift)), np.zeros(len(shift))
+    x, y = position.T
+    design_matrix = np.stack([[unit, zero, x], [zero, unit, y]]).transpose(2, 0, 1).reshape(-1, 3)
+    data = shift.ravel()
     residual_px = {}
     for name, columns in CALIBRATIONS.items():
         terms = design_matrix[:, list(columns)]
@@ -93,7 +94,7 @@ def after_calibration(shift_px: FloatArray, from_centre_px: FloatArray) -> dict[
 
 def shift_sigma(
     sigma_px: FloatArray,
-    frames: FloatArray,
+    frames: NDArray[np.int64],
     pattern_px: FloatArray,
     pairs: Sequence[Pair],
     *,
@@ -121,7 +122,7 @@ def shift_sigma(
     pattern = shifts(pattern_px, pairs)
     fraction = np.broadcast_to(variance_fraction, sigma_px.shape)
     of_frame = fraction * (sigma_px**2 / fraction).mean(1, keepdims=True)
-    of_mean = of_frame / np.asarray(frames)[..., None]
+    of_mean = of_frame / frames[..., None]
     return {
         name: np.sqrt(of_mean[..., high, :] + of_mean[..., low, :] + (pattern[name] ** 2).mean(0))
         for name, high, low in pairs
@@ -129,7 +130,12 @@ def shift_sigma(
 
 
 def table1_sigma(
-    sigma_px: FloatArray, frames: FloatArray, pattern_px: FloatArray, pairs: Sequence[Pair], *, common_px: float = 0.0
+    sigma_px: FloatArray,
+    frames: NDArray[np.int64],
+    pattern_px: FloatArray,
+    pairs: Sequence[Pair],
+    *,
+    common_px: float = 0.0,
 ) -> dict[str, FloatArray]:
     """Standard deviation (2,) of an entry of Table 1, by pair of bands.
 
@@ -141,7 +147,7 @@ def table1_sigma(
         Part of the mean centroids' standard deviation that all points of a place share (motion of the line of sight).
     """
     pattern = shifts(pattern_px, pairs)
-    of_mean = (sigma_px**2).mean(1, keepdims=True) / np.asarray(frames)[..., None]
+    of_mean = (sigma_px**2).mean(1, keepdims=True) / frames[..., None]
     sigma = {}
     for name, high, low in pairs:
         temporal = of_mean[..., high, :] + of_mean[..., low, :]

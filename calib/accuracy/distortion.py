@@ -158,7 +158,7 @@ def distortion_statistics(position: FloatArray, d_px: FloatArray, order: int) ->
             f"{len(position)} points do not determine a polynomial of order {order} ({terms.shape[1]} terms per axis) "
             "with degrees of freedom left for a test; use more points or a lower order"
         )
-    coefficient = np.linalg.lstsq(terms, d_px, rcond=None)[0]
+    coefficient = np.asarray(np.linalg.lstsq(terms, d_px, rcond=None)[0], np.float64)
     residual_px = d_px - terms @ coefficient
     before, after = d_px.std(axis=0, ddof=1), residual_px.std(axis=0, ddof=1)
     return DistortionStatistics(

@@ -175,8 +175,9 @@ def expected_map_error(
         np.kron(polynomial_basis(at, order), np.eye(2)) for at in (position, field_position)
     )
     camera, field_camera = (_camera_basis(at, reference) for at in (position, field_position))
-    carry = field_polynomial @ np.linalg.pinv(polynomial)
-    carry = carry + (field_camera - carry @ camera) @ np.linalg.pinv(camera)
+    of_polynomial, of_camera = (np.asarray(np.linalg.pinv(terms), np.float64) for terms in (polynomial, camera))
+    carry = field_polynomial @ of_polynomial
+    carry = carry + (field_camera - carry @ camera) @ of_camera
     pointing = _camera_basis(field_position, "aligned")[:, [0, 1, 3]]
 
     def absorbed(error: FloatArray) -> FloatArray:

@@ -61,7 +61,8 @@ class DistortionMeasurement:
     def statistics(self, method: str, reference: Reference, copy: int = 0) -> DistortionStatistics:
         """Numbers of ACC18 with one survey of the target."""
         nominal, position = grid_position(self.instrument, self.surveyed[copy])
-        d_px, _ = grid_residual_px(nominal, position, *self.session_px[method], reference)
+        earlier, test = self.session_px[method]
+        d_px, _ = grid_residual_px(nominal, position, earlier, test, reference)
         return distortion_statistics(position, d_px, self.order)
 
     def over_surveys(self, method: str, reference: Reference) -> FloatArray:
@@ -78,9 +79,10 @@ class DistortionMeasurement:
     ) -> FloatArray:
         """True error (q, m, 2) of the correction of every survey at m field points (`map_error_px`)."""
         errors = []
+        earlier, test = self.session_px[method]
         for surveyed in self.surveyed:
             nominal, position = grid_position(self.instrument, surveyed)
-            d_px, camera_px = grid_residual_px(nominal, position, *self.session_px[method], reference)
+            d_px, camera_px = grid_residual_px(nominal, position, earlier, test, reference)
             errors.append(
                 map_error_px(
                     field_position,
