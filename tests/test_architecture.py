@@ -32,7 +32,7 @@ ORDER = {
     " textfile < validate < response settings < glass < files < lens light < rays < lens_file < export waves"
     " < figures lens_study page",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing"
-    " < field_response plugins sensor_file < baffle bench bodies forward < observation < simulator",
+    " < field_response plugins sensor_file < baffle bench bodies forward psf_lattice < observation < simulator",
     "calib": "directional fitting flags < records < cameras measure < attitude detector < accuracy calibration figures",
 }
 # What experiments share is below them; experiments know nothing of each other's inside.

@@ -80,6 +80,12 @@ class LineOfSightMap:
         """Root of the expected mean square length of the error; compare with `rms_arcsec`."""
         return float(np.sqrt(np.mean(np.sum(self.predicted_sigma_arcsec**2, axis=1))))
 
+    @property
+    def predicted_rms_spread_arcsec(self) -> float:
+        """Standard deviation of `rms_arcsec` around its prediction, to first order."""
+        mean = self.predicted_rms_arcsec
+        return float(np.sqrt(2.0 * (self.mean_square_arcsec2**2).sum()) / (2.0 * mean)) if mean > 0 else np.nan
+
     def rms_limit_arcsec(self, probability: float) -> float:
         """Value that `rms_arcsec` stays below with a probability, if the covariance is right and errors are normal.
 

@@ -14,7 +14,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from calib.calibration.attitude_correlated import AttitudeCorrelated
 from calib.calibration.attitude_family import AttitudeFamily
@@ -24,8 +23,9 @@ from calib.calibration.gyro_linked import GyroLinked, GyroNoise
 from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, Polynomial
-from calib.cameras.base import CameraModel, unproject_jacobian
-from calib.cameras.line_of_sight import line_of_sight_map
+from calib.cameras.base import CameraModel
+from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
+from calib.fitting.excess import excess_sigma
 from experiments.skycal.match import Matched
 from experiments.skycal.measure import Recording
 from experiments.skycal.positions import STEPS, Chart, positions, trace_chart
@@ -33,7 +33,6 @@ from experiments.skycal.scene import Scene
 from experiments.skycal.settings import Config, parse_model_name
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.units import RAD_ARCSEC
 
 METHODS = ("free", "acc", "linked", "acc_true")
 """Attitudes free; linked by the gyro taken as perfect; by the gyro of stated noise; by a truly perfect gyro."""
@@ -44,7 +43,6 @@ ROBUST = frozenset({"light", "own", "measured", "corrected"})
 PARTS = ("mismatch", "chromatic", "noise", "psf")
 """What each step adds: camera model, star colours, noise and pixels, PSF of one colour."""
 LEAST_SURPLUS = 40
-FLOOR_CLIP_SIGMA = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,28 +51,17 @@ class CalibratedMap:
 
     data: str  # Kind of positions that was calibrated
     calibration: Calibration  # Camera, covariance, status
-    # (n, 2) Line-of-sight error over the chart, best rotation removed; NaN where the camera has no direction
-    error_arcsec: FloatArray
-    sigma_arcsec: FloatArray  # (n, 2) Its predicted standard deviation
-    # (r,) The mean square length of the error is predicted to be the sum of these, each times a chi-square of one
-    # degree of freedom
-    spectrum_arcsec2: FloatArray
+    map: LineOfSightMap  # Over the chart: errors, best rotation removed, and their prediction
+
+    @property
+    def error_arcsec(self) -> FloatArray:
+        """Line-of-sight error (n, 2); NaN where the camera has no direction."""
+        return self.map.error_arcsec
 
     @property
     def rms_arcsec(self) -> float:
         """RMS length of the error over the chart."""
         return rms(self.error_arcsec)
-
-    @property
-    def predicted_arcsec(self) -> float:
-        """RMS that the covariance predicts."""
-        return float(np.sqrt(self.spectrum_arcsec2.sum()))
-
-    @property
-    def predicted_spread_arcsec(self) -> float:
-        """Standard deviation of the RMS around its prediction (to first order)."""
-        mean = self.predicted_arcsec
-        return float(np.sqrt(2.0 * (self.spectrum_arcsec2**2).sum()) / (2.0 * mean)) if mean > 0 else float("nan")
 
 
 def rms(error: FloatArray) -> float:
@@ -140,13 +127,7 @@ class Calibrator:
         chart = self.chart
         # scipy's rotations cannot take write-locked arrays
         found = line_of_sight_map(made.model, np.array(chart.direction), chart.pixel_px, covariance=made.covariance)
-        return CalibratedMap(
-            data=data,
-            calibration=made,
-            error_arcsec=found.error_arcsec,
-            sigma_arcsec=found.predicted_sigma_arcsec,
-            spectrum_arcsec2=_spectrum(made, chart),
-        )
+        return CalibratedMap(data=data, calibration=made, map=found)
 
     def direct(self, model: str) -> CalibratedMap:
         """Best fit of the camera model: fitted to the chart itself."""
@@ -164,46 +145,17 @@ class Calibrator:
         """Position minus what the calibration predicts (k, 2) [px] of the used stars."""
         stars, made = self.observations(fitted.data), fitted.calibration
         assert made.attitude is not None
-        turn = made.attitude.as_matrix()[stars.frame]
-        return np.asarray(stars.pixel_px - made.model.project(np.einsum("nij,nj->ni", turn, stars.direction)))
+        # scipy's rotations cannot take write-locked arrays
+        seen = made.attitude[stars.frame].apply(np.array(stars.direction))
+        return np.asarray(stars.pixel_px - made.model.project(seen))
 
     def find_floor_px(self, data: str, model: str) -> float:
-        """Error per axis beyond the centroids' own noise that the residuals of a fit without it show.
-
-        With it the mean squared residual is what the degrees of freedom let expect. Outliers are left out.
-        """
+        """Error per axis beyond the centroids' own noise that the residuals of a fit without it show."""
         fitted = self.calibrate(data, model=model)
-        squared = (self.residuals(fitted) ** 2).sum(axis=1)
-        variance = np.trace(self.observations(data).covariance_px2, axis1=1, axis2=2)
-        expected = fitted.calibration.solution.degrees_of_freedom / (2 * len(squared))
-
-        def excess(floor: float) -> float:
-            now = variance + 2.0 * floor**2
-            good = squared < FLOOR_CLIP_SIGMA**2 * now
-            return float(np.mean(squared[good] / now[good])) - expected
-
-        return float(brentq(excess, 0.0, 10.0)) if excess(0.0) > 0 > excess(10.0) else 0.0
-
-
-def _spectrum(made: Calibration, chart: Chart) -> FloatArray:
-    """Eigenvalues [arcsec^2] of the mean square map error that a covariance predicts.
-
-    With e = A d, d the errors of the parameters (covariance C) and A their effect on the directions of the chart less
-    the best rotation, the mean square is d^T M d with M = A^T A / n: a sum of chi-squares weighted by the eigenvalues
-    of C M.
-    """
-    if not np.isfinite(made.covariance).all():
-        return np.array([np.nan])
-    direction, _, by_parameter = unproject_jacobian(made.model, chart.pixel_px)
-    good = np.isfinite(direction).all(axis=1)
-    direction, by_parameter = direction[good], by_parameter[good]
-    if not len(direction):
-        return np.array([np.nan])
-    turned = np.concatenate([np.cross(axis, direction)[..., None] for axis in np.eye(3)], axis=2).reshape(-1, 3)
-    moved = by_parameter.reshape(len(turned), -1)
-    left = moved - turned @ np.linalg.lstsq(turned, moved, rcond=None)[0]
-    values = np.linalg.eigvals(made.covariance @ (left.T @ left / len(direction))).real
-    return np.sort(np.maximum(values, 0.0))[::-1] * RAD_ARCSEC**2
+        residual = self.residuals(fitted)
+        variance = np.trace(self.observations(data).covariance_px2, axis1=1, axis2=2) / 2.0
+        expected = fitted.calibration.solution.degrees_of_freedom / residual.size
+        return excess_sigma(residual, variance, expected=expected)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

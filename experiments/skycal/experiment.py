@@ -181,7 +181,9 @@ def map_error(made: Sequence[CalibratedCamera], method: str) -> MapError:
             ("rms_arcsec", lambda m: m.rms_arcsec),
             (
                 "predicted_arcsec",
-                lambda m: Measured(value=m.predicted_arcsec, unit="arcsec", uncertainty=m.predicted_spread_arcsec),
+                lambda m: Measured(
+                    value=m.map.predicted_rms_arcsec, unit="arcsec", uncertainty=m.map.predicted_rms_spread_arcsec
+                ),
             ),
         )
     }
@@ -225,10 +227,10 @@ def models(made: CalibratedCamera) -> list[Model]:
                 parameters=len(measured.calibration.solution.names),
                 direct_arcsec=made.direct[name].rms_arcsec,
                 mismatch_arcsec=made.of("reference", model=name).rms_arcsec,
-                predicted_arcsec=corrected.predicted_arcsec,
+                predicted_arcsec=corrected.map.predicted_rms_arcsec,
                 measured_arcsec=measured.rms_arcsec,
                 corrected_arcsec=corrected.rms_arcsec,
-                measured_predicted_arcsec=measured.predicted_arcsec,
+                measured_predicted_arcsec=measured.map.predicted_rms_arcsec,
                 status=measured.calibration.solution.status,
             )
         )
@@ -291,9 +293,9 @@ def places(made: CalibratedCamera) -> list[Place]:
     columns = {
         "place_px": made.chart.pixel_px,
         "error_arcsec": whole.error_arcsec,
-        "sigma_arcsec": whole.sigma_arcsec,
+        "sigma_arcsec": whole.map.predicted_sigma_arcsec,
         "corrected_error_arcsec": fine.error_arcsec,
-        "corrected_sigma_arcsec": fine.sigma_arcsec,
+        "corrected_sigma_arcsec": fine.map.predicted_sigma_arcsec,
         **{f"{part}_arcsec": error for part, error in made.part_arcsec.items()},
     }
     return [Place(**{name: values[k] for name, values in columns.items()}) for k in range(len(made.chart.pixel_px))]

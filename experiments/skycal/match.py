@@ -189,7 +189,7 @@ class _FinalMatch:
             snr=snr[rows],
             photon_px=photon,
             in_cam=in_cam,
-            correct=np.linalg.norm(pixel[rows] - photon, axis=1) < CORRECT_PX,
+            correct=np.hypot(*(pixel[rows] - photon).T) < CORRECT_PX,
             count={name: int((fault == code).sum()) for code, name in enumerate(OUTCOMES)},
             first_matched=0,
         )

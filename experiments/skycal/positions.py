@@ -21,13 +21,12 @@ from experiments.skycal.settings import Config
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze_all
-from render.tracing.tracer import Tracer
+from render.psf_lattice import ray_means_px
 
 STEPS = ("reference", "light", "own", "measured")
 """Kinds of positions, one more error in each."""
 COLOURS = 5
 """Classes of temperature for which PSFs are rendered when every star gets one of its own colour."""
-TRACE_AT_ONCE = 2000
 EDGE_FRACTION = 0.012
 """The chart ends this part of the longer side inside the detector, so that its traced points stay on it."""
 CHART_LOG2_RAYS = 3
@@ -49,21 +48,11 @@ class Chart:
 
 def trace_colour(scene: Scene, direction: FloatArray, temperature_k: float, *, more_log2_rays: int = 0) -> FloatArray:
     """Mean landing point of the rays of a star of one colour: (n, 2) [px], no image, no noise."""
-    camera = scene.instrument.camera
-    # one pixel of an image is enough where only rays count
-    tiny = replace(camera, width_px=1, height_px=1, centre_px=camera.centre_px)
-    tracer = Tracer(tiny, sobol_log2_rays=scene.config.sobol_log2_rays + more_log2_rays)
-    parts = []
-    for start in range(0, len(direction), TRACE_AT_ONCE):
-        stars = scene.of_one_colour(direction[start : start + TRACE_AT_ONCE], temperature_k)
-        if tracer.pupil.exact:  # a mean needs few rays where nothing cuts the bundle
-            parts.append(tracer.bundle_means(stars, rings=8, arms=20)[:, 0])
-        else:
-            truth = tracer.render(stars, exposure_s=1.0).truth
-            parts.append(np.column_stack([truth.bundle_x_px, truth.bundle_y_px]))
-    if not parts:
+    stars = scene.of_one_colour(direction, temperature_k)
+    rays = scene.config.sobol_log2_rays + more_log2_rays
+    if not len(stars):
         raise DomainError(f"{scene.name}: no star to trace")
-    return np.concatenate(parts)
+    return ray_means_px(scene.instrument.camera, stars, sobol_log2_rays=rays)
 
 
 def trace_chart(scene: Scene, config: Config) -> Chart:

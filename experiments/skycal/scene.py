@@ -15,11 +15,12 @@ from experiments.skycal.settings import CameraConfig, Config, MotionConfig, SkyC
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import DomainError, StarbenchError
-from optics.rays.paraxial import axial_paraxial
+from optics.light.band import Band
+from optics.rays.spots import collecting_area_mm2
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 from render.motion.gyro import Gyro, simulate_gyro
-from render.motion.trajectory import SampledAttitude, mounted
+from render.motion.trajectory import SampledAttitude, mounted, precession
 from render.records import StarField
 from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument, build_instrument
@@ -36,9 +37,9 @@ FEWEST_STARS = 3
 TEMPERATURE_RANGE_K = (1200.0, 50000.0)
 
 
-def in_light(light: StarLight, direction: FloatArray, magnitude: ArrayLike, temperature_k: ArrayLike) -> StarField:
-    """Star field of stars in the camera frame."""
-    return light.stars(direction, magnitude, np.clip(np.asarray(temperature_k, float), *TEMPERATURE_RANGE_K))
+def clipped_temperature(temperature_k: ArrayLike) -> FloatArray:
+    """Temperatures for which the table of starlight is accurate."""
+    return np.clip(np.asarray(temperature_k, float), *TEMPERATURE_RANGE_K)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +51,8 @@ class Scene:
     instrument: Instrument  # Camera and detector, cut to the window that is read out
     view: FieldOfView  # Field of the camera, distortion and all
     sky: Sky  # Stars down to the faintest that are rendered
-    light: StarLight  # Their light in the full pass band
+    band: Band  # The full pass band
+    light: StarLight  # Their light in it
     time_s: FloatArray  # (f,) Times of the frames
     attitude: Rotation  # f attitudes, cam from icrs: the truth
     prior_attitude: Rotation  # Attitudes that the matching starts from (a star tracker's, say), wrong by some arcmin
@@ -77,11 +79,11 @@ class Scene:
 
     def stars(self, rows: NDArray[np.int64], direction: FloatArray) -> StarField:
         """Stars of the sky with their own light, seen at directions (n, 3) in cam."""
-        return in_light(self.light, direction, self.sky.magnitude[rows], self.sky.temperature_k[rows])
+        return self.light.stars(direction, self.sky.magnitude[rows], clipped_temperature(self.sky.temperature_k[rows]))
 
     def of_one_colour(self, direction: FloatArray, temperature_k: float) -> StarField:
         """Stars of one colour and brightness at directions (n, 3) in cam."""
-        return in_light(self.light, direction, 5.0, temperature_k)
+        return self.light.stars(direction, 5.0, clipped_temperature(temperature_k))
 
     def in_cam(self, frame: int) -> tuple[NDArray[np.int64], FloatArray]:
         """Rows of the stars that may fall on the detector in a frame, and their directions (n, 3) in cam."""
@@ -119,6 +121,7 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
         instrument=instrument,
         view=field_of_view(instrument.camera, margin_px=0.02 * instrument.camera.width_px + 8.0),
         sky=load_sky(faintest_mag=faintest_mag),
+        band=band,
         light=light,
         time_s=time_s,
         attitude=attitude,
@@ -134,28 +137,24 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
 def _detectable_mag(instrument: Instrument, light: StarLight, chosen: CameraConfig, config: Config) -> float:
     """Magnitude (G) of stars that would not be detected if all their light fell on one pixel; rounded towards faint."""
     camera, exposure_s = instrument.camera, instrument.config.exposure_s
-    axis = axial_paraxial(camera.lens, camera.lens.design_wavelength_nm)
-    pupil_mm2 = 0.25 * np.pi * (axis.efl_mm / axis.f_number) ** 2
-    kelvin = np.array(TEMPERATURE_RANGE_K)
-    rate = light.photon_rate(np.zeros(2), kelvin)[:, 0] @ camera.response_at(light.wavelength_nm[0])
+    rate = light.photon_rate(np.zeros(2), np.array(TEMPERATURE_RANGE_K))[:, 0] @ camera.response_at(
+        light.wavelength_nm[0]
+    )
+    electrons = rate.max() * collecting_area_mm2(camera.lens) * exposure_s
     noise_e2 = float(instrument.pixel_noise().temporal_e2(chosen.background_e_per_s * exposure_s))
-    limit_e = config.threshold_sigma * np.sqrt(noise_e2)
-    return 0.5 * float(np.ceil(5.0 * np.log10(rate.max() * pupil_mm2 * exposure_s / limit_e)))
+    return 0.5 * float(np.ceil(5.0 * np.log10(electrons / (config.threshold_sigma * np.sqrt(noise_e2)))))
 
 
 def _trajectory(sky: SkyConfig, motion: MotionConfig, frames: int) -> SampledAttitude:
     """Camera from icrs until one interval after the last frame: constant speed, the axis turns in the camera."""
-    steps = frames * STEPS_PER_FRAME
-    end_s = frames / motion.frame_rate_hz
-    part = (np.arange(steps) + 0.5) / steps
-    turn, tilt = AXIS_TURN_DEG * DEG_RAD * part, motion.axis_deg * DEG_RAD
-    axis = np.column_stack([-np.sin(tilt) * np.sin(turn), np.sin(tilt) * np.cos(turn), np.full(steps, np.cos(tilt))])
-    attitudes = [attitude_from_angles(sky.ra_deg, sky.dec_deg)]
-    for increment in Rotation.from_rotvec(-axis * (motion.rate_deg_per_s * DEG_RAD * end_s / steps)):
-        attitudes.append(increment * attitudes[-1])
-    kept = slice(None, None, STEPS_PER_FRAME // 4)
-    return SampledAttitude(
-        samples_s=np.linspace(0.0, end_s, steps + 1)[kept], attitudes=Rotation.concatenate(attitudes)[kept]
+    return precession(
+        attitude_from_angles(sky.ra_deg, sky.dec_deg),
+        rate_rad_per_s=motion.rate_deg_per_s * DEG_RAD,
+        tilt_rad=motion.axis_deg * DEG_RAD,
+        turn_rad=AXIS_TURN_DEG * DEG_RAD,
+        end_s=frames / motion.frame_rate_hz,
+        steps=frames * STEPS_PER_FRAME,
+        knot_every=STEPS_PER_FRAME // 4,
     )
 
 

@@ -282,3 +282,46 @@ def swept_rotation(trajectory: Trajectory, time_s: FloatArray, substeps: int = 2
     pieces = step / 3.0 * (turned[:-1:2] + 4.0 * turned[1::2] + turned[2::2])
     sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(pieces, axis=0)])
     return np.asarray(sums[::substeps])
+
+
+def precession(
+    initial: Rotation,
+    *,
+    rate_rad_per_s: float,
+    tilt_rad: float,
+    turn_rad: float,
+    end_s: float,
+    steps: int,
+    knot_every: int = 1,
+) -> SampledAttitude:
+    """A turn at constant speed about an axis that itself turns about the body's z axis.
+
+    Parameters
+    ----------
+    initial : Rotation
+        Body from reference at the start.
+    rate_rad_per_s : float
+        Angular speed; its sign that of a turn of what the body sees.
+    tilt_rad : float
+        Angle of the axis from z.
+    turn_rad : float
+        How far the axis turns about z until the end.
+    end_s : float
+        End of the motion, which begins at 0.
+    steps : int
+        Steps of the integration.
+    knot_every : int
+        Steps from knot to knot of the spline that is returned.
+    """
+    part = (np.arange(steps) + 0.5) / steps
+    sine = np.sin(tilt_rad)
+    axis = np.column_stack(
+        [-sine * np.sin(turn_rad * part), sine * np.cos(turn_rad * part), np.full(steps, np.cos(tilt_rad))]
+    )
+    attitudes = [initial]
+    for increment in Rotation.from_rotvec(-axis * (rate_rad_per_s * end_s / steps)):
+        attitudes.append(increment * attitudes[-1])
+    knots = slice(None, None, knot_every)
+    return SampledAttitude(
+        samples_s=np.linspace(0.0, end_s, steps + 1)[knots], attitudes=Rotation.concatenate(attitudes)[knots]
+    )

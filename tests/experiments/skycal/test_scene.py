@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.link import link_attitudes
-from experiments.skycal.scene import _detectable_mag, build_scene, in_light
+from experiments.skycal.scene import _detectable_mag, build_scene
 from experiments.skycal.settings import Config, model_label, parse_model_name
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
@@ -27,12 +27,12 @@ def scene(config):
 
 def test_light_is_that_of_a_black_body_of_the_magnitude(scene):
     temperature, magnitude = 6123.0, 3.7
-    stars = in_light(scene.light, np.array([[0.0, 0.0, 1.0]]), magnitude, temperature)
+    stars = scene.light.stars(np.array([[0.0, 0.0, 1.0]]), magnitude, temperature)
     density = photon_rate(
         Blackbody(temperature_k=temperature), magnitude, wavelength_nm=stars.wavelength_nm, system="G"
     )
     share = stars.photon_rate[0] / density  # node weight times transmission, the same for every star
-    other = in_light(scene.light, np.array([[0.0, 0.0, 1.0]]), 0.0, 3500.0)
+    other = scene.light.stars(np.array([[0.0, 0.0, 1.0]]), 0.0, 3500.0)
     reference = photon_rate(Blackbody(temperature_k=3500.0), 0.0, wavelength_nm=stars.wavelength_nm, system="G")
     assert share == pytest.approx(other.photon_rate[0] / reference, rel=1e-4)
 

@@ -11,6 +11,7 @@ from render.motion.trajectory import (
     Slew,
     TurningAxis,
     mounted,
+    precession,
     rate_of_trail,
     swept_rotation,
     trail_of_rate,
@@ -170,3 +171,14 @@ def test_swept_rotation_is_the_integral():
     sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(turned / 50, axis=0)])[::50]
     assert swept_rotation(motion, np.arange(20.0)) == pytest.approx(sums, abs=1e-4)
     assert np.linalg.norm(motion.rate(time), axis=1) == pytest.approx(0.05, rel=1e-12)
+
+
+def test_precession_has_a_constant_speed_about_an_axis_that_turns():
+    """A small tilt: the axis in the body turns by the asked angle; the speed is that of the rate."""
+    path = precession(START, rate_rad_per_s=0.02, tilt_rad=0.3, turn_rad=np.pi, end_s=10.0, steps=400, knot_every=5)
+    rate = path.rate(np.array([0.5, 5.0, 9.5]))
+    assert np.linalg.norm(rate, axis=1) == pytest.approx(0.02, rel=1e-4)
+    along = rate / np.linalg.norm(rate, axis=1, keepdims=True)
+    turned = np.pi * np.array([0.05, 0.5, 0.95])
+    axis = np.column_stack([-np.sin(0.3) * np.sin(turned), np.sin(0.3) * np.cos(turned), np.full(3, np.cos(0.3))])
+    np.testing.assert_allclose(along, axis, atol=1e-3)
