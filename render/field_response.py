@@ -7,7 +7,7 @@ the lens is taken as one of revolution.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -16,6 +16,7 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.interpolation import bilinear
 from optics.light.band import Band
+from optics.rays.field_images import FieldImages
 from optics.rays.performance import LensPerformance, lens_performance
 from optics.rays.spots import Spots, trace_spots
 from render.camera import Camera
@@ -90,6 +91,21 @@ class FieldResponse:
         """Largest shift over the field of a star of 10 000 K against a star of 3500 K."""
         cold, hot = (int(np.abs(np.log(self.temperatures_k / kelvin)).argmin()) for kelvin in (COLD_K, HOT_K))
         return float(np.abs(self.colour_px[hot] - self.colour_px[cold]).max())
+
+    def blurred_psfs(self, images: FieldImages, points: Sequence[int]) -> tuple[EffectivePsf, ...]:
+        """PSFs of images by rays at some of their field points; diffraction blurs as a Gaussian."""
+        camera, pitch = self.sensor.camera, self.sensor.camera.pixel_pitch_mm
+        blur_px = float(np.hypot(camera.blur_px, _airy_px(camera, self.performance)))
+        return tuple(
+            ray_epsf(
+                images.x_mm[k].ravel() / pitch,
+                -images.y_mm[k].ravel() / pitch,
+                images.weight[k].ravel(),
+                diffusion_px=blur_px,
+                half_size_px=8,
+            )
+            for k in points
+        )
 
     def electrons_per_s(self, magnitude: FloatArray, temperature_k: FloatArray, radius_px: FloatArray) -> FloatArray:
         """Electrons per second of stars (n,), at distances from the middle of the detector."""
@@ -216,8 +232,13 @@ def _psf_maker(camera: Camera, spots: Spots, performance: LensPerformance) -> tu
         oversampling=OVERSAMPLING,
         half_size_px=half,
     )
-    airy_px = AIRY_SIGMA * float(performance.share @ wave) * 1e-6 * performance.f_number / pitch
-    return images.psfs, _fwhm(sigma2 + airy_px**2)
+    return images.psfs, _fwhm(sigma2 + _airy_px(camera, performance) ** 2)
+
+
+def _airy_px(camera: Camera, performance: LensPerformance) -> float:
+    """Standard deviation of the Gaussian nearest to the Airy pattern; 0 for stars rendered as ray densities."""
+    wave_mm = 1e-6 * float(performance.share @ performance.wavelength_nm)
+    return (camera.diffraction != "rays") * AIRY_SIGMA * wave_mm * performance.f_number / camera.pixel_pitch_mm
 
 
 def _psfs_by_rays(spots: Spots, camera: Camera, half_size_px: int) -> PsfsOf:

@@ -58,21 +58,22 @@ class SkySimulator:
     Parameters
     ----------
     sensor : StarSensor
-        Camera and detector (`render.sensor.load_star_sensor`).
+        Camera and detector (`render.load_star_sensor`).
     sky : Sky, optional
         The stars; the built-in sky to G = 8 if left out.
-    exposure_s : float
-        Exposure time.
+    exposure_s : float, optional
+        Exposure time; the sensor's if left out.
     line_time_s : float
         Rolling shutter: how much later than its neighbour the next row starts; 0 for a global shutter.
     passband : Band, optional
-        Filter in front of the camera (`StarSensor.passband`); the whole range of lens and detector if left out.
+        Filter in front of the camera (`StarSensor.passband`); the sensor's if left out, or the whole range of lens and
+        detector.
     nodes : int
         Wavelengths at which it is sampled.
     throughput_fraction : float
         Part of all light that the rest of the optics (dust, ageing) lets through.
     temperature_c : float, optional
-        Temperature of the detector; its reference temperature if left out.
+        Temperature of the detector; the sensor's if left out, or the reference temperature of the detector.
     background_e_per_s : float
         Uniform background [e-/s] in every pixel.
     zodiacal : bool
@@ -135,7 +136,7 @@ class SkySimulator:
         sensor: StarSensor,
         sky: Sky | None = None,
         *,
-        exposure_s: float = 0.2,
+        exposure_s: float | None = None,
         line_time_s: float = 0.0,
         passband: Band | None = None,
         nodes: int = NODES,
@@ -159,12 +160,14 @@ class SkySimulator:
     ) -> None:
         sensor.check_field()
         self.sensor, self._sky, self.housing = sensor, sky, housing
-        self.exposure_s, self.line_time_s = checked_exposure(exposure_s), line_time_s
+        self.exposure_s = checked_exposure(sensor.exposure_s if exposure_s is None else exposure_s)
+        self.line_time_s = line_time_s
         self.throughput_fraction = throughput_fraction
-        self.temperature_c, self.background_e_per_s = temperature_c, background_e_per_s
+        self.temperature_c = sensor.temperature_c if temperature_c is None else temperature_c
+        self.background_e_per_s = background_e_per_s
         self._streams = seed if isinstance(seed, Streams) else Streams(seed)
         self._cosmic_rays, self._silicon_depth_um = cosmic_rays, silicon_depth_um
-        self.band = sensor.passband() if passband is None else passband
+        self.band = passband or sensor.band or sensor.passband()
         system = "G" if sky is None else sky.catalog.magnitude_system
         self.light = star_light([self.band], nodes=nodes, magnitude_system=system)
         self._margin_px = margin_px
@@ -642,7 +645,7 @@ def observe(
     attitude: Rotation | Trajectory,
     sky: Sky | None = None,
     *,
-    exposure_s: float = 0.2,
+    exposure_s: float | None = None,
     seed: int = 0,
     rate_deg_per_s: ArrayLike | None = None,
     velocity_km_per_s: ArrayLike | None = None,
@@ -660,8 +663,8 @@ def observe(
         cam from icrs (`optics.attitude_from_angles`), or how the camera moves, from its start on.
     sky : Sky, optional
         The stars (`load_sky`); the built-in sky to G = 8 if left out.
-    exposure_s : float
-        Exposure time.
+    exposure_s : float, optional
+        Exposure time; the sensor's if left out.
     seed : int
         Of the noise.
     rate_deg_per_s : (3,), optional

@@ -276,6 +276,24 @@ def without_pointing(position: FloatArray, error_px: FloatArray) -> FloatArray:
     return np.asarray((flat - terms @ np.linalg.lstsq(terms, flat, rcond=None)[0]).reshape(-1, 2))
 
 
+def map_change_px(position: FloatArray, change_px: FloatArray, *, scaled: bool) -> float:
+    """RMS per axis of a change of the map (n, 2) after a common shift, roll and, if ``scaled``, scale."""
+    terms = camera_terms(position, "aligned")[:, :, [0, 1, 2, 3] if scaled else [0, 1, 3]]
+    return _residual_rms(terms.reshape(2 * len(position), -1), change_px.reshape(-1))
+
+
+def polynomial_rms_px(position: FloatArray, offset_px: FloatArray, order: int = 3) -> float:
+    """RMS per axis of offsets (n, 2) that a polynomial of each axis leaves."""
+    terms = polynomial_terms(position, order)
+    return float(np.hypot(*(_residual_rms(terms, axis) for axis in offset_px.T)) / np.sqrt(2.0))
+
+
+def _residual_rms(design_matrix: FloatArray, values: FloatArray) -> float:
+    """Root mean square of least-squares residuals, by the degrees of freedom."""
+    residual = values - design_matrix @ np.linalg.lstsq(design_matrix, values, rcond=None)[0]
+    return float(np.sqrt((residual**2).sum() / (len(values) - design_matrix.shape[1])))
+
+
 def map_error_px(
     position: FloatArray,
     offset_px: FloatArray,
