@@ -113,3 +113,32 @@ def attitude_forecast(
         sigma_px=np.sqrt(variance),
         chance=chance,
     )
+
+
+def with_noise_scaled(total: float, noise: float, ratio: FloatArray) -> FloatArray:
+    """A total error whose part by noise is larger by ratios (n,), the rest unchanged."""
+    return np.asarray(np.sqrt(np.maximum(total**2 - noise**2, 0.0) + (noise * ratio) ** 2))
+
+
+def draw_star_list(
+    place_px: FloatArray,
+    electrons: FloatArray,
+    sigma_px: FloatArray,
+    chance: FloatArray,
+    *,
+    false_alarms: float,
+    size_px: tuple[int, int],
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Positions (k, 2) and electrons (k,) as detected in one frame: stars with their errors, and false alarms.
+
+    Stars (n,) at true positions (n, 2) are detected by chance; false alarms, a Poisson number, lie anywhere on the
+    detector of (columns, rows) and are half as bright as the faintest star.
+    """
+    detected = rng.random(len(place_px)) < chance
+    place, light = place_px[detected], electrons[detected]
+    place = place + sigma_px[detected, None] * rng.standard_normal(place.shape)
+    false = int(rng.poisson(min(false_alarms, 1e4)))
+    faint = np.full(false, 0.5 * light.min(initial=1.0))
+    anywhere = rng.uniform(-0.5, np.array(size_px) - 0.5, (false, 2))
+    return np.concatenate([place, anywhere]), np.concatenate([light, faint])

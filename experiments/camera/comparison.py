@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
+from calib.accuracy.frame_check import (
+    MeasuredAgainst,
+    centroid_scatter,
+    false_alarms_against,
+    limit_shift,
+    rms_against_sigma,
+)
 from experiments.harness.plotting import new_figure
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, agree, below, col, ratio_near
@@ -57,12 +63,8 @@ class Rendered:
     example_px: FloatArray  # (n, 2) Where its stars were measured
 
 
-WIDEST_MAG = 3.0
 UNFIT_SHARE = 0.05
 """Stars whose fit does not converge, or that look too sharp: relative uncertainty of their number."""
-MODEL_SHARE, MODEL_MAG = 0.03, 0.05
-"""Error of the prediction's simplifications (fields between five, PSFs in cells, a linear response), three standard
-deviations."""
 FEWEST_STARS = 8
 """Fewer are not always told from chance."""
 MAG = 2.5 / math.log(10.0)
@@ -85,12 +87,23 @@ class Compared:
     whole: float = col("Predicted over its standard deviation", "sigma", json="", shown=False)
 
 
-def compared(**given: Any) -> Compared:
-    """A comparison with its difference in standard deviations."""
-    error = given["error"]
-    pull = (given["measured"] - given["predicted"]) / error if error > 0 else math.nan
-    whole = abs(MAG if given["unit"] == "mag" else given["predicted"]) / error if error > 0 else math.nan
-    return Compared(pull=Measured(value=pull, unit="sigma", uncertainty=1.0), whole=whole, **given)
+def compared(comparison: str, label: str, unit: str, found: MeasuredAgainst, scale: float = 1.0) -> Compared:
+    """A comparison with its difference in standard deviations; ``scale`` converts to the unit."""
+    pull = whole = math.nan
+    if found.error > 0:
+        pull = (found.measured - found.predicted) / found.error
+        whole = abs(MAG if unit == "mag" else found.predicted) / found.error
+    return Compared(
+        comparison=comparison,
+        label=label,
+        measured=scale * found.measured,
+        predicted=scale * found.predicted,
+        unit=unit,
+        error=scale * found.error,
+        n=found.n,
+        pull=Measured(value=pull, unit="sigma", uncertainty=1.0),
+        whole=whole,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,11 +122,11 @@ def solved_frames(prediction: CameraPrediction, rendered: Rendered) -> Solved:
     error = rendered.sky.error_arcsec
     enough = prediction.attitude.stars[: len(error)] >= FEWEST_STARS
     known = np.isfinite(error).all(axis=1)
-    pull = error[known] / prediction.attitude.total_arcsec[: len(error)][known]
     ratio = None
-    if pull.size:
-        rms, spread = float(np.sqrt((pull**2).mean())), float(1.0 / np.sqrt(2.0 * pull.size))
-        ratio = Measured(value=rms, uncertainty=spread, n=pull.size)
+    if known.any():
+        sigma = prediction.attitude.total_arcsec[: len(error)][known]
+        found = rms_against_sigma(error[known] / sigma, np.ones_like(sigma))
+        ratio = Measured(value=found.measured, uncertainty=found.error, n=found.n)
     return Solved(
         chart_stars=len(rendered.chart.magnitude),
         frames_unsolved=int(np.count_nonzero(enough & ~known)),
@@ -144,139 +157,67 @@ def bright_stars(chart: ChartFrames) -> tuple[FloatArray, FloatArray, FloatArray
 def _electrons(prediction: CameraPrediction, rendered: Rendered) -> Compared:
     """Light of the renderer, against lens area times throughput by another trace with other rays."""
     chart = rendered.chart
-    whole = chart.magnitude == chart.bright_mag
+    bright = chart.magnitude == chart.bright_mag
     kelvin = prediction.config.star.temperature_k
-    expected = prediction.electrons(chart.magnitude[whole], kelvin, chart.radius_px[whole])
+    predicted = float(prediction.electrons(chart.magnitude[bright], kelvin, chart.radius_px[bright]).mean())
+    measured = float(chart.electrons[bright].mean())
     # both are quadratures of the pupil: a part in a thousand is what they promise
-    return compared(
-        comparison="electrons",
-        label=f"Electrons of a star of {chart.bright_mag:.2f} mag",
-        unit="e-",
-        measured=float(chart.electrons[whole].mean()),
-        predicted=float(expected.mean()),
-        error=1e-3 * float(expected.mean()),
-        n=int(whole.sum()),
-    )
+    found = MeasuredAgainst(measured=measured, predicted=predicted, error=1e-3 * predicted, n=int(bright.sum()))
+    return compared("electrons", f"Electrons of a star of {chart.bright_mag:.2f} mag", "e-", found)
 
 
 def noise_of_chart(prediction: CameraPrediction, chart: ChartFrames, key: str = "nea") -> Compared:
-    errors, electrons, radius = bright_stars(chart)
-    readouts, stars = errors.shape[:2]
+    """Scatter of the bright stars over the readouts against the NEA."""
     rate = prediction.config.slew.rate_deg_per_s
-    scale, star = prediction.state.pixel_arcsec, prediction.stars
-    seen = float(np.sqrt(errors.var(axis=0, ddof=1).mean())) * scale
-    expected = float(np.sqrt((star.sigma_at(star.centroid.noise_px, electrons, radius) ** 2).mean())) * scale
-    samples = 2 * stars * (readouts - 1)
-    # between two fields that are traced, the noise is known to a quarter of its change
-    knots = np.log(
-        star.sigma_at(star.centroid.noise_px, np.full_like(star.radius_px, electrons.mean()), star.radius_px)
-    )
-    gap = np.clip(np.searchsorted(star.radius_px, radius) - 1, 0, len(knots) - 2)
-    model = max(MODEL_SHARE, 0.25 * float(np.sqrt((np.diff(knots)[gap] ** 2).mean())))
-    # pixels differ in read noise: of the some 4 pi s^2 under a star each has its own
-    pixel = prediction.pixel
-    under = max(4.0 * np.pi * (prediction.state.fwhm_px / 2.3548) ** 2 * stars, 1.0)
-    chips = 0.5 * np.sqrt(pixel.floor_e4 / under) / pixel.floor_e2
-    return compared(
-        comparison=key,
-        label=f"NEA of a star of {chart.bright_mag:.2f} mag" + (f" at {rate:.3g} °/s" if rate else ""),
-        unit="arcsec",
-        measured=seen,
-        predicted=expected,
-        error=expected * math.hypot(1.0 / math.sqrt(2.0 * samples), chips, model / 3.0),
-        n=samples,
-    )
+    label = f"NEA of a star of {chart.bright_mag:.2f} mag" + (f" at {rate:.3g} °/s" if rate else "")
+    found = centroid_scatter(*bright_stars(chart), prediction.stars, prediction.processing)
+    return compared(key, label, "arcsec", found, prediction.state.pixel_arcsec)
 
 
 def _limit(prediction: CameraPrediction, rendered: Rendered) -> Compared:
-    """Shift of the predicted completeness curve that makes the chart's faint stars found as often as they were."""
-    chart, star = rendered.chart, prediction.stars
+    """Limit of detection by the chart's faint stars."""
+    chart = rendered.chart
     faint = chart.magnitude != chart.bright_mag
-    electrons, radius, seen = chart.electrons[faint], chart.radius_px[faint], chart.found[:, faint].mean(axis=0)
-
-    def share(shift_mag: float) -> FloatArray:
-        return star.detected_at(electrons * 10.0 ** (0.4 * shift_mag), radius)
-
-    def excess(shift_mag: float) -> float:
-        return float(share(shift_mag).mean() - seen.mean())
-
+    detected = chart.found[:, faint].mean(axis=0)
+    shift, error = limit_shift(detected, chart.electrons[faint], chart.radius_px[faint], prediction.stars)
     limit = prediction.value("limiting_magnitude_mag")
-    inside = excess(-WIDEST_MAG) < 0.0 < excess(WIDEST_MAG)
-    shift = float(brentq(excess, -WIDEST_MAG, WIDEST_MAG)) if inside else float("nan")
-    slope = (excess(0.02) - excess(-0.02)) / 0.04
-    spread = (seen - share(0.0)).std(ddof=1) / np.sqrt(len(seen))  # stars differ; readouts of one star share its place
-    return compared(
-        comparison="limiting_magnitude",
-        label="Limiting magnitude, half detected",
-        unit="mag",
-        measured=limit + shift,
-        predicted=limit,
-        error=math.hypot(spread / slope, MODEL_MAG / 3.0),
-        n=int(seen.size * len(chart.found)),
+    found = MeasuredAgainst(
+        measured=limit + shift, predicted=limit, error=error, n=int(detected.size * len(chart.found))
     )
+    return compared("limiting_magnitude", "Limiting magnitude, half detected", "mag", found)
 
 
 def _alarms(prediction: CameraPrediction, rendered: Rendered) -> Compared:
     counts = np.concatenate([rendered.chart.false_alarms, rendered.sky.false_alarms])
-    expected = prediction.value("false_alarms_per_frame") * len(counts)
-    # Poisson, and the mean dark frame is the same in all frames: its noise repeats
-    repeated = 1.0 + len(counts) / (1.0 + prediction.config.dark_frames)
-    return compared(
-        comparison="false_alarms",
-        label=f"False alarms in {len(counts)} frames",
-        unit="",
-        measured=float(counts.sum()),
-        predicted=expected,
-        error=float(np.sqrt(expected * repeated + 1.0 + (0.1 * expected) ** 2)),
-        n=int(counts.sum()),
-    )
+    expected = prediction.value("false_alarms_per_frame")
+    found = false_alarms_against(counts, expected, prediction.config.dark_frames)
+    return compared("false_alarms", f"False alarms in {len(counts)} frames", "", found)
 
 
-def _stars(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compared, ...]:
+def _stars(prediction: CameraPrediction, rendered: Rendered) -> Iterator[Compared]:
     forecast, frames = prediction.attitude, len(rendered.sky.found)
     variance = float(forecast.found_variance[:frames].sum())
-    return tuple(
-        compared(
-            comparison=name,
-            label=words,
-            unit="",
-            measured=float(seen.sum()),
-            predicted=float(expected[:frames].sum()),
-            error=float(np.sqrt(variance + 1.0 + (share * expected[:frames].sum()) ** 2)),
-            n=frames,
+    for name, words, counts, expected, unfit in (
+        ("stars", f"Stars detected in {frames} frames of the sky", rendered.sky.found, forecast.found, 0.0),
+        ("fit_stars", "Stars fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_SHARE),
+    ):
+        predicted = float(expected[:frames].sum())
+        error = math.sqrt(variance + 1.0 + (unfit * predicted) ** 2)
+        yield compared(
+            name, words, "", MeasuredAgainst(measured=float(counts.sum()), predicted=predicted, error=error, n=frames)
         )
-        for name, words, seen, expected, share in (
-            ("stars", f"Stars detected in {frames} frames of the sky", rendered.sky.found, forecast.found, 0.0),
-            ("fit_stars", "Stars fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_SHARE),
-        )
-    )
 
 
-def _attitude(prediction: CameraPrediction, rendered: Rendered) -> tuple[Compared, ...]:
+def _attitude(prediction: CameraPrediction, rendered: Rendered) -> Iterator[Compared]:
     """Root mean square of the errors, against that of the standard deviations predicted for the same attitudes."""
     error = rendered.sky.error_arcsec
     solved = np.isfinite(error).all(axis=1)
     sigma = prediction.attitude.total_arcsec[: len(error)][solved]
-    found: list[Compared] = []
-    if not solved.any():
-        return ()
     for name, columns, words in (("cross", slice(0, 2), "across"), ("roll", slice(2, 3), "roll")):
-        seen, expected = error[solved][:, columns], sigma[:, columns]
-        typical = float(np.sqrt((expected**2).mean()))
-        # the mean square of normal errors of different sigma
-        spread = float(np.sqrt(2.0 * (expected**4).sum())) / expected.size / (2.0 * typical)
-        found.append(
-            compared(
-                comparison=f"attitude_{name}",
-                label=f"Attitude {words}, RMS of {int(solved.sum())} frames",
-                unit="arcsec",
-                measured=float(np.sqrt((seen**2).mean())),
-                predicted=typical,
-                error=spread,
-                n=int(seen.size),
-            )
-        )
-    return tuple(found)
+        if solved.any():
+            found = rms_against_sigma(error[solved][:, columns], sigma[:, columns])
+            label = f"Attitude {words}, RMS of {int(solved.sum())} frames"
+            yield compared(f"attitude_{name}", label, "arcsec", found)
 
 
 def _comparisons(q: Quantities, compared: list[Compared]) -> None:

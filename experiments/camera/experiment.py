@@ -23,15 +23,12 @@ from experiments.harness.sections import Section, col, numbers_of
 from experiments.harness.what_if import REQUIREMENTS, Requirement, judge, missed_words
 from experiments.laboratory.sensor_prediction import Accuracy, CameraPrediction, Optics, Sky, predict_camera
 from optics.arrays import FloatArray
-from optics.figures import draw_lens
-from optics.rays.spots import trace_spots
+from optics.figures import draw_lens, draw_spots
 from render.field_response import FieldResponse
 
 __all__ = ["SECTIONS", "predict", "predicted"]
 
 CURVE_POINTS = 91
-COLOURS = PALETTE[0], PALETTE[2], PALETTE[1]
-"""Of short, middle and long waves."""
 
 
 # --- What the report says of the sensor in words
@@ -80,37 +77,15 @@ def draw_section(outcome: Outcome) -> Figure:
     return figure
 
 
-def draw_spots(outcome: Outcome) -> Figure:
-    """Rays of the pass band at three fields, the pixels of the detector behind them."""
+def spots_over_field(outcome: Outcome) -> Figure:
+    """Rays of the pass band at three fields, and a pixel of the detector."""
     state: FieldResponse = outcome.result["setup"].prediction.state
-    focused, pitch = state.sensor.camera.focused_lens, state.sensor.camera.pixel_pitch_mm
-    chosen = [0, 2, 4]
-    angles, waves = state.performance.field_deg[chosen], state.performance.wavelength_nm[[0, 2, 5]]
-    traced = trace_spots(focused, angles, np.zeros(3), waves, order=(8, 30))
-    figure, axes = new_figure(1, 3, aspect_ratio=0.38, sharex=True, sharey=True)
-    middle, reach = state.performance.white_mm[chosen], 0.0
-    for column, panel in enumerate(axes):
-        for band, (wave, colour) in enumerate(zip(waves, COLOURS, strict=True)):
-            lit = traced.area_mm2[column, band] > 0
-            x = (traced.rays.x[column, band][lit] - middle[column]) / pitch
-            y = traced.rays.y[column, band][lit] / pitch
-            reach = max(reach, float(np.abs(np.concatenate([x, y])).max(initial=0.0)))
-            panel.plot(x, y, ".", color=colour, markersize=1.6, label=f"{wave:.0f} nm")
-        rms = outcome.values("field_spot_um")[chosen[column]]
-        panel.set_title(f"{angles[column]:.2f}°, RMS {rms:.1f} µm", fontsize=8.5)
-        panel.set(xlabel="x [px]", aspect="equal")
-    side = np.ceil(1.1 * reach - 0.5) + 0.5
-    step = max(1, int(np.ceil(side / 3.0)))
-    ticks = step * np.arange(-(side // step), side // step + 1)
-    for panel in axes:
-        panel.set(xlim=(-side, side), ylim=(-side, side), xticks=ticks, yticks=ticks)
-        for line in np.arange(-side, side + 1) if side <= 12 else ():
-            panel.axhline(line, color="0.88", linewidth=0.5, zorder=0)
-            panel.axvline(line, color="0.88", linewidth=0.5, zorder=0)
-        panel.grid(False)
-    axes[0].set_ylabel("y [px]")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, markerscale=5)
-    return figure
+    camera, traced = state.sensor.camera, state.performance
+    angles = [(float(angle), 0.0) for angle in traced.field_deg[[0, 2, 4]]]
+    pixel_um = 1e3 * camera.pixel_pitch_mm
+    return draw_spots(
+        camera.focused_lens, fields_deg=angles, wavelength_nm=traced.wavelength_nm[[0, 2, 5]], pixel_um=pixel_um
+    )
 
 
 # --- Over the field
@@ -285,7 +260,7 @@ def predicted(prediction: CameraPrediction, *more: Any) -> dict[str, Any]:
 
 
 SECTIONS: Mapping[str, Section] = {
-    "setup": Section(record=Setup, figures={"lens": draw_section, "spots": draw_spots}),
+    "setup": Section(record=Setup, figures={"lens": draw_section, "spots": spots_over_field}),
     "requirements": REQUIREMENTS,
     "optics": Section(
         record=Optics, table="optics", vertical=True, caption="Lens and detector, as configured."

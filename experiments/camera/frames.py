@@ -30,20 +30,17 @@ from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame
 from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
 from experiments.laboratory.bench.readout.reduction import MeasuredFrame, Reduction, measure_frame
-from experiments.laboratory.sensor_prediction import CameraPrediction, exposed_s, predict_camera
+from experiments.laboratory.sensor_prediction import CameraPrediction, overridden_detector, predict_camera
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.errors import StarbenchError
 from optics.lens.system import LensSystem
-from render.camera import Camera
-from render.detector.readout import expose
 from render.engine.random import Streams
-from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate
+from render.observation import SkyLight
 from render.records import Frame, StarField
-from render.sensor_file.detector import overridden
-from render.sensor_file.instrument import Instrument, build_instrument, configured_detector
-from render.tracing.motion.exposure import ExposureMotion, exposure_motion
+from render.sensor_file.instrument import build_instrument
+from render.simulator import SkySimulator
 
 MATCH_PX, MATCH_WIDTHS = 2.0, 0.6
 """Largest distance of a detection from the light of its star: in px, and in widths of the filter."""
@@ -69,7 +66,7 @@ class _Known:
 
 
 class _Bench:
-    """Everything that all frames share."""
+    """Simulator and reduction that all frames share."""
 
     def __init__(
         self,
@@ -81,31 +78,33 @@ class _Bench:
     ) -> None:
         """``lens``: another one, whose image plane is where the detector stands; ``dark_dn``: mean dark frame."""
         self.prediction, config = prediction, prediction.config
-        setting = config.instrument
-        detector = overridden(configured_detector(setting), config.detector)
-        self.instrument: Instrument = build_instrument(setting, detector=detector)
+        sensor = build_instrument(config.instrument, detector=overridden_detector(config))
         if lens is not None:
-            camera = replace(self.instrument.camera, lens=lens, defocus_mm=0.0)
-            self.instrument = replace(self.instrument, camera=camera)
+            sensor = replace(sensor, camera=replace(sensor.camera, lens=lens, defocus_mm=0.0))
         self.streams = Streams(config.seed).child("camera")
-        self.motion = _slew(config, self.instrument.camera)
-        exposed = exposed_s(config) if self.motion is None else self.motion.exposure_s
-        self.renderer = StarRenderer(self.instrument.camera, exposure_s=exposed, tolerance=1e-4)
-        light, kelvin = prediction.state.light, config.star.temperature_k
+        self.simulator = SkySimulator(
+            sensor,
+            passband=prediction.state.band,
+            throughput_fraction=config.throughput_fraction,
+            background_e_per_s=config.background_e_per_s,
+            seed=self.streams,
+            tolerance=1e-4,
+        )
+        self.pose = _pose(config)
+        kelvin, processing = config.star.temperature_k, prediction.processing
         psfs = None
         if needs_epsf(config.centroid):
             psfs = render_psf_grid(
-                self.instrument,
-                light,
+                sensor,
+                prediction.state.light,
                 temperature_k=kelvin,
                 window_px=config.window_px,
                 trail_px=prediction.state.trail_px,
                 long_side=long_side,
             )
-        processing = prediction.processing
         self.match_px = max(MATCH_PX, MATCH_WIDTHS * processing.fwhm_px)
         if dark_dn is None:
-            dark_dn = mean_dark_frame(self.instrument, config.dark_frames, streams=self.streams, label="dark")
+            dark_dn = mean_dark_frame(sensor, config.dark_frames, streams=self.streams, label="dark")
         self.reduction = Reduction(
             dark_dn=dark_dn,
             noise=processing.noise,
@@ -116,33 +115,15 @@ class _Bench:
             psfs=psfs,
             background_step_px=1,
         )
-        self.model: CameraModel = fit_camera(
-            self.instrument.pixel_map(prediction.state.band, temperature_k=kelvin)
-        ).camera
+        self.model: CameraModel = fit_camera(sensor.pixel_map(prediction.state.band, temperature_k=kelvin)).camera
 
-    def expected(self, stars: StarField) -> tuple[NDArray[np.float32], FloatArray, FloatArray]:
-        """Noiseless image, and place (n, 2) and electrons (n,) of the light of the stars on it."""
-        if self.motion is not None:  # lasts for the exposure; light that is lost on the way is left out of the stars
-            lost = self.prediction.config.throughput_fraction
-            stars = replace(stars, photon_rate=stars.photon_rate * lost)
-        traced = self.renderer.trace(stars, motion=self.motion)
-        truth = traced.truth
+    def expected(self, stars: StarField) -> tuple[SkyLight, FloatArray, FloatArray]:
+        """Light of stars in cam, and place (n, 2) and electrons (n,) of each, those beyond the frame included."""
+        light = self.simulator.expected(self.pose, stars=stars)
+        truth = light.truth
         place = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
         assert truth.electrons_beyond is not None
-        return traced.electrons[:, :, 0], place, (truth.electrons_image + truth.electrons_beyond)[:, 0]
-
-    def read(self, electrons: NDArray[np.float32], number: int, label: str) -> Frame:
-        config = self.prediction.config
-        return expose(
-            electrons,
-            self.instrument.detector,
-            streams=self.streams,
-            frame=number,
-            exposure_s=config.instrument.exposure_s,
-            temperature_c=config.instrument.chip_temperature_c,
-            background_e_per_s=config.background_e_per_s,
-            band=label,
-        )
+        return light, place, (truth.electrons_image + truth.electrons_beyond)[:, 0]
 
     def measured(self, frames: Sequence[Frame]) -> list[MeasuredFrame]:
         return shared(partial(measure_frame, reduction=self.reduction), frames)
@@ -153,15 +134,14 @@ def _by_processors(count: int) -> Iterator[range]:
     return (range(first, min(first + processors(), count)) for first in range(0, count, processors()))
 
 
-def _slew(config: Config, camera: Camera) -> ExposureMotion | None:
-    """Turn during an exposure; the given attitude is that of its middle."""
-    rate, towards = math.radians(config.slew.rate_deg_per_s), math.radians(config.slew.direction_deg)
-    if not rate:
-        return None
-    exposure = config.instrument.exposure_s
-    turn = rate * np.array([math.sin(towards), -math.cos(towards), 0.0])
-    path = ConstantRate(initial=Rotation.from_rotvec(0.5 * exposure * turn), rate_rad_per_s=turn, end_s=exposure)
-    return exposure_motion(path, start_s=0.0, exposure_s=exposure, camera=camera)
+def _pose(config: Config) -> Rotation | ConstantRate:
+    """Stars are given in cam, as of the middle of the exposure."""
+    if not config.slew.rate_deg_per_s:
+        return Rotation.identity()
+    exposure_s, towards = config.instrument.exposure_s, math.radians(config.slew.direction_deg)
+    turn = math.radians(config.slew.rate_deg_per_s) * np.array([math.sin(towards), -math.cos(towards), 0.0])
+    middle = Rotation.from_rotvec(0.5 * exposure_s * turn)
+    return ConstantRate(initial=middle, rate_rad_per_s=turn, end_s=exposure_s)
 
 
 def render_frames(prediction: CameraPrediction, *, advance: Callable[[], None] = lambda: None) -> Rendered:
@@ -226,7 +206,8 @@ def rendered_lenses(
 
 
 def _chart(bench: _Bench, advance: Callable[[], None]) -> ChartFrames:
-    prediction, camera = bench.prediction, bench.instrument.camera
+    prediction, sensor = bench.prediction, bench.simulator.sensor
+    camera = sensor.camera
     config, rng = prediction.config, bench.streams.generator("chart")
     limit = prediction.value("limiting_magnitude_mag")
     full, whole = prediction.value("saturation_mag") + 0.3, prediction.value("complete_magnitude_mag")
@@ -237,19 +218,19 @@ def _chart(bench: _Bench, advance: Callable[[], None]) -> ChartFrames:
     magnitude = np.full(len(place), bright)
     faint = np.arange(len(place)) % 2 == 1
     magnitude[faint] = limit + rng.uniform(-BRIGHTER_MAG, FAINTER_MAG, np.count_nonzero(faint))
-    direction = bench.instrument.direction_at(place[:, 0], place[:, 1])
+    direction = sensor.direction_at(place[:, 0], place[:, 1])
     # where wide spots of bright stars fill the frame, it takes their light for noise: the faint ones have their own
     share = len(place) * (4.0 * prediction.processing.fwhm_px) ** 2 / (camera.width_px * camera.height_px)
     groups = [np.flatnonzero(~faint), np.flatnonzero(faint)] if share > CROWDED else [np.arange(len(place))]
-    light_px, electrons, images = np.empty_like(place), np.empty(len(place)), []
+    light_px, electrons, lights = np.empty_like(place), np.empty(len(place)), []
     for group in groups:
         stars = prediction.state.light.stars(direction[group], magnitude[group], config.star.temperature_k)
-        image, light_px[group], electrons[group] = bench.expected(stars)
-        images.append(np.array(image))
+        light, light_px[group], electrons[group] = bench.expected(stars)
+        lights.append(light)
     readouts, alarms = config.frames.readouts, []
     found, errors = np.zeros((readouts, len(place)), bool), np.full((readouts, len(place), 2), np.nan)
     for frames in _by_processors(readouts * len(groups)):
-        taken = [bench.read(images[number % len(groups)], number, "chart") for number in frames]
+        taken = [bench.simulator.read(lights[n % len(groups)], frame=n, label="chart") for n in frames]
         for number, measured in zip(frames, bench.measured(taken), strict=True):
             group, readout = groups[number % len(groups)], number // len(groups)
             partner, false = measured.matched(light_px[group], config.window_px, bench.match_px)
@@ -288,8 +269,8 @@ def _sky_frame(bench: _Bench, number: int) -> tuple[NDArray[np.bool_], Frame, Fl
     stars = bench.prediction.state.light.stars(
         view.sample.direction[seen], view.magnitude[seen], view.temperature_k[seen]
     )
-    image, place, _ = bench.expected(stars)
-    return seen, bench.read(image, number, "sky"), place
+    light, place, _ = bench.expected(stars)
+    return seen, bench.simulator.read(light, frame=number, label="sky"), place
 
 
 def _attitude_error(bench: _Bench, measured: MeasuredFrame, number: int, seen: NDArray[np.bool_]) -> FloatArray:

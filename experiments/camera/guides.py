@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.accuracy.attitude_forecast import draw_star_list, whole_windows
 from calib.attitude.identify import identify
 from calib.attitude.star_attitude import star_patterns
 from calib.cameras.fit import fit_camera
@@ -49,9 +50,8 @@ class Coverage:
 def coverage(prediction: CameraPrediction) -> Coverage:
     """Guide stars in the attitudes of the prediction."""
     view, state, config = prediction.view, prediction.state, prediction.config
-    size = np.array([state.sensor.camera.width_px, state.sensor.camera.height_px])
-    edge = config.window_px // 2 - 0.5
-    whole = ((view.sample.pixel_px > edge) & (view.sample.pixel_px < size - 1 - edge)).all(axis=1)
+    camera = state.sensor.camera
+    whole = whole_windows(view.sample.pixel_px, (camera.width_px, camera.height_px), config.window_px)
     brightest, faintest = prediction.value("saturation_mag"), prediction.limits_mag[0.9]
     known = load_catalogue(config.catalogue)
     stars = known.select(np.flatnonzero(known.magnitude <= view.depth_mag))
@@ -106,37 +106,42 @@ def lost_in_space(prediction: CameraPrediction, *, advance: Callable[[], None] =
         return LostInSpace(lost_attitudes=0, lost_refusal=str(error).splitlines()[0])
     streams, forecast = Streams(config.seed).child("camera"), prediction.attitude
     electrons = state.electrons_per_s(view.magnitude, view.temperature_k, view.radius_px)
-    size = np.array([model.geometry.width_px, model.geometry.height_px])
-    pixel_arcsec, good, wrong, took = state.pixel_arcsec, 0, 0, []
+    size, good, wrong, took = (model.geometry.width_px, model.geometry.height_px), 0, 0, []
     order = np.argsort(view.sample.frame, kind="stable")
     ends = np.searchsorted(view.sample.frame[order], np.arange(count + 1))
     for number in range(count):
-        rng, rows = streams.generator("lost", number), order[ends[number] : ends[number + 1]]
-        rows = rows[rng.random(len(rows)) < forecast.chance[rows]]
-        place = model.project(view.sample.direction[rows])
-        place = place + forecast.sigma_px[rows, None] * rng.standard_normal(place.shape)
-        false = int(rng.poisson(min(prediction.value("false_alarms_per_frame"), 1e4)))
-        faint = np.full(false, 0.5 * electrons[rows].min(initial=1.0))
-        place = np.concatenate([place, rng.uniform(-0.5, size - 0.5, (false, 2))])
+        rows = order[ends[number] : ends[number + 1]]
+        place, light = draw_star_list(
+            model.project(view.sample.direction[rows]),
+            electrons[rows],
+            forecast.sigma_px[rows],
+            forecast.chance[rows],
+            false_alarms=prediction.value("false_alarms_per_frame"),
+            size_px=size,
+            rng=streams.generator("lost", number),
+        )
         begun = time.perf_counter()
-        found = identify(place, model, patterns, flux=np.concatenate([electrons[rows], faint]))
+        found = identify(place, model, patterns, flux=light)
         took.append(time.perf_counter() - begun)
         if found.ok and found.attitude is not None and found.attitude.rotation is not None:
-            off_arcsec = attitude_error_arcsec(found.attitude.rotation, view.attitudes[number])
-            across = float(np.hypot(*off_arcsec[:2]))
-            limit = WRONG_PX * pixel_arcsec
-            expected = WRONG_SIGMA * float(np.hypot(*forecast.total_arcsec[number, :2]))
-            right = across <= max(limit, expected if math.isfinite(expected) else 0.0)
-            good, wrong = good + right, wrong + (not right)
+            across = math.hypot(*attitude_error_arcsec(found.attitude.rotation, view.attitudes[number])[:2])
+            sigma = math.hypot(*forecast.total_arcsec[number, :2])
+            allowed = max(WRONG_PX * state.pixel_arcsec, WRONG_SIGMA * sigma if math.isfinite(sigma) else 0.0)
+            good, wrong = good + (across <= allowed), wrong + (across > allowed)
         advance()
-    share = good / count
     return LostInSpace(
         lost_attitudes=count,
-        lost_success_percent=100.0 * share,
-        lost_success=Measured(value=share, uncertainty=math.sqrt(max(share * (1 - share), 1 / count) / count), n=count),
+        lost_success_percent=100.0 * good / count,
+        lost_success=fraction_measured(good, count),
         lost_wrong_percent=100.0 * wrong / count,
         lost_time_s=float(np.median(took)),
     )
+
+
+def fraction_measured(good: int, count: int) -> Measured:
+    """A fraction with its binomial standard error, that of one miss at least."""
+    share = good / count
+    return Measured(value=share, uncertainty=math.sqrt(max(share * (1 - share), 1 / count) / count), n=count)
 
 
 COVERAGE = Section(

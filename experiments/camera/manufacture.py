@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.accuracy.attitude_forecast import with_noise_scaled
 from calib.accuracy.distortion import map_change_px, polynomial_rms_px
 from calib.measure.centroid_prediction import predict_centroids
 from experiments.camera.settings import Config
@@ -92,6 +93,7 @@ class _Probe:
     def __init__(self, prediction: CameraPrediction, *, refocused: bool) -> None:
         state, camera = prediction.state, prediction.state.sensor.camera
         self.prediction, self.refocused, self.pitch_mm = prediction, refocused, camera.pixel_pitch_mm
+        self.pixel_arcsec = state.pixel_arcsec
         x, y = (np.linspace(-REACH, REACH, n) for n in GRID)
         self.position = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         place_px = self.position * [camera.width_px / 2, camera.height_px / 2]
@@ -122,13 +124,17 @@ class _Probe:
         return float(np.sqrt((errors.noise_px**2).mean()))
 
     def map_change(self, images: FieldImages, reference: FieldImages) -> float:
-        """Distortion against another lens after shift, roll and, where the focus was set again, scale [px]."""
+        """Distortion against another lens after shift, roll and, where the focus was set again, scale [arcsec]."""
         change_px = (images.position_mm - reference.position_mm) / self.pitch_mm
-        return map_change_px(self.place_px, change_px * [1.0, -1.0], scaled=self.refocused)
+        return self.pixel_arcsec * map_change_px(self.place_px, change_px * [1.0, -1.0], scaled=self.refocused)
 
     def calibrated(self, images: FieldImages) -> float:
-        """Distortion that a cubic polynomial leaves [px]."""
-        return polynomial_rms_px(self.position / REACH, images.position_mm / self.pitch_mm)
+        """Distortion that a cubic polynomial leaves [arcsec]."""
+        return self.pixel_arcsec * polynomial_rms_px(self.position / REACH, images.position_mm / self.pitch_mm)
+
+    def spot_px(self, images: FieldImages) -> float:
+        """Largest RMS radius of a spot."""
+        return float(np.sqrt(images.square_mm2.max())) / self.pitch_mm
 
 
 def tolerances_of(config: ManufactureConfig) -> Tolerances:
@@ -170,30 +176,28 @@ def manufactured(
         raise DomainError(
             f"{len(traced)} of {setting.lenses} lenses form an image; lower the tolerances of [manufacture]"
         )
-    images, pixel = [one for _, one in traced], prediction.state.pixel_arcsec
+    images = [one for _, one in traced]
     ratio = np.array([probe.nea_px(one) for one in images]) / probe.nea_px(probe.nominal)
     noise, total = prediction.value("attitude_cross_noise_arcsec"), prediction.value("attitude_cross_arcsec")
     errors = np.stack(
         [
             prediction.value("nea_arcsec") * ratio,
-            np.sqrt(np.maximum(total**2 - noise**2, 0.0) + (noise * ratio) ** 2),
-            [pixel * probe.map_change(one, probe.nominal) for one in images],
-            [pixel * probe.calibrated(one) for one in images],
+            with_noise_scaled(total, noise, ratio),
+            [probe.map_change(one, probe.nominal) for one in images],
+            [probe.calibrated(one) for one in images],
+            [probe.spot_px(one) for one in images],
         ]
     )
-    spot_px = np.sqrt([one.square_mm2.max() for one in images]) / probe.pitch_mm
-    met = [values <= limits[name][0] for name, values in zip(JUDGED, (*errors, spot_px), strict=True) if name in limits]
+    met = [values <= limits[name][0] for name, values in zip(JUDGED, errors, strict=True) if name in limits]
     rank = np.argsort(ratio)
-    chosen = [int(rank[round(fraction * (len(traced) - 1))]) for fraction in CHOSEN]
+    chosen = rank[np.rint(np.array(CHOSEN) * (len(traced) - 1)).astype(int)]
     return Manufactured(
         built_lenses=len(traced),
         built_lost=setting.lenses - len(traced),
         built_yield=float(np.all([np.ones(len(traced), bool), *met], axis=0).sum() / setting.lenses),
-        built_arcsec=np.percentile(errors, PERCENT, axis=1).T,
-        built_nominal_arcsec=np.array(
-            [prediction.value("nea_arcsec"), total, 0.0, pixel * probe.calibrated(probe.nominal)]
-        ),
-        built_spot_px=np.percentile(spot_px, PERCENT),
+        built_arcsec=np.percentile(errors[:4], PERCENT, axis=1).T,
+        built_nominal_arcsec=np.array([prediction.value("nea_arcsec"), total, 0.0, probe.calibrated(probe.nominal)]),
+        built_spot_px=np.percentile(errors[4], PERCENT),
         built_rms_arcsec=float(np.sqrt((errors[2] ** 2).mean())),
         chosen=tuple((_at_detector(*traced[k]), float(ratio[k])) for k in chosen),
         **_offenders(probe, lens, moves),
@@ -202,9 +206,9 @@ def manufactured(
 
 def _offenders(probe: _Probe, lens: LensSystem, moves: dict[str, Any]) -> dict[str, Any]:
     """Sensitivities to all tolerances, the largest listed."""
-    reference, pixel = probe.trace(lens), probe.prediction.state.pixel_arcsec
+    reference = probe.trace(lens)
     ends = [[probe.trace(move(lens, sign)) for sign in (1.0, -1.0)] for move in moves.values()]
-    single = np.array([0.5 * pixel * probe.map_change(up, down) for up, down in ends])
+    single = np.array([0.5 * probe.map_change(up, down) for up, down in ends])
     growth = np.array([(0.5 * (up.square_mm2 + down.square_mm2) - reference.square_mm2).mean() for up, down in ends])
     order = np.argsort(-growth / growth.max(initial=1e-36) - single / single.max(initial=1e-30))[:MOST]
     return {

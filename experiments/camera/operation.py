@@ -27,14 +27,13 @@ from experiments.laboratory.sensor_prediction import (
     Sky,
     longest_trail_px,
     optical_state,
+    overridden_detector,
     predict_camera,
 )
 from experiments.laboratory.settings.prediction import aged_config
 from optics.arrays import FloatArray
 from optics.errors import StarbenchError
 from render.sensor_file.ageing import aged_transmission
-from render.sensor_file.detector import overridden
-from render.sensor_file.instrument import configured_detector
 
 AGES = 5
 RATE = "slew_rate_deg_per_s"
@@ -218,7 +217,7 @@ def over_life(prediction: CameraPrediction, limits: Limits) -> Life | None:
             lasts, fails = 0.0, min(missed, key=lambda one: one.excess).key
         elif held:
             lasts, fails = _first_missed(lambda part: aged_config(config, part), limits, 0.0, 1.0)
-    chips = [overridden(configured_detector(one.instrument), one.detector) for one in configs]
+    chips = [overridden_detector(one) for one in configs]
     factor = chips[0].dark_factor(config.instrument.chip_temperature_c) * config.instrument.exposure_s
     dark = [one.dark_current_e_per_s + one.damage_centres_per_px * one.damage_dark_e_per_s for one in chips]
     return Life(

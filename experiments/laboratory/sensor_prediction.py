@@ -140,6 +140,11 @@ class CameraPrediction:
         )
 
 
+def overridden_detector(config: PredictedSensorConfig) -> Detector:
+    """The detector with the changes of the configuration."""
+    return overridden(configured_detector(config.instrument), config.detector)
+
+
 def exposed_s(config: PredictedSensorConfig) -> float:
     """Exposure time, reduced by the unexplained loss of light."""
     return config.instrument.exposure_s * config.throughput_fraction
@@ -189,7 +194,7 @@ def predict_camera(config: PredictedSensorConfig) -> CameraPrediction:
     state = optical_state(config)
     chip = state.sensor.detector
     detector = replace(
-        overridden(configured_detector(config.instrument), config.detector),
+        overridden_detector(config),
         chip_width_px=chip.chip_width_px,
         chip_height_px=chip.chip_height_px,
     )

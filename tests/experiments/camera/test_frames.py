@@ -7,7 +7,6 @@ import pytest
 from scipy.constants import c, h, k
 
 from experiments.camera.comparison import compare
-from experiments.camera.manufacture import _Probe
 from experiments.camera.settings import Config
 from experiments.harness.range import with_value
 from experiments.laboratory.sensor_prediction import optical_state, predict_camera
@@ -162,20 +161,3 @@ def test_width_of_a_trail_by_hand(tracker):
     assert length_px > 1.0
     grown = (state.fwhm_px**2 - rest.fwhm_px**2) / 2.3548**2
     assert grown == pytest.approx(length_px**2 / 24.0, rel=0.01)
-
-
-def test_spots_of_a_made_lens_are_those_of_the_lens(tracker):
-    """The nominal lens, not focused again: root mean square radius about the mean of all light, on the axis."""
-    lens = tracker.state.sensor.camera.focused_lens
-    probe = _Probe(tracker)
-    found = probe.trace(lens, refocused=False)
-    spots = trace_spots(lens, np.zeros(1), np.zeros(1), probe.wave, order=(24, 48))
-    weight = (spots.area_mm2 * probe.share[:, None])[0]
-    square = (weight * (spots.rays.x**2 + spots.rays.y**2)[0]).sum() / weight.sum()  # the mean lies on the axis
-    assert found.square_um2[17] == pytest.approx(1e6 * square, rel=2e-3)
-    assert found.map_px[17] == pytest.approx([0.0, 0.0], abs=1e-6)
-    # all over the detector: light lies where its field angle puts it, but for distortion
-    np.testing.assert_allclose(np.abs(found.map_px), np.abs(probe.place_px), atol=0.02 * 884.45)
-    assert tuple(probe.place_px[[0, 17, 34]].ravel()) == pytest.approx(
-        (-884.45, -884.45, 0.0, 0.0, 884.45, 884.45), abs=1e-9
-    )
