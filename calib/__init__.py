@@ -14,6 +14,8 @@ calib.cameras      camera models and their fit to a known map, line-of-sight map
 calib.attitude     Wahba's problem, identification, association, attitudes linked by gyros
 calib.calibration  camera models and attitudes from many frames, with their bounds
 calib.detector     gain, noise and fixed pattern of a detector from its frames
+calib.photometry   zero point, colour term, vignetting, extinction, spectral response, atmosphere
+calib.psf          PSF over the field and against colour, windows about stars, focus and tilt from widths
 calib.directional  directions on the sphere: the Fisher distribution
 calib.accuracy     error terms of a star camera from centroids (paper ACC18), and their sum
 calib.fitting      least squares, robust loss, solutions

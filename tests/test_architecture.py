@@ -33,7 +33,8 @@ ORDER = {
     " < figures lens_study page",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing"
     " < field_response plugins sensor_file < baffle bench bodies forward psf_lattice < observation < simulator",
-    "calib": "directional fitting flags < records < cameras measure < attitude detector < accuracy calibration figures",
+    "calib": "directional fitting flags photometry < records < cameras measure < attitude detector psf"
+    " < accuracy calibration figures",
 }
 # What experiments share is below them; experiments know nothing of each other's inside.
 SHARED = {"harness", "laboratory", "reduce"}

@@ -33,6 +33,8 @@ DETERMINED_SIGMA = 4.0
 """Slope over its error from which the gain is determined."""
 SURE_SIGMA = 3.0
 """Third moment over its error from which it counts."""
+WARM_PART = 0.95
+"""Of the pattern that is dark current where its skewness shows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -332,3 +334,25 @@ def _block_noise(blocks: SkyBlocks) -> float:
     second = level[:, 2:] - 2.0 * level[:, 1:-1] + level[:, :-2]
     white = np.sqrt(6.0 * np.nanmedian(blocks.variance_dn2) / np.median(blocks.count))
     return float(1.4826 * np.nanmedian(np.abs(second - np.nanmedian(second))) / white)
+
+
+def tail_fraction(frames: Sequence[SkyBlocks], sigma: float = 3.0) -> float:
+    """Fraction of the unclipped pixels beyond a number of standard deviations, mean over the frames."""
+    residuals = [blocks.residual_dn[np.isfinite(blocks.residual_dn)] for blocks in frames]
+    return float(np.mean([(np.abs(values) > sigma * values.std()).mean() for values in residuals]))
+
+
+def lognormal_dark(noise: SkyNoise) -> tuple[float, float, float]:
+    """DSNU [DN] as a normal distribution, and mean and spread [DN] of a dark current whose skewness was measured.
+
+    The current is lognormal, the lightest tail with the second and third moment of the pattern: skewness is c^3 + 3 c
+    of spread over mean c. Both are 0 without skewness, and where the mean would be above the darkest sky, of which it
+    is a part.
+    """
+    spread = WARM_PART * noise.dsnu_dn
+    if noise.third_moment_dn3 > 0.0:
+        skewness = noise.third_moment_dn3 / spread**3
+        mean = spread / float(2.0 * np.sinh(np.arcsinh(skewness / 2.0) / 3.0))
+        if mean < noise.levels_dn.min() - noise.black_level_dn[0]:
+            return float(np.sqrt(noise.dsnu_dn**2 - spread**2)), mean, spread
+    return noise.dsnu_dn, 0.0, 0.0

@@ -11,7 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import gammainc, gammaincc
+from scipy.stats import t
 
 SAME_SPREAD = 1.2  # a typical residual this close to the stated sigma, as a factor, is the stated sigma
 NOTE_PROBABILITY = 1e-3  # two-sided, below which chance is no explanation
@@ -88,6 +90,26 @@ class ChiSquare:
         stated = "< 1e-300" if chance < 1e-300 else f"{chance:.2g}"
         spread = f"{np.sqrt(2.0 * freedom):.2g}"
         return f"chi-square {self.value:.4g}, expected {freedom} +- {spread}, probability {stated}"
+
+
+def chi_square_minimum(value: ArrayLike, chi2: ArrayLike, degrees_of_freedom: int) -> tuple[float, float]:
+    """Value of the least chi-square, by a parabola through three or more values, and its standard deviation.
+
+    The variance is scaled such that chi-square per degree of freedom is 1 at the minimum; NaN if there is no minimum.
+    """
+    a, b, c = np.polyfit(np.asarray(value, float), np.asarray(chi2, float), 2)
+    if a <= 0:
+        return float("nan"), float("nan")
+    least = c - b * b / (4.0 * a)
+    return float(-b / (2.0 * a)), float(np.sqrt(max(least, 0.0) / degrees_of_freedom / a))
+
+
+def two_sided_quantile(probability: float, degrees_of_freedom: float = np.inf) -> float:
+    """Standard deviations beyond which a normal deviate lies with this probability, on either side.
+
+    Of a standard deviation that was itself estimated, with the degrees of freedom of Student's t distribution.
+    """
+    return float(t.isf(probability / 2.0, degrees_of_freedom))
 
 
 UNTESTED = ChiSquare(value=0.0, degrees_of_freedom=0)

@@ -8,43 +8,39 @@ limit by its noise) and its attitude are its own: they are no property of the ca
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
+from calib.attitude.blind import BlindIdentifier
+from calib.calibration.frame_attitudes import camera_residuals
 from calib.detector.sky_transfer import BLOCK_PX
 from calib.measure.detection import detection_noise
 from calib.measure.filtered_noise import FilteredNoise
+from calib.measure.sky_surface import sky_surface
+from calib.photometry.zero_point import POGSON, scatter_at
 from calib.records import SensorImage
 from experiments.harness.progress import Progress
-from experiments.twin.compare import CLIP_PX, FrameStats, frame_stats, star_heights
-from experiments.twin.measure import CameraFit, Prepared, field_airmass, measure_camera, prepare, residuals
-from experiments.twin.night import field_stars
-from experiments.twin.photometry import POGSON
-from experiments.twin.solve import FWHM_PX, Detections, detections
-from experiments.twin.twin import Assumed, Twin, TwinRenderer, as_image, build_twin
+from experiments.twin.compare import BRIGHT_MAG, CLIP_PX, FrameStatistics, frame_statistics
+from experiments.twin.measure import CameraFit, Centroids, PreparedNight, measure_camera, prepare
+from experiments.twin.night import FWHM_PX, detections
+from experiments.twin.twin import Assumed, TwinRenderer, build_twin
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 
-BRIGHTER_MAG = 1.5
-"""Magnitudes above the limit of the stars used for the motion of single stars."""
 FEWEST = 8
-SKY_DEGREE, BLOCKS_PER_TERM = 10, 6
-"""Polynomial of the sky of a rendered frame: finer structure would carry the real frame's noise."""
-SURE_SIGMA = 8.0
-"""Stars of this significance are detected at any noise."""
+LARGEST_BIAS = 0.2
+SURE_SIGMA, SURE_MAG = 8.0, 1.0
+"""Stars of this significance, this far above the limit, are detected at any noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bias:
+class FoldingBias:
     """Measured minus true values of a rendered set; for every frame by the others."""
 
     floor_px: float  # Error per axis that it finds where there is none
-    motion_px: (
-        FloatArray  # (frames,) Motion of single stars per axis: residuals of bright stars beyond the rendered set
-    )
+    motion_px: FloatArray  # (frames,) Motion of single stars per axis: residuals of bright stars beyond those rendered
     width_ln: FloatArray  # (frames,) Logarithm of the widths of bright stars, real over rendered
     light_mag: FloatArray  # (frames,) How much brighter stars are in the filter of the detection, real over rendered
 
@@ -52,207 +48,189 @@ class Bias:
         """Camera without this difference, for one frame or all."""
         shape = fit.psf.value.copy()
         at = slice(None) if frame is None else slice(frame, frame + 1)
-        shape[3:5] += self.width_ln[at].mean()  # of the middle part, x and y
-        above = fit.photometry.zero_point_above_mag
-        assert above is not None
-        light = replace(above, value=above.value + float(self.light_mag[at].mean()))
-        return replace(
-            fit,
-            psf=replace(fit.psf, value=shape),
-            photometry=replace(fit.photometry, zero_point_above_mag=light),
-        )
+        shape[3:5] += self.width_ln[at].mean()  # of the middle component, x and y
+        above = fit.photometry.above_mag + float(self.light_mag[at].mean())
+        return replace(fit, psf=replace(fit.psf, value=shape), photometry=replace(fit.photometry, above_mag=above))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldOut:
     """Real frames and rendered sets, reduced alike."""
 
-    fits: tuple[CameraFit, ...]  # Of each frame, without it (with it, where it is the only one)
-    twins: tuple[Twin, ...]
-    real: tuple[FrameStats, ...]
-    sets: tuple[tuple[FrameStats, ...], ...]
+    real: tuple[FrameStatistics, ...]
+    sets: tuple[tuple[FrameStatistics, ...], ...]
     images: tuple[SensorImage, ...]  # Of the first rendered set
     airmass: FloatArray  # (frames,)
-    bias: Bias
+    bias: FoldingBias
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rendering:
+    """What the rendered frames of a night have in common."""
+
+    known: PreparedNight
+    assumed: Assumed
+    saturation_dn: float
+    sky_e: tuple[FloatArray, ...]  # (h, w) Light of the sky of each frame without its stars
+    limits: tuple[FilteredNoise, ...]  # Detection limit of each frame
+    airmass: FloatArray  # (frames,)
+
+    def renderer(self, fit: CameraFit) -> TwinRenderer:
+        """The renderer of a camera."""
+        twin = build_twin(
+            fit,
+            self.assumed,
+            name="twin",
+            source="night frames",
+            taken=None,
+            saturation_dn=self.saturation_dn,
+            hot=0,
+        )
+        return TwinRenderer(twin)
+
+    def image(
+        self, fit: CameraFit, renderer: TwinRenderer, frame: int, streams: Streams, motion_px: float | None = None
+    ) -> SensorImage:
+        """One frame; without scatter and motion of single stars where the latter is None."""
+        used = list(fit.used)
+        scatter = scatter_at(self.airmass[used], fit.photometry.scatter_mag[used], self.airmass[frame])
+        image = renderer.frame(
+            self.known.stars(frame, fit.camera, fit.attitudes),
+            self.sky_e[frame],
+            extinction_mag=np.nan_to_num(fit.photometry.extinction_mag),
+            scatter_mag=0.0 if motion_px is None else scatter,
+            motion_px=motion_px or 0.0,
+            streams=streams,
+            number=frame,
+            noise=self.known.night.frames[frame].image.noise,
+        )
+        return replace(image, valid=~self.known.hot)
 
 
 def held_out(
-    known: Prepared,
+    known: PreparedNight,
     whole: CameraFit,
     *,
     assumed: Assumed,
     saturation_dn: float,
     realisations: int,
     streams: Streams,
-    solve: Callable[[Detections], bool],
+    identifier: BlindIdentifier,
     progress: Progress,
     black_level_dn: float | None = None,
 ) -> HeldOut:
-    """Fit without each frame, render, reduce."""
-    frames = len(known.night)
-    mass = np.array([field_airmass(known, k, whole.camera, whole.attitudes) for k in range(frames)])
-    sky = [_sky(known, k) for k in range(frames)]
-    limits = [detection_noise(one.image, one.seen.background, fwhm_px=FWHM_PX) for one in known.night.frames]
-
-    def twin_of(fit: CameraFit) -> Twin:
-        return build_twin(
-            fit, assumed, name="twin", source="night frames", taken=None, saturation_dn=saturation_dn, hot=0
-        )
-
-    def rendered(
-        fit: CameraFit, twin: Twin, renderer: TwinRenderer, frame: int, motion_px: float | None, at: Streams
-    ) -> SensorImage:
-        """One frame; without scatter and motion of single stars where the latter is None."""
-        loss = fit.photometry.extinction_mag
-        electrons = renderer.electrons(
-            field_stars(known.night, frame, fit.camera, fit.attitudes[frame]),
-            sky[frame],
-            extinction_mag=0.0 if loss is None else loss.value,
-            scatter_mag=0.0 if motion_px is None else _scatter_of(fit, frame, mass),
-            motion_px=motion_px or 0.0,
-            rng=at.generator("stars", frame),
-        )
-        image = as_image(twin, electrons, at, frame, known.night.frames[frame].image.noise)
-        return replace(image, valid=~known.hot)
-
-    with progress.stage("forward folding"):
-        twin = twin_of(whole)
-        renderer = TwinRenderer(twin)
-        first = [rendered(whole, twin, renderer, k, None, streams.child("fold")) for k in range(frames)]
-        bias = _bias(known, whole, first, black_level_dn, limits)
-        # with the right width the light is right in the filter of the detection
-        twin = twin_of(bias.off(whole))
-        renderer = TwinRenderer(twin)
-        second = [rendered(whole, twin, renderer, k, None, streams.child("light")) for k in range(frames)]
-        bias = replace(bias, light_mag=_light(known, whole, second, limits))
-    fits: list[CameraFit] = []
-    for k in progress.track(range(frames), "cameras without one frame", total=frames):
-        used = [other for other in range(frames) if other != k] or [k]
-        one = measure_camera(known, order=whole.order, used=used, black_level_dn=black_level_dn, near=whole)
-        fits.append(one)
-    twins = [twin_of(bias.off(one, k)) for k, one in enumerate(fits)]
-    renderers = [TwinRenderer(one) for one in twins]
-    with progress.stage("real and rendered frames", total=frames * (realisations + 1)) as stage:
-        real = []
-        for k in range(frames):
-            real.append(frame_stats(known, k, known.night.frames[k].image, fits[k], solve))
-            stage.advance()
-        sets, images = [], []
-        for number in range(realisations):
-            at, out = streams.child(f"set {number}"), []
-            for k in range(frames):
-                image = rendered(fits[k], twins[k], renderers[k], k, float(bias.motion_px[k]), at)
-                if not number:
-                    images.append(image)
-                out.append(frame_stats(known, k, image, fits[k], solve, limits[k]))
-                stage.advance()
-            sets.append(tuple(out))
-    return HeldOut(
-        fits=tuple(fits),
-        twins=tuple(twins),
-        real=tuple(real),
-        sets=tuple(sets),
-        images=tuple(images),
-        airmass=mass,
-        bias=bias,
+    """Measure, render and reduce every frame without itself."""
+    night, frames = known.night, range(len(known.night))
+    scene = Rendering(
+        known=known,
+        assumed=assumed,
+        saturation_dn=saturation_dn,
+        sky_e=tuple(_sky(known, k) for k in frames),
+        limits=tuple(detection_noise(one.image, one.detected.background, fwhm_px=FWHM_PX) for one in night.frames),
+        airmass=np.array([np.median(known.stars(k, whole.camera, whole.attitudes).airmass) for k in frames]),
     )
+    with progress.stage("forward folding"):
+        renderer = scene.renderer(whole)
+        images = [scene.image(whole, renderer, k, streams.child("fold")) for k in frames]
+        bias = _bias(scene, whole, images, black_level_dn)
+        # with the right width the light is right in the filter of the detection
+        renderer = scene.renderer(bias.off(whole))
+        images = [scene.image(whole, renderer, k, streams.child("light")) for k in frames]
+        bias = replace(bias, light_mag=_light(scene, whole, images))
+    fits: list[CameraFit] = []
+    for k in progress.track(frames, "cameras without one frame", total=len(frames)):
+        used = [other for other in frames if other != k] or [k]
+        fits.append(measure_camera(known, order=whole.order, used=used, black_level_dn=black_level_dn, near=whole))
+    renderers = [scene.renderer(bias.off(fit, k)) for k, fit in enumerate(fits)]
+    with progress.stage("real and rendered frames", total=len(frames) * (realisations + 1)) as stage:
+
+        def reduced(
+            images: Sequence[SensorImage], limits: Sequence[FilteredNoise | None]
+        ) -> tuple[FrameStatistics, ...]:
+            out = []
+            for k, (image, limit) in enumerate(zip(images, limits, strict=True)):
+                out.append(frame_statistics(known, k, image, fits[k], identifier, limit))
+                stage.advance()
+            return tuple(out)
+
+        real = reduced([frame.image for frame in night.frames], [None for _ in frames])
+        sets, first = [], ()
+        for number in range(realisations):
+            at = streams.child(f"set {number}")
+            rendered = tuple(scene.image(fits[k], renderers[k], k, at, float(bias.motion_px[k])) for k in frames)
+            sets.append(reduced(rendered, scene.limits))
+            first = first or rendered
+    return HeldOut(real=real, sets=tuple(sets), images=first, airmass=scene.airmass, bias=bias)
 
 
-def _sky(known: Prepared, frame: int) -> FloatArray:
-    """Light of the sky (h, w) [e-] of a frame, its stars left out: a polynomial through the levels of its blocks."""
+def _sky(known: PreparedNight, frame: int) -> FloatArray:
+    """Light of the sky (h, w) [e-] of a frame, its stars left out."""
     blocks, image = known.blocks[frame], known.night.frames[frame].image
-    columns, count = blocks.columns, len(blocks.level_dn)
-    rows = count // columns
-    degree = next(d for d in range(SKY_DEGREE, -1, -1) if (d + 1) * (d + 2) * BLOCKS_PER_TERM <= 2 * count or not d)
-    terms = [(a, b) for a in range(degree + 1) for b in range(degree + 1 - a)]
-    x, y = ((2.0 * np.arange(n) + 1.0) / n - 1.0 for n in (columns, rows))
-    design = np.einsum("yb,xa->yxba", legvander(y, degree), legvander(x, degree)).reshape(count, degree + 1, -1)
-    design = np.stack([design[:, b, a] for a, b in terms], axis=1)
-    weight = np.nan_to_num(np.sqrt(blocks.count / blocks.variance_dn2))
-    found = np.zeros(len(terms))
-    for _ in range(3):
-        found = np.linalg.lstsq(design * weight[:, None], blocks.level_dn * weight, rcond=None)[0]
-        left = (blocks.level_dn - design @ found) * weight
-        weight = np.where(np.abs(left) < 4.0 * 1.4826 * np.median(np.abs(left[weight > 0])), weight, 0.0)
-    table = np.zeros((degree + 1, degree + 1))
-    for (a, b), value in zip(terms, found, strict=True):
-        table[b, a] = value
-    height, width = image.dn.shape
-    at = [
-        np.clip((2.0 * np.arange(n) + 1.0) / (BLOCK_PX * m) - 1.0, -1, 1) for n, m in ((width, columns), (height, rows))
-    ]
-    level = legvander(at[1], degree) @ table @ legvander(at[0], degree).T
+    mesh = (-1, blocks.columns)
+    sigma = np.sqrt(blocks.variance_dn2 / blocks.count)
+    level = sky_surface(blocks.level_dn.reshape(mesh), sigma.reshape(mesh), image.dn.shape, BLOCK_PX)
     return np.maximum(image.noise.to_electrons(level), 0.0)
 
 
-def _scatter_of(fit: CameraFit, frame: int, airmass: FloatArray) -> float:
-    """Scatter of a frame's stars [mag], by the other frames: linear in airmass if that is known."""
-    used = np.array(fit.used)
-    scatter, mass = fit.photometry.scatter_mag[used], airmass[used]
-    if np.isfinite(airmass).all() and len(used) >= 4 and np.ptp(mass) > 0.1:
-        return float(np.clip(np.polyval(np.polyfit(mass, scatter, 1), airmass[frame]), 0.0, 1.0))
-    return float(np.mean(scatter))
-
-
 def _bias(
-    known: Prepared,
-    whole: CameraFit,
-    images: Sequence[SensorImage],
-    black_level_dn: float | None,
-    limits: Sequence[FilteredNoise],
-) -> Bias:
+    scene: Rendering, whole: CameraFit, images: Sequence[SensorImage], black_level_dn: float | None
+) -> FoldingBias:
     """Measure a rendered set like the real one."""
+    known = scene.known
     frames = tuple(
-        replace(one, image=image, seen=detections(image, noise=limit))
-        for one, image, limit in zip(known.night.frames, images, limits, strict=True)
+        replace(frame, image=image, detected=detections(image, noise=limit))
+        for frame, image, limit in zip(known.night.frames, images, scene.limits, strict=True)
     )
-    night = replace(known.night, frames=frames)
-    again = prepare(night, whole.calibration, known.hot, attitudes=whole.attitudes)
+    again = prepare(replace(known.night, frames=frames), whole.calibration, known.hot, attitudes=whole.attitudes)
     again = replace(again, limit_mag=known.limit_mag, width_px=known.width_px)
     made = measure_camera(again, order=whole.order, used=whole.used, black_level_dn=black_level_dn, near=whole)
-    numbers = range(len(frames))
-    squares = np.array([[_bright_square(one, known.limit_mag, k) for k in numbers] for one in (whole, made)])
-    widths = np.array([[_bright_width(one, known.limit_mag, k) for k in numbers] for one in (whole, made)])
-    return Bias(
+    squares, widths = (
+        np.array([[measure(fit, known.limit_mag, k) for k in range(len(frames))] for fit in (whole, made)])
+        for measure in (_bright_square, _bright_width)
+    )
+    return FoldingBias(
         floor_px=made.floor_px,
         motion_px=np.sqrt(np.maximum(squares[0] - squares[1], 0.0)),
-        width_ln=np.clip(np.nan_to_num(np.log(widths[0] / widths[1])), -0.2, 0.2),
+        width_ln=np.clip(np.nan_to_num(np.log(widths[0] / widths[1])), -LARGEST_BIAS, LARGEST_BIAS),
         light_mag=np.zeros(len(frames)),
     )
 
 
-def _light(
-    known: Prepared, whole: CameraFit, images: Sequence[SensorImage], limits: Sequence[FilteredNoise]
-) -> FloatArray:
+def _light(scene: Rendering, whole: CameraFit, images: Sequence[SensorImage]) -> FloatArray:
     """Median ratio [mag] of the significance of stars, real over rendered, in all frames but one (frames,): the height
     in the filter by which stars are found must be right."""
-    ratios = []
-    for k, (frame, image) in enumerate(zip(known.night.frames, images, strict=True)):
-        stars = field_stars(known.night, k, whole.camera, whole.attitudes[k])
-        real, twin = (star_heights(seen, stars) for seen in (frame.seen, detections(image, noise=limits[k])))
-        good = (stars.magnitude < known.limit_mag - 1.0) & (np.minimum(real, twin) > SURE_SIGMA)
+    known, ratios = scene.known, []
+    for k, image in enumerate(images):
+        stars = known.stars(k, whole.camera, whole.attitudes)
+        both = known.night.frames[k].detected, detections(image, noise=scene.limits[k])
+        real, twin = (one.pairs(stars)[0] for one in both)
+        good = (stars.magnitude < known.limit_mag - SURE_MAG) & (np.minimum(real, twin) > SURE_SIGMA)
         ratios.append(POGSON * np.log(real[good] / twin[good]))
     out = np.zeros(len(ratios))
     for k in range(len(ratios)):
         others = np.concatenate([one for j, one in enumerate(ratios) if j != k or len(ratios) == 1])
-        out[k] = np.clip(np.median(others), -0.2, 0.2) if len(others) >= FEWEST else 0.0
+        if len(others) >= FEWEST:
+            out[k] = np.clip(np.median(others), -LARGEST_BIAS, LARGEST_BIAS)
     return out
+
+
+def _others(stars: Centroids, good: FloatArray, without: int) -> FloatArray:
+    """Rows of all frames but one; a single frame has no others."""
+    others = good & (stars.observations.frame != without)
+    return others if others.sum() >= FEWEST else good
 
 
 def _bright_width(fit: CameraFit, limit_mag: float, without: int) -> float:
     """Median width [px] of the Gaussian fits of bright stars in all frames but one."""
     stars = fit.gaussian
-    good = (stars.magnitude < limit_mag - BRIGHTER_MAG) & np.isfinite(stars.width_px)
-    others = good & (stars.observations.frame != without)
-    good = others if others.sum() >= FEWEST else good
+    good = _others(stars, (stars.magnitude < limit_mag - BRIGHT_MAG) & np.isfinite(stars.width_px), without)
     return float(np.median(stars.width_px[good])) if good.sum() >= FEWEST else 1.0
 
 
 def _bright_square(fit: CameraFit, limit_mag: float, without: int) -> float:
     """Mean squared residual per axis [px^2] of Gaussian fits of bright stars in all frames but one."""
-    stars = fit.gaussian.observations
-    left = residuals(stars, fit.camera, fit.attitudes)
-    good = (fit.gaussian.magnitude < limit_mag - BRIGHTER_MAG) & (np.linalg.norm(left, axis=1) < CLIP_PX)
-    others = good & (stars.frame != without)
-    good = others if others.sum() >= FEWEST else good  # a single frame has no others
-    return float((left[good] ** 2).mean()) if good.sum() >= FEWEST else 0.0
+    stars = fit.gaussian
+    residual = camera_residuals(stars.observations, fit.camera, fit.attitudes)
+    near = (stars.magnitude < limit_mag - BRIGHT_MAG) & (np.hypot(*residual.T) < CLIP_PX)
+    good = _others(stars, near, without)
+    return float((residual[good] ** 2).mean()) if good.sum() >= FEWEST else 0.0

@@ -1,60 +1,179 @@
-"""Common data of the frames of a night: identified stars, the sky above them, image positions of catalogue stars."""
+"""Frames of a night: detections, blind identification, catalogue stars on the detector."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from calib.attitude.association import associate
+from calib.attitude.blind import BlindIdentifier
+from calib.attitude.identify import Identification
 from calib.cameras.base import CameraModel
 from calib.detector.sky_transfer import SkyNoise
-from calib.records import NoiseModel, SensorImage
-from experiments.twin.camera import airmass, refracted
-from experiments.twin.psf import StarSample, colour_class
-from experiments.twin.solve import Detections
+from calib.flags import StarFlag, has_flag
+from calib.measure.background import Background, estimate_background
+from calib.measure.centroid import get_centroider
+from calib.measure.completeness import detected_stars
+from calib.measure.detection import detect
+from calib.measure.filtered_noise import FilteredNoise
+from calib.measure.stamps import extract_stamps
+from calib.photometry.atmosphere import airmass, refracted
+from calib.photometry.response import REFERENCE_K
+from calib.psf.mixture import colour_class
+from calib.psf.windows import starlit_pixels
+from calib.records import FLUX, NoiseModel, SensorImage, StarTable
+from experiments.harness.progress import Progress
 from optics.arrays import FloatArray, IntArray
 from render.sky.sky import Sky
 
-MARGIN_PX = 12.0
-MASK_RADII = ((9.8, 3.0), (8.0, 5.0), (6.5, 8.0), (4.5, 14.0), (2.5, 30.0))
-"""Radius [px] of the disk masked about a star brighter than a magnitude, for stars of width 0.65 px."""
-MASK_WIDTH_PX = 0.65
-NEIGHBOUR_MAG = 3.5
-"""A star counts as alone if no other one less than this much fainter is within `REACH_PX`."""
-LINEAR_SHARE = 0.85
-"""Pixels above this share of the highest one of all frames may be full, though the converter is not at its end."""
-REACH_PX = 9.0
-FAINTER_MAG, OTHER_PX = 1.5, 5.0
-"""Magnitudes below a sample's faintest star up to which pixels about stars are left out of the windows of others."""
-REFERENCE_K = 5040.0
+THRESHOLD_SIGMA, FWHM_PX = 5.0, 1.7
+WINDOW_PX, BOX_PX, MARGIN_PX = 11, 64, 12.0
+ASTRAY_PX = 1.5
+"""Distance of a Gaussian fit from the detection beyond which it has gone astray: any flux and position."""
+PAIR_PX = 1.5
+"""A detection within this distance of a catalogue star is that star."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
-    """A solved frame."""
+class Detections:
+    """Detections of a frame, identified or not."""
+
+    background: Background  # Mesh of level and noise
+    stars: StarTable  # All detections at `THRESHOLD_SIGMA`, measured by a Gaussian fit
+    start_px: FloatArray  # (n, 2) Where they were detected
+    significance: FloatArray  # (n,) Height of the filtered image over its noise
+    sharp: NDArray[np.bool_]  # (n,) Hot pixels: sharper than a star, or in the mask
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """Detections (n,) whose fit did not go astray, and that are no hot pixels."""
+        moved = np.hypot(*(self.stars.pixel_px - self.start_px).T)
+        known = np.isfinite(self.significance)
+        return np.asarray((moved < ASTRAY_PX) & (self.stars.flux_e > 0) & ~self.sharp & known)
+
+    def pairs(self, stars: FieldStars) -> tuple[FloatArray, IntArray]:
+        """Significance of catalogue stars (n,), 0 if not detected, and rows of the detections that are none of them."""
+        rows = np.flatnonzero(np.isfinite(self.significance) & ~self.sharp)
+        height, unknown = detected_stars(stars.position_px, self.start_px[rows], self.significance[rows], PAIR_PX)
+        return height, rows[unknown]
+
+
+def detections(image: SensorImage, *, noise: FilteredNoise | None = None) -> Detections:
+    """Stars of a frame; the same call for real and rendered frames, and for these the limit of the real one."""
+    background = estimate_background(image, box_px=BOX_PX)
+    detected = detect(image, background, threshold_sigma=THRESHOLD_SIGMA, fwhm_px=FWHM_PX, noise=noise)
+    flux_noise = np.sqrt(np.maximum(detected.covariance[:, FLUX, FLUX] - detected.flux_e, 1e-12))
+    stamps = extract_stamps(
+        image, detected.x_px, detected.y_px, background=background, size_px=WINDOW_PX, flags=detected.flags
+    )
+    return Detections(
+        background=background,
+        stars=get_centroider("gaussian", fit_background=True).measure(stamps, image.noise),
+        start_px=detected.pixel_px,
+        significance=detected.flux_e / flux_noise,
+        sharp=has_flag(detected.flags, StarFlag.SPIKE | StarFlag.DEFECT),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameSolution:
+    """A frame, its detections, and its blind identification."""
 
     name: str
     image: SensorImage
-    seen: Detections
+    detected: Detections
+    identification: Identification
+    focal_px: float  # Focal length that the frame shows
+    seconds: float
+
+    @property
+    def attitude(self) -> Rotation | None:
+        """cam from icrs; None where no stars were identified."""
+        solution = self.identification.attitude
+        return solution.rotation if self.identification.ok and solution is not None else None
+
+    @property
+    def line(self) -> str:
+        """One line for the terminal."""
+        head = f"{self.name}: {len(self.detected.stars)} detected"
+        if self.attitude is None:
+            return f"{head}; not solved: {self.identification.message} ({self.seconds:.2f} s)"
+        residual = self.identification.residual_px
+        rms = float("nan") if residual is None else float(np.sqrt(np.mean(residual**2)))
+        return (
+            f"{head}, {len(self.identification.detected)} identified, residual {rms:.2f} px, focal length "
+            f"{self.focal_px:.1f} px ({self.seconds:.2f} s)"
+        )
+
+
+def identify(detected: Detections, identifier: BlindIdentifier) -> tuple[Identification, float]:
+    """Identification of the usable detections, and the focal length [px] of the pinhole they were found with."""
+    stars = detected.stars.select(detected.usable)
+    identification, model = identifier.identify(stars.pixel_px, stars.flux_e)
+    return identification, model.value("focal_length_mm")
+
+
+def solve_all(
+    names: Sequence[str], images: Sequence[SensorImage], identifier: BlindIdentifier, progress: Progress
+) -> list[FrameSolution]:
+    """Detect and identify, one line per frame; frames without a solution again once the scale is known."""
+    solved = []
+    with progress.stage("frames solved", total=len(images)) as stage:
+        for name, image in zip(names, images, strict=True):
+            start = time.perf_counter()
+            detected = detections(image)
+            identification, focal_px = identify(detected, identifier)
+            solved.append(
+                FrameSolution(
+                    name=name,
+                    image=image,
+                    detected=detected,
+                    identification=identification,
+                    focal_px=focal_px,
+                    seconds=time.perf_counter() - start,
+                )
+            )
+            progress.note(solved[-1].line)
+            stage.advance()
+    for number, frame in enumerate(solved):
+        if frame.attitude is None and identifier.focal_px is not None:
+            identification, focal_px = identify(frame.detected, identifier)
+            if identification.ok:
+                solved[number] = replace(frame, identification=identification, focal_px=focal_px)
+    return solved
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IdentifiedFrame:
+    """A solved frame with the stars about its boresight."""
+
+    name: str
+    image: SensorImage
+    detected: Detections
     zenith: FloatArray | None  # (3,) In icrs; None where it is not known
-    rows: IntArray  # (m,) Stars of the sky about the boresight
-    direction: FloatArray  # (m, 3) Where they are seen, refraction included
+    rows: IntArray  # (m,) Stars of the sky
+    direction: FloatArray  # (m, 3) Apparent, refraction included
     taken: datetime | None = None
+
+    def matched(self, attitude: Rotation, camera: CameraModel, radius_px: float) -> tuple[IntArray, IntArray]:
+        """Rows of the detections that can take part in a calibration, and of their stars in ``direction``."""
+        rows = np.flatnonzero(self.detected.usable & self.detected.stars.fit)
+        pairs = associate(self.detected.stars.pixel_px[rows], self.direction, attitude, camera, radius_px=radius_px)
+        return rows[pairs.detected], pairs.catalogue
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Night:
+class SolvedNight:
     """Solved frames of one camera."""
 
-    frames: tuple[Frame, ...]
+    frames: tuple[IdentifiedFrame, ...]
     sky: Sky  # Proper motion, aberration; not refracted
-    refraction_arcsec: float  # Of tan z; 0 where the zenith is not known
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -65,13 +184,13 @@ class Night:
         height, width = self.frames[0].image.dn.shape
         return width, height
 
-    def under(self, zenith: FloatArray, arcsec: float) -> Night:
+    def under(self, zenith: FloatArray, arcsec: float) -> SolvedNight:
         """The same night with refraction towards a zenith (frames, 3)."""
         frames = []
-        for one, up in zip(self.frames, zenith, strict=True):
-            seen = refracted(np.array(self.sky.direction[one.rows]), up, arcsec)
-            frames.append(replace(one, zenith=up, direction=seen))
-        return replace(self, frames=tuple(frames), refraction_arcsec=arcsec)
+        for frame, up in zip(self.frames, zenith, strict=True):
+            apparent = refracted(np.array(self.sky.direction[frame.rows]), up, arcsec)
+            frames.append(replace(frame, zenith=up, direction=apparent))
+        return replace(self, frames=tuple(frames))
 
 
 def stars_about(sky: Sky, attitude: Rotation, camera: CameraModel) -> IntArray:
@@ -83,14 +202,15 @@ def stars_about(sky: Sky, attitude: Rotation, camera: CameraModel) -> IntArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldStars:
-    """Catalogue stars on the detector of one frame, the brightest first."""
+    """Catalogue stars on the detector of a frame, the brightest first."""
 
     row: IntArray  # (n,) Of the sky
     direction: FloatArray  # (n, 3) In cam
-    place_px: FloatArray  # (n, 2)
+    position_px: FloatArray  # (n, 2)
     magnitude: FloatArray  # (n,)
     temperature_k: FloatArray  # (n,)
     airmass: FloatArray  # (n,) NaN where the zenith is not known
+    u2: FloatArray  # (n,) Squared distance from the middle over half of the diagonal
 
     def __len__(self) -> int:
         return len(self.row)
@@ -102,117 +222,44 @@ class FieldStars:
 
     @property
     def colour_class(self) -> IntArray:
-        """Class (n,), as of `experiments.twin.psf`."""
+        """Class (n,) of the PSF."""
         return colour_class(self.temperature_k)
 
-    def alone(self, reach_px: float) -> NDArray[np.bool_]:
-        """Stars (n,) without a neighbour that would matter."""
-        near = cKDTree(self.place_px).query_pairs(reach_px, output_type="ndarray")
-        out = np.ones(len(self), bool)
-        for one, other in (near.T, near.T[::-1]):
-            out[one[self.magnitude[other] < self.magnitude[one] + NEIGHBOUR_MAG]] = False
-        return out
 
-
-def field_stars(night: Night, number: int, camera: CameraModel, attitude: Rotation) -> FieldStars:
+def field_stars(frame: IdentifiedFrame, sky: Sky, camera: CameraModel, attitude: Rotation) -> FieldStars:
     """Catalogue stars and their positions in a frame."""
-    frame = night.frames[number]
     v_cam = attitude.apply(frame.direction)
-    shown = camera.visible(v_cam, margin_px=MARGIN_PX)
-    near, v_cam, seen = frame.rows[shown], v_cam[shown], frame.direction[shown]
-    order = np.argsort(night.sky.magnitude[near], kind="stable")
-    near, v_cam, seen = near[order], v_cam[order], seen[order]
-    zenith = frame.zenith
+    shown = np.flatnonzero(camera.visible(v_cam, margin_px=MARGIN_PX))
+    shown = shown[np.argsort(sky.magnitude[frame.rows[shown]], kind="stable")]
+    rows, v_cam, apparent = frame.rows[shown], v_cam[shown], frame.direction[shown]
+    position, geometry = camera.project(v_cam), camera.geometry
     return FieldStars(
-        row=near,
+        row=rows,
         direction=v_cam,
-        place_px=camera.project(v_cam),
-        magnitude=np.array(night.sky.magnitude[near]),
-        temperature_k=np.array(night.sky.temperature_k[near]),
-        airmass=np.full(len(near), np.nan) if zenith is None else airmass(seen, zenith),
+        position_px=position,
+        magnitude=np.array(sky.magnitude[rows]),
+        temperature_k=np.array(sky.temperature_k[rows]),
+        airmass=np.full(len(rows), np.nan) if frame.zenith is None else airmass(apparent, frame.zenith),
+        u2=4.0 * ((position - geometry.centre_px) ** 2).sum(axis=1) / (geometry.width_px**2 + geometry.height_px**2),
     )
 
 
-def star_mask(
-    image: SensorImage, stars: FieldStars, seen: Detections, hot: NDArray[np.bool_], width_px: float
+def masked_pixels(
+    image: SensorImage, stars: FieldStars, detected: Detections, hot: NDArray[np.bool_], width_px: float
 ) -> NDArray[np.bool_]:
     """Pixels (h, w) with light of stars, detections or defects."""
-    height, width = image.dn.shape
-    grow = max(width_px / MASK_WIDTH_PX, 0.6)
-    out = ~image.valid | image.saturated | hot
-    places = [(stars.place_px[stars.magnitude < limit], radius * grow) for limit, radius in MASK_RADII]
-    places.append((seen.start_px, 5.0 * grow))
-    for place, radius in places:
-        at = np.rint(place[np.isfinite(place).all(axis=1)]).astype(np.int64)
-        at = at[(at[:, 0] >= 0) & (at[:, 0] < width) & (at[:, 1] >= 0) & (at[:, 1] < height)]
-        if len(at):
-            free = np.ones((height, width), bool)
-            free[at[:, 1], at[:, 0]] = False
-            out |= distance_transform_edt(free) <= radius
-    return out
-
-
-def star_sample(
-    frames: Sequence[tuple[Frame, FieldStars]],
-    *,
-    brightest_mag: float,
-    faintest_mag: float,
-    size_px: int,
-    hot: NDArray[np.bool_],
-) -> StarSample:
-    """Windows about isolated, unsaturated catalogue stars between two magnitudes."""
-    half = size_px // 2
-    highest = LINEAR_SHARE * max(float(frame.image.dn[frame.image.valid & ~hot].max()) for frame, _ in frames)
-    parts: list[StarSample] = []
-    for number, (frame, stars) in enumerate(frames):
-        image = frame.image
-        height, width = image.dn.shape
-        x, y = stars.place_px.T
-        inside = (x > half + 1) & (x < width - half - 2) & (y > half + 1) & (y < height - half - 2)
-        rows = np.flatnonzero(
-            inside & (stars.magnitude >= brightest_mag) & (stars.magnitude < faintest_mag) & stars.alone(REACH_PX)
-        )
-        middle = np.rint(stars.place_px[rows]).astype(np.int64)
-        at_y = (middle[:, 1, None] - half + np.arange(size_px))[:, :, None]
-        at_x = (middle[:, 0, None] - half + np.arange(size_px))[:, None, :]
-        sky_e = frame.seen.background.level_at(x[rows], y[rows])
-        level = image.noise.offset_dn + image.noise.gain_dn_per_e * sky_e
-        pixels = image.dn[at_y, at_x]
-        whole = ~(image.saturated[at_y, at_x] | (pixels > highest)).any(axis=(1, 2))
-        rows, middle, at_y, at_x, level = rows[whole], middle[whole], at_y[whole], at_x[whole], level[whole]
-        parts.append(
-            StarSample(
-                dn=pixels[whole] - level[:, None, None],
-                offset_px=stars.place_px[rows] - middle,
-                place_px=stars.place_px[rows],
-                colour=stars.colour_class[rows],
-                frame=np.full(len(rows), number),
-                star=rows,
-                level_dn=level,
-                valid=image.valid[at_y, at_x] & ~hot[at_y, at_x] & ~_others(stars, rows, at_x, at_y, faintest_mag),
-            )
-        )
-    return StarSample(
-        **{name: np.concatenate([getattr(one, name) for one in parts]) for name in StarSample.__dataclass_fields__}
+    starlit = starlit_pixels(
+        image.dn.shape, stars.position_px, stars.magnitude, detected_px=detected.start_px, width_px=width_px
     )
-
-
-def _others(
-    stars: FieldStars, rows: IntArray, at_x: IntArray, at_y: IntArray, faintest_mag: float
-) -> NDArray[np.bool_]:
-    """Pixels (n, s, s) nearer to another star than to their own, which stars of some brightness reach."""
-    bright = np.flatnonzero(stars.magnitude < faintest_mag + FAINTER_MAG)
-    x, y = np.broadcast_arrays(at_x, at_y)
-    if not len(bright) or not x.size:
-        return np.zeros(x.shape, bool)
-    far, near = cKDTree(stars.place_px[bright]).query(np.stack([x, y], axis=-1))
-    return np.asarray((bright[near] != rows[:, None, None]) & (far < OTHER_PX))
+    return starlit | ~image.valid | image.saturated | hot
 
 
 def with_noise(image: SensorImage, noise: SkyNoise) -> SensorImage:
     """The image with what was measured of its noise; the lowest black level is taken."""
-    gain = 1.0 / noise.gain_e_per_dn
     model = NoiseModel(
-        read_noise_e=noise.read_noise_e[0], gain_dn_per_e=gain, offset_dn=noise.black_level_dn[0], quantised=True
+        read_noise_e=noise.read_noise_e[0],
+        gain_dn_per_e=1.0 / noise.gain_e_per_dn,
+        offset_dn=noise.black_level_dn[0],
+        quantised=True,
     )
     return replace(image, noise=model, assumed=())

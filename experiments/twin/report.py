@@ -3,43 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.stats import norm
-from scipy.stats import t as student
 
+from calib.calibration.frame_attitudes import camera_residuals
+from calib.fitting.misfit import two_sided_quantile
+from calib.measure.completeness import completeness
+from calib.measure.separability import FEATURES, Separability, separability, window_features
+from calib.photometry.zero_point import COLOUR_KNOTS
 from experiments.harness.drawings import bars, curves
 from experiments.harness.quantities import Outcome, Quantities, shown_unit
 from experiments.harness.sections import Section, Verdict, agree, col
 from experiments.harness.summary import Criterion, Measured
-from experiments.twin.classify import FEATURES, Told
-from experiments.twin.compare import (
-    FrameStats,
-    false_detections,
-    half_magnitudes,
-    limit_of,
-    statistics_of,
-)
+from experiments.twin.compare import BRIGHT_MAG, CLIP_PX, THRESHOLDS, FrameStatistics, joined, limit_of, statistics_of
 from experiments.twin.hold_out import HeldOut
-from experiments.twin.measure import CameraFit, Centroids, residuals
-from experiments.twin.photometry import COLOUR_KNOTS
+from experiments.twin.measure import CameraFit, Centroids
+from experiments.twin.pipeline import MeasuredNight
 from experiments.twin.prescription import LensPose
 from experiments.twin.synthetic import KnownNight, true_values
 from experiments.twin.twin import Twin
 from optics.arrays import FloatArray
 
-if TYPE_CHECKING:
-    from experiments.twin.pipeline import Reduced
-
 FALSE_ALARM = 0.01
 COMPLETENESS_LIMIT = 0.03
 FRAME_LIMIT, NOISE_LIMIT = 0.07, 0.01
-FALSE_LIMIT_SIGMA = float(norm.isf(0.5 * FALSE_ALARM))
-FEWEST_IN_BIN = 30
+FALSE_LIMIT_SIGMA = two_sided_quantile(FALSE_ALARM)
+FEWEST_IN_BIN, FEWEST_TO_TELL, FEWEST_CAUSES = 30, 30, 8
+CLASSIFIED_MAG = 1.0
+"""Magnitudes above the limit of the stars whose windows are classified."""
 STRETCH_PERCENT = (20.0, 99.7)
 
 
@@ -76,40 +71,37 @@ class CameraNumbers:
     refraction_arcsec: Measured | None = col("Refraction / tan z from the frames", "arcsec", default=None)
 
 
-def camera_numbers(reduced: Reduced, whole: CameraFit, compared: HeldOut, limit_mag: float) -> CameraNumbers:
+def camera_numbers(night: MeasuredNight, compared: HeldOut, limit_mag: float) -> CameraNumbers:
     """The camera in numbers."""
-    made, noise, light = whole.calibration, whole.noise, whole.photometry
-    names, sigma = made.model.parameter_names, np.sqrt(np.diag(made.covariance))
-    pitch = reduced.pitch_mm
+    whole = night.whole
+    model, noise, light = whole.calibration.model, whole.noise, whole.photometry
+    sigma = np.sqrt(np.diag(whole.calibration.covariance))
 
     def parameter(name: str, scale: float = 1.0) -> Measured:
-        if name not in names:
+        if name not in model.parameter_names:
             return Measured(value=float("nan"))
-        at = names.index(name)
-        return Measured(value=float(made.model.parameters[at]) * scale, uncertainty=float(sigma[at]) * scale)
+        at = model.parameter_names.index(name)
+        return Measured(value=float(model.parameters[at]) * scale, uncertainty=float(sigma[at]) * scale)
 
-    geometry = made.model.geometry
-    edges = made.model.unproject(geometry.centre_px + np.array([[-0.5, 0.0], [0.5, 0.0]]) * geometry.width_px)
-    corners = geometry.corners_px
-    focal = parameter("focal_length_mm", 1.0 / pitch)
-    ray = made.model.unproject(corners)
+    geometry, focal = model.geometry, parameter("focal_length_mm", 1.0 / night.pitch_mm)
+    edges = model.unproject(geometry.centre_px + np.array([[-0.5, 0.0], [0.5, 0.0]]) * geometry.width_px)
+    ray = model.unproject(geometry.corners_px)
     principal = geometry.centre_px + np.nan_to_num([parameter("x0_px").value, parameter("y0_px").value])
-    ideal = principal + focal.value * ray[:, :2] / ray[:, 2:]
-    psf_sigma = np.sqrt(np.diag(whole.psf.covariance))
-    site = reduced.zenith
-    width = whole.psf.width_px((np.array([whole.psf.size_px]) - 1.0) / 2.0, np.array([1]))[0]
+    distortion = geometry.corners_px - (principal + focal.value * ray[:, :2] / ray[:, 2:])
+    width, width_error = compared.bias.off(whole).psf.central_width_px
+    site, refraction = night.zenith, night.refraction_arcsec
     return CameraNumbers(
-        frames=len(reduced.known.night),
-        frames_given=len(reduced.solved),
+        frames=len(night.rows),
+        frames_given=len(night.solved),
         order=whole.order,
         focal_length_px=focal,
         focal_length_mm=parameter("focal_length_mm"),
         field_width_deg=float(np.degrees(np.arccos(np.clip(edges[0] @ edges[1], -1, 1)))),
         centre_x_px=parameter("x0_px"),
         centre_y_px=parameter("y0_px"),
-        corner_px=float(np.linalg.norm(corners - ideal, axis=1).mean()),
+        corner_px=float(np.hypot(*distortion.T).mean()),
         floor_px=whole.floor_px,
-        width_px=Measured(value=float(width), uncertainty=float(width * np.hypot(psf_sigma[3], psf_sigma[4]) / 2.0)),
+        width_px=Measured(value=width, uncertainty=width_error),
         gain_e_per_dn=Measured(value=noise.gain_e_per_dn, uncertainty=noise.gain_error_e_per_dn, n=noise.blocks),
         read_noise_low_e=noise.read_noise_e[0],
         read_noise_high_e=noise.read_noise_e[1],
@@ -117,17 +109,20 @@ def camera_numbers(reduced: Reduced, whole: CameraFit, compared: HeldOut, limit_
         black_high_dn=noise.black_level_dn[1],
         dsnu_dn=Measured(value=noise.dsnu_dn, uncertainty=noise.dsnu_error_dn),
         prnu_percent=Measured(value=100.0 * noise.prnu, uncertainty=100.0 * noise.prnu_error),
-        hot_pixels=int(reduced.known.hot.sum()),
-        saturation_dn=reduced.saturation_dn,
-        zero_point_mag=light.zero_point_above_mag or Measured(value=float("nan")),
-        extinction_mag=light.extinction_mag,
-        vignetting_mag=Measured(value=float(light.loss_at(np.ones(1))[0]), uncertainty=light.loss_error_at(1.0)),
+        hot_pixels=int(night.known.hot.sum()),
+        saturation_dn=night.saturation_dn,
+        # what is folded into the twin's light makes up for its PSF: the zero point is that of the stars
+        zero_point_mag=Measured(value=light.above_mag, unit="mag", uncertainty=light.above_error_mag, n=light.frames),
+        extinction_mag=None
+        if np.isnan(light.extinction_mag)
+        else Measured(value=light.extinction_mag, uncertainty=light.extinction_error_mag, n=light.frames),
+        vignetting_mag=Measured(
+            value=float(light.vignetting_at(np.ones(1))[0]), uncertainty=light.vignetting_error_at(1.0)
+        ),
         limit_mag=limit_mag,
         latitude_deg=None if site is None else Measured(value=site.latitude_deg, uncertainty=site.error_deg),
         longitude_deg=None if site is None else Measured(value=site.longitude_deg, uncertainty=site.error_deg),
-        refraction_arcsec=None
-        if reduced.refraction_arcsec is None
-        else Measured(value=reduced.refraction_arcsec[0], uncertainty=reduced.refraction_arcsec[1]),
+        refraction_arcsec=None if refraction is None else Measured(value=refraction[0], uncertainty=refraction[1]),
     )
 
 
@@ -150,51 +145,46 @@ class FrameNumbers:
     trail: int = col("Detections on trails")
 
 
-def frame_numbers(reduced: Reduced, whole: CameraFit, compared: HeldOut) -> list[FrameNumbers]:
+def frame_numbers(night: MeasuredNight, compared: HeldOut) -> list[FrameNumbers]:
     """Solved frames, real and rendered."""
     out = []
-    for number, row in enumerate(reduced.rows):
-        one, real = reduced.solved[row], compared.real[number]
-        sets = [frames[number] for frames in compared.sets]
-        stars = _stars(real)
-        many, noise = np.array([_stars(s) for s in sets], float), np.array([_noise(s) for s in sets])
+    for number, row in enumerate(night.rows):
+        solved, real = night.solved[row], compared.real[number]
+        stars, noise = (
+            np.array([float(quantity(frames[number])) for frames in (compared.real, *compared.sets)])
+            for quantity in (_stars, _noise)
+        )
         out.append(
             FrameNumbers(
-                name=one.name,
-                found=len(one.seen.stars),
-                identified=one.identified,
-                seconds=one.seconds,
+                name=solved.name,
+                found=len(solved.detected.stars),
+                identified=len(solved.identification.detected),
+                seconds=solved.seconds,
                 background_dn=float(np.median(real.blocks.level_dn)),
-                stars=stars,
-                rendered_stars=_of(many),
-                off_percent=100.0 * (many.mean() / max(stars, 1) - 1.0),
-                noise_dn=_noise(real),
-                rendered_noise_dn=_of(noise),
-                noise_percent=100.0 * (noise.mean() / _noise(real) - 1.0),
-                scatter_mag=float(whole.photometry.scatter_mag[number]),
+                stars=stars[0],
+                rendered_stars=_of_sets(stars[1:]),
+                off_percent=100.0 * (stars[1:].mean() / max(stars[0], 1) - 1.0),
+                noise_dn=noise[0],
+                rendered_noise_dn=_of_sets(noise[1:]),
+                noise_percent=100.0 * (noise[1:].mean() / noise[0] - 1.0),
+                scatter_mag=float(night.whole.photometry.scatter_mag[number]),
                 trail=real.trail,
             )
         )
     return out
 
 
-def _stars(one: FrameStats) -> int:
-    return int((one.height >= 5.0).sum())
+def _stars(frame: FrameStatistics) -> int:
+    return int((frame.height >= THRESHOLDS[0]).sum())
 
 
-def _noise(one: FrameStats) -> float:
-    return float(np.sqrt(np.nanmedian(one.blocks.variance_dn2)))
+def _noise(frame: FrameStatistics) -> float:
+    return float(np.sqrt(np.nanmedian(frame.blocks.variance_dn2)))
 
 
-def _of(values: FloatArray) -> Measured:
-    """Mean of the rendered sets, and its standard deviation."""
-    return Measured(
-        value=float(values.mean()), uncertainty=float(values.std(ddof=1) / np.sqrt(len(values))), n=len(values)
-    )
-
-
-def _share(values: FloatArray, spread: float) -> Measured:
-    """Mean of the rendered sets; ``spread`` is the standard deviation of one."""
+def _of_sets(values: FloatArray, spread: float | None = None) -> Measured:
+    """Mean of the rendered sets; the standard deviation of one is ``spread``, or follows from their scatter."""
+    spread = float(values.std(ddof=1)) if spread is None else spread
     return Measured(value=float(values.mean()), uncertainty=spread / np.sqrt(len(values)), n=len(values))
 
 
@@ -237,29 +227,25 @@ class Cause:
 def causes(fit: CameraFit, compared: HeldOut, limit_mag: float) -> list[Cause]:
     """Contributions to the residuals of bright stars."""
 
-    def of(one: Centroids) -> tuple[float, float]:
-        left = residuals(one.observations, fit.camera, fit.attitudes)
-        bright = (one.magnitude < limit_mag - 1.5) & (np.linalg.norm(left, axis=1) < 0.7)
-        if bright.sum() < 8:
+    def rms(stars: Centroids) -> tuple[float, float]:
+        residual = camera_residuals(stars.observations, fit.camera, fit.attitudes)
+        bright = (stars.magnitude < limit_mag - BRIGHT_MAG) & (np.hypot(*residual.T) < CLIP_PX)
+        if bright.sum() < FEWEST_CAUSES:
             return float("nan"), float("nan")
-        return float(np.sqrt((left[bright] ** 2).mean())), float(np.sqrt((one.noise_px[bright] ** 2).mean()))
+        return float(np.sqrt((residual[bright] ** 2).mean())), float(np.sqrt((stars.noise_px[bright] ** 2).mean()))
 
-    (gaussian, noise), (fitted, own) = of(fit.gaussian), of(fit.fitted)
+    (gaussian, noise), (fitted, own) = rms(fit.gaussian), rms(fit.fitted)
     method = compared.bias.floor_px
-    left = fitted**2 - own**2
-    return [
-        Cause(name="Gaussian fits, total residual", part_px=gaussian),
-        Cause(name="Gaussian fits, noise of the centroids", part_px=noise),
-        Cause(name="Gaussian fits, S-curve (no error of PSF fits)", part_px=_root(gaussian**2 - fitted**2)),
-        Cause(name="PSF fits, total residual", part_px=fitted),
-        Cause(name="PSF fits, noise of the centroids", part_px=own),
-        Cause(name="PSF fits, error of the method (from rendered frames)", part_px=method),
-        Cause(name="PSF fits, remainder (seeing, catalogue, PSF)", part_px=_root(left - method**2)),
-    ]
-
-
-def _root(square: float) -> float:
-    return float(np.sqrt(max(square, 0.0)))
+    parts = {
+        "Gaussian fits, total residual": gaussian,
+        "Gaussian fits, noise of the centroids": noise,
+        "Gaussian fits, S-curve (no error of PSF fits)": float(np.sqrt(max(gaussian**2 - fitted**2, 0.0))),
+        "PSF fits, total residual": fitted,
+        "PSF fits, noise of the centroids": own,
+        "PSF fits, error of the method (from rendered frames)": method,
+        "PSF fits, remainder (seeing, catalogue, PSF)": float(np.sqrt(max(fitted**2 - own**2 - method**2, 0.0))),
+    }
+    return [Cause(name=name, part_px=part) for name, part in parts.items()]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -267,6 +253,7 @@ class Compared:
     """A statistic of real and of rendered frames."""
 
     key: str = col("Key", shown=False)
+    label: str
     unit: str = col("Unit", json="")
     real: Measured = col("Real", "{statistic}")
     twin: Measured = col("Twin", "{statistic}", key="rendered")
@@ -333,167 +320,183 @@ class Kept:
     prescription: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sections:
-    """All that a run found, as records of its sections."""
-
-    reduced: Reduced
-    whole: CameraFit
-    compared: HeldOut
-    twin: Twin
-    told: Told | None
-    truth: KnownNight | None
-    name: str
-    pose: LensPose | None = None
-    prescription: str = ""
-
-    def records(self) -> dict[str, Any]:
-        """Section -> record or records."""
-        real, reduced = self.compared.real, self.reduced
-        limit = limit_of(real, 5.0)
-        numbers = camera_numbers(reduced, self.whole, self.compared, limit)
-        noise = self.whole.noise
-        light = self.whole.photometry
-        return {
-            "kept": Kept(
-                name=self.name,
-                twin=self.twin,
-                limit_mag=limit,
-                real=tuple(one.image.dn for one in reduced.known.night.frames),
-                rendered=tuple(one.dn for one in self.compared.images),
-                notes=reduced.notes,
-                prescription=self.prescription,
-            ),
-            "camera": numbers,
-            "frames": frame_numbers(reduced, self.whole, self.compared),
-            "orders": [
-                OrderNumbers(name=one.name, parameters=one.parameters, chi2=one.mean, residual_px=one.residual_px)
-                for one in reduced.orders
-            ]
-            or None,
-            "transfer": [
-                TransferPoint(level_dn=float(m), variance_dn2=float(v), fitted_dn2=float(noise.variance_dn2(m)))
-                for m, v in zip(noise.levels_dn, noise.variances_dn2, strict=True)
-            ],
-            "colours": [
-                ColourPoint(
-                    colour=float(COLOUR_KNOTS[k]),
-                    measured_mag=Measured(
-                        value=float(light.colour_mag[k]), uncertainty=float(light.colour_error_mag[k])
-                    ),
-                    twin_mag=float(self.twin.response_mag[k]),
-                )
-                for k in np.flatnonzero(np.isfinite(light.colour_mag))
-            ],
-            "causes": causes(self.whole, self.compared, limit),
-            "comparison": self._statistics(limit),
-            "completeness": self._completeness(limit),
-            "detected": self._detected(),
-            "features": None
-            if self.told is None
-            else [Feature(name=name, effect=float(one)) for name, one in zip(FEATURES, self.told.effect, strict=True)],
-            "pose": self.pose,
-            "truth": None if self.truth is None else self._truth(self.truth, numbers),
-        }
-
-    def _statistics(self, limit: float) -> list[Compared]:
-        compared = self.compared
-        real = statistics_of(compared.real, limit, compared.airmass)
-        sets = [statistics_of(one, limit, compared.airmass) for one in compared.sets]
-        out = []
-        for statistic, value in real.items():
-            drawn = np.array([one[statistic] for one in sets])
-            spread = float(drawn.std(ddof=1))
-            scale = value if statistic.relative and value else 1.0
-            off = (float(drawn.mean()) - value) / scale
-            error = spread * np.sqrt(1.0 + 1.0 / len(drawn)) / abs(scale)
-            judged = np.isfinite(statistic.limit) and np.isfinite(off)
-            out.append(
-                Compared(
-                    key=f"{statistic.key}|{statistic.label}|{statistic.unit}",
-                    unit=shown_unit(statistic.unit),
-                    real=Measured(value=value, unit=statistic.unit, uncertainty=spread),
-                    twin=_of(drawn),
-                    off=Measured(value=off, uncertainty=float(error)),
-                    allowed=float(statistic.limit),
-                    within=("yes" if abs(off) <= statistic.limit else "no") if judged else "",
-                )
+def records(
+    night: MeasuredNight,
+    compared: HeldOut,
+    twin: Twin,
+    *,
+    truth: KnownNight | None,
+    name: str,
+    pose: LensPose | None = None,
+    prescription: str = "",
+) -> dict[str, Any]:
+    """Section -> record or records."""
+    limit = limit_of(compared.real, THRESHOLDS[0])
+    numbers = camera_numbers(night, compared, limit)
+    noise, light = night.whole.noise, night.whole.photometry
+    told = classified(night, compared)
+    return {
+        "kept": Kept(
+            name=name,
+            twin=twin,
+            limit_mag=limit,
+            real=tuple(one.image.dn for one in night.known.night.frames),
+            rendered=tuple(one.dn for one in compared.images),
+            notes=night.notes,
+            prescription=prescription,
+        ),
+        "camera": numbers,
+        "frames": frame_numbers(night, compared),
+        "orders": [
+            OrderNumbers(name=one.order, parameters=one.parameters, chi2=one.mean_chi2, residual_px=one.residual_px)
+            for one in night.orders
+        ]
+        or None,
+        "transfer": [
+            TransferPoint(level_dn=float(m), variance_dn2=float(v), fitted_dn2=float(noise.variance_dn2(m)))
+            for m, v in zip(noise.levels_dn, noise.variances_dn2, strict=True)
+        ],
+        "colours": [
+            ColourPoint(
+                colour=float(COLOUR_KNOTS[k]),
+                measured_mag=Measured(value=float(light.colour_mag[k]), uncertainty=float(light.colour_error_mag[k])),
+                twin_mag=float(twin.response_mag[k]),
             )
-        return out
+            for k in np.flatnonzero(np.isfinite(light.colour_mag))
+        ],
+        "causes": causes(night.whole, compared, limit),
+        "comparison": comparison(compared, limit),
+        "completeness": completeness_bins(compared, limit),
+        "detected": detected(compared, told),
+        "features": None
+        if told is None
+        else [Feature(name=name, effect=float(effect)) for name, effect in zip(FEATURES, told.effect, strict=True)],
+        "pose": pose,
+        "truth": None
+        if truth is None
+        else [
+            TrueNumber(
+                name=name,
+                unit=shown_unit(unit),
+                found=replace(measured, unit=unit),
+                true=true,
+                pull=float((measured.value - true) / (measured.uncertainty or np.nan)),
+            )
+            for name, unit, measured, true in true_values(truth, numbers, night.whole)
+        ],
+    }
 
-    def _completeness(self, limit: float) -> list[HalfMagnitude]:
-        edges = np.arange(np.floor(2.0 * limit) / 2.0 - 1.5, limit + 1.01, 0.5)
-        five, six = (
-            [half_magnitudes(one, edges, sigma) for one in (self.compared.real, *self.compared.sets)]
-            for sigma in (5.0, 6.0)
+
+def comparison(compared: HeldOut, limit_mag: float) -> list[Compared]:
+    """Every statistic of the real and of the rendered sets."""
+    sets = [statistics_of(frames, limit_mag, compared.airmass) for frames in (compared.real, *compared.sets)]
+    out = []
+    for real, *rendered in zip(*sets, strict=True):
+        drawn = np.array([one.value for one in rendered])
+        spread = float(drawn.std(ddof=1))
+        scale = real.value if real.relative and real.value else 1.0
+        off = (float(drawn.mean()) - real.value) / scale
+        error = spread * np.sqrt(1.0 + 1.0 / len(drawn)) / abs(scale)
+        judged = np.isfinite(real.limit) and np.isfinite(off)
+        out.append(
+            Compared(
+                key=real.key,
+                label=real.label,
+                unit=shown_unit(real.unit),
+                real=Measured(value=real.value, unit=real.unit, uncertainty=spread),
+                twin=_of_sets(drawn),
+                off=Measured(value=off, uncertainty=float(error)),
+                allowed=float(real.limit),
+                within=("yes" if abs(off) <= real.limit else "no") if judged else "",
+            )
         )
-        out = []
-        for k in range(len(edges) - 1):
-            count = int(five[0][0][k])
-            if count < FEWEST_IN_BIN:
-                continue
-            shares = [np.array([one[1][k] for one in some]) for some in (five, six)]
-            # of one set: every star is found or not
-            chance = [np.mean(one) for one in shares]
-            spread = [float(np.sqrt(p * (1.0 - p) / count)) for p in chance]
-            real = [Measured(value=float(s[0]), uncertainty=e, n=count) for s, e in zip(shares, spread, strict=True)]
-            out.append(
-                HalfMagnitude(
-                    magnitude_mag=float(edges[k] + 0.25),
-                    count=count,
-                    real_5=real[0],
-                    twin_5=_share(shares[0][1:], spread[0]),
-                    real_6=real[1],
-                    twin_6=_share(shares[1][1:], spread[1]),
-                )
+    return out
+
+
+def completeness_bins(compared: HeldOut, limit_mag: float) -> list[HalfMagnitude]:
+    """Detected fraction per half magnitude about the limit."""
+    edges = np.arange(np.floor(2.0 * limit_mag) / 2.0 - 1.5, limit_mag + 1.01, 0.5)
+
+    def of_sets(sigma: float) -> tuple[FloatArray, FloatArray]:
+        sets = [
+            completeness(joined(frames, "magnitude"), joined(frames, "height") >= sigma, edges)
+            for frames in (compared.real, *compared.sets)
+        ]
+        return sets[0][0], np.array([fraction for _, fraction in sets])
+
+    (count, five), (_, six) = (of_sets(sigma) for sigma in THRESHOLDS)
+    out = []
+    for k in np.flatnonzero(count >= FEWEST_IN_BIN):
+        # of one set: every star is detected or not
+        spread = [float(np.sqrt(p * (1.0 - p) / count[k])) for p in (five[:, k].mean(), six[:, k].mean())]
+        real = [
+            Measured(value=float(one[0, k]), uncertainty=error, n=int(count[k]))
+            for one, error in zip((five, six), spread, strict=True)
+        ]
+        out.append(
+            HalfMagnitude(
+                magnitude_mag=float(edges[k] + 0.25),
+                count=int(count[k]),
+                real_5=real[0],
+                twin_5=_of_sets(five[1:, k], spread[0]),
+                real_6=real[1],
+                twin_6=_of_sets(six[1:, k], spread[1]),
             )
-        return out
+        )
+    return out
 
-    def _detected(self) -> Detected:
-        real, sets = self.compared.real, self.compared.sets
 
-        def both(sigma: float) -> tuple[Measured, Measured]:
-            seen = false_detections(real, sigma)
-            drawn = np.array([false_detections(one, sigma) for one in sets], float)
-            mean = float(drawn.mean())
-            return (
-                Measured(value=float(seen), uncertainty=float(np.sqrt(max(seen, 1)))),
-                Measured(value=mean, uncertainty=float(np.sqrt(max(mean, 0.5) / len(drawn)))),
-            )
+def classified(night: MeasuredNight, compared: HeldOut) -> Separability | None:
+    """Separability of windows about the bright stars of real and rendered frames; None where there are too few."""
+    faintest = night.known.limit_mag - CLASSIFIED_MAG
+    images = [frame.image for frame in night.known.night.frames], compared.images
+    features = [
+        window_features(image.dn, frame.position_px[frame.star_magnitude < faintest])
+        for some, frames in zip(images, (compared.real, compared.sets[0]), strict=True)
+        for image, frame in zip(some, frames, strict=True)
+    ]
+    count, frames = [len(one) for one in features], len(compared.real)
+    kind, frame = (np.repeat(one, count) for one in np.divmod(np.arange(2 * frames), frames))
+    values = np.concatenate(features)
+    good = np.isfinite(values).all(axis=1)
+    if np.bincount(kind[good], minlength=2).min() < FEWEST_TO_TELL:
+        return None
+    return separability(values[good], kind[good], frame[good])
 
-        (real_5, twin_5), (real_6, twin_6) = both(5.0), both(6.0)
-        spread = np.hypot(real_5.uncertainty or 1.0, twin_5.uncertainty or 0.0)
-        told = self.told
-        best = "" if told is None else FEATURES[int(np.argmax(np.abs(told.effect)))]
-        return Detected(
-            false_5=real_5,
-            false_twin_5=twin_5,
-            false_6=real_6,
-            false_twin_6=twin_6,
-            false_pull=float((twin_5.value - real_5.value) / spread),
-            trails=sum(one.trail for one in real),
-            area=None if told is None else Measured(value=told.area, uncertainty=told.error, n=told.stars),
-            told_by=best,
+
+def detected(compared: HeldOut, told: Separability | None) -> Detected:
+    """False detections of the real and of the rendered sets."""
+
+    def false(sigma: float) -> tuple[Measured, Measured]:
+        real, *drawn = ((joined(frames, "false") >= sigma).sum() for frames in (compared.real, *compared.sets))
+        mean = float(np.mean(drawn))
+        return (
+            Measured(value=float(real), uncertainty=float(np.sqrt(max(real, 1)))),
+            Measured(value=mean, uncertainty=float(np.sqrt(max(mean, 0.5) / len(drawn)))),
         )
 
-    def _truth(self, truth: KnownNight, numbers: CameraNumbers) -> list[TrueNumber]:
-        out = []
-        for name, unit, found, true in true_values(truth, numbers, self.whole):
-            pull = (found.value - true) / (found.uncertainty or np.nan)
-            out.append(
-                TrueNumber(name=f"{name}|{unit}", unit=shown_unit(unit), found=found, true=true, pull=float(pull))
-            )
-        return out
+    (real_5, twin_5), (real_6, twin_6) = (false(sigma) for sigma in THRESHOLDS)
+    spread = np.hypot(real_5.uncertainty or 1.0, twin_5.uncertainty or 0.0)
+    return Detected(
+        false_5=real_5,
+        false_twin_5=twin_5,
+        false_6=real_6,
+        false_twin_6=twin_6,
+        false_pull=float((twin_5.value - real_5.value) / spread),
+        trails=sum(frame.trail for frame in compared.real),
+        area=None if told is None else Measured(value=told.area, uncertainty=told.error, n=told.first),
+        told_by="" if told is None else FEATURES[int(np.argmax(np.abs(told.effect)))],
+    )
 
 
-def compared_words(statistics: Sequence[Compared], detected: Detected) -> list[str]:
+def agreement_lines(statistics: Sequence[Compared], detected: Detected) -> list[str]:
     """Agreement of twin and camera for users of its frames: a line per judged statistic."""
     out = []
     for one in statistics:
-        _, label, unit = one.key.split("|")
         if one.within:
-            values = f"{one.real.value:.4g}, rendered {one.twin.value:.4g}{' ' + unit if unit else ''}"
-            out.append(f"{label}: real {values}{'' if one.within == 'yes' else ' (above the allowed difference)'}")
+            unit = f" {one.real.unit}" if one.real.unit else ""
+            beyond = "" if one.within == "yes" else " (above the allowed difference)"
+            out.append(f"{one.label}: real {one.real.value:.4g}, rendered {one.twin.value:.4g}{unit}{beyond}")
     if detected.area is not None:
         out.append(
             f"star windows: area under the ROC curve of the classifier {detected.area.value:.2f} (0.5: not separable)"
@@ -507,17 +510,16 @@ def axes(config: Any) -> Quantities:
     return Quantities()
 
 
-def _named(dim: str, label: str, field: str = "name") -> Any:
-    """Axis whose coordinates are names; of keys "key|label|unit" the parts."""
+def _named(dim: str, label: str, key: str = "name", names: str = "name", units: str = "") -> Any:
+    """Axis whose coordinates are the field ``key`` of the records, numbered where it is not unique, shown as ``names``;
+    ``units``: measured number whose unit is that of the row."""
 
     def describe(q: Quantities, rows: Sequence[Any]) -> None:
-        parts = [str(getattr(one, field)).split("|") for one in rows]
-        keys = [one[0] for one in parts]
+        keys = [getattr(one, key) for one in rows]
         if len(set(keys)) < len(keys):
-            keys = [f"{n + 1} {key}" for n, key in enumerate(keys)]
-        units = [one[-1] for one in parts] if all(len(one) > 1 for one in parts) else ()
-        names = [one[1] if len(one) > 2 else one[0] for one in parts]
-        q.axis(dim, keys, label, names=names, units=units)
+            keys = [f"{n + 1} {one}" for n, one in enumerate(keys)]
+        of_rows = [getattr(one, units).unit for one in rows] if units else ()
+        q.axis(dim, keys, label, names=[getattr(one, names) for one in rows], units=of_rows)
 
     return describe
 
@@ -533,11 +535,6 @@ def _error(quantity: Any) -> FloatArray:
     return np.zeros(np.shape(quantity.values)) if quantity.error is None else np.nan_to_num(quantity.error)
 
 
-def _z(freedom: float = np.inf, alarm: float = FALSE_ALARM) -> float:
-    """Standard deviations that noise alone exceeds by a false alarm; ``freedom`` of the deviation's own estimate."""
-    return float(student.isf(alarm / 2.0, freedom))
-
-
 def _criterion(name: str, value: float, limit: float, advice: str = "") -> Criterion:
     noticed = limit if limit > 0 else None
     return Criterion(name=name, value=value, limit=limit, false_alarm=FALSE_ALARM, notices=noticed, advice=advice)
@@ -551,7 +548,7 @@ def _within(outcome: Outcome) -> list[Criterion]:
         off, allowed = outcome.quantity("off").at(statistic=k), float(outcome.values("allowed")[k])
         if not np.isfinite(allowed) or not np.isfinite(off.values):
             continue
-        limit = allowed + _z(outcome.config.realisations - 1) * float(_error(off))
+        limit = allowed + two_sided_quantile(FALSE_ALARM, outcome.config.realisations - 1) * float(_error(off))
         words = "see the table of causes and the features of the classifier"
         out.append(_criterion(f"twin against real: {label}", float(abs(off.values)), limit, words))
     return out
@@ -563,8 +560,8 @@ def _complete(outcome: Outcome) -> list[Criterion]:
         real, twin = outcome.quantity(f"real_{sigma}"), outcome.quantity(f"twin_{sigma}")
         off = np.abs(real.values - twin.values)
         error = np.hypot(_error(real), _error(twin))
-        worst = int(np.argmax(off - _z() * error))
-        limit = COMPLETENESS_LIMIT + _z() * float(error[worst])
+        worst = int(np.argmax(off - FALSE_LIMIT_SIGMA * error))
+        limit = COMPLETENESS_LIMIT + FALSE_LIMIT_SIGMA * float(error[worst])
         name = f"completeness per half magnitude, {sigma} sigma: twin against real, the worst"
         out.append(_criterion(name, float(off[worst]), limit))
     return out
@@ -584,7 +581,7 @@ def _each_frame(outcome: Outcome) -> list[Criterion]:
         relative = _error(drawn) * np.sqrt(sets + 1.0) / np.sqrt(level)
         error = np.sqrt(np.mean(relative**2) / level)
         worst = int(np.argmax(off - error))
-        limit = allowed + _z(len(off) * (sets - 1.0), FALSE_ALARM / len(off)) * float(error[worst])
+        limit = allowed + two_sided_quantile(FALSE_ALARM / len(off), len(off) * (sets - 1.0)) * float(error[worst])
         out.append(_criterion(f"{name}: twin against real, the worst of {len(off)}", float(off[worst]), limit))
     return out
 
@@ -597,7 +594,7 @@ def _false(outcome: Outcome) -> list[Criterion]:
             value=value,
             limit=FALSE_LIMIT_SIGMA,
             unit="sigma",
-            false_alarm=2.0 * float(norm.sf(FALSE_LIMIT_SIGMA)),
+            false_alarm=FALSE_ALARM,
         )
     ]
 
@@ -683,7 +680,7 @@ SECTIONS: dict[str, Section] = {
     "comparison": Section(
         record=Compared,
         dim="statistic",
-        axes=_named("statistic", "Statistic", "key"),
+        axes=_named("statistic", "Statistic", "key", "label", "real"),
         place="comparison[statistic]",
         columns="unit real twin off allowed within",
         caption="Real and rendered frames; each frame is rendered by a twin measured without it.",
@@ -728,7 +725,7 @@ SECTIONS: dict[str, Section] = {
     "truth": Section(
         record=TrueNumber,
         dim="parameter",
-        axes=_named("parameter", "Number"),
+        axes=_named("parameter", "Number", units="found"),
         prefix="known_",
         place="truth[parameter]",
         caption="Measured values and true values of the rendering camera.",

@@ -15,6 +15,8 @@ from calib.cameras.base import CameraModel
 from calib.cameras.fit import camera_model
 from calib.cameras.line_of_sight import line_of_sight_map
 from calib.measure.image import sensor_image
+from calib.photometry.response import REFERENCE_K
+from calib.photometry.zero_point import noiseless_zero_point
 from experiments.harness.progress import Progress
 from experiments.harness.summary import Measured
 from experiments.twin.folder import NightFrame
@@ -49,6 +51,13 @@ class KnownNight:
     u2: FloatArray
     electrons: FloatArray
 
+    @property
+    def field_deg(self) -> float:
+        """Field along the width, as a user would state it."""
+        geometry = self.camera.geometry
+        x, y, z = self.camera.unproject(geometry.centre_px - [[geometry.width_px / 2, 0.0]])[0]
+        return float(round(2.0 * np.degrees(np.arctan2(np.hypot(x, y), z)), 1))
+
 
 def render_night(config: NightConfig, seed: int, progress: Progress) -> KnownNight:
     """Render the frames."""
@@ -76,7 +85,7 @@ def render_night(config: NightConfig, seed: int, progress: Progress) -> KnownNig
             np.column_stack(
                 [
                     seen.field.stars.magnitude[known],
-                    5040.0 / sky.temperature_k[seen.field.row[known]],
+                    REFERENCE_K / sky.temperature_k[seen.field.row[known]],
                     ((place[known] - middle) ** 2).sum(axis=1) / half**2,
                     light[known],
                 ]
@@ -106,34 +115,21 @@ def render_night(config: NightConfig, seed: int, progress: Progress) -> KnownNig
 
 def true_values(truth: KnownNight, numbers: Any, fit: CameraFit) -> list[tuple[str, str, Measured, float]]:
     """Name, unit, measured value and true value; ``numbers`` as of the report."""
-    chip, pitch = truth.detector, truth.detector.pixel_pitch_mm
-    gain = 1.0 / chip.gain_dn_per_e
-    zero, loss = _true_light(truth)
-    error_px, predicted_px = _map_error(truth, fit)
+    chip, focal = truth.detector, truth.camera.value("focal_length_mm")
+    zero, loss = noiseless_zero_point(truth.magnitude, truth.colour, truth.u2, truth.electrons)
+    grid = truth.camera.geometry.grid_px(13)
+    line_of_sight = line_of_sight_map(
+        fit.camera, truth.camera.unproject(grid), grid, covariance=fit.calibration.covariance
+    )
+    error, predicted = (
+        float(np.sqrt(np.nanmean(np.square(part)))) * focal / chip.pixel_pitch_mm / RAD_ARCSEC
+        for part in (line_of_sight.error_arcsec, line_of_sight.predicted_sigma_arcsec)
+    )
     return [
-        ("map of the camera, RMS error", "px", Measured(value=error_px, uncertainty=predicted_px), 0.0),
-        ("gain", "e-/DN", numbers.gain_e_per_dn, gain),
+        ("map of the camera, RMS error", "px", Measured(value=error, uncertainty=predicted), 0.0),
+        ("gain", "e-/DN", numbers.gain_e_per_dn, 1.0 / chip.gain_dn_per_e),
         ("PRNU", "percent", numbers.prnu_percent, 100.0 * chip.prnu),
         ("zero point", "mag", numbers.zero_point_mag, zero),
         ("vignetting at the corner", "mag", numbers.vignetting_mag, loss),
-        ("focal length", "px", numbers.focal_length_px, truth.camera.value("focal_length_mm") / pitch),
+        ("focal length", "px", numbers.focal_length_px, focal / chip.pixel_pitch_mm),
     ]
-
-
-def _true_light(truth: KnownNight) -> tuple[float, float]:
-    """Zero point of stars of 5040 K in the middle, and loss at the corner [mag], fitted to the rendered electrons."""
-    near = (np.abs(truth.colour - 1.0) < 0.15) & (truth.u2 < 0.9)
-    value = truth.magnitude[near] + 2.5 * np.log10(truth.electrons[near])
-    design = np.column_stack([np.ones(near.sum()), truth.colour[near] - 1.0, -truth.u2[near], -(truth.u2[near] ** 2)])
-    found = np.linalg.lstsq(design, value, rcond=None)[0]
-    return float(found[0]), float(found[2] + found[3])
-
-
-def _map_error(truth: KnownNight, fit: CameraFit) -> tuple[float, float]:
-    """RMS distance per axis of the two maps after the best rotation, and what the covariance predicts [px]."""
-    grid = truth.camera.geometry.grid_px(13)
-    found = line_of_sight_map(fit.camera, truth.camera.unproject(grid), grid, covariance=fit.calibration.covariance)
-    scale = truth.camera.value("focal_length_mm") / truth.detector.pixel_pitch_mm / RAD_ARCSEC
-    error = np.asarray(found.error_arcsec) * scale
-    predicted = np.asarray(found.predicted_sigma_arcsec) * scale
-    return float(np.sqrt(np.nanmean(error**2))), float(np.sqrt(np.nanmean(predicted**2)))

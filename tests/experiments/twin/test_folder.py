@@ -12,7 +12,7 @@ from PIL import Image
 
 from experiments.harness.progress import Progress
 from experiments.twin.folder import night_frames, pointing_of, time_of
-from experiments.twin.pipeline import reduce_night
+from experiments.twin.pipeline import measure_night
 from experiments.twin.settings import Config
 from optics.errors import ConfigError, DomainError
 
@@ -62,7 +62,7 @@ def test_frames_without_stars_are_told(tmp_path, level, words):
         save(tmp_path / f"a{k}.tiff", rng.poisson(level, (256, 256)))
     frames, _ = night_frames(tmp_path)
     with pytest.raises(DomainError, match=words):
-        reduce_night(frames, Config(camera={"field_deg": 11.0}), Progress())
+        measure_night(frames, Config(camera={"field_deg": 11.0}), Progress())
 
 
 @pytest.mark.slow
@@ -70,13 +70,13 @@ def test_frames_without_stars_are_told(tmp_path, level, words):
 def test_a_real_camera():
     frames, _ = night_frames(REAL)
     config = Config(camera={"field_deg": 11.4, "pixel_pitch_um": 6.9}, orders=("pinhole", "radial_1"))
-    reduced, _ = reduce_night(frames, config, Progress())
-    assert len(reduced.rows) == 8
-    assert not [one for one in reduced.notes if "clouds" in one or "trailed" in one or "focus" in one]
-    noise = reduced.whole.noise
-    assert noise.gain_e_per_dn.value == pytest.approx(2.739, rel=0.03)
-    assert reduced.whole.order == "radial_1"
-    assert reduced.whole.camera.value("focal_length_mm") == pytest.approx(35.30, abs=0.03)
-    assert reduced.zenith is not None
-    assert reduced.zenith.latitude_deg == pytest.approx(52.0, abs=0.2)
-    assert reduced.whole.photometry.extinction_mag.value == pytest.approx(0.32, abs=0.08)
+    night, _ = measure_night(frames, config, Progress())
+    assert len(night.rows) == 8
+    assert not [one for one in night.notes if "clouds" in one or "trailed" in one or "focus" in one]
+    noise = night.whole.noise
+    assert noise.gain_e_per_dn == pytest.approx(2.739, rel=0.03)
+    assert night.whole.order == "radial_1"
+    assert night.whole.camera.value("focal_length_mm") == pytest.approx(35.30, abs=0.03)
+    assert night.zenith is not None
+    assert night.zenith.latitude_deg == pytest.approx(52.0, abs=0.2)
+    assert night.whole.photometry.extinction_mag == pytest.approx(0.32, abs=0.08)

@@ -1,0 +1,1 @@
+"""Brightness of stars in a camera: zero point, colour, vignetting, extinction, spectral response, atmosphere."""
