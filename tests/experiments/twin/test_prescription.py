@@ -42,9 +42,7 @@ def moved_lens():
 
 def test_the_written_lens_stands_where_its_pose_says(start, tmp_path):
     assert has_prescription(start)
-    defocus, tilt, away = (
-        [Measured(value=value) for value in values] for values in ((DEFOCUS_MM,), TILT_DEG, AWAY_MM)
-    )
+    defocus, tilt, away = ([Measured(value=value) for value in values] for values in ((DEFOCUS_MM,), TILT_DEG, AWAY_MM))
     pose = LensPose(
         stars=100,
         defocus_mm=defocus[0],
