@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from optics.page import Marks, differences, frame_page, save_frame_page
@@ -129,17 +130,13 @@ def test_errors_are_those_to_the_nearest_reference():
     ],
 )
 def test_refusals(wrong, said):
-    with pytest.raises(DomainError, match=said):
-        frame_page(**{"values": np.eye(2), **wrong})
+    refuses(DomainError, said, lambda: frame_page(**{"values": np.eye(2), **wrong}))
 
 
 def test_marks_that_cannot_be(tmp_path):
-    with pytest.raises(ConfigError, match="circle, square"):
-        marks(shape="star")
-    with pytest.raises(DomainError, match="flux has 2 values for 3"):
-        marks(columns={"flux": [1, 2]})
-    with pytest.raises(ConfigError, match="cannot be written"):
-        save_frame_page(tmp_path / "absent" / "page.html", np.eye(2))
+    refuses(ConfigError, "circle, square", marks, shape="star")
+    refuses(DomainError, "flux has 2 values for 3", marks, columns={"flux": [1, 2]})
+    refuses(ConfigError, "cannot be written", lambda: save_frame_page(tmp_path / "absent" / "page.html", np.eye(2)))
     assert not list(tmp_path.iterdir())
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
+from refusals import refuses
 
 from optics.errors import DomainError
 from optics.records import concatenated, freeze
@@ -33,5 +33,4 @@ def test_arrays_follow_each_other_and_other_fields_are_given():
 def test_the_joined_record_is_checked_as_every_other():
     odd = [Points(np.zeros((1, 2)), np.zeros(1), frames=1), Points(np.zeros((2, 2)), np.zeros(2), frames=1)]
     object.__setattr__(odd[1], "name", np.zeros(3))
-    with pytest.raises(DomainError, match=r"Points\.name"):
-        concatenated(odd, frames=2)
+    refuses(DomainError, r"Points\.name", concatenated, odd, frames=2)

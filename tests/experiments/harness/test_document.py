@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from refusals import refuses
 
 from experiments.harness.document import render_document
 from experiments.harness.plotting import figure_png, figure_svg, house_style, new_figure
@@ -162,8 +163,7 @@ def test_rows_of_a_wide_table_fold_with_the_heads_of_their_columns(page):
 def test_some_rows_of_a_table(page):
     html = page("{{ table('long', Kind=['a', 'c']) }}")
     assert re.findall(r"<td>(\w)</td>", html) == ["a", "c"]
-    with pytest.raises(ConfigError, match="Kind"):
-        page("{{ table('long', Kin=['a']) }}")
+    refuses(ConfigError, "Kind", page, "{{ table('long', Kin=['a']) }}")
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,5 @@ def test_some_rows_of_a_table(page):
     ],
 )
 def test_what_there_is_not_is_told(page, body, said):
-    with pytest.raises((ConfigError, DomainError), match=said):
-        page(body)
-    with pytest.raises(ConfigError, match="Title"):
-        page("words", title="")
+    refuses((ConfigError, DomainError), said, page, body)
+    refuses(ConfigError, "Title", page, "words", title="")

@@ -7,6 +7,7 @@ import os
 import stat
 
 import pytest
+from refusals import refuses
 
 from experiments.harness import outputs
 from experiments.harness.outputs import PROGRAM, RECORD, OutputFolder
@@ -60,8 +61,7 @@ def test_failed_second_rename_puts_the_earlier_output_back(tmp_path, monkeypatch
         rename(source, target)
 
     monkeypatch.setattr(os, "rename", failing)
-    with pytest.raises(ConfigError, match="Input/output error"):
-        write(OutputFolder(out), "new")
+    refuses(ConfigError, "Input/output error", lambda: write(OutputFolder(out), "new"))
     monkeypatch.undo()
     assert names(out) == ["old", RECORD]
     assert names(tmp_path) == ["out"]
@@ -106,8 +106,7 @@ def test_files_of_somebody_else_are_never_touched(tmp_path, record, name):
     if record is not None:
         (out / RECORD).write_text(record)
     (out / name).write_text("mine")
-    with pytest.raises(ConfigError, match="no earlier output; name another folder"):
-        OutputFolder(out)
+    refuses(ConfigError, "no earlier output; name another folder", OutputFolder, out)
     assert (out / name).read_text() == "mine"
 
 
@@ -116,33 +115,26 @@ def test_a_note_put_into_an_earlier_output_is_not_lost_before_or_during_the_run(
     write(OutputFolder(out), "old")
     folder = OutputFolder(out)
     (out / "my-notes.txt").write_text("mine")
-    with pytest.raises(ConfigError, match=r"my-notes\.txt"):
-        OutputFolder(out)
-    with pytest.raises(ConfigError, match=r"my-notes\.txt"):
-        write(folder, "new")
+    refuses(ConfigError, r"my-notes\.txt", OutputFolder, out)
+    refuses(ConfigError, r"my-notes\.txt", write, folder, "new")
     assert names(out) == ["my-notes.txt", "old", RECORD]
     assert names(tmp_path) == ["out"]
 
 
 def test_unsuitable_paths(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(ConfigError, match="is a file"):
-        OutputFolder(tmp_path / "file")
-    with pytest.raises(ConfigError, match="cannot be written"):
-        OutputFolder(tmp_path / "file" / "below")
-    with pytest.raises(ConfigError, match="mount point"):
-        OutputFolder("/")
+    refuses(ConfigError, "is a file", OutputFolder, tmp_path / "file")
+    refuses(ConfigError, "cannot be written", OutputFolder, tmp_path / "file" / "below")
+    refuses(ConfigError, "mount point", OutputFolder, "/")
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match="current folder"):
-        OutputFolder(".")
+    refuses(ConfigError, "current folder", OutputFolder, ".")
 
 
 def test_folder_without_write_permission(tmp_path):
     if os.geteuid() == 0:
         pytest.skip("the superuser may write everywhere")
     tmp_path.chmod(0o500)
-    with pytest.raises(ConfigError, match="Permission denied"):
-        OutputFolder(tmp_path / "out")
+    refuses(ConfigError, "Permission denied", OutputFolder, tmp_path / "out")
 
 
 def test_link_to_a_folder_is_followed(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
+from refusals import refuses
 
 from experiments.harness.quantities import Outcome, Quantities, shown_unit, to_results, write_netcdf
 from experiments.harness.summary import Measured
@@ -104,21 +105,16 @@ def test_sequences_of_measured_values_bring_their_own_uncertainty_and_unit():
     ],
 )
 def test_a_wrong_description_is_refused(q, described, said):
-    with pytest.raises(DomainError, match=said):
-        q.add(described.pop("name"), described.pop("values"), **described)
+    refuses(DomainError, said, lambda: q.add(described.pop("name"), described.pop("values"), **described))
 
 
 def test_unknown_names_are_told_with_the_nearest_one(q):
     outcome = Outcome(config=None, result=None, data=q.dataset)
-    with pytest.raises(ConfigError, match="te_arcsec"):
-        outcome.values("te_arcsek")
-    with pytest.raises(ConfigError, match="epsf"):
-        outcome.values("te_arcsec", method="psf")
-    with pytest.raises(ConfigError, match="dimension"):
-        outcome.values("bound_arcsec", method="cog")
+    refuses(ConfigError, "te_arcsec", outcome.values, "te_arcsek")
+    refuses(ConfigError, "epsf", outcome.values, "te_arcsec", method="psf")
+    refuses(ConfigError, "dimension", outcome.values, "bound_arcsec", method="cog")
     q.add("late", [1.0, 2.0], dims="axis", json="levels[level]")
-    with pytest.raises(ConfigError, match="level"):
-        to_results(q.dataset)
+    refuses(ConfigError, "level", to_results, q.dataset)
 
 
 def test_identifiers_of_stars_survive_netcdf(tmp_path):

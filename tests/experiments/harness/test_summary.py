@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from experiments.harness.config import ExperimentConfig
 from experiments.harness.summary import Criterion, Measured, dumps, summary
@@ -101,12 +102,9 @@ def test_criterion_about_a_value(value, passed):
 
 
 def test_criterion_that_means_nothing_is_refused():
-    with pytest.raises(DomainError, match="relation"):
-        Criterion(name="n", value=1.0, limit=1.0, relation="==")
-    with pytest.raises(DomainError, match="NaN"):
-        Criterion(name="n", value=1.0, limit=math.nan)
-    with pytest.raises(DomainError, match="says nothing"):
-        Criterion(name="n", value=1.0, limit=1.0, relation=">=", about=1.0)
+    refuses(DomainError, "relation", Criterion, name="n", value=1.0, limit=1.0, relation="==")
+    refuses(DomainError, "NaN", Criterion, name="n", value=1.0, limit=math.nan)
+    refuses(DomainError, "says nothing", Criterion, name="n", value=1.0, limit=1.0, relation=">=", about=1.0)
 
 
 def test_summary_holds_what_it_always_holds():

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 from astropy.table import Table as AstropyTable
+from refusals import refuses
 
 from experiments.harness.summary import Measured
 from experiments.harness.tables import Column, Table, cell_text, to_rich, write_ecsv
@@ -79,8 +80,7 @@ def test_ecsv_round_trip(table, tmp_path, style):
 
 
 def test_row_of_the_wrong_length_is_refused():
-    with pytest.raises(DomainError, match="row 1 has 1 cells where 2 are needed"):
-        Table(columns=["a", "b"], rows=[(1, 2), (3,)])
+    refuses(DomainError, "row 1 has 1 cells where 2 are needed", Table, columns=["a", "b"], rows=[(1, 2), (3,)])
 
 
 @pytest.mark.parametrize("width", [40, 80])

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import ConfigError
 from optics.lens_file import load_lens, read_lens_file
@@ -99,8 +100,7 @@ def test_a_prescription_of_our_own_may_leave_them_out_too(tmp_path):
     ],
 )
 def test_what_is_refused_in_our_own_files_is_refused_in_others_with_their_lines(tmp_path, changes, said):
-    with pytest.raises(ConfigError, match=said):
-        load_lens(written(tmp_path, **changes))
+    refuses(ConfigError, said, lambda: load_lens(written(tmp_path, **changes)))
 
 
 def test_rims_that_would_cross_are_closed_to_what_light_needs(tmp_path):
@@ -112,8 +112,7 @@ def test_rims_that_would_cross_are_closed_to_what_light_needs(tmp_path):
     said = [line for line in file.report.inexact if line.command == "clear aperture"]
     assert [line.surface for line in said] == [3, 4]
     assert all("20 mm, where it would cross" in line.message and line.line > 0 for line in said)
-    with pytest.raises(ConfigError, match="cross"):
-        read_lens_file(path, strict=True)
+    refuses(ConfigError, "cross", read_lens_file, path, strict=True)
     beyond = read_lens_file(written(tmp_path, front=1 / 15, wide='  DIAM 16 1 0 0 1 ""'))
     assert beyond.lens.surfaces[2].semi_diameter_mm < 9.0
     assert any("beyond the rim where the surface ends, 15 mm" in line.message for line in beyond.report.inexact)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from optics.glass.catalogue import get_glass
@@ -122,17 +123,13 @@ def test_lens_files_name_coatings_of_surfaces_and_of_all() -> None:
 )
 def test_tables_that_no_coating_can_have(more: dict[str, object], message: str) -> None:
     table = {"kind": "table", "source": "test", "wavelength_nm": [400.0, 700.0], **more}
-    with pytest.raises(ConfigError, match=message):
-        coated(coating={"ar": table}, default_coating="ar")
+    refuses(ConfigError, message, coated, coating={"ar": table}, default_coating="ar")
 
 
 def test_mistakes() -> None:
-    with pytest.raises(ConfigError, match="coating 'arr'"):
-        coated(default_coating="arr")
-    with pytest.raises(DomainError, match="extinction"):
-        Film(thickness_nm=10.0, index=1.5, extinction=-1.0)
-    with pytest.raises(ConfigError, match="either a material or an index"):
-        Film(thickness_nm=10.0)
+    refuses(ConfigError, "coating 'arr'", coated, default_coating="arr")
+    refuses(DomainError, "extinction", Film, thickness_nm=10.0, index=1.5, extinction=-1.0)
+    refuses(ConfigError, "either a material or an index", Film, thickness_nm=10.0)
     fold = {**PLATE["surface"][0], "medium": "mirror", "thickness_mm": -5.0, "coating": "ar"}  # type: ignore[index]
     with pytest.raises(ConfigError, match="surface 0: the coating of a mirror is a table"):
         coated(surface=[fold], coating={"ar": {"kind": "quarter_wave", "design_wavelength_nm": 550.0}})

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError, DomainError
@@ -201,21 +202,13 @@ def test_thermal_focus_of_a_thin_lens_in_vacuum():
 
 
 def test_perturbations_that_cannot_be():
-    with pytest.raises(ConfigError, match="did you mean L"):
-        decentre(LENS, "L4", 0.1)
-    with pytest.raises(ConfigError, match="surfaces 0"):
-        tilt(LENS, 99, 0.1)
-    with pytest.raises(DomainError, match="plane"):
-        change_shape(LENS, LENS.stop_index, "radius_mm", 1.0)
-    with pytest.raises(DomainError, match="changes sign"):
-        change_shape(LENS, 0, "radius_mm", -30.0)
-    with pytest.raises(DomainError, match="no glass follows"):
-        change_index(LENS, 1, 1e-4)
-    with pytest.raises(DomainError, match="finite"):
-        decentre(LENS, "L1", np.nan)
+    refuses(ConfigError, "did you mean L", decentre, LENS, "L4", 0.1)
+    refuses(ConfigError, "surfaces 0", tilt, LENS, 99, 0.1)
+    refuses(DomainError, "plane", change_shape, LENS, LENS.stop_index, "radius_mm", 1.0)
+    refuses(DomainError, "changes sign", change_shape, LENS, 0, "radius_mm", -30.0)
+    refuses(DomainError, "no glass follows", change_index, LENS, 1, 1e-4)
+    refuses(DomainError, "finite", decentre, LENS, "L1", np.nan)
     bare = replace(LENS, glasses={k: replace(g, cte_per_k=None) for k, g in LENS.glasses.items()})
-    with pytest.raises(DomainError, match="no expansion coefficient"):
-        change_temperature(bare, 40.0, housing_cte_per_k=1e-5)
+    refuses(DomainError, "no expansion coefficient", change_temperature, bare, 40.0, housing_cte_per_k=1e-5)
     cold = replace(LENS, glasses={k: replace(g, dndt=None) for k, g in LENS.glasses.items()})
-    with pytest.raises(DomainError, match="no dn/dT data"):
-        change_temperature(cold, 40.0, housing_cte_per_k=1e-5)
+    refuses(DomainError, "no dn/dT data", change_temperature, cold, 40.0, housing_cte_per_k=1e-5)

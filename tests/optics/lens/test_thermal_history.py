@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import DomainError
 from optics.lens.thermal_history import ThermalHistory, first_order_response
@@ -22,8 +23,7 @@ def test_a_square_wave_settles_between_the_levels_of_its_periodic_state():
     hottest = (1.0 - np.exp(-3.0)) / (1.0 - np.exp(-10.0))
     assert response.max() == pytest.approx(hottest, rel=1e-9)
     assert response.min() == pytest.approx(hottest * np.exp(-7.0), rel=1e-9)
-    with pytest.raises(DomainError, match="constant_s = 0"):
-        first_order_response(wave, step_s=0.01, constant_s=0.0)
+    refuses(DomainError, "constant_s = 0", first_order_response, wave, step_s=0.01, constant_s=0.0)
 
 
 def test_states_are_linear_between_rows_and_constant_beyond():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from optics.light.band_file import load_band
@@ -52,10 +53,8 @@ def test_the_same_curve_however_it_is_written(text, tmp_path):
 )
 def test_what_is_no_transmission_is_refused_with_what_to_do(text, error, said, tmp_path):
     (tmp_path / "green.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(error, match=said):
-        load_band(tmp_path / "green.csv")
+    refuses(error, said, load_band, tmp_path / "green.csv")
 
 
 def test_a_missing_file_is_said(tmp_path):
-    with pytest.raises(ConfigError, match=r"absent\.csv: no such file"):
-        load_band(tmp_path / "absent.csv")
+    refuses(ConfigError, r"absent\.csv: no such file", load_band, tmp_path / "absent.csv")

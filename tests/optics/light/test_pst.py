@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from optics.frames import polar_direction
@@ -95,16 +96,12 @@ def test_a_plain_table_of_two_columns(tmp_path) -> None:
 )
 def test_bad_tables_are_told_in_a_line(tmp_path, text: str, words: str) -> None:
     (tmp_path / "bad.csv").write_text(text)
-    with pytest.raises(ConfigError, match=words):
-        read_pst(tmp_path / "bad.csv")
+    refuses(ConfigError, words, read_pst, tmp_path / "bad.csv")
 
 
 def test_bad_numbers_are_refused(tmp_path) -> None:
-    with pytest.raises(ConfigError, match="cannot be read"):
-        read_pst(tmp_path / "none.csv")
+    refuses(ConfigError, "cannot be read", read_pst, tmp_path / "none.csv")
     (tmp_path / "bad.csv").write_text("angle_deg,pst\n10,-1e-6\n")
-    with pytest.raises(DomainError, match="not be negative"):
-        read_pst(tmp_path / "bad.csv")
+    refuses(DomainError, "not be negative", read_pst, tmp_path / "bad.csv")
     (tmp_path / "far.csv").write_text("angle_deg,pst\n100,1e-6\n")
-    with pytest.raises(DomainError, match="within 0"):
-        read_pst(tmp_path / "far.csv")
+    refuses(DomainError, "within 0", read_pst, tmp_path / "far.csv")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 from scipy.integrate import quad
 
 from optics.errors import DomainError
@@ -74,14 +75,10 @@ def test_a_lens_scatters_what_its_surfaces_do() -> None:
 
 
 def test_mistakes() -> None:
-    with pytest.raises(DomainError, match=r"cleanliness level 0\.5 is outside 1"):
-        area_coverage(0.5)
-    with pytest.raises(DomainError, match="not smooth"):
-        roughness_tis(100.0, 500.0, 1.0, -1.0)
-    with pytest.raises(DomainError, match="shoulder = -1"):
-        HarveyShack(b0=1.0, shoulder=-1.0, slope=-2.0)
-    with pytest.raises(DomainError, match="between 1 um and the level"):
-        particles_per_mm2(100.0, 200.0)
+    refuses(DomainError, r"cleanliness level 0\.5 is outside 1", area_coverage, 0.5)
+    refuses(DomainError, "not smooth", roughness_tis, 100.0, 500.0, 1.0, -1.0)
+    refuses(DomainError, "shoulder = -1", HarveyShack, b0=1.0, shoulder=-1.0, slope=-2.0)
+    refuses(DomainError, "between 1 um and the level", particles_per_mm2, 100.0, 200.0)
 
 
 @pytest.mark.parametrize("level", [50.0, 300.0, 700.0])
@@ -107,8 +104,7 @@ def test_what_dust_throws_on_is_spread_evenly() -> None:
     bare, bright = (Particles(level=300.0, wavelength_nm=600.0, forward=g) for g in (0.0, 0.8))
     apart = bright.bsdf([0.01, 0.5]) - bare.bsdf([0.01, 0.5])
     np.testing.assert_allclose(apart, 0.8 * area_coverage(300.0) / np.pi, rtol=1e-9)
-    with pytest.raises(DomainError, match="forward"):
-        Particles(level=300.0, wavelength_nm=600.0, forward=1.5)
+    refuses(DomainError, "forward", Particles, level=300.0, wavelength_nm=600.0, forward=1.5)
 
 
 def test_a_polished_surface_scatters_what_it_is_told() -> None:

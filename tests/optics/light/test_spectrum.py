@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from astropy import units
 from astropy.modeling.models import BlackBody
+from refusals import refuses
 from scipy import constants
 from scipy.special import zeta
 
@@ -105,11 +106,8 @@ def test_bad_tables(wave: list[float], value: list[float], part: str) -> None:
 
 def test_other_mistakes() -> None:
     table = {"name": "s", "wavelength_nm": np.array([400.0, 500.0]), "value": np.array([1.0, 1.0])}
-    with pytest.raises(ConfigError, match="neither 'photon' nor 'power'"):
-        TabulatedSed(source="test", quantity="watt", **table)  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="source"):
-        TabulatedSed(source="", quantity="power", **table)  # type: ignore[arg-type]
+    refuses(ConfigError, "neither 'photon' nor 'power'", TabulatedSed, source="test", quantity="watt", **table)
+    refuses(ConfigError, "source", TabulatedSed, source="", quantity="power", **table)
     with pytest.raises(DomainError, match=r"600 nm is outside 400 \.\.\. 500 nm"):
         TabulatedSed(source="test", quantity="power", **table).photon_density(600.0)  # type: ignore[arg-type]
-    with pytest.raises(DomainError, match="nan nm"):
-        Blackbody(temperature_k=5000.0).photon_density(float("nan"))
+    refuses(DomainError, "nan nm", lambda: Blackbody(temperature_k=5000.0).photon_density(float("nan")))

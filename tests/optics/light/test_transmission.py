@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from optics.glass.catalogue import Glass, get_glass
@@ -109,25 +110,17 @@ def test_star_camera_lens_transmits_as_its_glasses_allow() -> None:
 
 
 def test_mistakes() -> None:
-    with pytest.raises(ConfigError, match="a lens or a layout is needed, got str"):
-        lens_transmission("star_camera", LINES)
-    with pytest.raises(DomainError, match="negative"):
-        plate(constant(1.5), -1.0)
-    with pytest.raises(DomainError, match="shape"):
-        Layout(media=(None,), thickness_mm=np.array([1.0, 2.0]))
-    with pytest.raises(DomainError, match="no internal transmittance"):
-        lens_transmission(plate(constant(1.5)), LINES)
-    with pytest.raises(DomainError, match="MgF2: wavelength 100 nm"):
-        QuarterWave(design_wavelength_nm=100.0)
-    with pytest.raises(DomainError, match=r"N-BK7: wavelength 250 nm"):
-        lens_transmission(plate(get_glass("N-BK7")), 250.0)
+    refuses(ConfigError, "a lens or a layout is needed, got str", lens_transmission, "star_camera", LINES)
+    refuses(DomainError, "negative", lambda: plate(constant(1.5), -1.0))
+    refuses(DomainError, "shape", lambda: Layout(media=(None,), thickness_mm=np.array([1.0, 2.0])))
+    refuses(DomainError, "no internal transmittance", lambda: lens_transmission(plate(constant(1.5)), LINES))
+    refuses(DomainError, "MgF2: wavelength 100 nm", QuarterWave, design_wavelength_nm=100.0)
+    refuses(DomainError, r"N-BK7: wavelength 250 nm", lambda: lens_transmission(plate(get_glass("N-BK7")), 250.0))
     with pytest.raises(ConfigError, match="source"):
         Response(name="qe", source="", wavelength_nm=np.array([400.0, 700.0]), value=np.full(2, 0.5))
     with pytest.raises(DomainError, match=r"outside 0 \.\.\. 1"):
         Response(name="qe", source="test", wavelength_nm=np.array([400.0, 700.0]), value=np.array([0.5, 1.5]))
     curve = Response(name="qe", source="test", wavelength_nm=np.array([400.0, 700.0]), value=np.array([0.2, 0.8]))
     assert float(curve.interpolate(550.0)) == pytest.approx(0.5)
-    with pytest.raises(DomainError, match=r"qe: wavelength 701 nm is outside 400 \.\.\. 700 nm"):
-        curve.interpolate([500.0, 701.0])
-    with pytest.raises(DomainError, match="not a number in nm"):
-        curve.interpolate("green")  # type: ignore[arg-type]
+    refuses(DomainError, r"qe: wavelength 701 nm is outside 400 \.\.\. 700 nm", curve.interpolate, [500.0, 701.0])
+    refuses(DomainError, "not a number in nm", curve.interpolate, "green")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import DomainError
 from optics.frames import field_direction
@@ -168,12 +169,9 @@ def test_no_light_is_lost_from_the_books() -> None:
 
 def test_mistakes() -> None:
     lens = plate()
-    with pytest.raises(DomainError, match=r"detector_reflectance = 1\.2"):
-        find_ghosts(lens, [0.0, 0.0, 1.0], detector_reflectance=1.2)
-    with pytest.raises(DomainError, match="must be positive"):
-        with_cover_glass(lens, "N-BK7", -1.0, 2.0)
-    with pytest.raises(DomainError, match="no room"):
-        with_cover_glass(lens, "N-BK7", 40.0, 30.0)
+    refuses(DomainError, r"detector_reflectance = 1\.2", find_ghosts, lens, [0.0, 0.0, 1.0], detector_reflectance=1.2)
+    refuses(DomainError, "must be positive", with_cover_glass, lens, "N-BK7", -1.0, 2.0)
+    refuses(DomainError, "no room", with_cover_glass, lens, "N-BK7", 40.0, 30.0)
 
 
 def test_a_window_before_a_mirror_telescope() -> None:

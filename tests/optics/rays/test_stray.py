@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import DomainError
 from optics.frames import field_direction, light_direction
@@ -191,9 +192,6 @@ def test_scatter_grows_with_the_law_and_falls_with_the_angle() -> None:
 
 def test_sources_behind_the_lens_and_lenses_without_surfaces_are_refused() -> None:
     imaging = imaging_rays(TRACKER, field_direction([0.0], [0.0]))
-    with pytest.raises(DomainError, match="90 deg"):
-        lens_scatter_light(imaging, [0.0, 0.0, -1.0], {})
-    with pytest.raises(DomainError, match="90 deg"):
-        ghost_light(TRACKER, [1.0, 0.0, 0.0], (5.0, 5.0))
-    with pytest.raises(DomainError, match="surface 5"):
-        lens_scatter_light(imaging, towards(20.0), {"dust": {5: lambda q: q}})
+    refuses(DomainError, "90 deg", lens_scatter_light, imaging, [0.0, 0.0, -1.0], {})
+    refuses(DomainError, "90 deg", ghost_light, TRACKER, [1.0, 0.0, 0.0], (5.0, 5.0))
+    refuses(DomainError, "surface 5", lambda: lens_scatter_light(imaging, towards(20.0), {"dust": {5: lambda q: q}}))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.arrays import NUMPY
 from optics.errors import DomainError
@@ -226,10 +227,8 @@ def test_wavefront_of_a_sharp_lens_is_a_sphere_about_the_image():
 
 
 def test_wrong_rays_are_refused():
-    with pytest.raises(DomainError, match="does not travel towards the lens"):
-        axial(0.0, direction=(0.0, 0.0, -1.0))
-    with pytest.raises(DomainError, match="not finite"):
-        axial(np.nan)
+    refuses(DomainError, "does not travel towards the lens", axial, 0.0, direction=(0.0, 0.0, -1.0))
+    refuses(DomainError, "not finite", axial, np.nan)
     with pytest.raises(DomainError, match=r"\(\.\.\., 3\) is needed"):
         Rays.create(x_mm=0.0, y_mm=0.0, direction=[0.0, 1.0], wavelength_nm=600.0)
     with pytest.raises(DomainError, match="250 nm is outside"):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from optics.lens_file import load_lens
@@ -64,11 +65,8 @@ def test_bad_maps_are_refused_by_name():
     error[2, 3] = np.nan
     with pytest.raises(DomainError, match="wavefront map: 1 of 81 values are not finite, the first at row 2, column 3"):
         PathMap(x=grid, y=grid, error_nm=error)
-    with pytest.raises(DomainError, match=r"Zernike coefficient 1 of 3 is not finite"):
-        zernike_map([0.0, np.nan, 1.0])
+    refuses(DomainError, r"Zernike coefficient 1 of 3 is not finite", zernike_map, [0.0, np.nan, 1.0])
     with pytest.raises(DomainError, match="a map of the whole pupil is needed"):
         PathMap(x=0.5 * grid, y=grid, error_nm=np.zeros((9, 9)))(0.9, 0.0)
-    with pytest.raises(ConfigError, match="did you mean fringe"):
-        zernike_numbers(4, "frine")
-    with pytest.raises(DomainError, match="at most 37"):
-        zernike_numbers(38, "fringe")
+    refuses(ConfigError, "did you mean fringe", zernike_numbers, 4, "frine")
+    refuses(DomainError, "at most 37", zernike_numbers, 38, "fringe")

@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from render.baffle.geometry import (
@@ -95,14 +96,10 @@ def test_areas_of_the_mesh_are_those_of_the_circles() -> None:
 
 def test_bad_baffles_are_told_in_a_line() -> None:
     good = {"entrance_mm": 9.0, "field_deg": 12.0}
-    with pytest.raises(ConfigError, match="either shade_deg"):
-        vaned_baffle(**good)
-    with pytest.raises(DomainError, match="outside the field"):
-        vaned_baffle(**good, shade_deg=11.0)
-    with pytest.raises(DomainError, match="both must be positive"):
-        vaned_baffle(**good, shade_deg=30.0, depth_mm=-1.0)
-    with pytest.raises(DomainError, match="vanes"):
-        vaned_baffle(entrance_mm=9.0, field_deg=0.01, shade_deg=14.0, depth_mm=0.1)
+    refuses(ConfigError, "either shade_deg", vaned_baffle, **good)
+    refuses(DomainError, "outside the field", vaned_baffle, **good, shade_deg=11.0)
+    refuses(DomainError, "both must be positive", vaned_baffle, **good, shade_deg=30.0, depth_mm=-1.0)
+    refuses(DomainError, "vanes", vaned_baffle, entrance_mm=9.0, field_deg=0.01, shade_deg=14.0, depth_mm=0.1)
 
 
 @pytest.mark.parametrize(
@@ -115,10 +112,8 @@ def test_bad_baffles_are_told_in_a_line() -> None:
     ],
 )
 def test_coatings_that_cannot_be_are_refused(numbers, words: str) -> None:
-    with pytest.raises(DomainError, match=words):
-        BlackCoating(name="test", **numbers)
-    with pytest.raises(ConfigError, match="z306"):
-        black_coating("z307")
+    refuses(DomainError, words, BlackCoating, name="test", **numbers)
+    refuses(ConfigError, "z306", black_coating, "z307")
     assert all(one.source for one in COATINGS.values())
 
 
@@ -127,10 +122,8 @@ def test_open_meshes_are_refused() -> None:
     check_closed(Mesh(vertex_mm=vertex, face=face))
     # the same with vertices of its own for every triangle
     check_closed(Mesh(vertex_mm=vertex[face].reshape(-1, 3), face=np.arange(36).reshape(-1, 3)))
-    with pytest.raises(DomainError, match="3 of 18 edges"):
-        check_closed(Mesh(vertex_mm=vertex, face=face[1:]))
-    with pytest.raises(DomainError, match="own vertices"):
-        Mesh(vertex_mm=vertex, face=face + 1)
+    refuses(DomainError, "3 of 18 edges", lambda: check_closed(Mesh(vertex_mm=vertex, face=face[1:])))
+    refuses(DomainError, "own vertices", Mesh, vertex_mm=vertex, face=face + 1)
 
 
 def test_a_binary_gltf_comes_with_its_nodes_placed(tmp_path) -> None:
@@ -163,5 +156,4 @@ def test_a_binary_gltf_comes_with_its_nodes_placed(tmp_path) -> None:
     np.testing.assert_allclose(mesh.vertex_mm.min(0), [-1, 0, 3])  # half a turn about z, twice the size, moved
     np.testing.assert_allclose(mesh.vertex_mm.max(0), [1, 2, 5])
     file.write_bytes(b"nothing")
-    with pytest.raises(ConfigError, match="binary glTF"):
-        read_glb(file)
+    refuses(ConfigError, "binary glTF", read_glb, file)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from render.baffle.geometry import BlackCoating, Mesh, VanedBaffle, black_coating, vaned_baffle
@@ -230,10 +231,7 @@ def test_meshes_from_files(tmp_path) -> None:
     np.testing.assert_allclose(np.ptp(mesh.vertex_mm, axis=0), 1.0)
     opened = tmp_path / "open.obj"
     opened.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 3 2\n")
-    with pytest.raises(DomainError, match="open mesh, 3 of 3 edges"):
-        read_mesh(opened)
-    with pytest.raises(ConfigError, match="no such file"):
-        read_mesh(tmp_path / "none.ply")
+    refuses(DomainError, "open mesh, 3 of 3 edges", read_mesh, opened)
+    refuses(ConfigError, "no such file", read_mesh, tmp_path / "none.ply")
     (tmp_path / "a.stl").write_text("solid")
-    with pytest.raises(ConfigError, match=r"\.ply, \.obj or \.glb"):
-        read_mesh(tmp_path / "a.stl")
+    refuses(ConfigError, r"\.ply, \.obj or \.glb", read_mesh, tmp_path / "a.stl")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import DomainError
 from render.bench.sensor import MaskSensor, mask_scene, trace_mask
@@ -61,5 +62,4 @@ def test_sun_behind_the_mask_is_refused(engine):
 
 
 def test_impossible_sensors_are_refused():
-    with pytest.raises(DomainError, match="gap_mm = 0 mm"):
-        sensor(gap_mm=0.0)
+    refuses(DomainError, "gap_mm = 0 mm", sensor, gap_mm=0.0)

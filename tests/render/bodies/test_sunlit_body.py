@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError, DomainError
@@ -234,11 +235,7 @@ def test_out_of_sight_and_refusals(engine, tmp_path):
     assert not beside.image.electrons.any()
     assert not behind.image.electrons.any()
     assert np.isnan(behind.photon_px).all()
-    with pytest.raises(DomainError, match="outside"):
-        ball(5.0, 0.0, distance_km=1.0)
-    with pytest.raises(DomainError, match="unit vector"):
-        ball(5.0, 0.0, direction=[0.0, 0.0, 2.0])
-    with pytest.raises(ConfigError, match="no such file"):
-        ball(5.0, 0.0, mesh=tmp_path / "nothing.ply")
-    with pytest.raises(DomainError, match="exposure"):
-        render_body(camera, ball(5.0, 0.0), BAND, exposure_s=0.0)
+    refuses(DomainError, "outside", ball, 5.0, 0.0, distance_km=1.0)
+    refuses(DomainError, "unit vector", ball, 5.0, 0.0, direction=[0.0, 0.0, 2.0])
+    refuses(ConfigError, "no such file", ball, 5.0, 0.0, mesh=tmp_path / "nothing.ply")
+    refuses(DomainError, "exposure", lambda: render_body(camera, ball(5.0, 0.0), BAND, exposure_s=0.0))

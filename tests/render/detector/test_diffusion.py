@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import DomainError
 from render.detector.diffusion import diffuse, diffusion_kernel
@@ -45,5 +46,4 @@ def test_nothing_is_lost_at_the_border() -> None:
 
 @pytest.mark.parametrize("sigma", [-0.1, np.nan, 51.0])
 def test_bad_sigma(sigma: float) -> None:
-    with pytest.raises(DomainError, match="sigma_px"):
-        diffusion_kernel(sigma)
+    refuses(DomainError, "sigma_px", diffusion_kernel, sigma)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import DomainError
 from render.detector.maps import sensor_maps
@@ -95,5 +96,4 @@ def test_bad_input(options: dict[str, float], words: str) -> None:
 
 def test_not_aged_twice() -> None:
     once = aged(NEW, displacement_dose_tev_per_g=10.0, depleted_volume_um3=50.0)
-    with pytest.raises(DomainError, match="already aged"):
-        aged(once, displacement_dose_tev_per_g=10.0, depleted_volume_um3=50.0)
+    refuses(DomainError, "already aged", aged, once, displacement_dose_tev_per_g=10.0, depleted_volume_um3=50.0)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from render.detector.spec import Detector, list_detectors, load_detector
@@ -50,8 +51,7 @@ def test_dark_current_over_temperature_is_that_of_the_data_sheet() -> None:
         kelvin = celsius + 273.15
         stated = 250.0 * 1.14e6 * kelvin**3 * np.exp(-9080.0 / kelvin)
         assert chip.dark_current_e_per_s * chip.dark_factor(celsius) == pytest.approx(stated, rel=0.01)
-    with pytest.raises(DomainError, match="tabulated from -60 to 40 C"):
-        chip.dark_factor(41.0)
+    refuses(DomainError, "tabulated from -60 to 40 C", chip.dark_factor, 41.0)
 
 
 SHEET = """name = "mine"
@@ -117,8 +117,7 @@ def test_dark_current_law() -> None:
     assert chip.dark_factor(31.5) == pytest.approx(2.0)
     assert chip.dark_factor(12.0) == pytest.approx(0.25)
     for bad in (np.nan, 1000.0):
-        with pytest.raises(DomainError, match="temperature_c"):
-            chip.dark_factor(bad)
+        refuses(DomainError, "temperature_c", chip.dark_factor, bad)
 
 
 @pytest.mark.parametrize(
@@ -197,7 +196,5 @@ def test_an_unknown_base_is_said_with_the_file_that_names_it(tmp_path: Path) -> 
 
 
 def test_unknown_name_and_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="did you mean cmv4000"):
-        load_detector("CMV-4000")
-    with pytest.raises(ConfigError, match="no such file"):
-        load_detector(tmp_path / "absent.toml")
+    refuses(ConfigError, "did you mean cmv4000", load_detector, "CMV-4000")
+    refuses(ConfigError, "no such file", load_detector, tmp_path / "absent.toml")

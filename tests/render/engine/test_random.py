@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import DomainError
 from render.engine.random import Streams
@@ -40,11 +41,9 @@ def test_any_number_of_frames() -> None:
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "7", None, True])
 def test_bad_seed(seed: Any) -> None:
-    with pytest.raises(DomainError, match="seed = "):
-        Streams(seed)
+    refuses(DomainError, "seed = ", Streams, seed)
 
 
 @pytest.mark.parametrize("frame", [-1, 2**64, 0.5])
 def test_bad_frame(frame: Any) -> None:
-    with pytest.raises(DomainError, match="frame = "):
-        Streams(1).key("photon", frame)
+    refuses(DomainError, "frame = ", lambda: Streams(1).key("photon", frame))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from optics.errors import DomainError
@@ -112,14 +113,10 @@ def test_a_run_is_the_same_alone_and_among_others():
     ],
 )
 def test_bad_gyros(change, line):
-    with pytest.raises(DomainError, match=line):
-        Gyro(**change)
+    refuses(DomainError, line, Gyro, **change)
 
 
 def test_bad_times():
-    with pytest.raises(DomainError, match="no complete sampling interval"):
-        true_rates(REST, Gyro(rate_hz=1.0), end_s=0.5)
-    with pytest.raises(DomainError, match="outside of the trajectory"):
-        true_rates(REST, Gyro(rate_hz=1.0), end_s=101.0)
-    with pytest.raises(DomainError, match="no complete sampling interval"):
-        true_rates(REST, Gyro(), end_s=np.nan)
+    refuses(DomainError, "no complete sampling interval", lambda: true_rates(REST, Gyro(rate_hz=1.0), end_s=0.5))
+    refuses(DomainError, "outside of the trajectory", lambda: true_rates(REST, Gyro(rate_hz=1.0), end_s=101.0))
+    refuses(DomainError, "no complete sampling interval", lambda: true_rates(REST, Gyro(), end_s=np.nan))

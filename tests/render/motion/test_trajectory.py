@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from optics.errors import DomainError
@@ -59,10 +60,8 @@ def test_one_time_and_many(trajectory):
 @pytest.mark.parametrize("trajectory", FAMILY.values(), ids=FAMILY.keys())
 @pytest.mark.parametrize("time_s", [-0.1, 20.1, np.nan])
 def test_times_outside_are_refused(trajectory, time_s):
-    with pytest.raises(DomainError, match="runs from 0 to 20 s"):
-        trajectory.attitude([1.0, time_s])
-    with pytest.raises(DomainError, match="outside of the trajectory"):
-        trajectory.rate(time_s)
+    refuses(DomainError, "runs from 0 to 20 s", trajectory.attitude, [1.0, time_s])
+    refuses(DomainError, "outside of the trajectory", trajectory.rate, time_s)
 
 
 def test_ends_are_kept_in_spite_of_rounding():
@@ -149,8 +148,7 @@ def test_camera_on_the_body():
     ],
 )
 def test_bad_input_is_one_clear_line(make, line):
-    with pytest.raises(DomainError, match=line):
-        make()
+    refuses(DomainError, line, make)
 
 
 def test_a_star_on_the_boresight_trails_where_the_rate_is_made_for():

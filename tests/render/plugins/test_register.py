@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from render.camera import Camera
@@ -168,8 +169,7 @@ def test_scaling_to_world_and_turned_shared_cameras_are_refused(mi, bench):
 )
 def test_bad_star_field_properties(mi, changes, message):
     good = star_field(mi, unit([0.0], [0.0]))
-    with pytest.raises(RuntimeError, match=message):
-        mi.load_dict({k: v for k, v in (good | changes).items() if v is not None})
+    refuses(RuntimeError, message, lambda: mi.load_dict({k: v for k, v in (good | changes).items() if v is not None}))
 
 
 def test_what_star_tracer_needs(mi):

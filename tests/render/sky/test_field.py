@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError, DomainError
@@ -151,19 +152,15 @@ def test_light_follows_colour_or_effective_temperature(bench):
     np.testing.assert_allclose(rate, light.photon_rate(sky.magnitude, expected), rtol=1e-12)
     rate = star_field(field, light, temperature="effective", typical_temperature_k=6000.0).photon_rate
     np.testing.assert_allclose(rate, light.photon_rate(sky.magnitude, [4000, expected[1], 6000, 5000]), rtol=1e-12)
-    with pytest.raises(DomainError, match="star 2 has no colour"):
-        star_field(field, light, typical_temperature_k=None)
+    refuses(DomainError, "star 2 has no colour", star_field, field, light, typical_temperature_k=None)
 
 
 def test_refused(bench, index):
     camera = bench.camera_of("star_tracker_26mm")
     view = field_of_view(camera)
-    with pytest.raises(DomainError, match="margin_px"):
-        field_of_view(camera, margin_px=-1.0)
-    with pytest.raises(ConfigError, match="one scipy Rotation"):
-        field_of(index, view, np.eye(3))
-    with pytest.raises(ConfigError, match="one scipy Rotation"):
-        field_of(index, view, Rotation.random(2, random_state=0))
+    refuses(DomainError, "margin_px", field_of_view, camera, margin_px=-1.0)
+    refuses(ConfigError, "one scipy Rotation", lambda: field_of(index, view, np.eye(3)))
+    refuses(ConfigError, "one scipy Rotation", lambda: field_of(index, view, Rotation.random(2, random_state=0)))
     field = field_of(index, view, Rotation.identity())
     with pytest.raises(ConfigError, match="prepared for V"):
         star_field(field, star_light([TopHat(centre_nm=600, width_nm=100)], magnitude_system="V"))

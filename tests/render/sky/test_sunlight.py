@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import DomainError
 from optics.light.photometry import synthetic_magnitude
@@ -23,5 +24,4 @@ def test_energy_of_the_fine_spectrum_is_kept():
 
 def test_four_times_weaker_at_twice_the_distance():
     assert sunlight(600.0, distance_au=2.0) == pytest.approx(sunlight(600.0) / 4, rel=1e-12)
-    with pytest.raises(DomainError, match="distance"):
-        sunlight(600.0, distance_au=0.0)
+    refuses(DomainError, "distance", sunlight, 600.0, distance_au=0.0)

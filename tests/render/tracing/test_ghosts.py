@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import DomainError
 from optics.frames import field_direction
@@ -128,7 +129,5 @@ def test_a_source_beside_the_frame_is_its_points(engine, camera, radius_rad):
 
 
 def test_bad_settings():
-    with pytest.raises(DomainError, match="least_e"):
-        GhostLight(least_e=0.0)
-    with pytest.raises(DomainError, match="reflectance"):
-        GhostLight(least_e=1.0, detector_reflectance=1.5)
+    refuses(DomainError, "least_e", GhostLight, least_e=0.0)
+    refuses(DomainError, "reflectance", GhostLight, least_e=1.0, detector_reflectance=1.5)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from optics.errors import DomainError
 from optics.frames import field_direction
@@ -66,5 +67,4 @@ def test_a_pixel_holds_radiance_times_solid_angle(engine, camera):
 
 
 def test_too_much_scatter_is_refused(camera):
-    with pytest.raises(DomainError, match="scatter"):
-        replace(camera, scatter=HarveyShack(b0=1e5, shoulder=0.01, slope=-2.0))
+    refuses(DomainError, "scatter", lambda: replace(camera, scatter=HarveyShack(b0=1e5, shoulder=0.01, slope=-2.0)))

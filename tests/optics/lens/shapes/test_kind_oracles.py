@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from numpy.polynomial.polynomial import polyval2d
+from refusals import refuses
 
 from optics.arrays import NUMPY
 from optics.errors import DomainError
@@ -231,5 +232,4 @@ def test_a_window_moves_the_focus_back_by_what_the_plate_formula_says():
     ],
 )
 def test_impossible_kinds_are_refused(make, message):
-    with pytest.raises(DomainError, match=message):
-        make()
+    refuses(DomainError, message, make)
