@@ -152,7 +152,7 @@ WORDS: dict[str, tuple[str, str]] = {
 }
 """Shared room -> whether an error in it can go unseen because both sides make it, and what would see it."""
 
-LABORATORY, PSFS = "experiments.laboratory", ("experiments.laboratory.bench.point_scene:PointScene.psfs",)
+LABORATORY, PSFS = "experiments.laboratory", ("experiments.laboratory.bench.points:PointScene.filter_psfs",)
 COMPARISONS = (
     Comparison(
         experiment="temporal",

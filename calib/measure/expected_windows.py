@@ -287,3 +287,42 @@ def drawn_positions(
     electrons = windows.valid * np.rint(electrons * noise.gain_dn_per_e) / noise.gain_dn_per_e
     many = stamps.select(np.tile(np.arange(len(stamps)), draws))
     return measured_positions(centroider, replace(many, electrons=electrons.reshape(-1, *shape[2:])), noise, draws)
+
+
+def pattern_shifts_px(
+    centroider: Centroider,
+    stamps: Stamps,
+    noise: NoiseModel,
+    light_e: FloatArray,
+    *,
+    prnu: float,
+    offset_e: float,
+    draws: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Shifts (draws, n, 2) of centroids by drawn fixed patterns of the pixels, on noiseless windows.
+
+    Parameters
+    ----------
+    centroider, noise
+        The estimator, and the noise model handed to it.
+    stamps : Stamps
+        n windows; what matters is their place and start.
+    light_e : (n, h, w)
+        Noiseless light.
+    prnu, offset_e : float
+        Standard deviations over the pixels of the response, and of the offset, such as the noise of a mean dark frame.
+    draws : int
+        Independent patterns.
+    rng : numpy.random.Generator
+        Source of the patterns.
+    """
+    count = len(light_e)
+    response = 1.0 + prnu * rng.standard_normal((draws, *light_e.shape))
+    offset = offset_e * rng.standard_normal(response.shape)
+    disturbed = np.concatenate([light_e[None], light_e * response + offset]).reshape(-1, *light_e.shape[1:])
+    many = replace(
+        stamps.select(np.tile(np.arange(count), draws + 1)), electrons=disturbed, valid=np.ones(disturbed.shape, bool)
+    )
+    position = centroider.measure(many, noise).pixel_px.reshape(draws + 1, count, 2)
+    return position[1:] - position[0]

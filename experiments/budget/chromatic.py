@@ -17,9 +17,9 @@ from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured, measured
 from experiments.laboratory.bench.centroid_methods import has_own_epsf
 from experiments.laboratory.bench.point_bench import centroiders, session_centroiders
+from experiments.laboratory.bench.points import filter_scene
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
-from experiments.laboratory.bench.target_light import target_light
 from experiments.laboratory.chromatic_error import measure_chromatic
 from experiments.laboratory.devices.target import corner_directions
 from optics.arrays import FloatArray
@@ -72,11 +72,11 @@ def trace_target(lab: Laboratory, *, coarse: bool = False) -> TracedTarget:
     direction = corner_directions(bench.target, instrument)
     psf: list[list[list[EffectivePsf]]] = []
     if not all(has_own_epsf(method) for method in bench.methods):
-        target, size = target_light(bench, instrument, by_grid=not coarse), bench.window_px // 2 + 2
+        scene, size = filter_scene(bench, instrument, by_grid=not coarse), bench.window_px // 2 + 2
         if coarse:
-            psf = [target.psfs(one[len(one) // 2][None], size) * len(one) for one in direction]
+            psf = [scene.filter_psfs(one[len(one) // 2][None], size) * len(one) for one in direction]
         else:
-            psf = [target.psfs(one, size) for one in direction]
+            psf = [scene.filter_psfs(one, size) for one in direction]
     return TracedTarget(direction, bundle_prediction(bench, instrument, direction), psf)
 
 

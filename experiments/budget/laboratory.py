@@ -14,7 +14,7 @@ from experiments.budget.settings import Config, MovedConfig
 from experiments.laboratory.bench.centroid_methods import has_own_epsf
 from experiments.laboratory.bench.checks import check_light
 from experiments.laboratory.bench.point_bench import Bench
-from experiments.laboratory.bench.point_scene import point_scene
+from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.bench.ray_prediction import expected_spots
 from experiments.laboratory.bench.signal import Signal, signal_of
 from experiments.laboratory.devices.collimator import build_collimator

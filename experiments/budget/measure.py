@@ -28,7 +28,7 @@ from experiments.budget.laboratory import (
 )
 from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
 from experiments.laboratory.bench.epsf_session import epsf_session, measured_epsf
-from experiments.laboratory.bench.point_scene import PointScene, point_scene
+from experiments.laboratory.bench.points import PointScene, point_scene
 from experiments.laboratory.distortion_error import DistortionMeasurement, measure_distortion
 from experiments.laboratory.high_frequency import HighFrequencyMeasurement, measure_high_frequency
 from experiments.laboratory.temporal_error import measure_temporal, target_place

@@ -24,9 +24,8 @@ from calib.cameras.field_map import growth_along_axes, smooth_map_rms
 from experiments.budget.laboratory import Laboratory, build_laboratory
 from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured, measured
-from experiments.laboratory.bench.point_frames import read_points
-from experiments.laboratory.bench.point_scene import one_filter, point_scene
-from experiments.laboratory.bench.points import nominal_px
+from experiments.laboratory.bench.point_bench import one_filter
+from experiments.laboratory.bench.points import nominal_px, point_scene, read_points
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from optics.arrays import FloatArray
 from optics.errors import DomainError

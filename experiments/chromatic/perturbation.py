@@ -13,8 +13,8 @@ from experiments.chromatic.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, col
 from experiments.laboratory.bench.point_bench import Bench, point_field
+from experiments.laboratory.bench.points import bundle_means
 from experiments.laboratory.bench.readout.search import SEARCH_MARGIN_PX
-from experiments.laboratory.bench.target_light import bundle_means
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.lens.movement import moved_element, refined_movement, smallest_movement

@@ -21,8 +21,12 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, below, col, ratio_near
 from experiments.harness.summary import measured
 from experiments.laboratory.bench.point_bench import Bench
-from experiments.laboratory.bench.point_quantities import point_quantities
-from experiments.laboratory.bench.point_scene import point_laboratory, point_signal, prepared_scene
+from experiments.laboratory.bench.point_laboratory import (
+    point_laboratory,
+    point_quantities,
+    point_signal,
+    prepared_scene,
+)
 from experiments.laboratory.devices.targets import GridTarget, grid_directions
 from experiments.laboratory.distortion_error import (
     DistortionMeasurement,

@@ -18,7 +18,7 @@ from experiments.distortion.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import measured
-from experiments.laboratory.bench.point_scene import point_laboratory, prepared_scene
+from experiments.laboratory.bench.point_laboratory import point_laboratory, prepared_scene
 from experiments.laboratory.devices.targets import GridTarget, grid_directions
 from experiments.laboratory.distortion_error import DistortionMeasurement, grid_position, measure_distortion
 from experiments.laboratory.distortion_model import (

@@ -18,8 +18,12 @@ from experiments.harness.sections import Section, agree, col
 from experiments.harness.summary import Measured, measured
 from experiments.hsfe.settings import Config
 from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method
-from experiments.laboratory.bench.point_quantities import point_quantities
-from experiments.laboratory.bench.point_scene import point_laboratory, point_signal, prepared_scene
+from experiments.laboratory.bench.point_laboratory import (
+    point_laboratory,
+    point_quantities,
+    point_signal,
+    prepared_scene,
+)
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.collimator_effects import SIGHT, sight_of
 from experiments.laboratory.devices.hexapod import Hexapod, turned

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.accuracy.chromatic import Pair, shift_sigma, table1_sigma
+from calib.measure.expected_windows import pattern_shifts_px
+from calib.measure.linear_response import centroid_variance, linear_response, tight
+from calib.measure.stamps import centre_of_gravity
 from experiments.laboratory.bench.point_bench import Bench
-from experiments.laboratory.bench.points import PointMeasurement, PointReadout
-from experiments.laboratory.bench.target_light import target_light
+from experiments.laboratory.bench.points import PointFrames, PointLight, filter_scene, read_points
 from experiments.laboratory.devices.target import CORNERS, corner_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import ExpectedImage, WindowStack
 from render.sensor_file.instrument import Instrument
+
+PATTERNS = 48
+"""Independent fixed patterns from which their effect on the centroids is predicted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +62,45 @@ class ChromaticMeasurement:
         return table1_sigma(*sampled, pairs, common_px=self.common_mean_px)
 
 
+class _FilterReadout(NamedTuple):
+    """The target at a position behind one filter."""
+
+    light: PointLight
+    frames: PointFrames
+    noise_px: FloatArray  # (j, 2) Predicted standard deviation of a frame, first method
+    pattern_px: dict[str, FloatArray]  # (q, j, 2) Predicted effect of fixed patterns
+
+
+def _read(
+    light: PointLight, bench: Bench, instrument: Instrument, streams: Streams, place: str, methods: Sequence[str]
+) -> _FilterReadout:
+    frames = read_points(
+        light,
+        bench,
+        instrument,
+        streams=streams,
+        motion_streams=streams.child(light.band),
+        label=light.band,
+        where=f"{place} position, filter {light.band}",
+    )
+    centroiders, pixel = light.centroiders(bench), instrument.pixel_noise()
+    gain = linear_response(tight(centroiders[bench.methods[0]]), frames.stamps, frames.noise, light.light_e)
+    shifts = {
+        method: pattern_shifts_px(
+            centroiders[method],
+            frames.stamps,
+            frames.noise,
+            light.light_e,
+            prnu=pixel.prnu,
+            offset_e=float(np.sqrt(pixel.floor_e2 / bench.dark_frames)),
+            draws=PATTERNS,
+            rng=streams.generator("predicted pattern"),  # the same patterns for every filter
+        )
+        for method in methods
+    }
+    return _FilterReadout(light, frames, np.sqrt(centroid_variance(gain, pixel.temporal_e2(light.light_e))), shifts)
+
+
 def measure_chromatic(
     bench: Bench,
     instrument: Instrument,
@@ -65,30 +110,32 @@ def measure_chromatic(
     patterns: Sequence[str] = (),
     advance: Callable[[], None] = lambda: None,
 ) -> ChromaticMeasurement:
-    """Run the test on one lens."""
-    target = target_light(bench, instrument, by_grid=False)
-    first: ExpectedImage | None = None
-    parts: list[PointMeasurement] = []
+    """Run the test on one lens; effects of fixed patterns are predicted for some methods, or for the first."""
+    scene, first = filter_scene(bench, instrument, by_grid=False), bench.methods[0]
     points = corner_directions(bench.target, instrument) if directions is None else directions
+    cells, images = [], []
     for place, direction in zip(CORNERS, points, strict=True):
-        readout = PointReadout(bench, instrument, streams.child(place), place, patterns)
-        part, expected = readout.measure(target, direction)
-        first = first or expected
-        parts.append(part)
+        here = streams.child(place)
+        lights, image = scene.lights(direction, here, place)
+        cells.append([_read(light, bench, instrument, here, place, patterns or (first,)) for light in lights])
+        images.append(image)
         advance()
-    assert first is not None
+
+    def stacked(part: Callable[[_FilterReadout], FloatArray], band: int = 1, place: int = 0) -> FloatArray:
+        return np.stack([np.stack([part(cell) for cell in row], axis=band) for row in cells], axis=place)
+
     return ChromaticMeasurement(
-        direction=np.stack([part.direction for part in parts]),
-        nominal_px=np.stack([part.nominal_px for part in parts]),
-        photon_px=np.stack([part.photon_px for part in parts]),
-        pixels_px=np.stack([part.pixels_px for part in parts]),
-        mean_px={m: np.stack([part.mean_px[m] for part in parts]) for m in bench.methods},
-        sigma_px={m: np.stack([part.sigma_px[m] for part in parts]) for m in bench.methods},
-        noise_px=np.stack([part.noise_px for part in parts]),
-        pattern_px={m: np.stack([part.pattern_px[m] for part in parts], axis=1) for m in parts[0].pattern_px},
-        frames_used=np.stack([part.frames_used for part in parts]),
-        rms_spot_um=np.stack([part.spot_um for part in parts]).mean((0, 1)),
-        example=first,
-        windows=parts[0].windows,
+        direction=np.stack([row[0].light.direction for row in cells]),
+        nominal_px=np.stack([row[0].light.nominal_px for row in cells]),
+        photon_px=stacked(lambda cell: cell.light.photon_px),
+        pixels_px=stacked(lambda cell: cell.light.corner_px + centre_of_gravity(cell.light.light_e)),
+        mean_px={m: stacked(lambda cell, m=m: cell.frames.mean_px(m)) for m in bench.methods},
+        sigma_px={m: stacked(lambda cell, m=m: cell.frames.sigma_px(m)) for m in bench.methods},
+        noise_px=stacked(lambda cell: cell.noise_px),
+        pattern_px={m: stacked(lambda cell, m=m: cell.pattern_px[m], 2, 1) for m in cells[0][0].pattern_px},
+        frames_used=stacked(lambda cell: cell.frames.used(first)),
+        rms_spot_um=stacked(lambda cell: cell.light.spot_um).mean((0, 1)),
+        example=images[0],
+        windows=tuple(cell.frames.windows for cell in cells[0]),
         common_px=bench.power_px2(instrument)[0] ** 0.5,
     )

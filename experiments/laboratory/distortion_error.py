@@ -15,10 +15,8 @@ from calib.accuracy.distortion import (
     grid_residual_px,
     map_error_px,
 )
-from experiments.laboratory.bench.point_bench import Bench
-from experiments.laboratory.bench.point_frames import read_points
-from experiments.laboratory.bench.point_scene import PointLight, PointScene, one_filter, scene_of
-from experiments.laboratory.bench.points import nominal_px
+from experiments.laboratory.bench.point_bench import Bench, one_filter
+from experiments.laboratory.bench.points import PointLight, PointScene, nominal_px, read_points, scene_of
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from experiments.laboratory.devices.targets import GridTarget, grid_directions, survey
 from optics.arrays import FloatArray

@@ -24,8 +24,7 @@ from calib.measure.centroid import Centroider
 from calib.measure.expected_windows import ExpectedWindows, drawn_positions, noiseless_positions, window_response
 from calib.records import NoiseModel
 from experiments.laboratory.bench.centroid_methods import needs_epsf
-from experiments.laboratory.bench.point_bench import Bench, centroiders, session_centroiders
-from experiments.laboratory.bench.point_scene import one_filter
+from experiments.laboratory.bench.point_bench import Bench, centroiders, one_filter, session_centroiders
 from experiments.laboratory.bench.ray_prediction import target_windows
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.targets import GridTarget, grid_directions

@@ -23,8 +23,7 @@ from calib.accuracy.step_prediction import CAUSES
 from calib.measure.frame_positions import common_motion_px2
 from calib.measure.stamps import noiseless_stamps
 from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method
-from experiments.laboratory.bench.point_frames import PointFrames, Subtraction, read_points
-from experiments.laboratory.bench.point_scene import PointLight, PointScene, scene_of
+from experiments.laboratory.bench.points import PointFrames, PointLight, PointScene, Subtraction, read_points, scene_of
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.hexapod import Hexapod, HexapodPath, step_path, turned
 from experiments.laboratory.temporal_error import target_place

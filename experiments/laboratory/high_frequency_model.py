@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from calib.accuracy.step_prediction import StepModel, StepPrediction
 from experiments.laboratory.bench.centroid_methods import needs_epsf
-from experiments.laboratory.bench.point_bench import Bench, centroiders, session_centroiders
-from experiments.laboratory.bench.point_frames import Subtraction
-from experiments.laboratory.bench.point_scene import one_filter
+from experiments.laboratory.bench.point_bench import Bench, centroiders, one_filter, session_centroiders
+from experiments.laboratory.bench.points import Subtraction
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.hexapod import Hexapod, turned

@@ -12,9 +12,8 @@ from calib.accuracy.error_budget import ErrorTerm
 from calib.accuracy.temporal import temporal_error
 from calib.measure.expected_windows import bound_px, drawn_positions, followed_px, window_response
 from calib.measure.frame_positions import common_motion_px2
-from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method
-from experiments.laboratory.bench.point_frames import read_points
-from experiments.laboratory.bench.point_scene import PointLight, PointScene, one_filter, scene_of
+from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method, one_filter
+from experiments.laboratory.bench.points import PointLight, PointScene, read_points, scene_of
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.target import target_directions

@@ -15,7 +15,7 @@ from calib.measure.frame_positions import measured_positions
 from calib.measure.linear_response import centroid_covariance, linear_response, tight
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.point_bench import refuse_few_frames
-from experiments.laboratory.bench.point_frames import PointFrames
+from experiments.laboratory.bench.points import PointFrames
 from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.reduce.folder import FrameFolder, FrameSeries
 from experiments.reduce.frames_toml import SeriesSettings
@@ -133,7 +133,7 @@ def reduce_series(
         settings=series.settings,
         frames=frames,
         signal_e=float(np.where(series.windows.defect, 0.0, light).sum((1, 2)).mean()),
-        points=PointFrames(position_px=position, windows=series.windows),
+        points=PointFrames(position_px=position, windows=series.windows, stamps=one, noise=noise),
         mean_e=mean,
         frame_covariance_px2={m: centroid_covariance(gain[m], temporal_e2) for m in modelled},
         pattern_px=gain[methods[0]] * np.sqrt(fixed_e2)[:, None],

@@ -15,8 +15,12 @@ from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import Measured
 from experiments.harness.summary import measured as with_error
-from experiments.laboratory.bench.point_quantities import point_quantities
-from experiments.laboratory.bench.point_scene import point_laboratory, point_signal, prepared_scene
+from experiments.laboratory.bench.point_laboratory import (
+    point_laboratory,
+    point_quantities,
+    point_signal,
+    prepared_scene,
+)
 from experiments.laboratory.bench.signal import Signal
 from experiments.laboratory.devices.collimator_effects import SIGHT, sight_of
 from experiments.laboratory.settings.published import ACC18_ARCSEC, is_published_sensor

@@ -110,7 +110,7 @@ def small_camera(small_detector):
 @pytest.fixture
 def traced_once(monkeypatch):
     """Light of point targets that is asked for again, for another chip or other noise, is not traced again."""
-    from experiments.laboratory.bench.target_light import TargetLight
+    from experiments.laboratory.bench.points import PointScene
 
     def once(trace):
         kept = {}
@@ -124,8 +124,8 @@ def traced_once(monkeypatch):
 
         return light
 
-    for name in ("image", "psfs"):
-        monkeypatch.setattr(TargetLight, name, once(getattr(TargetLight, name)))
+    for name in ("image", "filter_psfs"):
+        monkeypatch.setattr(PointScene, name, once(getattr(PointScene, name)))
 
 
 @pytest.fixture

@@ -16,12 +16,11 @@ from calib.measure.epsf_build import build_epsf
 from calib.measure.expected_windows import ExpectedWindows
 from calib.measure.stamps import centre_of_gravity
 from calib.records import NoiseModel, Stamps
-from experiments.laboratory.bench.point_bench import Bench
-from experiments.laboratory.bench.point_scene import PointScene, one_filter
+from experiments.laboratory.bench.point_bench import Bench, one_filter
+from experiments.laboratory.bench.points import PointScene, frame_light
 from experiments.laboratory.bench.ray_prediction import target_windows
 from experiments.laboratory.bench.readout.stamps import dark_subtracted
 from experiments.laboratory.bench.readout.windows import WindowReader
-from experiments.laboratory.bench.target_light import frame_light
 from experiments.laboratory.devices.collimator import convolved_psf
 from experiments.laboratory.devices.hexapod import Hexapod, turned
 from experiments.laboratory.high_frequency import StepPlan
@@ -58,7 +57,7 @@ def measured_epsf(
         here = streams.child("position", number)
         light = scene.light(direction, here, f"ePSF, position {number + 1}", psf=psf)
         reader = WindowReader(instrument, here)
-        light_e = frame_light(light.light_e, light.corner_px, light.bundle_px, light.psf, bench, instrument, here)
+        light_e = frame_light(light, bench, instrument, here)
         stack = reader.expose(light_e, light.corner_px, frames=bench.frames, label="lamp")
         dark_e = reader.dark(light.corner_px, bench.window_px, frames=bench.dark_frames)
         stamps, _ = dark_subtracted(stack, dark_e)

@@ -69,6 +69,11 @@ class Bench:
         return self.collimator.light(self.filters, wavelength_nm, instrument.camera.lens.environment)
 
 
+def one_filter(bench: Bench) -> Bench:
+    """The bench with its reference filter alone."""
+    return replace(bench, filters=[bench.filters[bench.reference]], reference=0)
+
+
 def point_field(bench: Bench, instrument: Instrument, direction: FloatArray) -> StarField:
     """Star field of one target position, scaled to the wanted signal behind every filter."""
     nodes = band_nodes(bench.filters, NODES)

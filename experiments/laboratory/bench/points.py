@@ -1,154 +1,282 @@
-"""Point targets behind several filters, measured as in the laboratory: read out, detect, centroid, average."""
+"""Point targets behind b filters: rendered without noise, detected, cut into windows, read out, centroided."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.centroid import Centroider
+from calib.measure.epsf import draw_epsf
 from calib.measure.frame_positions import frame_statistics, measured_positions
-from calib.measure.linear_response import centroid_variance, linear_response, tight
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.centroid_methods import method_centroiders
-from experiments.laboratory.bench.point_bench import Bench, refuse_few_frames
+from experiments.laboratory.bench.point_bench import Bench, one_filter, point_field, refuse_few_frames
 from experiments.laboratory.bench.readout.search import find_points
-from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated
+from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
-from experiments.laboratory.bench.target_light import TargetLight, frame_light
 from optics.arrays import FloatArray
+from optics.errors import DomainError
+from optics.records import freeze
+from optics.units import ARCSEC_RAD
+from render.camera import Camera
+from render.detector.spec import Detector
 from render.engine.random import Streams
-from render.records import ExpectedImage, WindowStack
+from render.forward import StarRenderer
+from render.records import EffectivePsf, ExpectedImage, StarField, WindowStack
 from render.sensor_file.instrument import Instrument
+from render.tracing.psf import epsf_tracer, render_epsf
+from render.tracing.tracer import Tracer
 
-PATTERNS = 48
-"""Independent fixed patterns from which their effect on the centroids is predicted."""
+Subtraction = Literal["dark", "raw"]
+"""``dark``: minus the mean of frames with the lamp off. ``raw``: minus the nominal offset and one background value per
+window, from the outermost ring of its mean frame; fixed patterns stay."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PointMeasurement:
-    """The target at one place; j points, b filters."""
+class PointLight:
+    """A target at one place: j windows of noiseless light through one filter."""
 
+    band: str  # Name of the filter
     direction: FloatArray  # (j, 3) Unit vectors in cam
     nominal_px: FloatArray  # (j, 2) Where an ideal lens would image the points
-    photon_px: FloatArray  # (j, b, 2) Truth: mean of all light, in the window or beyond
-    pixels_px: FloatArray  # (j, b, 2) First moment of the noiseless pixels of the window, as rendered
-    mean_px: Mapping[str, FloatArray]  # (j, b, 2) Mean centroid over the frames, by method
-    sigma_px: Mapping[str, FloatArray]  # (j, b, 2) Standard deviation of a single frame's centroid
-    # (j, b, 2) The same as predicted by linear response, first method; without what moves all points alike
-    noise_px: FloatArray
-    # (q, j, b, 2) Predicted effect of q fixed patterns on the centroids, common to the filters, by method
-    pattern_px: Mapping[str, FloatArray]
-    frames_used: NDArray[np.int64]  # (j, b) Frames that converged, first method
-    spot_um: FloatArray  # (j, b) RMS spot radius of the traced bundles
-    windows: tuple[WindowStack, ...]  # Readout, per filter
+    bundle_px: FloatArray  # (j, 2) Truth: mean of the traced rays, mean of all light
+    photon_px: FloatArray  # (j, 2)
+    spot_um: FloatArray  # (j,) RMS spot radius of the traced bundles
+    found_px: FloatArray  # (j, 2) Where the points were detected, behind the reference filter
+    corner_px: NDArray[np.int64]  # (j, 2) First pixel of each window
+    light_e: FloatArray  # (j, h, w) Expected electrons at the signal of the bench
+    psf: tuple[EffectivePsf, ...]  # PSF of each point, of the lens as it is
+    reference_psf: tuple[EffectivePsf, ...]  # What methods with a reference PSF are given for each point
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {"j": len(self.psf)}
+        freeze(self, "direction", shape=("j", 3), sizes=sizes)
+        for name in ("nominal_px", "bundle_px", "photon_px", "found_px"):
+            freeze(self, name, shape=("j", 2), sizes=sizes)
+        freeze(self, "corner_px", shape=("j", 2), dtype=np.int64, sizes=sizes)
+        freeze(self, "light_e", shape=("j", "h", "w"), sizes=sizes)
+
+    def __len__(self) -> int:
+        return len(self.psf)
+
+    def centroiders(self, bench: Bench) -> dict[str, Centroider]:
+        """Centroiders of a bench for these points, by method."""
+        return method_centroiders(bench.methods, own=self.psf, reference=self.reference_psf, measured=bench.epsf)
 
 
 @dataclass(frozen=True, slots=True)
-class PointReadout:
-    """Readout and reduction of a point target at one place of the field."""
+class PointScene:
+    """Renders point targets through one camera; holds what is prepared once (`filter_scene`, `point_scene`)."""
 
     bench: Bench  # The laboratory
     instrument: Instrument
-    streams: Streams  # Noise of this place
-    place: str  # What error messages call the place, e.g. "upper left"
-    # Methods for which the effect of fixed patterns is predicted; none given: the first of the bench
-    patterns: Sequence[str] = ()
+    renderer: StarRenderer  # For images and for PSFs
+    tracer: Tracer
 
-    def corners(self, expected: ExpectedImage, direction: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    def image(self, direction: FloatArray) -> ExpectedImage:
+        """Noiseless image of points (j, 3) behind every filter, with truth."""
+        collimator, exposure_s = self.bench.collimator, self.instrument.exposure_s
+        motion = None if collimator is None else collimator.motion(exposure_s, self._pixel_rad)
+        return self.renderer.render(point_field(self.bench, self.instrument, direction), motion=motion)
+
+    def filter_psfs(self, direction: FloatArray, half_size_px: int) -> list[list[EffectivePsf]]:
+        """PSF of each of the points (j, 3) behind each filter."""
+        collimator, by_rays = self.bench.collimator, self.instrument.camera.diffraction == "rays"
+        tracer = (not by_rays and self.renderer.tracer) or self.tracer
+        stars = point_field(self.bench, self.instrument, direction)
+        found = render_epsf(tracer, stars, half_size_px=half_size_px)
+        if collimator is None:
+            return found
+        return [[collimator.pinhole_psf(psf, self._pixel_rad) for psf in row] for row in found]
+
+    def psfs(self, direction: FloatArray) -> tuple[EffectivePsf, ...]:
+        """PSF of each of the points (j, 3) behind the reference filter."""
+        rows = self.filter_psfs(direction, self.bench.window_px // 2 + 2)
+        return tuple(row[self.bench.reference] for row in rows)
+
+    @property
+    def _pixel_rad(self) -> float:
+        return self.instrument.pixel_arcsec * ARCSEC_RAD
+
+    def light(
+        self, direction: FloatArray, streams: Streams, place: str, *, psf: Sequence[EffectivePsf] | None = None
+    ) -> PointLight:
+        """Light of a target behind the only filter; PSFs are rendered if none are given."""
+        given = self.psfs(direction) if psf is None else tuple(psf)
+        middle = (given[len(given) // 2],) * len(given)
+        return self._lights(self.image(direction), direction, streams, place, [given], middle)[0]
+
+    def lights(
+        self, direction: FloatArray, streams: Streams, place: str
+    ) -> tuple[tuple[PointLight, ...], ExpectedImage]:
+        """Light of a target behind every filter, and the noiseless image."""
+        expected, rows = self.image(direction), self.filter_psfs(direction, self.bench.window_px // 2 + 1)
+        bands = list(zip(*rows, strict=True))
+        reference = bands[self.bench.reference]
+        return self._lights(expected, direction, streams, place, bands, reference), expected
+
+    def _lights(
+        self,
+        expected: ExpectedImage,
+        direction: FloatArray,
+        streams: Streams,
+        place: str,
+        psfs: Sequence[tuple[EffectivePsf, ...]],
+        reference: tuple[EffectivePsf, ...],
+    ) -> tuple[PointLight, ...]:
+        """Find the points of a rendered target in one readout, cut windows around them."""
+        truth = expected.truth
+        assert truth is not None
+        found, corner = self._corners(expected, direction, streams, place)
+        light = cut_windows(expected.electrons, corner, self.bench.window_px)
+        spot_um = np.sqrt(truth.variance_x_px2 + truth.variance_y_px2) * self.instrument.camera.pixel_pitch_mm * 1e3
+        return tuple(
+            PointLight(
+                band=name,
+                direction=direction,
+                nominal_px=nominal_px(self.instrument, direction),
+                bundle_px=np.column_stack([truth.bundle_x_px[:, band], truth.bundle_y_px[:, band]]),
+                photon_px=np.column_stack([truth.photon_x_px[:, band], truth.photon_y_px[:, band]]),
+                spot_um=spot_um[:, band],
+                found_px=found,
+                corner_px=corner,
+                light_e=light[..., band].astype(np.float64),
+                psf=psfs[band],
+                reference_psf=reference,
+            )
+            for band, name in enumerate(expected.band)
+        )
+
+    def _corners(
+        self, expected: ExpectedImage, direction: FloatArray, streams: Streams, place: str
+    ) -> tuple[FloatArray, NDArray[np.int64]]:
         """Detected places (j, 2) of the points behind the reference filter, and first pixels of windows around them."""
         bench, camera, set_up = self.bench, self.instrument.camera, self.instrument.config
+        where = f"{place} position"
         found = find_points(
-            WindowReader(self.instrument, self.streams.child("search")),
+            WindowReader(self.instrument, streams.child("search")),
             expected.electrons[:, :, bench.reference],
             camera.chief_px(*(direction[:, :2] / direction[:, 2:]).T),
             label=expected.band[bench.reference],
-            where=f"{self.place} position",
+            where=where,
             unseen=f"raise signal_e ({bench.signal_e:g} e-), come nearer to focus (instrument.defocus_mm = "
             f"{set_up.defocus_mm:g} mm), or lower the dark current ({set_up.exposure_s:g} s at "
             f"{set_up.chip_temperature_c:g} C)",
             merged=f"raise target.pitch_px ({bench.target.pitch_px:g} px)",
         )
         size = camera.width_px, camera.height_px
-        where = f"{self.place} position"
         return found, window_corners(found, bench.window_px, size, where=where, advice="raise target.edge_px")
 
-    def measure(self, target: TargetLight, direction: FloatArray) -> tuple[PointMeasurement, ExpectedImage]:
-        """Render, read out and reduce all filters; the noiseless image too."""
-        bench, camera, expected = self.bench, self.instrument.camera, target.image(direction)
-        truth = expected.truth
-        assert truth is not None
-        nominal = nominal_px(self.instrument, direction)
-        _, corner = self.corners(expected, direction)
-        light = np.moveaxis(cut_windows(expected.electrons, corner, bench.window_px), -1, 0)
-        reader = WindowReader(self.instrument, self.streams)
-        dark_e = reader.dark(corner, bench.window_px, frames=bench.dark_frames)
-        epsf = target.psfs(direction, bench.window_px // 2 + 1)
-        bundle = np.stack([truth.bundle_x_px, truth.bundle_y_px], axis=-1)
-        stacks, results = [], []
-        for band, name in enumerate(expected.band):
-            own, reference = ([row[k] for row in epsf] for k in (band, bench.reference))
-            lit = frame_light(
-                light[band], corner, bundle[:, band], own, bench, self.instrument, self.streams.child(name)
-            )
-            stack = reader.expose(lit, corner, frames=bench.frames, label=name)
-            stamps, noise = dark_subtracted(stack, dark_e)
-            advice = f"lower signal_e ({bench.signal_e:g} e-)"
-            refuse_saturated(stamps, len(corner), where=f"{self.place} position, filter {name}", advice=advice)
-            chosen = method_centroiders(bench.methods, own=own, reference=reference, measured=bench.epsf)
-            results.append(self._centroids(stamps, noise, light[band].astype(float), chosen))
-            stacks.append(stack)
-        found = PointMeasurement(
-            direction=direction,
-            nominal_px=nominal,
-            photon_px=np.stack([truth.photon_x_px, truth.photon_y_px], axis=-1),
-            pixels_px=first_moment_px(light, corner),
-            mean_px={m: np.stack([one[0][m] for one in results], axis=1) for m in bench.methods},
-            sigma_px={m: np.stack([one[1][m] for one in results], axis=1) for m in bench.methods},
-            frames_used=np.stack([one[2] for one in results], axis=1),
-            pattern_px={m: np.stack([one[3][m] for one in results], axis=2) for m in results[0][3]},
-            noise_px=np.stack([one[4] for one in results], axis=1),
-            spot_um=np.sqrt(truth.variance_x_px2 + truth.variance_y_px2) * camera.pixel_pitch_mm * 1e3,
-            windows=tuple(stacks),
-        )
-        return found, expected
 
-    def _centroids(
-        self, stamps: Stamps, noise: NoiseModel, light_e: FloatArray, centroiders: Mapping[str, Centroider]
-    ) -> tuple[dict[str, FloatArray], dict[str, FloatArray], NDArray[np.int64], dict[str, FloatArray], FloatArray]:
-        """Mean and scatter by method; usable frames of the first; effect of patterns by method; noise of the first."""
-        bench, first = self.bench, self.bench.methods[0]
-        position = {m: measured_positions(c, stamps, noise, bench.frames) for m, c in centroiders.items()}
-        refuse_few_frames(position[first], first, where=f"{self.place} position")
-        statistics = {m: frame_statistics(p) for m, p in position.items()}
-        pixel = self.instrument.pixel_noise()
-        dark_e = float(np.sqrt(pixel.floor_e2 / bench.dark_frames))
-        pattern = {
-            m: pattern_effect(
-                centroiders[m],
-                stamps,
-                noise,
-                light_e,
-                prnu=pixel.prnu,
-                dark_e=dark_e,
-                rng=self.streams.generator("predicted pattern"),  # the same patterns for every filter
-            )
-            for m in self.patterns or (first,)
-        }
-        mean, sigma = {m: one[0] for m, one in statistics.items()}, {m: one[1] for m, one in statistics.items()}
-        gain = linear_response(tight(centroiders[first]), stamps.select(slice(0, len(light_e))), noise, light_e)
-        spread = np.sqrt(centroid_variance(gain, pixel.temporal_e2(light_e)))
-        return mean, sigma, statistics[first][2], pattern, spread
+def bundle_means(camera: Camera, stars: StarField) -> FloatArray:
+    """Mean landing points (n, b, 2) [px] by the renderer's kernel, without an image; rays count by the transmission of
+    their paths where the camera has losses."""
+    return Tracer(camera, general=True).bundle_means(stars, rings=4, arms=12)
 
 
-def first_moment_px(light_e: FloatArray, corner_px: NDArray[np.int64]) -> FloatArray:
-    """First moment (j, b, 2) of windows (b, j, s, s) whose first pixels are known (j, 2)."""
-    light, pixel = np.asarray(light_e, float), np.arange(light_e.shape[-1])
-    sums = np.stack([light.sum(2) @ pixel, light.sum(3) @ pixel], axis=-1) / light.sum((2, 3))[..., None]
-    return np.asarray(np.swapaxes(sums, 0, 1) + corner_px[:, None])
+def filter_scene(bench: Bench, instrument: Instrument, *, by_grid: bool = True) -> PointScene:
+    """Scene of a bench; its points are few, but mostly stand at many places in turn (`Tracer`, ``by_grid``).
+
+    Vibration within an exposure is a Gaussian blur in addition to charge diffusion.
+    """
+    camera, (_, within) = instrument.camera, bench.power_px2(instrument)
+    camera = replace(camera, charge_diffusion_px=float(np.hypot(camera.charge_diffusion_px, within**0.5)))
+    renderer = StarRenderer(camera, exposure_s=instrument.exposure_s, by_grid=by_grid)
+    return PointScene(bench, instrument, renderer, epsf_tracer(camera, by_grid=by_grid))
+
+
+def point_scene(bench: Bench, instrument: Instrument) -> PointScene:
+    """Scene of a bench behind its reference filter alone."""
+    return filter_scene(one_filter(bench), instrument)
+
+
+def scene_of(scene: PointScene | None, bench: Bench, instrument: Instrument) -> PointScene:
+    """A new scene, or the given one with this bench: frames, methods and signal may be others than it was made for."""
+    return point_scene(bench, instrument) if scene is None else replace(scene, bench=one_filter(bench))
+
+
+def frame_light(light: PointLight, bench: Bench, instrument: Instrument, streams: Streams) -> FloatArray:
+    """Light of windows (n, h, w) frame by frame (f, n, h, w) where the line of sight is not at rest; else unchanged.
+    The rendered light is changed by the change of its PSF under the motion.
+    """
+    if bench.collimator is None:
+        return light.light_e
+    offset = bench.collimator.offsets_px(streams, bench.frames, instrument.exposure_s, instrument.pixel_arcsec)
+    if offset is None:
+        return light.light_e
+    moved = np.empty((len(offset), *light.light_e.shape))
+    stars = zip(light.light_e, light.corner_px, light.bundle_px, light.psf, strict=True)
+    for star, (expected, corner, place, psf) in enumerate(stars):
+        x, y = (place - corner + np.concatenate([np.zeros((1, 2)), offset])).T
+        drawn = draw_epsf(psf, x, y, expected.shape)
+        moved[:, star] = expected + (drawn[1:] - drawn[0]) * (expected.sum() / drawn[0].sum())
+    return np.maximum(moved, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointFrames:
+    """Centroids of j points in f frames."""
+
+    position_px: Mapping[str, FloatArray]  # (f, j, 2) By method; NaN where a frame gave none
+    windows: WindowStack  # The readout
+    stamps: Stamps  # The windows of the first frame as centroided, and the noise model of the centroiders
+    noise: NoiseModel
+
+    def __post_init__(self) -> None:
+        for value in self.position_px.values():
+            if value.ndim != 3 or value.shape[2] != 2:
+                raise DomainError(f"PointFrames.position_px: shape {value.shape} where (frames, points, 2) is needed")
+
+    def mean_px(self, method: str) -> FloatArray:
+        """Mean over the frames (j, 2)."""
+        return frame_statistics(self.position_px[method])[0]
+
+    def sigma_px(self, method: str) -> FloatArray:
+        """Standard deviation of a single frame (j, 2)."""
+        return frame_statistics(self.position_px[method])[1]
+
+    def used(self, method: str) -> NDArray[np.int64]:
+        """Frames that gave a position (j,)."""
+        return frame_statistics(self.position_px[method])[2]
+
+
+def read_points(
+    light: PointLight,
+    bench: Bench,
+    instrument: Instrument,
+    *,
+    streams: Streams,
+    dark_streams: Streams | None = None,
+    motion_streams: Streams | None = None,
+    label: str = "lamp",
+    where: str = "",
+    signal_ratio: float = 1.0,
+    detector: Detector | None = None,
+    subtraction: Subtraction = "dark",
+    mask_defects: bool = True,
+) -> PointFrames:
+    """Read out frames of a target and centroid its points; ``label`` names the random streams of the lamp's frames."""
+    reader = WindowReader(instrument if detector is None else replace(instrument, detector=detector), streams)
+    light_e = frame_light(light, bench, instrument, streams if motion_streams is None else motion_streams)
+    lit = reader.expose(light_e * signal_ratio, light.corner_px, frames=bench.frames, label=label)
+    stack = lit if mask_defects else replace(lit, defect=np.zeros_like(lit.defect))
+    if subtraction == "dark":
+        night = reader if dark_streams is None else replace(reader, streams=dark_streams)
+        stamps, noise = dark_subtracted(stack, night.dark(light.corner_px, bench.window_px, frames=bench.dark_frames))
+    else:
+        stamps, noise = ring_subtracted(stack, light.found_px)
+    where = where or f"target points at {bench.signal_e * signal_ratio:g} e- per frame"
+    refuse_saturated(stamps, len(light), where=where, advice="lower signal_e or the highest level")
+    position = {
+        name: measured_positions(centroider, stamps, noise, bench.frames)
+        for name, centroider in light.centroiders(bench).items()
+    }
+    refuse_few_frames(position[bench.methods[0]], bench.methods[0], where=where)
+    return PointFrames(position_px=position, windows=stack, stamps=stamps.select(slice(0, len(light))), noise=noise)
 
 
 def nominal_px(instrument: Instrument, direction: FloatArray) -> FloatArray:
@@ -156,25 +284,3 @@ def nominal_px(instrument: Instrument, direction: FloatArray) -> FloatArray:
     camera = instrument.camera
     scale = instrument.focal_length_mm / camera.pixel_pitch_mm
     return camera.centre_px + scale * direction[:, :2] / direction[:, 2:]
-
-
-def pattern_effect(
-    centroider: Any,
-    stamps: Stamps,
-    noise: NoiseModel,
-    expected_e: FloatArray,
-    *,
-    prnu: float,
-    dark_e: float,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Centroid shifts (q, j, 2) by response patterns and dark-frame noise of the stated size, on noiseless windows."""
-    count = len(expected_e)
-    response = 1.0 + prnu * rng.standard_normal((PATTERNS, *expected_e.shape))
-    offset = dark_e * rng.standard_normal(response.shape)
-    disturbed = np.concatenate([expected_e[None], expected_e * response + offset]).reshape(-1, *expected_e.shape[1:])
-    rows = np.tile(np.arange(count), PATTERNS + 1)
-    one = stamps.select(rows)
-    table = centroider.measure(replace(one, electrons=disturbed, valid=np.ones(disturbed.shape, bool)), noise)
-    place = np.stack([table.x_px, table.y_px], axis=-1).reshape(PATTERNS + 1, count, 2)
-    return place[1:] - place[0]

@@ -13,9 +13,11 @@ from calib.measure.expected_windows import (
     drawn_positions,
     expected_windows,
     followed_px,
+    pattern_shifts_px,
     window_response,
 )
 from calib.measure.gaussian import draw_gaussian
+from calib.measure.stamps import noiseless_stamps
 from calib.records import NoiseModel
 from render.detector.noise import PixelNoise
 from render.detector.spec import load_detector
@@ -127,3 +129,17 @@ def test_mirrored_draws_have_no_noise_in_their_mean(windows):
     np.testing.assert_allclose(both[::2].std(0, ddof=1), single, rtol=4.0 / np.sqrt(200))
     free = drawn_positions(*given, draws=200, rng=rng)
     np.testing.assert_allclose(free.std(0, ddof=1), single, rtol=6.0 / np.sqrt(400))
+
+
+def test_patterns_shift_a_centre_of_gravity_as_its_closed_form_says():
+    """Independent pixel errors: variance prnu^2 sum (x - c)^2 e^2 / (sum e)^2; none of both, and nothing moves."""
+    light = np.random.default_rng(2).uniform(10.0, 20.0, (2, 13, 13))
+    given = (get_centroider("cog", half_width_px=None), noiseless_stamps(light), TOLD, light)
+    still = pattern_shifts_px(*given, prnu=0.0, offset_e=0.0, draws=3, rng=np.random.default_rng(3))
+    assert np.all(still == 0.0)
+    moved = pattern_shifts_px(*given, prnu=0.01, offset_e=0.0, draws=48, rng=np.random.default_rng(3))
+    index, total = np.arange(13), light.sum((1, 2))
+    centre = (light.sum(1) * index).sum(1) / total
+    variance = 1e-4 * ((index - centre[:, None]) ** 2 * (light**2).sum(1)).sum(1) / total**2
+    # 48 patterns x 2 points: the variance is known to sqrt(2 / 96) = 14 %; four of them
+    assert (moved[..., 0] ** 2).mean() == pytest.approx(variance.mean(), rel=0.58)

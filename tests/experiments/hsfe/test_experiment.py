@@ -9,7 +9,7 @@ import pytest
 
 from experiments.harness.progress import Progress
 from experiments.hsfe.experiment import run as measure
-from experiments.laboratory.bench.point_scene import point_laboratory
+from experiments.laboratory.bench.point_laboratory import point_laboratory
 from experiments.laboratory.devices.hexapod import Hexapod
 from experiments.laboratory.high_frequency import StepPlan
 from experiments.laboratory.settings.tables import HexapodConfig

@@ -1,14 +1,12 @@
 """The chromatic test on a small camera; its uncertainties on many simulated cameras."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from calib.accuracy.chromatic import shifts, table1
-from calib.measure.stamps import stamps_from_windows
-from experiments.laboratory.bench.points import nominal_px, pattern_effect
+from experiments.laboratory.bench.points import nominal_px
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from experiments.laboratory.bench.readout.search import common_shift
 from experiments.laboratory.chromatic_error import measure_chromatic
@@ -144,29 +142,3 @@ def test_effect_of_the_fixed_pattern_is_predicted(engine, bench_of, small_camera
     assert abs(found.mean() / np.mean(predicted) - 1) < 4 * spread
     # the noise of every point, of 16 x 39 differences
     assert np.abs(np.mean(noise, axis=0) - 1.0).max() < 4.5 * np.sqrt(2.0 / (SENSORS * 39))
-
-
-def test_pattern_effect_on_a_centre_of_gravity(measured):
-    """No PRNU and no dark noise: nothing moves. With PRNU: the closed form of a centre of gravity."""
-
-    class Centre:
-        def measure(self, stamps, noise):
-            index = np.arange(stamps.electrons.shape[1])
-            total = stamps.electrons.sum((1, 2))
-            return SimpleNamespace(
-                x_px=(stamps.electrons.sum(1) * index).sum(1) / total,
-                y_px=(stamps.electrons.sum(2) * index).sum(1) / total,
-            )
-
-    stamps, noise = stamps_from_windows(measured.windows[0], background_e=0.0, start_px=measured.photon_px[0, :, 0])
-    light = np.random.default_rng(2).uniform(10, 20, (2, 13, 13))
-    still = pattern_effect(Centre(), stamps, noise, light, prnu=0.0, dark_e=0.0, rng=np.random.default_rng(3))
-    assert np.all(still == 0)
-    moved = pattern_effect(Centre(), stamps, noise, light, prnu=0.01, dark_e=0.0, rng=np.random.default_rng(3))
-    # centroid of independent pixel errors: var = prnu^2 sum (x - c)^2 e^2 / (sum e)^2
-    index = np.arange(13)
-    total = light.sum((1, 2))
-    centre = (light.sum(1) * index).sum(1) / total
-    variance = 1e-4 * ((index - centre[:, None]) ** 2 * (light**2).sum(1)).sum(1) / total**2
-    # 48 patterns x 2 points: the variance is known to sqrt(2 / 96) = 14 %; four of them
-    assert (moved[..., 0] ** 2).mean() == pytest.approx(variance.mean(), rel=0.58)

@@ -13,8 +13,8 @@ from scipy.special import erf, j1
 from calib.accuracy.chromatic import shifts, table1
 from experiments.chromatic.settings import Config
 from experiments.laboratory.bench.point_bench import Bench
+from experiments.laboratory.bench.points import filter_scene, frame_light
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, expected_spots
-from experiments.laboratory.bench.target_light import frame_light, target_light
 from experiments.laboratory.devices import collimator_effects as effects
 from experiments.laboratory.devices.collimator import build_collimator
 from experiments.laboratory.devices.target import corner_directions
@@ -100,14 +100,17 @@ def test_frames_hold_the_light_where_the_line_of_sight_stands():
     moving = SimpleNamespace(offsets_px=lambda *_: offset)
     bench, instrument = (
         SimpleNamespace(collimator=moving, frames=3),
-        SimpleNamespace(config=SimpleNamespace(exposure_s=0.1), pixel_arcsec=5.0),
+        SimpleNamespace(exposure_s=0.1, pixel_arcsec=5.0),
     )
     pixel, place = np.arange(size), np.array([6.2, 5.9])
 
     def image(at):
         return 5000.0 * np.outer(along(pixel, at[1]), along(pixel, at[0]))
 
-    frames = frame_light(image(place)[None], np.zeros((1, 2), int), place[None], [psf], bench, instrument, Streams(0))
+    light = SimpleNamespace(
+        light_e=image(place)[None], corner_px=np.zeros((1, 2), int), bundle_px=place[None], psf=[psf]
+    )
+    frames = frame_light(light, bench, instrument, Streams(0))
     for frame, shift in zip(frames[:, 0], offset, strict=True):
         np.testing.assert_allclose(frame, image(place + shift), atol=0.5)
 
@@ -215,9 +218,9 @@ def test_closed_forms_hold_and_are_constant_over_the_field(laboratory):
 def test_a_pinhole_is_seen_alike_in_image_and_psf(engine, laboratory):
     bench, instrument, direction = laboratory
     bare = replace(bench.collimator, config=bench.collimator.config.model_copy(update={"pinhole_um": 0.0}))
-    target, sharp = (target_light(replace(bench, collimator=one), instrument) for one in (bench.collimator, bare))
+    target, sharp = (filter_scene(replace(bench, collimator=one), instrument) for one in (bench.collimator, bare))
     size = bench.collimator.source_radius_rad / (instrument.pixel_arcsec * ARCSEC_RAD)
-    found, point = (one.psfs(direction[0], 8)[0][1] for one in (target, sharp))
+    found, point = (one.filter_psfs(direction[0], 8)[0][1] for one in (target, sharp))
     grown = np.subtract(*(one.image(direction[0]).truth.variance_x_px2 for one in (target, sharp)))
     np.testing.assert_allclose(grown, size**2 / 4.0, rtol=0.01)  # 0.4 % by the slope of the field
 

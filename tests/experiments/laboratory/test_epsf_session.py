@@ -14,7 +14,8 @@ from experiments.laboratory.bench.epsf_session import (
     measured_epsf,
     predicted_epsfs,
 )
-from experiments.laboratory.bench.point_scene import one_filter, point_scene
+from experiments.laboratory.bench.point_bench import one_filter
+from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.bench.ray_prediction import target_windows
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.hexapod import Hexapod

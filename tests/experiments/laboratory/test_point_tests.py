@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from calib.accuracy.temporal import small_sample_factor
-from experiments.laboratory.bench.point_frames import read_points
-from experiments.laboratory.bench.point_scene import point_scene
+from experiments.laboratory.bench.points import point_scene, read_points
 from experiments.laboratory.devices.hexapod import Hexapod
 from experiments.laboratory.devices.targets import GridTarget
 from experiments.laboratory.distortion_error import measure_distortion

@@ -15,11 +15,10 @@ import pytest
 
 from experiments.dataset import truth as dataset_truth
 from experiments.dataset.truth import flux_snr
-from experiments.laboratory.bench.point_scene import point_scene
-from experiments.laboratory.bench.points import PointReadout
+from experiments.laboratory.bench.points import filter_scene, point_scene
 from experiments.laboratory.bench.readout.frames import empty_frame
 from experiments.laboratory.bench.readout.noise_model import true_noise
-from experiments.laboratory.bench.target_light import target_light
+from experiments.laboratory.chromatic_error import _read
 from experiments.laboratory.single_star.star_readings import WindowPlan, read_windows
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
 from render.detector.readout import expose
@@ -130,10 +129,10 @@ def test_fixed_patterns_of_a_point_target(engine, bench_of, camera):
     """Few dark frames, many frames: the mean centroids are off by the noise of the dark frames and by PRNU."""
     bench = bench_of(rows=12, columns=10, frames=50, dark_frames=2, centres_nm=(600.0,), reference=0)
     bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 40.4}))
-    readout = PointReadout(bench, camera, Streams(5), "middle")
-    found, _ = readout.measure(target_light(bench, camera), target_place(bench, camera, PLACE))
-    off2 = (found.mean_px["epsf"] - found.photon_px) ** 2 - found.sigma_px["epsf"] ** 2 / found.frames_used[..., None]
-    within(off2, found.pattern_px["epsf"] ** 2)
+    (light,), _ = filter_scene(bench, camera).lights(target_place(bench, camera, PLACE), Streams(5), "middle")
+    _, frames, _, pattern = _read(light, bench, camera, Streams(5), "middle", ["epsf"])
+    temporal2 = frames.sigma_px("epsf") ** 2 / frames.used("epsf")[:, None]
+    within((frames.mean_px("epsf") - light.photon_px) ** 2 - temporal2, pattern["epsf"] ** 2)
 
 
 @pytest.mark.slow

@@ -16,9 +16,7 @@ from experiments.chromatic.settings import Config as ChromaticConfig
 from experiments.distortion.own_frames import reduce as distortion_from_frames
 from experiments.distortion.settings import Config as DistortionConfig
 from experiments.hsfe.own_frames import reduce as hsfe_from_frames
-from experiments.laboratory.bench.point_scene import point_scene
-from experiments.laboratory.bench.points import nominal_px
-from experiments.laboratory.bench.target_light import target_light
+from experiments.laboratory.bench.points import filter_scene, nominal_px, point_scene
 from experiments.laboratory.devices.hexapod import Hexapod, turned
 from experiments.laboratory.devices.targets import GridTarget
 from experiments.laboratory.distortion_error import measure_distortion
@@ -432,7 +430,7 @@ def test_wedge_of_a_filter_and_exchanged_filters_are_found_in_rendered_frames(tm
     writer, streams = Writer(tmp_path / "filters", scene), Streams(12)
     bench = bench_of(rows=3, columns=3, edge_px=40.0, signal_e=15000.0)
     bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 45.0 + 1 / 3}))  # S-curves average out
-    light = target_light(bench, replace(camera, camera=replace(camera.camera, diffraction="rays")))
+    light = filter_scene(bench, replace(camera, camera=replace(camera.camera, diffraction="rays")))
     wedge = 0.06 * np.array([np.cos(np.radians(30)), np.sin(np.radians(30))])
     rows = []
     for place, angle, at in (("before", 0, 0.0), ("after", 180, 0.4)):

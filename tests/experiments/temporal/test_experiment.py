@@ -10,7 +10,8 @@ from scipy.ndimage import map_coordinates
 
 from experiments.harness.config import load_config
 from experiments.harness.progress import Progress
-from experiments.laboratory.bench.point_scene import point_laboratory, point_scene
+from experiments.laboratory.bench.point_laboratory import point_laboratory
+from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.temporal_error import target_place
 from experiments.temporal.experiment import run as measure
 from experiments.temporal.settings import Config
