@@ -25,7 +25,7 @@ from calib import FreeAttitudes, Observations, calibrate, find_stars, identify_s
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.flags import StarFlag, has_flag
 from calib.measure.detection import detect, detection_noise
-from calib.measure.hot_pixels import find_hot_pixels, without_pixels
+from calib.detector.hot_pixels import find_hot_pixels, without_pixels
 from calib.measure.image import read_images
 from render.sky.sky import load_sky
 

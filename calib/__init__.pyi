@@ -40,8 +40,8 @@ from .measure.centroid import register_centroider as register_centroider
 from .measure.detection import detect as detect
 from .measure.detection import detection_noise as detection_noise
 from .measure.find import find_stars as find_stars
-from .measure.hot_pixels import find_hot_pixels as find_hot_pixels
-from .measure.hot_pixels import without_pixels as without_pixels
+from .detector.hot_pixels import find_hot_pixels as find_hot_pixels
+from .detector.hot_pixels import without_pixels as without_pixels
 from .measure.image import read_image as read_image
 from .measure.image import read_images as read_images
 from .measure.image import sensor_image as sensor_image

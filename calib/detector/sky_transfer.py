@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from calib.detector.photon_transfer import QUANTISATION_DN2, deviation
 from optics.arrays import FloatArray
@@ -27,8 +27,12 @@ CLIP_SIGMA = 3.5
 CLIP_ROUNDS = 4
 KEPT_VARIANCE = float(1.0 - 2.0 * CLIP_SIGMA * norm.pdf(CLIP_SIGMA) / (2.0 * norm.cdf(CLIP_SIGMA) - 1.0))
 """Variance of a normal distribution truncated at `CLIP_SIGMA`, over that of the whole."""
+KEPT_COVARIANCE = KEPT_VARIANCE**2 * (1.0 - 6.0 / BLOCK_PX**2)
+"""Covariance of two such residuals over that of the pattern behind them: truncated twice, a surface of 6 terms less."""
 FEWEST_OF_A_BLOCK = 0.4
 """Fraction of the pixels of a block that must remain for it to count."""
+FEWEST_FRAMES, FRAME_ALARM = 6, 0.01
+"""Frames from which what their blocks have in common is looked for, and the chance that it is found where it is not."""
 DETERMINED_SIGMA = 4.0
 """Slope over its error from which the gain is determined."""
 SURE_SIGMA = 3.0
@@ -157,18 +161,20 @@ def sky_photon_transfer(
     level = np.concatenate([blocks.level_dn for blocks in frames])
     variance = np.concatenate([blocks.variance_dn2 for blocks in frames])
     frame = np.repeat(np.arange(len(frames)), [len(blocks.level_dn) for blocks in frames])
+    block = np.concatenate([np.arange(len(blocks.level_dn)) for blocks in frames])
     weight = np.concatenate([blocks.count for blocks in frames]).astype(float)
     good = np.isfinite(variance)
-    level, variance, frame, weight = level[good], variance[good], frame[good], weight[good]
+    level, variance, frame, block, weight = (row[good] for row in (level, variance, frame, block, weight))
     if not len(level):
         raise DomainError("no part of the frames is free of stars; gain and noise cannot be measured")
-    (dsnu2, prnu2), (dsnu2_error, prnu2_error) = _pattern(frames)
+    (dsnu2, prnu2), pattern_change = _pattern(frames)
+    dsnu2_error, prnu2_error = np.sqrt(_sum_of_squares(pattern_change))
     temporal = variance - dsnu2 - prnu2 * level**2
-    (slope, intercept), covariance = _line(level, temporal, weight, frame)
-    # the pattern's own error moves the slope: d slope = -d(PRNU^2) * slope of mean^2 on mean
-    steep = np.polyfit(level, level**2, 1, w=np.sqrt(weight))
-    slope_error = float(np.hypot(np.sqrt(covariance[0, 0]), prnu2_error * abs(steep[0])))
-    intercept_error = float(np.sqrt(covariance[1, 1] + dsnu2_error**2 + (prnu2_error * steep[1]) ** 2))
+    (slope, intercept), influence = _line(level, temporal, weight)
+    change = influence * (temporal - slope * level - intercept)
+    # the pattern is subtracted: what its errors change, block by block of the detector
+    steep = influence @ np.stack([np.ones_like(level), level**2], axis=1)
+    slope_error, intercept_error = _errors(change, block, frame, -pattern_change @ steep.T)
     if not slope > DETERMINED_SIGMA * slope_error:
         raise DomainError(
             f"photon transfer: variance rises by {slope:.3g} +/- {slope_error:.2g} DN^2 per DN over backgrounds from "
@@ -204,9 +210,8 @@ def sky_photon_transfer(
     )
 
 
-def _line(x: FloatArray, y: FloatArray, weight: FloatArray, frame: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-    """Slope and intercept of variances, each with an uncertainty equal to its value, and their covariance, with errors
-    that the blocks of a frame share (sandwich over frames) if there are enough frames."""
+def _line(x: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Slope and intercept of variances, whose errors are in proportion to them, and their change (2, n) with each."""
     coefficients = np.array([0.0, float(np.median(y))])
     design = np.stack([x, np.ones_like(x)], axis=1)
     w = weight
@@ -218,25 +223,44 @@ def _line(x: FloatArray, y: FloatArray, weight: FloatArray, frame: NDArray[np.in
         spread = 1.4826 * np.median(np.abs(normalised))
         w = np.where(np.abs(normalised) < 4.0 * spread, w, 0.0)
         coefficients = np.linalg.solve(design.T @ (w[:, None] * design), design.T @ (w * y))
-    inverse = np.linalg.inv(design.T @ (w[:, None] * design))
-    residual = (y - design @ coefficients) * w
-    covariance = inverse * float((residual**2 / np.maximum(w, 1e-300)).sum() / max((w > 0).sum() - 2, 1))
+    influence = np.linalg.solve(design.T @ (w[:, None] * design), design.T * w)
+    return np.asarray(coefficients, float), np.asarray(influence, float)
+
+
+def _errors(
+    change: FloatArray, block: NDArray[np.int64], frame: NDArray[np.int64], pattern_change: FloatArray
+) -> FloatArray:
+    """Errors (2,) of slope and intercept from their changes (2, n) by each block of each frame.
+
+    Blocks of the detector are independent of each other, with the pattern that is subtracted from all their frames;
+    what the blocks of a frame have in common is added where there are enough frames and it is more than chance.
+    """
+    by_block = np.array([np.bincount(block, row, minlength=len(pattern_change)) for row in change]).T + pattern_change
+    square = _sum_of_squares(by_block)
     number = len(np.unique(frame))
-    if number >= 6:
-        score = np.stack([(design * residual[:, None])[frame == k].sum(axis=0) for k in np.unique(frame)])
-        clustered = inverse @ (score.T @ score * number / (number - 1)) @ inverse
-        covariance = np.where(np.diag(clustered).sum() > np.diag(covariance).sum(), clustered, covariance)
-    return np.asarray(coefficients, float), np.asarray(covariance, float)
+    if number >= FEWEST_FRAMES:
+        by_frame = np.array([np.bincount(frame, row) for row in change])
+        common, single = (by_frame**2).sum(axis=1) * number / (number - 2), (change**2).sum(axis=1)
+        beyond = common > single * chi2.isf(FRAME_ALARM, number - 2) / (number - 2)
+        square += np.where(beyond, common - single, 0.0)
+    return np.asarray(np.sqrt(square))
+
+
+def _sum_of_squares(change: FloatArray) -> FloatArray:
+    """Variance (2,) of two numbers from their changes (b, 2) by independent blocks, two degrees of freedom taken."""
+    count = max(np.count_nonzero(change.any(axis=1)), 3)
+    return np.asarray((change**2).sum(axis=0) * count / (count - 2))
 
 
 def _pattern(frames: Sequence[SkyBlocks]) -> tuple[FloatArray, FloatArray]:
-    """DSNU^2 [DN^2] and PRNU^2 (2,) and their errors (2,), from the covariance of residuals of different frames."""
+    """DSNU^2 [DN^2] and PRNU^2 (2,) from the covariance of residuals of different frames, and their changes (b, 2) with
+    each block."""
     if len(frames) < 2:
-        return np.zeros(2), np.zeros(2)
+        return np.zeros(2), np.zeros((len(frames[0].level_dn), 2))
     product, levels, numbers = [], [], []
     for i in range(len(frames)):
         for j in range(i):
-            common = _block_means(frames[i].residual_dn * frames[j].residual_dn)
+            common = _block_means(frames[i].residual_dn * frames[j].residual_dn) / KEPT_COVARIANCE
             product.append(common)
             levels.append(frames[i].level_dn * frames[j].level_dn)
             numbers.append(np.arange(len(common)))  # a block of the detector has the same pattern in every pair
@@ -245,16 +269,16 @@ def _pattern(frames: Sequence[SkyBlocks]) -> tuple[FloatArray, FloatArray]:
     y, x, block = y[known], x[known], block[known]
     design = np.stack([np.ones_like(x), x], axis=1)
     w = 1.0 / np.maximum(x, 1.0)  # products of two frames scatter as the product of their noise
-    inverse = np.linalg.inv(design.T @ (w[:, None] * design))
-    squares = inverse @ (design.T @ (w * y))
-    score = np.zeros((int(block.max()) + 1, 2))
-    np.add.at(score, block, design * (w * (y - design @ squares))[:, None])
-    error = np.sqrt(np.diag(inverse @ (score.T @ score) @ inverse))
+    influence = np.linalg.solve(design.T @ (w[:, None] * design), design.T * w)
+    squares = influence @ y
     if squares[0] < 0.0 or squares[1] < 0.0:  # a single one of them then
         single = 1 if squares[0] < squares[1] or squares[0] < 0.0 else 0
-        squares = np.zeros(2)
-        squares[single] = (w * y * design[:, single]).sum() / (w * design[:, single] ** 2).sum()
-    return np.maximum(squares, 0.0), np.asarray(error)
+        row = design[:, single] * w
+        influence = np.zeros_like(influence)
+        influence[single] = row / (row @ design[:, single])
+        squares = np.maximum(influence @ y, 0.0)
+    change = influence * (y - design @ squares)
+    return squares, np.array([np.bincount(block, row, minlength=len(numbers[0])) for row in change]).T
 
 
 def pattern_third_moment(frames: Sequence[SkyBlocks]) -> tuple[float, float]:

@@ -73,3 +73,21 @@ def test_frames_of_one_level_tell_no_gain():
     flat = [np.full((256, 256), 100.0) + np.random.default_rng(k).standard_normal((256, 256)) for k in range(2)]
     with pytest.raises(DomainError, match="the gain is not determined"):
         measured(flat)
+
+
+@pytest.mark.parametrize("nights", [25, pytest.param(250, marks=pytest.mark.slow)])
+def test_gain_and_pattern_have_the_errors_that_they_state(nights):
+    """Small frames, 20 blocks each: what clipping and the subtracted surface take from the pattern is given back."""
+    pulls = []
+    for seed in range(nights):
+        found = measured(sky_frames(np.geomspace(120.0, 900.0, 4), shape=(128, 160), seed=100 + seed))
+        pulls.append(
+            (
+                (found.gain_e_per_dn - GAIN_E_PER_DN) / found.gain_error_e_per_dn,
+                (found.prnu - PRNU) / found.prnu_error,
+                (found.dsnu_dn - DSNU_DN) / found.dsnu_error_dn,
+                (found.intercept_dn2 - (READ_E / GAIN_E_PER_DN) ** 2 - 1 / 12) / found.intercept_error_dn2,
+            )
+        )
+    np.testing.assert_allclose(np.mean(pulls, axis=0), 0.0, atol=4.0 / np.sqrt(nights))
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(pulls), axis=0)), 1.0, atol=4.0 / np.sqrt(2 * nights))

@@ -8,7 +8,7 @@ from PIL import Image
 from scipy.ndimage import convolve
 
 from calib.measure.detection import detect, detection_noise
-from calib.measure.hot_pixels import find_hot_pixels, without_pixels
+from calib.detector.hot_pixels import find_hot_pixels, without_pixels
 from calib.measure.image import sensor_image
 from optics.errors import DomainError
 
