@@ -23,9 +23,9 @@ from scipy.special import expit
 
 from calib import FreeAttitudes, Observations, calibrate, find_stars, identify_stars, solve_attitude
 from calib.cameras import BrownConrady, SensorGeometry
+from calib.detector.hot_pixels import find_hot_pixels, without_pixels
 from calib.flags import StarFlag, has_flag
 from calib.measure.detection import detect, detection_noise
-from calib.detector.hot_pixels import find_hot_pixels, without_pixels
 from calib.measure.image import read_images
 from render.sky.sky import load_sky
 

@@ -28,6 +28,11 @@ from .cameras.fit import camera_model as camera_model
 from .cameras.fit import fit_camera as fit_camera
 from .cameras.fit import fit_to_map as fit_to_map
 from .cameras.polynomial import Polynomial as Polynomial
+from .detector.fixed_pattern import fixed_pattern as fixed_pattern
+from .detector.hot_pixels import find_hot_pixels as find_hot_pixels
+from .detector.hot_pixels import without_pixels as without_pixels
+from .detector.mean_frame import mean_frame as mean_frame
+from .detector.photon_transfer import flat_photon_transfer as flat_photon_transfer
 from .figures import draw_residuals as draw_residuals
 from .figures import mark_stars as mark_stars
 from .figures import show_image as show_image
@@ -40,8 +45,6 @@ from .measure.centroid import register_centroider as register_centroider
 from .measure.detection import detect as detect
 from .measure.detection import detection_noise as detection_noise
 from .measure.find import find_stars as find_stars
-from .detector.hot_pixels import find_hot_pixels as find_hot_pixels
-from .detector.hot_pixels import without_pixels as without_pixels
 from .measure.image import read_image as read_image
 from .measure.image import read_images as read_images
 from .measure.image import sensor_image as sensor_image

@@ -155,6 +155,25 @@ def test_the_metrics_of_the_library_page_are_those_of_its_series(capsys):
     assert float(limit) == pytest.approx(0.05 ** (1.0 / 93.0))
 
 
+def test_the_detector_of_the_library_page_is_as_drawn():
+    """0.25 DN/e-, read noise 5 e-, PRNU 1 %, DSNU 3 e-: each within five standard errors, which are small."""
+    rng, shape = np.random.default_rng(2), (8, 60, 80)
+    response, offset = 1.0 + 0.01 * rng.standard_normal(shape[1:]), 3.0 * rng.standard_normal(shape[1:])
+    names = {
+        name: np.rint(100.2 + 0.25 * (rng.poisson(level * response, shape) + offset + rng.normal(0.0, 5.0, shape)))
+        for name, level in (("dark_frames", 0.0), ("dim_frames", 2000.0), ("bright_frames", 9000.0))
+    }
+    exec(block("docs/library.md", "fixed_pattern") + "pattern = fixed_pattern(flats[-1], dark, transfer)", names)
+    transfer, pattern = names["transfer"], names["pattern"]
+    for value, error, true in (
+        (transfer.gain_dn_per_e, transfer.gain_error_dn_per_e, 0.25),
+        (transfer.read_noise_e, transfer.read_noise_error_e, 5.0),
+        (pattern.prnu, pattern.prnu_error, 0.01),
+        (pattern.dsnu_e, pattern.dsnu_error_e, 3.0),
+    ):
+        assert abs(value - true) < 5.0 * error < 0.2 * true
+
+
 def test_the_error_terms_of_the_library_page_are_those_of_drawn_centroids(capsys):
     """0.02 px of noise at 5.5 arcsec; half of a filter shift of 0.24 px; a cubic distortion that is removed."""
     rng = np.random.default_rng(6)

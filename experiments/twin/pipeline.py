@@ -15,9 +15,9 @@ from calib.attitude.blind import FIELDS_DEG, BlindIdentifier
 from calib.calibration.camera_order import OrderValidation, calibrate_order
 from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, SensorGeometry
+from calib.detector.hot_pixels import find_hot_pixels
 from calib.fitting.misfit import chi_square_minimum
 from calib.measure.completeness import clouded_fraction
-from calib.detector.hot_pixels import find_hot_pixels
 from calib.photometry.atmosphere import SiteZenith, fit_zenith, zenith_directions
 from experiments.harness.progress import Progress
 from experiments.twin.faults import likely_fault, shape_words

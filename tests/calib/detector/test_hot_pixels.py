@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.detector.hot_pixels import find_hot_pixels, without_pixels
 from calib.flags import StarFlag, has_flag
 from calib.measure.detection import detect, detection_noise
-from calib.detector.hot_pixels import find_hot_pixels, without_pixels
 from calib.measure.image import read_images, sensor_image
 from optics.errors import DomainError
 

@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 from scipy.ndimage import convolve
 
-from calib.measure.detection import detect, detection_noise
 from calib.detector.hot_pixels import find_hot_pixels, without_pixels
+from calib.measure.detection import detect, detection_noise
 from calib.measure.image import sensor_image
 from optics.errors import DomainError
 
