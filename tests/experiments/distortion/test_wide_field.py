@@ -47,6 +47,11 @@ def test_residuals_less_the_prescription_are_noise_and_marking(small_camera):
     assert record.predicted_arcsec[2][1].value == pytest.approx(15.0)
     assert record.predicted_arcsec[2][1].uncertainty == pytest.approx(1.5)
     np.testing.assert_allclose(record.marking_arcsec, 6.0 * three)
+    # frames of a lens with 10 % more distortion are noticed
+    wrong = distortion_statistics(place, d + 0.1 * (expected - nominal), 3)
+    frames.statistics = lambda *_: wrong
+    ratio = wide_field(WideRun(method="cog", frames=frames, predicted=predicted, marking_px=three)).residual_ratio
+    assert ratio.value > 1.0 + 4.0 * ratio.uncertainty
     # the prescription's distortion is what is found, to the noise
     distortion, _ = grid_residual_px(nominal, place, expected, expected, REFERENCE)
     np.testing.assert_allclose(record.measured_arcsec[0] / 3.0, distortion.std(0, ddof=1), rtol=0.2)

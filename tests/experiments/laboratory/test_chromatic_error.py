@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.accuracy.chromatic import shifts, table1
-from experiments.laboratory.bench.points import nominal_px
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from experiments.laboratory.bench.readout.search import common_shift
 from experiments.laboratory.chromatic_error import measure_chromatic
@@ -61,26 +59,6 @@ def test_record_of_every_position_point_and_filter(measured, small_camera):
 
 
 @pytest.mark.slow
-def test_a_wedge_in_one_filter_shows_as_half_of_its_motion(measured, bench_of, small_camera):
-    """Rationale: eq. 13-16 on frames, by a motion of whole pixels behind the last filter. Expected: half of it."""
-    bench = bench_of(rows=1, columns=2, frames=2, dark_frames=2)
-    x, y = nominal_px(small_camera, measured.direction.reshape(-1, 3)).T
-    turned = small_camera.camera.nominal_direction(x + 2.0, y - 1.0, small_camera.focal_length_mm)
-    turned = turned.reshape(measured.direction.shape)
-    wedged = measure_chromatic(bench, small_camera, Streams(7).child("test"), directions=turned)
-    place = measured.mean_px["epsf"].copy()
-    place[:, :, 2] = wedged.mean_px["epsf"][:, :, 2]
-    before, after = (
-        {name: table1(shift) for name, shift in shifts(one, bench.pairs).items()}
-        for one in (measured.mean_px["epsf"], place)
-    )
-    sigma = measured.table1_sigma(bench.pairs, "epsf")["800-600"]
-    # 0.2 %: distortion and lateral colour change the scale of the image
-    assert np.abs(after["800-600"] - before["800-600"] - [1.0, -0.5]).max() < 4 * np.sqrt(2) * sigma.max() + 2e-3
-    assert np.array_equal(after["600-500"], before["600-500"])
-
-
-@pytest.mark.slow
 def test_moved_image_is_found_again(engine, bench_of, small_camera):
     """The target is looked for where the lens puts it, up to 80 px away; its comatic spots are not given up."""
     bench = bench_of(frames=2, dark_frames=2)
@@ -89,31 +67,6 @@ def test_moved_image_is_found_again(engine, bench_of, small_camera):
     expected = bundle_prediction(bench, moved, measured.direction)
     assert np.abs(measured.nominal_px - expected[:, :, 1]).max() > 40
     assert np.abs(measured.mean_px["epsf"] - expected).max() < 0.1
-
-
-RUNS = 16
-
-
-@pytest.mark.slow
-def test_uncertainties_of_table_1_are_as_stated(engine, bench_of, small_camera, traced_once):
-    """16 cameras (fixed patterns) and noise seeds: the entries scatter about the truth as their sigma says.
-
-    Two pairs share the 600 nm band (correlation 1/2, so 1/4 between their squares) and the two axes are independent:
-    the variance of the mean of 64 squared pulls is 2.5/64, and four standard deviations are allowed.
-    """
-    bench = bench_of()
-    pulls = []
-    for seed in range(RUNS):
-        camera = with_sensor(small_camera, 1000 + seed)
-        found = quick_measure(bench, camera, seed)
-        seen, light = (shifts(place, bench.pairs) for place in (found.mean_px["epsf"], found.photon_px))
-        sigma = found.table1_sigma(bench.pairs, "epsf")
-        pulls.append([(table1(seen[name]) - table1(light[name])) / sigma[name] for name in sigma])
-    pulls = np.array(pulls)
-    spread = np.sqrt(2.5 / pulls.size)
-    assert abs((pulls**2).mean() - 1) < 4 * spread
-    # no bias: the mean of 16 independent pulls per entry, the largest of four
-    assert np.abs(pulls.mean(0)).max() * np.sqrt(RUNS) < 4
 
 
 SENSORS = 16
