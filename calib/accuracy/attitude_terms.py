@@ -162,7 +162,7 @@ class AttitudePrediction:
             ]
         )
 
-    def _pixel_error(self, solved: Sequence[FloatArray], pick: list[int]) -> float:
+    def _pixel_error(self, solved: Sequence[NDArray[np.bool_]], pick: list[int]) -> float:
         """Standard deviation of the pixel spatial mean square: of products of two normal errors, correlated."""
         power, freedom = 0.0, 0
         for error, frames, known in zip(self.errors, self.correlation, solved, strict=True):
@@ -204,7 +204,7 @@ class AttitudePrediction:
             Term -> estimate, for `TERMS` and ``total``.
         """
         pick, predicted = list(axes), self.squares(axes)
-        solved = [np.isfinite(error).all(axis=(0, 2)) for error in error_arcsec]
+        solved = [np.asarray(np.isfinite(error).all(axis=(0, 2))) for error in error_arcsec]
         measured = _Separated(
             errors=[error[:, known][:, :, pick] for error, known in zip(error_arcsec, solved, strict=True)],
             thermal=_segment_means([change[:, pick] for change in thermal_arcsec]),

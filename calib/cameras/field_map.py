@@ -34,7 +34,7 @@ def fit_field_map(direction: FloatArray, shift_px: FloatArray, degree: int = 5) 
     """Least squares to shifts (n, 2) [px] at directions (n, 3) in cam."""
     reach = float(np.abs(direction[:, :2] / direction[:, 2:]).max())
     coefficients = np.linalg.lstsq(_field_basis(direction, reach, degree), shift_px, rcond=None)[0]
-    return FieldMap(reach=reach, degree=degree, coefficients=coefficients)
+    return FieldMap(reach=reach, degree=degree, coefficients=np.asarray(coefficients, np.float64))
 
 
 def _field_basis(direction: FloatArray, reach: float, degree: int) -> FloatArray:

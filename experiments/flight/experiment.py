@@ -21,10 +21,11 @@ from experiments.harness.drawings import bars, curves
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, above, below, col
-from experiments.harness.summary import Measured
+from experiments.harness.summary import Measured, measured
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.thermal import ThermalState
+from render.motion.trajectory import rate_of_trail, trail_of_rate
 
 HISTORY = 61
 """Times of the curves over the orbit."""
@@ -66,51 +67,51 @@ class Mission:
 
 def mission(budget: Budget, history: Sequence[Moment], frames: Sequence[Segment]) -> Mission:
     """Sensor and mission in numbers."""
-    config, flight = budget.config, budget.flight
-    state = budget.nominal.state
+    config, flight, state = budget.config, budget.flight, budget.nominal.state
     counts = sky_coverage(budget.guides, budget.model, attitudes=COVERAGE, margin_px=config.window_px // 2 + 1.0)
-    rate = np.asarray(flight.trajectory.rate(np.array([one.time_min * 60.0 for one in history])))
+    rates = [trail_of_rate(flight.trajectory.rate(moment.time_min * 60.0))[0] for moment in history]
+    lens, chip = state.sensor.camera.lens.name, budget.nominal.detector.name
     return Mission(
-        name=config.name or f"{state.sensor.camera.lens.name} on {budget.nominal.detector.name}",
-        lens=state.sensor.camera.lens.name,
-        detector=budget.nominal.detector.name,
+        name=config.name or f"{lens} on {chip}",
+        lens=lens,
+        detector=chip,
         period_s=flight.period_s,
-        rate_deg_per_s=float(np.degrees(np.linalg.norm(rate[:, :2], axis=1).mean())),
+        rate_deg_per_s=float(np.mean(rates)),
         acceleration_bias_s2=config.instrument.exposure_s**2 / 24.0,
         guide_stars=len(budget.guides),
         guide_mean=float(counts.mean()),
         guide_worst=float(np.quantile(counts, 0.01)),
         covered_percent=100.0 * float((counts >= config.tracker.fewest).mean()),
         star_error_arcsec=float(np.median(budget.star_error_px)) * state.pixel_arcsec,
-        available_percent=100.0 * float(np.mean([one.available for one in history])),
-        **_seen(frames),
+        available_percent=100.0 * float(np.mean([moment.available for moment in history])),
+        **_measured_mission([segment for segment in frames if not segment.blinded]),
     )
 
 
-def _seen(segments: Sequence[Segment]) -> dict[str, Any]:
+def _measured_mission(lit: Sequence[Segment]) -> dict[str, Any]:
     """Numbers of rendered segments that no body blinds."""
-    lit = [one for one in segments if not one.blinded]
     if not lit:
         return {}
-    solved = np.concatenate([one.solved for one in lit])
-    ok = np.array([one.acquired == "ok" for one in lit])
-    share = float(ok.mean())
-    spent = np.array([one.acquisition_s for one in lit])
+
+    def fraction(values: FloatArray, whole: float = 1.0, unit: str = "") -> Measured:
+        p = float(np.mean(values))
+        error = whole * math.sqrt(p * (1.0 - p) / len(values))
+        return Measured(value=whole * p, unit=unit, uncertainty=error, n=len(values))
+
+    def per_frame(name: str) -> float:
+        return float(np.concatenate([getattr(segment, name) for segment in lit]).mean())
+
+    acquired = np.array([segment.acquired == "ok" for segment in lit])
+    spent = np.array([segment.acquisition_s for segment in lit])
+    error = float(spent.std() / math.sqrt(len(spent)))
     return {
-        "solved_percent": Measured(
-            value=100.0 * float(solved.mean()),
-            unit="percent",
-            uncertainty=100.0 * math.sqrt(max(solved.mean() * (1.0 - solved.mean()), 0.0) / len(solved)),
-            n=len(solved),
-        ),
-        "acquired": Measured(value=share, uncertainty=math.sqrt(share * (1.0 - share) / len(ok)), n=len(ok)),
-        "acquired_least": success_limit(int(ok.sum()), len(ok), CONFIDENCE),
-        "acquisition_s": Measured(
-            value=float(spent.mean()), unit="s", uncertainty=float(spent.std() / np.sqrt(len(spent))), n=len(spent)
-        ),
-        "wrong_attitudes": sum(one.wrong for one in lit),
-        "rejected_per_frame": float(np.concatenate([one.rejected for one in lit]).mean()),
-        "false_stars_per_frame": float(np.concatenate([one.false_stars for one in lit]).mean()),
+        "solved_percent": fraction(np.concatenate([segment.solved for segment in lit]), 100.0, "percent"),
+        "acquired": fraction(acquired),
+        "acquired_least": success_limit(int(acquired.sum()), len(acquired), CONFIDENCE),
+        "acquisition_s": Measured(value=float(spent.mean()), unit="s", uncertainty=error, n=len(spent)),
+        "wrong_attitudes": sum(segment.wrong for segment in lit),
+        "rejected_per_frame": per_frame("rejected"),
+        "false_stars_per_frame": per_frame("false_stars"),
     }
 
 
@@ -136,25 +137,23 @@ class Moment:
 
 def moments(budget: Budget, progress: Progress) -> list[Moment]:
     """The orbit, evenly sampled."""
-    flight, found = budget.flight, []
-    for time in progress.track(np.linspace(0.0, flight.period_s, HISTORY), "prediction"):
-        errors, angles = budget.errors(float(time)), flight.angles_deg(float(time))
-        found.append(
+    flight, rows = budget.flight, []
+    for time_s in progress.track(np.linspace(0.0, flight.period_s, HISTORY).tolist(), "prediction"):
+        errors, angles = budget.errors(time_s), flight.angles_deg(time_s)
+        rows.append(
             Moment(
-                time_min=float(time) / 60.0,
-                mean_k=float(flight.thermal.at(float(time))[0]),
-                sun_deg=float(angles["sun"]),
-                earth_deg=float(angles["earth"]),
-                moon_deg=float(angles["moon"]),
-                background_e_per_s=float(flight.background_e_per_s(float(time))),
+                time_min=time_s / 60.0,
+                mean_k=float(flight.thermal.at(time_s)[0]),
+                background_e_per_s=float(flight.background_e_per_s(time_s)),
                 stars=errors.stars,
                 thermo_elastic_arcsec=errors.thermal_arcsec,
                 aberration_arcsec=errors.aberration_arcsec,
                 noise_arcsec=np.sqrt(errors.noise_arcsec2),
                 available=errors.available,
+                **{f"{body}_deg": float(angle) for body, angle in angles.items()},
             )
         )
-    return found
+    return rows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,29 +177,25 @@ def parts(segments: Sequence[Segment], errors: Sequence[AttitudeErrors]) -> list
         known = values[np.isfinite(values).all(axis=1)]
         if not len(known):
             return [Measured(value=math.nan, uncertainty=math.nan)] * 3
-        spread = known.std(axis=0, ddof=1) / math.sqrt(len(known)) if len(known) > 1 else np.full(3, np.nan)
-        return [
-            Measured(value=float(v), unit="arcsec", uncertainty=float(e), n=len(known))
-            for v, e in zip(known.mean(axis=0), spread, strict=True)
-        ]
+        error = known.std(axis=0, ddof=1) / math.sqrt(len(known)) if len(known) > 1 else np.full(3, np.nan)
+        return list(measured(known.mean(axis=0), error, len(known), "arcsec"))
 
-    found = []
-    for one, told in zip(segments, errors, strict=True):
-        solved = one.solved
-        error = one.error_arcsec[:, solved].mean(axis=(0, 1)) if solved.any() else np.full(3, np.nan)
-        found.append(
+    rows = []
+    for segment, told in zip(segments, errors, strict=True):
+        solved = segment.solved
+        rows.append(
             Part(
-                part_min=one.start_s / 60.0,
-                stars=float(one.stars[solved].mean()) if solved.any() else 0.0,
-                error_arcsec=error,
-                thermo_elastic_arcsec=switched(one.thermal_arcsec),
+                part_min=segment.start_s / 60.0,
+                stars=float(segment.stars[solved].mean()) if solved.any() else 0.0,
+                error_arcsec=segment.error_arcsec[:, solved].mean(axis=(0, 1)) if solved.any() else np.full(3, np.nan),
+                thermo_elastic_arcsec=switched(segment.thermal_arcsec),
                 predicted_thermo_elastic_arcsec=told.thermal_arcsec,
-                aberration_arcsec=switched(one.aberration_arcsec),
+                aberration_arcsec=switched(segment.aberration_arcsec),
                 predicted_aberration_arcsec=told.aberration_arcsec,
-                status=one.acquired.replace("_", " "),
+                status=segment.acquired.replace("_", " "),
             )
         )
-    return found
+    return rows
 
 
 # --- Metrics of the standard
@@ -227,18 +222,18 @@ METRICS = (
 def metrics(terms: Sequence[Term], segments: Sequence[Segment]) -> list[Metric]:
     """Metrics at `LEVEL`, across about one axis, mixed interpretation: over the sampled orbit."""
     squares = {one.term: np.square(one.predicted_arcsec) for one in terms}
-    measured: list[dict[str, float]] = []
+    values: list[dict[str, float]] = []
     if any(segment.solved.any() for segment in segments):
         # (segments, frames, 3) Of the first readout
         error = np.array([np.where(part.solved[:, None], part.error_arcsec[0], np.nan) for part in segments])
         series = error.reshape(-1, 3).T
-        measured = [ecss_metrics(series[list(pick)], error.shape[1], LEVEL) for _, pick in COMPONENTS]
+        values = [ecss_metrics(series[list(pick)], error.shape[1], LEVEL) for _, pick in COMPONENTS]
     return [
         Metric(
             metric=name,
             meaning=meaning,
             predicted_arcsec=normal_factor(LEVEL) * np.sqrt(np.sum([squares[term] for term in of], axis=0)),
-            measured_arcsec=[component[name] for component in measured] or None,
+            measured_arcsec=[component[name] for component in values] or None,
         )
         for name, meaning, of in METRICS
     ]
@@ -291,29 +286,31 @@ class Turning:
     pixel_arcsec: FloatArray = col("Pixel spatial error", "arcsec", ".4g", "component")
 
 
+def _by_component(squares: Sequence[FloatArray]) -> FloatArray:
+    """Root mean square by component over n errors about x, y and roll (3,), of their squares; NaN of none."""
+    values = np.array(squares).reshape(-1, 3) if len(squares) else np.full((1, 3), np.nan)
+    return np.sqrt([values[:, list(axes)].mean() for _, axes in COMPONENTS])
+
+
 def turning(budget: Budget) -> list[Turning]:
     """Every rate of the configuration; NaN where the trail is too long for the window."""
-    flight, found = budget.flight, []
+    flight, rows = budget.flight, []
     for rate in budget.config.rates_deg_per_s:
-        across = np.array([0.0, -np.radians(rate), 0.0])
-        nothing = np.full(len(COMPONENTS), np.nan)
-        noise, pixel = nothing, nothing
+        turn = rate_of_trail(rate, 0.0)
         try:
-            times = [float(start) for start in flight.segments_s]
-            every = [budget.errors_of(flight.trajectory.attitude(time), across, time) for time in times]
+            every = [budget.errors_of(flight.trajectory.attitude(time), turn, time) for time in flight.segments_s]
         except DomainError:  # the camera's prediction says how long a window would have to be
             every = []
-        if seen := [one for one in every if one.available]:
-            noise, pixel = (
-                np.sqrt([np.mean([v[list(pick)] for v in values]) for _, pick in COMPONENTS])
-                for values in (
-                    [one.noise_arcsec2 for one in seen],
-                    [one.static_arcsec2 for one in seen],
-                )
+        available = [errors for errors in every if errors.available]
+        rows.append(
+            Turning(
+                rate_deg_per_s=rate,
+                trail_px=float(np.radians(rate)) * budget.config.instrument.exposure_s / budget.pixel_rad,
+                noise_arcsec=_by_component([errors.noise_arcsec2 for errors in available]),
+                pixel_arcsec=_by_component([errors.static_arcsec2 for errors in available]),
             )
-        trail = np.radians(rate) * budget.config.instrument.exposure_s / budget.pixel_rad
-        found.append(Turning(rate_deg_per_s=rate, trail_px=float(trail), noise_arcsec=noise, pixel_arcsec=pixel))
-    return found
+        )
+    return rows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -336,16 +333,14 @@ STATE_WORDS = {
 
 def per_kelvin(budget: Budget) -> list[Kelvin]:
     """Sensitivities of the states that the flight has."""
-    corner = budget.model.unproject(np.array([[-0.5, -0.5]]))
-    found = []
+    corner, rows = budget.model.unproject(np.array([[-0.5, -0.5]])), []
     for name, shift in budget.sensitivity.items():
         state = ThermalState(**{name: 1.0}).vector
         errors = [budget.errors(float(start), state_k=state) for start in budget.flight.segments_s]
-        seen = np.array([one.thermal_arcsec for one in errors if one.available]).reshape(-1, 3)
-        rms = [float(np.sqrt((seen[:, list(pick)] ** 2).mean())) if len(seen) else math.nan for _, pick in COMPONENTS]
-        moved = float(np.linalg.norm(shift.at(corner)))
-        found.append(Kelvin(state=STATE_WORDS[name], attitude_arcsec=np.array(rms), corner_px=moved))
-    return found
+        rms = _by_component([error.thermal_arcsec**2 for error in errors if error.available])
+        moved = math.hypot(*shift.at(corner)[0])
+        rows.append(Kelvin(state=STATE_WORDS[name], attitude_arcsec=rms, corner_px=moved))
+    return rows
 
 
 # --- The run
@@ -360,17 +355,14 @@ def axes(config: Config) -> Quantities:
 
 
 def _term_axis(q: Quantities, terms: Sequence[Term]) -> None:
-    keys = [one.term for one in terms]
+    keys = [term.term for term in terms]
     q.axis("term", np.array(keys, dtype=object), "Term", names=[LABELS[key] for key in keys])
 
 
 def at_segments(budget: Budget, flight: Flight) -> list[AttitudeErrors]:
     """Prediction in the middles of the segments."""
-    half = 0.5 * (flight.config.frames.frames - 1) / flight.config.frames.rate_hz
-    return [
-        budget.errors(float(start) + half, state_k=state)
-        for start, state in zip(flight.segments_s, flight.states_k, strict=True)
-    ]
+    pairs = zip(flight.segments_s, flight.states_k, strict=True)
+    return [budget.errors(float(flight.frame_times_s(start).mean()), state_k=state) for start, state in pairs]
 
 
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from experiments.flight.settings import Config
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
-from render.motion.trajectory import ConstantRate
+from render.motion.trajectory import ConstantRate, rate_of_trail, trail_of_rate
 
 Sensor = Callable[[Rotation, ArrayLike, float], TrackedAttitude]
 """``sensor(attitude, rate_rad_per_s, time_s)``: cam from icrs and its rate in cam, in the middle of the exposure."""
@@ -97,10 +97,9 @@ def by_budget(config: Config, *, budget: Budget | None = None) -> Sensor:
 
     def coarse(rate: FloatArray) -> FloatArray:
         """Rate whose trail is a whole number of pixels, in steps of 45 deg: each other one costs a second."""
-        step = known.pixel_rad / config.instrument.exposure_s
-        size = np.rint(np.hypot(rate[0], rate[1]) / step) * step
-        towards = np.pi / 4.0 * np.rint(np.arctan2(rate[1], rate[0]) * 4.0 / np.pi)
-        return np.array([size * np.cos(towards), size * np.sin(towards), 0.0])
+        step_deg = np.degrees(known.pixel_rad) / config.instrument.exposure_s
+        size_deg, towards = trail_of_rate(rate)
+        return rate_of_trail(step_deg * round(size_deg / step_deg), 45.0 * round(towards / 45.0))
 
     def looked_up(attitude: Rotation, rate: FloatArray, time_s: float) -> None:
         errors, found = known.errors_of(attitude, coarse(rate), time_s), np.full((3, 3), np.inf)

@@ -189,7 +189,8 @@ class Budget:
     def _fit_bias(self, *others: tuple[EffectivePsf, ...]) -> tuple[FloatArray, FloatArray]:
         """Bias of the fit to stars with other PSFs, noiseless: radial mean and RMS over phases (k, f) [px]."""
         if not centroider_class(self.config.centroid).needs_epsf:
-            return np.zeros((2, len(others), len(self.nominal.state.radius_px)))
+            nothing = np.zeros((len(others), len(self.nominal.state.radius_px)))
+            return nothing, nothing
         bright = float(self.nominal.electrons(np.array([np.median(self.guides.magnitude)]), 5800.0)[0])
         own, noise, window_px = self.usual.state.psfs, self.nominal.processing.noise, self.config.window_px
         bias = np.array(

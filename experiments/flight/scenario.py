@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -125,7 +126,7 @@ class Flight:
         if setting.corrected == "earth":
             return self.view.earth.velocity_km_per_s
         _, own = self.orbit.state(time_s)
-        error = 1e-3 * setting.velocity_error_m_per_s * own / np.linalg.norm(own)
+        error = 1e-3 * setting.velocity_error_m_per_s * own / math.hypot(*own)
         return np.asarray(self.velocity_km_per_s(time_s) + error)
 
     def angles_deg(self, time_s: ArrayLike, attitude: Rotation | None = None) -> dict[str, FloatArray]:
@@ -232,7 +233,7 @@ def _tabulated(file: str, end_s: float) -> SampledAttitude:
     table = read_columns(file, "attitude.file", ("time_s", *names))
     _covers(table["time_s"], end_s, f"attitude.file = {Path(file).name}")
     quat = np.column_stack([table[name] for name in names])
-    length = np.linalg.norm(quat, axis=1)
+    length = np.hypot.reduce(quat, axis=1)
     if np.abs(length - 1.0).max() > 1e-3:
         worst = length[np.abs(length - 1.0).argmax()]
         raise DomainError(f"attitude.file = {Path(file).name}: a quaternion has the length {worst:g}; it must be 1")
@@ -254,25 +255,27 @@ def _tabulated(file: str, end_s: float) -> SampledAttitude:
 
 
 def _thermal(config: Config, orbit: Orbit, view: OrbitView) -> ThermalHistory:
+    """First harmonics of the orbit and a step in the shadow; or a table."""
     setting, period = config.temperature, orbit.period_s
-    time = np.linspace(0.0, period, SAMPLES)
     if setting.file:
-        table = read_columns(setting.file, "temperature.file", ("time_s", "mean_k"), COMPONENTS[1:])
-        _covers(table["time_s"], period, f"temperature.file = {Path(setting.file).name}")
-        gap = float(np.diff(table["time_s"]).max())
-        if gap > LONGEST_GAP * period:
-            raise DomainError(
-                f"temperature.file = {Path(setting.file).name}: a gap of {gap:g} s; at most "
-                f"{LONGEST_GAP * period:.0f} s, a twentieth of the orbit"
-            )
-        columns = [table.get(name, np.zeros(len(table["time_s"]))) for name in COMPONENTS]
-        return ThermalHistory(time_s=table["time_s"], values_k=np.column_stack(columns))
-    wave = np.cos(2.0 * np.pi * time / period + np.radians(setting.phase_deg))
-    quarter = np.sin(2.0 * np.pi * time / period + np.radians(setting.phase_deg))
+        return _tabulated_temperatures(setting.file, period)
+    time = np.linspace(0.0, period, SAMPLES)
+    phase = 2.0 * np.pi * time / period + np.radians(setting.phase_deg)
     # two revolutions before the flight: the response to the shadow is periodic
     before = np.linspace(-2.0 * period, period, 3 * (SAMPLES - 1) + 1)
     forcing = np.where(in_shadow(orbit.state(before)[0], view.sun), setting.eclipse_k, 0.0)
     eclipse = first_order_response(forcing, step_s=before[1] - before[0], constant_s=setting.eclipse_time_s)
-    mean = setting.offset_k + setting.mean_k * wave + eclipse[-SAMPLES:]
-    columns = [mean, setting.axial_k * quarter, setting.transverse_k * quarter, 0.0 * wave, setting.radial_k * quarter]
-    return ThermalHistory(time_s=time, values_k=np.column_stack(columns))
+    mean = setting.offset_k + setting.mean_k * np.cos(phase) + eclipse[-SAMPLES:]
+    gradients = np.outer(np.sin(phase), [setting.axial_k, setting.transverse_k, 0.0, setting.radial_k])
+    return ThermalHistory(time_s=time, values_k=np.column_stack([mean, gradients]))
+
+
+def _tabulated_temperatures(file: str, period_s: float) -> ThermalHistory:
+    table = read_columns(file, "temperature.file", ("time_s", "mean_k"), COMPONENTS[1:])
+    what, time_s = f"temperature.file = {Path(file).name}", table["time_s"]
+    _covers(time_s, period_s, what)
+    gap, longest = float(np.diff(time_s).max()), LONGEST_GAP * period_s
+    if gap > longest:
+        raise DomainError(f"{what}: a gap of {gap:g} s; at most {longest:.0f} s, a twentieth of the orbit")
+    columns = [table.get(name, np.zeros(len(time_s))) for name in COMPONENTS]
+    return ThermalHistory(time_s=time_s, values_k=np.column_stack(columns))

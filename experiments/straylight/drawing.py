@@ -10,56 +10,21 @@ from matplotlib.figure import Figure
 from experiments.harness.plotting import INK, PALETTE, new_figure
 from experiments.harness.quantities import Outcome
 from optics.figures import draw_image, draw_lens
-from render.baffle.geometry import VanedBaffle
-
-WARM = "#d55e00"
+from render.baffle import drawing
 
 
 def draw_baffle(outcome: Outcome) -> Figure:
     """Section through lens and baffle; lines from the surfaces seen to the entrance, thicker where more light comes."""
     setup: Any = outcome.result["setup"]
     lens, scene = setup.camera.focused_lens, setup.stray.scene
-    baffle = None if scene is None else scene.baffle or scene.mesh
     figure = draw_lens(lens, fields_deg=[0.0, float(0.9 * setup.field_deg)])
-    panel = figure.axes[0]
+    panel, first_mm = figure.axes[0], float(lens.surfaces[0].position_mm[2])
     panel.set_title("")
-    z0 = float(lens.surfaces[0].position_mm[2])
-    radius, far = setup.entrance_mm, 0.0
-    if isinstance(baffle, VanedBaffle):
-        far, radius = baffle.length_mm, baffle.tube_mm
-        for side in (-1.0, 1.0):
-            wall = side * baffle.tube_mm
-            panel.plot([z0 - far, z0, z0], [wall, wall, side * baffle.entrance_mm], color=INK, linewidth=1.4)
-            for z, tip in zip(baffle.vane_z_mm, baffle.vane_mm, strict=True):
-                panel.plot([z0 - z, z0 - z], [side * tip, wall], color=INK, linewidth=1.2)
-    elif baffle is not None:
-        far = float(baffle.vertex_mm[:, 2].max())
-        height = np.hypot(*baffle.vertex_mm[:, :2].T)
-        radius = float(height.max())
-        panel.plot(z0 - baffle.vertex_mm[:, 2], height, ",", color=INK)
-        panel.plot(z0 - baffle.vertex_mm[:, 2], -height, ",", color=INK)
-    if setup.worst is not None and len(setup.worst.share):
-        # turned into the plane of the drawing, entrance above or below as they meet
-        for point, start, share in zip(
-            setup.worst.point_mm, setup.worst.entrance_mm, setup.worst.share / setup.worst.share.max(), strict=True
-        ):
-            height = float(np.hypot(*point[:2]))
-            side = np.sign(point[0]) or 1.0
-            at = side * float(start[:2] @ point[:2]) / max(height, 1e-9)
-            panel.plot([z0 - point[2], z0], [side * height, at], color=WARM, linewidth=0.3 + 1.2 * share, alpha=0.6)
-    if far:
-        left = z0 - 1.4 * far
-        length = 0.3 * far
-        angle = np.radians(setup.worst_deg)
-        panel.annotate(
-            f"Sun, {setup.worst_deg:.0f}°", xy=(z0 - far, 0.0),
-            xytext=(z0 - far - length * np.cos(angle), length * np.sin(angle)), ha="center",
-            arrowprops={"arrowstyle": "->", "color": "#f0a000"}, fontsize=8, color="#b07000",
-        )  # fmt: skip
-        right = panel.get_xlim()[1]
-        panel.set_xlim(left, right)
-        panel.set_ylim(-1.35 * radius, 1.35 * radius)
-        figure.set_size_inches(7.6, max(7.6 * 2.7 * radius / (right - left), 2.2))
+    if scene is not None:
+        parts = scene.baffle or scene.mesh
+        length, radius = drawing.draw_baffle(panel, parts, first_mm=first_mm, entrance_mm=setup.entrance_mm)
+        drawing.draw_paths(panel, setup.worst, first_mm=first_mm)
+        drawing.frame_section(panel, length, radius, first_mm=first_mm, sun_deg=setup.worst_deg)
     return figure
 
 

@@ -98,7 +98,11 @@ def lens_transmittance(
             source = polar_direction(angle[at[1]], azimuth[at[0]])
             for cause, light in lens_scatter_light(imaging, source, laws).items():
                 scatter[cause][at] = light.sum(axis=1).reshape(points, points)
-            rays = {"rings": ghost_rays[0], "arms": ghost_rays[1], "detector_reflectance": detector_reflectance}
+            rays: dict[str, Any] = {
+                "rings": ghost_rays[0],
+                "arms": ghost_rays[1],
+                "detector_reflectance": detector_reflectance,
+            }
             value, error = np.array(list(ghost_light(lens, source, half_mm, **rays, **glass).values())).T
             ghosts[at], ghosts_error[at] = value.sum(), np.sqrt((error**2).sum())
 

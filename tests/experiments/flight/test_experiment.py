@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from experiments.flight import experiment
 from experiments.flight.frames import Camera, build_tracker
 from experiments.flight.loop import by_budget, by_frames
 from experiments.flight.prediction import build_budget
 from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config, main
+from experiments.harness.progress import Progress
 from optics.attitude import attitude_error_arcsec
 from render.motion.trajectory import SampledAttitude
 
@@ -23,14 +25,68 @@ SMALL = {
     "dark_frames": 6,
 }  # fmt: skip
 
-pytestmark = pytest.mark.slow
+
+IDEAL = {"kind": "ideal", "focal_length_mm": 26.0, "f_number": 2.0, "psf_fwhm_px": 1.8, "max_field_deg": 15.0}
+SMALL_IDEAL = SMALL["instrument"] | {"lens": IDEAL, "width_px": 700, "height_px": 700}
 
 
-def run(folder, *options):
-    status = main([*options, "--out", str(folder / "out")], own_process=False)
-    return status, json.loads((folder / "out" / "summary.json").read_text()) if status < 2 else None
+@pytest.fixture(scope="module")
+def flown():
+    """Two rendered segments of a small sensor, and the sensor at the end of its life by prediction."""
+    settings = {
+        "centroid": "windowed", "window_px": 11, "dark_frames": 2, "rates_deg_per_s": [0.0, 0.05, 50.0],
+        "frames": {"segments": 2, "frames": 4, "switched": 2, "thermal_states": 1, "cosmic_rays": "leo_quiet"},
+        "temperature": {"eclipse_k": 0}, "life": {"years": 5.0, "darkened_glass": 0.2},
+    }  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiment, "HISTORY", 5)
+        patch.setattr(experiment, "COVERAGE", 50)
+        return experiment.run(Config(**SMALL | settings | {"instrument": SMALL_IDEAL}), progress=Progress())
 
 
+def test_a_small_flight_is_predicted_and_measured(flown):
+    mission, parts, terms = flown["mission"], flown["parts"], {term.term: term for term in flown["terms"]}
+    lit = [part for part in parts if part.status != "blinded"]
+    assert lit
+    assert mission.period_s == pytest.approx(5801.2, abs=0.1)
+    assert mission.rate_deg_per_s == pytest.approx(0.01)
+    assert mission.wrong_attitudes == 0
+    assert mission.solved_percent.value > 70.0
+    assert mission.acquired_least <= mission.acquired.value
+    for part in lit:
+        assert np.abs(part.error_arcsec[:2]).max() < 5.0 * terms["total"].predicted_arcsec[0]
+        for k in range(2):  # aberration that is left: of 20 m/s, 0.014 arcsec at most
+            assert part.aberration_arcsec[k].value == pytest.approx(part.predicted_aberration_arcsec[k], abs=1e-3)
+    assert [metric.metric for metric in flown["metrics"]] == ["AME", "MME", "RME"]
+    assert flown["metrics"][0].measured_arcsec[0] >= flown["metrics"][2].measured_arcsec[0]
+
+
+def test_predictions_of_a_small_flight_follow_rate_age_and_temperature(flown):
+    rest, turning, fast = flown["rates"]
+    assert (rest.trail_px, turning.trail_px) == (0.0, pytest.approx(0.825, abs=1e-3))
+    assert (turning.noise_arcsec > rest.noise_arcsec).all()
+    assert np.isnan(fast.noise_arcsec).all()  # no window is wide enough
+    begin, end = flown["lives"]
+    assert end.electrons_e == pytest.approx(0.8 * begin.electrons_e)
+    assert end.limiting_magnitude_mag < begin.limiting_magnitude_mag
+    (uniform,) = flown["kelvin"]
+    assert uniform.state == "uniform"
+    assert uniform.corner_px > 0.01
+    assert uniform.attitude_arcsec[0] > 0.0
+    assert [moment.mean_k for moment in flown["history"]] == pytest.approx(
+        [0.5 + np.cos(np.radians(40.0 + 90.0 * k)) for k in range(5)], abs=1e-6
+    )
+
+
+def test_a_law_that_looks_at_the_earth_is_unavailable_and_no_error():
+    settings = {"predict_only": True, "attitude": {"law": "nadir", "off_zenith_deg": 170}, "life": {"years": 0}}
+    config = Config(**SMALL | settings | {"instrument": SMALL_IDEAL})
+    result = experiment.run(config, progress=Progress())
+    assert result["mission"].available_percent == 0.0
+    assert (result["terms"], result["metrics"], result["parts"]) == (None, None, None)
+
+
+@pytest.mark.slow
 def test_the_quick_run_ends_with_every_term_beside_its_prediction(quick_run_of):
     """Its sample is small: terms are held to what it can tell, the closed form of the aberration to a part in 100."""
     results = json.loads((quick_run_of("flight") / "summary.json").read_text())["results"]
@@ -44,24 +100,19 @@ def test_the_quick_run_ends_with_every_term_beside_its_prediction(quick_run_of):
     assert results["solved_percent"]["value"] > 90.0
 
 
-def test_a_law_that_looks_at_the_earth_is_unavailable_and_no_error(tmp_path):
-    status, summary = run(
-        tmp_path, "--quick", "--predict-only", "--set", "attitude.law=nadir", "--set", "attitude.off_zenith_deg=170"
-    )
-    assert status == 0
-    assert summary["results"]["available_percent"] == 0.0
-    assert "terms" not in summary["results"]
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--set", "temperature.mean_k=60", "--set", "temperature.offset_k=-60"), "temperature"),
+        pytest.param(
+            ("--set", "temperature.mean_k=60", "--set", "temperature.offset_k=-60"),
+            "temperature",
+            marks=pytest.mark.slow,
+        ),
         (("--set", "orbit.perigee_km=-5"), "perigee_km"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_status_two(tmp_path, capsys, options, words):
-    status, _ = run(tmp_path, "--predict-only", *options)
+    status = main(["--predict-only", *options, "--out", str(tmp_path / "out")], own_process=False)
     text = capsys.readouterr().err.strip()
     assert status == 2
     assert words in text
@@ -69,6 +120,7 @@ def test_bad_input_is_one_line_and_exit_status_two(tmp_path, capsys, options, wo
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_turn_that_grows_faster_moves_the_attitude_of_rendered_frames(engine):
     """By a t^2 / 24, the mean of the light: 6 arcsec here, of a trail of 0.4 px; the noise is 0.2 arcsec."""
     config = Config(**SMALL, temperature={"offset_k": 0, "mean_k": 0, "eclipse_k": 0}, attitude={"law": "inertial"})
@@ -84,6 +136,7 @@ def test_a_turn_that_grows_faster_moves_the_attitude_of_rendered_frames(engine):
     np.testing.assert_allclose(error[:2], [0.0, -expected], atol=0.1 * expected)
 
 
+@pytest.mark.slow
 def test_stars_beyond_the_strip_about_the_detector_bring_no_light(engine, monkeypatch):
     budget = build_budget(config := Config(**SMALL), build_flight(config))
     image = Camera(budget).expected(1000.0, np.zeros(5)).electrons
@@ -91,6 +144,7 @@ def test_stars_beyond_the_strip_about_the_detector_bring_no_light(engine, monkey
     np.testing.assert_array_equal(Camera(budget).expected(1000.0, np.zeros(5)).electrons, image)
 
 
+@pytest.mark.slow
 def test_a_frame_full_of_cosmic_rays_is_solved_lost_in_space(engine):
     """Some 95 tracks among 30 guide stars, most of them brighter: without their shape none of such frames is solved."""
     pytest.importorskip("tetra3rs")
@@ -106,6 +160,7 @@ def test_a_frame_full_of_cosmic_rays_is_solved_lost_in_space(engine):
     assert (np.abs(error) < 6.0 * found.sigma_arcsec).all()
 
 
+@pytest.mark.slow
 def test_the_sensor_by_budget_errs_as_it_states_and_that_of_frames_alike(engine):
     config = Config(**SMALL, tracker={"alignment_arcsec": [0, 0, 0]}, temperature={"offset_k": 0, "mean_k": 0})
     fast, slow = by_budget(config), by_frames(config)
