@@ -41,7 +41,7 @@ from render.sky.field import FieldOfView, SkyField, field_of_view
 from render.sky.sky import Sky, load_sky
 from render.sky.star_light import star_light
 from render.tracing.convergence import MOTION_TOLERANCE, TOLERANCE
-from render.tracing.ghosts import Ghosting, GhostLight, GhostTruth
+from render.tracing.ghosts import DETECTOR_REFLECTANCE, Ghosting, GhostLight, GhostTruth
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
 
 if TYPE_CHECKING:
@@ -78,8 +78,8 @@ class SkySimulator:
         Uniform background [e-/s] in every pixel.
     zodiacal : bool
         Whether there is zodiacal light, as seen from the Earth or the observer of the sky.
-    uniform : UniformSky, optional
-        Other light of the sky.
+    uniform : UniformSky or float, optional
+        Other light of the sky; a number: V magnitude per square arcsecond, of sunlight.
     seed : int or Streams
         Of the noise.
     bodies : sequence of str, or SolarSystem
@@ -92,10 +92,12 @@ class SkySimulator:
         Table of the camera (``pst.ecsv`` of experiment ``straylight``): Sun and Moon, and the Earth where ``bodies``
         has it, as the observer of the sky sees them, add even light to every pixel; their images are not drawn.
     ghosts : bool or GhostLight
-        Whether ghosts are rendered: those whose brightest pixel holds a quarter of the read noise, with a detector that
-        reflects 20 %, or what a record says; of stars inside and outside the frame, of Moon and planets in ``bodies``,
-        and of Sun and Moon with a table ``stray_light`` that has the cause ``ghosts``: its mean of them, where they
-        fall; the rest of the table is even light.
+        Whether ghosts are rendered: those whose brightest pixel holds a quarter of the read noise, or what a record
+        says; of stars inside and outside the frame, of Moon and planets in ``bodies``, and of Sun and Moon with a table
+        ``stray_light`` that has the cause ``ghosts``: its mean of them, where they fall; the rest of the table is even
+        light.
+    detector_reflectance : float
+        Of light that the detector returns to the lens, for ghosts.
     cosmic_rays : str or CosmicRayEnvironment, optional
         Particles that strike the detector (`render.detector.cosmic_rays.list_environments`).
     silicon_depth_um : float
@@ -144,12 +146,13 @@ class SkySimulator:
         temperature_c: float | None = None,
         background_e_per_s: float = 0.0,
         zodiacal: bool = False,
-        uniform: UniformSky | None = None,
+        uniform: UniformSky | float | None = None,
         seed: int | Streams = 0,
         bodies: Sequence[str] | SolarSystem = (),
         disks_above_px: float = 1.0,
         stray_light: str | Path | PointSourceTransmittance | None = None,
         ghosts: bool | GhostLight = False,
+        detector_reflectance: float = DETECTOR_REFLECTANCE,
         cosmic_rays: str | CosmicRayEnvironment | None = None,
         silicon_depth_um: float = 10.0,
         housing: Housing | None = None,
@@ -173,7 +176,8 @@ class SkySimulator:
         self._margin_px = margin_px
         self.view = field_of_view(sensor.camera, margin_px=MARGIN_PX if margin_px is None else margin_px)
         self.diffuse: BackgroundMap | None = None
-        self.zodiacal, self.uniform = zodiacal, uniform
+        self.zodiacal = zodiacal
+        self.uniform = UniformSky(magnitude_per_arcsec2=uniform) if isinstance(uniform, float | int) else uniform
         if zodiacal or uniform is not None:
             self.diffuse = background_map(sensor.camera, [self.band])
         self._body_names = bodies.name if isinstance(bodies, SolarSystem) else tuple(bodies)
@@ -194,7 +198,7 @@ class SkySimulator:
             "contents": None if self.disks is None else hiding_spheres(self.disks),
         }
         self._renderers: dict[bytes, StarRenderer] = {}
-        self._ghosts = ghosts
+        self._ghosts, self._detector_reflectance = ghosts, detector_reflectance
         self._hits: dict[tuple[int, str | None, Streams], CosmicRayHits] = {}
         self._still_disks: tuple[bytes, tuple[BodyDisk, ...]] = b"", ()  # of an attitude that may come again
 
@@ -235,7 +239,8 @@ class SkySimulator:
         """All that may make ghosts; None where none are rendered."""
         if not self._ghosts:
             return None
-        faint, sky = GhostLight(least_e=FAR_NOISE * max(self.sensor.detector.read_noise_e, 1.0)), self.sky
+        sky, least_e = self.sky, FAR_NOISE * max(self.sensor.detector.read_noise_e, 1.0)
+        faint = GhostLight(least_e=least_e, detector_reflectance=self._detector_reflectance)
         return GhostSources(
             Ghosting(self.sensor.camera, self._ghosts if isinstance(self._ghosts, GhostLight) else faint),
             self.light.stars(sky.direction, sky.magnitude, sky.temperature_k),

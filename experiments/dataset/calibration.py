@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ from calib.detector.mean_frame import MeanFrame, mean_frame
 from calib.detector.photon_transfer import block_gain
 from experiments.dataset.folder import storage_error, write_whole
 from experiments.dataset.frame import instrument_cards
+from experiments.laboratory.bench.readout.frames import empty_frame
 
 if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
@@ -71,22 +73,10 @@ def write_calibration(scene: Scene, folder: Path, frames: int, done: Callable[[]
 
 
 def _master(scene: Scene, name: str, frames: int, electrons: float, exposure_s: float) -> MeanFrame:
-    from render.detector.readout import expose
-
-    chip = scene.instrument.detector
-    image = np.full(chip.shape, electrons, np.float32)
-    streams = scene.plan.streams.child("calibration").child(name)
+    instrument = replace(scene.instrument, config=scene.instrument.config.model_copy(update={"exposure_s": exposure_s}))
+    streams, label = scene.plan.streams.child("calibration").child(name), scene.light.band[0]
     return mean_frame(
-        expose(
-            image,
-            chip,
-            streams=streams,
-            frame=frame,
-            exposure_s=exposure_s,
-            temperature_c=scene.config.instrument.chip_temperature_c,
-            band=scene.light.band[0],
-        ).dn
-        for frame in range(frames)
+        empty_frame(instrument, frame, streams=streams, label=label, flat_e=electrons).dn for frame in range(frames)
     )
 
 

@@ -12,24 +12,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from experiments.dataset.folder import IDENTITY, file_digest, identity
 from experiments.dataset.frame import LAYER_WORDS
 from experiments.dataset.labels import CLASSES
-from experiments.dataset.splits import GAP, SPLITS, leakage
 from experiments.dataset.truth import COLUMNS, FLAGS, Column, FrameRecord
 from experiments.dataset.truth_files import INDEX_COLUMNS, index_bytes
 from experiments.harness.outputs import flat
 from render.fits.files import read_frame
+from render.fits.preview import preview
+from render.sky.partition import GAP, PARTS, leakage
 
 if TYPE_CHECKING:
     from experiments.dataset.detection import Example
     from experiments.dataset.scene import Scene
     from experiments.dataset.settings import Config
     from render.catalogue.record import StarCatalog
-    from render.records import Frame
 
 
 def write_closing_files(
@@ -47,7 +45,7 @@ def write_closing_files(
     if scene.config.files.truth == "ecsv":
         (folder / "index.ecsv").write_bytes(index_bytes(records, "ecsv", truth))
     (folder / "index.parquet").write_bytes(index_bytes(records, "parquet", truth))
-    for split in SPLITS:
+    for split in PARTS:
         if some := [record for record in records if record.split == split]:
             (folder / f"index_{split}.parquet").write_bytes(index_bytes(some, "parquet", truth))
     (folder / "croissant.json").write_text(croissant(scene, records, folder), encoding="utf-8")
@@ -104,7 +102,7 @@ def data_card(
         jitter=scene.plan.jitter,
         stars=sum(record.stars for record in records),
         fastest_deg_per_s=max(math.hypot(*record.rate_deg_per_s) for record in records),
-        splits=SPLITS,
+        splits=PARTS,
         gaps=sum(record.split == GAP for record in records),
         leaks=leakage(boresights, scene.diagonal_deg),
         identity_file=IDENTITY,
@@ -204,36 +202,7 @@ def _record_set(name: str, text: str, columns: Sequence[Column], source: dict[st
 # --- Contact sheet: small pictures of frames, side by side
 
 ROWS, COLUMNS_OF_SHEET = 4, 6
-TILE_PX = 300
-"""Longer side of a picture."""
-PREVIEW_DARKEST_SIGMA = 3.0
-SOFT_SIGMA, BRIGHTEST_SIGMA = 3.0, 150.0
 TITLE_IN = 0.15
-GLOW_PX = 0.9
-"""Stars of a single pixel are hard to see: small pictures are blurred by this much, and scaled to keep the peaks."""
-
-
-def stretched(image: NDArray[np.float32], darkest_sigma: float = -2.0) -> NDArray[np.float32]:
-    """Brightness 0 ... 1 of an image of digital numbers: inverse hyperbolic sine above the sky, in units of its noise.
-
-    Black is ``darkest_sigma`` above the sky. Linear for what is as faint as the noise, logarithmic for what is bright
-    (R. Lupton et al., PASP 116, 133 (2004)).
-    """
-    low, sky, high = np.percentile(image, (15.9, 50.0, 84.1))
-    sigma = max(0.5 * (high - low), 0.5)
-    above = ((image - sky) / sigma - darkest_sigma) / SOFT_SIGMA
-    return np.asarray(np.clip(np.arcsinh(above) / np.arcsinh(BRIGHTEST_SIGMA / SOFT_SIGMA), 0.0, 1.0), np.float32)
-
-
-def preview(frame: Frame) -> NDArray[np.uint8]:
-    """Small grey picture of a frame; of every block of pixels the brightest is kept, so that no star goes under."""
-    image = stretched(frame.dn.astype(np.float32), PREVIEW_DARKEST_SIGMA)
-    step = max(1, -(-max(image.shape) // TILE_PX))
-    height, width = (side - side % step for side in image.shape)
-    blocks = image[:height, :width].reshape(height // step, step, width // step, step)
-    brightest = blocks.max((1, 3))
-    glow = gaussian_filter(brightest - np.median(brightest), GLOW_PX) * (2.0 * np.pi * GLOW_PX**2)
-    return np.asarray(np.rint(255.0 * np.clip(glow, 0.0, 1.0)), np.uint8)
 
 
 def chosen(records: Sequence[FrameRecord]) -> list[FrameRecord]:

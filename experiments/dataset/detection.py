@@ -15,11 +15,18 @@ import numpy as np
 from astropy.stats import binom_conf_interval
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-from scipy.stats import binom, norm
 
 from calib.flags import UNFIT, StarFlag, has_flag
 from calib.measure.centroid_prediction import CentroidBound, centroid_bound
+from calib.measure.detection_score import (
+    completeness_magnitude,
+    missed_limit,
+    nearest_pairs,
+    rate_excess_sigma,
+    robust_ratio_limit,
+    robust_rms,
+    robust_scatter,
+)
 from experiments.dataset.truth import FLAGS
 from experiments.harness.drawings import curves
 from experiments.harness.quantities import Outcome
@@ -94,15 +101,11 @@ def compare_frame(
     detected = measured.detected_px
     n = len(star)
     smear = np.nan_to_num(np.hypot(truth["smear_x_px"], truth["smear_y_px"]))[lit]
-    partner = np.full(n, -1)
-    lonely = np.ones(len(detected), bool)
+    burnt = (np.asarray(truth["flags"])[lit] & FLAGS["saturated"][0]) != 0  # the top of a plateau is anywhere on it
+    pairs = nearest_pairs(star, detected, np.where(burnt, NEAR_PX, MATCH_PX))
+    partner, lonely = pairs.detection, np.ones(len(detected), bool)
     if n and len(detected):
-        distance, nearest = cKDTree(detected).query(star)
-        back_distance, back = cKDTree(star).query(detected)
-        burnt = (np.asarray(truth["flags"])[lit] & FLAGS["saturated"][0]) != 0  # the top of a plateau is anywhere on it
-        mutual = (back[nearest] == np.arange(n)) & (distance <= np.where(burnt, NEAR_PX, MATCH_PX))
-        partner[mutual] = nearest[mutual]
-        lonely = back_distance > NEAR_PX + smear[back] / 2.0  # a faint trail may break up
+        lonely = pairs.distance_px > NEAR_PX + smear[pairs.star] / 2.0  # a faint trail may break up
     matched = partner >= 0
     error = np.full((n, 2), np.nan)
     error[matched] = measured.stars.pixel_px[partner[matched]] - star[matched]
@@ -193,8 +196,6 @@ FALSE_ALARM = 1e-3
 BINS_PER_DECADE = 6
 MAGNITUDE_STEP = 0.25
 SNR_BINS, LEAST_SNR = 23, 0.5
-ROBUST_SIGMA = 1.4826
-"""Median absolute deviation to standard deviation of a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -285,8 +286,6 @@ def detection(
 ) -> dict[str, Any]:
     """Sections of the stars of all frames; ``empty_*``: frames without stars, and unflagged detections in them."""
     lonely = int((~stars.false_spike).sum())
-    apart = np.sqrt((lonely + 1) / stars.frames**2 + (empty_detections + 1) / empty_frames**2)
-    excess = float((lonely / stars.frames - empty_detections / empty_frames) / apart)
     bright = shares(stars, stars.snr, np.array([BRIGHT_SNR, np.inf]))
     even = stars.clean & (stars.snr >= BRIGHT_SNR)
     undisturbed = mean_of(stars.matched, even)
@@ -294,8 +293,8 @@ def detection(
     bins = centroid_bins(stars, bound)
     miss = float(wcs_misses.max()) if len(wcs_misses) else float("nan")
     some, (ratio, count) = len(stars.magnitude) > 0, mean_ratio(bins)
-    # the median absolute deviation of 2 n normal values tells their standard deviation to 1.166 / sqrt(2 n)
-    spread = 1.166 / np.sqrt(2.0 * max(count, 1))
+    spread, limit = robust_ratio_limit(count, BOUND_MARGIN, FALSE_ALARM)
+    excess = rate_excess_sigma(lonely, stars.frames, empty_detections, empty_frames)
     return {
         "detection": Detection(
             frames_looked_at=stars.frames,
@@ -303,14 +302,14 @@ def detection(
             bright_share=bright[0].share_found.value if bright else float("nan"),
             bright_undisturbed=undisturbed,
             bright_missed=1.0 - undisturbed if np.isfinite(undisturbed) else None,
-            bright_missed_limit=float(binom.isf(FALSE_ALARM, max(even.sum(), 1), MISSED_SHARE)) / max(even.sum(), 1),
+            bright_missed_limit=missed_limit(int(even.sum()), MISSED_SHARE, FALSE_ALARM),
             magnitude_of_half=magnitude_of_half(fine),
             false_all=len(stars.false) / stars.frames,
             false_not_flagged=lonely / stars.frames,
             false_in_empty_frames=empty_detections / empty_frames,
             false_excess=excess if some and not cosmic_rays else None,  # a track looks like a star to the detection
             bound_ratio=Measured(value=ratio, uncertainty=spread, n=count) if count >= BOUND_STARS else None,
-            bound_limit=BOUND_MARGIN + float(norm.isf(FALSE_ALARM)) * spread,
+            bound_limit=limit,
             wcs_max_error_px=miss,
             wcs_judged_px=miss if len(wcs_misses) and some else None,
             example=example,
@@ -355,11 +354,7 @@ def magnitude_of_half(fine: Sequence[Share]) -> float:
     """Magnitude where the share of detected stars falls below one half for good; NaN where it never does."""
     enough = [share for share in fine if share.stars >= FEWEST_FOR_HALF]
     middle, share = np.array([[bin_.bin, bin_.share_found.value] for bin_ in enough], float).reshape(-1, 2).T
-    above = np.flatnonzero(share >= 0.5)
-    if not len(above) or above[-1] + 1 >= len(share):
-        return float("nan")
-    k = int(above[-1])
-    return float(np.interp(0.5, [share[k + 1], share[k]], [middle[k + 1], middle[k]]))
+    return completeness_magnitude(middle, share)
 
 
 def mean_of(values: NDArray[np.bool_], which: NDArray[np.bool_]) -> float:
@@ -396,16 +391,15 @@ def centroid_bins(stars: FoundStars, bound: CentroidBound) -> list[CentroidBin]:
         count = int(mine.sum())
         if count < FEWEST_IN_BIN:
             continue
+        spread, uncertainty = robust_scatter(error[mine])
         off = error[mine] - np.median(error[mine], axis=0)
-        spread = ROBUST_SIGMA * float(np.median(np.abs(off)))
-        # variance of the median absolute deviation of 2 n normal values: 1.3604 sigma^2 / (2 n)
         bins.append(
             CentroidBin(
                 snr=float(np.median(snr[mine])),
                 stars=count,
-                error_px=Measured(value=spread, uncertainty=spread * float(np.sqrt(1.3604 / (2 * count)))),
+                error_px=Measured(value=spread, uncertainty=uncertainty),
                 bound_px=float(np.median(limit[mine])),
-                ratio=ROBUST_SIGMA * float(np.median(np.abs(off / limit[mine]))),
+                ratio=robust_rms(off / limit[mine]),
             )
         )
     return bins

@@ -25,16 +25,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.dataset.card import stretched
+from calib.measure.footprints import footprint_px
 from experiments.dataset.folder import storage_error, write_whole
 from experiments.dataset.labels import CLASSES, Label, pixels_of_ellipse
 from experiments.dataset.scene import LAST_PLANET_ID
-from experiments.dataset.splits import GAP, SPLITS
-from experiments.dataset.truth import FLAGS, FrameRecord, footprint_px
+from experiments.dataset.truth import FLAGS, FrameRecord
 from experiments.dataset.truth_files import read_table
 from optics.errors import ConfigError
 from optics.frames import pixel_to_mitsuba
 from render.fits.files import read_frame
+from render.fits.preview import stretched
+from render.sky.partition import GAP, PARTS
 
 COCO, WEBDATASET = "coco", "webdataset"
 FRAMES_PER_SHARD = 1000
@@ -69,7 +70,7 @@ def export_coco(
             (root / part).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise storage_error(root, error) from None
-    content: dict[str, dict[str, list[Any]]] = {split: {"images": [], "annotations": []} for split in (*SPLITS, GAP)}
+    content: dict[str, dict[str, list[Any]]] = {split: {"images": [], "annotations": []} for split in (*PARTS, GAP)}
     objects, number = Counter[int](), 0
     for record in records:
         image = _image(folder, root, record, bits)

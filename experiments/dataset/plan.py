@@ -29,6 +29,7 @@ from optics.units import DEG_RAD
 from render.catalogue.motion import Observer, earth_observer
 from render.engine.random import Streams
 from render.motion.jitter import JitterSpectrum, jittered
+from render.motion.pointing import random_attitude, random_attitude_in_cone, random_rate
 from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory
 
 RATE_SAMPLES = 1000
@@ -89,7 +90,7 @@ def build_plan(config: Config, height_px: int | None = None, diagonal_deg: float
     if isinstance(pointing, SkyPointing | ConePointing):
         aim = pointing
         if pointing.sun_exclusion_deg > 0:
-            to_sun = sun_direction(config.catalogue.epoch_year)
+            to_sun = earth_observer(config.catalogue.epoch_year).to_sun
             if isinstance(pointing, ConePointing):
                 _check_cone(pointing, to_sun)
     return Plan(
@@ -126,13 +127,6 @@ def observer_of(config: Config) -> Observer | None:
         return observer
     away = attitude_from_angles(*background.earth_direction_deg).as_matrix()[2] * -background.earth_distance_km
     return observer.moved(position_km=away, velocity_km_per_s=np.zeros(3))
-
-
-def sun_direction(epoch_year: float) -> FloatArray:
-    """Unit vector from the Earth towards the Sun, along icrs."""
-    away = earth_observer(epoch_year).from_sun_au
-    assert away is not None
-    return np.asarray(-away / np.linalg.norm(away))
 
 
 def _cone_about(pointing: BodyPointing, config: Config) -> ConePointing:
@@ -227,15 +221,9 @@ def _attitude(plan: Plan, frame: int) -> Rotation:
 
 def _drawn(pointing: SkyPointing | ConePointing, rng: np.random.Generator) -> Rotation:
     if isinstance(pointing, SkyPointing):
-        return Rotation.from_quat(rng.standard_normal(4))  # a direction uniform on the 3-sphere is a uniform rotation
-    height = rng.uniform(np.cos(pointing.radius_deg * DEG_RAD), 1.0)  # equal heights of a cap are equal areas
-    azimuth, roll = rng.uniform(0.0, 360.0, 2)
-    centre = attitude_from_angles(pointing.ra_deg, pointing.dec_deg, 0.0)
-    across = np.sqrt(max(0.0, 1.0 - height * height))
-    inside = np.array([across * np.cos(azimuth * DEG_RAD), across * np.sin(azimuth * DEG_RAD), height])
-    boresight = centre.inv().apply(inside)
-    ra, dec = np.arctan2(boresight[1], boresight[0]), np.arcsin(np.clip(boresight[2], -1.0, 1.0))
-    return attitude_from_angles(ra / DEG_RAD, dec / DEG_RAD, roll if pointing.roll_deg is None else pointing.roll_deg)
+        return random_attitude(rng)
+    cone = {"ra_deg": pointing.ra_deg, "dec_deg": pointing.dec_deg, "radius_deg": pointing.radius_deg}
+    return random_attitude_in_cone(rng, **cone, roll_deg=pointing.roll_deg)
 
 
 def _rate(plan: Plan, frame: int) -> FloatArray:
@@ -244,11 +232,7 @@ def _rate(plan: Plan, frame: int) -> FloatArray:
     if isinstance(rate, FixedRate):
         return np.array(rate.rate_deg_per_s) * DEG_RAD
     rng = plan.streams.generator("rate", frame)
-    axis = rng.standard_normal(3)
-    share = rng.uniform()
-    low, high = rate.lowest_deg_per_s, rate.highest_deg_per_s
-    size = low * (high / low) ** share if rate.distribution == "log_uniform" else low + (high - low) * share
-    return np.asarray(axis / np.linalg.norm(axis) * size * DEG_RAD)
+    return random_rate(rng, rate.lowest_deg_per_s, rate.highest_deg_per_s, rate.distribution) * DEG_RAD
 
 
 def fastest_rad_per_s(plan: Plan) -> tuple[float, float]:
@@ -334,7 +318,7 @@ def _attitudes(table: Any, name: str) -> Rotation:
 
 def _from_quaternions(table: Any, name: str) -> Rotation:
     quaternion = np.stack([_column(table, column, "", name) for column in _QUATERNION], axis=1)
-    length = np.linalg.norm(quaternion, axis=1)
+    length = np.hypot.reduce(quaternion, axis=1)
     worst = int(np.argmax(np.abs(length - 1.0)))
     if abs(length[worst] - 1.0) > NORM_TOLERANCE:
         raise DomainError(

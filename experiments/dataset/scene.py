@@ -13,7 +13,6 @@ from experiments.dataset.plan import (
     fastest_rad_per_s,
     observer_of,
     plan_frame,
-    sun_direction,
 )
 from experiments.dataset.settings import Config, SkyPointing
 from experiments.laboratory.devices.scatter_laws import with_halos
@@ -21,7 +20,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD, RAD_DEG
 from render.bodies.solar_system import BODIES
-from render.camera import FAR_NOISE
+from render.catalogue.motion import earth_observer
 from render.catalogue.record import StarCatalog
 from render.detector.radiation import aged
 from render.fits.wcs import LensWcs, lens_wcs
@@ -31,12 +30,10 @@ from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument, build_instrument
 from render.sensor_file.tables import CatalogueConfig
 from render.simulator import MARGIN_PX, SkySimulator
-from render.sky.background import UniformSky
 from render.sky.field import FieldOfView, SkyField
 from render.sky.sky import Sky, load_sky
 from render.sky.star_light import StarLight
 from render.sky.zodiacal import CLOSEST_DEG
-from render.tracing.ghosts import GhostLight
 
 SEARCHED_FRAMES = 10_000
 JITTER_SIGMA = 5.0
@@ -141,8 +138,9 @@ def build_scene(config: Config) -> Scene:
     _check_light(scene)
     _check_stars(scene)
     if config.background.zodiacal:
-        to_sun = sun_direction(config.catalogue.epoch_year)
-        check_sun(plan, to_sun, scene.view, min(config.frames, SEARCHED_FRAMES))
+        check_sun(
+            plan, earth_observer(config.catalogue.epoch_year).to_sun, scene.view, min(config.frames, SEARCHED_FRAMES)
+        )
     return scene
 
 
@@ -152,11 +150,6 @@ def _simulator(config: Config, instrument: Instrument, sky: Sky, plan: Plan) -> 
         if wanted and sky.observer is None:
             raise ConfigError(f"background.{key} needs an observer; set catalogue.observer = earth")
     bodies = BODIES if background.earth_distance_km is None else (*BODIES, "earth")
-    magnitude = background.uniform_mag_per_arcsec2
-    ghosts = GhostLight(
-        least_e=FAR_NOISE * max(instrument.detector.read_noise_e, 1.0),
-        detector_reflectance=config.scatter.detector_reflectance,
-    )
     return SkySimulator(
         instrument,
         sky,
@@ -167,11 +160,12 @@ def _simulator(config: Config, instrument: Instrument, sky: Sky, plan: Plan) -> 
         temperature_c=config.instrument.chip_temperature_c,
         background_e_per_s=background.extra_e_per_s,
         zodiacal=background.zodiacal,
-        uniform=None if magnitude is None else UniformSky(magnitude_per_arcsec2=magnitude),
+        uniform=background.uniform_mag_per_arcsec2,
         seed=plan.streams.child("detector"),
         bodies=bodies if background.moon_planets else (),
         stray_light=background.stray_light or None,
-        ghosts=ghosts if background.ghosts else False,
+        ghosts=background.ghosts,
+        detector_reflectance=config.scatter.detector_reflectance,
         cosmic_rays=None if radiation.environment == "none" else radiation.environment,
         silicon_depth_um=radiation.depth_um,
         margin_px=MARGIN_PX + _reach_px(plan, instrument),
@@ -236,20 +230,19 @@ def _reach_px(plan: Plan, instrument: Instrument) -> float:
         pixel_rad=instrument.pixel_arcsec * ARCSEC_RAD,
         size_px=size_px,
     )
-    most_px, diagonal_px = 0.5 * min(size_px), float(np.hypot(*size_px))
-    if moved.trail_px > most_px:
+    if moved.trail_px > moved.most_px:
         raise DomainError(
             f"at {across * RAD_DEG:g} deg/s stars move by {moved.trail_px:.0f} px in "
             f"instrument.exposure_s = {config.exposure_s:g} s and leave the frame of {camera.width_px} x "
-            f"{camera.height_px} px; at most {across * RAD_DEG * most_px / moved.trail_px:.3g} deg/s is possible"
+            f"{camera.height_px} px; at most {across * RAD_DEG * moved.most_px / moved.trail_px:.3g} deg/s is possible"
         )
-    if moved.drift_px > 0.5 * diagonal_px:
+    if moved.drift_px > moved.corner_px:
         raise DomainError(
             f"at {across * RAD_DEG:g} deg/s stars move by {2 * moved.drift_px:.0f} px while rows are read "
             f"(instrument.line_time_us = {config.line_time_us:g} us), more than the diagonal of "
-            f"{diagonal_px:.0f} px; take a lower rate or line time"
+            f"{2 * moved.corner_px:.0f} px; take a lower rate or line time"
         )
-    if moved.jitter_px > most_px:
+    if moved.jitter_px > moved.most_px:
         raise DomainError(
             f"jitter of {moved.jitter_px / JITTER_SIGMA:.4g} px RMS across the boresight moves stars out of the frame "
             f"of {camera.width_px} x {camera.height_px} px; lower jitter.psd_x_arcsec2_per_hz, psd_y_arcsec2_per_hz"

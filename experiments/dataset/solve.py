@@ -26,6 +26,7 @@ from calib.attitude.identify import Identification, identify
 from calib.attitude.patterns import kept_database
 from calib.attitude.star_attitude import FEWEST, MATCH_PX, balanced_attitude, identify_stars
 from calib.cameras.base import CameraModel
+from calib.measure.detection_score import rms_pull, robust_median
 from experiments.harness.drawings import cloud
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, below, col, ratio_near
@@ -237,8 +238,6 @@ class BlindSolver:
 
 UNSOLVED_SHARE = 0.005
 """One frame may fail anyway."""
-ROBUST_SIGMA = 1.4826
-"""Median absolute deviation to standard deviation of a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -279,9 +278,8 @@ def attitudes(frames: Sequence[SolvedFrame]) -> Attitudes:
     )
     off = np.hypot(error[:, 0], error[:, 1]) if good else np.full(1, np.nan)
     equal_off = np.hypot(equal[:, 0], equal[:, 1]) if good else off
-    median, common = float(np.median(off)), [f.common_px for f in frames if np.isfinite(f.common_px)]
-    spread = 1.2533 * ROBUST_SIGMA * float(np.median(np.abs(off - median))) / math.sqrt(len(off))
-    pull = np.sqrt(np.mean((error / sigma) ** 2, axis=0)) if good else np.full(3, np.nan)
+    common = [f.common_px for f in frames if np.isfinite(f.common_px)]
+    (median, spread), pulls = robust_median(off), error / sigma
     return Attitudes(
         attempted=len(frames),
         solved=len(good),
@@ -295,8 +293,8 @@ def attitudes(frames: Sequence[SolvedFrame]) -> Attitudes:
         equal_weights_median_arcsec=float(np.median(equal_off)),
         roll_median_arcsec=float(np.median(np.abs(error[:, 2]))) if good else math.nan,
         circles_arcsec=np.full(2, median),
-        pull_rms=pull,
-        pull=_pull(error / sigma) if len(good) > 1 else None,
+        pull_rms=np.sqrt(np.mean(pulls**2, axis=0)) if good else np.full(3, np.nan),
+        pull=_pull(pulls) if len(good) > 1 else None,
         common_px=float(np.median(common)) if common else math.nan,
         boresight_arcsec=error[:, :2],
     )
@@ -304,11 +302,8 @@ def attitudes(frames: Sequence[SolvedFrame]) -> Attitudes:
 
 def _pull(pulls: FloatArray) -> Measured:
     """RMS of pulls (n, 3); axes of a frame share the common error that its few stars tell, so frames scatter more."""
-    square = (pulls**2).mean(axis=1)
-    rms = float(np.sqrt(square.mean()))
-    chance = 1.0 / math.sqrt(2.0 * pulls.size)
-    seen = float(square.std(ddof=1)) / math.sqrt(len(square)) / (2.0 * rms)
-    return Measured(value=rms, uncertainty=max(chance, seen), n=len(square))
+    rms, uncertainty = rms_pull(pulls)
+    return Measured(value=rms, uncertainty=uncertainty, n=len(pulls))
 
 
 def _axes(q: Quantities, frames: Sequence[SolvedFrame]) -> None:

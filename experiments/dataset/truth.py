@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from calib.measure.detection_score import flux_snr
+from calib.measure.footprints import footprint_bits, footprint_px, overlapping
 from optics.arrays import FloatArray
 from optics.units import RAD_DEG
 
@@ -70,16 +71,13 @@ FLAGS = {
     "no_light": (64, "none of its light reaches the detector"),
     "hidden": (128, "a body hides it from the aperture or a part of it"),
 }
-"""Name -> (bit, meaning). The footprint of a star reaches 3 standard deviations of its spot and half a pixel from its
-photon centroid; the variance of the spot is that of the rays, of the charge diffusion and of a pixel (1/12)."""
+"""Name -> (bit, meaning); footprints: `calib.measure.footprints`."""
 
 SHARE_LOST = 1e-3
 VIGNETTED_SHARE = 0.01
 BLEND_SHARE = 0.01
 DARK_SHARE = 1e-6
 BESIDE_PX = 16.0
-FOOTPRINT_SIGMA = 3.0
-LARGEST_FOOTPRINT_PX = 512.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -157,32 +155,6 @@ def _worth_a_row(values: dict[str, FloatArray], shape: tuple[int, int]) -> NDArr
     return near | (values["electrons_image"] > DARK_SHARE * values["electrons_in"])
 
 
-def flux_snr(electrons: FloatArray, area_px2: FloatArray, *, noise_e2: float) -> FloatArray:
-    """Signal-to-noise ratio of the flux measured with optimal weights; 0 without light.
-
-    Its square is the sum over pixels of (N p)^2 / (N p + n), with shares p of N electrons and noise n of a pixel. For a
-    Gaussian image of noise-equivalent area A that is N (1 - u ln(1 + 1 / u)), u = A n / 2 N; for faint stars N^2 / A n
-    for any image (I. R. King, PASP 95, 163 (1983)).
-    """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        u = area_px2 * noise_e2 / (2.0 * electrons)
-        # beyond 1e6 the difference of two ones has no digits left
-        part = np.where(u < 1e6, 1.0 - u * np.log1p(1.0 / u), 0.5 / u)
-    return np.asarray(np.sqrt(np.where(electrons > 0.0, electrons * np.nan_to_num(part, nan=1.0), 0.0)))
-
-
-def footprint_px(variance_x_px2: FloatArray, variance_y_px2: FloatArray, diffusion_px: float) -> FloatArray:
-    """Extent of footprints from the photon centroid along columns and rows (2, n), see `FLAGS`."""
-    sigma = _spot_sigma(np.stack([variance_x_px2, variance_y_px2]), diffusion_px)
-    return np.asarray(np.minimum(FOOTPRINT_SIGMA * sigma + 0.5, LARGEST_FOOTPRINT_PX))
-
-
-def _spot_sigma(rays_px2: FloatArray, diffusion_px: float) -> FloatArray:
-    """Standard deviations (2, n) of spots on the pixels; that of a point where no ray arrives."""
-    known = np.maximum(np.nan_to_num(rays_px2, nan=0.0), 0.0)
-    return np.asarray(np.sqrt(known + diffusion_px**2 + 1.0 / 12.0))
-
-
 def _flags(values: dict[str, FloatArray], half: FloatArray, on_chip: StarLightOnChip) -> NDArray[np.int32]:
     sent, arrived = values["electrons_in"], values["electrons_image"]
     lost = values["electrons_off_edge"] + arrived
@@ -195,35 +167,9 @@ def _flags(values: dict[str, FloatArray], half: FloatArray, on_chip: StarLightOn
     flags[dark] |= FLAGS["no_light"][0]
     centre = np.stack([values["photon_x_px"], values["photon_y_px"]])
     lit = np.flatnonzero(~dark & np.isfinite(centre).all(0))
-    flags[lit] |= _footprint_bits(centre[:, lit], half[:, lit], on_chip.pixel_flags)
-    flags[lit[_blended(centre[:, lit], half[:, lit], arrived[lit])]] |= FLAGS["blended"][0]
+    flags[lit] |= footprint_bits(centre[:, lit], half[:, lit], on_chip.pixel_flags)
+    flags[lit[overlapping(centre[:, lit], half[:, lit], arrived[lit], BLEND_SHARE)]] |= FLAGS["blended"][0]
     return flags
-
-
-def _footprint_bits(centre: FloatArray, half: FloatArray, bits: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """Bits (n,) of all pixels whose centres lie in the footprints."""
-    height, width = bits.shape
-    size = np.array([[width], [height]])
-    low = np.clip(np.ceil(centre - half), 0, size).astype(np.int64)
-    high = np.clip(np.floor(centre + half) + 1, 0, size).astype(np.int64)
-    footprint = np.zeros(centre.shape[1], np.int32)
-    either = np.bitwise_or.reduce
-    for i, (x0, y0, x1, y1) in enumerate(zip(*low.tolist(), *high.tolist(), strict=True)):
-        if x1 > x0 and y1 > y0:
-            footprint[i] = either(bits[y0:y1, x0:x1], axis=None)
-    return footprint
-
-
-def _blended(centre: FloatArray, half: FloatArray, electrons: FloatArray) -> NDArray[np.int64]:
-    """Stars (indices) whose footprint meets that of one that is bright enough to matter."""
-    if centre.shape[1] < 2:
-        return np.zeros(0, np.int64)
-    reach = 2.0 * float(np.hypot(*half.max(axis=1)))
-    first, second = cKDTree(centre.T).query_pairs(reach, output_type="ndarray").T
-    meet = (np.abs(centre[:, first] - centre[:, second]) <= half[:, first] + half[:, second]).all(0)
-    first, second = first[meet], second[meet]
-    ratio = electrons[second] / electrons[first]
-    return np.asarray(np.unique(np.concatenate([first[ratio >= BLEND_SHARE], second[ratio <= 1.0 / BLEND_SHARE]])))
 
 
 # --- Record of a frame: what its truth file says of it and the index lists

@@ -71,6 +71,13 @@ class Observer:
         if speed >= 0.5 * _LIGHT_KM_PER_S:
             raise DomainError(f"Observer moves at {speed:g} km/s, half the velocity of light or more; check the unit")
 
+    @property
+    def to_sun(self) -> FloatArray:
+        """Unit vector (3,) towards the Sun along icrs, where `from_sun_au` is known."""
+        if self.from_sun_au is None:
+            raise DomainError("the observer's place as seen from the Sun is not known: Observer(from_sun_au=...)")
+        return np.asarray(-self.from_sun_au / np.linalg.norm(self.from_sun_au))
+
     def moved(self, *, position_km: ArrayLike = (0.0, 0.0, 0.0), velocity_km_per_s: ArrayLike) -> Observer:
         """Another observer, given relative to this one: a satellite about the Earth, axes of icrs."""
         step = np.asarray(position_km, np.float64) * 1e3 / constants.au

@@ -16,6 +16,8 @@ class ImageMotion:
     drift_px: float  # From the middle of the frame to its start or end, all rows, by the same velocity
     jitter_px: float  # By random motion across the boresight
     roll_px: float  # Of what may come in over the corners by turns about the boresight
+    corner_px: float  # Distance of the corners from the axis
+    most_px: float  # Half of the shorter side: stars that move farther leave the frame
 
     @property
     def reach_px(self) -> float:
@@ -62,4 +64,6 @@ def image_motion(
         drift_px=drift_px,
         jitter_px=math.hypot(jitter_rad[0], jitter_rad[1]) / pixel_rad,
         roll_px=min(turn_rad * corner_px, corner_px - 0.5 * min(size_px)),
+        corner_px=corner_px,
+        most_px=0.5 * min(size_px),
     )

@@ -37,12 +37,16 @@ REACH, SMOOTH = 4.0, 3.0
 """Standard deviations to which the light of a ray reaches, and steps of the grid to one."""
 
 
+DETECTOR_REFLECTANCE = 0.2
+"""Of silicon, 0.1 to 0.3."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GhostLight:
     """Ghosts to be rendered."""
 
     least_e: float  # Electrons in the brightest pixel of a ghost below which it is left out
-    detector_reflectance: float = 0.2  # Light that the detector reflects like a mirror; silicon 0.1 to 0.3
+    detector_reflectance: float = DETECTOR_REFLECTANCE  # Light that the detector reflects like a mirror
 
     def __post_init__(self) -> None:
         if not (self.least_e > 0.0 and math.isfinite(self.least_e)):

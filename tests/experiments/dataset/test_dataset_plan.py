@@ -20,9 +20,9 @@ from experiments.dataset.settings import (
     ScanPointing,
     SplitsConfig,
 )
-from experiments.dataset.splits import leakage
 from optics.attitude import angles_from_attitude
 from optics.errors import ConfigError, DomainError, StarbenchError
+from render.sky.partition import leakage
 
 N = 500
 

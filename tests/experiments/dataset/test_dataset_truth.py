@@ -7,11 +7,13 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
+from calib.measure.detection_score import flux_snr
+from calib.measure.footprints import footprint_px
 from experiments.dataset.frame import FrameMaker
 from experiments.dataset.job import _record
 from experiments.dataset.scene import build_scene, stars_of
 from experiments.dataset.settings import BackgroundConfig, ConePointing, Config, FixedRate, JitterConfig, ScanPointing
-from experiments.dataset.truth import FLAGS, flux_snr, footprint_px, record_from_text
+from experiments.dataset.truth import FLAGS, record_from_text
 from optics.errors import DomainError, StarbenchError
 from optics.frames import field_angles_deg
 from optics.rays.chief import chief_ray_points

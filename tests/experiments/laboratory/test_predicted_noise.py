@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.measure.detection_score import flux_snr
 from experiments.dataset import truth as dataset_truth
-from experiments.dataset.truth import flux_snr
 from experiments.laboratory.bench.points import filter_scene, point_scene
 from experiments.laboratory.bench.readout.frames import empty_frame
 from experiments.laboratory.bench.readout.noise_model import true_noise

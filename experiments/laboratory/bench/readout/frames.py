@@ -15,11 +15,13 @@ from render.records import Frame
 from render.sensor_file.instrument import Instrument
 
 
-def empty_frame(instrument: Instrument, number: int, *, streams: Streams, sky_e: float = 0.0, label: str = "") -> Frame:
-    """A frame of an even background [e-] without stars; ``label`` names the random streams."""
+def empty_frame(
+    instrument: Instrument, number: int, *, streams: Streams, sky_e: float = 0.0, label: str = "", flat_e: float = 0.0
+) -> Frame:
+    """A frame of even light [e-] without stars: background ``sky_e``, lamp ``flat_e``; ``label`` names the streams."""
     config = instrument.config
     return expose(
-        np.zeros(instrument.detector.shape, np.float32),
+        np.full(instrument.detector.shape, flat_e, np.float32),
         instrument.detector,
         streams=streams,
         frame=number,
