@@ -147,6 +147,15 @@ def test_the_best_focus_of_the_library_page_is_one(capsys):
     assert names["defocus_mm"] == pytest.approx(0.01, abs=0.02)
 
 
+def test_the_triad_of_the_library_page_is_a_quarter_turn(capsys):
+    """By hand: about +X by -90 deg; the first direction gives x and z, the second y, each by its own noise."""
+    names = {"np": np}
+    exec(block("docs/library.md", "triad"), names)
+    assert capsys.readouterr().out
+    np.testing.assert_allclose(names["attitude"].rotation.as_rotvec(degrees=True), [-90.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(names["attitude"].covariance_rad2, np.eye(3) * (2e-5) ** 2, atol=1e-16)
+
+
 def test_the_metrics_of_the_library_page_are_those_of_its_series(capsys):
     error = np.random.default_rng(4).normal(0.5, 0.2, (20, 1000))
     exec(block("docs/library.md", "ecss_metrics"), {"error_arcsec": error})

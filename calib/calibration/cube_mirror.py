@@ -26,7 +26,6 @@ Errors. Every error here is a rotation vector e in the cube frame, ``R_estimated
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -34,16 +33,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import skew
 from calib.attitude.solve import solve_wahba
+from calib.attitude.triad import angle_between_rad, triad
+from calib.calibration.table_axes import TableAxes
 from calib.fitting.misfit import UNTESTED, ChiSquare
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
-from optics.units import RAD_DEG
 
 SUN_LAB = (0.0, 0.0, 1.0)
-PARALLEL_RAD = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,25 +59,46 @@ class MirrorSolution:
         freeze(self, "covariance_rad2", shape=(3, 3))
 
 
-def table_matrix(outer_rad: float, inner_rad: float) -> FloatArray:
-    """Laboratory from table (3, 3), ``Rot(X', outer) Rot(Y', inner)`` with the matrices of CUBE09 eq. 9 and 10."""
-    ca, sa, cb, sb = np.cos(outer_rad), np.sin(outer_rad), np.cos(inner_rad), np.sin(inner_rad)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]])
-    about_y = np.array([[cb, 0.0, sb], [0.0, 1.0, 0.0], [-sb, 0.0, cb]])
-    return np.asarray(about_x @ about_y)
-
-
-def normal_in_table(outer_rad: float, inner_rad: float, lab: ArrayLike = SUN_LAB) -> FloatArray:
+def normal_in_table(table: TableAxes, angle_rad: ArrayLike, lab: ArrayLike = SUN_LAB) -> FloatArray:
     """Direction in the table frame (3,) of something at ``lab`` in the laboratory: eq. 7, and eq. 8 as it has to read.
 
     Parameters
     ----------
-    outer_rad, inner_rad : float
-        Angles of the table about X' and Y' [rad].
+    table : TableAxes
+        The table; the axes of CUBE09 are ``TableAxes.create("xy")``.
+    angle_rad : (2,)
+        Angles about X' and Y' [rad].
     lab : (3,)
         Unit vector in the laboratory; by default the Sun's, which is the normal of a face that is trimmed.
     """
-    return np.asarray(table_matrix(outer_rad, inner_rad).T @ np.asarray(lab, float))
+    return np.asarray(table.rotation(np.atleast_2d(angle_rad))[0].inv().apply(np.array(lab, float)))
+
+
+def normal_covariance(table: TableAxes, angle_rad: ArrayLike, tilt_covariance_rad2: ArrayLike) -> FloatArray:
+    """Covariance (3, 3) in the table frame of a normal whose tilts about the light have a covariance (2, 2)."""
+    spread = np.zeros((3, 3))
+    spread[:2, :2] = tilt_covariance_rad2
+    turn = table.rotation(np.atleast_2d(angle_rad))[0].inv().as_matrix()
+    return np.asarray(turn @ spread @ turn.T)
+
+
+def concentric_angles(
+    table: TableAxes, normal: ArrayLike, start_rad: ArrayLike, beam: ArrayLike = SUN_LAB
+) -> FloatArray:
+    """Angles (outer, inner) [rad] at which a normal (table frame) looks along the beam; Newton on the true table.
+
+    ``start_rad`` (2,) tells which turn of the angles is meant.
+    """
+    direction = np.asarray(normal, float)
+    nominal = np.array([np.arcsin(direction[1]), np.arctan2(-direction[0], direction[2])])
+    angle = np.asarray(start_rad, float) + (nominal - start_rad + np.pi) % (2 * np.pi) - np.pi
+    step = np.full(2, np.inf)
+    while np.max(np.abs(step)) > 1e-9:
+        looks = table.rotation(angle[None])[0].apply(direction)
+        leverage = np.cross(table.angle_rates(angle[None])[0], looks)[:, :2].T
+        step = np.linalg.solve(leverage, looks[:2] - np.asarray(beam)[:2])
+        angle = angle - step
+    return angle
 
 
 def normal_of_offset(offset_mm: ArrayLike, distance_mm: float) -> FloatArray:
@@ -96,45 +115,6 @@ def normal_of_offset(offset_mm: ArrayLike, distance_mm: float) -> FloatArray:
 def pixel_angle_rad(pixel_mm: float, distance_mm: float) -> float:
     """Tilt of a face that moves the spot by one pixel, eq. 13: arctan(pixel / distance) / 2."""
     return float(np.arctan(pixel_mm / distance_mm) / 2)
-
-
-def angle_between_rad(first: ArrayLike, second: ArrayLike) -> float:
-    """Angle of two vectors, accurate at any size."""
-    u, v = np.asarray(first, float), np.asarray(second, float)
-    return float(np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v))
-
-
-def triad(reference: Sequence[ArrayLike], observed: Sequence[ArrayLike]) -> FloatArray:
-    """Two-vector attitude (3, 3): takes the observed frame to the reference frame (CUBE09 eq. 1-5; Black 1964).
-
-    Parameters
-    ----------
-    reference, observed : two vectors (3,)
-        The same two directions in both frames; the first is met exactly.
-
-    Raises
-    ------
-    DomainError
-        If the two directions are parallel within 0.01 rad.
-    """
-    if len(reference) != 2 or len(observed) != 2:
-        raise DomainError(f"TRIAD takes two directions; {len(reference)} and {len(observed)} were given")
-    return np.asarray(_columns(*reference) @ _columns(*observed).T)
-
-
-def _columns(first: ArrayLike, second: ArrayLike) -> FloatArray:
-    """[a b c] of eq. 1 and 3."""
-    u, v = np.asarray(first, float), np.asarray(second, float)
-    angle = angle_between_rad(u, v)
-    if min(angle, np.pi - angle) < PARALLEL_RAD:
-        raise DomainError(
-            f"the normals of the two faces enclose {angle * RAD_DEG:.4f} deg; two faces that are not parallel are "
-            f"needed (at least {PARALLEL_RAD * RAD_DEG:.2f} deg apart)"
-        )
-    a = u / np.linalg.norm(u)
-    b = np.cross(u, v)
-    b /= np.linalg.norm(b)
-    return np.column_stack([a, b, np.cross(a, b)])
 
 
 def cube_from_table(
@@ -189,9 +169,8 @@ def cube_from_table(
             degrees_of_freedom=repeats.degrees_of_freedom + solution.misfit.degrees_of_freedom,
         )
     else:
-        matrix = triad((cube[0], cube[1]), (table[0], table[1]))
-        rotation = Rotation.from_matrix(matrix)
-        covariance = _triad_covariance(matrix, table[:2], spread[:2])
+        attitude = triad(cube[:2], table[:2], covariance_rad2=spread[:2])
+        rotation, covariance = attitude.rotation, attitude.covariance_rad2
     return MirrorSolution(
         rotation=rotation,
         covariance_rad2=covariance,
@@ -225,23 +204,6 @@ def _merged(
     return cube[first], np.array(mean), np.array(covariance), ChiSquare(value=scatter, degrees_of_freedom=freedom)
 
 
-def _triad_covariance(matrix: FloatArray, table: FloatArray, spread: FloatArray) -> FloatArray:
-    """First-order covariance of the error e in the reference frame: ``e x b1 = -db1``; about b1 the second is turned
-    into the plane of the reference, ``n . (db2 + e x b2) = 0`` with n = b1 x b2 / |.|."""
-    b1, b2 = (matrix @ table.T).T
-    normal = np.cross(b1, b2)
-    sine = np.linalg.norm(normal)
-    normal = normal / sine
-    by_first = -skew(b1)
-    about = -np.outer(b1, normal @ (-skew(b2) @ by_first)) / sine
-    by_second = -np.outer(b1, normal) / sine
-    total = np.zeros((3, 3))
-    for jacobian, one in zip((by_first + about, by_second), spread, strict=True):
-        turned = jacobian @ matrix
-        total += turned @ one @ turned.T
-    return total
-
-
 def sensor_to_cube(
     cube: MirrorSolution, sensor_from_table: Rotation, sensor_covariance_rad2: ArrayLike
 ) -> tuple[Rotation, FloatArray]:
@@ -266,6 +228,60 @@ def sensor_to_cube(
     return rotation, cube.covariance_rad2 + turn @ np.asarray(sensor_covariance_rad2, float) @ turn.T
 
 
+def lean_covariance(rate: ArrayLike, rotation: Rotation, lean_sigma_rad: float, cross_rad2: ArrayLike) -> FloatArray:
+    """What a fitted non-orthogonality of the table adds to the covariance of R_sp (3, 3).
+
+    ``e = J dl - R_sp e_s`` with the rate J (3,) of R_pr by the lean, its error dl, and the error e_s of R_sr, whose
+    covariance with dl is ``cross_rad2`` (3,).
+    """
+    change = np.asarray(rate, float)
+    cross = np.outer(change, rotation.as_matrix() @ np.asarray(cross_rad2, float))
+    return np.asarray(np.outer(change, change) * lean_sigma_rad**2 - cross - cross.T)
+
+
 def rotation_error_rad(estimated: Rotation, true: Rotation) -> FloatArray:
     """Error's rotation vector (3,) [rad] in the frame that the rotations lead to."""
     return np.asarray((estimated * true.inv()).as_rotvec())
+
+
+def trimmed_offset_px(
+    start_px: float,
+    step_px: float,
+    noise_px: float,
+    *,
+    stop_px: float,
+    gain: float,
+    settings: int,
+    count: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """RMS of the offset [px], x and y, that a stop rule leaves, played on numbers.
+
+    Parameters
+    ----------
+    start_px : float
+        Largest offset before the first setting, uniformly distributed per axis.
+    step_px, noise_px : float
+        Step of the table; standard deviation of a measured offset.
+    stop_px : float
+        Offset per axis below which the operator stops.
+    gain : float
+        Part of a measured offset that the operator takes away.
+    settings, count : int
+        Settings allowed; trims played.
+    rng : numpy.random.Generator
+        Source of randomness.
+    """
+    offset = rng.uniform(-1, 1, (count, 2)) * start_px
+    phase = rng.uniform(0, 1, (count, 2)) * step_px
+    going = np.ones(count, bool)
+
+    def on_steps(value: FloatArray) -> FloatArray:
+        return np.asarray(np.rint((value - phase) / step_px) * step_px + phase) if step_px > 0 else value
+
+    offset = on_steps(offset)
+    for _ in range(settings):
+        measured = offset + rng.standard_normal((count, 2)) * noise_px
+        going = going & ~np.all(np.abs(measured) < stop_px, axis=1)
+        offset = np.where(going[:, None], on_steps(offset - gain * measured), offset)
+    return np.asarray(np.sqrt(np.mean(offset[~going] ** 2, axis=0)))

@@ -37,3 +37,13 @@ def log_likelihood(error: ArrayLike, covariance: ArrayLike) -> tuple[float, floa
     chi2 = float(normalised_squares(np.atleast_2d(error), covariance)[0])
     determinant = float(np.linalg.slogdet(correlation)[1] + 2.0 * np.log(sigma).sum())
     return chi2, -0.5 * (chi2 + determinant)
+
+
+def conditioned(
+    value: FloatArray, covariance: FloatArray, at: list[int], known: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Values (p,) and covariance (p, p) given that some unknowns have known values: conditional normal distribution."""
+    gain = covariance[:, at] @ np.linalg.inv(covariance[np.ix_(at, at)])
+    spread = covariance - gain @ covariance[at]
+    spread[at], spread[:, at] = 0.0, 0.0
+    return value - gain @ (value[at] - np.asarray(known, float)), spread

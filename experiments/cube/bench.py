@@ -8,23 +8,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import norm
 
-from calib.calibration.cube_mirror import normal_of_offset, triad
+from calib.attitude.triad import triad
+from calib.calibration.cube_mirror import concentric_angles, normal_of_offset
 from experiments.cube.settings import Config
 from experiments.laboratory.devices.turntable import Turntable, build_turntable
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.bench.camera import BenchCamera
+from render.bench.pictures import screen_light
 from render.bench.scene import FACES, BenchGeometry, CubePose, bench_scene, place_cube
 from render.bench.sensor import MaskSensor
-from render.bench.trace import trace_screen
-from render.detector.diffusion import diffuse
+from render.bench.spot import reflected_spot_mm
 from render.detector.spec import Detector, load_detector
-from render.engine.random import Streams
+from render.engine.random import Streams, stratified, stratified_normal
 
 DATA = Path(__file__).parents[1] / "data"
 FACE_ANGLES_DEG = {"+Z": (0.0, 180.0), "+X": (0.0, 90.0), "-X": (0.0, 270.0)}
@@ -67,7 +67,7 @@ class Truth:
         return triad(
             [nominal_normal(faces[0]), nominal_normal(second)],
             [self.normal_in_table(faces[0]), self.normal_in_table(second)],
-        )
+        ).rotation.as_matrix()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,6 +103,12 @@ class Laboratory:
     aperture_e: NDArray[np.float32]  # (h, w) Expected electrons of the picture of the covered, glowing aperture
     streams: Streams  # Root of the randomness
 
+    def light(self, sensor: Any, **options: Any) -> NDArray[np.float32]:
+        """Expected electrons (h, w) of a picture of the screen with the cube where it is."""
+        scale = electrons_per_radiance(self.config)
+        parts = self.scene, sensor, self.camera, self.geometry, self.detector
+        return screen_light(*parts, electrons_per_radiance=scale, **options)
+
     @property
     def pitch_mm(self) -> float:
         """One pixel on the screen."""
@@ -118,6 +124,11 @@ def nominal_normal(face: str) -> FloatArray:
     """Normal of a face of a perfect cube in its frame (3,)."""
     axis, sign = FACES[face]
     return np.asarray(sign * np.eye(3)[axis])
+
+
+def face_start_rad(face: str) -> FloatArray:
+    """Nominal angles (2,) [rad] that turn a face to the light."""
+    return np.array(FACE_ANGLES_DEG[face]) * DEG_RAD
 
 
 def geometry_of(config: Config) -> BenchGeometry:
@@ -159,7 +170,17 @@ def build_laboratory(config: Config) -> Laboratory:
     pose = CubePose.of_table(geometry, Rotation.from_euler("y", 180, degrees=True).as_matrix(), NOMINAL_CUBE, SQUARE)
     sensor = camera.sensor()
     covered = bench_scene(geometry, pose, covered=True)
-    light = trace_screen(covered, sensor, camera, geometry, covered=True, log2_particles=COVER_LOG2, seed=config.seed)
+    aperture_e = screen_light(
+        covered,
+        sensor,
+        camera,
+        geometry,
+        detector,
+        electrons_per_radiance=electrons_per_radiance(config),
+        covered=True,
+        log2_particles=COVER_LOG2,
+        seed=config.seed,
+    )
     return Laboratory(
         config=config,
         geometry=geometry,
@@ -168,7 +189,7 @@ def build_laboratory(config: Config) -> Laboratory:
         sensor_detector=sensor_detector,
         scene=bench_scene(geometry, pose, covered=False),
         sensor=sensor,
-        aperture_e=diffuse(light * electrons_per_radiance(config), detector.diffusion_sigma_px),
+        aperture_e=aperture_e,
         streams=Streams(config.seed).child("cube"),
     )
 
@@ -200,22 +221,6 @@ def put_cube(laboratory: Laboratory, truth: Truth, lab_from_table: FloatArray) -
     return pose
 
 
-def concentric_angles(table: Turntable, normal: FloatArray, face: str, beam: ArrayLike = (0.0, 0.0, 1.0)) -> FloatArray:
-    """Angles (outer, inner) [rad] at which a normal (table frame) looks along the beam; Newton on the true table."""
-    angle = np.array(FACE_ANGLES_DEG[face]) * DEG_RAD
-    nominal = np.arcsin(normal[1]), np.arctan2(-normal[0], normal[2])
-    angle += (np.array(nominal) - angle + np.pi) % (2 * np.pi) - np.pi
-    step = np.full(2, np.inf)
-    while np.max(np.abs(step)) > 1e-9:
-        turn = table.rotation(angle[None])[0]
-        looks = turn.apply(normal)
-        rates = table.angle_rates(angle[None])[0]
-        leverage = np.cross(rates, looks)[:, :2].T
-        step = np.linalg.solve(leverage, looks[:2] - np.asarray(beam)[:2])
-        angle -= step
-    return angle
-
-
 def draw_truths(config: Config, streams: Streams) -> list[Truth]:
     """The misaligned benches.
 
@@ -225,16 +230,12 @@ def draw_truths(config: Config, streams: Streams) -> list[Truth]:
     count, faces = config.benches.count, len(config.cube.faces) * config.cube.repeats
     generator = streams.generator("benches")
 
-    def stratified(size: int) -> FloatArray:
-        order = np.argsort(generator.random((size, count)), axis=1)
-        return np.asarray(((order + generator.random((size, count))) / count).T)
-
     def normals(size: int) -> FloatArray:
-        return np.asarray(norm.ppf(stratified(size)))
+        return stratified_normal(generator, count, size)
 
     shape = (count, len(config.cube.faces), config.cube.repeats, 2)
     mount, sensor_mount, square = normals(3), normals(3), normals(12)
-    start = 2 * stratified(2 * faces).reshape(shape) - 1
+    start = 2 * stratified(generator, count, 2 * faces).reshape(shape) - 1
     aim, mounting = normals(2 * faces).reshape(shape), normals(2 * faces).reshape(shape)
     lean, build = normals(1)[:, 0], normals(3)
     detector = sun_sensor(config)
@@ -264,7 +265,7 @@ def _out_of_square(tilt_arcsec: FloatArray) -> FloatArray:
     normals = SQUARE.copy()
     for i, (axis, _) in enumerate(FACES.values()):
         normals[i, [(axis + 1) % 3, (axis + 2) % 3]] += tilt_arcsec[i] * ARCSEC_RAD
-    return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+    return np.asarray(normals / np.sqrt((normals**2).sum(axis=1, keepdims=True)))
 
 
 def sun_sensor(config: Config) -> Detector:
@@ -293,7 +294,7 @@ def start_angles(
     offset = truth.start[face, repeat] * within_px * laboratory.pitch_mm
     straight = replace(table, non_orthogonality_arcsec=np.zeros(1))
     normal = normal_of_offset(offset, laboratory.geometry.distance_mm)
-    angle = concentric_angles(straight, truth.normal_in_table(name), name)
+    angle = concentric_angles(straight, truth.normal_in_table(name), face_start_rad(name))
     # from looking at the Sun to looking beside it: turn about y and x by the offset of the normal
     return angle + np.array([-normal[1], normal[0]])
 
@@ -376,29 +377,3 @@ def check_landing(config: Config, geometry: BenchGeometry, camera: BenchCamera, 
             f"{geometry.face_mm:g} mm; bring cube.offset_mm nearer to the axes of the table or take a larger cube"
         )
     _check_spot(config, geometry, camera, reflected_spot_mm(geometry, pose, face), "trim.start_px, cube.mount_arcmin")
-
-
-def reflected_spot_mm(geometry: BenchGeometry, pose: CubePose, face: str) -> FloatArray:
-    """Landing point of the beam's middle on the screen (2,), by the law of reflection."""
-    centre, normal = pose.face(face, geometry)
-    light = np.array([0.0, 0.0, -1.0])
-    hit = light * ((centre @ normal) / (light @ normal))
-    back = light - 2 * (light @ normal) * normal
-    return np.asarray((hit - back * (hit[2] / back[2]))[:2])
-
-
-def spot_profile(geometry: BenchGeometry, radius_mm: ArrayLike) -> FloatArray:
-    """Irradiance of the spot over that of the beam at distances from its centre: aperture convolved with the Sun.
-
-    A point sees the Sun, in the mirror, through the aperture: the visible part of the Sun's disk is the overlap of two
-    circles, the aperture (radius a) and the Sun's image over the whole path (radius b), r apart. The path counts from
-    the aperture to the face and back; that the aperture is crossed 20 mm behind the simulator changes nothing.
-    """
-    a, b = geometry.aperture_mm / 2, geometry.blur_mm(geometry.path_mm)
-    r = np.maximum(np.asarray(radius_mm, float), 1e-12)
-    cos_a = np.clip((r**2 + a**2 - b**2) / (2 * r * a), -1, 1)
-    cos_b = np.clip((r**2 + b**2 - a**2) / (2 * r * b), -1, 1)
-    angle_a, angle_b = np.arccos(cos_a), np.arccos(cos_b)
-    lens = a**2 * (angle_a - np.sin(2 * angle_a) / 2) + b**2 * (angle_b - np.sin(2 * angle_b) / 2)
-    lens = np.where(r >= a + b, 0.0, np.where(r <= abs(a - b), np.pi * min(a, b) ** 2, lens))
-    return np.asarray(lens / (np.pi * b**2))

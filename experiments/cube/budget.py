@@ -25,19 +25,27 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.calibration.cube_mirror import cube_from_table, pixel_angle_rad, rotation_error_rad
+from calib.accuracy.quadrature import ratio_of_lengths, rms_uncertainty, root_sum_square
+from calib.calibration.cube_mirror import (
+    concentric_angles,
+    cube_from_table,
+    normal_in_table,
+    pixel_angle_rad,
+    rotation_error_rad,
+    trimmed_offset_px,
+)
 from experiments.cube.bench import (
     NOMINAL_CUBE,
     SQUARE,
     Case,
     Laboratory,
     build_table,
-    concentric_angles,
+    face_start_rad,
     mask_sensor,
     nominal_normal,
 )
 from experiments.cube.bench import Truth as BenchTruth
-from experiments.cube.montecarlo import CASES, CaseResult, measured_normal
+from experiments.cube.montecarlo import CASES, CaseResult
 from experiments.cube.noise import PictureNoise, sensor_noise
 from experiments.cube.sensor import field_angles, fit_sensor
 from experiments.cube.settings import Config
@@ -96,21 +104,17 @@ class BudgetRow:
 
 def play_trim(config: Config, tilt_per_px: float, noise_px: float, streams: Streams) -> FloatArray:
     """RMS of the offset [px] that the stop rule leaves, x and y: the rule played on numbers."""
-    generator = streams.generator("played trims")
-    step_px = config.trim.step_deg * DEG_RAD / tilt_per_px
-    where = generator.uniform(-1, 1, (PLAYED, 2)) * config.trim.start_px
-    phase = generator.uniform(0, 1, (PLAYED, 2)) * step_px
-    going = np.ones(PLAYED, bool)
-
-    def on_steps(offset: FloatArray) -> FloatArray:
-        return np.asarray(np.rint((offset - phase) / step_px) * step_px + phase) if step_px > 0 else offset
-
-    where = on_steps(where)
-    for _ in range(config.trim.allowed):
-        seen = where + generator.standard_normal((PLAYED, 2)) * noise_px
-        going = going & ~np.all(np.abs(seen) < config.trim.stop_px, axis=1)
-        where = np.where(going[:, None], on_steps(where - config.trim.gain_ratio * seen), where)
-    return np.asarray(np.sqrt(np.mean(where[~going] ** 2, axis=0)))
+    trim = config.trim
+    return trimmed_offset_px(
+        trim.start_px,
+        trim.step_deg * DEG_RAD / tilt_per_px,
+        noise_px,
+        stop_px=trim.stop_px,
+        gain=trim.gain_ratio,
+        settings=trim.allowed,
+        count=PLAYED,
+        rng=streams.generator("played trims"),
+    )
 
 
 def perfect_bench(config: Config, sensor: MaskSensor) -> BenchTruth:
@@ -136,17 +140,15 @@ def geometric_error(
     truth = perfect_bench(config, sensor)
     case = Case(name="", label="", lean=True)
     unit = config.model_copy(update={"table": config.table.model_copy(update={"square_arcsec": 1.0})})
-    table = build_table(unit, _with_lean(truth, lean_arcsec), case)
-    sun = np.array([*(np.array(beam) * ARCSEC_RAD), 1.0])
-    sun /= np.linalg.norm(sun)
+    table = build_table(unit, replace(truth, lean=lean_arcsec), case)
+    slopes = np.array(beam) * ARCSEC_RAD
+    sun = np.array([*slopes, 1.0]) / np.sqrt(1.0 + slopes @ slopes)
     angle = field_angles(config)
     spots = sensor.spot_px(table.rotation(angle).inv().apply(sun))
     calibrated = fit_sensor(config, spots, angle, table, sensor, free=False)
     faces = _first_faces(config)
-    normals = [
-        measured_normal(table.nominal, concentric_angles(table, truth.normal_in_table(f), f, sun), None, 1.0)
-        for f in faces
-    ]
+    trimmed = [concentric_angles(table, truth.normal_in_table(f), face_start_rad(f), sun) for f in faces]
+    normals = [normal_in_table(table.nominal, one) for one in trimmed]
     nominal = [nominal_normal(face) for face in faces]
     cube = cube_from_table(nominal, normals, covariance_rad2=np.zeros((2, 3, 3)))
     true = Rotation.from_matrix(truth.cube_from_table(faces))
@@ -156,10 +158,6 @@ def geometric_error(
 def _first_faces(config: Config) -> list[str]:
     first = config.cube.faces[0]
     return [first, next(face for face in config.cube.faces if face[1] != first[1])]
-
-
-def _with_lean(truth: BenchTruth, lean_arcsec: float) -> BenchTruth:
-    return replace(truth, lean=lean_arcsec)
 
 
 def lean_rates(config: Config, sensor: MaskSensor) -> FloatArray:
@@ -198,61 +196,45 @@ def build_budget(laboratory: Laboratory, cases: Mapping[str, CaseResult], pictur
     """All lines of the budget."""
     played = play_trim(laboratory.config, laboratory.tilt_per_px, pictures.two_px, laboratory.streams)
     single = terms(laboratory, perfect_sensor(laboratory), played)
-    rows = []
-    for name, result in cases.items():
-        case = result.case
-        active = {
-            "pixel": case.aim_px > 0,
-            "trim": case.coarse and not case.improved,
-            "square": case.lean and not case.improved,
-            "mounting": case.mounting and not case.improved,
-            "reading": case.reading,
-        }
-        term = np.sqrt(sum((single[key] ** 2 for key, on in active.items() if on), np.zeros(3)))
-        seen, sensor = _noise(laboratory, case, pictures)
-        predicted = np.sqrt(term**2 + seen**2 + sensor**2)
-        known = np.hypot(PICTURES_RELATIVE * seen**2, SENSOR_RELATIVE * sensor**2) / predicted
-        even = [single[key] for key in STRATIFIED if active[key]]
-        ratio = stratified_variance_ratio(even, predicted, benches=len(result.bench))
-        acts = term > predicted / 3
-        if case.improved or not acts.any():  # noise is all there is
-            acts = np.ones(3, bool)
-        rms, count = result.rms_arcsec, len(result.bench)
-        error = rms * np.sqrt(ratio / (2 * count))
-        few = 1.0 if count >= MANY else 1.0 + 3.0 / float(np.sqrt(2 * count))
-        rows.append(
-            BudgetRow(
-                term=name,
-                meaning=case.label,
-                published_arcsec=PUBLISHED_ARCSEC.get(name, np.nan),
-                predicted=measured(predicted, known),
-                predicted_term_alone=measured(term, np.nan),
-                measured=measured(rms, error, count),
-                acts_on=acts,
-                predicted_over_measured=_ratio(predicted[acts], known[acts], rms[acts], error[acts]),
-                claimed_arcsec=CLAIMED_ARCSEC.get(name, np.nan) * few,
-                claim_arcsec=CLAIMED_ARCSEC.get(name, np.nan),
-            )
-        )
-    return rows
+    return [_row(laboratory, result, single, pictures) for result in cases.values()]
 
 
-def _ratio(predicted: FloatArray, known: FloatArray, rms: FloatArray, error: FloatArray) -> Measured:
-    """Predicted over measured, both as root sum of squares over axes."""
-    ratio = np.linalg.norm(predicted) / np.linalg.norm(rms)
-    parts = [np.linalg.norm(value * sigma) / np.sum(value**2) for value, sigma in ((rms, error), (predicted, known))]
-    return Measured(value=float(ratio), uncertainty=float(ratio * np.linalg.norm(parts)))
-
-
-def stratified_variance_ratio(even: list[FloatArray], predicted: FloatArray, *, benches: int) -> FloatArray:
-    """Variance of a measured mean square over that of independent draws (3,).
-
-    The mean square of a sum of terms holds the mean squares of the terms and their products. Stratified inputs
-    (`experiments.cube.bench.draw_truths`) bring the mean square of their own term to its expectation, so its part
-    ``term^4 / predicted^4`` of the variance is missing; the error of this is at most of the order of one bench.
-    """
-    missing = sum(((term / predicted) ** 4 for term in even), np.zeros(3))
-    return np.maximum(1.0 - missing, 1.0 / benches)
+def _row(
+    laboratory: Laboratory, result: CaseResult, single: Mapping[str, FloatArray], pictures: PictureNoise
+) -> BudgetRow:
+    """One case: the terms that act, with the noise of pictures and sun sensor, against the errors of its benches."""
+    case, count = result.case, len(result.bench)
+    active = {
+        "pixel": case.aim_px > 0,
+        "trim": case.coarse and not case.improved,
+        "square": case.lean and not case.improved,
+        "mounting": case.mounting and not case.improved,
+        "reading": case.reading,
+    }
+    term = root_sum_square([single[key] for key, on in active.items() if on], axes=3)
+    picture, sensor = _noise(laboratory, case, pictures)
+    predicted = root_sum_square([term, picture, sensor])
+    known = np.hypot(PICTURES_RELATIVE * picture**2, SENSOR_RELATIVE * sensor**2) / predicted
+    stratified = [single[key] for key in STRATIFIED if active[key]]
+    acts = term > predicted / 3
+    if case.improved or not acts.any():  # noise is all there is
+        acts = np.ones(3, bool)
+    rms = result.rms_arcsec
+    error = rms_uncertainty(rms, stratified, predicted, draws=count)
+    few = 1.0 if count >= MANY else 1.0 + 3.0 / float(np.sqrt(2 * count))
+    ratio = ratio_of_lengths(predicted[acts], known[acts], rms[acts], error[acts])
+    return BudgetRow(
+        term=case.name,
+        meaning=case.label,
+        published_arcsec=PUBLISHED_ARCSEC.get(case.name, np.nan),
+        predicted=measured(predicted, known),
+        predicted_term_alone=measured(term, np.nan),
+        measured=measured(rms, error, count),
+        acts_on=acts,
+        predicted_over_measured=Measured(value=ratio[0], uncertainty=ratio[1]),
+        claimed_arcsec=CLAIMED_ARCSEC.get(case.name, np.nan) * few,
+        claim_arcsec=CLAIMED_ARCSEC.get(case.name, np.nan),
+    )
 
 
 def perfect_sensor(laboratory: Laboratory) -> MaskSensor:
@@ -279,8 +261,8 @@ def sigma1_arcsec(laboratory: Laboratory) -> float:
 def eq14_arcsec(laboratory: Laboratory) -> float:
     """Eq. 14 with the terms of this configuration."""
     config = laboratory.config
-    terms = (sigma1_arcsec(laboratory), config.table.square_arcsec, config.camera.mounting_arcsec)
-    return float(np.linalg.norm([*terms, config.table.inner_reading_arcsec]))
+    terms = sigma1_arcsec(laboratory), config.table.square_arcsec, config.camera.mounting_arcsec
+    return float(root_sum_square([*terms, config.table.inner_reading_arcsec], axes=1)[0])
 
 
 def _axes(q: Quantities, rows: Sequence[BudgetRow]) -> None:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from calib.measure.circle_fit import CircleFit
+from calib.measure.screen_circles import ScreenPicture
 from experiments.cube.bench import (
     Case,
     Laboratory,
@@ -18,7 +19,6 @@ from experiments.cube.bench import (
     build_laboratory,
     build_table,
     draw_truths,
-    reflected_spot_mm,
 )
 from experiments.cube.budget import (
     BUDGET,
@@ -37,16 +37,18 @@ from experiments.cube.montecarlo import CASES, BenchResult, CaseResult, SensorCa
 from experiments.cube.noise import PictureNoise, picture_noise, sensor_noise
 from experiments.cube.sensor import SensorRun
 from experiments.cube.settings import Config
-from experiments.cube.trim import FaceTrim, Picture
+from experiments.cube.trim import FaceTrim
 from experiments.harness.drawings import arrows
 from experiments.harness.plotting import new_figure
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import Measured, measured
+from experiments.laboratory.devices.turntable import Turntable
 from optics.arrays import FloatArray
-from optics.units import DEG_RAD, RAD_ARCSEC, RAD_DEG
+from optics.units import RAD_ARCSEC, RAD_DEG
 from render.bench.scene import CubePose
+from render.bench.spot import reflected_spot_mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,20 +183,14 @@ def shown_bench(laboratory: Laboratory, truth: Truth, bench: BenchResult, spots:
     sensor, config = bench.sensor, laboratory.config
     error = sensor.rotation * Rotation.from_matrix(truth.sensor_from_table).inv()
     table = build_table(config, truth, next(case for case in CASES if case.name == "procedure"))
-    offsets, true, sigmas = [], [], []
-    for trim in bench.trims:
-        angle = np.array([trim.rows[-1].outer_deg, trim.rows[-1].inner_deg]) * DEG_RAD
-        top = table.rotation(angle[None])[0].as_matrix()
-        pose = CubePose.of_table(laboratory.geometry, top, truth.table_from_cube, truth.normal)
-        true.append(reflected_spot_mm(laboratory.geometry, pose, trim.face) / laboratory.pitch_mm)
-        offsets.append(trim.own.offset_px)
-        sigmas.append(np.sqrt(np.diag(trim.own.covariance_px2)))
+    offsets = [measured(trim.own.offset_px, trim.own.sigma_px) for trim in bench.trims]
+    true = [true_offset_px(laboratory, truth, table, trim) for trim in bench.trims]
     return Shown(
         trims=bench.trims,
         error_arcsec=bench.error_arcsec,
         face_angle_deg=bench.face_angle_rad * RAD_DEG,
         true_face_angle_deg=bench.true_face_angle_rad * RAD_DEG,
-        offset_px=measured(offsets, sigmas),
+        offset_px=offsets,
         true_offset_px=np.array(true),
         rotation_arcsec=sensor.rotation.as_rotvec() * RAD_ARCSEC,
         covariance_arcsec2=sensor.covariance_rad2 * RAD_ARCSEC**2,
@@ -207,6 +203,14 @@ def shown_bench(laboratory: Laboratory, truth: Truth, bench: BenchResult, spots:
         spot_px=spots.pixel_px,
         residual_px=residuals_px(config, truth, bench, spots),
     )
+
+
+def true_offset_px(laboratory: Laboratory, truth: Truth, table: Turntable, trim: FaceTrim) -> FloatArray:
+    """Offset (2,) of a face where it was left, by the law of reflection."""
+    angle = np.radians([[trim.rows[-1].outer_deg, trim.rows[-1].inner_deg]])
+    top = table.rotation(angle)[0].as_matrix()
+    pose = CubePose.of_table(laboratory.geometry, top, truth.table_from_cube, truth.normal)
+    return reflected_spot_mm(laboratory.geometry, pose, trim.face) / laboratory.pitch_mm
 
 
 def residuals_px(config: Config, truth: Truth, bench: BenchResult, spots: SensorRun) -> FloatArray:
@@ -264,7 +268,7 @@ def draw_pictures(outcome: Outcome, face: int) -> Figure:
     return figure
 
 
-def _outline(axis: Any, picture: Picture, circle: CircleFit, **style: Any) -> None:
+def _outline(axis: Any, picture: ScreenPicture, circle: CircleFit, **style: Any) -> None:
     angle = np.linspace(0, 2 * np.pi, 361)
     points = circle.centre + circle.radius * np.column_stack([np.cos(angle), np.sin(angle)])
     axis.plot(*picture.camera.to_pixel(points).T, **style)

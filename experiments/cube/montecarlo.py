@@ -12,15 +12,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calib.attitude.triad import angle_between_rad
 from calib.calibration.cube_mirror import (
     MirrorSolution,
     cube_from_table,
+    lean_covariance,
+    normal_covariance,
+    normal_in_table,
     normal_of_offset,
     rotation_error_rad,
     sensor_to_cube,
 )
+from calib.calibration.mask_sensor import MaskSensorCalibration
+from calib.calibration.table_axes import TableAxes
 from experiments.cube.bench import Case, Laboratory, Truth, build_table, nominal_normal
-from experiments.cube.sensor import SensorCalibration, SensorRun, calibrate_sensor, observe_spots
+from experiments.cube.sensor import SensorRun, calibrate_sensor, observe_spots
 from experiments.cube.settings import Config
 from experiments.cube.trim import FaceTrim, trim_face
 from experiments.harness.progress import Progress
@@ -57,21 +63,12 @@ class BenchResult:
     error_arcsec: FloatArray  # (3,) R_sp against the truth: rotation vector in the cube frame
     cube_error_arcsec: FloatArray  # (3,) What R_pr contributes
     sensor_error_arcsec: FloatArray  # (3,) What R_sr contributes, in the cube frame
-    sigma_arcsec: FloatArray  # (3,) Standard deviations that the fits state: pictures and spots, nothing else
     # (3,) Part of the sun sensor in that, and of the table's axes where they are fitted with it
     sensor_sigma_arcsec: FloatArray
     face_angle_rad: float  # Between the first two faces, measured
     true_face_angle_rad: float
     trims: tuple[FaceTrim, ...]  # Face by face, repeat by repeat
-    sensor: SensorCalibration  # R_sr
-
-
-def measured_normal(
-    table: Turntable, reading_rad: FloatArray, offset_mm: FloatArray | None, distance_mm: float
-) -> FloatArray:
-    """Normal in the table frame (3,) from the angles that were read."""
-    normal = normal_of_offset(np.zeros(2) if offset_mm is None else offset_mm, distance_mm)
-    return np.asarray(table.rotation(reading_rad[None])[0].inv().apply(normal))
+    sensor: MaskSensorCalibration  # R_sr
 
 
 def solve_cube(
@@ -89,7 +86,7 @@ def reduce_bench(
     truth: Truth,
     table: Turntable,
     trims: Sequence[FaceTrim],
-    sensor: SensorCalibration,
+    sensor: MaskSensorCalibration,
     *,
     improved: bool,
 ) -> BenchResult:
@@ -98,60 +95,43 @@ def reduce_bench(
     known = replace(table.nominal, non_orthogonality_arcsec=np.array([sensor.lean_rad * RAD_ARCSEC]))
     normals, spreads = [], []
     for trim in trims:
-        offset = trim.own.offset_px * laboratory.pitch_mm if improved else None
-        normals.append(measured_normal(known, trim.reading_rad, offset, geometry.distance_mm))
+        offset_mm = trim.own.offset_px * laboratory.pitch_mm if improved else np.zeros(2)
+        normals.append(normal_in_table(known, trim.reading_rad, normal_of_offset(offset_mm, geometry.distance_mm)))
         pictures = trim.own if improved else trim.offset
-        spreads.append(_normal_covariance(known, trim, pictures.covariance_px2 * laboratory.tilt_per_px**2))
+        tilts = pictures.covariance_px2 * laboratory.tilt_per_px**2
+        spreads.append(normal_covariance(known, trim.reading_rad, tilts))
     cube = solve_cube(config, truth, [trim.face for trim in trims], np.array(normals), np.array(spreads))
     rotation, covariance = sensor_to_cube(cube, sensor.rotation, sensor.covariance_rad2)
     if sensor.lean_sigma_rad > 0:
-        covariance = covariance + _lean_covariance(config, truth, known, trims, cube, rotation, sensor)
+        rate = _lean_rate(config, truth, known, trims)
+        covariance = covariance + lean_covariance(rate, rotation, sensor.lean_sigma_rad, sensor.lean_cross_rad2)
     true_cube = Rotation.from_matrix(truth.cube_from_table(config.cube.faces))
     true_sensor = Rotation.from_matrix(truth.sensor_from_table)
+    true_rotation = true_cube * true_sensor.inv()
     sensor_part = rotation_error_rad(sensor.rotation, true_sensor)
     first, second = (truth.normal_in_table(trims[i].face) for i in (0, config.cube.repeats))
     return BenchResult(
-        error_arcsec=rotation_error_rad(rotation, true_cube * true_sensor.inv()) * RAD_ARCSEC,
+        error_arcsec=rotation_error_rad(rotation, true_rotation) * RAD_ARCSEC,
         cube_error_arcsec=rotation_error_rad(cube.rotation, true_cube) * RAD_ARCSEC,
-        sensor_error_arcsec=-(true_cube * true_sensor.inv()).apply(sensor_part) * RAD_ARCSEC,
-        sigma_arcsec=np.sqrt(np.diag(covariance)) * RAD_ARCSEC,
+        sensor_error_arcsec=-true_rotation.apply(sensor_part) * RAD_ARCSEC,
         sensor_sigma_arcsec=np.sqrt(np.diag(covariance - cube.covariance_rad2)) * RAD_ARCSEC,
         face_angle_rad=cube.face_angle_rad,
-        true_face_angle_rad=float(np.arccos(first @ second)),
+        true_face_angle_rad=angle_between_rad(first, second),
         trims=tuple(trims),
         sensor=sensor,
     )
 
 
-def _lean_covariance(
-    config: Config,
-    truth: Truth,
-    known: Turntable,
-    trims: Sequence[FaceTrim],
-    cube: MirrorSolution,
-    rotation: Rotation,
-    sensor: SensorCalibration,
-) -> FloatArray:
-    """Contribution of the error of the fitted non-orthogonality to the covariance of R_sp (3, 3): e = J dl - R e_s, J
-    the difference quotient of R_pr by the lean, e_s the error of R_sr."""
+def _lean_rate(config: Config, truth: Truth, known: TableAxes, trims: Sequence[FaceTrim]) -> FloatArray:
+    """Difference quotient (3,) of R_pr by the fitted non-orthogonality [rad/rad]."""
     step = 1.0
     moved = replace(known, non_orthogonality_arcsec=known.non_orthogonality_arcsec + step)
-    names = [trim.face for trim in trims]
-    normals = [moved.rotation(t.reading_rad[None])[0].inv().apply([0.0, 0.0, 1.0]) for t in trims]
-    before = [known.rotation(t.reading_rad[None])[0].inv().apply([0.0, 0.0, 1.0]) for t in trims]
-    spread = np.zeros((len(trims), 3, 3))
-    pair = [solve_cube(config, truth, names, np.array(n), spread).rotation for n in (normals, before)]
-    rate = rotation_error_rad(*pair) / (step * ARCSEC_RAD)
-    cross = np.outer(rate, rotation.as_matrix() @ sensor.lean_cross_rad2)
-    return np.asarray(np.outer(rate, rate) * sensor.lean_sigma_rad**2 - cross - cross.T)
-
-
-def _normal_covariance(table: Turntable, trim: FaceTrim, covariance_rad2: FloatArray) -> FloatArray:
-    """Covariance (3, 3) of a measured normal from its circle fits, table frame."""
-    spread = np.zeros((3, 3))
-    spread[:2, :2] = covariance_rad2
-    turn = table.rotation(trim.reading_rad[None])[0].inv().as_matrix()
-    return np.asarray(turn @ spread @ turn.T)
+    names, spread = [trim.face for trim in trims], np.zeros((len(trims), 3, 3))
+    pair = []
+    for table in (moved, known):
+        normals = np.array([normal_in_table(table, trim.reading_rad) for trim in trims])
+        pair.append(solve_cube(config, truth, names, normals, spread).rotation)
+    return rotation_error_rad(*pair) / (step * ARCSEC_RAD)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,12 +191,12 @@ class SensorCache:
 
     def __init__(self) -> None:
         self.runs: dict[bool, SensorRun] = {}
-        self.calibrations: dict[tuple[bool, bool, bool], SensorCalibration] = {}
+        self.calibrations: dict[tuple[bool, bool, bool], MaskSensorCalibration] = {}
 
 
 def _sensor(
     laboratory: Laboratory, truth: Truth, case: Case, table: Turntable, known: SensorCache
-) -> SensorCalibration:
+) -> MaskSensorCalibration:
     bench = laboratory.streams.child("bench", truth.number)
     if case.lean not in known.runs:
         exact = build_table(laboratory.config, truth, Case(name="", label="", lean=case.lean))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from numbers import Integral
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optics.errors import DomainError
 
@@ -86,3 +87,20 @@ class Streams:
     def generator(self, name: str, frame: int = 0) -> np.random.Generator:
         """NumPy generator on the same stream, for draws that are few and not per pixel."""
         return np.random.Generator(np.random.Philox(self.sequence(name, frame)))
+
+
+def stratified(rng: np.random.Generator, count: int, size: int) -> NDArray[np.float64]:
+    """Latin hypercube (count, size) in 0 to 1 (McKay, Beckman & Conover 1979, Technometrics 21, 239).
+
+    Every column has one number in each of ``count`` equal intervals, so that the scatter of inputs does not add to the
+    scatter of results.
+    """
+    order = np.argsort(rng.random((size, count)), axis=1)
+    return np.asarray(((order + rng.random((size, count))) / count).T)
+
+
+def stratified_normal(rng: np.random.Generator, count: int, size: int) -> NDArray[np.float64]:
+    """Stratified standard normal deviates (count, size); see `stratified`."""
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(stratified(rng, count, size)))

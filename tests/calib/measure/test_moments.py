@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from calib.measure.moments import FWHM_PER_SIGMA, Moments, half_light_radius, powers
+from calib.measure.moments import (
+    FWHM_PER_SIGMA,
+    Moments,
+    centre_of_light,
+    disk_centre_variance_px2,
+    half_light_radius,
+    powers,
+)
 
 
 def test_moments_are_those_of_two_lone_pixels():
@@ -31,3 +38,21 @@ def test_half_light_radius_does_not_depend_on_the_order_of_equal_pixels():
     turned = np.stack([light, light[:, ::-1], light[::-1], light.T])
     found = half_light_radius(turned, np.full(4, 7.0), np.full(4, 7.0))
     np.testing.assert_allclose(found, found[0], rtol=1e-12)
+
+
+def test_noise_of_a_centre_of_light_is_that_of_drawn_windows():
+    """A disk of even light in 3000 windows of drawn pixels. The columns move x alone."""
+    side, radius, level, frames = 48, 14.3, 1e4, 2
+    rng, row, column = np.random.default_rng(6), *(np.mgrid[:48, :48] - 23.5)
+    light = level * np.clip(radius + 0.5 - np.hypot(row, column), 0.0, 1.0)
+    found = []
+    for _ in range(30):
+        windows = light * (1.0 + 0.01 * rng.standard_normal((100, side, side)))
+        temporal2 = (light + 150.0) / frames
+        windows += np.sqrt(temporal2 + 8.0**2) * rng.standard_normal(windows.shape)
+        windows += 5.0 * rng.standard_normal((100, 1, side))
+        found.append(centre_of_light(windows + 77.0) - (side - 1) / 2)
+    expected = disk_centre_variance_px2(
+        [level], radius, side, frames=frames, floor_e2=150.0, offset_e=8.0, column_e=5.0, prnu=0.01
+    )
+    assert np.mean(np.square(found)) == pytest.approx(expected[0], rel=0.07)

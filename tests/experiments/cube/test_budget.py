@@ -74,15 +74,6 @@ def test_noise_of_pictures_and_sun_sensor_by_their_sizes(laboratory):
     assert (sensor > 1e-4 * pixel_arcsec).all()
 
 
-def test_trims_of_a_table_without_steps_end_within_the_rule(laboratory):
-    """Read without noise and moved in full: nothing is left of what was beyond the limit, else at most the limit."""
-    trim = laboratory.config.trim.model_copy(update={"step_deg": 0.0, "gain_ratio": 1.0})
-    config = laboratory.config.model_copy(update={"trim": trim})
-    left = study.play_trim(config, laboratory.tilt_per_px, 0.0, laboratory.streams)
-    inside = trim.stop_px / trim.start_px  # the part of starts that are let be, along both axes
-    assert left == pytest.approx([trim.stop_px * inside / np.sqrt(3.0)] * 2, rel=0.15)
-
-
 def test_lines_of_benches_that_err_as_predicted(laboratory, single, monkeypatch):
     """400 benches a case: the RMS of an axis known to 1 / sqrt(800), with its stated uncertainty."""
     monkeypatch.setattr(study, "_noise", lambda *_: (SEEN, SENSOR))
@@ -135,14 +126,3 @@ def test_statistics_of_a_case():
         assert sigma == pytest.approx(part * np.array([1.0, 2.0, 3.0]) / np.sqrt(200), rel=4.0 / np.sqrt(400))
         assert (np.abs(mean) < 4.0 * sigma).all()
     assert found.trims.tolist() == [3, 1] * 200
-
-
-def test_ratio_of_two_sides_by_drawn_numbers():
-    """20 000 draws of both sides on two axes: the ratio of their lengths scatters as stated."""
-    rng = np.random.default_rng(5)
-    a, b = np.array([1.0, 2.0]), np.array([1.2, 1.9])
-    sigma_a, sigma_b = np.array([0.02, 0.05]), np.array([0.03, 0.04])
-    found = study._ratio(a, sigma_a, b, sigma_b)
-    drawn = [np.linalg.norm(v + s * rng.standard_normal((20_000, 2)), axis=1) for v, s in ((a, sigma_a), (b, sigma_b))]
-    assert found.value == pytest.approx(np.sqrt(5.0) / np.hypot(1.2, 1.9))
-    assert found.uncertainty == pytest.approx((drawn[0] / drawn[1]).std(), rel=0.03)

@@ -7,27 +7,25 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.calibration.cube_mirror import concentric_angles
 from experiments.cube import bench as cube_bench
 from experiments.cube import montecarlo as cube_montecarlo
 from experiments.cube.bench import (
     Case,
     build_table,
-    concentric_angles,
     draw_truths,
-    reflected_spot_mm,
-    spot_profile,
+    face_start_rad,
 )
 from experiments.cube.budget import (
     beam_rates,
     geometric_error,
     lean_rates,
-    play_trim,
-    stratified_variance_ratio,
 )
 from experiments.cube.sensor import calibrate_sensor, field_angles, fit_sensor, observe_spots, own_detector
 from experiments.cube.settings import Config
 from render.bench.scene import CubePose
 from render.bench.sensor import MaskSensor
+from render.bench.spot import reflected_spot_mm
 from render.engine.random import Streams
 
 ARCSEC = np.pi / 180 / 3600
@@ -43,33 +41,6 @@ def mask():
 def laboratory(engine):
     config = Config(benches={"count": 4, "log2_particles": 16}, sensor={"grid": 5, "log2_particles": 12})
     return cube_bench.build_laboratory(config)
-
-
-def test_inputs_are_stratified():
-    """Latin hypercube: every sigma of 50 benches is met to a few per cent, where chance gives 10 per cent."""
-    truths = draw_truths(Config(benches={"count": 50}), Streams(3))
-    for values in (
-        [t.lean for t in truths],
-        *np.array([t.mounting.ravel() for t in truths]).T,
-        *np.array([t.aim.ravel() for t in truths]).T,
-    ):
-        assert np.std(values) == pytest.approx(1.0, abs=0.05)
-    starts = np.array([t.start.ravel() for t in truths])
-    assert np.abs(starts).max() <= 1.0
-    assert starts.std(0) == pytest.approx(np.full(4, 1 / np.sqrt(3)), abs=0.01)
-
-
-@pytest.mark.slow
-def test_bars_of_stratified_benches():
-    """Mean squares of a stratified term of 2 and a free one of 1, from 20 benches; 100 repeats tell to 7 %."""
-    generator = np.random.default_rng(6)
-    squares = []
-    for i in range(100):
-        even = np.array([t.lean for t in draw_truths(Config(benches={"count": 20}), Streams(i))])
-        squares.append(np.mean((2.0 * even + generator.standard_normal(20)) ** 2))
-    ratio = stratified_variance_ratio([np.full(3, 2.0)], np.full(3, np.sqrt(5.0)), benches=20)
-    assert np.std(squares) == pytest.approx(np.sqrt(ratio[0] * 2 / 20) * 5.0, rel=0.25)
-    assert stratified_variance_ratio([np.ones(3)], np.ones(3), benches=50) == pytest.approx(np.full(3, 0.02))
 
 
 def test_benches_do_not_depend_on_their_order():
@@ -94,35 +65,9 @@ def test_concentric_angles_return_the_light_into_the_aperture(face):
     truth = replace(draw_truths(config, Streams(5))[0], lean=1.0)
     table = build_table(config, truth, Case(name="", label="", lean=True))
     of = cube_bench.geometry_of(config)
-    angle = concentric_angles(table, truth.normal_in_table(face), face)
+    angle = concentric_angles(table, truth.normal_in_table(face), face_start_rad(face))
     pose = CubePose.of_table(of, table.rotation(angle[None])[0].as_matrix(), truth.table_from_cube, truth.normal)
     assert reflected_spot_mm(of, pose, face) == pytest.approx([0, 0], abs=1e-9)
-
-
-def test_profile_of_the_spot():
-    """All light of the aperture is in it; a point sees the whole sun inside a - b and none beyond a + b."""
-    of = cube_bench.geometry_of(Config())
-    reach = 1.25 + 1300 * np.tan(np.radians(1.5 / 60))
-    radius = np.linspace(0, reach, 20001)
-    profile = spot_profile(of, radius)
-    assert np.trapezoid(profile * 2 * np.pi * radius, radius) == pytest.approx(np.pi * 1.25**2, rel=1e-6)
-    assert profile[0] == 1.0
-    assert spot_profile(of, [2.5 - reach - 1e-3, reach + 1e-3]) == pytest.approx([1.0, 0.0])
-
-
-def test_stop_rule_played():
-    """A perfect operator leaves what the table's steps leave: uniform within half a step; N = 40000."""
-    config = Config(trim={"gain_ratio": 1.0, "step_deg": 0.001, "start_px": 500.0, "stop_px": 1.0})
-    step_px = np.radians(0.001) / (0.015 / 1300)
-    left = play_trim(config, 0.015 / 1300, 0.0, Streams(1))
-    assert left == pytest.approx([step_px / np.sqrt(12)] * 2, rel=0.02)
-    coarse = play_trim(
-        config.model_copy(update={"trim": config.trim.model_copy(update={"gain_ratio": 0.5})}),
-        0.015 / 1300,
-        0.0,
-        Streams(1),
-    )
-    assert np.all(coarse > left)
 
 
 def test_axes_out_of_square_act_on_z_and_half_of_it_cancels():
@@ -210,7 +155,10 @@ def test_bench_on_exact_coordinates_is_reduced_without_error(seed):
     none = SimpleNamespace(offset_px=np.zeros(2), covariance_px2=1e-4 * np.eye(2))
     trims = [
         SimpleNamespace(
-            face=face, own=none, offset=none, reading_rad=concentric_angles(table, truth.normal_in_table(face), face)
+            face=face,
+            own=none,
+            offset=none,
+            reading_rad=concentric_angles(table, truth.normal_in_table(face), face_start_rad(face)),
         )
         for face in config.cube.faces
     ]

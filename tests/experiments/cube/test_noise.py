@@ -1,46 +1,24 @@
 """Rendered light against the closed form, and noise of pictures and sun sensor against its predictions."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
-from scipy.stats import norm
 
+from calib.calibration.table_axes import TableAxes
+from calib.measure.moments import centre_of_light
+from calib.measure.screen_circles import fit_aperture, fit_hole, fit_spot, measure_offset
 from experiments.cube import bench as cube_bench
-from experiments.cube.bench import NOMINAL_CUBE, SQUARE, Case, build_table, draw_truths, spot_profile
+from experiments.cube.bench import NOMINAL_CUBE, SQUARE, Case, build_table, draw_truths
 from experiments.cube.budget import DETECTOR_RELATIVE, reading_term
-from experiments.cube.noise import (
-    ACROSS,
-    _beam,
-    _blur_px,
-    _Edge,
-    _hole_response,
-    _of_detector_px2,
-    _pixel_noise,
-    _spot_particles_px2,
-    _spot_variance_px2,
-    picture_noise,
-    sensor_noise,
-)
-from experiments.cube.sensor import EXPOSURE_S, centre_of_light, field_angles, fit_sensor
+from experiments.cube.noise import picture_noise, sensor_noise, spot_particles_px2, spot_variance_px2
+from experiments.cube.sensor import field_angles, fit_sensor
 from experiments.cube.settings import Config
-from experiments.cube.trim import (
-    BESIDE_PX,
-    exposed,
-    fit_aperture,
-    fit_hole,
-    fit_spot,
-    measure_offset,
-    spot_light,
-    spot_reach_mm,
-    take_aperture,
-)
-from experiments.laboratory.devices.turntable import build_turntable
+from experiments.cube.trim import exposed, spot_reach_mm
 from render.bench.scene import CubePose, place_cube
 from render.bench.sensor import mask_scene, trace_mask
+from render.bench.spot import spot_profile
 from render.bench.trace import land
 from render.engine.random import Streams
 
@@ -57,15 +35,6 @@ def turn_face(laboratory, tilt_rad):
     table = Rotation.from_rotvec([0.0, tilt_rad, 0.0]) * Rotation.from_euler("y", 180, degrees=True)
     pose = CubePose.of_table(laboratory.geometry, table.as_matrix(), NOMINAL_CUBE, SQUARE)
     place_cube(laboratory.scene, laboratory.geometry, pose)
-
-
-def test_variance_of_a_centre_by_the_detector(laboratory):
-    """Falls with the square of the slope; interpolation between two pixels leaves the mean of t^2 + (1 - t)^2."""
-    edge = _Edge(radius=200.0, slope=0.1, brightness=0.5, half=4.0)
-    one, steep = (_of_detector_px2(laboratory, replace(edge, slope=slope), 1e4) for slope in (0.1, 0.2))
-    assert steep == pytest.approx(one / 4.0)
-    part = np.linspace(0.0, 1.0, 10_001)
-    assert pytest.approx(np.mean(part**2 + (1.0 - part) ** 2), rel=1e-3) == ACROSS
 
 
 @pytest.mark.slow
@@ -90,11 +59,12 @@ def test_noise_of_the_pictures_by_the_detector(laboratory):
     radius, reach = laboratory.geometry.aperture_mm / 2, spot_reach_mm(laboratory)
     root = laboratory.streams.child("repeatability")
     inner = radius - 3 * laboratory.pitch_mm
-    light = spot_light(laboratory, root, sensor=laboratory.sensor, log2_particles=21, inner_mm=inner)
+    seed = root.key("particles") >> 1
+    light = laboratory.light(laboratory.sensor, covered=False, log2_particles=21, seed=seed, inner_mm=inner)
     offsets = []
     for number in range(PICTURES):
         streams = laboratory.streams.child("repeatability", number)
-        aperture = fit_aperture(take_aperture(laboratory, streams), radius)
+        aperture = fit_aperture(exposed(laboratory, laboratory.aperture_e, streams.child("aperture")), radius)
         picture = exposed(laboratory, light, streams.child("spot"))
         spot = fit_spot(picture, aperture, reach)
         of_both = aperture, fit_hole(picture, aperture)
@@ -128,8 +98,7 @@ def test_particles_of_the_rendered_spots(laboratory):
             seed=seed,
         )
         found.append(centre_of_light(light.astype(float)) + corner - true)
-    radius = truth.sensor.hole_mm / 2 / truth.sensor.pitch_mm
-    predicted = np.sqrt(_spot_particles_px2(laboratory, radius, sun[:, 2]))
+    predicted = np.sqrt(spot_particles_px2(laboratory, sun[:, 2]))
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(predicted, rel=4 * 0.03 * np.sqrt(1 / 3 + 1 / 4))
 
 
@@ -155,17 +124,11 @@ def test_squareness_assumed_too_large_turns_the_cube_about_z():
 
 def cube_of(angle_rad, lean_arcsec=0.0):
     """R_pr of the +Z and the +X face: Z the first normal, X the part of the second that is square to it."""
-    first, second = _beam(angle_rad, lean_arcsec)
+    table = TableAxes.create("xy", non_orthogonality_arcsec=lean_arcsec)
+    first, second = table.rotation(angle_rad).inv().apply([0.0, 0.0, 1.0])
     across = second - (second @ first) * first
     across /= np.linalg.norm(across)
     return Rotation.from_matrix([across, np.cross(first, across), first])
-
-
-def test_light_of_a_table_is_the_written_out_one():
-    """CUBE09 eq. 7: r = (-sin b cos a, sin a, cos b cos a) for outer angle a, inner angle b."""
-    a, b = np.radians([[20.0, -7.0], [30.0, 91.0]])
-    written = np.column_stack([-np.sin(b) * np.cos(a), np.sin(a), np.cos(b) * np.cos(a)])
-    assert build_turntable("xy").rotation(np.column_stack([a, b])).inv().apply([0, 0, 1]) == pytest.approx(written)
 
 
 @pytest.mark.slow
@@ -180,7 +143,7 @@ def test_noise_of_the_sun_sensor_is_that_of_many_fits(laboratory):
     exact = sensor.spot_px(table.rotation(angle).inv().apply([0.0, 0.0, 1.0]))
     noise = sensor_noise(laboratory, reading=True, lean=False)
     cosine = table.rotation(angle).as_matrix()[:, 2, 2]
-    sigma = np.sqrt(_spot_variance_px2(laboratory, cosine))[:, None]
+    sigma = np.sqrt(spot_variance_px2(laboratory, cosine))[:, None]
     found = []
     for run in range(200):
         spots = exact + sigma * rng.standard_normal(exact.shape)
@@ -188,41 +151,3 @@ def test_noise_of_the_sun_sensor_is_that_of_many_fits(laboratory):
         found.append(fit_sensor(config, spots, read, table, sensor, free=False).rotation.as_rotvec())
     predicted = np.sqrt(np.diag(noise.covariance_rad2))
     assert np.std(found, axis=0) / predicted == pytest.approx(np.ones(3), abs=0.2)
-
-
-def test_noise_of_a_centre_of_light_is_that_of_drawn_windows(laboratory):
-    """A disk of even light in 3000 windows of drawn pixels; less what particles add. The columns move x alone."""
-    config, detector = laboratory.config.sensor, laboratory.sensor_detector
-    radius, side, runs = config.hole_um * 5e-4 / detector.pixel_pitch_mm, config.window_px, 3000
-    noise, rng = _pixel_noise(detector, EXPOSURE_S), np.random.default_rng(6)
-    row, column = np.mgrid[:side, :side] - (side - 1) / 2
-    light = config.plateau_e * np.clip(radius + 0.5 - np.hypot(row, column), 0.0, 1.0)
-    found = []
-    for _ in range(runs // 100):
-        seen = light * (1.0 + noise.prnu * rng.standard_normal((100, side, side)))
-        temporal = np.sqrt((light + noise.floor_e2) / config.frames)
-        seen += np.sqrt(temporal**2 + noise.offset_e**2) * rng.standard_normal(seen.shape)
-        seen += noise.column_e * rng.standard_normal((100, 1, side))
-        found.append(centre_of_light(seen) - (side - 1) / 2)
-    one = np.ones(1)
-    expected = _spot_variance_px2(laboratory, one)[0] - _spot_particles_px2(laboratory, radius, one)
-    assert np.mean(np.square(found)) == pytest.approx(expected, rel=0.07)
-
-
-def test_response_of_the_hole_s_edge_is_the_blurred_window_less_half_the_line():
-    """SciPy's quadrature of the weights against a normal density; the line has integral 1 and no first moment."""
-    bench = SimpleNamespace(detector=SimpleNamespace(diffusion_sigma_px=0.3))
-    blur, (near, far) = _blur_px(bench), BESIDE_PX
-    assert blur == pytest.approx(np.sqrt(0.09 + 0.25))
-    line = np.linalg.solve(
-        [[far - near, (far**2 - near**2) / 2], [(far**2 - near**2) / 2, (far**3 - near**3) / 3]], [1, 0]
-    )
-    for offset in (-1.0, 0.4, 3.0, 6.5):
-
-        def seen(u, offset=offset):
-            return norm.pdf(offset, u, blur)
-
-        window = quad(lambda u: 0.75 / 2.0 * (1.0 - (u / 2.0) ** 2) * seen(u), -2.0, 2.0)[0]
-        rim = quad(lambda u: (line[0] + line[1] * u) * seen(u), near, far)[0]
-        found = _hole_response(bench, np.array([offset]), 2.0)[0]
-        assert found == pytest.approx(window - 0.5 * rim, abs=2e-3)

@@ -7,7 +7,7 @@ import pytest
 from refusals import refuses
 
 from optics.errors import DomainError
-from render.engine.random import Streams
+from render.engine.random import Streams, stratified, stratified_normal
 
 
 def test_key_is_reproducible_and_pinned() -> None:
@@ -47,3 +47,13 @@ def test_bad_seed(seed: Any) -> None:
 @pytest.mark.parametrize("frame", [-1, 2**64, 0.5])
 def test_bad_frame(frame: Any) -> None:
     refuses(DomainError, "frame = ", lambda: Streams(1).key("photon", frame))
+
+
+@pytest.mark.parametrize("count", [2, 50])
+def test_stratified_numbers_fill_every_interval_once(count):
+    numbers = stratified(np.random.default_rng(3), count, 7)
+    assert numbers.shape == (count, 7)
+    assert np.array_equal(np.sort(np.floor(numbers * count), axis=0), np.tile(np.arange(count)[:, None], 7))
+    normal = stratified_normal(np.random.default_rng(3), 50, 20)
+    assert normal.std(axis=0) == pytest.approx(np.ones(20), abs=0.13)
+    assert normal.std(axis=0).mean() == pytest.approx(1.0, abs=0.02)  # by chance each within 10 %
