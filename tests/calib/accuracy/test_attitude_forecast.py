@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.accuracy.attitude_forecast import Sightings, attitude_forecast
+from calib.accuracy.attitude_forecast import Sightings, attitude_forecast, draw_star_list, with_noise_scaled
 from calib.accuracy.star_errors import DetectionLimit, FrameNoise, StarErrors, colour_distance
 from calib.measure.centroid_prediction import CentroidErrors
 from calib.records import NoiseModel
@@ -83,3 +83,21 @@ def test_attitudes_star_by_star(seen):
             expected = np.sqrt(np.diag(np.linalg.inv(information))) * RAD_ARCSEC
             np.testing.assert_allclose(which[frame], expected, rtol=1e-6)
     np.testing.assert_allclose(forecast.across_arcsec, np.hypot(*forecast.total_arcsec[:, :2].T) / np.sqrt(2.0))
+
+
+def test_a_list_has_its_stars_with_their_errors_and_its_false_alarms():
+    place, rng = np.full((4000, 2), 100.0), np.random.default_rng(1)
+    sure, never = np.arange(4000) < 1000, np.arange(4000) >= 3000
+    chance = np.where(sure, 1.0, np.where(never, 0.0, 0.5))
+    drawn, light = draw_star_list(
+        place, np.geomspace(1.0, 9.0, 4000), np.full(4000, 0.1), chance, false_alarms=50.0, size_px=(800, 600), rng=rng
+    )
+    stars = np.abs(drawn - 100.0).max(axis=1) < 1.0
+    assert np.count_nonzero(stars) == pytest.approx(2000, abs=5 * np.sqrt(500))
+    assert drawn[stars].std() == pytest.approx(0.1, rel=0.05)
+    assert np.count_nonzero(~stars) == pytest.approx(50, abs=5 * np.sqrt(50))
+    assert light[~stars].max() == pytest.approx(0.5)
+
+
+def test_noise_alone_is_scaled():
+    np.testing.assert_allclose(with_noise_scaled(5.0, 3.0, np.array([0.0, 1.0, 4.0])), [4.0, 5.0, np.hypot(4.0, 12.0)])

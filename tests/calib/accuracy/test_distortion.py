@@ -11,7 +11,9 @@ from calib.accuracy.distortion import (
     deleted_residuals_px,
     distortion_statistics,
     fit_camera_terms,
+    map_change_px,
     map_error_px,
+    polynomial_rms_px,
     polynomial_terms,
     without_pointing,
 )
@@ -147,3 +149,21 @@ def test_the_order_of_the_lens_is_the_best_of_those_tested():
     few = compare_orders(PLACE, np.zeros_like(PLACE), "aligned")
     assert few.tested_order == 2
     assert few.order.tolist() == [1, 2, 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize("scaled", [True, False])
+def test_a_change_of_shift_roll_and_scale_is_none(scaled):
+    """Noise on top of it remains, by its degrees of freedom; a scale only where that is fitted."""
+    rng = np.random.default_rng(3)
+    rigid = np.array([2.0, -1.0]) + PLACE @ np.array([[0.0, 0.3], [-0.3, 0.0]])
+    noise = [map_change_px(PLACE, rigid + rng.normal(0.0, 0.1, PLACE.shape), scaled=scaled) for _ in range(200)]
+    assert np.sqrt(np.mean(np.square(noise))) == pytest.approx(0.1, rel=0.03)
+    grown = map_change_px(PLACE, rigid + 0.5 * PLACE, scaled=scaled)
+    assert (grown < 1e-12) == scaled
+
+
+def test_a_polynomial_of_each_axis_leaves_the_noise():
+    rng = np.random.default_rng(4)
+    cubic = polynomial_terms(PLACE, 3) @ rng.normal(size=(10, 2))
+    rms = [polynomial_rms_px(PLACE, cubic + rng.normal(0.0, 0.1, PLACE.shape)) for _ in range(200)]
+    assert np.sqrt(np.mean(np.square(rms))) == pytest.approx(0.1, rel=0.03)

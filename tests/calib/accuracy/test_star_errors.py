@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
+from calib.accuracy.frame_check import centroid_scatter, false_alarms_against, limit_shift, rms_against_sigma
 from calib.accuracy.star_errors import DetectionLimit, FrameNoise, StarErrors, colour_distance, mean_snr, star_errors
 from calib.records import NoiseModel
 from render.records import EffectivePsf
@@ -104,3 +105,55 @@ def test_colour_distance_by_hand():
     found = colour_distance(np.array([3500.0, 5800.0, 10_000.0, 4365.0]), 5800.0)
     np.testing.assert_allclose(found, [1.0, 0.0, 1.0, 0.5], atol=2e-3)
     assert colour_distance(np.array([5000.0]), 3500.0)[0] == pytest.approx((1 / 3500 - 1 / 5000) / (1 / 3500 - 1e-4))
+
+
+# --- Frames against the prediction, with errors that are drawn from it
+
+
+READOUTS, STARS = 4, 60
+
+
+def drawn(stars, rng, worse=1.0, fainter_mag=0.0):
+    """Pulls of scatter and limit of frames as predicted, or with more noise, or fainter stars."""
+    radius = np.linspace(10.0, 490.0, STARS)
+    bright, faint = np.full(STARS, 5e3), 900.0 * 10.0 ** np.linspace(-0.25, 0.25, STARS)
+    sigma = stars.sigma_at(stars.centroid.noise_px, bright, radius)
+    error = worse * sigma[:, None] * rng.standard_normal((READOUTS, STARS, 2))
+    noise = centroid_scatter(error, bright, radius, stars, LIMIT)
+    found = rng.random((READOUTS, STARS)) < stars.detected_at(faint * 10.0 ** (-0.4 * fainter_mag), radius)
+    return noise, limit_shift(found.mean(axis=0), faint, radius, stars)
+
+
+def test_right_frames_scatter_as_their_stated_errors(stars):
+    """Stated errors count the prediction's own too: pulls scatter by less than 1, not by much less."""
+    rng = np.random.default_rng(7)
+    runs = [drawn(stars, rng) for _ in range(200)]
+    noise = np.array([(one.measured - one.predicted) / one.error for one, _ in runs])
+    limit = np.array([shift / error for _, (shift, error) in runs])
+    assert runs[0][0].n == 2 * STARS * (READOUTS - 1)
+    for pull in (noise, limit):
+        assert abs(pull.mean()) < 0.3
+        assert 0.6 < np.sqrt((pull**2).mean()) < 1.12
+
+
+def test_wrong_frames_show(stars):
+    rng = np.random.default_rng(3)
+    runs = [drawn(stars, rng, worse=1.3, fainter_mag=0.3) for _ in range(30)]
+    assert np.mean([one.measured / one.predicted for one, _ in runs]) == pytest.approx(1.3, rel=0.03)
+    assert np.mean([shift for _, (shift, _) in runs]) == pytest.approx(-0.3, abs=0.05)
+
+
+def test_errors_of_unlike_size_against_their_sigma():
+    rng = np.random.default_rng(5)
+    sigma = rng.uniform(0.5, 2.0, 50)
+    found = [rms_against_sigma(sigma * rng.standard_normal(50), sigma) for _ in range(400)]
+    pull = np.array([(one.measured - one.predicted) / one.error for one in found])
+    assert abs(pull.mean()) < 0.2
+    assert np.sqrt((pull**2).mean()) == pytest.approx(1.0, abs=0.15)
+
+
+def test_false_alarms_of_a_dark_frame_repeat():
+    """Poisson, the mean dark frame of 9 in all 5 frames: 1 + 5 / 10; an alarm more, and a tenth of all."""
+    found = false_alarms_against(np.array([3, 1, 0, 2, 4]), 2.0, 9)
+    assert (found.measured, found.predicted, found.n) == (10.0, 10.0, 10)
+    assert found.error == pytest.approx(np.sqrt(15.0 + 1.0 + 1.0))

@@ -12,11 +12,8 @@ from experiments.camera.settings import Config
 from experiments.harness.range import with_value
 from experiments.harness.sections import numbers_of
 from experiments.harness.what_if import judge, missed_words
-from experiments.laboratory.sensor_prediction import accuracy, optical_state, predict_camera
+from experiments.laboratory.sensor_prediction import accuracy, predict_camera
 from optics.errors import ConfigError, DomainError
-from optics.light.photometry import band_photon_rate
-from optics.light.spectrum import Blackbody
-from optics.rays.spots import trace_spots
 from render.sensor_file.requirements import RequirementsConfig
 
 TRACKER = {
@@ -47,19 +44,6 @@ def test_first_order_by_hand(tracker):
     assert tracker.value("field_deg") == pytest.approx(field, rel=2e-3)
     assert tracker.value("f_number") == pytest.approx(2.0, rel=0.03)
     assert tracker.value("depth_of_focus_um") == pytest.approx(tracker.value("f_number") * 5.5, rel=1e-9)
-
-
-def test_electrons_by_hand(tracker):
-    """Photons of a 6th magnitude star through the band, times throughput at its middle, pupil area and exposure.
-
-    The throughput changes by some 10 % about its value at the middle: 6 % is what this sum can promise.
-    """
-    sensor, band = tracker.state.sensor, tracker.state.band
-    photons = float(band_photon_rate(Blackbody(temperature_k=5800.0), 6.0, [band], system="G")[0])
-    wave = np.linspace(500.0, 800.0, 61)
-    throughput = float(sensor.camera.response_at(wave).mean())
-    area = np.pi / 4.0 * tracker.value("pupil_mm") ** 2
-    assert tracker.value("electrons_e") == pytest.approx(photons * throughput * area * 0.2, rel=0.06)
 
 
 def test_a_star_that_saturates_has_no_accuracy_and_meets_no_requirement(config):
@@ -141,20 +125,3 @@ def test_refused(config):
         predict_camera(with_value(config, "instrument.defocus_mm", 5.0))
     with pytest.raises(DomainError, match="read at most"):
         predict_camera(with_value(with_value(config, "instrument.width_px", 0), "instrument.height_px", 0))
-
-
-@pytest.mark.slow
-def test_electrons_of_a_lens_that_vignettes_follow_the_traced_beams():
-    """double_gauss_50mm loses 43 % of a beam at the corner, from a kink near the axis on; five fields were 3 % off."""
-    settings = {"lens": "double_gauss_50mm", "diffraction": "rays", "absorption": False}
-    state = optical_state(Config.model_validate({"instrument": settings}))
-    camera, wave = state.sensor.camera, state.light.wavelength_nm[0]
-    radius_px = np.linspace(0.0, state.radius_px[-1], 38)
-    field_deg = np.degrees(np.arctan(radius_px * camera.pixel_pitch_mm / state.sensor.focal_length_mm))
-    area = trace_spots(camera.focused_lens, field_deg, 0.0 * field_deg, wave, order=(20, 40)).area_mm2.sum(-1)
-    traced = (area * np.cos(np.radians(field_deg))[:, None]) @ state.fraction
-    magnitude, kelvin = np.zeros(len(radius_px)), np.full(len(radius_px), 5800.0)
-    electrons = state.electrons_per_s(magnitude, kelvin, radius_px)
-    ratio = (electrons / electrons[0]) / (traced / traced[0])
-    assert ratio == pytest.approx(1.0, abs=3e-3)
-    assert np.average(ratio, weights=radius_px) == pytest.approx(1.0, abs=3e-4)

@@ -1,7 +1,6 @@
 """Sweeps of the camera: closed forms, crossings, refusals, and the command."""
 
 import json
-import re
 
 import numpy as np
 import pytest
@@ -34,33 +33,6 @@ def study(*sweep, **tables):
 
 def series(found, name):
     return np.array([getattr(point, name) for point in found["points"]])
-
-
-@pytest.mark.slow
-def test_limiting_magnitude_follows_the_exposure_as_the_noise_says():
-    """Against read noise a star needs so many electrons: 2.5 log10 t; against background light half that."""
-    for background, slope in ((0.0, 2.5), (1e5, 1.25)):
-        found = study("exposure_s=0.1:0.4:2", detector=STILL, background_e_per_s=background)
-        moved = np.diff(series(found, "limiting_magnitude_mag"))[0]
-        assert moved == pytest.approx(slope * np.log10(4.0), abs=0.02)
-
-
-@pytest.mark.slow
-def test_a_stop_takes_light_by_its_square():
-    """Closed far enough for the pupil to be paraxial; at F-numbers that the lens has not, the point is refused."""
-    found = study("f_number=1:16:4")
-    assert np.isfinite(series(found, "electrons_e")).tolist() == [False, True, True, True]
-    assert re.search("f_number|F-number", found["points"][0].refusal)
-    light, stop = series(found, "electrons_e")[1:], series(found, "f_number")[1:]
-    np.testing.assert_allclose(light * stop**2, (light * stop**2)[0], rtol=3e-3)
-
-
-@pytest.mark.slow
-def test_focus_over_temperature_in_an_aluminium_housing():
-    """Paraxial trace of the 206 mm lens with warm glasses, gaps and housing: 4.55 um per kelvin."""
-    config = Config(sweep=("lens_temperature_c=10:30:2",), sky={"attitudes": 20})
-    found = run_sweep(experiment, config, progress=Progress())
-    assert abs(np.diff(series(found, "best_focus_um"))[0]) / 20.0 == pytest.approx(4.55, rel=0.02)
 
 
 def test_magnitude_of_the_star_that_is_quoted():

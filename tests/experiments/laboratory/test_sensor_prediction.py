@@ -26,18 +26,6 @@ def sensor():
     return predict_camera(config)
 
 
-def test_noise_of_pixels_dark_frames_and_background(sensor):
-    """Faint stars: noise is that of the pixels, patterns that of the mean of four dark frames, half as large."""
-    faint, chip = sensor.stars.centroid, sensor.processing.frame
-    floor = sensor.pixel.floor_e2
-    ratio2 = (faint.pattern_px[0, 0] / faint.noise_px[0, 0]) ** 2
-    assert ratio2 == pytest.approx(floor / DARK_FRAMES / (floor + BACKGROUND_E), rel=0.1)
-    assert chip.empty_e2 == pytest.approx(floor * (1.0 + 1.0 / DARK_FRAMES) + BACKGROUND_E, rel=1e-9)
-    told = chip.noise.read_noise_e**2 + 1.0 / (12.0 * sensor.detector.gain_dn_per_e**2)
-    assert told == pytest.approx(floor * (1.0 + 1.0 / DARK_FRAMES), rel=1e-9)
-    assert chip.spread == pytest.approx(np.sqrt(sensor.pixel.floor_e4) / chip.empty_e2, rel=1e-9)
-
-
 def test_single_numbers_of_the_page(sensor):
     radius, state, view = np.zeros(1), sensor.state, sensor.view
     full = min(sensor.detector.full_well_e, sensor.detector.converter_top_e) - BACKGROUND_E - sensor.pixel.dark_e
