@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from experiments.camera.guides import LEAST, coverage, lost_in_space
+from experiments.camera.guides import LEAST, coverage, fraction_measured, lost_in_space
 from experiments.camera.settings import Config
 from experiments.laboratory.sensor_prediction import predict_camera
 from optics.validate import parse_model
@@ -18,7 +18,7 @@ TRACKER = {
     },
     "passband": {"range_nm": [500.0, 800.0]},
     "sky": {"attitudes": 60},
-    "lost": {"attitudes": 20},
+    "lost": {"attitudes": 10},
 }  # fmt: skip
 
 
@@ -47,18 +47,14 @@ def test_guide_stars_are_counted_one_by_one(tracker):
     assert found.guide_faintest_mag < tracker.value("limiting_magnitude_mag")
 
 
-@pytest.mark.slow
 @pytest.mark.reference
 def test_a_good_tracker_is_not_lost_and_one_that_sees_nothing_is(tracker):
     pytest.importorskip("tetra3rs")
     found = lost_in_space(tracker)
-    assert found.lost_attitudes == 20
-    assert found.lost_success_percent >= 95.0
+    assert found.lost_attitudes == 10
+    assert found.lost_success_percent >= 90.0
     assert found.lost_wrong_percent == 0.0
-    short = parse_model(Config, {**TRACKER, "instrument": {**TRACKER["instrument"], "exposure_s": 2e-4}}, "test")
-    blind = lost_in_space(predict_camera(short))
-    assert blind.lost_success_percent < 50.0
-    narrow = parse_model(
-        Config, {**TRACKER, "instrument": {**TRACKER["instrument"], "width_px": 100, "height_px": 100}}, "test"
-    )
-    assert "too narrow" in lost_in_space(predict_camera(narrow)).lost_refusal
+    assert fraction_measured(0, 10).uncertainty == pytest.approx(0.1)
+    narrow = {"width_px": 100, "height_px": 100}
+    small = parse_model(Config, {**TRACKER, "instrument": {**TRACKER["instrument"], **narrow}}, "test")
+    assert "too narrow" in lost_in_space(predict_camera(small)).lost_refusal

@@ -1,0 +1,56 @@
+"""A run without frames from end to end: answer, sections, figures."""
+
+import pytest
+
+from experiments.camera.experiment import SECTIONS
+from experiments.camera.run import run
+from experiments.camera.settings import Config, experiment
+from experiments.harness.progress import Progress
+
+LENS = {"kind": "ideal", "focal_length_mm": 12.0, "f_number": 1.6, "spot_um": 5.0}
+CHIP = {"detector": "cmv4000", "width_px": 320, "height_px": 320, "exposure_s": 0.2, "diffraction": "rays"}
+
+
+@pytest.fixture(scope="module")
+def told():
+    """Configuration, sections and what was said."""
+    config = Config(
+        instrument={"lens": LENS, **CHIP},
+        predict_only=True,
+        window_px=9,
+        centroid="windowed",
+        sky={"attitudes": 10},
+        motion={"points": 2},
+        thermal={"points": 2},
+        tornado={"parameters": ("instrument.exposure_s",)},
+        life={"years": 1.0, "contamination": 0.1},
+        requirements={"nea_arcsec": 100.0, "update_rate_hz": 6.0, "focus_shift_um": 1e3, "sun_exclusion_deg": 5.0},
+    )
+    progress, said = Progress(), []
+    progress.say = said.append
+    return config, run(config, progress=progress), "\n".join(said)
+
+
+def test_the_answer_is_said_line_by_line(told):
+    _, sections, said = told
+    lines = said.splitlines()
+    assert max(map(len, lines)) <= 84  # with the line on the catalogue that ends
+    assert sections["setup"].requirements_missed == 1  # 5 Hz at an exposure of 0.2 s
+    for name in ("Sensor", "Limiting magnitude", "Attitude", "Requirements", "Change first", "End of life"):
+        assert sum(line.startswith(name) for line in lines) == 1, name
+    assert "missed: update_rate_hz" in said
+
+
+def test_every_section_with_a_record_is_drawn(told):
+    config, sections, _ = told
+    assert sections["lost"] is None
+    assert sections["coverage"].guides_mean_per_frame > 0.0
+    outcome = experiment.outcome(config, sections)
+    drawn = {
+        f"{name}.{key}": figure(outcome)
+        for name, section in SECTIONS.items()
+        if sections.get(name) is not None
+        for key, figure in section.figures.items()
+    }
+    assert {"setup.lens", "setup.spots", "attitudes.sky_distributions", "changes.what_to_change"} <= set(drawn)
+    assert all(figure.axes for figure in drawn.values())
