@@ -19,7 +19,6 @@ from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, Polynomial
 from calib.cameras.base import CameraModel
-from calib.cameras.fit import fit_to_map
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 
@@ -132,17 +131,3 @@ def as_calibrated(camera: CameraModel, order: str, *, focal_length_mm: float, gr
     )
     start = BrownConrady.create(camera.geometry, focal_length_mm=focal_length_mm)
     return calibrate_order(stars, start, order).model
-
-
-def as_brown_conrady(camera: CameraModel, *, grid: int = 15) -> BrownConrady:
-    """Brown-Conrady camera with the map of another model on a grid, of the same attitude."""
-    if isinstance(camera, BrownConrady):
-        return camera
-    pixel = camera.geometry.grid_px(grid)
-    ray = camera.unproject(pixel)
-    ideal = ray[:, :2] / ray[:, 2:]
-    focal_px = float(np.linalg.norm(pixel[-1] - pixel[0]) / np.linalg.norm(ideal[-1] - ideal[0]))
-    start = BrownConrady.create(camera.geometry, focal_length_mm=focal_px * camera.geometry.pixel_pitch_mm)
-    fitted = fit_to_map(start, ray, pixel, turn=False).model
-    assert isinstance(fitted, BrownConrady)
-    return fitted

@@ -193,6 +193,20 @@ def fit_camera(camera: Mapped | PixelMap, *, good_px: float = GOOD_PX) -> MapFit
     return min(fits, key=lambda fit: fit.max_px)
 
 
+def as_brown_conrady(camera: CameraModel, *, grid: int = 15) -> BrownConrady:
+    """Brown-Conrady camera with the map of another model on a grid, of the same attitude."""
+    if isinstance(camera, BrownConrady):
+        return camera
+    pixel = camera.geometry.grid_px(grid)
+    ray = camera.unproject(pixel)
+    ideal = ray[:, :2] / ray[:, 2:]
+    focal_px = float(np.linalg.norm(pixel[-1] - pixel[0]) / np.linalg.norm(ideal[-1] - ideal[0]))
+    start = BrownConrady.create(camera.geometry, focal_length_mm=focal_px * camera.geometry.pixel_pitch_mm)
+    fitted = fit_to_map(start, ray, pixel, turn=False).model
+    assert isinstance(fitted, BrownConrady)
+    return fitted
+
+
 def left_jacobian(vector: FloatArray) -> FloatArray:
     """V (3, 3) with exp(w + dw) = exp(V dw) exp(w), to first order; w a rotation vector (3,).
 

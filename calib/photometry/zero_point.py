@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
+from calib.fitting.excess import excess_sigma
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 
@@ -24,7 +24,7 @@ POGSON = 2.5 / np.log(10.0)
 COLOUR_KNOTS = np.array([0.40, 0.60, 0.80, 1.00, 1.25, 1.55, 1.90])
 """Knots of the colour term in 5040 K / T."""
 REFERENCE_KNOT = 3
-FEWEST_STARS, FEWEST_OF_A_KNOT = 20, 4
+FEWEST_STARS, FEWEST_OF_A_KNOT, FEWEST_OF_A_FRAME = 20, 4, 5
 CLIP_SIGMA, ROUNDS = 4.0, 8
 START_SCATTER_MAG = 0.05
 LEAST_AIRMASS_RANGE = 0.1
@@ -106,7 +106,12 @@ def fit_photometry(
         value = covariance @ (design.T @ (weight * measured))
         residual = measured - design @ value
         of_frame = [used & (frame == k) for k in range(frames)]
-        scatter = np.array([_excess_scatter(residual[rows], noise[rows]) for rows in of_frame])
+        scatter = np.array(
+            [
+                excess_sigma(residual[rows, None], noise[rows] ** 2) if rows.sum() >= FEWEST_OF_A_FRAME else start
+                for rows, start in zip(of_frame, scatter, strict=True)
+            ]
+        )
         used = good & (np.abs(residual) < CLIP_SIGMA * np.sqrt(noise**2 + scatter[frame] ** 2))
     parameters = np.full((2, frames + len(COLOUR_KNOTS) + 2), np.nan)
     parameters[:, determined] = value, np.sqrt(np.diag(covariance))
@@ -139,17 +144,6 @@ def _design(
     with_colour[REFERENCE_KNOT] = False
     determined = np.flatnonzero(np.concatenate([with_stars, with_colour, [True, True]]))
     return design[:, determined], determined
-
-
-def _excess_scatter(residual: FloatArray, noise: FloatArray) -> float:
-    """Standard deviation beyond the noise for which the mean square of the residuals is as expected."""
-    if len(residual) < 5:
-        return START_SCATTER_MAG
-
-    def misfit(scatter: float) -> float:
-        return float(np.mean(residual**2 / (noise**2 + scatter**2))) - 1.0
-
-    return float(brentq(misfit, 1e-4, 5.0)) if misfit(1e-4) > 0 > misfit(5.0) else 0.0
 
 
 def _with_extinction(solution: PhotometricSolution, airmass: FloatArray | None) -> PhotometricSolution:

@@ -24,7 +24,7 @@ from calib.photometry.zero_point import fit_photometry
 from calib.psf.mixture import COLOUR_NAMES
 from calib.psf.windows import isolated
 from calib.records import SensorImage
-from experiments.twin.measure import CameraFit, Fluxes, PreparedNight, star_fluxes
+from experiments.twin.measure import CameraFit, PreparedNight, star_fluxes
 from experiments.twin.night import PAIR_PX, detections, field_stars, identify, masked_pixels
 from optics.arrays import FloatArray, IntArray
 
@@ -49,7 +49,7 @@ class FrameStatistics:
     residual_px: FloatArray  # (m, 2) Of the camera, attitude of this frame
     position_px: FloatArray  # (m, 2)
     blocks: SkyBlocks
-    fluxes: Fluxes  # Of the isolated bright stars
+    fluxes: dict[str, FloatArray]  # Of the isolated bright stars
     halves_arcsec: FloatArray  # (3,) Between the attitudes by every other star, over 2
     solved: bool  # Blind
 
@@ -182,7 +182,6 @@ def _add_shapes(add: Any, frames: Sequence[FrameStatistics], limit_mag: float) -
 
 def _scatter(frames: Sequence[FrameStatistics]) -> FloatArray:
     """Photometric scatter of each frame [mag], all frames fitted together."""
-    parts = [frame.fluxes.columns() for frame in frames]
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    frame = np.repeat(np.arange(len(frames)), [len(part["flux_e"]) for part in parts])
-    return fit_photometry(**columns, frame=frame, frames=len(frames)).scatter_mag
+    columns = {name: np.concatenate([frame.fluxes[name] for frame in frames]) for name in frames[0].fluxes}
+    columns["frame"] = np.repeat(np.arange(len(frames)), [len(frame.fluxes["frame"]) for frame in frames])
+    return fit_photometry(**columns, frames=len(frames)).scatter_mag

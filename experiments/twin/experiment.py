@@ -56,7 +56,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         source=f"{len(night.rows)} frames of {name}",
         taken=night.taken,
         saturation_dn=night.saturation_dn,
-        hot=int(night.known.hot.sum()),
+        hot_fraction=float(night.known.hot.mean()),
     )
     pose = None
     if config.prescription:

@@ -84,7 +84,7 @@ class Rendering:
             source="night frames",
             taken=None,
             saturation_dn=self.saturation_dn,
-            hot=0,
+            hot_fraction=0.0,
         )
         return TwinRenderer(twin)
 

@@ -61,22 +61,6 @@ class Centroids:
     width_px: FloatArray  # (n,)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fluxes:
-    """Light of isolated stars at their positions, as of `calib.photometry.zero_point.fit_photometry`."""
-
-    frame: IntArray  # (n,)
-    flux_e: FloatArray  # (n,)
-    flux_error_e: FloatArray  # (n,)
-    magnitude: FloatArray  # (n,)
-    colour: FloatArray  # (n,) 5040 K / T
-    u2: FloatArray  # (n,)
-
-    def columns(self) -> dict[str, FloatArray]:
-        """Columns but the number of the frame."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "frame"}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraFit:
     """A camera measured from its frames."""
@@ -274,8 +258,7 @@ def measure_camera(
         noise=noise,
         psf=psf,
         photometry=fit_photometry(
-            **fluxes.columns(),
-            frame=np.asarray(used, np.int64)[fluxes.frame],
+            **(fluxes | {"frame": np.asarray(used, np.int64)[fluxes["frame"]]}),
             frames=len(night),
             airmass=mass if np.isfinite(mass).all() else None,
             shape_error_mag=POGSON * psf.flux_error,
@@ -308,21 +291,14 @@ def star_fluxes(
     stars: Sequence[FieldStars],
     noise: SkyNoise,
     psf: MixturePsf,
-) -> Fluxes:
-    """Light of isolated stars in some frames, at the positions where the camera puts them."""
+) -> dict[str, FloatArray]:
+    """Light of isolated stars in some frames, at the positions where the camera puts them: columns (n,) of
+    `calib.photometry.zero_point.fit_photometry`."""
     windows = known.windows(frames, stars, PHOTOMETRY_MAG)
     gain = noise.gain_e_per_dn
     flux_dn, error_dn = psf_fluxes(psf, windows, noise.variance_dn2(windows.level_dn), gain)
-
-    def column(name: str) -> FloatArray:
+    columns = {"frame": windows.frame, "flux_e": flux_dn * gain, "flux_error_e": error_dn * gain}
+    for name in ("magnitude", "colour", "u2"):
         values = [getattr(one, name) for one in stars]
-        return np.array([values[k][row] for k, row in zip(windows.frame, windows.star, strict=True)])
-
-    return Fluxes(
-        frame=windows.frame,
-        flux_e=flux_dn * gain,
-        flux_error_e=error_dn * gain,
-        magnitude=column("magnitude"),
-        colour=column("colour"),
-        u2=column("u2"),
-    )
+        columns[name] = np.array([values[k][row] for k, row in zip(windows.frame, windows.star, strict=True)])
+    return columns

@@ -22,7 +22,6 @@ from experiments.harness.summary import Measured
 from experiments.twin.folder import NightFrame
 from experiments.twin.measure import CameraFit
 from experiments.twin.settings import NightConfig
-from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 from render.detector.spec import Detector
 from render.engine.random import Streams
@@ -44,12 +43,8 @@ class KnownNight:
     camera: CameraModel  # Fitted to the traced lens
     detector: Detector
     exposure_s: float
-    # Of all stars of all frames: magnitude, 5040 K / T, place from the middle over half of the diagonal, squared, and
-    # electrons on the detector
-    magnitude: FloatArray
-    colour: FloatArray
-    u2: FloatArray
-    electrons: FloatArray
+    zero_point_mag: float  # Of stars of the reference colour in the middle
+    corner_loss_mag: float  # Vignetting
 
     @property
     def field_deg(self) -> float:
@@ -70,53 +65,36 @@ def render_night(config: NightConfig, seed: int, progress: Progress) -> KnownNig
     levels = np.geomspace(max(config.darkest_e_per_s, 1.0), max(config.brightest_e_per_s, 1.0), config.frames)
     simulator = SkySimulator(sensor, sky, exposure_s=config.exposure_s, seed=seed)
     frames, rows = [], []
-    half = 0.5 * float(np.hypot(config.width_px, config.height_px))
-    middle = (np.array([config.width_px, config.height_px]) - 1.0) / 2.0
+    size = np.array([config.width_px, config.height_px])
     for number in progress.track(range(config.frames), "frames rendered", total=config.frames):
         simulator.background_e_per_s = float(levels[number])
         seen = simulator.observe(attitudes[number], frame=number)
         truth = seen.truth
         light = truth.electrons_image[:, 0]
-        place = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
-        end = np.array([config.width_px, config.height_px]) - 1.0 - EDGE_PX
-        inside = np.all((place > EDGE_PX) & (place < end), axis=1)
+        position = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
+        inside = np.all((position > EDGE_PX) & (position < size - 1.0 - EDGE_PX), axis=1)
         known = inside & (light > 0.0)
-        rows.append(
-            np.column_stack(
-                [
-                    seen.field.stars.magnitude[known],
-                    REFERENCE_K / sky.temperature_k[seen.field.row[known]],
-                    ((place[known] - middle) ** 2).sum(axis=1) / half**2,
-                    light[known],
-                ]
-            )
-        )
-        frames.append(
-            NightFrame(
-                name=f"rendered {number + 1}",
-                image=sensor_image(
-                    seen.frame.dn, saturation_dn=float(sensor.detector.largest_dn), source=f"rendered {number + 1}"
-                ),
-            )
-        )
-    stars = np.concatenate(rows)
+        u2 = 4.0 * ((position[known] - (size - 1.0) / 2.0) ** 2).sum(axis=1) / (size @ size)
+        colour = REFERENCE_K / sky.temperature_k[seen.field.row[known]]
+        rows.append(np.stack([seen.field.stars.magnitude[known], colour, u2, light[known]]))
+        name = f"rendered {number + 1}"
+        image = sensor_image(seen.frame.dn, saturation_dn=float(sensor.detector.largest_dn), source=name)
+        frames.append(NightFrame(name=name, image=image))
+    zero, loss = noiseless_zero_point(*np.concatenate(rows, axis=1))
     return KnownNight(
         frames=tuple(frames),
         sky=sky,
         camera=camera_model(sensor),
         detector=sensor.detector,
         exposure_s=config.exposure_s,
-        magnitude=stars[:, 0],
-        colour=stars[:, 1],
-        u2=stars[:, 2],
-        electrons=stars[:, 3],
+        zero_point_mag=zero,
+        corner_loss_mag=loss,
     )
 
 
 def true_values(truth: KnownNight, numbers: Any, fit: CameraFit) -> list[tuple[str, str, Measured, float]]:
     """Name, unit, measured value and true value; ``numbers`` as of the report."""
     chip, focal = truth.detector, truth.camera.value("focal_length_mm")
-    zero, loss = noiseless_zero_point(truth.magnitude, truth.colour, truth.u2, truth.electrons)
     grid = truth.camera.geometry.grid_px(13)
     line_of_sight = line_of_sight_map(
         fit.camera, truth.camera.unproject(grid), grid, covariance=fit.calibration.covariance
@@ -129,7 +107,7 @@ def true_values(truth: KnownNight, numbers: Any, fit: CameraFit) -> list[tuple[s
         ("map of the camera, RMS error", "px", Measured(value=error, uncertainty=predicted), 0.0),
         ("gain", "e-/DN", numbers.gain_e_per_dn, 1.0 / chip.gain_dn_per_e),
         ("PRNU", "percent", numbers.prnu_percent, 100.0 * chip.prnu),
-        ("zero point", "mag", numbers.zero_point_mag, zero),
-        ("vignetting at the corner", "mag", numbers.vignetting_mag, loss),
+        ("zero point", "mag", numbers.zero_point_mag, truth.zero_point_mag),
+        ("vignetting at the corner", "mag", numbers.vignetting_mag, truth.corner_loss_mag),
         ("focal length", "px", numbers.focal_length_px, focal / chip.pixel_pitch_mm),
     ]

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.calibration.camera_order import as_brown_conrady
 from calib.detector.sky_transfer import lognormal_dark
-from calib.photometry.response import WAVELENGTHS_NM, aperture_and_transmission, fit_response
-from calib.psf.by_wavelength import PSF_WAVES_NM, mixture_table
+from calib.photometry.response import WAVELENGTHS_NM
+from calib.psf.measured_lens import lens_from_stars
 from calib.records import NoiseModel, SensorImage
 from experiments.twin.measure import CameraFit
 from experiments.twin.night import FieldStars
@@ -27,7 +26,6 @@ from render.engine.random import Streams
 from render.sensor import build_star_sensor
 from render.simulator import SkySimulator
 
-VIGNETTING_NODES = 9
 CHIP_C, BAND = 0.0, "open"
 HOT_SIGMA = 8.0
 """Dark current of a hot pixel over the noise of a typical background."""
@@ -60,76 +58,52 @@ class Twin:
 
 
 def build_twin(
-    fit: CameraFit, assumed: Assumed, *, name: str, source: str, taken: datetime | None, saturation_dn: float, hot: int
+    fit: CameraFit,
+    assumed: Assumed,
+    *,
+    name: str,
+    source: str,
+    taken: datetime | None,
+    saturation_dn: float,
+    hot_fraction: float,
 ) -> Twin:
     """Records of the camera that the frames show."""
     base = load_detector(assumed.quantum_efficiency).quantum_efficiency
     efficiency = np.interp(WAVELENGTHS_NM, base.wavelength_nm, base.value, left=0.02, right=0.01)
-    light = fit.photometry
-    response = fit_response(light.colour_mag, light.colour_error_mag, efficiency)
-    aperture, transmission = aperture_and_transmission(
-        light.above_mag, response, efficiency, exposure_s=assumed.exposure_s, aperture_mm=assumed.aperture_mm
-    )
-    pitch, camera = assumed.pixel_pitch_mm, as_brown_conrady(fit.camera)
-    scale = pitch / camera.geometry.pixel_pitch_mm
-    radius = np.linspace(0.0, 1.0, VIGNETTING_NODES)
-    half_mm = 0.5 * pitch * float(np.hypot(*fit.psf.size_px))
-    focal = camera.value("focal_length_mm") * scale
-    powers = {"q1_per_mm2": 2, "q2_per_mm4": 4, "q3_per_mm6": 6, "p1_per_mm": 1, "p2_per_mm": 1}
-    lens = MeasuredLens(
+    lens, response_mag = lens_from_stars(
+        fit.camera,
+        fit.psf,
+        fit.photometry,
+        pitch_mm=assumed.pixel_pitch_mm,
+        exposure_s=assumed.exposure_s,
+        efficiency=efficiency,
+        aperture_mm=assumed.aperture_mm,
         name=name,
         source=source,
         date=f"{taken:%Y-%m-%d}" if taken else "unknown",
-        focal_length_mm=focal,
-        principal_point_mm=np.array([camera.value("x0_px"), camera.value("y0_px")]) * pitch,
-        distortion=np.array([camera.value(key) / scale**power for key, power in powers.items()]),
-        colour_nm=np.array(PSF_WAVES_NM),
-        colour_scale=np.ones(len(PSF_WAVES_NM)),
-        colour_shift_mm=np.zeros((len(PSF_WAVES_NM), 2)),
-        psf=mixture_table(fit.psf, pitch, response.relative),
-        includes_charge_diffusion=True,
-        vignetting_mm=radius * half_mm,
-        relative_light=10.0 ** (-0.4 * light.vignetting_at(radius**2)),
-        aperture_mm=aperture,
-        transmission=Response(
-            name=f"transmission of {name}",
-            source=source,
-            wavelength_nm=WAVELENGTHS_NM,
-            value=np.clip(transmission, 0.0, 1.0),
-        ),
-        reference_wavelength_nm=600.0,
-        max_field_deg=float(np.degrees(np.arctan(1.05 * half_mm / focal))),
     )
-    curve = Response(name=base.name, source=base.source, wavelength_nm=WAVELENGTHS_NM, value=efficiency)
-    words = f"{source}; quantum efficiency: {base.name}, the difference is in the lens's file"
-    detector = _detector(fit, assumed, saturation_dn, hot, curve, name=f"detector of {name}", source=words)
-    return Twin(lens=lens, detector=detector, exposure_s=assumed.exposure_s, response_mag=response.colour_mag)
-
-
-def _detector(
-    fit: CameraFit, assumed: Assumed, saturation_dn: float, hot: int, efficiency: Response, *, name: str, source: str
-) -> Detector:
     noise, (width, height) = fit.noise, fit.psf.size_px
     gain = noise.gain_e_per_dn
-    dsnu_e, dark_e, warm_e = (float(value) * gain for value in lognormal_dark(noise))
+    rate = gain / assumed.exposure_s
+    dsnu_dn, dark_dn, warm_dn = lognormal_dark(noise)
     background_dn = float(np.sqrt(noise.variance_dn2(np.median(noise.levels_dn))))
-    return Detector(
-        name=name,
-        source=source,
+    detector = Detector(
+        name=f"detector of {name}",
+        source=f"{source}; quantum efficiency: {base.name}, the difference is in the lens's file",
         chip_width_px=width,
         chip_height_px=height,
         chips=1,
         gap_px=0,
         pixel_pitch_mm=assumed.pixel_pitch_mm,
         diffusion_sigma_mm=0.0,
-        quantum_efficiency=efficiency,
+        quantum_efficiency=Response(name=base.name, source=base.source, wavelength_nm=WAVELENGTHS_NM, value=efficiency),
         prnu=noise.prnu,
-        dark_current_e_per_s=dark_e / assumed.exposure_s,
+        dark_current_e_per_s=dark_dn * rate,
         dark_reference_c=CHIP_C,
         dark_doubling_c=6.5,
-        dark_spread_e_per_s=warm_e / assumed.exposure_s,
-        hot_fraction=hot / (width * height),
-        hot_dark_e_per_s=HOT_SIGMA * background_dn * gain / assumed.exposure_s,
+        dark_spread_e_per_s=warm_dn * rate,
+        hot_fraction=hot_fraction,
+        hot_dark_e_per_s=HOT_SIGMA * background_dn * rate,
         dead_fraction=0.0,
         full_well_e=min(1.05 * saturation_dn * gain, 1e7),
         crosstalk_horizontal=0.0,
@@ -140,11 +114,12 @@ def _detector(
         gain_dn_per_e=1.0 / gain,
         nonlinearity=(),
         offset_dn=noise.black_level_dn[0],
-        dsnu_e=dsnu_e,
+        dsnu_e=dsnu_dn * gain,
         column_pattern_e=0.0,
-        adc_bits=int(np.clip(np.ceil(np.log2(saturation_dn + 1.0)), 1, 16)),
+        adc_bits=min(max(int(saturation_dn).bit_length(), 1), 16),
         sensor_seed=1,
     )
+    return Twin(lens=lens, detector=detector, exposure_s=assumed.exposure_s, response_mag=response_mag)
 
 
 def write_twin(

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from calib.calibration.camera_order import (
     OrderValidation,
-    as_brown_conrady,
     as_calibrated,
     calibrate_with_floor,
     cross_validate,
@@ -25,7 +24,7 @@ from calib.calibration.frame_attitudes import (
 )
 from calib.calibration.observations import Observations
 from calib.cameras import BrownConrady, Polynomial, SensorGeometry
-from calib.cameras.fit import fit_to_map
+from calib.cameras.fit import as_brown_conrady, fit_to_map
 from optics.attitude import attitude_error_arcsec
 from optics.errors import DomainError
 
