@@ -33,7 +33,7 @@ ORDER = {
     " < figures lens_study page",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing"
     " < field_response plugins sensor_file < baffle bench bodies forward psf_lattice < observation < simulator",
-    "calib": "directional fitting flags photometry < records < cameras measure < attitude detector psf"
+    "calib": "directional fitting flags < photometry records < cameras measure < attitude detector psf"
     " < accuracy calibration figures",
 }
 # What experiments share is below them; experiments know nothing of each other's inside.

@@ -39,8 +39,8 @@ def sky_surface(level: FloatArray, sigma: FloatArray, shape: tuple[int, int], bl
         residual = (level.ravel() - design @ coefficients[used]) * weight
         clip = CLIP_SIGMA * 1.4826 * np.median(np.abs(residual[weight > 0]))
         weight = np.where(np.abs(residual) < clip, weight, 0.0)
-    pixels = [
+    row, column = (
         np.clip((2.0 * np.arange(n) + 1.0) / (block_px * m) - 1.0, -1.0, 1.0)
         for n, m in zip(shape, level.shape, strict=True)
-    ]
-    return np.asarray(leggrid2d(*pixels, coefficients.reshape(order.shape)))
+    )
+    return np.asarray(leggrid2d(row, column, coefficients.reshape(order.shape)))

@@ -49,7 +49,7 @@ class FrameStatistics:
     residual_px: FloatArray  # (m, 2) Of the camera, attitude of this frame
     position_px: FloatArray  # (m, 2)
     blocks: SkyBlocks
-    fluxes: dict[str, FloatArray]  # Of the isolated bright stars
+    fluxes: dict[str, Any]  # Of the isolated bright stars
     halves_arcsec: FloatArray  # (3,) Between the attitudes by every other star, over 2
     solved: bool  # Blind
 
@@ -135,7 +135,7 @@ def statistics_of(frames: Sequence[FrameStatistics], limit_mag: float, airmass: 
         words = f"magnitude at which half are detected, {sigma:g} sigma"
         add(f"limit_{sigma:g}_mag", words, limit_of(frames, sigma), "mag", 0.05, relative=False)
     blocks = [frame.blocks for frame in frames]
-    noise = np.mean([np.sqrt(np.nanmedian(one.variance_dn2)) for one in blocks])
+    noise = float(np.mean([np.sqrt(np.nanmedian(one.variance_dn2)) for one in blocks]))
     add("noise_dn", "noise of the background, mean of the frames", noise, "DN", 0.01)
     _add_shapes(add, frames, limit_mag)
     scatter = _scatter(frames)
@@ -182,6 +182,8 @@ def _add_shapes(add: Any, frames: Sequence[FrameStatistics], limit_mag: float) -
 
 def _scatter(frames: Sequence[FrameStatistics]) -> FloatArray:
     """Photometric scatter of each frame [mag], all frames fitted together."""
-    columns = {name: np.concatenate([frame.fluxes[name] for frame in frames]) for name in frames[0].fluxes}
+    columns: dict[str, Any] = {
+        name: np.concatenate([frame.fluxes[name] for frame in frames]) for name in frames[0].fluxes
+    }
     columns["frame"] = np.repeat(np.arange(len(frames)), [len(frame.fluxes["frame"]) for frame in frames])
     return fit_photometry(**columns, frames=len(frames)).scatter_mag

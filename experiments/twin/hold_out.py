@@ -26,7 +26,7 @@ from experiments.twin.compare import BRIGHT_MAG, CLIP_PX, FrameStatistics, frame
 from experiments.twin.measure import CameraFit, Centroids, PreparedNight, measure_camera, prepare
 from experiments.twin.night import FWHM_PX, detections
 from experiments.twin.twin import Assumed, TwinRenderer, build_twin
-from optics.arrays import FloatArray
+from optics.arrays import BoolArray, FloatArray
 from render.engine.random import Streams
 
 FEWEST = 8
@@ -154,7 +154,8 @@ def held_out(
             return tuple(out)
 
         real = reduced([frame.image for frame in night.frames], [None for _ in frames])
-        sets, first = [], ()
+        sets: list[tuple[FrameStatistics, ...]] = []
+        first: tuple[SensorImage, ...] = ()
         for number in range(realisations):
             at = streams.child(f"set {number}")
             rendered = tuple(scene.image(fits[k], renderers[k], k, at, float(bias.motion_px[k])) for k in frames)
@@ -214,7 +215,7 @@ def _light(scene: Rendering, whole: CameraFit, images: Sequence[SensorImage]) ->
     return out
 
 
-def _others(stars: Centroids, good: FloatArray, without: int) -> FloatArray:
+def _others(stars: Centroids, good: BoolArray, without: int) -> BoolArray:
     """Rows of all frames but one; a single frame has no others."""
     others = good & (stars.observations.frame != without)
     return others if others.sum() >= FEWEST else good

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -291,7 +292,7 @@ def star_fluxes(
     stars: Sequence[FieldStars],
     noise: SkyNoise,
     psf: MixturePsf,
-) -> dict[str, FloatArray]:
+) -> dict[str, Any]:
     """Light of isolated stars in some frames, at the positions where the camera puts them: columns (n,) of
     `calib.photometry.zero_point.fit_photometry`."""
     windows = known.windows(frames, stars, PHOTOMETRY_MAG)

@@ -26,7 +26,7 @@ from experiments.twin.pipeline import MeasuredNight
 from experiments.twin.prescription import LensPose
 from experiments.twin.synthetic import KnownNight, true_values
 from experiments.twin.twin import Twin
-from optics.arrays import FloatArray
+from optics.arrays import FloatArray, IntArray
 
 FALSE_ALARM = 0.01
 COMPLETENESS_LIMIT = 0.03
@@ -417,7 +417,7 @@ def completeness_bins(compared: HeldOut, limit_mag: float) -> list[HalfMagnitude
     """Detected fraction per half magnitude about the limit."""
     edges = np.arange(np.floor(2.0 * limit_mag) / 2.0 - 1.5, limit_mag + 1.01, 0.5)
 
-    def of_sets(sigma: float) -> tuple[FloatArray, FloatArray]:
+    def of_sets(sigma: float) -> tuple[IntArray, FloatArray]:
         sets = [
             completeness(joined(frames, "magnitude"), joined(frames, "height") >= sigma, edges)
             for frames in (compared.real, *compared.sets)
