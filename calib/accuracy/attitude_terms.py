@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -204,106 +203,74 @@ class AttitudePrediction:
             Term -> estimate, for `TERMS` and ``total``.
         """
         pick, predicted = list(axes), self.squares(axes)
-        solved = [np.asarray(np.isfinite(error).all(axis=(0, 2))) for error in error_arcsec]
-        measured = _Separated(
-            errors=[error[:, known][:, :, pick] for error, known in zip(error_arcsec, solved, strict=True)],
-            thermal=_segment_means([change[:, pick] for change in thermal_arcsec]),
-            aberration=_segment_means([change[:, pick] for change in aberration_arcsec]),
-            fov=np.array([error.fov_arcsec[pick] for error in self.errors]),
-        )
-        square = measured.squares()
-        thermal, aberration = (
-            np.array([error[pick] for error in errors])
-            for errors in zip(*((error.thermal_arcsec, error.aberration_arcsec) for error in self.errors), strict=True)
-        )
-        parts, segments = len(pick), len(solved)
-        count, unknown = parts * int(measured.counts.sum()), max(measured.scatter, measured.mean_error)
-        noise = max(square["temporal_noise"], predicted["temporal_noise"])
-        fov_power = 4.0 * predicted["fov_spatial"] * unknown + 2.0 * unknown**2
-        focus = np.maximum(self._constant_focus(pick), 0.0)
-        spread = {
-            "temporal_noise": noise * math.sqrt(2.0 / count),
-            "pixel_spatial": self._pixel_error(solved, pick),
-            "thermo_elastic": _square_error(thermal, measured.thermal[1] + focus),
-            "aberration": _square_error(aberration, measured.aberration[1]),
-            "bias": _square_error(np.full(parts, math.sqrt(predicted["bias"])), unknown / segments),
-            "fov_spatial": math.sqrt(fov_power / (parts * (segments - 1))),
+        told = {
+            name: np.array([getattr(error, f"{name}_arcsec")[pick] for error in self.errors])
+            for name in ("thermal", "aberration", "fov")
         }
-        spread["total"] = math.sqrt(sum(spread[name] ** 2 for name in TERMS))
-        rest, fov = measured.rest, measured.fov
+        solved = [np.asarray(np.isfinite(error).all(axis=(0, 2))) for error in error_arcsec]
+        errors = [error[:, known][:, :, pick] for error, known in zip(error_arcsec, solved, strict=True)]
+        thermal, thermal_error = _segment_means([change[:, pick] for change in thermal_arcsec])
+        aberration, aberration_error = _segment_means([change[:, pick] for change in aberration_arcsec])
+        noise, pixel, total, mean_error, count = _within_segments(errors)
+        # means of the segments without what switching explains, and their scatter about the prediction
+        rest = np.array([error.mean(axis=(0, 1)) for error in errors]) - thermal - aberration
+        parts, segments, mean_error = len(pick), len(errors), mean_error + thermal_error
+        scatter = float((rest - told["fov"]).var(axis=0, ddof=1).mean())
+        unknown, focus = max(scatter, mean_error), np.maximum(self._constant_focus(pick), 0.0)
+        fov_power = 4.0 * predicted["fov_spatial"] * unknown + 2.0 * unknown**2
+        bias, variance = rest.mean(axis=0), float(rest.var(axis=0, ddof=1).mean())
+        # mean square of each term, and its standard deviation where the prediction is right
+        found = {
+            "bias": (
+                float((bias**2).mean()) - scatter / segments,
+                _square_error(np.full(parts, math.sqrt(predicted["bias"])), unknown / segments),
+            ),
+            "thermo_elastic": (
+                float((thermal**2).mean()) - thermal_error,
+                _square_error(told["thermal"], thermal_error + focus),
+            ),
+            "fov_spatial": (
+                variance * (1.0 - 1.0 / segments) - mean_error,
+                math.sqrt(fov_power / (parts * (segments - 1))),
+            ),
+            "pixel_spatial": (pixel, self._pixel_error(solved, pick)),
+            "temporal_noise": (noise, max(noise, predicted["temporal_noise"]) * math.sqrt(2.0 / count)),
+            "aberration": (
+                float((aberration**2).mean()) - aberration_error,
+                _square_error(told["aberration"], aberration_error),
+            ),
+        }
+        found["total"] = total, math.sqrt(sum(error**2 for _, error in found.values()))
         slopes = {
-            "thermo_elastic": slope_through_zero(thermal, measured.thermal[0], false_alarm),
-            "aberration": slope_through_zero(aberration, measured.aberration[0], false_alarm),
-            "fov_spatial": slope_through_zero(fov - fov.mean(axis=0), rest - rest.mean(axis=0), false_alarm),
+            "thermo_elastic": slope_through_zero(told["thermal"], thermal, false_alarm),
+            "aberration": slope_through_zero(told["aberration"], aberration, false_alarm),
+            "fov_spatial": slope_through_zero(told["fov"] - told["fov"].mean(axis=0), rest - bias, false_alarm),
         }
         return {
             name: TermEstimate(
                 predicted_arcsec2=predicted[name],
-                measured_arcsec2=square[name],
-                error_arcsec2=spread[name],
+                measured_arcsec2=square,
+                error_arcsec2=error,
                 samples=count if name in ("temporal_noise", "pixel_spatial", "total") else parts * segments,
                 least_arcsec2=SMALL**2 * predicted["total"],
                 slope=slopes.get(name, (math.nan, math.nan)),
             )
-            for name in (*TERMS, "total")
+            for name, (square, error) in found.items()
         }
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Separated:
-    """Measured errors of p segments about some axes."""
+def _within_segments(errors: Sequence[FloatArray]) -> tuple[float, float, float, float, int]:
+    """Mean squares by noise, by pixels and in total, variance of the mean of a segment by both, and count of errors.
 
-    errors: Sequence[FloatArray]  # (2, n, axes) Of frames with both attitudes
-    # Means (p, axes) of the changes by switching, and variance of a mean
-    thermal: tuple[FloatArray, float]
-    aberration: tuple[FloatArray, float]
-    fov: FloatArray  # (p, axes) Prediction
-
-    @cached_property
-    def counts(self) -> NDArray[np.int64]:
-        """Frames (p,)."""
-        return np.array([error.shape[1] for error in self.errors])
-
-    @cached_property
-    def noise(self) -> FloatArray:
-        """Temporal noise (p,): half of the mean square difference of the readouts."""
-        return np.array([((first - second) ** 2).mean() / 2.0 for first, second in self.errors])
-
-    @cached_property
-    def pixel(self) -> float:
-        """Pixel spatial error: what varies within a segment in both readouts alike."""
-        products = [((a - a.mean(0)) * (b - b.mean(0))).sum() / a.shape[1] / (len(a) - 1) for a, b in self.errors]
-        return float(np.average(products, weights=self.counts - 1))
-
-    @cached_property
-    def rest(self) -> FloatArray:
-        """Means (p, axes) of the segments without what switching explains."""
-        middle = np.array([error.mean(axis=(0, 1)) for error in self.errors])
-        return middle - self.thermal[0] - self.aberration[0]
-
-    @property
-    def mean_error(self) -> float:
-        """Variance of `rest` by noise."""
-        return float(np.mean((0.5 * self.noise + max(self.pixel, 0.0)) / self.counts)) + self.thermal[1]
-
-    @property
-    def scatter(self) -> float:
-        """Variance of `rest` about its prediction."""
-        return float((self.rest - self.fov).var(axis=0, ddof=1).mean())
-
-    def squares(self) -> dict[str, float]:
-        """Mean squares of the terms."""
-        count = len(self.errors)
-        variance = float(self.rest.var(axis=0, ddof=1).mean())
-        return {
-            "temporal_noise": float(np.average(self.noise, weights=self.counts)),
-            "pixel_spatial": self.pixel,
-            "thermo_elastic": float((self.thermal[0] ** 2).mean() - self.thermal[1]),
-            "aberration": float((self.aberration[0] ** 2).mean() - self.aberration[1]),
-            "bias": float((self.rest.mean(axis=0) ** 2).mean() - self.scatter / count),
-            "fov_spatial": variance * (1.0 - 1.0 / count) - self.mean_error,
-            "total": float(np.average([(error**2).mean() for error in self.errors], weights=self.counts)),
-        }
+    Errors (2, n, axes) of both readouts: half of the mean square difference is noise; pixels are what varies alike.
+    """
+    counts = np.array([error.shape[1] for error in errors])
+    noises = np.array([((first - second) ** 2).mean() / 2.0 for first, second in errors])
+    products = [((a - a.mean(0)) * (b - b.mean(0))).sum() / a.shape[1] / (len(a) - 1) for a, b in errors]
+    pixel = float(np.average(products, weights=counts - 1))
+    total = float(np.average([(error**2).mean() for error in errors], weights=counts))
+    mean_error = float(np.mean((0.5 * noises + max(pixel, 0.0)) / counts))
+    return float(np.average(noises, weights=counts)), pixel, total, mean_error, errors[0].shape[2] * int(counts.sum())
 
 
 def _square_error(known: FloatArray, variance: FloatArray | float) -> float:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -41,48 +42,35 @@ class Term:
     term: str  # Its key in `LABELS`
 
 
-def _known(verdict: Verdict, name: str, term: str, component: str) -> Verdict:
-    """The verdict, where its number is known."""
+def _where_known(make: Callable[..., Verdict], name: str, *values: float, **how: Any) -> list[Verdict]:
+    """The verdict on a number of every term and component in ``terms``, where it is known."""
 
-    def judge(outcome: Outcome) -> list[Criterion]:
-        if name not in outcome.data or term not in outcome.data["term"].values:
-            return []
-        value = float(outcome.values(name, term=term, component=component))
-        return verdict(outcome) if math.isfinite(value) else []
+    def judged(term: str, component: str) -> Verdict:
+        at = {"term": term, "component": component}
+        verdict = make(name, *values, at=at, **how)
 
-    judge.names = verdict.names  # type: ignore[attr-defined]
-    known: Verdict = judge  # type: ignore[assignment]
-    return known
+        def judge(outcome: Outcome) -> list[Criterion]:
+            known = name in outcome.data and term in outcome.data["term"].values
+            return verdict(outcome) if known and math.isfinite(float(outcome.values(name, **at))) else []
+
+        judge.names = verdict.names  # type: ignore[attr-defined]
+        return judge  # type: ignore[return-value]
+
+    terms = how.pop("terms")
+    return [judged(term, component) for term in terms for component, _ in COMPONENTS]
 
 
 VERDICTS = [
-    *(
-        _known(
-            ratio_near(
-                "term_ratio",
-                within=0.10 if term == "total" else 0.15,
-                at={"term": term, "component": component},
-                title="measured over predicted",
-            ),
-            *("term_ratio", term, component),
-        )
-        for term in (*TERMS, "total")
-        for component, _ in COMPONENTS
-    ),
-    *(
-        _known(
-            agree(
-                "term_slope",
-                1.0,
-                at={"term": term, "component": component},
-                slack=0.15,
-                title="slope of the measured errors against the predicted ones",
-                advice="a wrong sign, unit or frame: the errors have the predicted size but the wrong direction",
-            ),
-            *("term_slope", term, component),
-        )
-        for term in ("thermo_elastic", "fov_spatial", "aberration")
-        for component, _ in COMPONENTS
+    *_where_known(ratio_near, "term_ratio", within=0.15, title="measured over predicted", terms=TERMS),
+    *_where_known(ratio_near, "term_ratio", within=0.10, title="measured over predicted", terms=("total",)),
+    *_where_known(
+        agree,
+        "term_slope",
+        1.0,
+        slack=0.15,
+        title="slope of the measured errors against the predicted ones",
+        advice="a wrong sign, unit or frame: the errors have the predicted size but the wrong direction",
+        terms=("thermo_elastic", "fov_spatial", "aberration"),
     ),
 ]
 

@@ -41,7 +41,7 @@ class LensTransmittance:
     angle_deg: FloatArray  # (a,)
     azimuth_deg: FloatArray  # (z,)
     value: Mapping[str, FloatArray]  # "ghosts" and the causes of scatter: (z, a)
-    error: Mapping[str, FloatArray]  # Standard errors
+    ghosts_error: FloatArray  # (z, a) Standard error of the ghosts; scatter is a sum without one
     points: Mapping[str, FloatArray]  # Causes of scatter: (z, a, p, p), rows and columns
     entrance_mm: float
     field_deg: float  # To the corner
@@ -114,7 +114,7 @@ def lens_transmittance(
         angle_deg=angle,
         azimuth_deg=azimuth,
         value={"ghosts": ghosts} | mean,
-        error={"ghosts": ghosts_error} | {cause: 0.0 * light for cause, light in mean.items()},
+        ghosts_error=ghosts_error,
         points=scatter,
         entrance_mm=entrance_radius_mm(lens),
         field_deg=corner_field_deg(camera, focal_length_mm),
@@ -215,9 +215,8 @@ def sensor_transmittance(
                 direct[z, a], rays = light.direct, rays + light.rays
                 value[3:, z, a], spread[3:, z, a] = (light.walls, light.edges), (light.walls_error, light.edges_error)
             advance()
-    for row, cause in enumerate(("ghosts", "polish", dust)):
-        value[row] = lens.value[cause][:, at] * direct
-        spread[row] = lens.error[cause][:, at] * direct
+    value[:3] = np.array(bare)[:, :, at] * direct
+    spread[0] = lens.ghosts_error[:, at] * direct
     pst = PointSourceTransmittance(
         angle_deg=lens.angle_deg[at],
         azimuth_deg=lens.azimuth_deg,

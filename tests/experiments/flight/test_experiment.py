@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.flight import experiment
 from experiments.flight.frames import Camera, build_tracker
-from experiments.flight.loop import by_budget, by_frames
+from experiments.flight.loop import by_frames
 from experiments.flight.prediction import build_budget
 from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config, main
@@ -137,14 +137,6 @@ def test_a_turn_that_grows_faster_moves_the_attitude_of_rendered_frames(engine):
 
 
 @pytest.mark.slow
-def test_stars_beyond_the_strip_about_the_detector_bring_no_light(engine, monkeypatch):
-    budget = build_budget(config := Config(**SMALL), build_flight(config))
-    image = Camera(budget).expected(1000.0, np.zeros(5)).electrons
-    monkeypatch.setattr("experiments.flight.frames.MARGIN_PX", 300.0)
-    np.testing.assert_array_equal(Camera(budget).expected(1000.0, np.zeros(5)).electrons, image)
-
-
-@pytest.mark.slow
 def test_a_frame_full_of_cosmic_rays_is_solved_lost_in_space(engine):
     """Some 95 tracks among 30 guide stars, most of them brighter: without their shape none of such frames is solved."""
     pytest.importorskip("tetra3rs")
@@ -161,15 +153,11 @@ def test_a_frame_full_of_cosmic_rays_is_solved_lost_in_space(engine):
 
 
 @pytest.mark.slow
-def test_the_sensor_by_budget_errs_as_it_states_and_that_of_frames_alike(engine):
-    config = Config(**SMALL, tracker={"alignment_arcsec": [0, 0, 0]}, temperature={"offset_k": 0, "mean_k": 0})
-    fast, slow = by_budget(config), by_frames(config)
-    attitude = Rotation.from_euler("x", -60, degrees=True)
-    errors = np.array(
-        [attitude_error_arcsec(fast(attitude, np.zeros(3), 0.1 * n).attitude, attitude) for n in range(80)]
+def test_the_sensor_by_frames_errs_as_it_states(engine):
+    sensor = by_frames(
+        Config(**SMALL, tracker={"alignment_arcsec": [0, 0, 0]}, temperature={"offset_k": 0, "mean_k": 0})
     )
-    stated = fast(attitude, np.zeros(3), 8.0).sigma_arcsec
-    assert errors.std(axis=0)[:2] == pytest.approx(stated[:2], rel=0.5)
-    seen = slow(attitude, np.zeros(3), 0.1)
-    assert seen.ok
-    assert (np.abs(attitude_error_arcsec(seen.attitude, attitude)) < 6.0 * seen.sigma_arcsec).all()
+    attitude = Rotation.from_euler("x", -60, degrees=True)
+    reading = sensor(attitude, np.zeros(3), 0.1)
+    assert reading.ok
+    assert (np.abs(attitude_error_arcsec(reading.attitude, attitude)) < 6.0 * reading.sigma_arcsec).all()

@@ -74,12 +74,9 @@ def test_every_verdict_on_a_sensor_that_errs_as_predicted_holds(flown, told):
     ("change", "term"),
     [
         (lambda one: {"thermal_arcsec": -one.thermal_arcsec}, "Thermo-elastic"),
-        (lambda one: {"aberration_arcsec": 0.0 * one.aberration_arcsec}, "Aberration"),
         (lambda one: {"noise_arcsec2": one.noise_arcsec2 / 16.0}, "Temporal noise"),
-        (lambda one: {"pixel_arcsec2": 2.0 * one.pixel_arcsec2}, "Pixel spatial"),
-        (lambda one: {"fov_arcsec": 1.4 * one.fov_arcsec}, "FOV spatial"),
     ],
-    ids=["sign of the temperature", "aberration left out", "over N for its root", "patterns twice", "colour 1.4 times"],
+    ids=["sign of the temperature", "over N for its root"],
 )
 def test_a_wrong_term_fails_its_verdict(flown, told, change, term):
     failed = [one.name for one in criteria(flown, [replace(one, **change(one)) for one in told]) if one.failed]

@@ -1,6 +1,5 @@
 """Stray light: bad input in a line, exclusion angle, variants, frames of a small sensor, the section of its baffle."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -123,11 +122,11 @@ def seen(tmp_path_factory):
             "frames": {"attitudes": 2, "levels": 4, "faintest_mag": 7}, "requirements": {"sun_exclusion_deg": 10.0},
         }
     )  # fmt: skip
-    return config, experiment.run(config, progress=Progress())
+    return experiment.run(config, progress=Progress())
 
 
-def test_frames_under_a_table_of_ones_own(seen) -> None:
-    _, result = seen
+def test_frames_under_a_table_of_ones_own(seen, tmp_path) -> None:
+    result = seen
     rows, excluded, scale = result["frames"], result["exclusion"], result["setup"].sun_e
     for row in rows:
         assert row.light_e == pytest.approx(scale * result["setup"].stray.pst.at(polar_direction(row.sun_deg)))
@@ -140,6 +139,10 @@ def test_frames_under_a_table_of_ones_own(seen) -> None:
     assert near.found.value < far.found.value
     assert near.saturated == 100.0
     assert excluded.farthest_unusable_deg < excluded.sun_exclusion_deg < excluded.nearest_usable_deg
+    edge = result["setup"].stray.pst.last_angle_deg(excluded.critical_e / scale)
+    assert excluded.sun_exclusion_deg == pytest.approx(edge, abs=2.0)
+    experiment.save_table(result, tmp_path)
+    np.testing.assert_array_equal(read_pst(tmp_path / "pst.ecsv").total, [[1e-3, 1e-7, 1e-9, 1e-10]])
     assert result["setup"].baffle == "part of the table"
     assert not result["requirements"][0].met
     assert [row.limb_deg for row in result["limb"]] == sorted(row.limb_deg for row in result["limb"])
@@ -148,7 +151,7 @@ def test_frames_under_a_table_of_ones_own(seen) -> None:
 
 
 def test_pictures_hold_what_was_seen(seen) -> None:
-    outcome = SimpleNamespace(result=seen[1])
+    outcome = SimpleNamespace(result=seen)
     assert len(drawing.draw_frames(outcome).axes) == 3
     panel = drawing.draw_causes(outcome).axes[0]
     assert [line.get_label() for line in panel.lines][:2] == ["pst", "total"]
@@ -202,28 +205,3 @@ def test_bad_input_is_one_line(arguments, words: str, tmp_path, capsys) -> None:
     assert words in error
     assert "Traceback" not in error
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_a_table_of_ones_own_takes_the_place_of_all(tmp_path) -> None:
-    """Frames under a given light: the exclusion angle is where the table says, whatever the lens."""
-    (tmp_path / "my.csv").write_text("angle_deg,pst\n1,1e-3\n30,1e-7\n40,1e-9\n90,1e-10\n")
-    (tmp_path / "sensor.toml").write_text("[requirements]\nsun_exclusion_deg = 20.0\nnea_arcsec = 1.0\n")
-    arguments = ["--sensor", str(tmp_path / "sensor.toml"), "--set", f"pst.file={tmp_path / 'my.csv'}", "--quick"]
-    tracker = [
-        f"instrument.{key}" for key in ("lens=star_tracker_26mm", "detector=cmv4000", "width_px=512", "height_px=512")
-    ]
-    arguments += [one for key in (*tracker, "instrument.exposure_s=0.2") for one in ("--set", key)]
-    assert main([*arguments, "--out", str(tmp_path / "out")]) == 0
-    results = json.loads((tmp_path / "out" / "summary.json").read_text())["results"]
-    kept = read_pst(tmp_path / "out" / "pst.ecsv")
-    critical = results["critical_e"] / results["sun_e"]
-    assert results["sun_exclusion_deg"] == pytest.approx(kept.last_angle_deg(critical), abs=1.0)
-    assert 30.0 < results["sun_exclusion_deg"] < 45.0
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "Exclusion angle of the Sun" in page
-    from astropy.table import Table
-
-    asked = Table.read(tmp_path / "out" / "requirements.ecsv")  # what is asked of other experiments is left out
-    assert [str(one) for one in asked["label"]] == ["Exclusion angle of the Sun"]
-    assert not asked["met"][0]

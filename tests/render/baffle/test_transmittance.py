@@ -67,7 +67,7 @@ def test_scatter_is_in_proportion_to_its_law_and_ghosts_are_those_of_all_pairs(l
     source = np.array([np.sin(np.radians(20.0)), 0.0, np.cos(np.radians(20.0))])
     pairs = ghost_light(SINGLET, source, (4.0, 3.2), rings=4, arms=8, absorption=False)
     assert lens.value["ghosts"][0, 1] == pytest.approx(sum(value for value, _ in pairs.values()))
-    assert lens.error["ghosts"][0, 1] == pytest.approx(np.sqrt(sum(error**2 for _, error in pairs.values())))
+    assert lens.ghosts_error[0, 1] == pytest.approx(np.sqrt(sum(error**2 for _, error in pairs.values())))
 
 
 def test_in_the_shade_every_azimuth_has_the_light_of_the_first(lens):
@@ -86,7 +86,7 @@ def test_a_baffle_passes_the_lit_part_and_adds_its_own_light(lens):
     np.testing.assert_allclose(found.direct, np.tile([1.0, 0.5, 0.0, 0.0], (2, 1)))
     for row, cause in enumerate(("ghosts", "polish", "dust")):
         np.testing.assert_allclose(found.pst.value[row], lens.value[cause] * found.direct)
-    np.testing.assert_allclose(found.pst.error[0], lens.error["ghosts"] * found.direct)
+    np.testing.assert_allclose(found.pst.error[0], lens.ghosts_error * found.direct)
     # the light of the baffle comes in at angles whose weight is the bare lens's transmittance
     whole = sum(lens.value[cause] for cause in ("ghosts", "polish", "dust")).mean(axis=0)
     np.testing.assert_allclose(found.pst.value[3, :, :3], np.tile(1e-3 * whole[:3], (2, 1)), rtol=1e-9)
