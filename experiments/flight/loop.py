@@ -34,22 +34,10 @@ AGED_S = 10.0
 
 
 def by_frames(config: Config) -> Sensor:
-    """A sensor that renders every exposure, with the lens as calibrated.
+    """A sensor that renders every exposure, with the lens as calibrated; times have to increase from call to call.
 
-    Parameters
-    ----------
-    config : Config
-        Sensor and orbit; its attitude law is not used.
-
-    Returns
-    -------
-    Sensor
-        Times have to increase from call to call.
-
-    Raises
-    ------
-    StarbenchError
-        As `experiments.flight.prediction.build_budget`.
+    The attitude law of the configuration is not used. `StarbenchError` as of
+    `experiments.flight.prediction.build_budget`.
     """
     camera = Camera(build_budget(config, build_flight(config)))
     tracker, flight = build_tracker(camera), camera.flight
@@ -72,28 +60,14 @@ def by_budget(config: Config, *, budget: Budget | None = None) -> Sensor:
     """A sensor that errs as the budget predicts: independent temporal noise in every call, errors of the stars
     unchanged.
 
-    Parameters
-    ----------
-    config : Config
-        Sensor and orbit; its attitude law is not used.
-    budget : Budget, optional
-        Of this configuration, where there is one already.
-
-    Returns
-    -------
-    Sensor
-        Without stars enough, or blinded, its status says so.
-
-    Raises
-    ------
-    StarbenchError
-        As `by_frames`.
+    ``budget``: of this configuration, where there is one already. Without stars enough, or blinded, the status of the
+    answer says so; errors as of `by_frames`.
     """
     known = budget or build_budget(config, build_flight(config))
     rng = Streams(config.seed).generator("loop")
     bias = ARCSEC_RAD * known.bias_arcsec()
     reach = FIELD_PART * 2.0 * float(np.arccos(known.model.unproject(np.array([[-0.5, -0.5]]))[0, 2]))
-    kept: list[tuple[Rotation, float, TrackedAttitude, FloatArray, FloatArray]] = []
+    kept: list[tuple[Rotation, float, TrackedAttitude, FloatArray, FloatArray]] = []  # the last look
 
     def coarse(rate: FloatArray) -> FloatArray:
         """Rate whose trail is a whole number of pixels, in steps of 45 deg: each other one costs a second."""
@@ -101,31 +75,29 @@ def by_budget(config: Config, *, budget: Budget | None = None) -> Sensor:
         size_deg, towards = trail_of_rate(rate)
         return rate_of_trail(step_deg * round(size_deg / step_deg), 45.0 * round(towards / 45.0))
 
-    def looked_up(attitude: Rotation, rate: FloatArray, time_s: float) -> None:
-        errors, found = known.errors_of(attitude, coarse(rate), time_s), np.full((3, 3), np.inf)
-        root, shift = np.zeros((3, 3)), np.zeros(3)
+    def look_up(attitude: Rotation, rate: FloatArray, time_s: float) -> None:
+        errors = known.errors_of(attitude, coarse(rate), time_s)
+        covariance, sigma, shift = np.full((3, 3), np.inf), np.zeros(3), np.zeros(3)
         if errors.available:
-            found = ARCSEC_RAD**2 * np.diag(errors.noise_arcsec2)
-            root = np.sqrt(found)
-            found = found + ARCSEC_RAD**2 * np.diag(errors.static_arcsec2)
-            own = errors.fov_arcsec + errors.thermal_arcsec + errors.aberration_arcsec
-            shift = ARCSEC_RAD * (own + np.sqrt(errors.static_arcsec2) * rng.standard_normal(3)) + bias
+            covariance = ARCSEC_RAD**2 * np.diag(errors.noise_arcsec2 + errors.static_arcsec2)
+            sigma, static = ARCSEC_RAD * np.sqrt([errors.noise_arcsec2, errors.static_arcsec2])
+            shift = bias + ARCSEC_RAD * errors.signed_arcsec + static * rng.standard_normal(3)
         answer = TrackedAttitude(
             time_s=time_s,
             mode="tracking",
             status="ok" if errors.available else "few_stars",
-            covariance_rad2=found,
+            covariance_rad2=covariance,
             expected=round(errors.stars),
         )
-        kept[:] = [(attitude, time_s, answer, root, shift)]
+        kept[:] = [(attitude, time_s, answer, sigma, shift)]
 
     def sensor(attitude: Rotation, rate_rad_per_s: ArrayLike, time_s: float) -> TrackedAttitude:
         if not kept or abs(time_s - kept[0][1]) > AGED_S or (attitude * kept[0][0].inv()).magnitude() > reach:
-            looked_up(attitude, np.asarray(rate_rad_per_s, float), time_s)
-        _, _, answer, root, shift = kept[0]
-        seen = None
-        if answer.status == "ok":
-            seen = Rotation.from_rotvec(shift + root @ rng.standard_normal(3)) * attitude
-        return replace(answer, time_s=time_s, attitude=seen)
+            look_up(attitude, np.asarray(rate_rad_per_s, float), time_s)
+        _, _, answer, sigma, shift = kept[0]
+        if answer.status != "ok":
+            return replace(answer, time_s=time_s)
+        reading = Rotation.from_rotvec(shift + sigma * rng.standard_normal(3)) * attitude
+        return replace(answer, time_s=time_s, attitude=reading)
 
     return sensor

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ from optics.units import RAD_ARCSEC
 from render.motion.trajectory import trail_of_rate
 from render.records import EffectivePsf
 from render.sensor_file.catalogue import load_catalogue
-from render.sensor_file.instrument import Instrument, build_instrument, configured_lens, housing_of
+from render.sensor_file.instrument import build_instrument, configured_lens, housing_of
 from render.sky.sky import load_sky
 
 STEP_K = {"mean_k": 1.0, "axial_k": 0.5, "transverse_x_k": 0.2, "transverse_y_k": 0.2, "radial_k": 0.5}
@@ -82,7 +83,7 @@ class Budget:
         self.sensor = _sensor(config, old)
         self.nominal: CameraPrediction = self.camera(0.0)
         state = self.nominal.state
-        self.instrument: Instrument = state.sensor
+        self.instrument: Any = state.sensor
         self._map = self.instrument.pixel_map(state.band, temperature_k=config.star_temperature_k)
         self.model: CameraModel = fit_camera(self._map).camera
         self.pixel_rad = pixel_angle_rad(self.model)

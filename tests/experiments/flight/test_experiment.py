@@ -53,6 +53,7 @@ def test_a_small_flight_is_predicted_and_measured(flown):
     assert mission.wrong_attitudes == 0
     assert mission.solved_percent.value > 70.0
     assert mission.acquired_least <= mission.acquired.value
+    assert terms["temporal_noise"].ratio[0].value == pytest.approx(1.0, abs=0.8)  # of 16 frames at most
     for part in lit:
         assert np.abs(part.error_arcsec[:2]).max() < 5.0 * terms["total"].predicted_arcsec[0]
         for k in range(2):  # aberration that is left: of 20 m/s, 0.014 arcsec at most
@@ -87,17 +88,13 @@ def test_a_law_that_looks_at_the_earth_is_unavailable_and_no_error():
 
 
 @pytest.mark.slow
-def test_the_quick_run_ends_with_every_term_beside_its_prediction(quick_run_of):
+def test_the_quick_run_measures_what_is_predicted(quick_run_of):
     """Its sample is small: terms are held to what it can tell, the closed form of the aberration to a part in 100."""
-    results = json.loads((quick_run_of("flight") / "summary.json").read_text())["results"]
-    terms = results["terms"]
-    assert set(terms) >= {"bias", "thermo_elastic", "fov_spatial", "pixel_spatial", "temporal_noise", "aberration"}
+    terms = json.loads((quick_run_of("flight") / "summary.json").read_text())["results"]["terms"]
     assert terms["aberration"]["ratio"]["across"]["value"] == pytest.approx(1.0, abs=0.01)
     for name in ("temporal_noise", "total"):
         ratio = terms[name]["ratio"]["across"]
         assert ratio["value"] == pytest.approx(1.0, abs=0.15 + 4.0 * ratio["uncertainty"])
-    assert results["wrong_attitudes"] == 0
-    assert results["solved_percent"]["value"] > 90.0
 
 
 @pytest.mark.parametrize(
