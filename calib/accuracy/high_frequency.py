@@ -44,9 +44,28 @@ def step_residual_px(mean_px: FloatArray) -> FloatArray:
     return without_common_motion(np.diff(_checked(mean_px), axis=0))
 
 
-def step_rms_px(mean_px: FloatArray) -> FloatArray:
-    """RMS (2,) of the residuals over stars and steps (ACC18 eq. 9-10), as printed: divided by W (M - 1)."""
-    return np.asarray(np.sqrt((step_residual_px(mean_px) ** 2).mean((0, 1))))
+def averaged_noise_px(sigma_px: FloatArray, frames: int) -> FloatArray:
+    """Part (2,) in `step_rms_px` of noise of the standard deviation (m, W, 2) per frame, averaged over N frames."""
+    of_mean2 = sigma_px**2 / frames
+    return np.sqrt((of_mean2[1:] + of_mean2[:-1]).mean((0, 1)) * (1.0 - 1.0 / sigma_px.shape[1]))
+
+
+def sigma_without_common_motion_px(position_px: FloatArray) -> FloatArray:
+    """Standard deviation (m, W, 2) of a frame of centroids (f, m, W, 2), without what all stars have in common."""
+    stars = position_px.shape[2]
+    residual_px = position_px - np.nanmean(position_px, axis=2, keepdims=True)
+    return np.asarray(np.nanstd(residual_px, axis=0, ddof=1) * np.sqrt(stars / (stars - 1.0)))
+
+
+def step_rms_px(mean_px: FloatArray, sigma_px: FloatArray | None = None, frames: int = 1) -> FloatArray:
+    """RMS (2,) of the residuals over stars and steps (ACC18 eq. 9-10), as printed: divided by W (M - 1).
+
+    Given the standard deviation (m, W, 2) of a frame, averaged temporal noise is subtracted, which the paper does not.
+    """
+    square = (step_residual_px(mean_px) ** 2).mean((0, 1))
+    if sigma_px is not None:
+        square = np.maximum(square - averaged_noise_px(sigma_px, frames) ** 2, 0.0)
+    return np.asarray(np.sqrt(square))
 
 
 def step_rms_standard_error_px(mean_px: FloatArray) -> FloatArray:
@@ -91,6 +110,13 @@ def independent_position_rms_px(step_px: FloatArray, sigma_px: FloatArray, frame
     stars = sigma_px.shape[1]
     square = step_px**2 * stars / (stars - 1) - 2.0 * (sigma_px**2).mean((0, 1)) / frames
     return np.asarray(np.sqrt(np.maximum(square, 0.0) / 2.0))
+
+
+def position_rms_scatter_px(single_px: FloatArray, sigma_px: FloatArray, frames: int) -> FloatArray:
+    """Standard deviation (2,) of `position_rms_px` by the temporal noise that is subtracted, and by its product with
+    the error."""
+    noise2, count = (sigma_px**2).mean((0, 1)) / frames, sigma_px[..., 0].size
+    return np.asarray(np.sqrt((noise2**2 / 2.0 + single_px**2 * noise2) / count) / np.maximum(single_px, 1e-12))
 
 
 def position_rms_px(error_px: FloatArray, sigma_px: FloatArray | None = None, frames: int = 1) -> FloatArray:

@@ -42,6 +42,30 @@ def temporal_error(sigma_px: FloatArray, pixel_arcsec: float, frames: int) -> Er
     return ErrorTerm(arcsec=scale * sigma_px.mean(0), uncertainty_arcsec=scale * spread, n=int(frames) * len(sigma_px))
 
 
+def prediction_scatter_px(
+    sigma_px: FloatArray, device_px: FloatArray, common_px: FloatArray, *, draws: int, frames: int
+) -> FloatArray:
+    """Standard deviation (2,) of the mean over the stars of predicted standard deviations.
+
+    Parameters
+    ----------
+    sigma_px : (j, 2)
+        Predicted standard deviations of each star.
+    device_px : (j, 2)
+        Scatter of these from chip to chip, independent from star to star.
+    common_px : (j, 2)
+        Part of ``sigma_px`` by a motion that all stars share, of which N frames draw a scatter of their own.
+    draws : int
+        Draws of noise behind ``sigma_px``; fewer than two for a closed form.
+    frames : int
+        Number of frames N.
+    """
+    drawn = sigma_px / np.sqrt(2.0 * (draws - 1)) if draws >= 2 else np.zeros_like(sigma_px)
+    independent = np.sqrt((device_px**2 + drawn**2).sum(0)) / len(sigma_px)
+    common = (common_px**2 / (2.0 * sigma_px)).mean(0) * np.sqrt(2.0 / (frames - 1.0))
+    return np.hypot(independent, common)
+
+
 def scatter_interval(
     value: ArrayLike, relative_error: ArrayLike, *, level: float = 0.95
 ) -> tuple[FloatArray, FloatArray]:

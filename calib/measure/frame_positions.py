@@ -24,12 +24,12 @@ def measured_positions(centroider: Centroider, stamps: Stamps, noise: NoiseModel
 
 
 def frame_statistics(position_px: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
-    """Mean (n, 2), standard deviation of a frame (n, 2) and number of usable frames (n,) of positions (f, n, 2).
+    """Mean (..., 2), standard deviation of a frame (..., 2), number of usable frames (...) of positions (f, ..., 2).
 
     Mean and standard deviation are NaN where fewer than two frames are usable.
     """
     count = np.isfinite(position_px[..., 0]).sum(0)
-    enough = (count >= FEWEST_FRAMES)[:, None]
+    enough = (count >= FEWEST_FRAMES)[..., None]
     filled = np.where(enough, position_px, 0.0)
     mean, sigma = np.nanmean(filled, axis=0), np.nanstd(filled, axis=0, ddof=1)
     return np.where(enough, mean, np.nan), np.where(enough, sigma, np.nan), count

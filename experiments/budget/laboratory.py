@@ -18,10 +18,7 @@ from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.bench.ray_prediction import expected_spots
 from experiments.laboratory.bench.signal import Signal, signal_of
 from experiments.laboratory.devices.collimator import build_collimator
-from experiments.laboratory.devices.hexapod import Hexapod
 from experiments.laboratory.devices.target import corner_directions
-from experiments.laboratory.devices.targets import GridTarget
-from experiments.laboratory.high_frequency import StepPlan
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.perturb import decentre, despace, tilt
@@ -124,23 +121,6 @@ def check_laboratory(lab: Laboratory) -> None:
             f"source: a point of {signal:g} e- saturates its brightest pixel (it holds {top:.0f} e-); "
             "lower source.signal_e (raise source.magnitude_mag) or defocus"
         )
-
-
-def step_plan(lab: Laboratory) -> StepPlan:
-    """The step test."""
-    steps = lab.config.steps
-    return StepPlan(positions=steps.positions, step_px=steps.step_px, direction_deg=steps.direction_deg)
-
-
-def platform(lab: Laboratory) -> Hexapod:
-    """The hexapod under the target."""
-    return Hexapod(**lab.config.hexapod.model_dump())
-
-
-def grid_target(lab: Laboratory) -> GridTarget:
-    """The grid target."""
-    names = ("rows", "columns", "edge_px", "jitter_px", "marking_error_arcsec", "roll_arcmin")
-    return GridTarget(**{name: getattr(lab.config.grid, name) for name in names})
 
 
 def grid_streams(lab: Laboratory) -> Streams:

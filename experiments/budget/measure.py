@@ -19,12 +19,9 @@ from experiments.budget.chromatic import ChromaticTerm, measured_terms
 from experiments.budget.laboratory import (
     Laboratory,
     grid_streams,
-    grid_target,
     half_field,
     marking,
     places_px,
-    platform,
-    step_plan,
 )
 from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
 from experiments.laboratory.bench.epsf_session import epsf_session, measured_epsf
@@ -64,7 +61,7 @@ def measure_terms(
         epsf = measured_epsf(
             lab.bench,
             instrument,
-            platform(lab),
+            lab.config.hexapod,
             psf=scene.psfs(target_place(lab.bench, instrument)),
             streams=root.child("ePSF"),
             scene=scene,
@@ -78,7 +75,7 @@ def measure_terms(
     distortion = measure_distortion(
         lab.bench,
         instrument,
-        grid_target(lab),
+        lab.config.grid,
         order=grid.order,
         surveys=grid.surveys,
         streams=grid_streams(lab),
@@ -147,8 +144,8 @@ def _step_tests(
         measure_high_frequency(
             lab.bench,
             lab.instrument,
-            platform(lab),
-            step_plan(lab),
+            lab.config.hexapod,
+            lab.config.steps,
             place_px=place.tolist(),
             split=False,
             streams=streams.child(f"place {number}"),

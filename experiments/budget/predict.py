@@ -24,13 +24,10 @@ from experiments.budget.laboratory import (
     build_laboratory,
     check_laboratory,
     grid_streams,
-    grid_target,
     marking,
     places_px,
-    platform,
     psfs,
     rendered_once,
-    step_plan,
 )
 from experiments.budget.settings import Config
 from experiments.laboratory.bench.centroid_methods import needs_measured_epsf
@@ -166,9 +163,9 @@ def _step_predictions(
         predicted = predict_high_frequency(
             bench,
             instrument,
-            step_plan(lab),
+            lab.config.steps,
             psf=psfs(lab, bench, f"place {number}", target_place(bench, instrument, middle.tolist())),
-            hexapod=replace(platform(lab), step_error_arcsec=0.0) if coarse else platform(lab),
+            hexapod=lab.config.hexapod.model_copy(update={"step_error_arcsec": 0.0} if coarse else {}),
             place_px=middle.tolist(),
             defect=defect,
             draws=draws,
@@ -191,12 +188,12 @@ def _distortion(
     lab: Laboratory, draws: int, defect: NDArray[np.bool_] | None
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
     """sigma_d, sigma_Dd, sigma_C1 (3, 2) [px], and the scatter of their RMS over the surveys of a chip and a run."""
-    bench, grid, target = lab.bench, lab.config.grid, grid_target(lab)
-    direction = grid_directions(target, lab.instrument, grid_streams(lab).generator("target"))
+    bench, grid = lab.bench, lab.config.grid
+    direction = grid_directions(grid, lab.instrument, grid_streams(lab).generator("grid"))
     predicted = predict_distortion(
         bench,
         lab.instrument,
-        target,
+        grid,
         direction,
         psf=psfs(lab, bench, "grid", direction),
         order=grid.order,
@@ -216,6 +213,6 @@ def _distortion(
 
 def _marking_alone_px(lab: Laboratory) -> FloatArray:
     """sigma_C1 (2,) [px] of marking errors alone."""
-    grid, target = lab.config.grid, grid_target(lab)
-    direction = grid_directions(target, lab.instrument, grid_streams(lab).generator("target"))
-    return expected_numbers(marking_errors(target, lab.instrument, direction), grid.order, grid.reference).rms_px[2]
+    grid = lab.config.grid
+    direction = grid_directions(grid, lab.instrument, grid_streams(lab).generator("grid"))
+    return expected_numbers(marking_errors(grid, lab.instrument, direction), grid.order, grid.reference).rms_px[2]

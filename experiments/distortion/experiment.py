@@ -27,7 +27,7 @@ from experiments.laboratory.bench.point_laboratory import (
     point_signal,
     prepared_scene,
 )
-from experiments.laboratory.devices.targets import GridTarget, grid_directions
+from experiments.laboratory.devices.targets import grid_directions
 from experiments.laboratory.distortion_error import (
     DistortionMeasurement,
     dense_grid,
@@ -217,7 +217,7 @@ def true_map(
     bench: Bench, instrument: Instrument, frames: DistortionMeasurement, config: Config, point_error_px: float
 ) -> TrueMap:
     """Traced bundles on a dense grid, against camera and polynomial of every survey."""
-    scale, grid, method = frames.arcsec_3sigma, (config.map_rows, 2 * config.map_rows - 1), config.methods[0]
+    grid, method = (config.map_rows, 2 * config.map_rows - 1), config.methods[0]
     direction = dense_grid(instrument, *grid)
     nominal, position = grid_position(instrument, direction)
     traced = traced_bundles(bench, instrument, direction)
@@ -227,7 +227,7 @@ def true_map(
         predict_map(
             bench,
             instrument,
-            GridTarget(**config.target.model_dump()),
+            config.target,
             order=config.order,
             reference=reference,
             point_error_px=point_error_px,
@@ -236,21 +236,24 @@ def true_map(
         )
         for reference in REFERENCES
     ]
-    one_survey = scale * np.array([rms(error[0]) for error in errors.values()])
-    surveys = scale * np.array([rms(error, (0, 1)) for error in errors.values()])
-    missed = scale * np.array([frames.left_out_px(method, reference) for reference in REFERENCES])
-    ratio = surveys / (scale * np.array([one.rms_px for one in expected]))
+    missed = np.array([frames.left_out_px(method, reference) for reference in REFERENCES])
+    one_survey = np.array([rms(error[0]) for error in errors.values()])
+    surveys = np.array([rms(error, (0, 1)) for error in errors.values()])
+    ratio = surveys / np.array([one.rms_px for one in expected])
     step = max(1, grid[0] // 8)
     cells = np.arange(len(direction)).reshape(grid)[::step, ::step].ravel()
+    by_reference_px = {
+        "uncorrected": np.tile(rms(distortion), (len(REFERENCES), 1)),
+        "one_survey": one_survey,
+        "all_surveys": surveys,
+        "point_out": missed[:, 0],
+        "row_out": missed[:, 1],
+        "forecast": np.array([one.rms_px for one in expected]),
+        "bias": np.array([one.bias_px for one in expected]),
+        "carried": np.array([one.noise_px for one in expected]),
+    }
     return TrueMap(
-        uncorrected_arcsec=np.tile(scale * rms(distortion), (len(REFERENCES), 1)),
-        one_survey_arcsec=one_survey,
-        all_surveys_arcsec=surveys,
-        point_out_arcsec=missed[:, 0],
-        row_out_arcsec=missed[:, 1],
-        forecast_arcsec=scale * np.array([one.rms_px for one in expected]),
-        bias_arcsec=scale * np.array([one.bias_px for one in expected]),
-        carried_arcsec=scale * np.array([one.noise_px for one in expected]),
+        **{f"{name}_arcsec": frames.arcsec_3sigma * value for name, value in by_reference_px.items()},
         ratio=measured(ratio, ratio / np.sqrt(18.0 * config.surveys)),  # each map is of about nine coefficients
         over_left_out=one_survey / np.fmax(missed[:, 0], missed[:, 1]),
         place_px=nominal[cells],
@@ -276,15 +279,14 @@ def axes(config: Config) -> Quantities:
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     """Render, read out, reduce, predict, compare with the true map."""
     bench, instrument = point_laboratory(config)
-    target = GridTarget(**config.target.model_dump())
     streams = Streams(config.seed).child("distortion")
-    direction = grid_directions(target, instrument, streams.generator("target"))
+    direction = grid_directions(config.target, instrument, streams.generator("target"))
     scene = prepared_scene(bench, instrument, direction[None], progress)
     with progress.stage("frames", total=2) as stage:
         frames = measure_distortion(
             bench,
             instrument,
-            target,
+            config.target,
             order=config.order,
             surveys=config.surveys,
             streams=streams,
@@ -295,7 +297,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         predicted = predict_distortion(
             bench,
             instrument,
-            target,
+            config.target,
             direction,
             psf=frames.light.psf,
             order=config.order,

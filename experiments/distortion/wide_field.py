@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from calib.accuracy.distortion import Reference, grid_residual_px
+from calib.accuracy.distortion import Reference, grid_residual_px, misfit_ratio
 from calib.accuracy.distortion_prediction import expected_numbers
 from experiments.distortion.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, agree, col, ratio_near
 from experiments.harness.summary import measured
 from experiments.laboratory.bench.point_laboratory import point_laboratory, prepared_scene
-from experiments.laboratory.devices.targets import GridTarget, grid_directions
+from experiments.laboratory.devices.targets import grid_directions
 from experiments.laboratory.distortion_error import DistortionMeasurement, grid_position, measure_distortion
 from experiments.laboratory.distortion_model import (
     DistortionPrediction,
@@ -97,17 +97,16 @@ def wide_run(config: Config, streams: Streams, *, progress: Progress) -> WideRun
     wide = config.wide
     own = {"instrument": wide.instrument, "passband": PassbandConfig(), "compare": ()}
     bench, instrument = point_laboratory(config.model_copy(update=own))
-    target = GridTarget(**wide.target.model_dump())
-    direction = grid_directions(target, instrument, streams.generator("target"))
+    direction = grid_directions(wide.target, instrument, streams.generator("target"))
     scene = prepared_scene(bench, instrument, direction[None], progress)
     with progress.stage("wide field", total=2) as stage:
         frames = measure_distortion(
-            bench, instrument, target, order=wide.order, streams=streams, scene=scene, advance=stage.advance
+            bench, instrument, wide.target, order=wide.order, streams=streams, scene=scene, advance=stage.advance
         )
     predicted = predict_distortion(
         bench,
         instrument,
-        target,
+        wide.target,
         direction,
         psf=frames.light.psf,
         order=wide.order,
@@ -116,7 +115,7 @@ def wide_run(config: Config, streams: Streams, *, progress: Progress) -> WideRun
         defect=sensor_maps(instrument.detector).defect,
         seed=config.seed,
     )
-    alone = expected_numbers(marking_errors(target, instrument, direction), wide.order, REFERENCE)
+    alone = expected_numbers(marking_errors(wide.target, instrument, direction), wide.order, REFERENCE)
     return WideRun(method=config.methods[0], frames=frames, predicted=predicted, marking_px=alone.rms_px)
 
 
@@ -126,15 +125,15 @@ def wide_field(run: WideRun) -> WideField:
     statistics, expected_px = frames.statistics(run.method, REFERENCE), predicted.position_px[run.method]
     nominal, position = grid_position(frames.instrument, frames.direction)
     distortion, _ = grid_residual_px(nominal, position, expected_px, expected_px, REFERENCE)
-    difference = statistics.d_px - distortion
-    square = (predicted.point_px[run.method] ** 2 + predicted.marking_px**2).mean()
-    freedom = difference.size - 4  # shift, roll and scale are fitted
+    ratio, scatter = misfit_ratio(
+        statistics.d_px - distortion, np.hypot(predicted.point_px[run.method], predicted.marking_px), parameters=4
+    )  # shift, roll and scale are fitted
     return WideField(
         measured_arcsec=scale * statistics.sigma_px,
         predicted_arcsec=measured(
             scale * predicted.mean_px[run.method][REFERENCE], scale * predicted.scatter_px[run.method][REFERENCE]
         ),
         marking_arcsec=scale * run.marking_px,
-        residual_ratio=measured(np.sqrt((difference**2).sum() / square / freedom), 1.0 / np.sqrt(2.0 * freedom)),
+        residual_ratio=measured(ratio, scatter),
         pixel_arcsec=frames.instrument.pixel_arcsec,
     )

@@ -8,8 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from calib.accuracy.high_frequency import independent_position_rms_px, step_residual_px, step_rms_px
-from calib.accuracy.step_prediction import StepPrediction
+from calib.accuracy.high_frequency import (
+    independent_position_rms_px,
+    position_rms_scatter_px,
+    step_residual_px,
+    step_rms_px,
+)
+from calib.accuracy.step_prediction import CAUSES, StepPrediction
 from calib.measure.expected_windows import expected_windows, noiseless_positions
 from experiments.harness.drawings import bars, cloud, curves
 from experiments.harness.progress import Progress
@@ -26,13 +31,8 @@ from experiments.laboratory.bench.point_laboratory import (
 )
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
 from experiments.laboratory.devices.collimator_effects import SIGHT, sight_of
-from experiments.laboratory.devices.hexapod import Hexapod, turned
-from experiments.laboratory.high_frequency import (
-    CAUSES,
-    HighFrequencyMeasurement,
-    StepPlan,
-    measure_high_frequency,
-)
+from experiments.laboratory.devices.hexapod import step_path, turned
+from experiments.laboratory.high_frequency import HighFrequencyMeasurement, check_steps, measure_high_frequency
 from experiments.laboratory.high_frequency_model import HighFrequencyPrediction, predict_high_frequency
 from experiments.laboratory.settings.published import ACC18_ARCSEC, is_published_sensor
 from experiments.laboratory.temporal_error import target_place
@@ -104,23 +104,25 @@ class Steps:
 def steps(seen: HighFrequencyMeasurement, before: StepPrediction, after: StepPrediction, method: str) -> Steps:
     """Measured, predicted for drawn paths of the hexapod, and predicted for the path that was seen."""
     scale, printed = 3.0 * seen.pixel_arcsec, seen.high_frequency_error(method)
-    document, single = step_rms_px(seen.mean_px["all"][method]), seen.single_px(method)
-    # of the temporal noise that is taken away, and of its product with the error
-    noise2, count = (seen.sigma_px[method] ** 2).mean((0, 1)) / seen.frames, seen.sigma_px[method][..., 0].size
-    taken = np.sqrt((noise2**2 / 2.0 + single**2 * noise2) / count) / np.maximum(single, 1e-12)
+    mean, sigma = seen.mean_px(method), seen.sigma_px(method)
+    document, single = step_rms_px(mean), seen.single_px(method)
+    single_scatter = np.hypot(after.position_rms_scatter_px, position_rms_scatter_px(single, sigma, seen.frames))
+    parts_px = {
+        "halved": independent_position_rms_px(document, sigma, seen.frames),
+        "one_position": single,
+        "one_position_predicted": after.position_rms_px,
+        "dark": after.dark_px,
+        "roll": after.roll_px,
+        "quadrature": seen.quadrature_px(method),
+    }
     return Steps(
         document_arcsec=measured(printed.arcsec, printed.uncertainty_arcsec, n=printed.n, unit="arcsec"),
         predicted_arcsec=measured(scale * after.step_rms_px, scale * after.step_rms_scatter_px),
-        ratio=over(document, after.step_rms_px, after.step_rms_scatter_px),
-        halved_arcsec=scale * independent_position_rms_px(document, seen.sigma_px[method], seen.frames),
-        one_position_arcsec=scale * single,
-        one_position_predicted_arcsec=scale * after.position_rms_px,
-        one_position_ratio=over(single, after.position_rms_px, np.hypot(after.position_rms_scatter_px, taken)),
         predicted_before_arcsec=measured(scale * before.step_rms_px, scale * before.step_rms_scatter_px),
+        ratio=over(document, after.step_rms_px, after.step_rms_scatter_px),
         ratio_before=over(document, before.step_rms_px, before.step_rms_scatter_px),
-        dark_arcsec=scale * after.dark_px,
-        roll_arcsec=scale * after.roll_px,
-        quadrature_arcsec=scale * seen.quadrature_px(method),
+        one_position_ratio=over(single, after.position_rms_px, single_scatter),
+        **{f"{name}_arcsec": scale * part for name, part in parts_px.items()},
     )
 
 
@@ -237,40 +239,39 @@ def axes(config: Config) -> Quantities:
 def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     """Step, read out, reduce, predict."""
     bench, instrument = point_laboratory(config, config.target)
-    plan, hexapod = StepPlan(**config.steps.model_dump()), Hexapod(**config.hexapod.model_dump())
-    plan.check(bench)
+    check_steps(config.steps, bench)
     rest = target_place(bench, instrument, config.place_px)
     streams = Streams(config.seed).child("hsfe")
-    path = plan.path(instrument, hexapod, streams.generator("hexapod"))
+    path = step_path(config.hexapod, config.steps, instrument.pixel_arcsec, streams.generator("hexapod"))
     scene = prepared_scene(bench, instrument, turned(rest, path.true_rad), progress)
     place: dict[str, Any] = {"place_px": config.place_px, "subtraction": config.subtraction}
     with progress.stage("before the test"):
         model: dict[str, Any] = {
             "psf": scene.psfs(rest),
-            "hexapod": hexapod,
+            "hexapod": config.hexapod,
             "defect": sensor_maps(instrument.detector).defect,
             "draws": config.draws,
             "seed": config.seed,
             **place,
         }
-        before = predict_high_frequency(bench, instrument, plan, **model)
-    with progress.stage("steps", total=plan.positions) as stage:
+        before = predict_high_frequency(bench, instrument, config.steps, **model)
+    with progress.stage("steps", total=config.steps.positions) as stage:
         here: dict[str, Any] = {"streams": streams, "scene": scene, "advance": stage.advance, **place}
-        seen = measure_high_frequency(bench, instrument, hexapod, plan, **here)
+        seen = measure_high_frequency(bench, instrument, config.hexapod, config.steps, **here)
     with progress.stage("after the test"):
         # where the image stood is best read with the method that has no S-curve of its own
-        shift_px = seen.common_shift_px(motion_method(bench.methods), before.place_px)
-        corner_px = np.stack([one.corner_px for one in seen.lights])
-        after = predict_high_frequency(bench, instrument, plan, shift_px=shift_px, corner_px=corner_px, **model)
+        shift_px = (seen.mean_px(motion_method(bench.methods)) - before.place_px).mean(1)
+        reached: dict[str, Any] = {"shift_px": shift_px, "corner_px": seen.corner_px}
+        after = predict_high_frequency(bench, instrument, config.steps, **reached, **model)
         shapes = s_curves(bench, instrument, model["psf"][len(rest) // 2])
     first, star = config.methods[0], point_signal(config, instrument)
-    left = step_residual_px(seen.mean_px["all"][first])
+    left = step_residual_px(seen.mean_px(first))
     every = [steps(seen, before.method[m], after.method[m], m) for m in config.methods]
     return {
         "test": Test(
             frames=seen.frames,
             stars=len(rest),
-            positions=plan.positions,
+            positions=config.steps.positions,
             subtraction=config.subtraction,
             pixel_arcsec=seen.pixel_arcsec,
             signal_e=star.signal_e,

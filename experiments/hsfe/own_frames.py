@@ -100,7 +100,7 @@ def steps(series: Sequence[SeriesFrames], methods: Sequence[str], scale: float) 
 def exchange_text(pair: tuple[int, int], commanded_px: FloatArray, names: Sequence[str]) -> str:
     """Two exchanged positions in words."""
     first, second = pair
-    distance = float(np.linalg.norm(commanded_px[first] - commanded_px[second]))
+    distance = float(np.hypot(*(commanded_px[first] - commanded_px[second])))
     return (
         f"{names[first]} and {names[second]} are interchanged: each lies at the commanded position of the other, "
         f"{distance:.2g} px away"

@@ -27,8 +27,9 @@ from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.point_bench import Bench, centroiders, one_filter, session_centroiders
 from experiments.laboratory.bench.ray_prediction import target_windows
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
-from experiments.laboratory.devices.targets import GridTarget, grid_directions
+from experiments.laboratory.devices.targets import grid_directions
 from experiments.laboratory.distortion_error import grid_position, traced_bundles
+from experiments.laboratory.settings.tables import GridTargetConfig
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
@@ -57,7 +58,7 @@ class DistortionPrediction:
         return np.sqrt(frozen**2 + np.maximum(one**2 - frozen**2, 0.0) / surveys)
 
 
-def marking_errors(target: GridTarget, instrument: Instrument, direction: FloatArray) -> GridErrors:
+def marking_errors(target: GridTargetConfig, instrument: Instrument, direction: FloatArray) -> GridErrors:
     """Residuals of a target (n, 3) through a perfect camera without noise: marking errors alone."""
     _, position = grid_position(instrument, direction)
     # an error of the surveyed tangent is one of the nominal coordinate, the same at every place
@@ -76,7 +77,7 @@ def marking_errors(target: GridTarget, instrument: Instrument, direction: FloatA
 def predict_distortion(
     bench: Bench,
     instrument: Instrument,
-    target: GridTarget,
+    target: GridTargetConfig,
     direction: FloatArray,
     *,
     psf: Sequence[EffectivePsf],
@@ -147,7 +148,7 @@ def _covariance(drawn_px: FloatArray) -> FloatArray:
 def predict_map(
     bench: Bench,
     instrument: Instrument,
-    target: GridTarget,
+    target: GridTargetConfig,
     *,
     order: int,
     reference: Reference,

@@ -12,24 +12,27 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.accuracy.error_budget import ErrorTerm
 from calib.accuracy.high_frequency import (
+    averaged_noise_px,
     high_frequency_error,
     position_rms_px,
+    sigma_without_common_motion_px,
     step_rms_px,
 )
 from calib.accuracy.step_prediction import CAUSES
-from calib.measure.frame_positions import common_motion_px2
+from calib.measure.frame_positions import common_motion_px2, frame_statistics
 from calib.measure.stamps import noiseless_stamps
 from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method
-from experiments.laboratory.bench.points import PointFrames, PointLight, PointScene, Subtraction, read_points, scene_of
+from experiments.laboratory.bench.points import PointLight, PointScene, Subtraction, read_points, scene_of
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
-from experiments.laboratory.devices.hexapod import Hexapod, HexapodPath, step_path, turned
+from experiments.laboratory.devices.hexapod import step_path, turned
+from experiments.laboratory.settings.tables import HexapodConfig, StepConfig
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.units import ARCSEC_RAD
 from render.detector.spec import Detector
 from render.engine.random import Streams
 from render.sensor_file.instrument import Instrument
@@ -42,122 +45,83 @@ SWITCHES: Mapping[str, Mapping[str, float]] = {
 """What to set in a detector to switch a cause off."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StepPlan:
-    """The test: positions along a line."""
-
-    positions: int = 12  # M. The document counts 0, 0.2 ... 2.0 px as 12 positions, which is 11
-    step_px: float = 0.2  # Length of a step of the image
-    direction_deg: float = 45.0  # Of the motion, from increasing column towards increasing row
-
-    def __post_init__(self) -> None:
-        if self.positions < 2:
-            raise DomainError(f"StepPlan.positions = {self.positions}; at least 2 are needed")
-        if not (np.isfinite(self.step_px) and self.step_px > 0):
-            raise DomainError(f"StepPlan.step_px = {self.step_px} px; it must be positive")
-
-    def path(self, instrument: Instrument, hexapod: Hexapod, rng: np.random.Generator) -> HexapodPath:
-        """Poses of the hexapod."""
-        return step_path(
-            hexapod,
-            rng,
-            positions=self.positions,
-            step_rad=self.step_px * instrument.pixel_arcsec * ARCSEC_RAD,
-            direction_deg=self.direction_deg,
+def check_steps(steps: StepConfig, bench: Bench) -> None:
+    """Refuse steps that leave the window."""
+    if steps.step_px >= bench.window_px / 2:
+        raise DomainError(
+            f"a step of {steps.step_px:g} px is not smaller than half the window (window_px = {bench.window_px}); "
+            "ACC18 uses 0.2 px"
         )
-
-    def check(self, bench: Bench) -> None:
-        """Refuse steps that leave the window."""
-        if self.step_px >= bench.window_px / 2:
-            raise DomainError(
-                f"a step of {self.step_px:g} px is not smaller than half the window (window_px = {bench.window_px}); "
-                "ACC18 uses 0.2 px"
-            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HighFrequencyMeasurement:
-    """Mean centroids of m positions and j stars, with every effect, and with some switched off."""
+    """Centroids of j stars at m positions in f frames, with every cause, and with some switched off."""
 
-    plan: StepPlan  # The test
-    frames: int  # N per position
     pixel_arcsec: float  # Angle of a pixel
-    path: HexapodPath  # What the hexapod did
-    direction: FloatArray  # (j, 3) Target points at rest
     photon_px: FloatArray  # (m, j, 2) Truth: mean of all light, in the window or beyond
-    noiseless_px: Mapping[str, FloatArray]  # (m, j, 2) What each method makes of the noiseless windows
-    # (m, j, 2) Mean centroids by run and method: "all", "none", "only CAUSE", "without CAUSE"
-    mean_px: Mapping[str, Mapping[str, FloatArray]]
-    # (m, j, 2) Standard deviation of a single frame's centroid, run "all", without a motion that all stars have in
-    # common
-    sigma_px: Mapping[str, FloatArray]
-    # (m, j, 2) Standard deviation over the frames of the difference of two runs, by cause ("only CAUSE", "without
-    # CAUSE")
-    paired_px: Mapping[str, Mapping[str, FloatArray]]
-    lights: tuple[PointLight, ...]  # The target at every position
+    noiseless_px: Mapping[str, FloatArray]  # (m, j, 2) Centroids of the noiseless windows by method
+    # (f, m, j, 2) Centroids by run and method: "all", "none", "only CAUSE", "without CAUSE"
+    position_px: Mapping[str, Mapping[str, FloatArray]]
+    corner_px: NDArray[np.int64]  # (m, j, 2) First pixels of the windows
+    moving: bool  # Whether the line of sight moves from frame to frame, all stars alike
     # (m, 2, 2) What the stars have in common in the frames
     # (`calib.measure.frame_positions.common_motion_px2`)
     motion_px2: FloatArray
 
+    @property
+    def frames(self) -> int:
+        """Number of frames per position."""
+        return len(next(iter(self.position_px["all"].values())))
+
+    def mean_px(self, method: str, run: str = "all") -> FloatArray:
+        """Mean centroids (m, j, 2)."""
+        return frame_statistics(self.position_px[run][method])[0]
+
+    def sigma_px(self, method: str) -> FloatArray:
+        """Standard deviation (m, j, 2) of a frame's centroid, without a motion that all stars have in common."""
+        position = self.position_px["all"][method]
+        return sigma_without_common_motion_px(position) if self.moving else frame_statistics(position)[1]
+
     def high_frequency_error(self, method: str) -> ErrorTerm:
         """HSFE as printed (eq. 11-12), 3 sigma."""
-        return high_frequency_error(self.mean_px["all"][method], self.pixel_arcsec)
+        return high_frequency_error(self.mean_px(method), self.pixel_arcsec)
 
     def single_px(self, method: str) -> FloatArray:
         """Error of one position (2,) against the truth, common motion and temporal noise subtracted."""
-        error = self.mean_px["all"][method] - self.photon_px
-        return position_rms_px(error, self.sigma_px[method], self.frames)
+        return position_rms_px(self.mean_px(method) - self.photon_px, self.sigma_px(method), self.frames)
 
     def temporal_px(self, method: str) -> FloatArray:
-        """Averaged temporal noise in the document's number (2,)."""
-        return np.sqrt(self._averaged2(self.sigma_px[method]))
+        """Averaged temporal noise in the steps' RMS (2,)."""
+        return averaged_noise_px(self.sigma_px(method), self.frames)
 
-    def _averaged2(self, sigma_px: FloatArray) -> FloatArray:
-        """Square of what noise of the frames leaves in the document's number (2,)."""
-        of_mean = sigma_px**2 / self.frames
-        return np.asarray((of_mean[1:] + of_mean[:-1]).mean((0, 1)) * (1.0 - 1.0 / sigma_px.shape[1]))
-
-    def effect_px(self, method: str, cause: str, *, alone: bool) -> FloatArray:
-        """Effect of a cause on the mean centroids (m, j, 2): acting alone, or missing when switched off."""
+    def effect_px(self, method: str, cause: str, *, alone: bool = True) -> tuple[FloatArray, FloatArray]:
+        """Effect of a cause on the mean centroids, acting alone, or missing when switched off, and the standard
+        deviation over the frames that does not cancel in it: (m, j, 2) each."""
         if cause == "s_curve":
-            return np.asarray(self.noiseless_px[method] - self.photon_px)
-        runs = (f"only {cause}", "none") if alone else ("all", f"without {cause}")
-        return np.asarray(self.mean_px[runs[0]][method] - self.mean_px[runs[1]][method])
-
-    def _left(self, method: str, cause: str, *, alone: bool) -> FloatArray:
-        """Noise (m, j, 2) of a frame that does not cancel between the two runs of `effect_px`."""
-        if cause == "s_curve":
-            return np.zeros_like(self.photon_px)
-        return self.paired_px[f"{'only' if alone else 'without'} {cause}"][method]
+            return np.asarray(self.noiseless_px[method] - self.photon_px), np.zeros_like(self.photon_px)
+        with_cause, without = (f"only {cause}", "none") if alone else ("all", f"without {cause}")
+        difference = self.position_px[with_cause][method] - self.position_px[without][method]
+        effect = self.mean_px(method, with_cause) - self.mean_px(method, without)
+        return np.asarray(effect), np.asarray(np.nanstd(difference, axis=0, ddof=1))
 
     def cause_px(self, method: str, cause: str, *, alone: bool = True) -> FloatArray:
-        """A cause's part (2,) in the document's number."""
-        found = step_rms_px(self.effect_px(method, cause, alone=alone)) ** 2
-        return np.sqrt(np.maximum(found - self._averaged2(self._left(method, cause, alone=alone)), 0.0))
+        """Part of a cause (2,) in the steps' RMS."""
+        return step_rms_px(*self.effect_px(method, cause, alone=alone), self.frames)
 
     def cause_single_px(self, method: str, cause: str, *, alone: bool = True) -> FloatArray:
-        """A cause's part (2,) in the error of a position."""
-        noise = self._left(method, cause, alone=alone)
-        return position_rms_px(self.effect_px(method, cause, alone=alone), noise, self.frames)
+        """Part of a cause (2,) in the error of a position."""
+        return position_rms_px(*self.effect_px(method, cause, alone=alone), self.frames)
 
     def quadrature_px(self, method: str) -> FloatArray:
-        """Causes (alone), roll and temporal noise, added in quadrature (2,): to be compared with `document_px`."""
-        parts = [*(self.cause_px(method, cause) for cause in CAUSES), self.motion_px]
-        return np.asarray(np.sqrt(sum((part**2 for part in parts), self.temporal_px(method) ** 2)))
-
-    def common_shift_px(self, method: str, place_px: FloatArray) -> FloatArray:
-        """Measured shift of the whole image from predicted places (m, j, 2) at every position (m, 2)."""
-        return np.asarray((self.mean_px["all"][method] - place_px).mean(1))
+        """Causes (alone), roll and temporal noise, added in quadrature (2,): to be compared with the steps' RMS."""
+        parts = [self.cause_px(method, cause) for cause in CAUSES]
+        return np.asarray(np.sqrt(np.square([*parts, self.motion_px, self.temporal_px(method)]).sum(0)))
 
     @property
     def motion_px(self) -> FloatArray:
-        """The document's number (2,) for the true motion of the light: what hexapod and distortion leave in it."""
+        """RMS (2,) of the true motion of the light in the steps: what hexapod and distortion leave in it."""
         return step_rms_px(self.photon_px)
-
-    @property
-    def step_px(self) -> FloatArray:
-        """Mean step over the stars (m - 1, 2), by the truth."""
-        return np.asarray(np.diff(self.photon_px, axis=0).mean(1))
 
 
 def switched(detector: Detector, keep: Collection[str]) -> Detector:
@@ -181,8 +145,8 @@ def runs_of(*, split: bool) -> dict[str, tuple[str, ...]]:
 def measure_high_frequency(
     bench: Bench,
     instrument: Instrument,
-    hexapod: Hexapod,
-    plan: StepPlan,
+    hexapod: HexapodConfig,
+    steps: StepConfig,
     *,
     place_px: Sequence[float] | None = None,
     subtraction: Subtraction = "dark",
@@ -195,27 +159,21 @@ def measure_high_frequency(
 
     Dark frames are taken once, before the steps: all positions share them pixel by pixel.
     """
-    plan.check(bench)
+    check_steps(steps, bench)
     scene = scene_of(scene, bench, instrument)
     bench = scene.bench
     rest = target_place(bench, instrument, place_px)
-    path = plan.path(instrument, hexapod, streams.generator("hexapod"))
+    path = step_path(hexapod, steps, instrument.pixel_arcsec, streams.generator("hexapod"))
     psf = scene.psfs(rest)
     chips = {run: switched(instrument.detector, keep) for run, keep in runs_of(split=split).items()}
-    mean: dict[str, dict[str, list[FloatArray]]] = {run: {m: [] for m in bench.methods} for run in chips}
-    sigma: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
-    paired: dict[str, dict[str, list[FloatArray]]] = {
-        run: {m: [] for m in bench.methods} for run in chips if run not in ("all", "none")
-    }
-    lights, motion = [], []
-    moving = bench.power_px2(instrument)[0] > 0.0
+    lights: list[PointLight] = []
+    position: dict[str, dict[str, list[FloatArray]]] = {run: {m: [] for m in bench.methods} for run in chips}
     for number, direction in enumerate(turned(rest, path.true_rad)):
         here = streams.child("position", number)
-        light = scene.light(direction, here, f"step {number + 1}", psf=psf)
-        lights.append(light)
-        frames = {
-            run: read_points(
-                light,
+        lights.append(scene.light(direction, here, f"step {number + 1}", psf=psf))
+        for run, chip in chips.items():
+            frames = read_points(
+                lights[-1],
                 bench,
                 instrument,
                 streams=here,
@@ -223,48 +181,20 @@ def measure_high_frequency(
                 detector=chip,
                 subtraction=subtraction,
             )
-            for run, chip in chips.items()
-        }
-        motion.append(common_motion_px2(frames["all"].position_px[motion_method(bench.methods)]))
-        for method in bench.methods:
-            for run, one in frames.items():
-                mean[run][method].append(one.mean_px(method))
-            sigma[method].append(_own_sigma_px(frames["all"], method, moving))
-            for run, of in paired.items():
-                against = frames["none" if run.startswith("only") else "all"]
-                difference = frames[run].position_px[method] - against.position_px[method]
-                of[method].append(np.nanstd(difference, axis=0, ddof=1))
+            for method, centroids in frames.position_px.items():
+                position[run][method].append(centroids)
         advance()
+    told, common = nominal_noise(instrument), position["all"][motion_method(bench.methods)]
+    noiseless = [noiseless_stamps(light.light_e, corner_px=light.corner_px) for light in lights]
     return HighFrequencyMeasurement(
-        plan=plan,
-        frames=bench.frames,
         pixel_arcsec=instrument.pixel_arcsec,
-        path=path,
-        direction=rest,
         photon_px=np.stack([light.photon_px for light in lights]),
-        noiseless_px=_noiseless(lights, bench, instrument),
-        mean_px={run: {m: np.stack(v) for m, v in of.items()} for run, of in mean.items()},
-        sigma_px={m: np.stack(v) for m, v in sigma.items()},
-        paired_px={run: {m: np.stack(v) for m, v in of.items()} for run, of in paired.items()},
-        lights=tuple(lights),
-        motion_px2=np.stack(motion),
+        noiseless_px={
+            name: np.stack([centroider.measure(stamps, told).pixel_px for stamps in noiseless])
+            for name, centroider in centroiders(bench, lights[0].psf).items()
+        },
+        position_px={run: {m: np.stack(v, axis=1) for m, v in of.items()} for run, of in position.items()},
+        corner_px=np.stack([light.corner_px for light in lights]),
+        moving=bench.power_px2(instrument)[0] > 0.0,
+        motion_px2=np.stack([common_motion_px2(centroids) for centroids in common]),
     )
-
-
-def _own_sigma_px(frames: PointFrames, method: str, moving: bool) -> FloatArray:
-    """Standard deviation of a frame (j, 2); of a moving line of sight what the stars do not have in common."""
-    if not moving:
-        return frames.sigma_px(method)
-    position = frames.position_px[method]
-    stars = position.shape[1]
-    own = position - np.nanmean(position, axis=1, keepdims=True)
-    return np.asarray(np.nanstd(own, axis=0, ddof=1) * np.sqrt(stars / (stars - 1.0)))
-
-
-def _noiseless(lights: Sequence[PointLight], bench: Bench, instrument: Instrument) -> dict[str, FloatArray]:
-    """Results of each method on the rendered light."""
-    noise, out = nominal_noise(instrument), {}
-    for name, centroider in centroiders(bench, lights[0].psf).items():
-        stamps = [noiseless_stamps(one.light_e, corner_px=one.corner_px) for one in lights]
-        out[name] = np.stack([centroider.measure(one, noise).pixel_px for one in stamps])
-    return out

@@ -14,8 +14,8 @@ from experiments.laboratory.bench.point_bench import Bench, centroiders, one_fil
 from experiments.laboratory.bench.points import Subtraction
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
-from experiments.laboratory.devices.hexapod import Hexapod, turned
-from experiments.laboratory.high_frequency import StepPlan
+from experiments.laboratory.devices.hexapod import step_path, turned
+from experiments.laboratory.settings.tables import HexapodConfig, StepConfig
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
@@ -39,10 +39,10 @@ class HighFrequencyPrediction:
 def predict_high_frequency(
     bench: Bench,
     instrument: Instrument,
-    plan: StepPlan,
+    steps: StepConfig,
     *,
     psf: Sequence[EffectivePsf],
-    hexapod: Hexapod | None = None,
+    hexapod: HexapodConfig | None = None,
     shift_px: FloatArray | None = None,
     corner_px: NDArray[np.int64] | None = None,
     place_px: Sequence[float] | None = None,
@@ -55,17 +55,17 @@ def predict_high_frequency(
     """Prediction for every centroider; ``corner_px`` (m, j, 2): windows of a test that was made."""
     bench = one_filter(bench)
     rng = Streams(seed).generator("high-frequency prediction")
-    ideal = Hexapod(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
-    path = plan.path(instrument, ideal, rng)
+    ideal = HexapodConfig(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
+    path = step_path(ideal, steps, instrument.pixel_arcsec, rng)
     direction = turned(target_place(bench, instrument, place_px), path.commanded_rad)
-    shift = np.zeros((plan.positions, 2)) if shift_px is None else np.asarray(shift_px, float)
+    shift = np.zeros((steps.positions, 2)) if shift_px is None else np.asarray(shift_px, float)
     place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
     windows = target_windows(bench, instrument, direction, psf, place + shift[:, None], corner_px=corner_px)
     error_px = hexapod.step_error_arcsec / instrument.pixel_arcsec if hexapod is not None and shift_px is None else 0.0
     drawn = [error_px * rng.standard_normal(shift.shape) for _ in range(PATHS if error_px > 0 else 0)]
     model = StepModel(
         windows=windows,
-        positions=plan.positions,
+        positions=steps.positions,
         noise=nominal_noise(instrument),
         pixel=instrument.pixel_noise(),
         frames=bench.frames,
@@ -90,6 +90,6 @@ def predict_high_frequency(
         )
     return HighFrequencyPrediction(
         pixel_arcsec=instrument.pixel_arcsec,
-        place_px=windows.position_px.reshape(plan.positions, -1, 2),
+        place_px=windows.position_px.reshape(steps.positions, -1, 2),
         method=methods,
     )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.accuracy.error_budget import ErrorTerm
-from calib.accuracy.temporal import temporal_error
+from calib.accuracy.temporal import prediction_scatter_px, temporal_error
 from calib.measure.expected_windows import bound_px, drawn_positions, followed_px, window_response
 from calib.measure.frame_positions import common_motion_px2
 from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method, one_filter
@@ -74,12 +74,9 @@ class TemporalPrediction:
 
         With a line of sight that is not at rest also what N frames draw of it, which is the same for all stars.
         """
-        device = self.device_px[method][level]
-        drawn = self.sampled_px[method][level] / np.sqrt(2.0 * max(self.draws - 1, 1)) if self.draws >= 2 else 0.0
-        spread = np.sqrt((device**2 + np.square(drawn)).sum(0)) / len(device)
-        size = self.sampled_px[method][level]
-        drawn = (self.common_px[method][level] ** 2 / (2.0 * size)).mean(0) * np.sqrt(2.0 / (self.frames - 1.0))
-        return np.asarray(3.0 * self.pixel_arcsec * np.hypot(spread, drawn))
+        parts = (of[method][level] for of in (self.sampled_px, self.device_px, self.common_px))
+        scatter = prediction_scatter_px(*parts, draws=self.draws, frames=self.frames)
+        return 3.0 * self.pixel_arcsec * scatter
 
     def bound_te_arcsec(self, level: int = 0) -> FloatArray:
         """Temporal error at a level, (x, y), 3 sigma, of the best unbiased estimator."""

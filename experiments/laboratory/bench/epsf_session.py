@@ -22,8 +22,8 @@ from experiments.laboratory.bench.ray_prediction import target_windows
 from experiments.laboratory.bench.readout.stamps import dark_subtracted
 from experiments.laboratory.bench.readout.windows import WindowReader
 from experiments.laboratory.devices.collimator import convolved_psf
-from experiments.laboratory.devices.hexapod import Hexapod, turned
-from experiments.laboratory.high_frequency import StepPlan
+from experiments.laboratory.devices.hexapod import step_path, turned
+from experiments.laboratory.settings.tables import HexapodConfig, StepConfig
 from experiments.laboratory.temporal_error import target_place
 from optics.arrays import FloatArray
 from render.engine.random import Streams
@@ -34,16 +34,16 @@ POSITIONS, STAMPS = 5, 20
 """Steps of a fifth of a pixel cover it along both axes; a PSF of four samples per pixel needs 16 stars at least."""
 
 
-def epsf_session(bench: Bench) -> StepPlan:
+def epsf_session(bench: Bench) -> StepConfig:
     """Positions of the session: more of them where the target has few points."""
     points = bench.target.rows * bench.target.columns
-    return StepPlan(positions=max(POSITIONS, -(-STAMPS // points)), step_px=1.0 / POSITIONS, direction_deg=45.0)
+    return StepConfig(positions=max(POSITIONS, -(-STAMPS // points)), step_px=1.0 / POSITIONS, direction_deg=45.0)
 
 
 def measured_epsf(
     bench: Bench,
     instrument: Instrument,
-    hexapod: Hexapod,
+    hexapod: HexapodConfig,
     *,
     psf: Sequence[EffectivePsf],
     streams: Streams,
@@ -51,7 +51,7 @@ def measured_epsf(
     advance: Callable[[], None] = lambda: None,
 ) -> EffectivePsf:
     """Effective PSF from frames of the target in the middle of the first chip."""
-    path = epsf_session(bench).path(instrument, hexapod, streams.generator("hexapod"))
+    path = step_path(hexapod, epsf_session(bench), instrument.pixel_arcsec, streams.generator("hexapod"))
     parts = []
     for number, direction in enumerate(turned(target_place(bench, instrument), path.true_rad)):
         here = streams.child("position", number)
@@ -76,8 +76,8 @@ def predicted_epsfs(
     The image moves by less than a pixel: the response of a pixel is the same at all positions and does not average out.
     """
     rng, noise, frames = Streams(seed).generator("predicted ePSF"), instrument.pixel_noise(), bench.frames
-    ideal = Hexapod(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
-    path = epsf_session(bench).path(instrument, ideal, rng)
+    ideal = HexapodConfig(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
+    path = step_path(ideal, epsf_session(bench), instrument.pixel_arcsec, rng)
     direction = turned(target_place(bench, instrument), path.commanded_rad)
     between = bench.power_px2(instrument)[0]
     if between:  # the sum of frames is blurred by what moves from frame to frame too

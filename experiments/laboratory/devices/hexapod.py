@@ -12,29 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from experiments.laboratory.settings.tables import HexapodConfig, StepConfig
 from optics.arrays import FloatArray
-from optics.errors import DomainError
 from optics.records import freeze
 from optics.units import ARCSEC_RAD, DEG_RAD
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Hexapod:
-    """A platform's errors, each a standard deviation per axis.
-
-    ACC18 names a PI H-840 but no figures; the defaults (2 and 5 urad) are of the size that makers state for such
-    platforms, rounded.
-    """
-
-    step_error_arcsec: float = 0.4  # Pitch and yaw reached against those commanded, anew at every position
-    roll_error_arcsec: float = 1.0  # The same for roll about the camera's axis
-    reading_error_arcsec: float = 0.2  # What the platform reports against where it is, all three axes
-
-    def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise DomainError(f"Hexapod.{name} = {value} arcsec; it must be finite and not negative")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,23 +32,14 @@ class HexapodPath:
             freeze(self, name, shape=("m", 3), sizes=sizes)
 
 
-def step_path(
-    hexapod: Hexapod,
-    rng: np.random.Generator,
-    *,
-    positions: int,
-    step_rad: float,
-    direction_deg: float,
-) -> HexapodPath:
+def step_path(hexapod: HexapodConfig, steps: StepConfig, pixel_arcsec: float, rng: np.random.Generator) -> HexapodPath:
     """Equal steps of the image along a straight line, the middle of the path at rest."""
-    if positions < 2:
-        raise DomainError(f"positions = {positions}; at least 2 are needed for a step")
-    way = (np.arange(positions) - (positions - 1) / 2) * step_rad
-    angle = direction_deg * DEG_RAD
-    commanded = np.stack([-way * np.sin(angle), way * np.cos(angle), np.zeros(positions)], axis=1)
+    distance = (np.arange(steps.positions) - (steps.positions - 1) / 2) * steps.step_px * pixel_arcsec * ARCSEC_RAD
+    angle = steps.direction_deg * DEG_RAD
+    commanded = np.stack([-distance * np.sin(angle), distance * np.cos(angle), np.zeros(steps.positions)], axis=1)
     size = np.array([hexapod.step_error_arcsec, hexapod.step_error_arcsec, hexapod.roll_error_arcsec]) * ARCSEC_RAD
-    true = commanded + size * rng.standard_normal((positions, 3))
-    read = true + hexapod.reading_error_arcsec * ARCSEC_RAD * rng.standard_normal((positions, 3))
+    true = commanded + size * rng.standard_normal((steps.positions, 3))
+    read = true + hexapod.reading_error_arcsec * ARCSEC_RAD * rng.standard_normal((steps.positions, 3))
     return HexapodPath(commanded_rad=commanded, true_rad=true, read_rad=read)
 
 

@@ -2,41 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from experiments.laboratory.settings.tables import GridTargetConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
 from render.sensor_file.instrument import Instrument
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GridTarget:
-    """Points over the whole field, their places measured beforehand (ACC18: 32 points, 0.5 arcsec at 3 sigma)."""
-
-    rows: int = 4  # Points along a column and along a row of the detector
-    columns: int = 8
-    # Distance of the outermost points from the edge of the detector, as an ideal lens images them
-    edge_px: float = 60.0
-    # Standard deviation per axis of the points' places about the regular grid as they were drilled; it puts them at
-    # all fractions of a pixel. It is part of their true places, not an error
-    jitter_px: float = 5.0
-    marking_error_arcsec: float = 0.5 / 3.0  # Standard deviation per axis of a measured place
-    roll_arcmin: float = 3.0  # How far the target stands turned against the detector
-
-    def __post_init__(self) -> None:
-        if self.rows < 2 or self.columns < 2:
-            raise DomainError(f"GridTarget: {self.rows} x {self.columns} points; at least 2 x 2 are needed")
-        for name in ("edge_px", "jitter_px", "marking_error_arcsec"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise DomainError(f"GridTarget.{name} = {value}; it must be finite and not negative")
-
-
-def grid_directions(target: GridTarget, instrument: Instrument, rng: np.random.Generator) -> FloatArray:
+def grid_directions(target: GridTargetConfig, instrument: Instrument, rng: np.random.Generator) -> FloatArray:
     """True unit vectors (rows * columns, 3) in cam towards the points, row by row."""
     camera = instrument.camera
     low = np.full(2, target.edge_px)
@@ -61,7 +37,7 @@ def grid_directions(target: GridTarget, instrument: Instrument, rng: np.random.G
     return turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
 
-def survey(target: GridTarget, direction: FloatArray, rng: np.random.Generator, *, copies: int = 1) -> FloatArray:
+def survey(target: GridTargetConfig, direction: FloatArray, rng: np.random.Generator, *, copies: int = 1) -> FloatArray:
     """Places of the points as they were measured (copies, n, 3): independent surveys of the same target."""
     error = target.marking_error_arcsec * ARCSEC_RAD * rng.standard_normal((copies, len(direction), 2))
     plane = direction[:, :2] / direction[:, 2:]

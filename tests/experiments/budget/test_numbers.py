@@ -19,7 +19,7 @@ from experiments.budget.experiment import (
     setup,
     tuned,
 )
-from experiments.budget.laboratory import build_laboratory, grid_target, marking, places_px, platform, step_plan
+from experiments.budget.laboratory import build_laboratory, marking, places_px
 from experiments.budget.measure import _over_surveys
 from experiments.budget.settings import Config
 from experiments.harness.config import load_config
@@ -213,9 +213,6 @@ def test_laboratory_of_the_settings():
     points = lab.config.grid.rows * lab.config.grid.columns
     alone = 0.4 / lab.instrument.pixel_arcsec * np.sqrt(5.0 / (points - 1.0))
     assert predict_module._marking_alone_px(lab) == pytest.approx([alone] * 2, rel=0.01)
-    assert (step_plan(lab).positions, step_plan(lab).step_px) == (lab.config.steps.positions, 0.2)
-    assert platform(lab).roll_error_arcsec == 9.0
-    assert (grid_target(lab).rows, grid_target(lab).marking_error_arcsec) == (lab.config.grid.rows, 0.4)
     assert marking(lab).arcsec == pytest.approx([1.2, 1.2])
     assert len(places_px(lab)) == 3
     named = setup(lab)

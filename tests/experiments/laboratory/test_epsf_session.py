@@ -18,7 +18,7 @@ from experiments.laboratory.bench.point_bench import one_filter
 from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.bench.ray_prediction import target_windows
 from experiments.laboratory.bench.readout.noise_model import nominal_noise
-from experiments.laboratory.devices.hexapod import Hexapod
+from experiments.laboratory.settings.tables import HexapodConfig
 from experiments.laboratory.temporal_error import target_place
 from render.engine.random import Streams
 
@@ -45,7 +45,7 @@ def test_a_measured_psf_places_stars_as_the_predicted_and_the_true_one_do(engine
     bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 40.4}))
     scene, rest = point_scene(bench, small_camera), target_place(bench, small_camera)
     psf = scene.psfs(rest)
-    platform = Hexapod(step_error_arcsec=0.4, roll_error_arcsec=1.0, reading_error_arcsec=0.2)
+    platform = HexapodConfig(step_error_arcsec=0.4, roll_error_arcsec=1.0, reading_error_arcsec=0.2)
     measured = measured_epsf(bench, small_camera, platform, psf=psf, streams=Streams(4), scene=scene)
     predicted = predicted_epsfs(bench, small_camera, psf, seed=1)[0]
     windows = target_windows(one_filter(bench), small_camera, rest[None], psf)

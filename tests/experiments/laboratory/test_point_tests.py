@@ -9,17 +9,16 @@ import pytest
 
 from calib.accuracy.temporal import small_sample_factor
 from experiments.laboratory.bench.points import point_scene, read_points
-from experiments.laboratory.devices.hexapod import Hexapod
-from experiments.laboratory.devices.targets import GridTarget
 from experiments.laboratory.distortion_error import measure_distortion
 from experiments.laboratory.distortion_model import predict_distortion
-from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency, switched
+from experiments.laboratory.high_frequency import measure_high_frequency, switched
 from experiments.laboratory.high_frequency_model import predict_high_frequency
+from experiments.laboratory.settings.tables import GridTargetConfig, HexapodConfig, StepConfig
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
 from optics.errors import DomainError
 from render.engine.random import Streams
 
-IDEAL = Hexapod(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
+IDEAL = HexapodConfig(step_error_arcsec=0.0, roll_error_arcsec=0.0, reading_error_arcsec=0.0)
 PLACE = (700.0, 700.0)
 
 
@@ -41,7 +40,7 @@ def psf(scene, small_camera):
 
 @pytest.fixture(scope="module")
 def steps(scene, bench, small_camera):
-    plan = StepPlan(positions=3, step_px=0.25)
+    plan = StepConfig(positions=3, step_px=0.25)
     few = replace(bench, frames=8)
     return measure_high_frequency(
         few,
@@ -77,40 +76,41 @@ def test_faint_stars_are_refused(small_camera, bench, engine):
 
 
 def test_the_image_steps_as_told(steps):
-    np.testing.assert_allclose(steps.step_px, 0.25 / np.sqrt(2.0), rtol=0.01)  # distortion and field change the scale
+    step_px = np.diff(steps.photon_px, axis=0).mean(1)
+    np.testing.assert_allclose(step_px, 0.25 / np.sqrt(2.0), rtol=0.01)  # distortion and field change the scale
     assert steps.motion_px.max() < 1e-3
 
 
 def test_the_s_curve_is_that_of_the_sampled_psf(steps, bench, small_camera, psf):
     predicted = predict_high_frequency(
-        replace(bench, frames=8), small_camera, StepPlan(positions=3, step_px=0.25), psf=psf, place_px=PLACE, draws=20
+        replace(bench, frames=8), small_camera, StepConfig(positions=3, step_px=0.25), psf=psf, place_px=PLACE, draws=20
     )
     for method in ("cog", "gaussian"):
-        seen = steps.effect_px(method, "s_curve", alone=True)
+        seen = steps.effect_px(method, "s_curve")[0]
         assert np.abs(seen).max() > 5e-3
         np.testing.assert_allclose(seen, predicted.method[method].s_curve_px, atol=2e-3)
-    assert np.abs(steps.effect_px("epsf", "s_curve", alone=True)).max() < 5e-4
+    assert np.abs(steps.effect_px("epsf", "s_curve")[0]).max() < 5e-4
 
 
 @pytest.mark.slow
 def test_faint_fits_are_biased_by_noise_as_predicted(bench, small_camera, psf):
     """On frames of a chip without patterns: to first order in the noise such a fit is right to 5e-4 px."""
     clean = replace(small_camera, detector=switched(small_camera.detector, ()))
-    faint, plan = replace(bench, frames=1000, signal_e=400.0, methods=("epsf",)), StepPlan(positions=3, step_px=0.25)
+    faint, plan = replace(bench, frames=1000, signal_e=400.0, methods=("epsf",)), StepConfig(positions=3, step_px=0.25)
     of = predict_high_frequency(faint, clean, plan, psf=psf, place_px=PLACE, draws=2, noise_draws=200).method["epsf"]
     seen = measure_high_frequency(
         faint, clean, IDEAL, plan, place_px=PLACE, split=False, subtraction="raw", streams=Streams(4)
     )
-    error = seen.mean_px["all"]["epsf"] - seen.photon_px
+    error = seen.mean_px("epsf") - seen.photon_px
     assert np.sqrt((of.s_curve_px**2).mean()) > 3e-3
     # sizes agree; the noise of the frames and of the draws, 2e-3 px each, makes 0.1 of it
     assert (error * of.s_curve_px).sum() / (of.s_curve_px**2).sum() == pytest.approx(1.0, abs=0.3)
 
 
 def test_a_cause_alone_and_switched_off_agree(steps):
-    alone, off = (steps.effect_px("epsf", "prnu", alone=which) for which in (True, False))
+    (alone, one), (off, other) = (steps.effect_px("epsf", "prnu", alone=which) for which in (True, False))
     assert 5e-4 < np.sqrt((alone**2).mean()) < 0.02
-    noise = np.hypot(steps.paired_px["only prnu"]["epsf"], steps.paired_px["without prnu"]["epsf"]) / np.sqrt(8)
+    noise = np.hypot(one, other) / np.sqrt(8)
     assert np.all(np.abs(alone - off) < 6.0 * noise + 2e-4)  # sigma of 8 frames is itself uncertain by a quarter
 
 
@@ -122,11 +122,11 @@ def test_switching_a_cause_off_keeps_the_other_patterns(small_camera):
 
 def test_a_step_larger_than_the_window_is_refused(bench, small_camera):
     with pytest.raises(DomainError, match=r"a step of 9 px is not smaller than half the window"):
-        measure_high_frequency(bench, small_camera, IDEAL, StepPlan(step_px=9.0), streams=Streams(1))
+        measure_high_frequency(bench, small_camera, IDEAL, StepConfig(step_px=9.0), streams=Streams(1))
 
 
 def test_temporal_noise_of_a_distortion_session_falls_with_the_root_of_the_frames(bench, small_camera, psf):
-    direction, target = target_place(bench, small_camera, PLACE), GridTarget(rows=2, columns=3)
+    direction, target = target_place(bench, small_camera, PLACE), GridTargetConfig(rows=2, columns=3)
     square = [
         predict_distortion(replace(bench, frames=n), small_camera, target, direction, psf=psf, order=1).point_px["epsf"]
         ** 2
@@ -149,7 +149,7 @@ def test_raw_frames_keep_the_pattern_and_dark_subtraction_takes_it(scene, bench,
 @pytest.mark.slow
 def test_distortion_numbers_agree_with_prediction(small_camera, bench_of, engine):
     bench = bench_of(methods=("epsf",), frames=10, window_px=15, signal_e=6000.0)
-    target = GridTarget(edge_px=60.0)
+    target = GridTargetConfig(edge_px=60.0)
     measured = measure_distortion(bench, small_camera, target, surveys=150, streams=Streams(2))
     predicted = predict_distortion(bench, small_camera, target, measured.direction, psf=measured.light.psf)
     for reference in ("aligned", "calibrated"):

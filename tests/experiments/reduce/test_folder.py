@@ -17,10 +17,10 @@ from experiments.distortion.own_frames import reduce as distortion_from_frames
 from experiments.distortion.settings import Config as DistortionConfig
 from experiments.hsfe.own_frames import reduce as hsfe_from_frames
 from experiments.laboratory.bench.points import filter_scene, nominal_px, point_scene
-from experiments.laboratory.devices.hexapod import Hexapod, turned
-from experiments.laboratory.devices.targets import GridTarget
+from experiments.laboratory.devices.hexapod import step_path, turned
 from experiments.laboratory.distortion_error import measure_distortion
-from experiments.laboratory.high_frequency import StepPlan, measure_high_frequency
+from experiments.laboratory.high_frequency import measure_high_frequency
+from experiments.laboratory.settings.tables import GridTargetConfig, HexapodConfig, StepConfig
 from experiments.laboratory.temporal_error import measure_temporal, target_place
 from experiments.reduce.checks import check_frames
 from experiments.reduce.folder import read_folder
@@ -37,8 +37,8 @@ from render.sensor_file.tables import InstrumentConfig
 
 METHODS = ("cog", "gaussian")
 FRAMES, DARK_FRAMES, WINDOW_PX = 6, 5, 13
-STEPS = StepPlan(positions=3, step_px=0.25)
-HEXAPOD = Hexapod()
+STEPS = StepConfig(positions=3, step_px=0.25)
+HEXAPOD = HexapodConfig()
 PLACE = (142.9, 127.4)  # no point near the middle between two pixels, where windows would hang on the noise
 
 
@@ -120,7 +120,7 @@ def steps(tmp_path_factory, scene, camera):
     writer, streams = Writer(tmp_path_factory.mktemp("steps"), scene), Streams(7)
     rest = target_place(scene.bench, camera, PLACE)
     writer.lines += ['dark = ["dark_*.fits"]', f"points_px = {nominal_px(camera, rest).tolist()}"]
-    path = STEPS.path(camera, HEXAPOD, streams.generator("hexapod"))
+    path = step_path(HEXAPOD, STEPS, camera.pixel_arcsec, streams.generator("hexapod"))
     for number, direction in enumerate(turned(rest, path.true_rad)):
         image = writer.image(direction)
         if number == 0:
@@ -195,7 +195,7 @@ def test_step_test_from_disk_is_that_in_memory(steps, scene, camera):
 
 
 def test_distortion_error_from_disk_is_that_in_memory(tmp_path, scene, camera):
-    grid = GridTarget(rows=4, columns=4, edge_px=40.0, jitter_px=0.03)  # see PLACE
+    grid = GridTargetConfig(rows=4, columns=4, edge_px=40.0, jitter_px=0.03)  # see PLACE
     measured = measure_distortion(scene.bench, camera, grid, streams=Streams(2), scene=scene)
     writer = Writer(tmp_path / "grid", scene)
     nominal = nominal_px(camera, measured.surveyed[0])
