@@ -215,6 +215,16 @@ def test_the_error_terms_of_the_library_page_are_those_of_drawn_centroids(capsys
     assert abs(names["shift_um"][0]) < 1e-9
 
 
+def test_the_light_of_the_library_page_is_by_source(capsys):
+    names = {}
+    exec(block("docs/library.md", "SkySimulator"), names)
+    means = ast.literal_eval(capsys.readouterr().out)
+    seen = names["seen"]
+    assert set(means) == {"stars", "sky", "dark"}
+    assert means["stars"] + means["sky"] == pytest.approx(seen.light.electrons.mean(), rel=1e-4)
+    assert (names["again"].dn != seen.frame.dn).mean() > 0.5
+
+
 def test_pages_of_sensor_and_detector_files_are_those_of_their_models():
     spec = spec_from_file_location("make_sensor_file_page", ROOT / "docs" / "make_sensor_file_page.py")
     module = module_from_spec(spec)

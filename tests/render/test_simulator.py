@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError, DomainError
+from optics.lens.thermal import Housing, ThermalState, heated_lens
 from optics.light.photometry import photon_rate
 from optics.light.spectrum import Blackbody
 from optics.page import Marks
@@ -260,3 +262,88 @@ def test_motion_in_an_exposure_moves_the_light_as_mechanics_say(sky):
 def middle_of(observation, star):
     truth = observation.truth
     return np.hypot(truth.photon_x_px[star, 0] - 255.5, truth.photon_y_px[star, 0] - 255.5) < 120.0
+
+
+@pytest.fixture(scope="module")
+def small():
+    return load_star_sensor("star_tracker_26mm", "cmv4000", window_px=(128, 96), diffraction="rays")
+
+
+@pytest.fixture(scope="module")
+def deep():
+    return load_sky(faintest_mag=8.0)
+
+
+def test_velocity_of_a_frame_is_aberration(small, deep):
+    """30 km/s across the boresight: v / c towards the velocity; an observer's own velocity is replaced, not added."""
+    towards, simulator = attitude_from_angles(*ORION), SkySimulator(small, deep, exposure_s=0.1)
+    velocity = 30.0 * towards.as_matrix()[0]
+    rest, moved = simulator.expected(towards), simulator.expected(towards, velocity_km_per_s=velocity)
+    row = {star: k for k, star in enumerate(moved.field.row.tolist())}
+    pairs = [(k, row[star]) for k, star in enumerate(rest.field.row.tolist()) if star in row]
+    shift = [moved.truth.photon_x_px[b, 0] - rest.truth.photon_x_px[a, 0] for a, b in pairs]
+    assert len(shift) > 10
+    expected = 3600.0 * np.degrees(30.0 / 299792.458) / small.pixel_arcsec
+    np.testing.assert_allclose(shift, expected, rtol=0.02)
+    earth = load_sky(faintest_mag=8.0, observer="earth")
+    own = earth.field(simulator.view, towards)
+    same = earth.field(simulator.view, towards, velocity_km_per_s=earth.observer.velocity_km_per_s)
+    assert np.array_equal(own.direction, same.direction)
+
+
+def test_a_lens_state_is_the_heated_lens(small, deep):
+    """As a sensor whose lens was heated beforehand; its renderer is kept, the state zero is the sensor's own lens."""
+    state, housing = ThermalState(mean_k=10.0, transverse_x_k=1.0), Housing(expansion_per_k=23.6e-6)
+    towards = attitude_from_angles(*ORION)
+    simulator = SkySimulator(small, deep, exposure_s=0.1, nodes=2, housing=housing)
+    warm = simulator.expected(towards, lens_state=state)
+    lens = heated_lens(small.camera.lens, state, housing)
+    heated = load_star_sensor(lens, "cmv4000", window_px=(128, 96), diffraction="rays")
+    same = SkySimulator(heated, deep, exposure_s=0.1, nodes=2).expected(towards)
+    np.testing.assert_array_equal(warm.electrons, same.electrons)
+    cold = simulator.expected(towards)
+    assert np.abs(warm.truth.photon_x_px - cold.truth.photon_x_px).max() > 0.01
+    np.testing.assert_array_equal(simulator.expected(towards, lens_state=ThermalState()).electrons, cold.electrons)
+    with pytest.raises(ConfigError, match="housing"):
+        SkySimulator(small, deep).expected(towards, lens_state=state)
+
+
+def test_light_is_read_out_many_times(small, deep):
+    """The same number and label: the same bytes; what is added, a label or a throughput changes what it should."""
+    simulator, towards = SkySimulator(small, deep, exposure_s=0.1, seed=5), attitude_from_angles(*ORION)
+    light = simulator.expected(towards)
+    first, again, other = (simulator.read(light, frame=3, label=name) for name in ("a", "a", "b"))
+    assert np.array_equal(first.dn, again.dn)
+    assert (first.dn != other.dn).mean() > 0.5
+    assert (first.band, first.index) == ("a", 3)
+    brighter = simulator.read(light, frame=3, label="a", added_e=500.0).dn.astype(float)
+    assert np.median(brighter - first.dn) == pytest.approx(500.0 * first.gain_dn_per_e, rel=0.02)
+    dimmed = SkySimulator(small, deep, exposure_s=0.1, throughput_fraction=0.5).expected(towards)
+    np.testing.assert_allclose(dimmed.electrons, 0.5 * light.electrons, rtol=1e-5)
+    stars = simulator.light.stars(small.direction_at(np.array([40.0]), np.array([30.0])), 4.0, 5800.0)
+    chart = simulator.expected(Rotation.identity(), stars=stars)
+    assert chart.field is None
+    assert (chart.truth.photon_x_px[0, 0], chart.truth.photon_y_px[0, 0]) == pytest.approx((40.0, 30.0), abs=1.0)
+    assert chart.electrons.sum(dtype=float) == pytest.approx(chart.truth.electrons_image.sum(), rel=1e-5)
+
+
+def test_cosmic_rays_and_lag(small, deep):
+    """Rays only add charge, where the simulator says; a detector keeps its part of the frame before, rays included."""
+    lagging = replace(small, detector=replace(small.detector, lag=0.25))
+    settings = {"exposure_s": 2.0, "seed": 5}
+    flare, calm = (SkySimulator(lagging, deep, cosmic_rays=name, **settings) for name in ("solar_flare", None))
+    light = calm.expected(attitude_from_angles(*ORION))
+    more = flare.read(light, frame=1).dn.astype(int) - calm.read(light, frame=1).dn
+    struck = flare.hits(1).struck
+    assert (more >= 0).all()
+    assert struck.sum() > 5
+    assert (more > 0)[struck].mean() > 0.5
+    image = np.full_like(light.electrons, 4000.0)
+    before, dark = replace(light, electrons=image), np.zeros_like(image)
+    lag = calm.read(dark, frame=1, before=before).dn.astype(float) - calm.read(dark, frame=1).dn
+    assert np.median(lag) == pytest.approx(0.25 * 4000.0 * small.detector.gain_dn_per_e, rel=0.03)
+    kept = flare.read(dark, frame=1, before=before).dn.astype(float) - flare.read(dark, frame=1).dn
+    first = flare.hits(0)
+    strong = (first.charge_e > 1e3) & (first.charge_e < 5e3)
+    if strong.any():
+        assert np.median((kept - lag)[first.row[strong], first.column[strong]]) > 100.0
