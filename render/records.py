@@ -287,6 +287,19 @@ class EffectivePsf:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PsfGrid:
+    """PSFs of one star colour over a detector, each centred on the mean of its rays."""
+
+    psfs: tuple[EffectivePsf, ...]  # Row by row
+    place_px: FloatArray  # (n, 2) Column and row of each
+
+    def nearest(self, x_px: FloatArray, y_px: FloatArray) -> NDArray[np.int64]:
+        """Number of the PSF nearest to places (n,)."""
+        at = np.stack([x_px, y_px], axis=-1)
+        return np.asarray(((at[:, None] - self.place_px) ** 2).sum(-1).argmin(1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PixelMap:
     """Noise-free map of star directions to pixels, the input of camera model fits."""
 

@@ -51,7 +51,7 @@ def image_from_frame(frame: Frame) -> SensorImage:
     )
 
 
-def subtract_dark(frame: Frame, dark_dn: ArrayLike) -> SensorImage:
+def subtract_dark(frame: Frame, dark_dn: ArrayLike, *, noise: NoiseModel | None = None) -> SensorImage:
     """Subtract the fixed pattern of a rendered frame, so that only light remains above the nominal offset.
 
     Parameters
@@ -60,11 +60,8 @@ def subtract_dark(frame: Frame, dark_dn: ArrayLike) -> SensorImage:
         Raw readout.
     dark_dn : (h, w)
         Mean of frames without light, of the same exposure time and temperature [DN].
-
-    Returns
-    -------
-    SensorImage
-        With the noise model of the frame.
+    noise : NoiseModel, optional
+        Noise of the difference; that of the frame if not given.
 
     Raises
     ------
@@ -74,7 +71,7 @@ def subtract_dark(frame: Frame, dark_dn: ArrayLike) -> SensorImage:
     image, dark = image_from_frame(frame), np.asarray(dark_dn)
     if dark.shape != image.dn.shape:
         raise DomainError(f"dark of shape {dark.shape} for a frame of shape {image.dn.shape}; they must agree")
-    return replace(image, dn=image.dn - dark + frame.offset_dn)
+    return replace(image, dn=image.dn - dark + frame.offset_dn, noise=noise or image.noise)
 
 
 def sensor_image(

@@ -19,7 +19,7 @@ from experiments.laboratory.bench.centroid_methods import has_own_epsf
 from experiments.laboratory.bench.point_bench import centroiders, session_centroiders
 from experiments.laboratory.bench.points import filter_scene
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
-from experiments.laboratory.bench.readout.noise_model import nominal_noise
+from experiments.laboratory.bench.readout.frames import nominal_noise
 from experiments.laboratory.chromatic_error import measure_chromatic
 from experiments.laboratory.devices.target import corner_directions
 from optics.arrays import FloatArray

@@ -20,6 +20,7 @@ from calib.attitude.solve import solve_wahba
 from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
+from calib.measure.reduced_frame import MeasuredFrame, Reduction, measure_frame
 from experiments.camera.comparison import ChartFrames, Rendered, SkyFrames, noise_of_chart
 from experiments.camera.manufacture import CHOSEN, Manufactured, RenderedLens
 from experiments.camera.operation import moving
@@ -28,8 +29,6 @@ from experiments.harness.summary import Measured
 from experiments.harness.system import processors, shared
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame
-from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
-from experiments.laboratory.bench.readout.reduction import MeasuredFrame, Reduction, measure_frame
 from experiments.laboratory.sensor_prediction import CameraPrediction, overridden_detector, predict_camera
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
@@ -38,6 +37,7 @@ from optics.lens.system import LensSystem
 from render.engine.random import Streams
 from render.motion.trajectory import ConstantRate
 from render.observation import SkyLight
+from render.psf_lattice import render_psf_grid
 from render.records import Frame, StarField
 from render.sensor_file.instrument import build_instrument
 from render.simulator import SkySimulator

@@ -9,12 +9,12 @@ from functools import partial
 import numpy as np
 
 from calib.accuracy.chromatic import shifts, table1
+from calib.measure.target_points import SEARCH_MARGIN_PX
 from experiments.chromatic.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, col
 from experiments.laboratory.bench.point_bench import Bench, point_field
 from experiments.laboratory.bench.points import bundle_means
-from experiments.laboratory.bench.readout.search import SEARCH_MARGIN_PX
 from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.lens.movement import moved_element, refined_movement, smallest_movement

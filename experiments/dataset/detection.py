@@ -27,20 +27,20 @@ from calib.measure.detection_score import (
     robust_rms,
     robust_scatter,
 )
+from calib.measure.reduced_frame import SMEAR_PX, MeasuredFrame
 from experiments.dataset.truth import FLAGS
 from experiments.harness.drawings import curves
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import Section, below, col
 from experiments.harness.summary import Measured
-from experiments.laboratory.bench.readout.noise_model import true_noise
-from experiments.laboratory.bench.readout.reduction import SMEAR_PX, MeasuredFrame
+from experiments.laboratory.bench.readout.frames import true_noise
 from optics.arrays import FloatArray
 from optics.frames import pixel_from_fits
 from optics.records import concatenated, freeze
 
 if TYPE_CHECKING:
     from experiments.dataset.scene import Scene
-    from experiments.laboratory.bench.readout.psf_grid import PsfGrid
+    from render.records import PsfGrid
 
 
 # --- Which star a detection belongs to

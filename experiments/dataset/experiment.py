@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calib.cameras.fit import fit_camera
+from calib.measure.reduced_frame import Reduction, measure_frame
 from experiments.dataset import detection, solve
 from experiments.dataset.calibration import write_calibration
 from experiments.dataset.card import about, chosen, write_closing_files
@@ -33,13 +34,11 @@ from experiments.harness.sections import Section, col
 from experiments.harness.system import prompt_pool
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.checks import focus_remark
-from experiments.laboratory.bench.readout.frames import empty_frame, mean_dark_frame
-from experiments.laboratory.bench.readout.noise_model import true_noise
-from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
-from experiments.laboratory.bench.readout.reduction import Reduction, measure_frame
+from experiments.laboratory.bench.readout.frames import empty_frame, mean_dark_frame, true_noise
 from optics.errors import ConfigError
 from render.engine import Engine
 from render.fits.files import read_frame
+from render.psf_lattice import render_psf_grid
 from render.sensor_file.filters import open_band
 
 EXPORTS = (COCO, WEBDATASET)

@@ -27,11 +27,11 @@ from calib.attitude.patterns import kept_database
 from calib.attitude.star_attitude import FEWEST, MATCH_PX, balanced_attitude, identify_stars
 from calib.cameras.base import CameraModel
 from calib.measure.detection_score import rms_pull, robust_median
+from calib.measure.reduced_frame import MeasuredFrame
 from experiments.harness.drawings import cloud
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, below, col, ratio_near
 from experiments.harness.summary import Measured
-from experiments.laboratory.bench.readout.reduction import MeasuredFrame
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.records import freeze

@@ -23,7 +23,6 @@ from calib.attitude.tracker import StarTracker, TrackedAttitude
 from experiments.flight.prediction import Budget
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame
-from experiments.laboratory.bench.readout.psf_grid import PsfGrid, refined, render_psf_grid
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.lens.thermal import ThermalState
@@ -33,7 +32,8 @@ from render.bodies.solar_system import BODIES, solar_system
 from render.engine.random import Streams
 from render.motion.trajectory import Trajectory
 from render.observation import SkyLight
-from render.records import Frame
+from render.psf_lattice import refined, render_psf_grid
+from render.records import Frame, PsfGrid
 from render.sensor_file.detector import overridden
 from render.sensor_file.instrument import build_instrument, configured_detector, housing_of
 from render.simulator import SkySimulator

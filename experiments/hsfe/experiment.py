@@ -29,7 +29,7 @@ from experiments.laboratory.bench.point_laboratory import (
     point_signal,
     prepared_scene,
 )
-from experiments.laboratory.bench.readout.noise_model import nominal_noise
+from experiments.laboratory.bench.readout.frames import nominal_noise
 from experiments.laboratory.devices.collimator_effects import SIGHT, sight_of
 from experiments.laboratory.devices.hexapod import step_path, turned
 from experiments.laboratory.high_frequency import HighFrequencyMeasurement, check_steps, measure_high_frequency

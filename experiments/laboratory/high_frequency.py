@@ -27,7 +27,7 @@ from calib.measure.frame_positions import common_motion_px2, frame_statistics
 from calib.measure.stamps import noiseless_stamps
 from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method
 from experiments.laboratory.bench.points import PointLight, PointScene, Subtraction, read_points, scene_of
-from experiments.laboratory.bench.readout.noise_model import nominal_noise
+from experiments.laboratory.bench.readout.frames import nominal_noise
 from experiments.laboratory.devices.hexapod import step_path, turned
 from experiments.laboratory.settings.tables import HexapodConfig, StepConfig
 from experiments.laboratory.temporal_error import target_place

@@ -13,7 +13,7 @@ from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.point_bench import Bench, centroiders, one_filter, session_centroiders
 from experiments.laboratory.bench.points import Subtraction
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
-from experiments.laboratory.bench.readout.noise_model import nominal_noise
+from experiments.laboratory.bench.readout.frames import nominal_noise
 from experiments.laboratory.devices.hexapod import step_path, turned
 from experiments.laboratory.settings.tables import HexapodConfig, StepConfig
 from experiments.laboratory.temporal_error import target_place

@@ -15,7 +15,7 @@ from calib.measure.frame_positions import common_motion_px2
 from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method, one_filter
 from experiments.laboratory.bench.points import PointLight, PointScene, read_points, scene_of
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
-from experiments.laboratory.bench.readout.noise_model import nominal_noise
+from experiments.laboratory.bench.readout.frames import nominal_noise
 from experiments.laboratory.devices.target import target_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from calib.flags import StarFlag, has_flag
 from calib.measure.detection import detect
 from calib.measure.image import sensor_image
-from experiments.laboratory.bench.readout.search import match_points
+from calib.measure.target_points import match_points
 from experiments.laboratory.bench.readout.windows import cut_windows, window_corners
 from experiments.reduce.frames import (
     Flat,

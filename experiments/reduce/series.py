@@ -13,10 +13,10 @@ from calib.detector.fixed_pattern import reduced_variance
 from calib.measure.centroid import get_centroider
 from calib.measure.frame_positions import measured_positions
 from calib.measure.linear_response import centroid_covariance, linear_response, tight
+from calib.measure.reduced_windows import dark_subtracted, refuse_saturated, ring_subtracted
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.point_bench import refuse_few_frames
 from experiments.laboratory.bench.points import PointFrames
-from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.reduce.folder import FrameFolder, FrameSeries
 from experiments.reduce.frames_toml import SeriesSettings
 from optics.arrays import FloatArray

@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
 from calib.measure.find import find_stamps
+from calib.measure.image import subtract_dark
 from calib.measure.psf_bank import PsfBank
 from calib.records import NoiseModel, Stamps, StarTable
 from experiments.harness.system import prompt_pool
 from experiments.laboratory.bench.centroid_methods import needs_epsf
-from experiments.laboratory.bench.readout.frames import dark_subtracted_frame, mean_dark_frame
-from experiments.laboratory.bench.readout.noise_model import true_noise
+from experiments.laboratory.bench.readout.frames import mean_dark_frame, true_noise
 from experiments.skycal.scene import Scene, clipped_temperature
 from experiments.skycal.settings import Config
 from optics.arrays import FloatArray
@@ -154,7 +154,7 @@ def _centroids(scene: Scene, config: Config, stamps: Stamps, noise: NoiseModel) 
 
 def _detect(config: Config, frame: Frame, dark_dn: NDArray[np.float32], noise: NoiseModel) -> Stamps:
     """Find the stars of a frame, brightest first, and cut them out."""
-    image = dark_subtracted_frame(frame, dark_dn, noise)
+    image = subtract_dark(frame, dark_dn, noise=noise)
     return find_stamps(
         image,
         background=estimate_background(image, box_px=BACKGROUND_BOX_PX, step_px=BACKGROUND_STEP_PX),

@@ -18,16 +18,15 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.fit import fit_camera
+from calib.measure.reduced_frame import MeasuredFrame, Reduction, measure_frame
 from experiments.laboratory.bench.centroid_methods import needs_epsf
-from experiments.laboratory.bench.readout.frames import mean_dark_frame
-from experiments.laboratory.bench.readout.noise_model import true_noise
-from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
-from experiments.laboratory.bench.readout.reduction import MeasuredFrame, Reduction, measure_frame
+from experiments.laboratory.bench.readout.frames import mean_dark_frame, true_noise
 from experiments.straylight.settings import Config
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from render.engine.random import Streams
 from render.observation import SkyLight
+from render.psf_lattice import render_psf_grid
 from render.sensor_file.catalogue import load_catalogue
 from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument

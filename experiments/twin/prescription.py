@@ -20,7 +20,6 @@ from calib.cameras.fit import camera_model
 from calib.psf.detector_pose import WINDOW_PX, DetectorPose, fit_detector_pose, gaussian_widths
 from experiments.harness.sections import col
 from experiments.harness.summary import Measured
-from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
 from experiments.twin.compare import BRIGHT_MAG
 from experiments.twin.measure import CameraFit
 from optics.arrays import FloatArray
@@ -28,6 +27,7 @@ from optics.export.write import toml_lens
 from optics.lens.perturb import tilt_image
 from optics.lens_file import read_lens_file
 from optics.rays.paraxial import axial_paraxial
+from render.psf_lattice import render_psf_grid
 from render.sensor_file.instrument import Instrument, build_instrument, configured_lens
 from render.sky.star_light import star_light
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from calib.measure.epsf_build import build_epsf
 from calib.measure.expected_windows import ExpectedWindows
+from calib.measure.reduced_windows import dark_subtracted
 from calib.measure.stamps import centre_of_gravity
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.point_bench import Bench, one_filter
 from experiments.laboratory.bench.points import PointScene, frame_light
 from experiments.laboratory.bench.ray_prediction import target_windows
-from experiments.laboratory.bench.readout.stamps import dark_subtracted
 from experiments.laboratory.bench.readout.windows import WindowReader
 from experiments.laboratory.devices.collimator import convolved_psf
 from experiments.laboratory.devices.hexapod import step_path, turned

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from calib.measure.centroid import Centroider
 from calib.measure.epsf import draw_epsf
 from calib.measure.frame_positions import frame_statistics, measured_positions
+from calib.measure.reduced_windows import dark_subtracted, refuse_saturated, ring_subtracted
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.centroid_methods import method_centroiders
 from experiments.laboratory.bench.point_bench import Bench, one_filter, point_field, refuse_few_frames
 from experiments.laboratory.bench.readout.search import find_points
-from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated, ring_subtracted
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
 from optics.arrays import FloatArray
 from optics.errors import DomainError

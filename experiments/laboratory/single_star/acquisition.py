@@ -21,8 +21,8 @@ from calib.calibration.star_bench import StarBench, aiming_angles
 from calib.measure.centroid import get_centroider
 from calib.measure.frame_positions import measured_positions
 from calib.measure.linear_response import centroid_covariance, linear_response
+from calib.measure.reduced_windows import dark_subtracted, refuse_saturated
 from calib.records import NoiseModel, Stamps
-from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
 from experiments.laboratory.devices.turntable import Turntable
 from experiments.laboratory.single_star.star import SingleStar

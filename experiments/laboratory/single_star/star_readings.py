@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from calib.measure.centroid import get_centroider
 from calib.measure.frame_positions import frame_statistics, measured_positions
 from calib.measure.linear_response import centroid_covariance, centroid_variance, linear_response
+from calib.measure.reduced_windows import dark_subtracted, refuse_saturated
 from experiments.laboratory.bench.point_bench import refuse_few_frames
 from experiments.laboratory.bench.readout.search import find_star
-from experiments.laboratory.bench.readout.stamps import dark_subtracted, refuse_saturated
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
 from optics.arrays import FloatArray
 from optics.records import freeze

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
+from calib.measure.reduced_frame import MeasuredFrame
 from experiments.camera.frames import MATCH_PX, _scattered
-from experiments.laboratory.bench.readout.reduction import MeasuredFrame
 
 
 @pytest.mark.parametrize(("width", "height", "count"), [(1024, 1024, 100), (4096, 2048, 300), (200, 150, 400)])

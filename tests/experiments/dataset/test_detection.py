@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from calib.flags import StarFlag
+from calib.measure.reduced_frame import MeasuredFrame
 from calib.records import StarTable
 from experiments.dataset.detection import FoundStars, compare_frame, detection, joined
 from experiments.dataset.truth import FLAGS
-from experiments.laboratory.bench.readout.reduction import MeasuredFrame
 
 
 def table(x, y, flags=None):

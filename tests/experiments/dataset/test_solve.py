@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.flags import StarFlag
+from calib.measure.reduced_frame import MeasuredFrame
 from calib.records import StarTable
 from experiments.dataset.solve import BlindSolver, SkyMap, SolvedFrame, attitudes, solve_frame
-from experiments.laboratory.bench.readout.reduction import MeasuredFrame
 from optics.units import RAD_ARCSEC
 from render.catalogue.gaia import load_gaia
 from render.catalogue.index import build_index

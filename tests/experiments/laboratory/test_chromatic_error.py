@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.measure.target_points import common_shift
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
-from experiments.laboratory.bench.readout.search import common_shift
 from experiments.laboratory.chromatic_error import measure_chromatic
 from optics.lens.perturb import decentre
 from optics.rays.spots import trace_spots

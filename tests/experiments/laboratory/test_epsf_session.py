@@ -17,7 +17,7 @@ from experiments.laboratory.bench.epsf_session import (
 from experiments.laboratory.bench.point_bench import one_filter
 from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.bench.ray_prediction import target_windows
-from experiments.laboratory.bench.readout.noise_model import nominal_noise
+from experiments.laboratory.bench.readout.frames import nominal_noise
 from experiments.laboratory.settings.tables import HexapodConfig
 from experiments.laboratory.temporal_error import target_place
 from render.engine.random import Streams

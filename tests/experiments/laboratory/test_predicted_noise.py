@@ -16,8 +16,7 @@ import pytest
 from calib.measure.detection_score import flux_snr
 from experiments.dataset import truth as dataset_truth
 from experiments.laboratory.bench.points import filter_scene, point_scene
-from experiments.laboratory.bench.readout.frames import empty_frame
-from experiments.laboratory.bench.readout.noise_model import true_noise
+from experiments.laboratory.bench.readout.frames import empty_frame, true_noise
 from experiments.laboratory.chromatic_error import _read
 from experiments.laboratory.single_star.star_readings import WindowPlan, read_windows
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
@@ -201,7 +200,7 @@ def test_bound_of_the_dataset(dataset, engine):
     from calib.measure.centroid_prediction import centroid_bound
     from calib.records import NoiseModel
     from experiments.dataset.detection import dataset_bound
-    from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
+    from render.psf_lattice import render_psf_grid
 
     maker, made = dataset
     scene = maker.scene

@@ -8,21 +8,20 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from calib.measure import reduced_frame
+from calib.measure.reduced_frame import Reduction, measure_frame
+from calib.measure.reduced_windows import ring_subtracted
 from calib.records import NoiseModel
 from experiments.laboratory.bench.centroid_methods import has_own_epsf
 from experiments.laboratory.bench.point_bench import motion_method
-from experiments.laboratory.bench.readout import reduction
-from experiments.laboratory.bench.readout.psf_grid import PsfGrid
-from experiments.laboratory.bench.readout.reduction import Reduction, measure_frame
 from experiments.laboratory.bench.readout.search import SEARCH_PX, find_star
-from experiments.laboratory.bench.readout.stamps import ring_subtracted
 from experiments.laboratory.distortion_model import DistortionPrediction
 from experiments.laboratory.single_star.star import SingleStar
 from experiments.laboratory.temporal_error import TemporalPrediction, target_place
 from optics.errors import DomainError
 from optics.light.band import TopHat
 from optics.light.spectrum import Blackbody
-from render.records import EffectivePsf
+from render.records import EffectivePsf, PsfGrid
 
 
 def test_the_nearest_psf_of_a_grid():
@@ -148,8 +147,8 @@ def test_centroids_of_windows_start_near_the_light_whatever_glows_elsewhere():
 def test_a_frame_is_measured_in_the_window_that_was_asked_for(window_px, monkeypatch):
     """At rest as asked, trails of 4 px two pixels more at each side."""
     seen = []
-    real = reduction.find_stamps
-    monkeypatch.setattr(reduction, "find_stamps", lambda *a, **k: seen.append(k["size_px"]) or real(*a, **k))
+    real = reduced_frame.find_stamps
+    monkeypatch.setattr(reduced_frame, "find_stamps", lambda *a, **k: seen.append(k["size_px"]) or real(*a, **k))
     noise = NoiseModel(read_noise_e=5.0)
     dn = (1e4 * spot(30.3, 25.8, 1.0, 60, 64) + np.random.default_rng(4).normal(0.0, 5.0, (60, 64))) + 100.0
     made = Reduction(
@@ -170,8 +169,8 @@ def test_a_frame_is_measured_in_the_window_that_was_asked_for(window_px, monkeyp
 
 
 def test_a_refined_grid_of_psfs_is_linear_between_its_nodes():
-    from experiments.laboratory.bench.readout.psf_grid import PsfGrid, refined
-    from render.records import EffectivePsf
+    from render.psf_lattice import refined
+    from render.records import EffectivePsf, PsfGrid
 
     x, y = np.meshgrid([0.0, 10.0, 20.0], [0.0, 8.0])
     shape = np.arange(81.0).reshape(9, 9) + 1.0

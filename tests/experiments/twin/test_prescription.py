@@ -12,10 +12,10 @@ from calib.calibration.camera_order import as_calibrated
 from calib.cameras.fit import camera_model
 from calib.psf.detector_pose import gaussian_widths
 from experiments.harness.summary import Measured
-from experiments.laboratory.bench.readout.psf_grid import render_psf_grid
 from experiments.twin.prescription import LensPose, fit_lens_pose, has_prescription, write_prescription
 from optics.lens.perturb import refocus, tilt_image
 from optics.lens_file import load_lens
+from render.psf_lattice import render_psf_grid
 from render.sensor_file.file import SensorFile, whole_sensor
 from render.sensor_file.instrument import build_instrument, configured_lens
 from render.sensor_file.tables import InstrumentConfig

@@ -1,4 +1,4 @@
-"""Frames of the detector without stars, their mean, and its subtraction."""
+"""Frames of the detector without stars, and the noise of a pixel as a reduction knows it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.image import subtract_dark
-from calib.records import NoiseModel, SensorImage
+from calib.records import NoiseModel
 from render.detector.readout import expose
 from render.engine.random import Streams
 from render.records import Frame
@@ -40,6 +39,19 @@ def mean_dark_frame(instrument: Instrument, frames: int, *, streams: Streams, la
     return np.asarray(total / frames, np.float32)
 
 
-def dark_subtracted_frame(frame: Frame, dark_dn: NDArray[np.float32], noise: NoiseModel) -> SensorImage:
-    """A frame minus the mean dark frame, with the noise that this leaves (`readout.noise_model.true_noise`)."""
-    return replace(subtract_dark(frame, dark_dn), noise=noise)
+def nominal_noise(instrument: Instrument) -> NoiseModel:
+    """Noise stated by the readout: gain, offset, read noise of the median pixel (`render.records.Frame`)."""
+    chip = instrument.detector
+    return NoiseModel(
+        read_noise_e=chip.read_noise_e, gain_dn_per_e=chip.gain_dn_per_e, offset_dn=chip.offset_dn, quantised=True
+    )
+
+
+def true_noise(instrument: Instrument, *, dark_frames: int | None = None) -> NoiseModel:
+    """Noise as measured on dark frames: the read noise holds everything but the light.
+
+    Read noise with its spread over the pixels, dark charge, and the noise of the mean dark frame that was subtracted.
+    """
+    pixel = instrument.pixel_noise()
+    temporal_e2 = float(pixel.temporal_e2(0.0, dark_frames=dark_frames)) - pixel.rounding_e2
+    return replace(nominal_noise(instrument), read_noise_e=float(np.sqrt(temporal_e2)))

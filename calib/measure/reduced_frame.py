@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
+from calib.measure.detection_score import nearest_pairs
 from calib.measure.find import find_stamps
+from calib.measure.image import subtract_dark
 from calib.records import NoiseModel, StarTable
-from experiments.laboratory.bench.readout.frames import dark_subtracted_frame
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze
-
-if TYPE_CHECKING:
-    from experiments.laboratory.bench.readout.psf_grid import PsfGrid
-    from render.records import Frame
+from render.records import Frame, PsfGrid
 
 FWHM_PX = 1.8
 """Of the detection filter: a spot of sigma 0.7 px on the pixels."""
@@ -64,13 +61,9 @@ class MeasuredFrame:
         Detections flagged as too sharp for a star are left out.
         """
         partner, lit = np.full(len(place_px), -1), np.flatnonzero(np.isfinite(place_px).all(axis=1))
-        if not len(self.detected_px) or not len(lit):
-            return partner, int(np.count_nonzero(~self.stars.sharp))
-        distance, nearest = cKDTree(self.detected_px).query(place_px[lit])
-        back_distance, back = cKDTree(place_px[lit]).query(self.detected_px)
-        mutual = (back[nearest] == np.arange(len(lit))) & (distance <= match_px)
-        partner[lit[mutual]] = nearest[mutual]
-        return partner, int(np.count_nonzero((back_distance > near_px) & ~self.stars.sharp))
+        pairs = nearest_pairs(place_px[lit], self.detected_px, match_px)
+        partner[lit] = pairs.detection
+        return partner, int(np.count_nonzero((pairs.distance_px > near_px) & ~self.stars.sharp))
 
     def at_once(self, pixel_px: FloatArray) -> MeasuredFrame:
         """The same stars at other positions (n, 2)."""
@@ -80,10 +73,10 @@ class MeasuredFrame:
 def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) -> MeasuredFrame:
     """Detect and centroid the stars of a frame.
 
-    A PSF at rest does not fit a trail: where the camera turned, as its rate tells, positions are first moments under a
+    A PSF at rest does not fit a trail: where the camera turned, as its rate says, positions are first moments under a
     Gaussian window (`calib.measure.centroiders.windowed.WindowedCentroid`), in a window that holds the trail.
     """
-    image = dark_subtracted_frame(frame, reduction.dark_dn, reduction.noise)
+    image = subtract_dark(frame, reduction.dark_dn, noise=reduction.noise)
     try:
         background = estimate_background(image, step_px=reduction.background_step_px)
     except DomainError:  # saturated all over
