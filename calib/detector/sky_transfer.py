@@ -248,7 +248,7 @@ def _errors(
 
 def _sum_of_squares(change: FloatArray) -> FloatArray:
     """Variance (2,) of two numbers from their changes (b, 2) by independent blocks, two degrees of freedom taken."""
-    count = max(np.count_nonzero(change.any(axis=1)), 3)
+    count = max(int(np.count_nonzero(change.any(axis=1))), 3)
     return np.asarray((change**2).sum(axis=0) * count / (count - 2))
 
 

@@ -17,10 +17,6 @@ from experiments.distortion.own_frames import reduce as distortion_from_frames
 from experiments.distortion.settings import Config as DistortionConfig
 from experiments.hsfe.own_frames import reduce as hsfe_from_frames
 from experiments.laboratory.bench.points import filter_scene, nominal_px, point_scene
-from experiments.laboratory.devices.hexapod import step_path, turned
-from experiments.laboratory.distortion_error import measure_distortion
-from experiments.laboratory.high_frequency import measure_high_frequency
-from experiments.laboratory.settings.tables import GridTargetConfig, HexapodConfig, StepConfig
 from experiments.laboratory.temporal_error import measure_temporal, target_place
 from experiments.reduce.checks import check_frames
 from experiments.reduce.folder import read_folder
@@ -37,8 +33,6 @@ from render.sensor_file.tables import InstrumentConfig
 
 METHODS = ("cog", "gaussian")
 FRAMES, DARK_FRAMES, WINDOW_PX = 6, 5, 13
-STEPS = StepConfig(positions=3, step_px=0.25)
-HEXAPOD = HexapodConfig()
 PLACE = (142.9, 127.4)  # no point near the middle between two pixels, where windows would hang on the noise
 
 
@@ -73,7 +67,7 @@ class Writer:
         ]
 
     def image(self, direction):
-        return self.scene.target.image(direction).electrons[:, :, 0]
+        return self.scene.image(direction).electrons[:, :, 0]
 
     def frames(self, image, streams, band, count, name):
         config = self.scene.instrument.config
@@ -114,21 +108,6 @@ def still(tmp_path_factory, scene, camera):
     return writer.done()
 
 
-@pytest.fixture(scope="module")
-def steps(tmp_path_factory, scene, camera):
-    """A folder of the step test."""
-    writer, streams = Writer(tmp_path_factory.mktemp("steps"), scene), Streams(7)
-    rest = target_place(scene.bench, camera, PLACE)
-    writer.lines += ['dark = ["dark_*.fits"]', f"points_px = {nominal_px(camera, rest).tolist()}"]
-    path = step_path(HEXAPOD, STEPS, camera.pixel_arcsec, streams.generator("hexapod"))
-    for number, direction in enumerate(turned(rest, path.true_rad)):
-        image = writer.image(direction)
-        if number == 0:
-            writer.dark(image.shape, streams.child("before"))
-        writer.series(image, streams.child("position", number), f"step{number}", position=number)
-    return writer.done()
-
-
 def test_temporal_error_from_disk_is_that_in_memory(still, scene, camera):
     measured = measure_temporal(scene.bench, camera, place_px=PLACE, streams=Streams(4), scene=scene)
     series, sections = temporal_from_frames(read_folder(still, window_px=WINDOW_PX), METHODS)
@@ -140,81 +119,16 @@ def test_temporal_error_from_disk_is_that_in_memory(still, scene, camera):
     np.testing.assert_allclose(series[0].points.sigma_px("cog"), known, rtol=1e-12)
 
 
-def test_the_noise_model_gives_the_scatter(still):
-    series, _ = temporal_from_frames(read_folder(still, window_px=WINDOW_PX), METHODS)
-    for method in METHODS:  # six frames of six points, two axes: 60 degrees of freedom, 9 % each
-        found = np.sqrt((series[0].points.sigma_px(method) ** 2).mean())
-        assert found == pytest.approx(np.sqrt((series[0].predicted_px(method) ** 2).mean()), rel=4.0 / np.sqrt(2 * 60))
-
-
-def test_rendered_frames_are_what_their_folder_says(still, steps, camera):
+def test_rendered_frames_are_what_their_folder_says(still, camera):
     """A detector with patterns, spread of read noise, non-linearity: gain, rest and noise hold."""
-    for folder, reduce in ((still, temporal_from_frames), (steps, hsfe_from_frames)):
-        read = read_folder(folder, window_px=WINDOW_PX)
-        checks = check_frames(read, reduce(read, METHODS)[0], "cog")
-        gain = checks.transfer_gain
-        assert gain.value == pytest.approx(camera.detector.gain_dn_per_e, abs=4 * gain.uncertainty)
-        assert checks.common_motion_px < checks.motion_limit_px
-        assert checks.noise_ratio.value == pytest.approx(1.0, abs=4 * checks.noise_ratio.uncertainty)
-        assert (checks.copies, checks.step_dn, checks.zero_fraction) == (0, 1, 0.0)
-        assert checks.top_count <= checks.top_limit
-
-
-def test_the_noise_model_knows_the_dark_charge_of_each_pixel(tmp_path, scene, camera):
-    """Half of the pixels with displacement damage, 300 e- on average and none at the median; tolerance as above."""
-    chip = replace(camera.detector, damage_centres_per_px=0.5, damage_dark_e_per_s=86000.0, hot_fraction=0.0)
-    damaged = replace(camera, detector=chip)
-    there = point_scene(replace(scene.bench, signal_e=12000.0, dark_frames=20, frames=12), damaged)
-    writer, streams = Writer(tmp_path / "damaged", there), Streams(4)
-    places = target_place(there.bench, damaged, PLACE)
-    image = writer.image(places)
-    writer.lines += ['dark = ["dark_*.fits"]', f"points_px = {nominal_px(damaged, places).tolist()}"]
-    writer.dark(image.shape, streams)
-    writer.series(image, streams, "still", count=12)
-    (series,), _ = temporal_from_frames(read_folder(writer.done(), window_px=WINDOW_PX), ("cog",))
-    ratio = (series.points.sigma_px("cog") / series.predicted_px("cog")) ** 2
-    assert ratio.mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / ratio.size / 11))
-
-
-def test_step_test_from_disk_is_that_in_memory(steps, scene, camera):
-    measured = measure_high_frequency(
-        scene.bench,
-        camera,
-        HEXAPOD,
-        STEPS,
-        place_px=PLACE,
-        split=False,
-        streams=Streams(7),
-        scene=scene,
-    )
-    _, sections = hsfe_from_frames(read_folder(steps, window_px=WINDOW_PX), METHODS)
-    for method, pair in zip(METHODS, sections["steps"].hsfe_arcsec, strict=True):
-        known = measured.high_frequency_error(method)
-        assert [found.value for found in pair] == pytest.approx(known.arcsec, rel=1e-9)
-        assert [found.uncertainty for found in pair] == pytest.approx(known.uncertainty_arcsec, rel=1e-9)
-
-
-def test_distortion_error_from_disk_is_that_in_memory(tmp_path, scene, camera):
-    grid = GridTargetConfig(rows=4, columns=4, edge_px=40.0, jitter_px=0.03)  # see PLACE
-    measured = measure_distortion(scene.bench, camera, grid, streams=Streams(2), scene=scene)
-    writer = Writer(tmp_path / "grid", scene)
-    nominal = nominal_px(camera, measured.surveyed[0])
-    (writer.folder / "grid.csv").write_text("x_px,y_px\n" + "".join(f"{x!r},{y!r}\n" for x, y in nominal.tolist()))
-    writer.lines.append('target = "grid.csv"')
-    image = writer.image(measured.direction)
-    for session in ("earlier", "test"):
-        root = Streams(2).child(session)
-        writer.dark(image.shape, root, f"dark_{session}")
-        writer.series(image, root, session, session=f'"{session}"', dark=f'["dark_{session}_*.fits"]')
-    read = read_folder(writer.done(), window_px=WINDOW_PX)
-    grid = distortion_from_frames(read, METHODS, DistortionConfig(order=2))[1]["grid"]
-    known, scale = replace(measured, order=2), 3.0 * read.settings.pixel_arcsec
-    assert grid.references == ("nominal", "aligned", "calibrated")
-    for place, reference in enumerate(grid.references):
-        sigma_px = known.statistics("cog", reference).sigma_px
-        for name, expected in zip(("sigma_d", "sigma_left", "sigma_c1"), sigma_px, strict=True):
-            one = getattr(grid, f"{name}_arcsec")[METHODS.index("cog")][place]
-            np.testing.assert_allclose(one, scale * expected, rtol=1e-8)
+    read = read_folder(still, window_px=WINDOW_PX)
+    checks = check_frames(read, temporal_from_frames(read, METHODS)[0], "cog")
+    gain = checks.transfer_gain
+    assert gain.value == pytest.approx(camera.detector.gain_dn_per_e, abs=4 * gain.uncertainty)
+    assert checks.common_motion_px < checks.motion_limit_px
+    assert checks.noise_ratio.value == pytest.approx(1.0, abs=4 * checks.noise_ratio.uncertainty)
+    assert (checks.copies, checks.step_dn, checks.zero_fraction) == (0, 1, 0.0)
+    assert checks.top_count <= checks.top_limit
 
 
 def blank(folder, name, shape=(64, 96)):
