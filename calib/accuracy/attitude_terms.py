@@ -203,7 +203,7 @@ class AttitudePrediction:
             Term -> estimate, for `TERMS` and ``total``.
         """
         pick, predicted = list(axes), self.squares(axes)
-        told = {
+        signed = {
             name: np.array([getattr(error, f"{name}_arcsec")[pick] for error in self.errors])
             for name in ("thermal", "aberration", "fov")
         }
@@ -215,19 +215,19 @@ class AttitudePrediction:
         # means of the segments without what switching explains, and their scatter about the prediction
         rest = np.array([error.mean(axis=(0, 1)) for error in errors]) - thermal - aberration
         parts, segments, mean_error = len(pick), len(errors), mean_error + thermal_error
-        scatter = float((rest - told["fov"]).var(axis=0, ddof=1).mean())
+        scatter = float((rest - signed["fov"]).var(axis=0, ddof=1).mean())
         unknown, focus = max(scatter, mean_error), np.maximum(self._constant_focus(pick), 0.0)
         fov_power = 4.0 * predicted["fov_spatial"] * unknown + 2.0 * unknown**2
         bias, variance = rest.mean(axis=0), float(rest.var(axis=0, ddof=1).mean())
         # mean square of each term, and its standard deviation where the prediction is right
-        found = {
+        estimates = {
             "bias": (
                 float((bias**2).mean()) - scatter / segments,
                 _square_error(np.full(parts, math.sqrt(predicted["bias"])), unknown / segments),
             ),
             "thermo_elastic": (
                 float((thermal**2).mean()) - thermal_error,
-                _square_error(told["thermal"], thermal_error + focus),
+                _square_error(signed["thermal"], thermal_error + focus),
             ),
             "fov_spatial": (
                 variance * (1.0 - 1.0 / segments) - mean_error,
@@ -237,14 +237,14 @@ class AttitudePrediction:
             "temporal_noise": (noise, max(noise, predicted["temporal_noise"]) * math.sqrt(2.0 / count)),
             "aberration": (
                 float((aberration**2).mean()) - aberration_error,
-                _square_error(told["aberration"], aberration_error),
+                _square_error(signed["aberration"], aberration_error),
             ),
         }
-        found["total"] = total, math.sqrt(sum(error**2 for _, error in found.values()))
+        estimates["total"] = total, math.sqrt(sum(error**2 for _, error in estimates.values()))
         slopes = {
-            "thermo_elastic": slope_through_zero(told["thermal"], thermal, false_alarm),
-            "aberration": slope_through_zero(told["aberration"], aberration, false_alarm),
-            "fov_spatial": slope_through_zero(told["fov"] - told["fov"].mean(axis=0), rest - bias, false_alarm),
+            "thermo_elastic": slope_through_zero(signed["thermal"], thermal, false_alarm),
+            "aberration": slope_through_zero(signed["aberration"], aberration, false_alarm),
+            "fov_spatial": slope_through_zero(signed["fov"] - signed["fov"].mean(axis=0), rest - bias, false_alarm),
         }
         return {
             name: TermEstimate(
@@ -255,7 +255,7 @@ class AttitudePrediction:
                 least_arcsec2=SMALL**2 * predicted["total"],
                 slope=slopes.get(name, (math.nan, math.nan)),
             )
-            for name, (square, error) in found.items()
+            for name, (square, error) in estimates.items()
         }
 
 

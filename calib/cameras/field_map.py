@@ -44,8 +44,8 @@ def _field_basis(direction: FloatArray, reach: float, degree: int) -> FloatArray
 def fit_similarity(position_px: FloatArray, shift_px: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Shift of the image in x and y [px], roll [rad] and growth (4,), by least squares, and the residuals (n, 2)."""
     x, y = position_px.T
-    one, zero = np.ones_like(x), np.zeros_like(x)
-    basis = np.concatenate([np.stack([one, zero, -y, x], 1), np.stack([zero, one, x, y], 1)])
+    ones, zeros = np.ones_like(x), np.zeros_like(x)
+    basis = np.concatenate([np.stack([ones, zeros, -y, x], 1), np.stack([zeros, ones, x, y], 1)])
     motion = np.linalg.lstsq(basis, shift_px.T.ravel(), rcond=None)[0]
     return motion, shift_px - (basis @ motion).reshape(2, -1).T
 

@@ -197,40 +197,40 @@ def render_flight(budget: Budget, *, advance: Callable[[], None] = lambda: None)
 
 
 def _segment(camera: Camera, tracker: StarTracker, number: int, start_s: float, advance: Callable[[], None]) -> Segment:
-    flight, setting = camera.flight, camera.config.frames
-    times, count = flight.frame_times_s(start_s), setting.frames
-    state = flight.states_k[number]
-    aligned = Rotation.from_rotvec(ARCSEC_RAD * camera.budget.bias_arcsec())
+    flight, setting, bias = camera.flight, camera.config.frames, camera.budget.bias_arcsec()
+    count, state = setting.frames, flight.states_k[number]
+    aligned = Rotation.from_rotvec(ARCSEC_RAD * bias)
     errors = np.full((2, count, 3), np.nan)
     stars, rejected, false_stars = np.zeros((3, count))
-    warm, moving = np.full((setting.switched, 3), np.nan), np.full((setting.switched, 3), np.nan)
+    thermal, aberration = np.full((2, setting.switched, 3), np.nan)
     blinded, status, spent, wrong = bool(flight.blinded(start_s)), "blinded", float("nan"), 0
     tracker.reset()
-    for k, at_s in enumerate(times if not blinded else ()):
+    for k, at_s in enumerate(() if blinded else flight.frame_times_s(start_s)):
         truth, known = flight.trajectory.attitude(at_s), flight.known_velocity_km_per_s(at_s)
-        image, key = camera.expected(at_s, state), number * count + k
-        frame, false_stars[k] = camera.read(image, at_s, key, "first"), camera.false_stars(image, key, "first")
+        light, key = camera.expected(at_s, state), number * count + k
+        frame, false_stars[k] = camera.read(light, at_s, key, "first"), camera.false_stars(light, key, "first")
         began = time.perf_counter()
-        found = tracker(frame, at_s, velocity_km_per_s=known, rate_rad_per_s=flight.trajectory.rate(at_s))
+        first = tracker(frame, at_s, velocity_km_per_s=known, rate_rad_per_s=flight.trajectory.rate(at_s))
         if k == 0:
-            status, spent = found.status, time.perf_counter() - began
-            if not found.ok:  # lost in space it stays lost here: another head hands its attitude over
-                rough = _handed_over(camera, truth, number)
+            status, spent = first.status, time.perf_counter() - began
+            if not first.ok:  # lost in space it stays lost here: another head hands its attitude over
+                rough_rad = ROUGH_PX * camera.budget.pixel_rad
+                error = rough_rad * camera.streams.generator("rough", number).standard_normal(3)
+                rough = Rotation.from_rotvec(error) * truth
                 tracker.begin(at_s, rough)
-                found = tracker(frame, at_s, velocity_km_per_s=known, near=rough)
-        second = tracker(
-            camera.read(image, at_s, key, "second"), at_s, velocity_km_per_s=known, near=found.attitude or truth
-        )
-        for n, one in enumerate((found, second)):
-            if one.attitude is not None:
+                first = tracker(frame, at_s, velocity_km_per_s=known, near=rough)
+        again, near = camera.read(light, at_s, key, "second"), first.attitude or truth
+        second = tracker(again, at_s, velocity_km_per_s=known, near=near)
+        for n, reading in enumerate((first, second)):
+            if reading.attitude is not None:
                 # the alignment turns what the tracker says against the body that it is asked for
-                errors[n, k] = attitude_error_arcsec(aligned * one.attitude, truth)
-        if found.ok:
-            stars[k], rejected[k] = len(found.star_id), found.rejected
-            off = errors[0, k] - camera.budget.bias_arcsec()
-            wrong += bool((np.abs(off) > camera.config.tracker.wrong_sigma * found.sigma_arcsec).any())
+                errors[n, k] = attitude_error_arcsec(aligned * reading.attitude, truth)
+        if first.ok:
+            stars[k], rejected[k] = len(first.star_id), first.rejected
+            limit = camera.config.tracker.wrong_sigma * first.sigma_arcsec
+            wrong += bool((np.abs(errors[0, k] - bias) > limit).any())
             if k < setting.switched:
-                warm[k], moving[k] = _switched(camera, tracker, found, frame, at_s, key, state)
+                thermal[k], aberration[k] = _switched(camera, tracker, first, frame, at_s, key)
         advance()
     return Segment(
         start_s=start_s,
@@ -239,39 +239,27 @@ def _segment(camera: Camera, tracker: StarTracker, number: int, start_s: float, 
         stars=stars,
         rejected=rejected,
         false_stars=false_stars,
-        thermal_arcsec=warm,
-        aberration_arcsec=moving,
+        thermal_arcsec=thermal,
+        aberration_arcsec=aberration,
         acquired=status,
         acquisition_s=spent,
         wrong=wrong,
     )
 
 
-def _handed_over(camera: Camera, truth: Rotation, number: int) -> Rotation:
-    error = ROUGH_PX * camera.budget.pixel_rad * camera.streams.generator("rough", number).standard_normal(3)
-    return Rotation.from_rotvec(error) * truth
-
-
 def _switched(
-    camera: Camera,
-    tracker: StarTracker,
-    found: TrackedAttitude,
-    frame: Frame,
-    at_s: float,
-    key: int,
-    state_k: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+    camera: Camera, tracker: StarTracker, first: TrackedAttitude, frame: Frame, at_s: float, key: int
+) -> list[FloatArray]:
     """Thermo-elastic error, and aberration that is left: this attitude less the one without, noise as it was."""
-    flight = camera.flight
-    truth, known = flight.trajectory.attitude(at_s), flight.known_velocity_km_per_s(at_s)
-    cold = camera.read(camera.expected(at_s, 0.0 * state_k), at_s, key, "first")
-    without = tracker(cold, at_s, velocity_km_per_s=known, near=found.attitude)
-    exact = tracker(frame, at_s, velocity_km_per_s=flight.velocity_km_per_s(at_s), near=found.attitude)
-    own = tracker(frame, at_s, velocity_km_per_s=known, near=found.attitude)
-    out = []
-    for other in (without, exact):
-        if own.attitude is None or other.attitude is None:
-            out.append(np.full(3, np.nan))
-        else:
-            out.append(attitude_error_arcsec(own.attitude, truth) - attitude_error_arcsec(other.attitude, truth))
-    return out[0], out[1]
+    truth, known = camera.flight.trajectory.attitude(at_s), camera.flight.known_velocity_km_per_s(at_s)
+    cold = camera.read(camera.expected(at_s, np.zeros(5)), at_s, key, "first")
+    exact = camera.flight.velocity_km_per_s(at_s)
+    error, *without = (
+        np.full(3, np.nan) if reading.attitude is None else attitude_error_arcsec(reading.attitude, truth)
+        for reading in (
+            tracker(frame, at_s, velocity_km_per_s=known, near=first.attitude),
+            tracker(cold, at_s, velocity_km_per_s=known, near=first.attitude),
+            tracker(frame, at_s, velocity_km_per_s=exact, near=first.attitude),
+        )
+    )
+    return [error - other for other in without]

@@ -47,12 +47,12 @@ def bare_lens(config: Config, instrument: Instrument, advance: Callable[[], None
     fitted = configured_baffle(config.baffle, entrance_mm=entrance_radius_mm(lens), field_deg=_field_deg(instrument))
 
     def each(fill, directions):  # type: ignore[no-untyped-def]
-        def one(direction) -> None:  # type: ignore[no-untyped-def]
+        def run(direction) -> None:  # type: ignore[no-untyped-def]
             fill(direction)
             advance()
 
         with prompt_pool() as pool:
-            return list(pool.map(one, directions))
+            return list(pool.map(run, directions))
 
     return lens_transmittance(
         camera,
