@@ -42,28 +42,37 @@ def temporal_error(sigma_px: FloatArray, pixel_arcsec: float, frames: int) -> Er
     return ErrorTerm(arcsec=scale * sigma_px.mean(0), uncertainty_arcsec=scale * spread, n=int(frames) * len(sigma_px))
 
 
-def prediction_scatter_px(
-    sigma_px: FloatArray, device_px: FloatArray, common_px: FloatArray, *, draws: int, frames: int
-) -> FloatArray:
-    """Standard deviation (2,) of the mean over the stars of predicted standard deviations.
+def expected_temporal_error(
+    sigma_px: FloatArray,
+    pixel_arcsec: float,
+    frames: int,
+    *,
+    chip_px: FloatArray,
+    common_px: FloatArray,
+    draws: int = 0,
+) -> ErrorTerm:
+    """Temporal error of predicted standard deviations, and how far that of a chip and a series may lie from it.
 
     Parameters
     ----------
     sigma_px : (j, 2)
-        Predicted standard deviations of each star.
-    device_px : (j, 2)
-        Scatter of these from chip to chip, independent from star to star.
-    common_px : (j, 2)
-        Part of ``sigma_px`` by a motion that all stars share, of which N frames draw a scatter of their own.
-    draws : int
-        Draws of noise behind ``sigma_px``; fewer than two for a closed form.
+        Predicted standard deviation of the centroid of each star [px].
+    pixel_arcsec : float
+        Angle of a pixel [arcsec].
     frames : int
-        Number of frames N.
+        Frames N of the series.
+    chip_px : (j, 2)
+        Standard deviation of ``sigma_px`` from chip to chip.
+    common_px : (j, 2)
+        Part of ``sigma_px`` that is a motion of the line of sight, the same for all stars: N frames draw it.
+    draws : int
+        Noisy copies of a window from which ``sigma_px`` was estimated; fewer than two if it was computed.
     """
     drawn = sigma_px / np.sqrt(2.0 * (draws - 1)) if draws >= 2 else np.zeros_like(sigma_px)
-    independent = np.sqrt((device_px**2 + drawn**2).sum(0)) / len(sigma_px)
-    common = (common_px**2 / (2.0 * sigma_px)).mean(0) * np.sqrt(2.0 / (frames - 1.0))
-    return np.hypot(independent, common)
+    spread = np.sqrt((chip_px**2 + drawn**2).sum(0)) / len(sigma_px)
+    motion = (common_px**2 / (2.0 * sigma_px)).mean(0) * np.sqrt(2.0 / (frames - 1.0))
+    scale = 3.0 * pixel_arcsec
+    return ErrorTerm(arcsec=scale * sigma_px.mean(0), uncertainty_arcsec=scale * np.hypot(spread, motion))
 
 
 def scatter_interval(

@@ -35,6 +35,14 @@ def frame_statistics(position_px: FloatArray) -> tuple[FloatArray, FloatArray, N
     return np.where(enough, mean, np.nan), np.where(enough, sigma, np.nan), count
 
 
+def position_covariance_px2(position_px: FloatArray) -> FloatArray:
+    """Covariance (n, 2, 2) of positions (f, n, 2); frames without a position are left out."""
+    deviation = position_px - np.nanmean(position_px, axis=0)
+    count = np.isfinite(deviation[..., 0]).sum(0)[:, None, None]
+    filled = np.nan_to_num(deviation)
+    return np.asarray(np.einsum("fna,fnb->nab", filled, filled) / (count - 1))
+
+
 def common_motion_px2(position_px: FloatArray) -> FloatArray:
     """Variance (2, 2) of positions (f, n, 2): first (x, y) of what the points have in common from frame to frame.
 

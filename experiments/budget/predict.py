@@ -93,8 +93,8 @@ def predict_terms(
     found = {}
     for method in lab.bench.methods:
         te = ErrorTerm(
-            arcsec=short * temporal.sampled_te_arcsec(method),
-            uncertainty_arcsec=short * temporal.te_uncertainty_arcsec(method),
+            arcsec=short * temporal.sampled_error(method).arcsec,
+            uncertainty_arcsec=short * temporal.sampled_error(method).uncertainty_arcsec,
         )
         places = [one[method] for one in steps]
         number, spread = (v * scale for v in distortion[method])
@@ -107,7 +107,7 @@ def predict_terms(
         }
         found[method] = PredictedTerms(
             budget=combine(term, stars=lab.config.attitude.stars),
-            bound_te_arcsec=temporal.bound_te_arcsec(),
+            bound_te_arcsec=temporal.arcsec(temporal.bound_px[0]),
             causes_arcsec=_causes_arcsec(places, instrument.pixel_arcsec),
             single_arcsec=scale * rms_over([one.position_rms_px for one in places]),
             left_arcsec=number[1],

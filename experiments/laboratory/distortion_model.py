@@ -22,6 +22,7 @@ from calib.accuracy.distortion_prediction import (
 )
 from calib.measure.centroid import Centroider
 from calib.measure.expected_windows import ExpectedWindows, drawn_positions, noiseless_positions, window_response
+from calib.measure.frame_positions import position_covariance_px2
 from calib.records import NoiseModel
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.point_bench import Bench, centroiders, one_filter, session_centroiders
@@ -104,7 +105,7 @@ def predict_distortion(
         if noise_draws and not needs_epsf(name):
             lots = Streams(seed).generator("distortion noise")
             drawn = drawn_positions(centroider, windows, told, noise, draws=noise_draws, rng=lots)
-            position, single = np.nanmean(drawn, axis=0), _covariance(drawn)
+            position, single = np.nanmean(drawn, axis=0), position_covariance_px2(drawn)
             own = single / noise_draws
         if sessions := session_centroiders(bench, psf, name):
             position, built = _over_sessions(sessions, windows, told)
@@ -134,15 +135,7 @@ def _over_sessions(
     """Mean position (n, 2) over the PSFs that sessions might give, and the covariance (n, 2, 2) of what they do apart;
     what a PSF does to all points alike is a shift of the camera."""
     position = np.stack([noiseless_positions(one, windows, told) for one in sessions])
-    return position.mean(0), _covariance(position - position.mean(1, keepdims=True))
-
-
-def _covariance(drawn_px: FloatArray) -> FloatArray:
-    """Covariance (n, 2, 2) of positions (draws, n, 2); draws without a position are left out."""
-    apart = drawn_px - np.nanmean(drawn_px, axis=0)
-    count = np.isfinite(apart[..., 0]).sum(0)[:, None, None]
-    filled = np.nan_to_num(apart)
-    return np.asarray(np.einsum("dna,dnb->nab", filled, filled) / (count - 1))
+    return position.mean(0), position_covariance_px2(position - position.mean(1, keepdims=True))
 
 
 def predict_map(

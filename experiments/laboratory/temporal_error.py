@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.accuracy.error_budget import ErrorTerm
-from calib.accuracy.temporal import prediction_scatter_px, temporal_error
+from calib.accuracy.temporal import expected_temporal_error, temporal_error
 from calib.measure.expected_windows import bound_px, drawn_positions, followed_px, window_response
 from calib.measure.frame_positions import common_motion_px2
 from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method, one_filter
@@ -51,9 +51,7 @@ class TemporalPrediction:
     # (l, j, 2) Standard deviation of a frame's centroid by influence function
     linear_px: Mapping[str, FloatArray]
     device_px: Mapping[str, FloatArray]  # (l, j, 2) By how much the standard deviation differs from chip to chip
-    sampled_px: Mapping[
-        str, FloatArray
-    ]  # (l, j, 2) Standard deviation of a frame's centroid by noise drawn on noiseless windows
+    sampled_px: Mapping[str, FloatArray]  # (l, j, 2) The same by noise drawn on noiseless windows
     draws: int  # Draws per window behind ``sampled_px``
     bound_px: FloatArray  # (l, j, 2) Cramer-Rao bound
     # (l, j, 2) Standard deviation that the line of sight from frame to frame makes, which is part of all the others:
@@ -61,26 +59,20 @@ class TemporalPrediction:
     common_px: Mapping[str, FloatArray]
     frames: int  # N
 
-    def te_arcsec(self, method: str, level: int = 0) -> FloatArray:
-        """Temporal error at a level, (x, y), 3 sigma, by influence function."""
-        return np.asarray(3.0 * self.pixel_arcsec * self.linear_px[method][level].mean(0))
+    def arcsec(self, sigma_px: FloatArray) -> FloatArray:
+        """Temporal error (2,), 3 sigma, of standard deviations (j, 2)."""
+        return np.asarray(3.0 * self.pixel_arcsec * sigma_px.mean(0))
 
-    def sampled_te_arcsec(self, method: str, level: int = 0) -> FloatArray:
-        """Temporal error at a level, (x, y), 3 sigma, by drawn noise."""
-        return np.asarray(3.0 * self.pixel_arcsec * self.sampled_px[method][level].mean(0))
-
-    def te_uncertainty_arcsec(self, method: str, level: int = 0) -> FloatArray:
-        """Standard deviation of `sampled_te_arcsec` (x, y): finite draws, and one chip against the next.
-
-        With a line of sight that is not at rest also what N frames draw of it, which is the same for all stars.
-        """
-        parts = (of[method][level] for of in (self.sampled_px, self.device_px, self.common_px))
-        scatter = prediction_scatter_px(*parts, draws=self.draws, frames=self.frames)
-        return 3.0 * self.pixel_arcsec * scatter
-
-    def bound_te_arcsec(self, level: int = 0) -> FloatArray:
-        """Temporal error at a level, (x, y), 3 sigma, of the best unbiased estimator."""
-        return np.asarray(3.0 * self.pixel_arcsec * self.bound_px[level].mean(0))
+    def sampled_error(self, method: str, level: int = 0) -> ErrorTerm:
+        """Temporal error at a level by drawn noise: finite draws, chips and motions of the line of sight differ."""
+        return expected_temporal_error(
+            self.sampled_px[method][level],
+            self.pixel_arcsec,
+            self.frames,
+            chip_px=self.device_px[method][level],
+            common_px=self.common_px[method][level],
+            draws=self.draws,
+        )
 
 
 def target_place(bench: Bench, instrument: Instrument, place_px: Sequence[float] | None = None) -> FloatArray:

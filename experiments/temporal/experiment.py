@@ -66,16 +66,16 @@ def scatter(
     c4, signal_e = small_sample_factor(measured.frames), float(measured.levels_e[level])
     terms = [measured.temporal_error(m, level) for m in methods]
     value, error = (np.array([getattr(term, part) for term in terms]) for part in ("arcsec", "uncertainty_arcsec"))
-    drawn = np.array([predicted.sampled_te_arcsec(m, level) for m in methods])
-    spread = np.array([predicted.te_uncertainty_arcsec(m, level) for m in methods])
-    bound = predicted.bound_te_arcsec(level)
+    expected = [predicted.sampled_error(m, level) for m in methods]
+    drawn, spread = (np.array([getattr(of, part) for of in expected]) for part in ("arcsec", "uncertainty_arcsec"))
+    bound = predicted.arcsec(predicted.bound_px[level])
     ratio, over_bound, count = value / (c4 * drawn), value / (c4 * bound), terms[0].n
     return Scatter(
         signal_e=signal_e,
         magnitude_mag=star.magnitude_of(signal_e),
         measured_arcsec=with_error(value, error, n=count, unit="arcsec"),
         predicted_arcsec=drawn,
-        predicted_linear_arcsec=np.array([predicted.te_arcsec(m, level) for m in methods]),
+        predicted_linear_arcsec=np.array([predicted.arcsec(predicted.linear_px[m][level]) for m in methods]),
         bound_arcsec=bound,
         ratio=with_error(ratio, ratio * np.hypot(error / value, spread / drawn), n=count),
         over_bound=with_error(over_bound, over_bound * error / value, n=count),

@@ -9,7 +9,13 @@ import numpy as np
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.glass.air import air_index
+from optics.glass.catalogue import Glass
+from optics.glass.media import Environment
 from optics.records import freeze, freeze_all
+
+AIR_STEP_K = 0.5
+"""Of the derivative of the index of air by the temperature."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +44,23 @@ class Collimation:
             for part in range(3):
                 found[band, :, part] = np.interp(wavelength_nm[band], known, values[:, part])
         return found
+
+
+def wedge_deviation_rad(
+    angle_rad: float, glass: Glass, wavelength_nm: FloatArray, environment: Environment
+) -> FloatArray:
+    """Deviation of a ray by a prism, by Snell's law at both faces; the first is met squarely."""
+    outside = air_index(wavelength_nm, environment.temperature_c, environment.pressure_hpa)
+    return np.asarray(np.arcsin(glass.absolute_index(wavelength_nm) / outside * np.sin(angle_rad)) - angle_rad)
+
+
+def air_deviation_rad(path_m: float, wavelength_nm: FloatArray, environment: Environment) -> FloatArray:
+    """Angle by which a source seems to move towards the warm side, per 1 K/m across the path: path times -dn/dT."""
+    cold, warm = (
+        air_index(wavelength_nm, environment.temperature_c + kelvin, environment.pressure_hpa)
+        for kelvin in (-AIR_STEP_K, AIR_STEP_K)
+    )
+    return np.asarray(path_m * (cold - warm) / (2.0 * AIR_STEP_K))
 
 
 def bent_light(light: tuple[Any, Any, Any], x_mm: Any, y_mm: Any, error: tuple[Any, Any, Any], sqrt: Any) -> Any:

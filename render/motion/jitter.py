@@ -27,6 +27,8 @@ from render.motion.trajectory import Trajectory
 
 CELLS = 512
 """Cells of equal ratio between the lowest and the highest frequency."""
+EXPOSURE_CELLS = 20000
+"""Cells of the integral over sinc squared."""
 _AXES = ("x", "y", "z")
 
 
@@ -56,6 +58,17 @@ class JitterSpectrum:
         edges = np.asarray(edge_hz, float)
         running = np.stack([_running_power(self.frequency_hz, psd, edges) for psd in self.psd_arcsec2_per_hz])
         return np.diff(running, axis=1)
+
+    def exposure_power_arcsec2(self, exposure_s: float) -> tuple[FloatArray, FloatArray]:
+        """Variance (3,) about each axis of the mean over an exposure, and within one [arcsec^2].
+
+        In closed form: the mean over a time T passes the part sinc(f T)^2 of the power at f.
+        """
+        edges = np.geomspace(self.frequency_hz[0], self.frequency_hz[-1], EXPOSURE_CELLS + 1)
+        edges[[0, -1]] = self.frequency_hz[[0, -1]]
+        power = self.power_arcsec2(edges)
+        passed = np.sinc(np.sqrt(edges[1:] * edges[:-1]) * exposure_s) ** 2
+        return (power * passed).sum(1), (power * (1.0 - passed)).sum(1)
 
     @property
     def rms_arcsec(self) -> FloatArray:

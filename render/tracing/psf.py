@@ -7,12 +7,13 @@ rays and traced wavefronts in NumPy, without the renderer.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
-from scipy.special import erf
+from scipy.special import erf, j1
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -127,6 +128,42 @@ def trailed(psf: EffectivePsf, trail_px: FloatArray) -> EffectivePsf:
     along = frequency[None, : padded // 2 + 1] * trail_px[0] + frequency[:, None] * trail_px[1]
     values = np.fft.irfft2(np.fft.rfft2(values, (padded, padded)) * np.sinc(along), (padded, padded))
     return EffectivePsf(values=values[:size, :size], oversampling=psf.oversampling)
+
+
+def convolved(
+    psf: EffectivePsf, transfer: Callable[[NDArray[np.float64]], NDArray[np.float64]], reach_px: float
+) -> EffectivePsf:
+    """Effective PSF convolved with a round kernel.
+
+    Parameters
+    ----------
+    psf : EffectivePsf
+        A PSF; its grid stays.
+    transfer : callable
+        Transfer function of the kernel at spatial frequencies [cycles per px], any shape.
+    reach_px : float
+        Radius of the kernel.
+    """
+    size, edge = len(psf.values), math.ceil(reach_px * psf.oversampling) + 1
+    padded = np.pad(psf.values, edge)
+    down, across = np.fft.fftfreq(len(padded)), np.fft.rfftfreq(len(padded))
+    values = np.fft.rfft2(padded) * transfer(np.hypot(down[:, None], across) * psf.oversampling)
+    return replace(psf, values=np.fft.irfft2(values, padded.shape)[edge : edge + size, edge : edge + size])
+
+
+def blurred(psf: EffectivePsf, variance_px2: float) -> EffectivePsf:
+    """Effective PSF convolved with a Gaussian of a variance per axis."""
+    return convolved(psf, lambda q: np.exp(-2.0 * np.pi**2 * variance_px2 * q**2), 4.0 * variance_px2**0.5)
+
+
+def of_disk(psf: EffectivePsf, radius_px: float) -> EffectivePsf:
+    """Effective PSF of a uniform disk, such as a pinhole, from that of a point: transfer function 2 J1(x) / x."""
+
+    def transfer(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
+        x = 2.0 * np.pi * radius_px * frequency
+        return np.where(x > 0.0, 2.0 * j1(x) / np.where(x > 0.0, x, 1.0), 1.0)
+
+    return convolved(psf, transfer, radius_px)
 
 
 ORDER = (12, 48)

@@ -21,7 +21,6 @@ from experiments.laboratory.bench.point_bench import Bench, one_filter
 from experiments.laboratory.bench.points import PointScene, frame_light
 from experiments.laboratory.bench.ray_prediction import target_windows
 from experiments.laboratory.bench.readout.windows import WindowReader
-from experiments.laboratory.devices.collimator import convolved_psf
 from experiments.laboratory.devices.hexapod import step_path, turned
 from experiments.laboratory.settings.tables import HexapodConfig, StepConfig
 from experiments.laboratory.temporal_error import target_place
@@ -29,6 +28,7 @@ from optics.arrays import FloatArray
 from render.engine.random import Streams
 from render.records import EffectivePsf
 from render.sensor_file.instrument import Instrument
+from render.tracing.psf import blurred
 
 POSITIONS, STAMPS = 5, 20
 """Steps of a fifth of a pixel cover it along both axes; a PSF of four samples per pixel needs 16 stars at least."""
@@ -81,9 +81,7 @@ def predicted_epsfs(
     direction = turned(target_place(bench, instrument), path.commanded_rad)
     between = bench.power_px2(instrument)[0]
     if between:  # the sum of frames is blurred by what moves from frame to frame too
-        psf = [
-            convolved_psf(one, lambda q: np.exp(-2.0 * np.pi**2 * between * q**2), 4.0 * between**0.5) for one in psf
-        ]
+        psf = [blurred(one, between) for one in psf]
     windows = target_windows(one_filter(bench), instrument, direction, psf)
     spread = np.sqrt(noise.temporal_e2(windows.light_e, frames=frames, dark_frames=bench.dark_frames))
     found = []

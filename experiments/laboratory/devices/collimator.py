@@ -14,21 +14,19 @@ off the collimator's axis, whose beams shift over its aperture.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
-from scipy.special import j1
 
 from experiments.laboratory.settings.collimator import CollimatorConfig, FilteredCollimatorConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.glass.air import air_index
 from optics.glass.catalogue import get_glass
 from optics.glass.media import Environment
-from optics.light.collimation import Collimation
+from optics.light.collimation import Collimation, air_deviation_rad, wedge_deviation_rad
 from optics.rays.pupil import gauss_disk
 from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM
 from render.engine.random import Streams
@@ -37,6 +35,7 @@ from render.motion.trajectory import ConstantRate
 from render.records import EffectivePsf
 from render.sensor_file.filters import Filter
 from render.tracing.motion.exposure import ExposureMotion, gauss_times
+from render.tracing.psf import of_disk
 
 RINGS_PER_PX = 3.0
 """Radii of the quadrature over a pinhole, per pixel of its radius; the image has no detail below a third of a pixel."""
@@ -103,10 +102,15 @@ class Collimator:
         slope = -vergence[..., None] * np.array(config.offset_mm)
         for band, (angle, way) in enumerate(wedges):
             if angle:
-                part = self.wedge_lever * refracted_slope(angle, config, wavelength_nm[band], environment)
-                slope[band] += part[:, None] * [np.cos(way * DEG_RAD), np.sin(way * DEG_RAD)]
+                glass = get_glass(config.wedge_glass)
+                turn = wedge_deviation_rad(angle * ARCSEC_RAD, glass, wavelength_nm[band], environment)
+                slope[band] += self.wedge_lever * turn[:, None] * [np.cos(way * DEG_RAD), np.sin(way * DEG_RAD)]
         if gradient.any():
-            slope = slope + _air_slope(config, wavelength_nm, environment)[..., None] * gradient
+            if not environment.pressure_hpa:
+                raise DomainError(
+                    "collimator.air_gradient_k_per_m: the lens stands in a vacuum; there is no air to refract"
+                )
+            slope = slope + air_deviation_rad(config.air_path_m, wavelength_nm, environment)[..., None] * gradient
         return Collimation(wavelength_nm=wavelength_nm, slope_rad=slope, vergence_per_mm=vergence)
 
     def motion(self, exposure_s: float, pixel_rad: float) -> ExposureMotion | None:
@@ -132,29 +136,16 @@ class Collimator:
 
     def pinhole_psf(self, point: EffectivePsf, pixel_rad: float) -> EffectivePsf:
         """The PSF of a pinhole from that of a point."""
-        radius = self.source_radius_rad / pixel_rad
-        if not radius:
-            return point
-
-        def transfer(frequency: FloatArray) -> FloatArray:
-            x = 2.0 * np.pi * radius * frequency
-            return np.where(x > 0.0, 2.0 * j1(x) / np.where(x > 0.0, x, 1.0), 1.0)
-
-        return convolved_psf(point, transfer, radius)
+        radius_px = self.source_radius_rad / pixel_rad
+        return of_disk(point, radius_px) if radius_px else point
 
     def power_arcsec2(self, exposure_s: float) -> tuple[float, float]:
-        """Variance of the line of sight per axis: of its mean over an exposure, and within one.
-
-        In closed form: the mean over a time T passes the part sinc(f T)^2 of the power at f.
-        """
+        """Variance of the line of sight per axis: of its mean over an exposure, and within one."""
         slow = self.config.seeing_arcsec**2
         if self.spectrum is None:
             return slow, 0.0
-        edges = np.geomspace(self.config.vibration_hz[0], self.config.vibration_hz[-1], 20001)
-        edges[[0, -1]] = self.config.vibration_hz[0], self.config.vibration_hz[-1]
-        power = self.spectrum.power_arcsec2(edges)[0]
-        passed = np.sinc(np.sqrt(edges[1:] * edges[:-1]) * exposure_s) ** 2
-        return slow + float((power * passed).sum()), float((power * (1.0 - passed)).sum())
+        between, within = self.spectrum.exposure_power_arcsec2(exposure_s)
+        return slow + float(between[0]), float(within[0])
 
     def offsets_px(self, streams: Streams, frames: int, exposure_s: float, pixel_arcsec: float) -> FloatArray | None:
         """Mean line of sight (frames, 2) [px] of exposures, drawn; None where it is at rest.
@@ -179,15 +170,6 @@ class Collimator:
         return np.asarray(offset / pixel_arcsec)
 
 
-def convolved_psf(psf: EffectivePsf, transfer: Callable[[FloatArray], FloatArray], reach_px: float) -> EffectivePsf:
-    """A PSF convolved with a round kernel, by its transfer function of the spatial frequency [1/px]."""
-    size, edge = len(psf.values), int(np.ceil(reach_px * psf.oversampling)) + 1
-    padded = np.pad(psf.values, edge)
-    down, across = np.fft.fftfreq(len(padded)), np.fft.rfftfreq(len(padded))
-    values = np.fft.rfft2(padded) * transfer(np.hypot(down[:, None], across) * psf.oversampling)
-    return replace(psf, values=np.fft.irfft2(values, padded.shape)[edge : edge + size, edge : edge + size])
-
-
 def build_collimator(
     config: CollimatorConfig, filters: Sequence[Filter] = (), setting: str = "filters.centres_nm"
 ) -> Collimator | None:
@@ -203,25 +185,3 @@ def build_collimator(
         ways = config.wedge_direction_deg or (0.0,) * len(filters)
         wedge = {band.name: (angle, way) for band, angle, way in zip(filters, config.wedge_arcsec, ways, strict=True)}
     return None if config == type(config)() else Collimator(config=config, wedge=wedge)
-
-
-def refracted_slope(
-    angle_arcsec: float, config: CollimatorConfig, wavelength_nm: FloatArray, environment: Environment
-) -> FloatArray:
-    """Deviation [rad] of a ray by a prism, by Snell's law at both faces; the first is met squarely."""
-    assert isinstance(config, FilteredCollimatorConfig)
-    glass = get_glass(config.wedge_glass)
-    outside = air_index(wavelength_nm, environment.temperature_c, environment.pressure_hpa)
-    angle = angle_arcsec * ARCSEC_RAD
-    return np.asarray(np.arcsin(glass.absolute_index(wavelength_nm) / outside * np.sin(angle)) - angle)
-
-
-def _air_slope(config: CollimatorConfig, wavelength_nm: FloatArray, environment: Environment) -> FloatArray:
-    """Angle [rad] by which a source seems to move towards the warm side, for 1 K/m: path times gradient of n."""
-    if not environment.pressure_hpa:
-        raise DomainError("collimator.air_gradient_k_per_m: the lens stands in a vacuum; there is no air to refract")
-    cold, warm = (
-        air_index(wavelength_nm, environment.temperature_c + kelvin, environment.pressure_hpa)
-        for kelvin in (-AIR_STEP_K, AIR_STEP_K)
-    )
-    return np.asarray(config.air_path_m * (cold - warm) / (2.0 * AIR_STEP_K))

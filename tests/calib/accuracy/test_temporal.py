@@ -7,7 +7,13 @@ import pytest
 from scipy.special import gamma
 from scipy.stats import chi2
 
-from calib.accuracy.temporal import relative_scatter, scatter_interval, small_sample_factor, temporal_error
+from calib.accuracy.temporal import (
+    expected_temporal_error,
+    relative_scatter,
+    scatter_interval,
+    small_sample_factor,
+    temporal_error,
+)
 
 
 def test_the_small_sample_factor_is_that_of_normal_samples():
@@ -49,3 +55,23 @@ def test_intervals_of_a_scatter_cover_it(frames, stars):
     assert 0.95 - 4 * np.sqrt(0.05 * 0.95 / runs) < covered
     if stars == 1:
         assert covered < 0.95 + 4 * np.sqrt(0.05 * 0.95 / runs)
+
+
+def test_uncertainty_of_a_predicted_temporal_error_by_hand():
+    """Two stars of 0.3 and 0.4 px, 9 draws, 5 frames: parts of draws, chips and the common motion in quadrature."""
+    sigma, chip, common = (np.tile(np.reshape(v, (2, 1)), 2) for v in ([0.3, 0.4], [0.03, 0.04], [0.06, 0.08]))
+    found = expected_temporal_error(sigma, 2.0, 5, chip_px=chip, common_px=common, draws=9)
+    chips, draws = 0.05 / 2.0, 0.5 / 4.0 / 2.0
+    motion = (0.06**2 / 0.6 + 0.08**2 / 0.8) / 2.0 * np.sqrt(0.5)
+    np.testing.assert_allclose(found.arcsec, 6.0 * 0.35, rtol=1e-12)
+    np.testing.assert_allclose(found.uncertainty_arcsec, 6.0 * np.sqrt(chips**2 + draws**2 + motion**2), rtol=1e-12)
+
+
+def test_a_line_of_sight_that_moves_is_in_the_uncertainty_of_the_prediction():
+    """All stars share it: the variance of N frames is known to sqrt(2 / (N - 1)) of its own however many stars."""
+    size, common, none, frames = np.full((9, 2), 0.05), np.full((9, 2), 0.04), np.zeros((9, 2)), 30
+    found = expected_temporal_error(size, 1.0, frames, chip_px=none, common_px=common)
+    rng, runs = np.random.default_rng(5), 2000
+    shared = (0.04 * rng.standard_normal((runs, frames))).var(1, ddof=1)
+    drawn = np.sqrt(shared + 0.05**2 - 0.04**2).std()
+    np.testing.assert_allclose(found.uncertainty_arcsec, 3.0 * drawn, rtol=4.0 / np.sqrt(2 * runs) + 0.02)

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from calib.measure.frame_positions import common_motion_limit, common_motion_px2, frame_statistics
+from calib.measure.frame_positions import (
+    common_motion_limit,
+    common_motion_px2,
+    frame_statistics,
+    position_covariance_px2,
+)
 
 
 def test_statistics_leave_out_frames_without_a_position():
@@ -12,6 +17,7 @@ def test_statistics_leave_out_frames_without_a_position():
     np.testing.assert_allclose(mean, [[2.0, 4.0], [np.nan] * 2])
     np.testing.assert_allclose(sigma, [[np.sqrt(2.0), np.sqrt(8.0)], [np.nan] * 2])
     assert count.tolist() == [2, 1]
+    np.testing.assert_allclose(position_covariance_px2(position[:, :1])[0], [[2.0, 4.0], [4.0, 8.0]])
 
 
 def test_common_motion_of_points():

@@ -17,7 +17,7 @@ from experiments.laboratory.bench.point_bench import motion_method
 from experiments.laboratory.bench.readout.search import SEARCH_PX, find_star
 from experiments.laboratory.distortion_model import DistortionPrediction
 from experiments.laboratory.single_star.star import SingleStar
-from experiments.laboratory.temporal_error import TemporalPrediction, target_place
+from experiments.laboratory.temporal_error import target_place
 from optics.errors import DomainError
 from optics.light.band import TopHat
 from optics.light.spectrum import Blackbody
@@ -83,17 +83,6 @@ def test_a_star_has_the_colour_of_its_lamp_behind_its_band(star_camera):
 def test_only_the_own_reference_psf_is_a_place_s_own():
     assert [has_own_epsf(one) for one in ("epsf", "epsf_reference", "epsf_measured", "cog")] == [True] + 3 * [False]
     assert (motion_method(["cog", "epsf"]), motion_method(["gaussian", "cog"])) == ("epsf", "gaussian")
-
-
-def test_uncertainty_of_a_predicted_temporal_error_by_hand():
-    """Two stars of 0.3 and 0.4 px, 9 draws, 5 frames: parts of draws, chips and the common motion in quadrature."""
-    sampled, device, common = (np.tile(np.reshape(v, (1, 2, 1)), 2) for v in ([0.3, 0.4], [0.03, 0.04], [0.06, 0.08]))
-    given = {"linear_px": {}, "bound_px": sampled, "levels_e": np.ones(1), "pixel_arcsec": 2.0, "draws": 9, "frames": 5}
-    named = {"device_px": {"m": device}, "sampled_px": {"m": sampled}, "common_px": {"m": common}}
-    chips, draws = 0.05 / 2.0, 0.5 / 4.0 / 2.0
-    motion = (0.06**2 / 0.6 + 0.08**2 / 0.8) / 2.0 * np.sqrt(0.5)
-    expected = 6.0 * np.sqrt(chips**2 + draws**2 + motion**2)
-    np.testing.assert_allclose(TemporalPrediction(**given, **named).te_uncertainty_arcsec("m"), expected, rtol=1e-12)
 
 
 def spot(x, y, sigma, height, width):

@@ -78,18 +78,3 @@ def test_star_by_star(records):
     assert np.sqrt((pulls**2).mean()) == pytest.approx(1.0, abs=4.0 / np.sqrt(4 * STARS))
     np.testing.assert_allclose([s.bound_px for s in every], 0.5 * TRUE_PX[0])
     np.testing.assert_array_equal([s.light_px for s in every], records[0].light.photon_px)
-
-
-def test_a_line_of_sight_that_moves_is_in_the_uncertainty_of_the_prediction():
-    """All stars share it: the variance of N frames is known to sqrt(2 / (N - 1)) of its own however many stars."""
-    size, common = np.full((1, STARS, 2), 0.05), np.full((1, STARS, 2), 0.04)
-    given = {"levels_e": LEVELS_E[:1], "pixel_arcsec": 1.0, "linear_px": {"cog": size}, "sampled_px": {"cog": size}}
-    prediction = TemporalPrediction(
-        **given, device_px={"cog": 0.0 * size}, draws=1, bound_px=size, common_px={"cog": common}, frames=FRAMES
-    )
-    rng, runs = np.random.default_rng(5), 2000
-    shared = (0.04 * rng.standard_normal((runs, FRAMES))).var(1, ddof=1)
-    drawn = np.sqrt(shared + 0.05**2 - 0.04**2).std()
-    np.testing.assert_allclose(
-        prediction.te_uncertainty_arcsec("cog"), 3.0 * drawn, rtol=4.0 / np.sqrt(2 * runs) + 0.02
-    )
