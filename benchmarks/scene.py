@@ -28,8 +28,10 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.frame import make_camera, make_stars
-from experiments.chromatic import stars as chromatic
 from experiments.chromatic.settings import Config
+from experiments.chromatic.stars import NODES
+from optics.light.band import band_nodes
+from optics.light.spectrum import Blackbody
 from render.camera import Camera
 from render.engine import Engine
 from render.forward import StarRenderer
@@ -60,22 +62,23 @@ def dataset_frames(count: int) -> tuple[Camera, list[Frame]]:
 
 
 def chromatic_frames(count: int) -> tuple[Camera, list[Frame]]:
-    """The star grid that the chromatic experiment renders."""
-    seen: list[tuple[Camera, StarField]] = []
-
-    class Recorder(StarRenderer):
-        def render(self, stars: StarField, **options: Any) -> Any:
-            seen.append((self.camera, stars))
-            return super().render(stars, **options)
-
+    """The star grid of the chromatic experiment, every temperature at every field point, by rays."""
     config = Config()
     instrument = build_instrument(config.instrument)
-    kept, chromatic.StarRenderer = chromatic.StarRenderer, Recorder
-    try:
-        chromatic.stellar_shift(config.stars, open_band(config.passband, instrument), instrument)
-    finally:
-        chromatic.StarRenderer = kept
-    camera, stars = seen[0]
+    camera, side = replace(instrument.camera, diffraction="rays"), config.stars.grid
+    x, y = ((np.arange(side) + 0.5) / side * size - 0.5 for size in (camera.width_px, camera.height_px))
+    field = camera.nominal_direction(*(v.ravel() for v in np.meshgrid(x, y)), instrument.focal_length_mm)
+    nodes = band_nodes([open_band(config.passband, instrument)], NODES)
+    light = nodes.weight_nm * nodes.transmission
+    spectra = [
+        light * Blackbody(temperature_k=k).photon_density(nodes.wavelength_nm) for k in config.stars.temperatures_k
+    ]
+    stars = StarField(
+        direction=np.tile(field, (len(spectra), 1)),
+        wavelength_nm=nodes.wavelength_nm,
+        photon_rate=np.repeat(np.stack([one / one.sum() for one in spectra]), len(field), axis=0),
+        band=("full",),
+    )
     return camera, [(stars, camera.rotation_cam_from_world)] * count
 
 

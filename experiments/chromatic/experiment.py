@@ -371,8 +371,8 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     ideal = replace(bench, collimator=None)  # stars have none
     with progress.stage("stars"):
         for one in (instrument, moved):
-            shift = stellar_shift(config.stars, band, one)
-            places = bundle_prediction(ideal, one, shift.direction[None])
+            points_at, shift = stellar_shift(config.stars, band, one)
+            places = bundle_prediction(ideal, one, points_at[None])
             stars.append(stars_of(shift, {name: by[0] for name, by in shifts(places, bench.pairs).items()}))
     example = lenses[0].frames.example
     table = [entries(lens, published=is_published_sensor(config)) for lens in lenses]

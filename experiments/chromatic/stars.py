@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,29 +23,9 @@ ORDER = (5, 12)
 """Rings and azimuths in the pupil."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StellarShift:
-    """Chromatic shift of stars."""
-
-    temperature_k: FloatArray  # (t,) Effective temperatures
-    direction: FloatArray  # (g, 3) Field points, unit vectors in cam
-    position_px: FloatArray  # (g, 2) Photocentre of the reference star at the field points
-    shift_px: FloatArray  # (t, g, 2) Photocentre minus that of the reference star at the same place
-
-    @property
-    def rms_px(self) -> FloatArray:
-        """RMS length of the shift over the field, per temperature."""
-        return np.asarray(np.sqrt((self.shift_px**2).sum(2).mean(1)))
-
-    @property
-    def most_different_rms_px(self) -> float:
-        """RMS distance over the field of the two stars that differ most, independent of the reference."""
-        apart = self.shift_px[:, None] - self.shift_px[None]
-        return float(np.sqrt((apart**2).sum(-1).mean(-1)).max())
-
-
-def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> StellarShift:
-    """Photocentres of every colour at every field point, by ray trace."""
+def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> tuple[FloatArray, FloatArray]:
+    """Field points, unit vectors (g, 3) in cam, and photocentres of stars of every temperature minus that of the
+    reference star there, (t, g, 2) [px]; by ray trace."""
     camera = instrument.camera
     fraction = (np.arange(config.grid) + 0.5) / config.grid
     x, y = np.meshgrid(fraction * camera.width_px - 0.5, fraction * camera.height_px - 0.5)
@@ -53,20 +33,17 @@ def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> St
     nodes = band_nodes([band], NODES)
     wavelength_nm = nodes.wavelength_nm[0]
     response = nodes.weight_nm[0] * nodes.transmission[0] * camera.response_at(wavelength_nm)
-    spectrum = response * blackbody_photons([*config.temperatures_k, config.reference_k], wavelength_nm)
+    stars = [Blackbody(temperature_k=kelvin) for kelvin in (*config.temperatures_k, config.reference_k)]
+    spectrum = np.stack([response * star.photon_density(wavelength_nm) for star in stars])
     light = photocentre(camera.focused_lens, *field_angles_deg(direction), wavelength_nm, spectrum, order=ORDER)
     position = np.moveaxis(np.stack(camera.to_pixel(light.x_mm, light.y_mm), axis=-1), 1, 0)
-    return StellarShift(
-        temperature_k=np.array(config.temperatures_k),
-        direction=direction,
-        position_px=position[-1],
-        shift_px=position[:-1] - position[-1],
-    )
+    return direction, position[:-1] - position[-1]
 
 
-def blackbody_photons(temperature_k: Sequence[float], wavelength_nm: FloatArray) -> FloatArray:
-    """Photon spectra (t, w) of black bodies."""
-    return np.stack([Blackbody(temperature_k=t).photon_density(wavelength_nm) for t in temperature_k])
+def most_different_px(shift_px: FloatArray) -> float:
+    """RMS distance over the field of the two stars that differ most, independent of the reference."""
+    difference = shift_px[:, None] - shift_px[None]
+    return float(np.sqrt((difference**2).sum(-1).mean(-1)).max())
 
 
 def of_lenses(centred: str, moved: str = "") -> Mapping[str, str]:
@@ -104,16 +81,16 @@ class Stars:
     )
 
 
-def stars_of(shift: StellarShift, filter_shift_px: Mapping[str, FloatArray]) -> Stars:
-    """Statistics of stars over the field, and the shifts (g, 2) between the filters at the same places."""
+def stars_of(shift_px: FloatArray, filter_shift_px: Mapping[str, FloatArray]) -> Stars:
+    """Statistics of shifts (t, g, 2) over the field, and of those (g, 2) between the filters at the same places."""
     half = max(np.sqrt((one**2).sum(-1).mean()) for one in filter_shift_px.values()) / 2.0
-    mean = shift.shift_px.mean(1)
+    mean = shift_px.mean(1)
     return Stars(
-        rms_px=shift.rms_px,
+        rms_px=np.sqrt((shift_px**2).sum(2).mean(1)),
         mean_size_px=np.hypot(*mean.T),
-        max_px=np.hypot(*np.moveaxis(shift.shift_px, 2, 0)).max(1),
+        max_px=np.hypot(*np.moveaxis(shift_px, 2, 0)).max(1),
         mean_px=mean,
-        most_different_px=shift.most_different_rms_px,
+        most_different_px=most_different_px(shift_px),
         half_px=float(half),
         third_px=float(half) / 3.0,
     )

@@ -18,7 +18,7 @@ from experiments.laboratory.bench.points import PointFrames, PointLight, filter_
 from experiments.laboratory.devices.target import CORNERS, corner_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
-from render.records import ExpectedImage, WindowStack
+from render.records import ExpectedImage
 from render.sensor_file.instrument import Instrument
 
 PATTERNS = 48
@@ -42,7 +42,6 @@ class ChromaticMeasurement:
     frames_used: NDArray[np.int64]  # (p, j, b) Frames that converged, first method
     rms_spot_um: FloatArray  # (b,) RMS spot radius of the traced bundles
     example: ExpectedImage  # Noiseless image of the first position
-    windows: tuple[WindowStack, ...]  # Readout of the first position, per filter
     # Standard deviation per axis of the line of sight from frame to frame, the same for all points of a position
     common_px: float = 0.0
 
@@ -136,6 +135,5 @@ def measure_chromatic(
         frames_used=stacked(lambda cell: cell.frames.used(first)),
         rms_spot_um=stacked(lambda cell: cell.light.spot_um).mean((0, 1)),
         example=images[0],
-        windows=tuple(cell.frames.windows for cell in cells[0]),
         common_px=bench.power_px2(instrument)[0] ** 0.5,
     )

@@ -19,7 +19,7 @@ from experiments.laboratory.bench.readout.frames import nominal_noise
 from experiments.laboratory.devices.target import target_directions
 from optics.arrays import FloatArray
 from render.engine.random import Streams
-from render.records import EffectivePsf, WindowStack
+from render.records import EffectivePsf
 from render.sensor_file.instrument import Instrument
 
 
@@ -32,8 +32,7 @@ class TemporalMeasurement:
     pixel_arcsec: float  # Angle of a pixel
     sigma_px: Mapping[str, FloatArray]  # (l, j, 2) By method
     light: PointLight  # The target as rendered, at the signal of the bench
-    windows: WindowStack  # Readout at the level nearest to that of the bench
-    position_px: Mapping[str, FloatArray]  # (f, j, 2) Centroids of these frames, dark-subtracted
+    position_px: Mapping[str, FloatArray]  # (l, f, j, 2) Centroids, dark-subtracted
     # (l, 2, 2) What the stars have in common (`calib.measure.frame_positions.common_motion_px2`)
     motion_px2: FloatArray
 
@@ -100,28 +99,20 @@ def measure_temporal(
     bench = scene.bench
     light = scene.light(target_place(bench, instrument, place_px), streams, "target")
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
-    nearest = int(np.argmin(np.abs(np.log(levels / bench.signal_e))))
-    sigma: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
-    kept, motion = None, []
+    frames = []
     for number, level in enumerate(levels):
-        ratio, here = float(level / bench.signal_e), streams.child("level", number)
-        frames = read_points(light, bench, instrument, streams=here, signal_ratio=ratio)
-        for method in bench.methods:
-            sigma[method].append(frames.sigma_px(method))
-        motion.append(common_motion_px2(frames.position_px[motion_method(bench.methods)]))
-        if number == nearest:
-            kept = frames
+        here, ratio = streams.child("level", number), float(level / bench.signal_e)
+        frames.append(read_points(light, bench, instrument, streams=here, signal_ratio=ratio))
         advance()
-    assert kept is not None
+    steady = motion_method(bench.methods)
     return TemporalMeasurement(
         levels_e=levels,
         frames=bench.frames,
         pixel_arcsec=instrument.pixel_arcsec,
-        sigma_px={m: np.stack(v) for m, v in sigma.items()},
+        sigma_px={m: np.stack([one.sigma_px(m) for one in frames]) for m in bench.methods},
         light=light,
-        windows=kept.windows,
-        position_px=kept.position_px,
-        motion_px2=np.stack(motion),
+        position_px={m: np.stack([one.position_px[m] for one in frames]) for m in bench.methods},
+        motion_px2=np.stack([common_motion_px2(one.position_px[steady]) for one in frames]),
     )
 
 
@@ -142,11 +133,9 @@ def predict_temporal(
     levels = np.array([bench.signal_e] if levels_e is None else levels_e, float)
     noise, rng = instrument.pixel_noise(), Streams(seed).generator("temporal prediction")
     methods, told = centroiders(bench, psf), nominal_noise(instrument)
-    linear: dict[str, list[FloatArray]] = {m: [] for m in methods}
-    sampled: dict[str, list[FloatArray]] = {m: [] for m in methods}
-    device: dict[str, list[FloatArray]] = {m: [] for m in methods}
-    followed: dict[str, list[FloatArray]] = {m: [] for m in methods}
     bound, step = [], bench.power_px2(instrument)[0] ** 0.5
+    # by method and level: linear, from chip to chip, common to all stars, drawn (4, j, 2)
+    parts: dict[str, list[FloatArray]] = {m: [] for m in methods}
     place = bundle_prediction(bench, instrument, direction)[:, :, bench.reference]
     for level in levels:
         windows = target_windows(
@@ -155,24 +144,23 @@ def predict_temporal(
         bound.append(bound_px(windows, noise.floor_e2))
         for name, centroider in methods.items():
             gain = window_response(centroider, windows, told)
-            linear[name].append(gain.sigma_px(noise.temporal_e2(windows.light_e)))
-            device[name].append(gain.device_sigma_px(windows.light_e, noise))
-            followed[name].append(followed_px(centroider, windows, told, step))
+            drawn = linear = gain.sigma_px(noise.temporal_e2(windows.light_e))
             if draws >= 2:
-                drawn = drawn_positions(centroider, windows, told, noise, draws=draws, rng=rng)
-                sampled[name].append(np.nanstd(drawn, axis=0, ddof=1))
-    stacked = {m: np.stack(v) for m, v in linear.items()}
-    common = {m: np.stack(v) for m, v in followed.items()}
-    if step:
-        stacked = {m: np.hypot(v, common[m]) for m, v in stacked.items()}
+                positions = drawn_positions(centroider, windows, told, noise, draws=draws, rng=rng)
+                drawn = np.nanstd(positions, axis=0, ddof=1)
+            device, common = gain.device_sigma_px(windows.light_e, noise), followed_px(centroider, windows, told, step)
+            parts[name].append(np.stack([np.hypot(linear, common), device, common, np.hypot(drawn, common)]))
+    linear_px, device_px, common_px, sampled_px = (
+        {name: np.stack(levels)[:, part] for name, levels in parts.items()} for part in range(4)
+    )
     return TemporalPrediction(
         levels_e=levels,
         pixel_arcsec=instrument.pixel_arcsec,
-        linear_px=stacked,
-        device_px={m: np.stack(v) for m, v in device.items()},
-        sampled_px={m: np.hypot(np.stack(v), common[m]) for m, v in sampled.items()} if draws >= 2 else stacked,
+        linear_px=linear_px,
+        device_px=device_px,
+        sampled_px=sampled_px,
         draws=draws,
         bound_px=np.hypot(np.stack(bound), step),
-        common_px=common,
+        common_px=common_px,
         frames=bench.frames,
     )

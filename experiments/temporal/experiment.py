@@ -138,7 +138,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         predicted = predict_temporal(bench, instrument, levels_e=reached, seed=config.seed, **free)
         at_nominal = predict_temporal(bench, instrument, seed=config.seed + 1, **free)
     star = point_signal(config, instrument)
-    centroids_px = nominal.position_px[methods[0]]
+    centroids_px = nominal.position_px[methods[0]][0]
     motion_px2 = np.concatenate([measured.motion_px2, nominal.motion_px2])
     published: dict[str, Any] = {"published_arcsec": ACC18_ARCSEC["TE"]} if is_published_sensor(config) else {}
     return {

@@ -87,10 +87,6 @@ def lens(rng, *, common_px=0.0):
         frames_used=np.full(traced.shape[:3], FRAMES),
         rms_spot_um=np.ones(3),
         example=None,
-        windows=tuple(
-            SimpleNamespace(dn=60.0 + 0.5 * k * np.arange(24.0).reshape(2, 3, 2, 2), offset_dn=60.0, gain_dn_per_e=0.5)
-            for k in (1, 2, 3)
-        ),
         common_px=common_px,
     )  # fmt: skip
     bench = SimpleNamespace(

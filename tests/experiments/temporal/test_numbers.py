@@ -27,8 +27,7 @@ def records():
         pixel_arcsec=PIXEL_ARCSEC,
         sigma_px={"cog": drawn.std(0, ddof=1)},
         light=light,
-        windows=None,
-        position_px={"cog": drawn[:, 0]},
+        position_px={"cog": drawn.swapaxes(0, 1)},
         motion_px2=np.zeros((2, 2, 2)),
     )
     none = {"cog": np.zeros_like(TRUE_PX)}
