@@ -91,7 +91,8 @@ def concentric_angles(
     """
     direction = np.asarray(normal, float)
     nominal = np.array([np.arcsin(direction[1]), np.arctan2(-direction[0], direction[2])])
-    angle = np.asarray(start_rad, float) + (nominal - start_rad + np.pi) % (2 * np.pi) - np.pi
+    start = np.asarray(start_rad, np.float64)
+    angle = start + (nominal - start + np.pi) % (2 * np.pi) - np.pi
     step = np.full(2, np.inf)
     while np.max(np.abs(step)) > 1e-9:
         looks = table.rotation(angle[None])[0].apply(direction)
@@ -169,7 +170,7 @@ def cube_from_table(
             degrees_of_freedom=repeats.degrees_of_freedom + solution.misfit.degrees_of_freedom,
         )
     else:
-        attitude = triad(cube[:2], table[:2], covariance_rad2=spread[:2])
+        attitude = triad(list(cube[:2]), list(table[:2]), covariance_rad2=spread[:2])
         rotation, covariance = attitude.rotation, attitude.covariance_rad2
     return MirrorSolution(
         rotation=rotation,

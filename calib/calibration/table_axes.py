@@ -56,8 +56,9 @@ class TableAxes:
     ) -> TableAxes:
         """Axes from letters as of `axis_directions`; one value stands for all axes."""
         axis = axis_directions(axes)
-        lean = np.broadcast_to(np.asarray(non_orthogonality_arcsec, float), len(axis) - 1)
-        noise = np.broadcast_to(np.asarray(reading_noise_arcsec, float), len(axis))
+        lean, noise = (np.ravel(np.asarray(v, float)) for v in (non_orthogonality_arcsec, reading_noise_arcsec))
+        lean = np.repeat(lean, len(axis) - 1) if len(lean) == 1 else lean
+        noise = np.repeat(noise, len(axis)) if len(noise) == 1 else noise
         return TableAxes(axis=axis, non_orthogonality_arcsec=lean, reading_noise_arcsec=noise)
 
     def __post_init__(self) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.calibration.record import Calibration
 from calib.calibration.star_bench import StarBench, residual_px, star_direction
+from calib.calibration.table_axes import TableAxes
 from calib.calibration.table_reduction import (
     PoseData,
     calibrate_on_table,
@@ -25,7 +26,6 @@ from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import Section, above, col, ratio_near
 from experiments.harness.summary import Measured
-from experiments.laboratory.devices.turntable import Turntable, build_turntable
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
 from experiments.reduce.series import SeriesFrames, reduce_series
@@ -97,13 +97,13 @@ def calibrate_poses(folder: FrameFolder, methods: Sequence[str], use: Sequence[s
     )
 
 
-def _believed_table(folder: FrameFolder) -> Turntable:
+def _believed_table(folder: FrameFolder) -> TableAxes:
     s = folder.settings
     if s.table is None or s.pixel_pitch_um is None:
         missing = "[table]" if s.table is None else "pixel_pitch_um"
         raise ConfigError(f"{SETTINGS_FILE}: {missing} is missing; poses need both [table] and pixel_pitch_um")
     noise = s.table.reading_noise_arcsec
-    table = build_turntable(s.table.axes, reading_noise_arcsec=noise[0] if len(noise) == 1 else noise)
+    table = TableAxes.create(s.table.axes, reading_noise_arcsec=noise)
     third = [one for one in s.series if (one.middle_deg is not None) != (len(table.axis) == 3)]
     if third:
         raise ConfigError(
@@ -113,7 +113,7 @@ def _believed_table(folder: FrameFolder) -> Turntable:
     return table
 
 
-def pose_data(series: Sequence[SeriesFrames], table: Turntable, method: str) -> PoseData:
+def pose_data(series: Sequence[SeriesFrames], table: TableAxes, method: str) -> PoseData:
     """Mean images with their covariance, and readings, of poses."""
     keys = KEYS[len(table.axis)]
     position = [np.nanmean(one.points.position_px[method], axis=0)[0] for one in series]

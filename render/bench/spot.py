@@ -40,8 +40,8 @@ def spot_profile(geometry: BenchGeometry, radius_mm: ArrayLike) -> FloatArray:
 
 
 def landing_points_px(
-    hole_px: float, lean_px: FloatArray | float, log2_particles: int, seed: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+    hole_px: float, lean_px: float, log2_particles: int, seed: int
+) -> tuple[FloatArray, FloatArray, float]:
     """Where the particles of one net of a rendering land about the middle of a concentric spot, without any scene.
 
     To first order particles add the sum of a measurement's response over the landing points of a Sobol net, scrambled

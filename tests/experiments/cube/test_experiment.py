@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.calibration.cube_mirror import concentric_angles
 from experiments.cube import bench as cube_bench
+from experiments.cube import experiment as study
 from experiments.cube import montecarlo as cube_montecarlo
 from experiments.cube.bench import (
     Case,
@@ -21,8 +22,11 @@ from experiments.cube.budget import (
     geometric_error,
     lean_rates,
 )
+from experiments.cube.montecarlo import CASES, CaseResult
 from experiments.cube.sensor import calibrate_sensor, field_angles, fit_sensor, observe_spots, own_detector
 from experiments.cube.settings import Config
+from experiments.cube.settings import experiment as declared
+from experiments.harness.progress import Progress
 from render.bench.scene import CubePose
 from render.bench.sensor import MaskSensor
 from render.bench.spot import reflected_spot_mm
@@ -106,13 +110,18 @@ def test_every_bench_has_a_sun_sensor_chip_of_its_own(laboratory):
     assert own_detector(laboratory, truths[0]).sensor_seed in seeds
 
 
-def test_one_bench_as_performed(laboratory):
-    """Every face ends below a pixel; what is left, the mount and the reading explain the error of the cube."""
-    truth = draw_truths(laboratory.config, laboratory.streams)[1]
+@pytest.fixture(scope="module")
+def performed(laboratory):
+    """One bench as performed, with its pictures and the spots of its sensor."""
+    truth, known = draw_truths(laboratory.config, laboratory.streams)[1], cube_montecarlo.SensorCache()
     case = next(c for c in cube_montecarlo.CASES if c.name == "procedure")
-    found = cube_montecarlo.run_bench(
-        laboratory, truth, case, cube_montecarlo.SensorCache(), log2_particles=17, keep=True
-    )
+    bench = cube_montecarlo.run_bench(laboratory, truth, case, known, log2_particles=17, keep=True)
+    return truth, bench, known
+
+
+def test_one_bench_as_performed(performed):
+    """Every face ends below a pixel; what is left, the mount and the reading explain the error of the cube."""
+    truth, found, _ = performed
     per_px = 0.015 / 1300 / ARCSEC
     for face, trim in enumerate(found.trims):
         assert len(trim.rows) >= 2
@@ -124,6 +133,26 @@ def test_one_bench_as_performed(laboratory):
         assert trim.offset.offset_px - trim.own.offset_px == pytest.approx(shift, abs=0.5)
     assert np.abs(found.cube_error_arcsec).max() < 12.0
     assert found.face_angle_rad == pytest.approx(found.true_face_angle_rad, abs=20 * ARCSEC)
+
+
+def test_sections_of_a_run(laboratory, performed, monkeypatch):
+    """Four benches like one: what is drawn, tabled and judged; offsets by circle fits and by the law of reflection."""
+    truth, bench, known = performed
+    cases = {case.name: CaseResult(case=case, bench=(bench,) * 4) for case in CASES}
+    monkeypatch.setattr(study, "build_laboratory", lambda config: laboratory)
+    monkeypatch.setattr(study, "draw_truths", lambda config, streams: [truth] * 4)
+    monkeypatch.setattr(study, "SensorCache", lambda: known)
+    monkeypatch.setattr(study, "run_bench", lambda *_, **options: bench)
+    monkeypatch.setattr(study, "run_cases", lambda *_: cases)
+    outcome = declared.outcome(laboratory.config, study.run(laboratory.config, progress=Progress()))
+    offset, sigma = outcome.values("shown_offset_px"), outcome.errors("shown_offset_px")
+    assert (np.abs(offset - outcome.values("shown_true_offset_px")) < 5.0 * sigma).all()
+    assert outcome.values("budget_measured")[0] == pytest.approx(np.abs(bench.error_arcsec))
+    assert outcome.value("eq13_arcsec") == pytest.approx(2.38, abs=0.01)
+    assert outcome.values("bench_error_arcsec").shape == (8, 4, 3)
+    assert len(outcome.values("trim_inner_deg")) == sum(len(trim.rows) for trim in bench.trims)
+    assert np.abs(outcome.values("shown_residual_px")).max() < 0.1
+    assert len(study.draw_pictures(outcome, 0).axes) == 3
 
 
 def test_wahba_on_three_faces_twice(laboratory):

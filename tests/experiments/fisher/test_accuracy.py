@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,10 +12,16 @@ from scipy.spatial.transform import Rotation
 from calib.calibration.star_bench import StarBench, aiming_angles, star_direction
 from calib.calibration.table_reduction import PoseData, calibrate_on_table
 from calib.cameras import BrownConrady, SensorGeometry
+from experiments.fisher import accuracy as study
+from experiments.fisher import experiment, own_frames
 from experiments.fisher.accuracy import Calibrated, _path_px, accuracy, same_data
-from experiments.fisher.settings import Config
+from experiments.fisher.settings import Config, rendered
+from experiments.harness.progress import Progress
 from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.acquisition import Motion, visit_once
+from experiments.reduce.poses import PoseCalibration
+from experiments.turntable import own_frames as turntable_frames
+from optics.errors import StarbenchError
 from optics.units import RAD_ARCSEC
 from render.engine.random import Streams
 
@@ -40,6 +47,7 @@ def rig():
     still = build_turntable("xy", reading_noise_arcsec=(1e-6, 1e-6), non_orthogonality_arcsec=4.0)
     calibration = calibrate_on_table(exact, still, model, leans=True, start_star=np.array(bench.star))
     camera = SimpleNamespace(
+        lens=SimpleNamespace(name="drawn"),
         width_px=2048,
         height_px=2048,
         pixel_pitch_mm=0.0055,
@@ -153,3 +161,72 @@ def test_vectors_that_calibrated_look_better_than_they_are(rig):
     assert naive == pytest.approx(predicted, rel=4.0 / np.sqrt(4000))
     whole = np.hypot(SIGMA_PX * PIXEL_RAD * RAD_ARCSEC, np.hypot(*READING_ARCSEC) / np.sqrt(2.0))
     assert predicted < 0.98 * whole
+
+
+def test_a_run_on_coordinates(rig, monkeypatch):
+    """Calibration, acquisitions at rest and in motion and all sections, with drawn centroids in place of frames."""
+
+    def measured(config, instrument, table, streams, *, advance):
+        angle = aiming_angles(rig.bench, rig.model.unproject(rig.model.geometry.grid_px(6)), np.zeros(36))
+        pixel = rig.model.project(rig.bench.star_in_cam(angle))
+        data = PoseData(pixel_px=pixel, covariance_px2=np.tile(1e-12 * np.eye(2), (36, 1, 1)), reading_rad=angle)
+        return SimpleNamespace(pose_data=data)
+
+    def acquired(name, places, bench, star, psfs, expected_px, instrument, **options):
+        assert np.abs(expected_px - rig.model.project(bench.star_in_cam(places.reading_rad))).max() < 1e-3
+        return taken_with(rig, 5, places.motion)
+
+    monkeypatch.setattr(study, "measure", measured)
+    monkeypatch.setattr(study, "acquire", acquired)
+    monkeypatch.setattr(study, "place_psfs", lambda star, wanted, instrument, half: np.zeros((len(wanted), 3, 3)))
+    monkeypatch.setattr(study, "build_bench", lambda config, table: rig.true_bench)
+    monkeypatch.setattr(study, "_dimmed_star", lambda rig: None)
+    monkeypatch.setattr(study, "build_table", lambda config: replace(rig.believed, reading_noise_arcsec=[1e-6, 1e-6]))
+    monkeypatch.setattr(study, "star_signal", lambda *_: SimpleNamespace(signal_e=2000.0, star=""))
+    monkeypatch.setattr(Calibrated, "wanted", property(lambda _: rig.model.unproject(rig.model.geometry.grid_px(10))))
+    config = Config(field={"field_deg": (3.0, 20.0), "directions": 100, "runs": 5})
+    monkeypatch.setattr(experiment, "check_config", lambda config: rig.instrument)
+    outcome = rendered.outcome(config, experiment.run(config, progress=Progress()))
+    sigma = outcome.values("sigma_arcsec")
+    assert sigma[1] > sigma[0]  # clocks
+    assert outcome.values("one_minus_resultant_length") == pytest.approx((sigma / RAD_ARCSEC) ** 2, rel=0.05)
+    assert outcome.values("expected_arcsec", cause="clocks", acquisition="static") == 0.0
+    assert outcome.value("same_data_unknowns") == 14
+    assert outcome.values("closed_form_percent") == pytest.approx([0.0343, 1.557], rel=2e-3)
+
+
+def test_own_frames_of_poses(rig, monkeypatch):
+    """Poses that calibrate and poses that are evaluated; a pose of several frames, too few and none are refused."""
+    taken = taken_with(rig, 6)
+    data = PoseData(
+        pixel_px=taken.position_px, covariance_px2=taken.covariance_px2, reading_rad=taken.places.reading_rad
+    )
+    fitted = PoseCalibration(series=(), data=data, calibration=rig.calibration, bench=rig.bench)
+    monkeypatch.setattr(own_frames, "calibrate_poses", lambda *_: fitted)
+    monkeypatch.setattr(own_frames, "reduce_series", lambda folder, one, methods: one)
+    monkeypatch.setattr(own_frames, "pose_data", lambda series, table, method: data)
+    pose = SimpleNamespace(
+        name="p", settings=SimpleNamespace(use="evaluation"), windows=SimpleNamespace(dn=np.zeros((1, 3)))
+    )
+    settings = SimpleNamespace(pixel_arcsec=PIXEL_RAD * RAD_ARCSEC, prnu_fraction=0.0)
+    folder = SimpleNamespace(series=[pose] * COUNT, settings=settings, flat=None)
+    config = Config()
+    _, records = own_frames.reduce(folder, ["epsf"], config)
+    vectors, distribution = records["vectors"], records["distribution"]
+    assert distribution.vectors + distribution.outliers == COUNT
+    assert vectors.sigma_arcsec == pytest.approx(vectors.predicted_arcsec, rel=4.0 / np.sqrt(4 * COUNT))
+    assert vectors.interval_arcsec[0] < vectors.sigma_arcsec < vectors.interval_arcsec[1]
+    parts = np.hypot(vectors.centroids_arcsec, vectors.readings_arcsec)
+    assert vectors.predicted_arcsec == pytest.approx(parts, rel=0.01)
+    monkeypatch.setattr(turntable_frames, "calibrate_poses", lambda *_: fitted)
+    _, records = turntable_frames.reduce(folder, ["epsf"])
+    assert [one.unknown_name for one in records["unknowns"]][8:10] == ["star_azimuth_rad", "star_elevation_rad"]
+    assert records["errors"].centroid_px == pytest.approx([SIGMA_PX] * 2)
+    assert len(records["poses"]) == COUNT
+    assert "worse" in own_frames._scatter_advice(SimpleNamespace(value=lambda name: 4.0))
+    assert "too large" in own_frames._scatter_advice(SimpleNamespace(value=lambda name: -4.0))
+    several = SimpleNamespace(**{**vars(pose), "windows": SimpleNamespace(dn=np.zeros((2, 3)))})
+    for series, words in (([], "no series has use"), ([several], "own table reading"), ([pose] * 9, "at least 10")):
+        folder.series = series
+        with pytest.raises(StarbenchError, match=words):
+            own_frames.reduce(folder, ["epsf"], config)

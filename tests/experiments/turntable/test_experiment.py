@@ -1,6 +1,7 @@
 """The turntable calibration: reduction on coordinates, a tiny rendered run from end to end, refusals."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,14 +11,18 @@ from calib.calibration.star_bench import StarBench, aiming_angles, star_directio
 from calib.calibration.table_reduction import calibrate_on_table
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.harness.config import load_config
+from experiments.harness.progress import Progress
 from experiments.laboratory.devices.turntable import build_turntable
-from experiments.laboratory.single_star.measure import TracedMap
+from experiments.laboratory.single_star.measure import Measurement, TracedMap
+from experiments.laboratory.single_star.setup import build_bench, grid_px
+from experiments.laboratory.single_star.visits import visit
+from experiments.turntable import experiment as study
 from experiments.turntable.experiment import point_over_line
 from experiments.turntable.monte_carlo import (
     Coordinates,
     map_error,
 )
-from experiments.turntable.settings import Config, main
+from experiments.turntable.settings import Config, main, rendered
 from optics.errors import ConfigError
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
@@ -75,57 +80,98 @@ def test_principal_point_and_line_of_sight_are_compared_per_axis() -> None:
     assert point_over_line(3.0, np.hypot(1.0, 1.0)) == pytest.approx(3.0)
 
 
-TINY = [
-    "instrument.diffraction=rays",
-    "grid.columns=7",
-    "grid.rows=5",
-    "study.runs=20",
-    "study.sweep_runs=5",
-    "study.reading_noise_arcsec=[0.1,0.3]",
-    "study.field_deg=[3,12]",
-]
+PLACES = {"columns": 7, "rows": 5}
+STUDY = {"runs": 20, "sweep_runs": 5, "reading_noise_arcsec": (0.1, 0.3), "field_deg": (3.0, 12.0)}
+SIGMA_PX = 0.003
+
+
+def measured(config, instrument, table, streams, *, advance):
+    """What the rendered bench gives, from a Brown-Conrady camera with drawn centroids."""
+    camera = camera_of(instrument)
+    bench, wanted = build_bench(config, table), grid_px(config, instrument)
+    rolls = np.radians(table.rolls_deg)[np.arange(len(wanted)) % len(table.rolls_deg)]
+    visits = visit(bench, wanted, camera.unproject(wanted), rolls, streams, readings=config.frames)
+    bundle = camera.project(visits.direction)
+    noise = SIGMA_PX * streams.generator("centroids").standard_normal(bundle.shape)
+    readings = SimpleNamespace(
+        position_px=bundle + noise,
+        covariance_px2=np.tile(SIGMA_PX**2 * np.eye(2), (len(bundle), 1, 1)),
+        sigma_px=np.full(bundle.shape, SIGMA_PX),
+    )
+    return Measurement(bench=bench, visits=visits, bundle_px=bundle, readings=readings)
+
+
+def camera_of(instrument):
+    """A camera of that size with the principal point of the settings."""
+    camera = instrument.camera
+    size = SensorGeometry(width_px=camera.width_px, height_px=camera.height_px, pixel_pitch_mm=camera.pixel_pitch_mm)
+    return BrownConrady.create(size, focal_length_mm=206.0, x0_px=12.0, y0_px=-8.0, q1_per_mm2=1e-6)
 
 
 @pytest.fixture(scope="module")
-def tiny(tmp_path_factory):
-    """Results of a whole run of few places and runs."""
-    out = tmp_path_factory.mktemp("turntable") / "run"
-    argv = ["--quick", "--out", str(out), *(part for setting in TINY for part in ("--set", setting))]
-    assert main(argv) in (0, 1)
-    return json.loads((out / "summary.json").read_text())["results"]
+def outcome():
+    """A whole run on coordinates; nothing is rendered."""
+    config = Config.model_validate({"grid": PLACES, "study": STUDY})
+
+    def traced(config, instrument):
+        camera = camera_of(instrument)
+        pixel = camera.geometry.grid_px(9)
+        return TracedMap(direction=camera.unproject(pixel), pixel_px=pixel)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "measure", measured)
+        patch.setattr(study, "traced_map", traced)
+        return rendered.outcome(config, study.run(config, progress=Progress()))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("table", ["two_axis", "three_axis"])
-def test_a_rendered_run_finds_what_was_set(table: str, tiny) -> None:
-    """Star, lean and principal point that were set, within five sigma of the estimator."""
-    found = tiny[table]
-    assert found["lost_runs"] == 0
-    injected = {
+def test_a_run_finds_what_was_set(table: str, outcome) -> None:
+    """Star, lean and principal point within five sigma of the estimator; errors as predicted, for 35 places."""
+    assert outcome.value("lost_runs", table=table) == 0
+    set_values = {
         "star_azimuth_rad": np.radians(0.35),
         "star_elevation_rad": np.radians(-0.25),
         "lean1_rad": 5.0 * ARCSEC_RAD,
         "x0_px": 12.0,
         "y0_px": -8.0,
     }
-    for name, value in injected.items():
-        estimate = found["unknowns"][name]["estimate"]
-        assert abs(estimate["value"] - value) < 5.0 * estimate["uncertainty"], name
-        assert found["unknowns"][name]["truth"] == pytest.approx(value, rel=1e-4), name
-    assert (found["unknowns"]["lean2_rad"]["truth"] is None) == (table == "two_axis")
-    units = {name: found["unknowns"][name]["estimate"]["unit"] for name in ("x0_px", "q1_per_mm2")}
-    assert units == {"x0_px": "px", "q1_per_mm2": "1/mm2"}
+    for name, value in set_values.items():
+        at = {"unknown": name, "table": table}
+        assert abs(outcome.values("estimate", **at) - value) < 5.0 * outcome.errors("estimate", **at), name
+        assert outcome.value("truth", unknown=name, table=table) == pytest.approx(value, rel=1e-4), name
+    assert np.isnan(outcome.value("truth", unknown="lean2_rad", table=table)) == (table == "two_axis")
+    assert outcome.value("camera_model_arcsec", table=table) < 1e-4
+    rms, predicted = (outcome.values(f"centroid_{one}_px", table=table) for one in ("error", "predicted"))
+    assert rms == pytest.approx(predicted, rel=4.0 / np.sqrt(2 * 35))
+    error, limit = outcome.values("map_error_arcsec", table=table)[0], outcome.value("map_limit_arcsec", table=table)
+    assert error < limit
+    drawn = outcome.values("map_monte_carlo_arcsec", table=table)
+    assert outcome.value("map_bound_arcsec", table=table) == pytest.approx(drawn, rel=0.5)
+
+
+def test_noise_and_knowledge_of_a_run(outcome) -> None:
+    shares = outcome.values("share_arcsec", table="two_axis")
+    bound = outcome.value("map_bound_arcsec", table="two_axis")
+    assert np.sqrt(np.nansum(shares**2)) == pytest.approx(bound, rel=1e-6)
+    known = outcome.values("known_arcsec", table="two_axis")
+    assert known[0] == pytest.approx(bound)
+    assert known.max() <= bound * (1 + 1e-9)
+    assert np.isnan(outcome.values("true_deg", table="two_axis", turn="middle")).all()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("table", ["two_axis", "three_axis"])
-def test_a_rendered_run_is_as_good_as_predicted(table: str, tiny) -> None:
+def test_a_rendered_run_is_as_good_as_predicted(tmp_path) -> None:
     """N = 35 places: a standard deviation is known to 12 %, three of those."""
-    found = tiny[table]
-    assert found["map_split_arcsec"]["model"] < 1e-4 < found["map_error_arcsec"]["estimated"]
-    for axis in "xy":
-        rms, predicted = found["centroid_error_px"]["rms"][axis], found["centroid_predicted_px"][axis]
-        assert rms == pytest.approx(predicted, rel=3.0 / np.sqrt(2 * 35))
+    settings = ["instrument.diffraction=rays", "grid.columns=7", "grid.rows=5", "study.runs=20", "study.sweep_runs=5"]
+    argv = ["--quick", "--out", str(tmp_path / "run"), *(part for one in settings for part in ("--set", one))]
+    assert main(argv) in (0, 1)
+    for found in [
+        json.loads((tmp_path / "run/summary.json").read_text())["results"][t] for t in ("two_axis", "three_axis")
+    ]:
+        assert found["map_split_arcsec"]["model"] < 1e-4 < found["map_error_arcsec"]["estimated"]
+        for axis in "xy":
+            rms, predicted = found["centroid_error_px"]["rms"][axis], found["centroid_predicted_px"][axis]
+            assert rms == pytest.approx(predicted, rel=3.0 / np.sqrt(2 * 35))
 
 
 @pytest.mark.parametrize(
