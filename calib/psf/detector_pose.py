@@ -7,7 +7,7 @@ linear over the detector, z = z0 + a x + b y; diffraction and air add a width in
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -28,20 +28,15 @@ SAME_MISFIT, SAME_FOCUS = 4.5, 0.1
 """Chi-square per degree of freedom, and part of the range, within which a second focus fits equally well."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DetectorPose:
-    """Position of a detector along the axis of a lens; errors are standard deviations."""
+class DetectorPose(NamedTuple):
+    """Position of a detector along the axis of a lens."""
 
     stars: int
-    defocus_mm: float
-    defocus_error_mm: float
-    tilt_deg: tuple[float, float]  # About x and y of the lens
-    tilt_error_deg: tuple[float, float]
-    blur_px: float  # Width added in quadrature
-    blur_error_px: float
+    value: FloatArray  # (4,) Defocus [mm], tilt about x and y of the lens [deg], width added in quadrature [px]
+    sigma: FloatArray  # (4,) Standard deviations
     scatter: float  # Relative scatter of the widths about the fitted lens
     scatter_before: float  # About the lens without shift, tilt and blur
-    other_focus_mm: tuple[float, ...]  # Further foci that fit equally well
+    other_focus_mm: list[float]  # Further foci that fit equally well
 
 
 def fit_detector_pose(
@@ -108,18 +103,11 @@ def fit_detector_pose(
     sigma = sigma if free else np.append(sigma, 0.0)
     noise = best.cost * 2.0 / (len(measured) - 4)
     equal = [fit.x[0] for fit in fits if fit.cost - best.cost < SAME_MISFIT * noise]
-    return DetectorPose(
-        stars=len(measured),
-        defocus_mm=float(best.x[0]),
-        defocus_error_mm=float(sigma[0]),
-        tilt_deg=(float(-np.degrees(best.x[2])), float(-np.degrees(best.x[1]))),
-        tilt_error_deg=(float(np.degrees(sigma[2])), float(np.degrees(sigma[1]))),
-        blur_px=float(best.x[3]),
-        blur_error_px=float(sigma[3]),
-        scatter=scatter,
-        scatter_before=_robust_scatter(measured - model(np.zeros(4))),
-        other_focus_mm=tuple(float(z) for z in equal if abs(z - best.x[0]) > SAME_FOCUS * reach),
-    )
+    others = [float(z) for z in equal if abs(z - best.x[0]) > SAME_FOCUS * reach]
+    scale = np.array([1.0, -np.degrees(1.0), -np.degrees(1.0), 1.0])  # slopes along y and x are tilts about x and y
+    rows = [0, 2, 1, 3]
+    before = _robust_scatter(measured - model(np.zeros(4)))
+    return DetectorPose(len(measured), scale * best.x[rows], np.abs(scale) * sigma[rows], scatter, before, others)
 
 
 def _robust_scatter(residual: FloatArray) -> float:

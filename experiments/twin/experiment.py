@@ -36,12 +36,16 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     for note in notes:
         progress.note(note)
     night, identifier = measure_night(frames, config, progress, truth=truth, notes=notes)
-    assumed = Assumed(pixel_pitch_mm=night.pitch_mm, exposure_s=night.exposure_s, aperture_mm=config.camera.aperture_mm)
+    assumed = Assumed(
+        pixel_pitch_mm=night.pitch_mm,
+        exposure_s=night.exposure_s,
+        saturation_dn=night.saturation_dn,
+        aperture_mm=config.camera.aperture_mm,
+    )
     compared = held_out(
         night.known,
         night.whole,
         assumed=assumed,
-        saturation_dn=night.saturation_dn,
         realisations=config.realisations,
         streams=Streams(config.seed).child("twin"),
         identifier=identifier,
@@ -55,7 +59,6 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
         name=name,
         source=f"{len(night.rows)} frames of {name}",
         taken=night.taken,
-        saturation_dn=night.saturation_dn,
         hot_fraction=float(night.known.hot.mean()),
     )
     pose = None

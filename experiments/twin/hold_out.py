@@ -70,23 +70,13 @@ class Rendering:
 
     known: PreparedNight
     assumed: Assumed
-    saturation_dn: float
     sky_e: tuple[FloatArray, ...]  # (h, w) Light of the sky of each frame without its stars
     limits: tuple[FilteredNoise, ...]  # Detection limit of each frame
     airmass: FloatArray  # (frames,)
 
     def renderer(self, fit: CameraFit) -> TwinRenderer:
         """The renderer of a camera."""
-        twin = build_twin(
-            fit,
-            self.assumed,
-            name="twin",
-            source="night frames",
-            taken=None,
-            saturation_dn=self.saturation_dn,
-            hot_fraction=0.0,
-        )
-        return TwinRenderer(twin)
+        return TwinRenderer(build_twin(fit, self.assumed))
 
     def image(
         self, fit: CameraFit, renderer: TwinRenderer, frame: int, streams: Streams, motion_px: float | None = None
@@ -112,7 +102,6 @@ def held_out(
     whole: CameraFit,
     *,
     assumed: Assumed,
-    saturation_dn: float,
     realisations: int,
     streams: Streams,
     identifier: BlindIdentifier,
@@ -124,7 +113,6 @@ def held_out(
     scene = Rendering(
         known=known,
         assumed=assumed,
-        saturation_dn=saturation_dn,
         sky_e=tuple(_sky(known, k) for k in frames),
         limits=tuple(detection_noise(one.image, one.detected.background, fwhm_px=FWHM_PX) for one in night.frames),
         airmass=np.array([np.median(known.stars(k, whole.camera, whole.attitudes).airmass) for k in frames]),

@@ -8,7 +8,6 @@ from datetime import datetime
 
 import numpy as np
 from astropy.time import Time
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.blind import FIELDS_DEG, BlindIdentifier
@@ -114,7 +113,9 @@ def measure_night(
     with progress.stage("camera"):
         night, made = _first([frames[k] for k in rows], [solved[k] for k in rows], sky, pitch, identifier)
         night, made, zenith = _under_its_zenith(night, made, [frames[k].altitude_deg for k in rows], config, words)
-        hot = _hot_pixels(night)
+        hot = np.zeros((height, width), bool)
+        if len(night) >= FEWEST_FOR_HOT:  # one or two frames would take stars for hot pixels
+            hot = np.array(find_hot_pixels([one.image for one in night.frames]).mask)
         noise = noise_of(prepare(night, made, hot), range(len(night)), black)
         again = []
         for one in night.frames:
@@ -274,13 +275,6 @@ def _under_its_zenith(
         return night, made, None
     night = night.under(zenith.direction, site.refraction_arcsec)
     return night, first_camera(night, made.model, attitudes_of(made)), zenith
-
-
-def _hot_pixels(night: SolvedNight) -> NDArray[np.bool_]:
-    """Pixels (h, w) above their neighbours in most of the frames; one or two frames would take stars for them."""
-    if len(night) < FEWEST_FOR_HOT:
-        return np.zeros(night.frames[0].image.dn.shape, bool)
-    return np.array(find_hot_pixels([one.image for one in night.frames]).mask)
 
 
 def _refraction(known: PreparedNight, whole: CameraFit) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from calib.cameras.base import CameraModel
 from calib.cameras.fit import camera_model
 from calib.psf.detector_pose import WINDOW_PX, DetectorPose, fit_detector_pose, gaussian_widths
 from experiments.harness.sections import col
-from experiments.harness.summary import Measured
+from experiments.harness.summary import Measured, measured
 from experiments.twin.compare import BRIGHT_MAG
 from experiments.twin.measure import CameraFit
 from optics.arrays import FloatArray
@@ -54,15 +54,6 @@ class LensPose:
     other_focus: str = col("Second focus that fits equally well", default="")
 
 
-def has_prescription(file: Path) -> bool:
-    """Whether the lens of a sensor file has surfaces that can be traced."""
-    from render.sensor_file.file import SensorFile, read_sensor
-    from render.sensor_file.instrument import stated_lens
-
-    lens = stated_lens(SensorFile.model_validate(read_sensor(file)).instrument)
-    return bool(lens.surfaces)
-
-
 def fit_lens_pose(file: Path, fit: CameraFit, limit_mag: float) -> LensPose:
     """Focus, tilt and decentre of the detector behind the lens of a sensor file, from a camera measured in frames."""
     from render.sensor_file.file import SensorFile, whole_sensor
@@ -73,7 +64,7 @@ def fit_lens_pose(file: Path, fit: CameraFit, limit_mag: float) -> LensPose:
     stars = fit.gaussian
     good = (stars.magnitude < limit_mag - BRIGHT_MAG) & np.isfinite(stars.width_px)
     pose = pose_of_widths(stated, stars.observations.pixel_px[good], stars.width_px[good])
-    tilted = build_instrument(stated.config, lens=tilt_image(configured_lens(stated.config), *pose.tilt_deg))
+    tilted = build_instrument(stated.config, lens=tilt_image(configured_lens(stated.config), *pose.value[1:3]))
     # the model that stars behind the lens would give: a tilt shifts its principal point
     behind = as_calibrated(camera_model(tilted), fit.order, focal_length_mm=tilted.focal_length_mm)
     sigma = np.sqrt(np.diag(fit.calibration.covariance))
@@ -87,15 +78,15 @@ def fit_lens_pose(file: Path, fit: CameraFit, limit_mag: float) -> LensPose:
         off = sign * pitch_mm * (behind.value(name) - fit.camera.value(name))
         return Measured(value=off, uncertainty=pitch_mm * float(sigma[names.index(name)]))
 
-    tilt = [Measured(value=a, uncertainty=b) for a, b in zip(pose.tilt_deg, pose.tilt_error_deg, strict=True)]
+    defocus, tilt_x, tilt_y, blur = measured(pose.value, pose.sigma)
     return LensPose(
         stars=pose.stars,
-        defocus_mm=Measured(value=pose.defocus_mm, uncertainty=pose.defocus_error_mm),
-        tilt_x_deg=tilt[0],
-        tilt_y_deg=tilt[1],
+        defocus_mm=defocus,
+        tilt_x_deg=tilt_x,
+        tilt_y_deg=tilt_y,
         decentre_x_mm=decentre("x0_px", 1.0),
         decentre_y_mm=decentre("y0_px", -1.0),
-        blur_px=Measured(value=pose.blur_px, uncertainty=pose.blur_error_px),
+        blur_px=blur,
         focal_ratio=_central_scale(fit.camera) / _central_scale(behind),
         residual_percent=100.0 * pose.scatter,
         before_percent=100.0 * pose.scatter_before,

@@ -569,14 +569,13 @@ def _complete(outcome: Outcome) -> list[Criterion]:
 
 def _each_frame(outcome: Outcome) -> list[Criterion]:
     out = []
+    sets = float(outcome.config.realisations)
     for name, field, base, allowed in (
         ("stars per frame", "off_percent", "stars", FRAME_LIMIT),
         ("noise of the background per frame", "noise_percent", "noise_dn", NOISE_LIMIT),
     ):
-        off = np.abs(outcome.values(f"frame_{field}")) / 100.0
-        drawn = outcome.quantity("frame_rendered_stars" if base == "stars" else "frame_rendered_noise_dn")
-        sets = float(outcome.config.realisations)
-        level = outcome.values(f"frame_{base}")
+        off, level = np.abs(outcome.values(f"frame_{field}")) / 100.0, outcome.values(f"frame_{base}")
+        drawn = outcome.quantity(f"frame_rendered_{base}")
         # the scatter of a few sets says little of one frame: pooled over the frames, as counts scatter
         relative = _error(drawn) * np.sqrt(sets + 1.0) / np.sqrt(level)
         error = np.sqrt(np.mean(relative**2) / level)

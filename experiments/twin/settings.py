@@ -96,17 +96,14 @@ class Config(ExperimentConfig):
     def of_sensor(cls, file: Path) -> dict[str, Any]:
         """Settings of a sensor file known before frames are read: pitch, exposure time, whether its lens can be
         traced."""
-        from experiments.twin.prescription import has_prescription
         from render.detector.spec import load_detector
-        from render.sensor_file.file import whole_sensor
+        from render.sensor_file.file import SensorFile, whole_sensor
+        from render.sensor_file.instrument import stated_lens
 
-        instrument = whole_sensor(file)["instrument"]
-        chip = load_detector(instrument["detector"])
-        known = {"prescription": str(file.resolve())} if has_prescription(file) else {}
-        return {
-            "camera": {"pixel_pitch_um": chip.pixel_pitch_mm * 1e3, "exposure_s": instrument["exposure_s"]},
-            **known,
-        }
+        instrument = SensorFile.model_validate(whole_sensor(file)).instrument
+        pitch_um = load_detector(instrument.detector).pixel_pitch_mm * 1e3
+        traced = {"prescription": str(file.resolve())} if stated_lens(instrument).surfaces else {}
+        return {"camera": {"pixel_pitch_um": pitch_um, "exposure_s": instrument.exposure_s}, **traced}
 
     def as_sensor(self, file: Path | None) -> StrictModel | None:
         """The sensor file that was given; the twin's own is written by a run."""

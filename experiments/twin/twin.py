@@ -43,6 +43,7 @@ class Assumed:
 
     pixel_pitch_mm: float
     exposure_s: float
+    saturation_dn: float
     aperture_mm: float | None = None  # None: as small as the light allows
     quantum_efficiency: str = "cmv4000"  # Detector whose curve it is, up to the measured correction
 
@@ -63,9 +64,8 @@ def build_twin(
     *,
     name: str,
     source: str,
-    taken: datetime | None,
-    saturation_dn: float,
-    hot_fraction: float,
+    taken: datetime | None = None,
+    hot_fraction: float = 0.0,
 ) -> Twin:
     """Records of the camera that the frames show."""
     base = load_detector(assumed.quantum_efficiency).quantum_efficiency
@@ -105,7 +105,7 @@ def build_twin(
         hot_fraction=hot_fraction,
         hot_dark_e_per_s=HOT_SIGMA * background_dn * rate,
         dead_fraction=0.0,
-        full_well_e=min(1.05 * saturation_dn * gain, 1e7),
+        full_well_e=min(1.05 * assumed.saturation_dn * gain, 1e7),
         crosstalk_horizontal=0.0,
         crosstalk_vertical=0.0,
         crosstalk_diagonal=0.0,
@@ -116,7 +116,7 @@ def build_twin(
         offset_dn=noise.black_level_dn[0],
         dsnu_e=dsnu_dn * gain,
         column_pattern_e=0.0,
-        adc_bits=min(max(int(saturation_dn).bit_length(), 1), 16),
+        adc_bits=min(max(int(assumed.saturation_dn).bit_length(), 1), 16),
         sensor_seed=1,
     )
     return Twin(lens=lens, detector=detector, exposure_s=assumed.exposure_s, response_mag=response_mag)

@@ -40,16 +40,14 @@ def sky(faintest_mag=8.5, **options):
 def pixels_of(v, flux, size, focal_px, sigma_px=0.9, around=((0.0, 0.0),)):
     """Light of stars (n,) in directions (n, 3) in cam through a pinhole, each a number of Gaussians."""
     place = focal_px * v[:, :2] / np.maximum(v[:, 2:], 1e-6) + (size - 1) / 2.0
-    shown = (v[:, 2] > 0.5) & (place > -5).all(axis=1) & (place < size + 5).all(axis=1)
-    image, fine = np.zeros((size, size)), np.arange(-4, 5)
-    for (x, y), light in zip(place[shown], flux[shown], strict=True):
-        for dx, dy in around:
-            at_x, at_y = x + dx, y + dy
-            ix, iy = round(at_x), round(at_y)
-            if 4 <= ix < size - 4 and 4 <= iy < size - 4:
-                gx, gy = (np.exp(-0.5 * ((i + fine - a) / sigma_px) ** 2) for i, a in ((ix, at_x), (iy, at_y)))
-                patch = np.outer(gy / gy.sum(), gx / gx.sum()) * light / len(around)
-                image[iy - 4 : iy + 5, ix - 4 : ix + 5] += patch
+    at = (place[:, None] + np.asarray(around)).reshape(-1, 2)
+    middle = np.rint(at).astype(int)
+    shown = np.repeat(v[:, 2] > 0.5, len(around)) & ((middle >= 4) & (middle < size - 4)).all(axis=1)
+    at, middle, light = at[shown], middle[shown, :, None] + np.arange(-4, 5), np.repeat(flux / len(around), len(around))
+    profile = np.exp(-0.5 * ((middle - at[:, :, None]) / sigma_px) ** 2)
+    profile *= (light[shown, None] ** 0.5 / profile.sum(axis=2))[:, :, None]
+    image = np.zeros((size, size))
+    np.add.at(image, (middle[:, 1, :, None], middle[:, 0, None]), profile[:, 1, :, None] * profile[:, 0, None])
     return image
 
 
@@ -57,12 +55,9 @@ def light_of(seed, *, focal_px=FOCAL_PX, trail_px=0.0, disk_px=0.0):
     """Light of the catalogue's stars in a random attitude, each a trail of pixels, a disk or a Gaussian."""
     turn = Rotation.random(rng=np.random.default_rng(seed))
     rng = np.random.default_rng(seed + 1)
-    around = [np.zeros(2)]
-    if trail_px:
-        around = [np.array([0.8, 0.6]) * t for t in np.linspace(-0.5, 0.5, 40) * trail_px]
-    if disk_px:
-        radius, angle = disk_px * np.sqrt(rng.uniform(size=120)), rng.uniform(0, 2 * np.pi, 120)
-        around = list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1))
+    radius, angle = disk_px * np.sqrt(rng.uniform(size=120)), rng.uniform(0, 2 * np.pi, 120)
+    around = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    around += trail_px * np.outer(np.linspace(-0.5, 0.5, 120), [0.8, 0.6])
     flux = 4e4 * 10.0 ** (-0.4 * (np.array(sky().magnitude) - 5.0))
     return pixels_of(turn.apply(np.array(sky().direction)), flux, SIZE, focal_px, around=around)
 

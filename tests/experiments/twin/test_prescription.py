@@ -12,7 +12,8 @@ from calib.calibration.camera_order import as_calibrated
 from calib.cameras.fit import camera_model
 from calib.psf.detector_pose import gaussian_widths
 from experiments.harness.summary import Measured
-from experiments.twin.prescription import LensPose, fit_lens_pose, has_prescription, write_prescription
+from experiments.twin.prescription import LensPose, fit_lens_pose, write_prescription
+from experiments.twin.settings import Config
 from optics.lens.perturb import refocus, tilt_image
 from optics.lens_file import load_lens
 from render.psf_lattice import render_psf_grid
@@ -41,7 +42,9 @@ def moved_lens():
 
 
 def test_the_written_lens_stands_where_its_pose_says(start, tmp_path):
-    assert has_prescription(start)
+    known = Config.of_sensor(start)
+    assert known["camera"] == {"pixel_pitch_um": 5.5, "exposure_s": 0.1}
+    assert known["prescription"] == str(start)
     defocus, tilt, away = ([Measured(value=value) for value in values] for values in ((DEFOCUS_MM,), TILT_DEG, AWAY_MM))
     pose = LensPose(
         stars=100,
