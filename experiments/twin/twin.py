@@ -62,8 +62,8 @@ def build_twin(
     fit: CameraFit,
     assumed: Assumed,
     *,
-    name: str,
-    source: str,
+    name: str = "twin",
+    source: str = "night frames",
     taken: datetime | None = None,
     hot_fraction: float = 0.0,
 ) -> Twin:
