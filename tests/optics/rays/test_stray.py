@@ -7,7 +7,7 @@ import pytest
 from refusals import refuses
 
 from optics.errors import DomainError
-from optics.frames import field_direction, light_direction
+from optics.frames import field_direction, light_direction, polar_direction
 from optics.glass.coating import TabulatedCoating
 from optics.lens.prescription import lens_from_table
 from optics.lens_file import load_lens
@@ -23,11 +23,6 @@ from optics.rays.stray import (
 from optics.rays.trace import OK, Rays, trace
 
 TRACKER = load_lens("star_tracker_26mm")
-
-
-def towards(angle_deg: float) -> np.ndarray:
-    angle = np.radians(angle_deg)
-    return np.array([np.sin(angle), 0.0, np.cos(angle)])
 
 
 def perfect() -> TabulatedCoating:
@@ -62,7 +57,7 @@ def test_narrow_scatter_ends_on_the_detector_whole() -> None:
     field = np.degrees(np.arctan(np.geomspace(3e-4, 0.18, 60)))
     imaging = imaging_rays(lens, field_direction(field, 0.0 * field), absorption=False, rings=4, arms=8)
     numbers = scattering_surfaces(lens)
-    found = lens_scatter_light(imaging, towards(0.0), {"rough": dict.fromkeys(numbers, law.bsdf)})
+    found = lens_scatter_light(imaging, polar_direction(0.0), {"rough": dict.fromkeys(numbers, law.bsdf)})
     radius = np.concatenate([[0.0], imaging.x_mm])
     light = np.concatenate([found["rough"][:1], found["rough"]])
     flux = np.trapezoid(2.0 * np.pi * radius[:, None] * light, radius, axis=0)
@@ -86,7 +81,7 @@ def imaging_pupil(lens) -> float:
 def test_a_monte_carlo_that_goes_forward_finds_the_same() -> None:
     """Rays of a source at 20 deg, scattered at random behind the first lens, counted on the detector."""
     lens, half, count, number = loss_free(TRACKER), 3.0, 1_000_000, 1
-    law, source = polished(0.02, 0.3, -1.5), towards(20.0)
+    law, source = polished(0.02, 0.3, -1.5), polar_direction(20.0)
     node, weight = np.polynomial.legendre.leggauss(4)
     x, y = np.meshgrid(node, node)
     scale = half / 25.6
@@ -162,7 +157,7 @@ def test_the_ghost_of_a_plane_plate_is_r2_t2() -> None:
 
     def ghost(pair: tuple[int, int], detector: float) -> tuple[float, float]:
         settings = {"detector_reflectance": detector, "absorption": False, "rings": 60, "arms": 240}
-        return ghost_light(lens, towards(0.0), (2.0, 2.0), **settings)[pair]
+        return ghost_light(lens, polar_direction(0.0), (2.0, 2.0), **settings)[pair]
 
     value, error = ghost((2, 1), 0.0)
     assert value == pytest.approx(reflectance**2 * through, abs=2.0 * error)
@@ -178,7 +173,7 @@ def test_scatter_grows_with_the_law_and_falls_with_the_angle() -> None:
 
     def light(angle_deg: float, tis: float) -> np.ndarray:
         law = polished(tis, 0.01, -2.0)
-        return lens_scatter_light(imaging, towards(angle_deg), {"rough": dict.fromkeys(numbers, law.bsdf)})[
+        return lens_scatter_light(imaging, polar_direction(angle_deg), {"rough": dict.fromkeys(numbers, law.bsdf)})[
             "rough"
         ].sum(axis=1)
 
@@ -194,4 +189,6 @@ def test_sources_behind_the_lens_and_lenses_without_surfaces_are_refused() -> No
     imaging = imaging_rays(TRACKER, field_direction([0.0], [0.0]))
     refuses(DomainError, "90 deg", lens_scatter_light, imaging, [0.0, 0.0, -1.0], {})
     refuses(DomainError, "90 deg", ghost_light, TRACKER, [1.0, 0.0, 0.0], (5.0, 5.0))
-    refuses(DomainError, "surface 5", lambda: lens_scatter_light(imaging, towards(20.0), {"dust": {5: lambda q: q}}))
+    refuses(
+        DomainError, "surface 5", lambda: lens_scatter_light(imaging, [0.0, 0.0, 1.0], {"dust": {5: lambda q: q}})
+    )

@@ -5,6 +5,7 @@ import pytest
 from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
+from optics.frames import polar_direction
 from render.baffle.geometry import BlackCoating, Mesh, VanedBaffle, black_coating, vaned_baffle
 from render.baffle.light import BaffleScene, cylinder_intensity, lens_weight, read_mesh
 from render.engine import Engine
@@ -12,11 +13,6 @@ from render.engine import Engine
 
 def matt(reflectance: float) -> BlackCoating:
     return BlackCoating(name="test", diffuse=reflectance)
-
-
-def towards(angle_deg: float, azimuth_deg: float = 0.0) -> np.ndarray:
-    a, p = np.radians([angle_deg, azimuth_deg])
-    return np.array([np.sin(a) * np.cos(p), np.sin(a) * np.sin(p), np.cos(a)])
 
 
 def ring(inner: float, outer: float, z: float, sides: int = 256) -> Mesh:
@@ -91,7 +87,7 @@ def test_a_mesh_of_the_users_is_the_tube_it_shows(tmp_path) -> None:
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in body.vertex_mm]
     file.write_text("\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in body.face + 1)]))
     found = [
-        BaffleScene(one, matt(0.3), entrance_mm=9.0, field_deg=12.0).light(towards(25.0), weight, error=0.01)
+        BaffleScene(one, matt(0.3), entrance_mm=9.0, field_deg=12.0).light(polar_direction(25.0), weight, error=0.01)
         for one in (plain, read_mesh(file))
     ]
     assert found[0].direct == pytest.approx(found[1].direct, abs=1e-3)
@@ -105,7 +101,7 @@ def test_an_integrating_sphere() -> None:
     """Furnace: every wall throws light evenly on all of a sphere; E = rho Phi / (A (1 - rho (1 - f))), f the ports."""
     radius, bottom, top, rho, angle = 50.0, 4.0, 15.0, 0.4, 35.0
     scene = BaffleScene(sphere(radius, bottom, top), matt(rho), entrance_mm=bottom, field_deg=0.5)
-    found = scene.light(towards(angle), np.cos, error=4e-3)
+    found = scene.light(polar_direction(angle), np.cos, error=4e-3)
     assert found.direct == 0.0
     caps = sum(radius * (radius - np.sqrt(radius**2 - r**2)) * 2.0 * np.pi for r in (bottom, top))
     area = 4.0 * np.pi * radius**2
@@ -119,7 +115,7 @@ def test_an_integrating_sphere() -> None:
 def test_a_black_baffle_has_no_light() -> None:
     baffle = vaned_baffle(entrance_mm=9.0, field_deg=12.0, shade_deg=30.0)
     scene = BaffleScene(baffle, matt(0.0), entrance_mm=9.0, field_deg=12.0)
-    found = scene.light(towards(40.0), lens_weight([1.0, 90.0], [1e-3, 1e-6]))
+    found = scene.light(polar_direction(40.0), lens_weight([1.0, 90.0], [1e-3, 1e-6]))
     assert (found.walls, found.edges, found.direct) == (0.0, 0.0, 0.0)
 
 
@@ -133,7 +129,7 @@ def test_the_part_of_the_entrance_in_the_sun_is_that_of_two_circles() -> None:
         second = opening**2 * np.arccos(np.clip((apart**2 + opening**2 - r**2) / (2 * apart * opening), -1, 1))
         heron = (-apart + r + opening) * (apart + r - opening) * (apart - r + opening) * (apart + r + opening)
         lens = (first + second - 0.5 * np.sqrt(max(heron, 0.0))) / (np.pi * r**2)
-        assert scene.light(towards(angle, 70.0), np.cos).direct == pytest.approx(lens, abs=0.004)
+        assert scene.light(polar_direction(angle, 70.0), np.cos).direct == pytest.approx(lens, abs=0.004)
 
 
 @pytest.mark.slow
@@ -145,7 +141,7 @@ def test_light_is_linear_in_a_first_bounce_and_vanes_take_it_away() -> None:
         for rho in (0.01, 0.02):
             baffle = vaned_baffle(**numbers, vanes=vanes, edge_mm=0.0)
             scene = BaffleScene(baffle, matt(rho), entrance_mm=9.0, field_deg=12.0)
-            found[vanes, rho] = scene.light(towards(40.0), weight, error=0.02)
+            found[vanes, rho] = scene.light(polar_direction(40.0), weight, error=0.02)
     # a plain tube is seen lit: once scattered; behind vanes light is scattered twice or more
     assert found[0, 0.02].walls / found[0, 0.01].walls == pytest.approx(2.0, rel=0.1)
     assert found[None, 0.02].walls / found[None, 0.01].walls > 3.2
@@ -157,13 +153,13 @@ def test_stated_errors_are_those_of_repeated_runs() -> None:
     baffle = vaned_baffle(entrance_mm=9.0, field_deg=12.0, shade_deg=30.0)
     weight = lens_weight([1.0, 30.0, 90.0], [1e-3, 1e-5, 1e-6])
     scene = BaffleScene(baffle, black_coating("z306"), entrance_mm=9.0, field_deg=12.0)
-    runs = [scene.light(towards(45.0), weight, number=k) for k in range(12)]
+    runs = [scene.light(polar_direction(45.0), weight, number=k) for k in range(12)]
     walls, errors = (np.array([getattr(one, name) for one in runs]) for name in ("walls", "walls_error"))
     assert walls.min() > 0.0
     assert len(np.unique(walls)) == 12
     # standard deviation of 12 is known to 21 %, the stated ones, of four passes, to 41 % each
     assert 0.4 < walls.std(ddof=1) / np.sqrt((errors**2).mean()) < 1.9
-    again = scene.light(towards(45.0), weight, number=3)
+    again = scene.light(polar_direction(45.0), weight, number=3)
     assert again.walls == runs[3].walls
 
 
