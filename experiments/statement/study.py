@@ -51,8 +51,6 @@ class Statement:
     """Content of the document."""
 
     name: str
-    lens: str
-    detector: str
     conditions: Sequence[tuple[str, str, str]]  # What, value, derivation
     errors: Sequence[Line]
     detection: Sequence[Line]
@@ -114,8 +112,6 @@ def statement(sensor: Sequence[str], settings: Sequence[str] = (), flight: str |
     ]
     return Statement(
         name=setup.name,
-        lens=setup.lens,
-        detector=setup.detector,
         conditions=conditions,
         errors=errors,
         detection=[

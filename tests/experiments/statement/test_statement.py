@@ -47,8 +47,6 @@ def line(clause: str, what: str = "attitude") -> Line:
 
 MADE = Statement(
     name="made up",
-    lens="lens",
-    detector="chip",
     conditions=[("Exposure", "0.1 s", "input")],
     errors=[line("total"), line("temporal_noise", "b"), line("pixel_spatial"), line("temporal_noise", "a")],
     detection=[line("field")],
