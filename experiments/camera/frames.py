@@ -7,7 +7,6 @@ calibrated without error (a model fitted to its traced map), the attitude approx
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -35,7 +34,7 @@ from optics.attitude import attitude_error_arcsec
 from optics.errors import StarbenchError
 from optics.lens.system import LensSystem
 from render.engine.random import Streams
-from render.motion.trajectory import ConstantRate
+from render.motion.trajectory import ConstantRate, rate_of_trail
 from render.observation import SkyLight
 from render.psf_lattice import render_psf_grid
 from render.records import Frame, StarField
@@ -138,8 +137,10 @@ def _pose(config: Config) -> Rotation | ConstantRate:
     """Stars are given in cam, as of the middle of the exposure."""
     if not config.slew.rate_deg_per_s:
         return Rotation.identity()
-    exposure_s, towards = config.instrument.exposure_s, math.radians(config.slew.direction_deg)
-    turn = math.radians(config.slew.rate_deg_per_s) * np.array([math.sin(towards), -math.cos(towards), 0.0])
+    exposure_s, turn = (
+        config.instrument.exposure_s,
+        rate_of_trail(config.slew.rate_deg_per_s, config.slew.direction_deg),
+    )
     middle = Rotation.from_rotvec(0.5 * exposure_s * turn)
     return ConstantRate(initial=middle, rate_rad_per_s=turn, end_s=exposure_s)
 
