@@ -189,6 +189,4 @@ def test_sources_behind_the_lens_and_lenses_without_surfaces_are_refused() -> No
     imaging = imaging_rays(TRACKER, field_direction([0.0], [0.0]))
     refuses(DomainError, "90 deg", lens_scatter_light, imaging, [0.0, 0.0, -1.0], {})
     refuses(DomainError, "90 deg", ghost_light, TRACKER, [1.0, 0.0, 0.0], (5.0, 5.0))
-    refuses(
-        DomainError, "surface 5", lambda: lens_scatter_light(imaging, [0.0, 0.0, 1.0], {"dust": {5: lambda q: q}})
-    )
+    refuses(DomainError, "surface 5", lambda: lens_scatter_light(imaging, [0.0, 0.0, 1.0], {"dust": {5: lambda q: q}}))
