@@ -116,15 +116,16 @@ def thermal_term(lab: Laboratory, streams: Streams) -> Thermal | str:
     seen, read = _images(lab, chambers, direction, streams), [thermometer_c(one) for one in chambers]
     predicted, shift = (traced[1] - traced[0]) / (2.0 * span), (seen[1] - seen[0]) / (read[1] - read[0])  # [px/K]
     scale = span * lab.instrument.pixel_arcsec  # the excursion is three sigma already
+    size, slope = (np.array(fit(place, shift)) for fit in (smooth_map_rms, growth_along_axes))  # with their sigmas
     growth, focus = paraxial_change_per_k(cold, warm, STEP_K)
     return Thermal(
         calibrated_at_c=thermometer_c(lab),
         stars=len(place),
         signal_e=max(lab.bench.signal_e, BRIGHT_E),
         predicted_arcsec=scale * predicted.std(axis=0),
-        measured_arcsec=measured(*(scale * v for v in smooth_map_rms(place, shift)), place.size * lab.bench.frames),
+        measured_arcsec=measured(scale * size[0], scale * size[1], place.size * lab.bench.frames),
         scale_ppm_per_k=1e6 * growth_along_axes(place, predicted)[0],
-        measured_scale_ppm_per_k=measured(*(1e6 * v for v in growth_along_axes(place, shift))),
+        measured_scale_ppm_per_k=measured(*(1e6 * slope)),
         paraxial_ppm_per_k=1e6 * growth,
         focus_um_per_k=focus,
         corner_px_per_k=float(np.abs((predicted - predicted.mean(0)) @ [1.0, 1j]).max()),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,18 +120,30 @@ def measure_chromatic(
         images.append(image)
         advance()
 
-    def stacked(part: Callable[[_FilterReadout], FloatArray], band: int = 1, place: int = 0) -> FloatArray:
+    def stacked(part: Callable[[_FilterReadout], NDArray[Any]], band: int = 1, place: int = 0) -> NDArray[Any]:
         return np.stack([np.stack([part(cell) for cell in row], axis=band) for row in cells], axis=place)
+
+    def by_method(
+        methods: Sequence[str], part: Callable[[_FilterReadout, str], FloatArray], *axes: int
+    ) -> dict[str, FloatArray]:
+        found = {}
+        for method in methods:
+
+            def of_method(cell: _FilterReadout, method: str = method) -> FloatArray:
+                return part(cell, method)
+
+            found[method] = stacked(of_method, *axes)
+        return found
 
     return ChromaticMeasurement(
         direction=np.stack([row[0].light.direction for row in cells]),
         nominal_px=np.stack([row[0].light.nominal_px for row in cells]),
         photon_px=stacked(lambda cell: cell.light.photon_px),
         pixels_px=stacked(lambda cell: cell.light.corner_px + centre_of_gravity(cell.light.light_e)),
-        mean_px={m: stacked(lambda cell, m=m: cell.frames.mean_px(m)) for m in bench.methods},
-        sigma_px={m: stacked(lambda cell, m=m: cell.frames.sigma_px(m)) for m in bench.methods},
+        mean_px=by_method(bench.methods, lambda cell, method: cell.frames.mean_px(method)),
+        sigma_px=by_method(bench.methods, lambda cell, method: cell.frames.sigma_px(method)),
         noise_px=stacked(lambda cell: cell.noise_px),
-        pattern_px={m: stacked(lambda cell, m=m: cell.pattern_px[m], 2, 1) for m in cells[0][0].pattern_px},
+        pattern_px=by_method(patterns or (first,), lambda cell, method: cell.pattern_px[method], 2, 1),
         frames_used=stacked(lambda cell: cell.frames.used(first)),
         rms_spot_um=stacked(lambda cell: cell.light.spot_um).mean((0, 1)),
         example=images[0],

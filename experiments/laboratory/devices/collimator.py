@@ -102,6 +102,7 @@ class Collimator:
         slope = -vergence[..., None] * np.array(config.offset_mm)
         for band, (angle, way) in enumerate(wedges):
             if angle:
+                assert isinstance(config, FilteredCollimatorConfig)
                 glass = get_glass(config.wedge_glass)
                 turn = wedge_deviation_rad(angle * ARCSEC_RAD, glass, wavelength_nm[band], environment)
                 slope[band] += self.wedge_lever * turn[:, None] * [np.cos(way * DEG_RAD), np.sin(way * DEG_RAD)]

@@ -264,12 +264,3 @@ def test_refused_with_the_filters():
         build_collimator(FilteredCollimatorConfig(wedge_arcsec=(1.0,), wedge_glass="N-BK8"), BAND)
     with pytest.raises(DomainError, match=r"focus_wavelength_nm = 400 ... 500 nm does not cover the light of 588"):
         light(focus_wavelength_nm=(400.0, 500.0), focus_um=(0.0, 1.0))
-
-
-def test_a_target_off_the_axis_and_behind_the_focus_moves_by_offset_over_its_vergence(star_camera, bench_of):
-    """Of d mm behind the focus f: the light leans by offset * d / f^2, and the image by as much."""
-    config = CollimatorConfig(decollimation_um=250.0, offset_mm=(4.0, -2.0))
-    bench = bench_of(centres_nm=(600.0,), reference=0, collimator=build_collimator(config))
-    moved = effects.closed_motion_px(bench, star_camera)["decollimation"][0]
-    lean = np.array([4.0, -2.0]) * 0.25 / config.focal_length_mm**2
-    np.testing.assert_allclose(moved, lean * star_camera.focal_length_mm / star_camera.camera.pixel_pitch_mm, rtol=1e-9)

@@ -125,18 +125,6 @@ def test_a_step_larger_than_the_window_is_refused(bench, small_camera):
         measure_high_frequency(bench, small_camera, IDEAL, StepConfig(step_px=9.0), streams=Streams(1))
 
 
-def test_temporal_noise_of_a_distortion_session_falls_with_the_root_of_the_frames(bench, small_camera, psf):
-    direction, target = target_place(bench, small_camera, PLACE), GridTargetConfig(rows=2, columns=3)
-    square = [
-        predict_distortion(replace(bench, frames=n), small_camera, target, direction, psf=psf, order=1).point_px["epsf"]
-        ** 2
-        for n in (1, 2, 4)
-    ]
-    one = predict_temporal(bench, small_camera, psf=psf, place_px=PLACE, draws=0).linear_px["epsf"][0]
-    np.testing.assert_allclose(square[0] - square[1], one**2 / 2, rtol=1e-9)
-    np.testing.assert_allclose(square[1] - square[2], one**2 / 4, rtol=1e-9)
-
-
 def test_raw_frames_keep_the_pattern_and_dark_subtraction_takes_it(scene, bench, small_camera):
     light = scene.light(target_place(bench, small_camera, PLACE), Streams(5), "here")
     error = {}

@@ -15,9 +15,8 @@ import pytest
 
 from calib.measure.detection_score import flux_snr
 from experiments.dataset import truth as dataset_truth
-from experiments.laboratory.bench.points import filter_scene, point_scene
+from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.bench.readout.frames import empty_frame, true_noise
-from experiments.laboratory.chromatic_error import _read
 from experiments.laboratory.single_star.star_readings import WindowPlan, read_windows
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
 from render.detector.readout import expose
@@ -91,47 +90,6 @@ def test_mean_centroids_of_a_star_that_visits_places(visits, camera):
     found = read_windows(expected, truth, psfs, camera, plan, streams=Streams(8))
     within(found.temporal_px**2, found.predicted_temporal_px**2)
     within((found.position_px - truth) ** 2, np.einsum("nii->ni", found.covariance_px2))
-
-
-@pytest.mark.slow
-def test_centroids_of_single_frames_on_the_turntable(visits, camera):
-    from experiments.laboratory.single_star.acquisition import Motion, Places, acquire
-
-    star, direction, expected, psfs = visits
-    truth = np.column_stack([expected.truth.bundle_x_px, expected.truth.bundle_y_px])
-    still = np.zeros((len(direction), 2))
-    places = Places(true_rad=still, reading_rad=still, rate_rad_per_s=still, motion=Motion())
-
-    class Bench:
-        def seen(self, angle_rad):
-            return direction
-
-    taken = acquire(
-        "static",
-        places,
-        Bench(),
-        star,
-        StarRenderer(camera.camera, exposure_s=camera.config.exposure_s),
-        psfs,
-        truth,
-        camera,
-        window_px=13,
-        dark_frames=2,
-        streams=Streams(3),
-    )
-    assert taken.lost == 0
-    within((taken.position_px - taken.bundle_px) ** 2, np.einsum("nii->ni", taken.covariance_px2))
-
-
-@pytest.mark.slow
-def test_fixed_patterns_of_a_point_target(engine, bench_of, camera):
-    """Few dark frames, many frames: the mean centroids are off by the noise of the dark frames and by PRNU."""
-    bench = bench_of(rows=12, columns=10, frames=50, dark_frames=2, centres_nm=(600.0,), reference=0)
-    bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 40.4}))
-    (light,), _ = filter_scene(bench, camera).lights(target_place(bench, camera, PLACE), Streams(5), "middle")
-    _, frames, _, pattern = _read(light, bench, camera, Streams(5), "middle", ["epsf"])
-    temporal2 = frames.sigma_px("epsf") ** 2 / frames.used("epsf")[:, None]
-    within((frames.mean_px("epsf") - light.photon_px) ** 2 - temporal2, pattern["epsf"] ** 2)
 
 
 @pytest.mark.slow

@@ -15,7 +15,6 @@ from calib.records import NoiseModel
 from experiments.laboratory.bench.centroid_methods import has_own_epsf
 from experiments.laboratory.bench.point_bench import motion_method
 from experiments.laboratory.bench.readout.search import SEARCH_PX, find_star
-from experiments.laboratory.distortion_model import DistortionPrediction
 from experiments.laboratory.single_star.star import SingleStar
 from experiments.laboratory.temporal_error import target_place
 from optics.errors import DomainError
@@ -41,24 +40,6 @@ def test_the_target_stands_in_the_middle_of_the_first_chip(star_camera, bench_of
     elsewhere = target_place(bench_of(rows=3, columns=3), star_camera, (700.0, 300.0))
     tangent = elsewhere[4, :2] / elsewhere[4, 2] * star_camera.focal_length_mm / star_camera.camera.pixel_pitch_mm
     np.testing.assert_allclose(tangent + np.array(star_camera.camera.centre_px), [700.0, 300.0], atol=1e-6)
-
-
-def test_surveys_average_what_one_chip_does_not_freeze():
-    """Var = frozen + (one - frozen) / N, of standard deviations 5 and 3: 9 + 16 / N."""
-    given = {
-        "mean_px": {},
-        "bundle_px": None,
-        "position_px": {},
-        "point_px": {},
-        "marking_px": 0.0,
-        "pixel_arcsec": 4.0,
-    }
-    one, frozen = ({"cog": {"nominal": np.full((3, 2), value)}} for value in (5.0, 3.0))
-    prediction = DistortionPrediction(scatter_px=one, frozen_px=frozen, **given)
-    for surveys in (1, 4, 16):
-        np.testing.assert_allclose(
-            prediction.of_surveys_px("cog", "nominal", surveys), np.sqrt(9.0 + 16.0 / surveys), rtol=1e-12
-        )
 
 
 def test_a_star_has_the_colour_of_its_lamp_behind_its_band(star_camera):
