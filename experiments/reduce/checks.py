@@ -23,8 +23,9 @@ Every number has its own statistic, and none needs more than the frames:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -34,7 +35,7 @@ from calib.detector.photon_transfer import PhotonTransfer
 from calib.detector.window_transfer import FEWEST_PIXELS, common_noise, window_photon_transfer
 from calib.measure.frame_positions import common_motion_limit, common_motion_px2
 from experiments.harness.quantities import Outcome
-from experiments.harness.sections import Section, below, col, ratio_near, two_sided_limit
+from experiments.harness.sections import Section, Verdict, below, col, ratio_near, two_sided_limit
 from experiments.harness.summary import Measured
 from experiments.reduce.folder import FrameFolder, FrameSeries
 from experiments.reduce.series import FALSE_ALARM, Finding, SeriesFrames
@@ -266,14 +267,15 @@ def _noise_ratio(reduced: Sequence[SeriesFrames], method: str) -> Measured | Non
     return Measured(value=ratio, uncertainty=error, n=samples)
 
 
-def _checks(outcome: Outcome) -> FrameChecks:
+def _advice(name: str, outcome: Outcome) -> str:
+    """Words on a check that does not hold: what was found, the likely causes, what to do."""
     checks: FrameChecks = outcome.result["checks"]
-    return checks
+    return ADVICE[name](checks)
 
 
-def _finding(outcome: Outcome, name: str) -> str:
+def _exceeded(checks: FrameChecks, name: str) -> str:
     """Words on a finding beyond its limit; none for less."""
-    finding = _checks(outcome).findings[name]
+    finding = checks.findings[name]
     return finding.text if finding is not None and abs(finding.value) > finding.limit else ""
 
 
@@ -282,74 +284,31 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:SHOWN]) + more
 
 
-def _copies_advice(outcome: Outcome) -> str:
-    checks = _checks(outcome)
-    return (
-        f"{checks.copies} of {checks.frames} frames are copies ({_some(checks.copied)}): a frame was stored several "
-        "times, or the camera did not refresh; copies have no independent noise: remove them"
-    )
-
-
-def _shared_advice(outcome: Outcome) -> str:
-    return (
-        f"{_finding(outcome, 'shared')}: one was made from the other, or the camera averages over frames (noise "
-        "reduction); frames must be independent"
-    )
-
-
-def _disorder_advice(outcome: Outcome) -> str:
-    return (
-        f"{_some(_checks(outcome).disorder)}, but taken earlier by DATE-OBS or FRAMENUM: frames are read in the order "
-        "of their names; list the files in the order of their exposure, otherwise drift and correlation are wrong"
-    )
-
-
-def _moved_advice(outcome: Outcome) -> str:
-    text = _finding(outcome, "moved")
+def _moved(checks: FrameChecks) -> str:
+    text = _exceeded(checks, "moved")
     return text and f"{text}: the target or the camera is not at rest; split the series there"
 
 
-def _light_advice(outcome: Outcome) -> str:
-    return f"{_finding(outcome, 'light')}: the lamp, the exposure time, or a frame behind another filter"
+def _motion(checks: FrameChecks) -> str:
+    return _moved(checks) or _exceeded(checks, "motion")
 
 
-def _lag_advice(outcome: Outcome) -> str:
+def _lag(checks: FrameChecks) -> str:
     """Words on frames that are no white noise."""
-    if (_checks(outcome).lag_correlation or 0.0) < 0:
+    if (checks.lag_correlation or 0.0) < 0:
         why = "a vibration near half of the frame rate, which N frames average out better than white noise"
     else:
         why = (
             "drift, air, or a vibration that the frame rate aliases; N frames equal N (1 - r) / (1 + r) "
             "independent ones, as the stated errors assume"
         )
-    return f"{_finding(outcome, 'lag')}: {why}"
+    return f"{_exceeded(checks, 'lag')}: {why}"
 
 
-def _step_advice(outcome: Outcome) -> str:
-    return (
-        f"all readings are {_checks(outcome).step_dn} DN apart or a multiple: a converter of fewer bits, shifted to "
-        "the left; divide the frames (and gain_dn_per_e, offset_dn, saturation_dn) by this step"
-    )
-
-
-def _top_advice(outcome: Outcome) -> str:
-    one = _checks(outcome)
-    return (
-        f"the highest reading occurs {one.top_count} times, at most {one.top_limit} times by chance: pixels are "
-        f"saturated there; state saturation_dn = {one.top_dn} and lower the lamp or the exposure"
-    )
-
-
-def _motion_advice(outcome: Outcome) -> str:
-    """Words on a motion beyond its limit; none for less."""
-    return _moved_advice(outcome) or _finding(outcome, "motion")
-
-
-def _gain_advice(outcome: Outcome) -> str:
+def _gain_words(checks: FrameChecks) -> str:
     """Words on the motion, which disturbs photon transfer, or on a gain beyond its limit."""
-    checks = _checks(outcome)
     gain, ratio, stated = checks.transfer_gain, checks.gain_ratio, checks.stated_gain
-    moves = _motion_advice(outcome)
+    moves = _motion(checks)
     if moves or gain is None or ratio is None:
         return moves
     noise = two_sided_limit(1, FALSE_ALARM) * (ratio.uncertainty or 0.0)
@@ -363,12 +322,11 @@ def _gain_advice(outcome: Outcome) -> str:
     return f"{words}: wrong for this gain setting, or frames were averaged, scaled or smoothed before they were stored"
 
 
-def _noise_advice(outcome: Outcome) -> str:
-    checks = _checks(outcome)
+def _noise(checks: FrameChecks) -> str:
     ratio = float("nan") if checks.noise_ratio is None else checks.noise_ratio.value
     if checks.copies:
         cause = f"{checks.copies} frames are copies"
-    elif not (cause := _gain_advice(outcome)):
+    elif not (cause := _gain_words(checks)):
         more = (
             "points scatter more than by photon and read noise (vibration, air, a flickering lamp, or "
             "read_noise_e is the median of pixels that differ, where the RMS is needed)"
@@ -378,74 +336,83 @@ def _noise_advice(outcome: Outcome) -> str:
     return f"the ratio is {ratio:.3g}: {cause}"
 
 
-def _flat_advice(outcome: Outcome) -> str:
-    spread, noise = _checks(outcome).flat_pattern
-    return (
-        f"the flat shows {spread:.2%} from pixel to pixel, of which {noise:.2%} is its own noise: it adds more "
-        "noise than it corrects; average more or brighter flats, or leave it out"
-    )
+ADVICE: Mapping[str, Callable[[FrameChecks], str]] = {
+    "copies": lambda c: (
+        f"{c.copies} of {c.frames} frames are copies ({_some(c.copied)}): a frame was stored several times, or the "
+        "camera did not refresh; copies have no independent noise: remove them"
+    ),
+    "shared_noise": lambda c: (
+        f"{_exceeded(c, 'shared')}: one was made from the other, or the camera averages over frames (noise "
+        "reduction); frames must be independent"
+    ),
+    "disordered": lambda c: (
+        f"{_some(c.disorder)}, but taken earlier by DATE-OBS or FRAMENUM: frames are read in the order of their "
+        "names; list the files in the order of their exposure, otherwise drift and correlation are wrong"
+    ),
+    "step_dn": lambda c: (
+        f"all readings are {c.step_dn} DN apart or a multiple: a converter of fewer bits, shifted to the left; divide "
+        "the frames (and gain_dn_per_e, offset_dn, saturation_dn) by this step"
+    ),
+    "top_count": lambda c: (
+        f"the highest reading occurs {c.top_count} times, at most {c.top_limit} times by chance: pixels are "
+        f"saturated there; state saturation_dn = {c.top_dn} and lower the lamp or the exposure"
+    ),
+    "zero_fraction": lambda _: (
+        "noise is clipped at zero: raise the camera's offset; or dark frames were already subtracted"
+    ),
+    "gain_ratio": _gain_words,
+    "common_motion_px": _motion,
+    "moved_px": _moved,
+    "light_change": lambda c: f"{_exceeded(c, 'light')}: the lamp, the exposure time, or a frame behind another filter",
+    "lag_correlation": _lag,
+    "noise_ratio": _noise,
+    "flat_noise": lambda c: (
+        f"the flat shows {c.flat_pattern[0]:.2%} from pixel to pixel, of which {c.flat_pattern[1]:.2%} is its own "
+        "noise: it adds more noise than it corrects; average more or brighter flats, or leave it out"
+    ),
+}
+
+
+def _limit(name: str, limit: str | float, title: str, *, size: bool = False) -> Verdict:
+    return below(name, limit, title=title, size=size, advice=partial(_advice, name))
+
+
+def _ratio(name: str, within: float, title: str) -> Verdict:
+    return ratio_near(name, within=within, false_alarm=FALSE_ALARM, title=title, advice=partial(_advice, name))
 
 
 CHECKS = Section(
     record=FrameChecks,
     verdicts=[
-        below("copies", 0, title="frames identical to another frame", advice=_copies_advice),
-        below("shared_noise", "shared_limit", title="common noise of two frames", advice=_shared_advice),
-        below("disordered", 0, title="frames out of the order of exposure", advice=_disorder_advice),
-        below("step_dn", 1, title="common step of all readings", advice=_step_advice),
-        below("top_count", "top_limit", title="pixels at the highest reading", advice=_top_advice),
-        below(
-            "zero_fraction",
-            1e-3,
-            title="share of readings of 0 DN",
-            advice="noise is clipped at zero: raise the camera's offset; or dark frames were already subtracted",
-        ),
-        ratio_near(
-            "gain_ratio",
-            within=GAIN_ALLOWANCE,
-            false_alarm=FALSE_ALARM,
-            title="gain by photon transfer over stated gain",
-            advice=_gain_advice,
-        ),
-        below(
+        _limit("copies", 0, "frames identical to another frame"),
+        _limit("shared_noise", "shared_limit", "common noise of two frames"),
+        _limit("disordered", 0, "frames out of the order of exposure"),
+        _limit("step_dn", 1, "common step of all readings"),
+        _limit("top_count", "top_limit", "pixels at the highest reading"),
+        _limit("zero_fraction", 1e-3, "share of readings of 0 DN"),
+        _ratio("gain_ratio", GAIN_ALLOWANCE, "gain by photon transfer over stated gain"),
+        _limit(
             "common_motion_px",
             "motion_limit_px",
-            title="common motion of all points from frame to frame, the largest of all series",
-            advice=_motion_advice,
+            "common motion of all points from frame to frame, the largest of all series",
         ),
-        below(
+        _limit(
             "moved_px",
             "moved_limit_px",
+            "jump or drift of the image within a series, the most significant",
             size=True,
-            title="jump or drift of the image within a series, the most significant",
-            advice=_moved_advice,
         ),
-        below(
+        _limit(
             "light_change",
             "light_limit",
+            "jump or drift of the light within a series, the most significant",
             size=True,
-            title="jump or drift of the light within a series, the most significant",
-            advice=_light_advice,
         ),
-        below(
-            "lag_correlation",
-            "lag_limit",
-            size=True,
-            title="correlation of frames with the next one, the most significant",
-            advice=_lag_advice,
+        _limit(
+            "lag_correlation", "lag_limit", "correlation of frames with the next one, the most significant", size=True
         ),
-        ratio_near(
-            "noise_ratio",
-            within=NOISE_ALLOWANCE,
-            false_alarm=FALSE_ALARM,
-            title="centroid scatter over its prediction from the stated noise",
-            advice=_noise_advice,
-        ),
-        below(
-            "flat_noise",
-            0.5**0.5,  # A flat must know the response better than leaving it out does
-            title="noise of the mean flat over its pixel-to-pixel pattern",
-            advice=_flat_advice,
-        ),
+        _ratio("noise_ratio", NOISE_ALLOWANCE, "centroid scatter over its prediction from the stated noise"),
+        # A flat must know the response better than leaving it out does
+        _limit("flat_noise", 0.5**0.5, "noise of the mean flat over its pixel-to-pixel pattern"),
     ],
 )
