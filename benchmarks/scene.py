@@ -67,7 +67,8 @@ def chromatic_frames(count: int) -> tuple[Camera, list[Frame]]:
     instrument = build_instrument(config.instrument)
     camera, side = replace(instrument.camera, diffraction="rays"), config.stars.grid
     x, y = ((np.arange(side) + 0.5) / side * size - 0.5 for size in (camera.width_px, camera.height_px))
-    field = camera.nominal_direction(*(v.ravel() for v in np.meshgrid(x, y)), instrument.focal_length_mm)
+    x, y = np.meshgrid(x, y)
+    field = camera.nominal_direction(x.ravel(), y.ravel(), instrument.focal_length_mm)
     nodes = band_nodes([open_band(config.passband, instrument)], NODES)
     light = nodes.weight_nm * nodes.transmission
     spectra = [

@@ -275,7 +275,7 @@ def misfit_ratio(residual_px: FloatArray, sigma_px: ArrayLike, *, parameters: in
     ``parameters`` are the fitted ones, which the degrees of freedom lack.
     """
     freedom = residual_px.size - parameters
-    expected = float(np.mean(np.square(sigma_px))) * freedom
+    expected = float(np.mean(np.asarray(sigma_px, float) ** 2)) * freedom
     return float(np.sqrt((residual_px**2).sum() / expected)), float(1.0 / np.sqrt(2.0 * freedom))
 
 

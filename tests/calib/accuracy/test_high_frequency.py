@@ -12,6 +12,7 @@ from calib.accuracy.high_frequency import (
     independent_position_rms_px,
     position_error,
     position_rms_px,
+    sigma_without_common_motion_px,
     step_residual_px,
     step_rms_px,
     step_rms_standard_error_px,
@@ -163,3 +164,12 @@ def test_exchanged_positions_are_found():
     assert exchanged_positions(measured, commanded) == (3, 8)
     assert exchanged_positions(measured[:4], commanded[:4]) is None
     assert exchanged_positions(measured, commanded * np.nan) is None
+
+
+def test_motion_that_all_stars_share_is_not_noise_of_a_star():
+    """Frames whose line of sight walks by 1 px: the scatter is that of the stars' own 0.02 px, known to 1 %."""
+    rng = np.random.default_rng(9)
+    walk = rng.standard_normal((40, 10, 1, 2))
+    sigma = sigma_without_common_motion_px(walk + 0.02 * rng.standard_normal((40, 10, W, 2)))
+    assert sigma.shape == (10, W, 2)
+    assert np.sqrt((sigma**2).mean()) == pytest.approx(0.02, rel=4.0 / np.sqrt(2 * 39 * 10 * W * 2))

@@ -7,6 +7,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
+from experiments.chromatic.experiment import field_map
 from experiments.harness.config import load_config
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import to_results
@@ -37,6 +38,8 @@ def test_a_run_on_few_pixels_by_rays(name, engine, tmp_path):
     assert [one.name for one in experiment.judge(outcome) if one.failed] == []
     numbers = to_results(outcome.data)
     assert np.isfinite(numbers["pixel_arcsec"])
+    if name == "chromatic":  # a panel per lens and pair of bands
+        assert len(field_map(outcome).axes) == 2
     if name == "temporal":  # levels without setting error are the ends of the range
         assert [one.signal_e for one in result["levels"]] == pytest.approx([700.0, 20000.0])
 
