@@ -36,7 +36,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -269,13 +269,13 @@ def compare_orders(
     return OrderComparison(order=table[0].astype(np.int64), residual_px=table[1], point_px=table[2], line_px=table[3])
 
 
-def misfit_ratio(residual_px: FloatArray, sigma_px: ArrayLike, *, parameters: int) -> tuple[float, float]:
+def misfit_ratio(residual_px: FloatArray, sigma_px: FloatArray, *, parameters: int) -> tuple[float, float]:
     """RMS of residuals over that of their standard deviations, with its own standard deviation.
 
     ``parameters`` are the fitted ones, which the degrees of freedom lack.
     """
     freedom = residual_px.size - parameters
-    expected = float(np.mean(np.asarray(sigma_px, float) ** 2)) * freedom
+    expected = float((sigma_px**2).mean()) * freedom
     return float(np.sqrt((residual_px**2).sum() / expected)), float(1.0 / np.sqrt(2.0 * freedom))
 
 
