@@ -106,14 +106,14 @@ def calibrate_with_floor(
     With it the median of the squared residuals is that of a chi-square of two degrees of freedom, ``2 ln 2``.
     """
     noise = stars.covariance_px2
-    own = np.trace(noise, axis1=1, axis2=2) / 2.0
+    centroid_variance = np.trace(noise, axis1=1, axis2=2) / 2.0
     floor = start_px
     made = calibrate_order(replace(stars, covariance_px2=noise + floor**2 * np.eye(2)), camera, order)
     for _ in range(FLOOR_ROUNDS):
         if made.attitude is None:
             raise DomainError(f"no camera model fits the frames: {made.solution.message}")
         size2 = (camera_residuals(stars, made.model, made.attitude) ** 2).sum(axis=1) / 2.0
-        typical = [np.median(size2 / (own + one**2)) / np.log(2.0) for one in FLOORS_PX]
+        typical = [np.median(size2 / (centroid_variance + sigma**2)) / np.log(2.0) for sigma in FLOORS_PX]
         floor = float(np.interp(0.0, 1.0 - np.array(typical), FLOORS_PX))
         made = calibrate_order(replace(stars, covariance_px2=noise + floor**2 * np.eye(2)), camera, order)
     return made, floor

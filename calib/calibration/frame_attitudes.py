@@ -57,7 +57,10 @@ def frame_attitudes(stars: Observations, camera: CameraModel, start: Sequence[Ro
     """Attitudes of all frames with a given camera; ``start`` in frames of fewer than four stars."""
     frames = [stars.select(stars.frame == number) for number in range(len(start))]
     return Rotation.concatenate(
-        [frame_attitude(own, camera) if len(own) >= FEWEST else turn for own, turn in zip(frames, start, strict=True)]
+        [
+            frame_attitude(observed, camera) if len(observed) >= FEWEST else turn
+            for observed, turn in zip(frames, start, strict=True)
+        ]
     )
 
 

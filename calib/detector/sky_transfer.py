@@ -266,6 +266,8 @@ def _pattern(frames: Sequence[SkyBlocks]) -> tuple[FloatArray, FloatArray]:
             numbers.append(np.arange(len(common)))  # a block of the detector has the same pattern in every pair
     y, x, block = np.concatenate(product), np.concatenate(levels), np.concatenate(numbers)
     known = np.isfinite(y)
+    if np.count_nonzero(known) < 2:
+        raise DomainError("fewer than two blocks are free of stars in two frames; gain and noise cannot be measured")
     y, x, block = y[known], x[known], block[known]
     design = np.stack([np.ones_like(x), x], axis=1)
     w = 1.0 / np.maximum(x, 1.0)  # products of two frames scatter as the product of their noise

@@ -44,7 +44,7 @@ def blackbody_photons(temperature_k: float) -> FloatArray:
 
 def electrons_per_mm2(response: FloatArray, colour: FloatArray) -> FloatArray:
     """Electrons (n,) [s^-1 mm^-2] of stars of G = 0 and colours 5040 K / T (n,), by a response (w,)."""
-    rates = np.stack([blackbody_photons(float(REFERENCE_K / one)) for one in np.ravel(colour)])
+    rates = np.stack([blackbody_photons(float(REFERENCE_K / value)) for value in np.ravel(colour)])
     return np.asarray(np.trapezoid(rates * np.asarray(response, float), WAVELENGTHS_NM, axis=1))
 
 

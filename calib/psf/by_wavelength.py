@@ -31,7 +31,9 @@ def mixture_table(psf: MixturePsf, pitch_mm: float, response: FloatArray) -> Gau
     x, y = (np.linspace(0.0, n - 1.0, count) for n, count in ((width, PSF_NODES[0]), (height, PSF_NODES[1])))
     position = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     reference = np.full(len(position), REFERENCE_CLASS)
-    components = np.array([one.components(position, reference) for one in at_nodes])  # (nodes, 3, quantity, positions)
+    components = np.array(
+        [node.components(position, reference) for node in at_nodes]
+    )  # (nodes, 3, quantity, positions)
     fraction, along_x, along_y = components.transpose(2, 0, 3, 1).reshape(3, len(at_nodes), len(y), len(x), 3)
     variance = [np.maximum(sigma, NARROWEST_PX) ** 2 * pitch_mm**2 for sigma in (along_x, along_y)]
     return GaussianMixture(

@@ -135,7 +135,7 @@ def statistics_of(frames: Sequence[FrameStatistics], limit_mag: float, airmass: 
         words = f"magnitude at which half are detected, {sigma:g} sigma"
         add(f"limit_{sigma:g}_mag", words, limit_of(frames, sigma), "mag", 0.05, relative=False)
     blocks = [frame.blocks for frame in frames]
-    noise = float(np.mean([np.sqrt(np.nanmedian(one.variance_dn2)) for one in blocks]))
+    noise = float(np.mean([np.sqrt(np.nanmedian(block.variance_dn2)) for block in blocks]))
     add("noise_dn", "noise of the background, mean of the frames", noise, "DN", 0.01)
     _add_shapes(add, frames, limit_mag)
     scatter = _scatter(frames)

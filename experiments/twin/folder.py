@@ -59,18 +59,18 @@ def night_frames(folder: str | Path) -> tuple[tuple[NightFrame, ...], tuple[str,
             )
         )
     if not frames:
-        left = f": {'; '.join(notes)}" if notes else ""
-        raise ConfigError(f"--frames {folder}: no readable frame (TIFF, PNG, JPEG, FITS, NumPy) in it{left}")
-    kinds = Counter(_kind(one) for one in frames)
+        reasons = f": {'; '.join(notes)}" if notes else ""
+        raise ConfigError(f"--frames {folder}: no readable frame (TIFF, PNG, JPEG, FITS, NumPy) in it{reasons}")
+    kinds = Counter(_kind(frame) for frame in frames)
     common, count = kinds.most_common(1)[0]
     for kind in kinds:
         if kind != common:
-            others = ", ".join(one.name for one in frames if _kind(one) == kind)
+            others = ", ".join(frame.name for frame in frames if _kind(frame) == kind)
             notes.append(
                 f"frames of two cameras: {others} ({kind[1]} x {kind[0]} px, steps of {kind[2]:g}) left out; "
                 f"{count} frames have {common[1]} x {common[0]} px, steps of {common[2]:g}"
             )
-    return tuple(one for one in frames if _kind(one) == common), tuple(notes)
+    return tuple(frame for frame in frames if _kind(frame) == common), tuple(notes)
 
 
 def _kind(frame: NightFrame) -> tuple[int, int, float]:

@@ -114,7 +114,9 @@ def held_out(
         known=known,
         assumed=assumed,
         sky_e=tuple(_sky(known, k) for k in frames),
-        limits=tuple(detection_noise(one.image, one.detected.background, fwhm_px=FWHM_PX) for one in night.frames),
+        limits=tuple(
+            detection_noise(frame.image, frame.detected.background, fwhm_px=FWHM_PX) for frame in night.frames
+        ),
         airmass=np.array([np.median(known.stars(k, whole.camera, whole.attitudes).airmass) for k in frames]),
     )
     with progress.stage("forward folding"):
@@ -192,12 +194,12 @@ def _light(scene: Rendering, whole: CameraFit, images: Sequence[SensorImage]) ->
     for k, image in enumerate(images):
         stars = known.stars(k, whole.camera, whole.attitudes)
         both = known.night.frames[k].detected, detections(image, noise=scene.limits[k])
-        real, twin = (one.pairs(stars)[0] for one in both)
+        real, twin = (detected.pairs(stars)[0] for detected in both)
         good = (stars.magnitude < known.limit_mag - SURE_MAG) & (np.minimum(real, twin) > SURE_SIGMA)
         ratios.append(POGSON * np.log(real[good] / twin[good]))
     out = np.zeros(len(ratios))
     for k in range(len(ratios)):
-        others = np.concatenate([one for j, one in enumerate(ratios) if j != k or len(ratios) == 1])
+        others = np.concatenate([ratio for j, ratio in enumerate(ratios) if j != k or len(ratios) == 1])
         if len(others) >= FEWEST:
             out[k] = np.clip(np.median(others), -LARGEST_BIAS, LARGEST_BIAS)
     return out

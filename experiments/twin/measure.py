@@ -176,9 +176,9 @@ class PreparedNight:
         return star_windows(
             [frame.image for frame in frames],
             [frame.detected.background for frame in frames],
-            [one.position_px for one in stars],
-            [one.magnitude for one in stars],
-            [one.colour_class for one in stars],
+            [field.position_px for field in stars],
+            [field.magnitude for field in stars],
+            [field.colour_class for field in stars],
             faintest_mag=self.limit_mag - PSF_MAG + fainter_mag,
             size_px=PSF_WINDOW_PX,
             defective=self.hot,
@@ -213,7 +213,7 @@ def prepare(
 def noise_of(known: PreparedNight, used: Sequence[int], black_level_dn: float | None) -> SkyNoise:
     """Noise of some frames."""
     blocks = [known.blocks[k] for k in used]
-    levels = np.concatenate([one.level_dn[np.isfinite(one.variance_dn2)] for one in blocks])
+    levels = np.concatenate([block.level_dn[np.isfinite(block.variance_dn2)] for block in blocks])
     return sky_photon_transfer(blocks, lowest_dn=np.min(levels, initial=np.inf), black_level_dn=black_level_dn)
 
 
@@ -250,7 +250,7 @@ def measure_camera(
     psf = _psf(known, noise, made.model, attitudes, used, psf.value)
     fields = [known.stars(k, made.model, attitudes) for k in range(len(night))]
     fluxes = star_fluxes(known, [night.frames[k] for k in used], [fields[k] for k in used], noise, psf)
-    mass = np.array([np.median(one.airmass) for one in fields])
+    mass = np.array([np.median(field.airmass) for field in fields])
     return CameraFit(
         camera=made.model,
         calibration=made,
@@ -300,6 +300,6 @@ def star_fluxes(
     flux_dn, error_dn = psf_fluxes(psf, windows, noise.variance_dn2(windows.level_dn), gain)
     columns = {"frame": windows.frame, "flux_e": flux_dn * gain, "flux_error_e": error_dn * gain}
     for name in ("magnitude", "colour", "u2"):
-        values = [getattr(one, name) for one in stars]
+        values = [getattr(field, name) for field in stars]
         columns[name] = np.array([values[k][row] for k, row in zip(windows.frame, windows.star, strict=True)])
     return columns

@@ -99,13 +99,16 @@ def measure_night(
     """Solve and measure the frames of one camera."""
     height, width = frames[0].image.dn.shape
     identifier = BlindIdentifier(width, height, field_deg=config.camera.field_deg if truth is None else truth.field_deg)
-    solved = solve_all([one.name for one in frames], [one.image for one in frames], identifier, progress)
-    rows = [k for k, one in enumerate(solved) if one.attitude is not None]
+    solved = solve_all([frame.name for frame in frames], [frame.image for frame in frames], identifier, progress)
+    rows = [k for k, solution in enumerate(solved) if solution.attitude is not None]
     if not rows:
         first = solved[0]
         raise DomainError(f"none of {len(solved)} frames could be identified; {first.name}: {likely_fault(first)}")
-    unsolved = [one for one in solved if one.attitude is None]
-    words = [*notes, *(f"{one.name}: {_other_camera(one, identifier) or likely_fault(one)}" for one in unsolved)]
+    unsolved = [solution for solution in solved if solution.attitude is None]
+    words = [
+        *notes,
+        *(f"{solution.name}: {_other_camera(solution, identifier) or likely_fault(solution)}" for solution in unsolved),
+    ]
     taken = [frames[k].taken for k in rows]
     sky = truth.sky if truth is not None else _sky(taken, words)
     pitch = stated_pitch_mm(config, identifier.focal_px, words) if truth is None else truth.detector.pixel_pitch_mm
@@ -115,12 +118,12 @@ def measure_night(
         night, made, zenith = _under_its_zenith(night, made, [frames[k].altitude_deg for k in rows], config, words)
         hot = np.zeros((height, width), bool)
         if len(night) >= FEWEST_FOR_HOT:  # one or two frames would take stars for hot pixels
-            hot = np.array(find_hot_pixels([one.image for one in night.frames]).mask)
+            hot = np.array(find_hot_pixels([frame.image for frame in night.frames]).mask)
         noise = noise_of(prepare(night, made, hot), range(len(night)), black)
         again = []
-        for one in night.frames:
-            image = with_noise(replace(one.image, valid=one.image.valid & ~hot), noise)
-            again.append(replace(one, image=image, detected=detections(image)))
+        for frame in night.frames:
+            image = with_noise(replace(frame.image, valid=frame.image.valid & ~hot), noise)
+            again.append(replace(frame, image=image, detected=detections(image)))
         known = prepare(replace(night, frames=tuple(again)), made, hot)
         words += _faults(known)
     with progress.stage("order of the camera model"):
@@ -133,11 +136,11 @@ def measure_night(
     with progress.stage("noise, PSF, light"):
         whole = measure_camera(known, order=order, used=range(len(night)), black_level_dn=black)
         refraction = _refraction(known, whole) if zenith is not None else None
-    exposures = [one.image.exposure_s for one in frames if one.image.exposure_s]
+    exposures = [frame.image.exposure_s for frame in frames if frame.image.exposure_s]
     exposure = config.camera.exposure_s or (float(np.median(exposures)) if exposures else 1.0)
     conversion = frames[0].image.conversion
     full = conversion.full / conversion.step if conversion is not None and conversion.full else None
-    saturation = np.floor(full or max(float(one.image.dn.max()) for one in frames))
+    saturation = np.floor(full or max(float(frame.image.dn.max()) for frame in frames))
     measured = MeasuredNight(
         solved=tuple(solved),
         known=known,
@@ -149,7 +152,7 @@ def measure_night(
         saturation_dn=float(saturation if truth is None else truth.detector.largest_dn),
         exposure_s=exposure if truth is None else truth.exposure_s,
         pitch_mm=pitch,
-        taken=next((one for one in taken if one), None),
+        taken=next((time for time in taken if time), None),
         notes=tuple(words),
     )
     return measured, identifier
@@ -189,7 +192,7 @@ def _faults(known: PreparedNight) -> list[str]:
 
 def _sky(taken: Sequence[datetime | None], words: list[str]) -> Sky:
     """Stars as seen from the Earth in the middle of the night, if that is known."""
-    known = [one for one in taken if one is not None]
+    known = [time for time in taken if time is not None]
     if not known:
         words.append(
             "no time in the frames' names or headers: stars at 2016.0 as seen from the barycentre (no aberration)"
@@ -231,15 +234,15 @@ def _first(
     width, height = identifier.size_px
     geometry = SensorGeometry(width_px=width, height_px=height, pixel_pitch_mm=pitch_mm)
     camera = BrownConrady.create(geometry, focal_length_mm=identifier.focal_px * pitch_mm)
-    attitudes = Rotation.concatenate([one.attitude for one in solved if one.attitude is not None])
+    attitudes = Rotation.concatenate([solution.attitude for solution in solved if solution.attitude is not None])
     identified = []
-    for frame, one, attitude in zip(frames, solved, attitudes, strict=True):
+    for frame, solution, attitude in zip(frames, solved, attitudes, strict=True):
         near = stars_about(sky, attitude, camera)
         identified.append(
             IdentifiedFrame(
                 name=frame.name,
                 image=frame.image,
-                detected=one.detected,
+                detected=solution.detected,
                 zenith=None,
                 rows=near,
                 direction=np.array(sky.direction[near]),
@@ -255,8 +258,8 @@ def _under_its_zenith(
 ) -> tuple[SolvedNight, Calibration, SiteZenith | None]:
     """Refraction towards the zenith, where site or altitudes determine it."""
     site, zenith = config.site, None
-    taken = [one.taken for one in night.frames if one.taken is not None]
-    altitudes = [one for one in altitude_deg if one is not None]
+    taken = [frame.taken for frame in night.frames if frame.taken is not None]
+    altitudes = [altitude for altitude in altitude_deg if altitude is not None]
     if len(taken) == len(night):
         if site.latitude_deg is not None and site.longitude_deg is not None:
             zenith = SiteZenith(
@@ -279,7 +282,7 @@ def _under_its_zenith(
 
 def _refraction(known: PreparedNight, whole: CameraFit) -> tuple[float, float]:
     """Amplitude that the frames themselves prefer, by the same stars at every amplitude."""
-    zenith = np.stack([one.zenith for one in known.night.frames])  # type: ignore[misc]
+    zenith = np.stack([frame.zenith for frame in known.night.frames])  # type: ignore[misc]
     chi2, used = [], None
     for arcsec in REFRACTIONS_ARCSEC:
         night = known.night.under(zenith, arcsec)

@@ -90,7 +90,7 @@ def fit_lens_pose(file: Path, fit: CameraFit, limit_mag: float) -> LensPose:
         focal_ratio=_central_scale(fit.camera) / _central_scale(behind),
         residual_percent=100.0 * pose.scatter,
         before_percent=100.0 * pose.scatter_before,
-        other_focus=", ".join(f"{one:+.3f} mm" for one in pose.other_focus_mm[:1]),
+        other_focus=", ".join(f"{focus:+.3f} mm" for focus in pose.other_focus_mm[:1]),
     )
 
 
@@ -135,7 +135,7 @@ def write_prescription(file: Path, pose: LensPose, folder: Path) -> tuple[Path, 
     turn = Rotation.from_rotvec([pose.tilt_x_deg.value, pose.tilt_y_deg.value, 0.0], degrees=True)
     away = np.nan_to_num([pose.decentre_x_mm.value, pose.decentre_y_mm.value])
     moved = [*image.get("decentre_mm", [0.0, 0.0]), 0.0][:3]
-    image["decentre_mm"] = [float(one) for one in np.add(moved, [*away, 0.0])]
+    image["decentre_mm"] = [float(shift) for shift in np.add(moved, [*away, 0.0])]
     image["tilt_deg"] = [float(a + b) for a, b in zip(before, turn.as_euler("xyz", degrees=True), strict=True)]
     tables["image"] = image
     lens, sensor = folder / "glass.toml", folder / "glass_sensor.toml"

@@ -234,16 +234,16 @@ def causes(fit: CameraFit, compared: HeldOut, limit_mag: float) -> list[Cause]:
             return float("nan"), float("nan")
         return float(np.sqrt((residual[bright] ** 2).mean())), float(np.sqrt((stars.noise_px[bright] ** 2).mean()))
 
-    (gaussian, noise), (fitted, own) = rms(fit.gaussian), rms(fit.fitted)
+    (gaussian, noise), (fitted, noise_psf) = rms(fit.gaussian), rms(fit.fitted)
     method = compared.bias.floor_px
     parts = {
         "Gaussian fits, total residual": gaussian,
         "Gaussian fits, noise of the centroids": noise,
         "Gaussian fits, S-curve (no error of PSF fits)": float(np.sqrt(max(gaussian**2 - fitted**2, 0.0))),
         "PSF fits, total residual": fitted,
-        "PSF fits, noise of the centroids": own,
+        "PSF fits, noise of the centroids": noise_psf,
         "PSF fits, error of the method (from rendered frames)": method,
-        "PSF fits, remainder (seeing, catalogue, PSF)": float(np.sqrt(max(fitted**2 - own**2 - method**2, 0.0))),
+        "PSF fits, remainder (seeing, catalogue, PSF)": float(np.sqrt(max(fitted**2 - noise_psf**2 - method**2, 0.0))),
     }
     return [Cause(name=name, part_px=part) for name, part in parts.items()]
 
@@ -334,22 +334,24 @@ def records(
     limit = limit_of(compared.real, THRESHOLDS[0])
     numbers = camera_numbers(night, compared, limit)
     noise, light = night.whole.noise, night.whole.photometry
-    told = classified(night, compared)
+    separable = classified(night, compared)
     return {
         "kept": Kept(
             name=name,
             twin=twin,
             limit_mag=limit,
-            real=tuple(one.image.dn for one in night.known.night.frames),
-            rendered=tuple(one.dn for one in compared.images),
+            real=tuple(frame.image.dn for frame in night.known.night.frames),
+            rendered=tuple(image.dn for image in compared.images),
             notes=night.notes,
             prescription=prescription,
         ),
         "camera": numbers,
         "frames": frame_numbers(night, compared),
         "orders": [
-            OrderNumbers(name=one.order, parameters=one.parameters, chi2=one.mean_chi2, residual_px=one.residual_px)
-            for one in night.orders
+            OrderNumbers(
+                name=model.order, parameters=model.parameters, chi2=model.mean_chi2, residual_px=model.residual_px
+            )
+            for model in night.orders
         ]
         or None,
         "transfer": [
@@ -367,10 +369,12 @@ def records(
         "causes": causes(night.whole, compared, limit),
         "comparison": comparison(compared, limit),
         "completeness": completeness_bins(compared, limit),
-        "detected": detected(compared, told),
+        "detected": detected(compared, separable),
         "features": None
-        if told is None
-        else [Feature(name=name, effect=float(effect)) for name, effect in zip(FEATURES, told.effect, strict=True)],
+        if separable is None
+        else [
+            Feature(name=name, effect=float(effect)) for name, effect in zip(FEATURES, separable.effect, strict=True)
+        ],
         "pose": pose,
         "truth": None
         if truth is None
@@ -392,7 +396,7 @@ def comparison(compared: HeldOut, limit_mag: float) -> list[Compared]:
     sets = [statistics_of(frames, limit_mag, compared.airmass) for frames in (compared.real, *compared.sets)]
     out = []
     for real, *rendered in zip(*sets, strict=True):
-        drawn = np.array([one.value for one in rendered])
+        drawn = np.array([statistic.value for statistic in rendered])
         spread = float(drawn.std(ddof=1))
         scale = real.value if real.relative and real.value else 1.0
         off = (float(drawn.mean()) - real.value) / scale
@@ -430,8 +434,8 @@ def completeness_bins(compared: HeldOut, limit_mag: float) -> list[HalfMagnitude
         # of one set: every star is detected or not
         spread = [float(np.sqrt(p * (1.0 - p) / count[k])) for p in (five[:, k].mean(), six[:, k].mean())]
         real = [
-            Measured(value=float(one[0, k]), uncertainty=error, n=int(count[k]))
-            for one, error in zip((five, six), spread, strict=True)
+            Measured(value=float(fraction[0, k]), uncertainty=error, n=int(count[k]))
+            for fraction, error in zip((five, six), spread, strict=True)
         ]
         out.append(
             HalfMagnitude(
@@ -455,8 +459,8 @@ def classified(night: MeasuredNight, compared: HeldOut) -> Separability | None:
         for some, frames in zip(images, (compared.real, compared.sets[0]), strict=True)
         for image, frame in zip(some, frames, strict=True)
     ]
-    count, frames = [len(one) for one in features], len(compared.real)
-    kind, frame = (np.repeat(one, count) for one in np.divmod(np.arange(2 * frames), frames))
+    count, frames = [len(part) for part in features], len(compared.real)
+    kind, frame = (np.repeat(numbers, count) for numbers in np.divmod(np.arange(2 * frames), frames))
     values = np.concatenate(features)
     good = np.isfinite(values).all(axis=1)
     if np.bincount(kind[good], minlength=2).min() < FEWEST_TO_TELL:
@@ -464,7 +468,7 @@ def classified(night: MeasuredNight, compared: HeldOut) -> Separability | None:
     return separability(values[good], kind[good], frame[good])
 
 
-def detected(compared: HeldOut, told: Separability | None) -> Detected:
+def detected(compared: HeldOut, separable: Separability | None) -> Detected:
     """False detections of the real and of the rendered sets."""
 
     def false(sigma: float) -> tuple[Measured, Measured]:
@@ -484,19 +488,23 @@ def detected(compared: HeldOut, told: Separability | None) -> Detected:
         false_twin_6=twin_6,
         false_pull=float((twin_5.value - real_5.value) / spread),
         trails=sum(frame.trail for frame in compared.real),
-        area=None if told is None else Measured(value=told.area, uncertainty=told.error, n=told.first),
-        told_by="" if told is None else FEATURES[int(np.argmax(np.abs(told.effect)))],
+        area=None
+        if separable is None
+        else Measured(value=separable.area, uncertainty=separable.error, n=separable.first),
+        told_by="" if separable is None else FEATURES[int(np.argmax(np.abs(separable.effect)))],
     )
 
 
 def agreement_lines(statistics: Sequence[Compared], detected: Detected) -> list[str]:
     """Agreement of twin and camera for users of its frames: a line per judged statistic."""
     out = []
-    for one in statistics:
-        if one.within:
-            unit = f" {one.real.unit}" if one.real.unit else ""
-            beyond = "" if one.within == "yes" else " (above the allowed difference)"
-            out.append(f"{one.label}: real {one.real.value:.4g}, rendered {one.twin.value:.4g}{unit}{beyond}")
+    for statistic in statistics:
+        if statistic.within:
+            unit = f" {statistic.real.unit}" if statistic.real.unit else ""
+            beyond = "" if statistic.within == "yes" else " (above the allowed difference)"
+            out.append(
+                f"{statistic.label}: real {statistic.real.value:.4g}, rendered {statistic.twin.value:.4g}{unit}{beyond}"
+            )
     if detected.area is not None:
         out.append(
             f"star windows: area under the ROC curve of the classifier {detected.area.value:.2f} (0.5: not separable)"
@@ -515,11 +523,11 @@ def _named(dim: str, label: str, key: str = "name", names: str = "name", units: 
     ``units``: measured number whose unit is that of the row."""
 
     def describe(q: Quantities, rows: Sequence[Any]) -> None:
-        keys = [getattr(one, key) for one in rows]
+        keys = [getattr(row, key) for row in rows]
         if len(set(keys)) < len(keys):
-            keys = [f"{n + 1} {one}" for n, one in enumerate(keys)]
-        of_rows = [getattr(one, units).unit for one in rows] if units else ()
-        q.axis(dim, keys, label, names=[getattr(one, names) for one in rows], units=of_rows)
+            keys = [f"{n + 1} {row}" for n, row in enumerate(keys)]
+        of_rows = [getattr(row, units).unit for row in rows] if units else ()
+        q.axis(dim, keys, label, names=[getattr(row, names) for row in rows], units=of_rows)
 
     return describe
 

@@ -68,17 +68,17 @@ def render_night(config: NightConfig, seed: int, progress: Progress) -> KnownNig
     size = np.array([config.width_px, config.height_px])
     for number in progress.track(range(config.frames), "frames rendered", total=config.frames):
         simulator.background_e_per_s = float(levels[number])
-        seen = simulator.observe(attitudes[number], frame=number)
-        truth = seen.truth
+        observation = simulator.observe(attitudes[number], frame=number)
+        truth = observation.truth
         light = truth.electrons_image[:, 0]
         position = np.column_stack([truth.photon_x_px[:, 0], truth.photon_y_px[:, 0]])
         inside = np.all((position > EDGE_PX) & (position < size - 1.0 - EDGE_PX), axis=1)
         known = inside & (light > 0.0)
         u2 = 4.0 * ((position[known] - (size - 1.0) / 2.0) ** 2).sum(axis=1) / (size @ size)
-        colour = REFERENCE_K / sky.temperature_k[seen.field.row[known]]
-        rows.append(np.stack([seen.field.stars.magnitude[known], colour, u2, light[known]]))
+        colour = REFERENCE_K / sky.temperature_k[observation.field.row[known]]
+        rows.append(np.stack([observation.field.stars.magnitude[known], colour, u2, light[known]]))
         name = f"rendered {number + 1}"
-        image = sensor_image(seen.frame.dn, saturation_dn=float(sensor.detector.largest_dn), source=name)
+        image = sensor_image(observation.frame.dn, saturation_dn=float(sensor.detector.largest_dn), source=name)
         frames.append(NightFrame(name=name, image=image))
     zero, loss = noiseless_zero_point(*np.concatenate(rows, axis=1))
     return KnownNight(

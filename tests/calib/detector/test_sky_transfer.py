@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calib.detector.sky_transfer import pattern_third_moment, sky_blocks, sky_photon_transfer
+from calib.detector.sky_transfer import (
+    lognormal_dark,
+    pattern_third_moment,
+    sky_blocks,
+    sky_photon_transfer,
+    tail_fraction,
+)
 from optics.errors import DomainError
 
 GAIN_E_PER_DN, READ_E, DSNU_DN, PRNU = 2.5, 4.0, 1.2, 0.01
@@ -91,3 +99,26 @@ def test_gain_and_pattern_have_the_errors_that_they_state(nights):
         )
     np.testing.assert_allclose(np.mean(pulls, axis=0), 0.0, atol=4.0 / np.sqrt(nights))
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(pulls), axis=0)), 1.0, atol=4.0 / np.sqrt(2 * nights))
+
+
+def test_frames_without_a_common_block_are_refused():
+    """Stars cover the left half of one frame and the right half of the other."""
+    left = np.indices((128, 128))[1] < 64
+    first, second = sky_frames([200.0, 400.0], shape=(128, 128))
+    frames = [sky_blocks(first, left), sky_blocks(second, ~left)]
+    with pytest.raises(DomainError, match="fewer than two blocks"):
+        sky_photon_transfer(frames, lowest_dn=100.0)
+
+
+def test_warm_pixels_are_a_lognormal_current_and_tails_are_counted():
+    """Lognormal of mean 4 and spread 3 DN: skewness c^3 + 3 c of c = 3/4; normal noise has 0.27 % beyond 3 sigma."""
+    skewness = 0.75**3 + 3.0 * 0.75
+    noise = measured(sky_frames(np.geomspace(120.0, 900.0, 4), shape=(128, 160)))
+    warm = replace(noise, dsnu_dn=3.0 / 0.95, third_moment_dn3=27.0 * skewness)
+    dsnu, mean, spread = lognormal_dark(warm)
+    assert (mean, spread) == pytest.approx((4.0, 3.0))
+    assert dsnu**2 + spread**2 == pytest.approx(warm.dsnu_dn**2)
+    assert lognormal_dark(replace(warm, third_moment_dn3=0.0)) == (warm.dsnu_dn, 0.0, 0.0)
+    white = sky_blocks(100.0 + 5.0 * np.random.default_rng(1).standard_normal((256, 256)), np.zeros((256, 256), bool))
+    # of a normal distribution truncated at 3.5 sigma, whose deviation is 0.99: 0.0026; 170 pixels, 4 / sqrt(170)
+    assert tail_fraction([white]) == pytest.approx(0.0026, rel=0.3)
