@@ -45,10 +45,8 @@ LIMB_DEG = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0, 90.0)
 
 def limits(config: Config) -> dict[str, tuple[float, bool]]:
     """Requirements of the sensor file that are answered here."""
-    required = config.requirements.model_dump()
-    return {
-        key: (float(v), key in AT_LEAST) for key, v in required.items() if v is not None and key == "sun_exclusion_deg"
-    }
+    key, required = "sun_exclusion_deg", config.requirements.sun_exclusion_deg
+    return {} if required is None else {key: (float(required), key in AT_LEAST)}
 
 
 # --- The sensor in words
@@ -272,11 +270,12 @@ def changes(
     if own.fitted and not own.mesh:
         others = [name for name in ("z306", "black_anodised", "magic_black") if name != own.coating]
         variants += [(f"coating {name}", own.model_copy(update={"coating": name}), "dust") for name in others]
-        variants.append(
-            ("edges twice as round", own.model_copy(update={"edge_radius_um": 2 * own.edge_radius_um}), "dust")
-        )
-        variants.append(("no vanes", own.model_copy(update={"vanes": 0}), "dust"))
-        variants.append(("no baffle", own.model_copy(update={"fitted": False}), "dust"))
+        for label, update in (
+            ("edges twice as round", {"edge_radius_um": 2 * own.edge_radius_um}),
+            ("no vanes", {"vanes": 0}),
+            ("no baffle", {"fitted": False}),
+        ):
+            variants.append((label, own.model_copy(update=update), "dust"))
     for label, baffle, dust in variants:
         same = baffle is own and dust == "dust"
         pst = stray.pst if same else behind_baffle(config, stray.lens, baffle, dust=dust, chosen=chosen).pst

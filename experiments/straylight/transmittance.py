@@ -46,31 +46,24 @@ def bare_lens(config: Config, instrument: Instrument, advance: Callable[[], None
     lens = camera.focused_lens
     fitted = configured_baffle(config.baffle, entrance_mm=entrance_radius_mm(lens), field_deg=_field_deg(instrument))
 
-    def each(fill, directions):  # type: ignore[no-untyped-def]
-        def run(direction) -> None:  # type: ignore[no-untyped-def]
-            fill(direction)
-            advance()
-
-        with prompt_pool() as pool:
-            return list(pool.map(run, directions))
-
-    return lens_transmittance(
-        camera,
-        instrument.focal_length_mm,
-        _laws(config, lens),
-        setting.angles_deg,
-        setting.azimuths_deg,
-        points=setting.points,
-        pupil=(setting.rings, setting.arms),
-        ghost_rays=(setting.ghost_rings, setting.ghost_arms),
-        detector_reflectance=config.scatter.detector_reflectance,
-        shade_deg=fitted.shade_deg if isinstance(fitted, VanedBaffle) else 90.0,  # a mesh may be lit from anywhere
-        each=each,
-        coating=QuarterWave(design_wavelength_nm=config.instrument.coating_nm)
-        if config.instrument.coating_nm
-        else None,
-        absorption=config.instrument.absorption,
-    )
+    coating_nm = config.instrument.coating_nm
+    with prompt_pool() as pool:
+        return lens_transmittance(
+            camera,
+            instrument.focal_length_mm,
+            _laws(config, lens),
+            setting.angles_deg,
+            setting.azimuths_deg,
+            points=setting.points,
+            pupil=(setting.rings, setting.arms),
+            ghost_rays=(setting.ghost_rings, setting.ghost_arms),
+            detector_reflectance=config.scatter.detector_reflectance,
+            shade_deg=fitted.shade_deg if isinstance(fitted, VanedBaffle) else 90.0,  # a mesh may be lit from anywhere
+            each=pool.map,
+            advance=advance,
+            coating=QuarterWave(design_wavelength_nm=coating_nm) if coating_nm else None,
+            absorption=config.instrument.absorption,
+        )
 
 
 def _field_deg(instrument: Instrument) -> float:

@@ -60,6 +60,7 @@ def lens_transmittance(
     detector_reflectance: float = 0.2,
     shade_deg: float = 90.0,
     each: Callable[[Callable[..., None], Iterable[tuple[int, ...]]], Iterable[None]] = map,
+    advance: Callable[[], None] = lambda: None,
     **glass: Any,
 ) -> LensTransmittance:
     """PST of the bare lens of a camera.
@@ -80,6 +81,8 @@ def lens_transmittance(
         Quadrature of the scatter over the pupil; ghost rays on the first surface.
     each : callable
         Runs the directions: `map`, or the ``map`` of a pool of threads.
+    advance : callable
+        Called after each direction.
     **glass
         ``coating``, ``absorption``: as of `optics.rays.stray.imaging_rays`.
     """
@@ -105,6 +108,7 @@ def lens_transmittance(
             }
             value, error = np.array(list(ghost_light(lens, source, half_mm, **rays, **glass).values())).T
             ghosts[at], ghosts_error[at] = value.sum(), np.sqrt((error**2).sum())
+        advance()
 
     list(each(fill, np.ndindex(shape)))
     for light in (ghosts, ghosts_error, *scatter.values()):
