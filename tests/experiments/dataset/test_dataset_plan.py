@@ -18,11 +18,11 @@ from experiments.dataset.settings import (
     ListPointing,
     RandomRate,
     ScanPointing,
+    SkyPointing,
     SplitsConfig,
 )
 from optics.attitude import angles_from_attitude
 from optics.errors import ConfigError, DomainError, StarbenchError
-from render.sky.partition import leakage
 
 N = 500
 
@@ -97,60 +97,27 @@ def test_splits_are_shared_out_in_blocks():
     assert names[:100] != names[100:200]
 
 
-def nearest_deg(frames, one, other):
-    """Smallest angle between boresights of two splits."""
-    first, second = (np.array([f.attitude.as_matrix()[2] for f in frames if f.split == name]) for name in (one, other))
-    assert len(first)
-    assert len(second)
-    return np.degrees(np.arccos((first @ second.T).max()))
-
-
 def planned(count, diagonal_deg, **settings):
     plan = build_plan(Config(frames=count, **settings), diagonal_deg=diagonal_deg)
     return [plan_frame(plan, frame) for frame in range(count)]
 
 
-def check_splits(diagonal_deg, gaps, **settings):
-    """No sky in two splits, shares as wanted among frames that count, few gaps; more frames change nothing."""
-    frames = planned(N, diagonal_deg, **settings)
-    names = [one.split for one in frames]
-    for one, other in (("train", "test"), ("train", "validation"), ("validation", "test")):
-        assert nearest_deg(frames, one, other) >= diagonal_deg
-    count = N - names.count("gap")
-    for name, share in (("train", 0.8), ("validation", 0.1), ("test", 0.1)):
-        assert names.count(name) / count == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / count))
-    assert names.count("gap") < gaps * N
-    assert names[:50] == [one.split for one in planned(50, diagonal_deg, **settings)]
-
-
-@pytest.mark.parametrize(("diagonal", "gaps"), [(2.0, 0.06), (17.7, 0.3), (40.0, 0.6)])
-def test_no_sky_is_in_two_splits(diagonal, gaps):
-    check_splits(diagonal, gaps)
-
-
-@pytest.mark.parametrize("rate", [(0.0, 0.5, 0.0), (0.3, 3.1, 1.7)])
-def test_arcs_of_a_scan_do_not_meet(rate):
-    """The second goes round many times; by frames in a row, the same stars would come back for the test."""
-    scan = ScanPointing(rate_deg_per_s=rate, frame_rate_hz=1.0)
-    frames = planned(N, 5.0, pointing=scan)
-    for one, other in (("train", "test"), ("train", "validation"), ("validation", "test")):
-        assert nearest_deg(frames, one, other) >= 5.0 - 1e-9
-    names = [one.split for one in frames]
-    assert names.count("gap") < 0.55 * N
-    assert 5 < names.count("train") / names.count("test") < 11
-
-
-def listed(tmp_path, radius_deg=40.0):
+def listed(tmp_path):
     """Attitudes of an oblong patch, in a file."""
-    ra, dec = np.random.default_rng(5).uniform(-1.0, 1.0, (2, N)) * np.array([[radius_deg], [radius_deg / 4]])
-    Table({"ra_deg": ra % 360.0, "dec_deg": dec, "roll_deg": np.zeros(N)}).write(tmp_path / "list.csv")
+    ra, dec = np.random.default_rng(5).uniform(-1.0, 1.0, (2, 100)) * np.array([[40.0], [10.0]])
+    Table({"ra_deg": ra % 360.0, "dec_deg": dec, "roll_deg": np.zeros(100)}).write(tmp_path / "list.csv")
     return ListPointing(file=str(tmp_path / "list.csv"))
 
 
-@pytest.mark.parametrize("kind", ["cone", "list"])
-def test_cones_and_lists_are_cut_across(kind, tmp_path):
-    pointing = ConePointing(ra_deg=350.0, dec_deg=80.0, radius_deg=40.0) if kind == "cone" else listed(tmp_path)
-    check_splits(8.0, 0.5, pointing=pointing)
+def test_every_kind_of_pointing_has_its_splits(tmp_path):
+    """By the sky for random attitudes, cones and lists, by arcs for a scan; more frames change nothing."""
+    cone = ConePointing(ra_deg=350.0, dec_deg=80.0, radius_deg=40.0)
+    for by, pointing in (("sky", SkyPointing()), ("sky", cone), ("sky", listed(tmp_path)), ("arc", ScanPointing())):
+        plan = build_plan(Config(frames=100, pointing=pointing), diagonal_deg=8.0)
+        assert (plan.splits.by, plan.splits.gap_deg) == (by, pytest.approx(8.0))
+        names = [plan_frame(plan, frame).split for frame in range(100)]
+        assert names.count("train") > 30
+        assert names[:50] == [one.split for one in planned(50, 8.0, pointing=pointing)]
 
 
 def test_a_cone_that_gaps_would_eat_is_shared_out_at_random():
@@ -167,23 +134,6 @@ def test_splits_that_cannot_be():
     with pytest.raises(DomainError, match="less than 90 deg"):
         planned(1, 5.0, splits=SplitsConfig(by="sky", gap_deg=100.0))
     assert {one.split for one in planned(100, 120.0)} == {"train", "validation", "test"}  # so wide a field: by frame
-
-
-def test_leakage_is_counted():
-    """A thousand random fields shared out at random: nearly every one has a neighbour that was taught."""
-    frames = planned(1000, 17.7, splits=SplitsConfig(by="frame"))
-    places = {}
-    for one in frames:
-        x, y, z = one.attitude.as_matrix()[2]
-        places.setdefault(one.split, []).append((np.degrees(np.arctan2(y, x)), np.degrees(np.arcsin(z))))
-    found = leakage(places, 17.7)["test"]
-    taught, mine = (
-        np.array([o.attitude.as_matrix()[2] for o in frames if o.split == name]) for name in ("train", "test")
-    )
-    angle = np.degrees(np.arccos(np.clip(mine @ taught.T, -1, 1))).min(axis=1)
-    assert (found.frames, found.near, found.shared) == (len(mine), (angle < 8.85).sum(), (angle < 17.7).sum())
-    assert found.near > 0.9 * found.frames
-    assert found.nearest_deg == pytest.approx(angle.min(), abs=1e-6)
 
 
 def test_attitudes_from_files(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from astropy import units
-from astropy.coordinates import GCRS, SkyCoord, get_body, get_body_barycentric, get_sun
+from astropy.coordinates import GCRS, SkyCoord, get_body, get_sun
 from astropy.time import Time
 from scipy import ndimage
 
@@ -13,7 +13,7 @@ from experiments.dataset.frame import FrameMaker
 from experiments.dataset.job import _record, pixel_marks
 from experiments.dataset.labels import LabelMaker, disk_truth
 from experiments.dataset.plan import build_plan, plan_frame
-from experiments.dataset.scene import PLANET_IDS, build_scene
+from experiments.dataset.scene import build_scene
 from experiments.dataset.settings import (
     BackgroundConfig,
     BodyPointing,
@@ -26,121 +26,12 @@ from experiments.dataset.settings import (
 from experiments.dataset.truth import FLAGS, record_from_text
 from optics.errors import StarbenchError
 from render.bodies.solar_system import solar_system
-from render.bodies.stray_light import band_light
 from render.detector.maps import sensor_maps
 from render.engine import Engine
 from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
 
 EPOCH = 2025.3
 CAMERA = {"instrument": InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=192, height_px=128), "nodes": 3}
-
-
-def direction_of(body):
-    """Where it is seen from the Earth, to some arcminutes: no light time, no aberration."""
-    time = Time(EPOCH, format="jyear", scale="tdb")
-    place = get_body_barycentric(body, time, ephemeris="builtin") - get_body_barycentric(
-        "earth", time, ephemeris="builtin"
-    )
-    return SkyCoord(place).spherical
-
-
-@pytest.mark.slow
-def test_a_planet_among_the_stars(engine):
-    """Neptune (2.2 arcsec) is a point in the truth; Jupiter (34 arcsec) a disk that saturates."""
-    sky = CatalogueConfig(faintest_mag=10.0, epoch_year=EPOCH, observer="earth")
-    background = BackgroundConfig(moon_planets=True)
-    made = {}
-    for planet in ("neptune", "jupiter"):
-        place = direction_of(planet)
-        cone = ConePointing(ra_deg=place.lon.deg, dec_deg=place.lat.deg, radius_deg=0.0, roll_deg=0.0)
-        scene = build_scene(Config(**CAMERA, catalogue=sky, pointing=cone, background=background))
-        maker = FrameMaker(scene)
-        made[planet] = maker.make(0)
-    assert maker.make(1).disks[0] is made["jupiter"].disks[0]  # of the same attitude: it is not rendered again
-    truth = made["neptune"].truth
-    (row,) = np.flatnonzero(truth["star_id"] == PLANET_IDS["neptune"])
-    assert truth["catalogue_row"][row] == -1
-    assert abs(truth["magnitude"][row] - 7.8) < 0.1
-    middle = np.array([CAMERA["instrument"].width_px - 1, CAMERA["instrument"].height_px - 1]) / 2
-    off = np.hypot(truth["photon_x_px"][row] - middle[0], truth["photon_y_px"][row] - middle[1])
-    assert off < 20  # aberration, 20 arcsec, and light time, at 5.5 arcsec per pixel
-    disk = made["jupiter"].frame.saturated
-    assert 15 < disk.sum() < 80  # a disk of 6 px
-    where = np.argwhere(disk).mean(0)[::-1]
-    assert np.hypot(*(where - middle)) < 20
-    assert (made["jupiter"].truth["catalogue_row"] >= 0).all()
-
-
-@pytest.mark.slow
-def test_zodiacal_light_and_uniform_sky(engine):
-    cone = ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1)  # the Pleiades are opposite to the Sun in November
-    settings = {**CAMERA, "catalogue": CatalogueConfig(faintest_mag=10.0, epoch_year=2025.88), "pointing": cone}
-    light = {}
-    for name, background in (
-        ("dark", BackgroundConfig(extra_e_per_s=1.0)),
-        ("zodiacal", BackgroundConfig(extra_e_per_s=1.0, zodiacal=True)),
-        ("bright", BackgroundConfig(extra_e_per_s=1.0, uniform_mag_per_arcsec2=13.0)),
-        ("brighter", BackgroundConfig(extra_e_per_s=1.0, uniform_mag_per_arcsec2=12.0)),
-    ):
-        light[name] = FrameMaker(build_scene(Config(**settings, background=background))).make(0)
-    expected = {name: made.background_e for name, made in light.items()}
-    assert expected["dark"] == pytest.approx(0.2)  # 0.2 s
-    assert 0.05 < expected["zodiacal"] - 0.2 < 1.0
-    assert (expected["brighter"] - 0.2) / (expected["bright"] - 0.2) == pytest.approx(10**0.4, rel=1e-4)
-    level = {name: np.median(made.frame.dn.astype(float)) for name, made in light.items()}
-    gained = (expected["brighter"] - expected["dark"]) * light["dark"].frame.gain_dn_per_e
-    assert gained > 50
-    assert level["brighter"] - level["dark"] == pytest.approx(gained, rel=0.03)  # vignetting, and a median for a mean
-
-
-@pytest.mark.slow
-def test_stray_light_of_the_sun(engine, tmp_path):
-    """40 deg from the Sun, behind a camera of known PST: its electrons in every pixel; 140 deg from it none."""
-    (tmp_path / "pst.csv").write_text("angle_deg,pst\n1,1e-7\n90,1e-7\n")
-    sun = get_sun(Time(EPOCH, format="jyear", scale="tdb")).transform_to(GCRS())
-    made = {}
-    for name, away, table in (("lit", 40.0, "pst.csv"), ("dark", 40.0, ""), ("behind", 140.0, "pst.csv")):
-        place = sun.directional_offset_by(0.0 * units.deg, away * units.deg)
-        cone = ConePointing(ra_deg=place.ra.deg, dec_deg=place.dec.deg, radius_deg=0.0, roll_deg=0.0)
-        config = Config(
-            instrument=CAMERA["instrument"].model_copy(update={"lens": "star_tracker_26mm"}),
-            nodes=3,
-            catalogue=CatalogueConfig(faintest_mag=10.0, epoch_year=EPOCH, observer="earth"),
-            pointing=cone,
-            background=BackgroundConfig(extra_e_per_s=1.0, stray_light=str(tmp_path / table) if table else ""),
-        )
-        scene = build_scene(config)
-        made[name] = FrameMaker(scene).make(0)
-    band = band_light(scene.instrument.detector, scene.simulator.band)
-    wanted = 0.2 * 1e-7 * band.sun_e_per_s
-    assert made["lit"].background_e - 0.2 == pytest.approx(wanted, rel=0.04)  # the Sun's distance changes by 1.7 %
-    assert made["behind"].background_e == pytest.approx(0.2, abs=0.01)
-    level = {name: np.median(one.frame.dn.astype(float)) for name, one in made.items()}
-    gained = wanted * made["lit"].frame.gain_dn_per_e
-    assert gained > 20
-    assert level["lit"] - level["dark"] == pytest.approx(gained, rel=0.05)
-
-
-@pytest.mark.slow
-def test_cosmic_rays_are_flagged(engine):
-    settings = {
-        **CAMERA,
-        "instrument": CAMERA["instrument"].model_copy(update={"exposure_s": 20.0}),
-        "catalogue": CatalogueConfig(faintest_mag=10.0),
-        "pointing": ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
-    }
-    made = {}
-    for name in ("none", "solar_flare"):
-        config = Config(**settings, radiation=RadiationConfig(environment=name))
-        made[name] = FrameMaker(build_scene(config)).make(0)
-    bit = FLAGS["cosmic_ray"][0]
-    struck = {name: np.count_nonzero(one.truth["flags"] & bit) for name, one in made.items()}
-    assert struck["none"] == 0 < struck["solar_flare"]
-    more = made["solar_flare"].frame.dn.astype(int) - made["none"].frame.dn
-    assert (more >= 0).all()  # the noise is the same, charge only comes on top
-    # some 3000 per cm^2 and s, half of them through a flat layer, each in at least one pixel
-    area_cm2 = 192 * 128 * (5.5e-4) ** 2
-    assert np.count_nonzero(more) > 0.5 * 3046 * area_cm2 * 20.0
 
 
 def test_attitudes_keep_away_from_the_sun():

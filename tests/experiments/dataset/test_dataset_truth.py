@@ -163,17 +163,6 @@ def test_a_catalogue_without_magnitudes(tmp_path):
         build_scene(Config(**{**SMALL, "catalogue": CatalogueConfig(source=str(path), preset="gaia")}))
 
 
-@pytest.mark.slow
-def test_no_rate_of_roll_blames_the_lens():
-    """A turn about the boresight brings in no star from beyond the corners, however fast."""
-    still, rolling = (
-        build_scene(Config(**SMALL, rate=FixedRate(rate_deg_per_s=(0.0, 0.0, rate)))).view.radius_rad
-        for rate in (0.0, 360.0)
-    )
-    corner = np.hypot(256, 192) / 192
-    assert still <= rolling <= corner * still
-
-
 RATE_DEG_PER_S = (0.01, -0.015, 0.05)
 
 
@@ -224,51 +213,3 @@ def test_smear_and_place(engine, scanned, line_time_us):
     assert (spot[lit] < 1.5).all()
     middle = plan.trajectory.attitude(plan.start_s + 0.5 * (0.2 + 191 * line_time_us * 1e-6))
     assert (middle * plan.attitude.inv()).magnitude() < 1e-12
-
-
-LAG = 0.1
-LAGGING = {"exposure_s": 0.2, "width_px": 256, "height_px": 192}
-SCAN = ScanPointing(ra_deg=56.75, dec_deg=24.12, rate_deg_per_s=(0.0, 0.004, 0.0), frame_rate_hz=0.05)
-
-
-@pytest.fixture(scope="module")
-def detectors(tmp_path_factory):
-    """Two chips that differ in nothing but their lag."""
-    folder = tmp_path_factory.mktemp("chips")
-    for name, lag in (("rests", 0.0), ("lags", LAG)):
-        (folder / f"{name}.toml").write_text(f'base = "cmv4000"\nlag = {lag}\n')
-    return {name: str(folder / f"{name}.toml") for name in ("rests", "lags")}
-
-
-def maker_of(detector, pointing=SCAN, **more):
-    settings = {"nodes": 2, "catalogue": CatalogueConfig(faintest_mag=8.0), "pointing": pointing}
-    return FrameMaker(
-        build_scene(Config(instrument=InstrumentConfig(detector=detector, **LAGGING), **settings, **more))
-    )
-
-
-def test_a_scan_keeps_what_the_frame_before_left(engine, detectors):
-    """A star's place of one frame ago holds the stated share of its electrons, whatever the order of the frames."""
-    lags, rests = maker_of(detectors["lags"]), maker_of(detectors["rests"])
-    before, after, without = lags.make(0), lags.make(1), rests.make(1)
-    np.testing.assert_array_equal(before.frame.dn, rests.make(0).frame.dn)
-    np.testing.assert_array_equal(after.frame.dn, maker_of(detectors["lags"]).make(1).frame.dn)
-    truth = before.truth
-    left = (after.frame.dn.astype(float) - without.frame.dn) / after.frame.gain_dn_per_e
-    inside = (np.abs(truth["photon_x_px"] - 127.5) < 120) & (np.abs(truth["photon_y_px"] - 95.5) < 88)
-    chosen = np.flatnonzero(inside & (truth["flags"] == 0) & (truth["electrons"] > 3000.0))
-    assert len(chosen) >= 2
-    for i in chosen:
-        x, y = round(float(truth["photon_x_px"][i])), round(float(truth["photon_y_px"][i]))
-        part = left[y - 4 : y + 5, x - 4 : x + 5]
-        expected = LAG * truth["electrons"][i]
-        # the draws of both frames differ where their expectations do; 2 e- of sky are left in every pixel as well
-        assert abs(part.sum() - expected) < 5.0 * np.sqrt(2.0 * expected + part.size * 10.0) + 0.05 * expected
-
-
-@pytest.mark.slow
-def test_frames_that_do_not_follow_each_other_have_none_before(engine, detectors):
-    cone = ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1)
-    lags, rests = (maker_of(detectors[name], cone) for name in ("lags", "rests"))
-    lags.make(0)
-    np.testing.assert_array_equal(lags.make(1).frame.dn, rests.make(1).frame.dn)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from calib.cameras import BrownConrady
-from calib.cameras.line_of_sight import line_of_sight_map
 from experiments.skycal import calibrate as study
 from experiments.skycal import experiment as tables
 from experiments.skycal.calibrate import METHODS, PARTS, calibrate_camera, rms, start_camera
@@ -125,29 +124,6 @@ def test_floor_is_the_scatter_that_was_not_stated(made, sky):
     np.testing.assert_allclose(
         made.of("measured").calibration.covariance, made.of("corrected").calibration.covariance, rtol=0.05
     )
-
-
-def test_predicted_map_error_against_drawn_cameras(made, sky):
-    """400 cameras drawn from the covariance: the mean of their mean squares, and its scatter."""
-    _, _, chart = sky
-    found = made.of("corrected")
-    model, names = found.calibration.model, len(found.calibration.solution.names)
-    scale = np.sqrt(np.diag(found.calibration.covariance))
-    root = np.linalg.cholesky(found.calibration.covariance / np.outer(scale, scale)) * scale[:, None]
-    drawn = np.random.default_rng(2).standard_normal((400, names)) @ root.T
-    truth = np.array(model.unproject(chart.pixel_px))
-    rms_arcsec = np.array(
-        [
-            line_of_sight_map(model.with_parameters(model.parameters + d), truth, chart.pixel_px).rms_arcsec
-            for d in drawn
-        ]
-    )
-    square = rms_arcsec**2
-    assert found.map.mean_square_arcsec2.sum() == pytest.approx(square.mean(), abs=4.0 * square.std() / np.sqrt(400))
-    assert found.map.predicted_rms_arcsec == pytest.approx(np.sqrt(square.mean()), rel=0.1)
-    # to first order; the deviation of a square of one degree of freedom is known to sqrt(14 / 4 n) = 9 %
-    spread = 2.0 * found.map.predicted_rms_arcsec * found.map.predicted_rms_spread_arcsec
-    assert spread == pytest.approx(square.std(), rel=0.28)
 
 
 def test_attitudes_linked_by_a_gyro(made, scene, config, sky):

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from optics.errors import DomainError
-from render.sky.partition import cone_directions, parts_by_arcs, parts_by_caps, parts_by_latitude
+from render.sky.partition import cone_directions, leakage, parts_by_arcs, parts_by_caps, parts_by_latitude
 
 FRACTION = {"train": 0.8, "validation": 0.1, "test": 0.1}
 POLE = np.array([0.0, 0.6, 0.8])
@@ -57,3 +57,21 @@ def test_arcs_of_a_scan():
     assert (names != "gap").mean() > 0.5
     with pytest.raises(DomainError, match="has no room"):
         parts_by_arcs(FRACTION, np.array([0.0, 0.0, 1.0]), np.array([1e-3, 0.0, 1.0]), 0.5)
+
+
+def test_leakage_is_counted():
+    """Against all pairs: fields at random have a neighbour that was taught within a degree or two."""
+    rng = np.random.default_rng(7)
+    places = {
+        name: np.column_stack([rng.uniform(0, 40, n), rng.uniform(-20, 20, n)])
+        for name, n in (("train", 60), ("test", 30))
+    }
+    found = leakage({name: list(map(tuple, rows)) for name, rows in places.items()}, 5.0)["test"]
+    train, test = (
+        np.column_stack([np.cos(d) * np.cos(a), np.cos(d) * np.sin(a), np.sin(d)])
+        for a, d in (np.radians(places[name]).T for name in ("train", "test"))
+    )
+    angle = np.degrees(np.arccos(np.clip(test @ train.T, -1, 1))).min(axis=1)
+    assert (found.frames, found.near, found.shared) == (30, (angle < 2.5).sum(), (angle < 5.0).sum())
+    assert found.nearest_deg == pytest.approx(angle.min(), abs=1e-6)
+    assert np.isnan(leakage({"test": [(0.0, 0.0)]}, 5.0)["test"].nearest_deg)
