@@ -8,15 +8,15 @@ import pytest
 
 from experiments.dataset import frame as dataset_frame
 from experiments.dataset import scene as dataset_scene
+from experiments.dataset.labels import LabelMaker
 from experiments.dataset.settings import Config as DatasetConfig
 from experiments.flight.frames import Camera
 from experiments.flight.prediction import build_budget
 from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config as FlightConfig
-from experiments.skycal import measure as skycal_measure
-from experiments.skycal import scene as skycal_scene
+from experiments.harness.progress import Progress
+from experiments.skycal import experiment as skycal
 from experiments.skycal.settings import Config as SkycalConfig
-from render.engine.random import Streams
 
 DETECTORS = Path(__file__).parents[2] / "render" / "data" / "detectors"
 SMALL = {"lens": "star_tracker_26mm", "exposure_s": 0.2, "defocus_mm": 0.0, "diffraction": "rays"}
@@ -59,6 +59,7 @@ def test_a_dataset_with_everything(engine, tmp_path, direction_deg, count, diges
     pointing = turn | dict(zip(("ra_deg", "dec_deg"), direction_deg, strict=True))
     scene = dataset_scene.build_scene(DatasetConfig(**SCAN, pointing=pointing, instrument=SMALL | chip))
     made = dataset_frame.FrameMaker(scene).make(1)
+    assert "cosmic_ray" in {label.kind for label in LabelMaker(scene).labels(1)}
     assert (len(made.truth["star_id"]), np.count_nonzero(made.struck)) == count
     assert set(made.layers) == {"stars", "sky", "bodies", "dark"}
     assert digest(made.frame.dn) == digests[0]
@@ -85,17 +86,20 @@ def test_a_flight_with_a_lens_at_its_temperatures(engine, state_k, image, number
 
 
 def test_a_calibration_on_the_sky(engine):
+    """Rendered, measured, matched, calibrated: every match is right, the parts of the error add up to it."""
     wide = SkycalConfig().wide
-    window = wide.instrument.model_copy(update=SMALL | {"width_px": 384, "height_px": 384})
-    camera = wide.model_copy(update={"faintest_mag": 6.0, "instrument": window})
-    config = SkycalConfig(frames=4, which="wide", wide=camera, centroid="gaussian", dark_frames=2)
-    streams = Streams(3).child("wide")
-    recording = skycal_measure.record(
-        skycal_scene.build_scene("wide", config, streams), config, streams, advance=lambda: None
-    )
+    window = wide.instrument.model_copy(update=SMALL | {"width_px": 768, "height_px": 768})
+    settings = {"faintest_mag": 6.5, "instrument": window, "psf_spacing_px": 1000.0, "models": ("brown_conrady",)}
+    config = SkycalConfig(
+        frames=4, which="wide", wide=wide.model_copy(update=settings), centroid="gaussian", dark_frames=2, map_points=9,
+        sky={"nodes": 4},
+    )  # fmt: skip
+    (camera,) = skycal.run(config, progress=Progress())["cameras"]
+    assert (camera.stars, camera.wrong_matches, camera.frames_matched, camera.not_converged) == (106, 0, 4, 0)
+    frames = camera.made.recording.frames
     found = [
-        recording.example.dn,
-        np.concatenate([frame.photon_px for frame in recording.frames]),
-        np.concatenate([frame.found.x_px for frame in recording.frames]),
+        camera.made.recording.example.dn,
+        np.concatenate([frame.photon_px for frame in frames]),
+        np.concatenate([frame.found.x_px for frame in frames]),
     ]
-    assert [digest(one) for one in found] == ["10cc6fa120adf81a", "94ded13fa0678b0b", "4b51ee658ee46c5c"]
+    assert [digest(one) for one in found] == ["349934abcf61481e", "34b227f67b3b4257", "3d4a7fda1b5c3388"]

@@ -19,6 +19,7 @@ from astropy.table import Table
 from experiments.dataset import folder as storage
 from experiments.dataset.folder import DatasetFolder, check
 from experiments.dataset.job import Job, make_frame, prepare
+from experiments.dataset.plan import plan_frame
 from experiments.dataset.settings import Config, main
 from experiments.dataset.truth_files import read_record, truth_bytes
 from experiments.harness.progress import Progress
@@ -45,7 +46,7 @@ def data(folder):
 def dataset(tmp_path_factory):
     """Three frames, made in one go."""
     folder = tmp_path_factory.mktemp("dataset") / "one"
-    assert run(folder) == 0
+    assert run(folder, "--set", "verify.frames=1", "--set", "verify.dark_frames=4") == 0
     return folder
 
 
@@ -65,7 +66,7 @@ def settings_of(folder):
 def test_everything_is_there(dataset, monkeypatch):
     names = {file.name for file in dataset.iterdir()}
     assert {"README.md", "contact_sheet.png", "dataset.json", "frames", "index.parquet", "truth"} <= names
-    assert {"report.html", "summary.json", "provenance.json"} <= names
+    assert {"report.html", "summary.json", "provenance.json", "completeness.ecsv", "solver.ecsv"} <= names
     assert not [name for name in names if name.startswith(".")]
     assert sorted(data(dataset)) == sorted(f"frame_00000{k}.{form}" for k in range(3) for form in ("fits", "parquet"))
     text = (dataset / "README.md").read_text()
@@ -104,7 +105,8 @@ def test_layers_are_files_that_add_up_to_the_light(tmp_path):
     assert {ghost.source for ghost in record.ghosts} <= {str(one) for one in truth["star_id"]}
     text = Config.model_validate(settings_of(tmp_path / "one")).model_dump_json()
     job = Job(config=text, folder=str(tmp_path / "one"), backend="llvm")
-    light = prepare(job)[0]._expected(0).electrons
+    maker = prepare(job)[0]
+    light = maker.scene.simulator.expected(plan_frame(maker.scene.plan, 0).attitude).electrons
     parts = sum(image for name, image in found.items() if name != "DARK")
     np.testing.assert_allclose(parts, light, rtol=1e-5)
     assert "  layers/frame_000000.fits\n" in (tmp_path / "one" / "SHA256SUMS").read_text()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from astropy import units
@@ -11,7 +13,7 @@ from scipy import ndimage
 
 from experiments.dataset.frame import FrameMaker
 from experiments.dataset.job import _record, pixel_marks
-from experiments.dataset.labels import LabelMaker, disk_truth
+from experiments.dataset.labels import LabelMaker, body_labels, disk_truth
 from experiments.dataset.plan import build_plan, plan_frame
 from experiments.dataset.scene import build_scene
 from experiments.dataset.settings import (
@@ -28,6 +30,7 @@ from optics.errors import StarbenchError
 from render.bodies.solar_system import solar_system
 from render.detector.maps import sensor_maps
 from render.engine import Engine
+from render.observation import BodyDisk
 from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
 
 EPOCH = 2025.3
@@ -173,6 +176,22 @@ def hold_disk_to_astropy(disk, made, scene, label):
     record = _record(made, scene, "frame.fits", "truth.parquet", 0, "0" * 64)
     assert record.disks == (disk,)
     assert record_from_text(record.to_text()) == record
+
+
+def test_the_label_of_the_moon_is_its_disk():
+    """Half a degree wide, 0.3 deg from the boresight; lit on the side of the Sun; nothing is rendered."""
+    Engine.start("llvm")
+    config = Config(instrument=SMALL, nodes=3, pointing=BodyPointing(body="moon", offset_deg=0.3))
+    scene, plan = build_scene(config), plan_frame(build_plan(config), 0)
+    (label,) = body_labels(scene, plan)
+    assert (label.kind, label.name) == ("moon", "moon")
+    diameter_px = label.box_px[2]
+    assert diameter_px * scene.instrument.pixel_arcsec / 3600.0 == pytest.approx(0.52, abs=0.04)
+    assert label.pixels.shape[1] == pytest.approx(np.pi / 4.0 * diameter_px**2, rel=0.02)
+    assert np.hypot(label.x_px - 127.5, label.y_px - 95.5) < 0.32 * 3600.0 / scene.instrument.pixel_arcsec
+    image = SimpleNamespace(electrons=np.array([5.0]), photon_px=np.array([[1.0, 2.0]]), noise_share=0.0)
+    (truth,) = disk_truth(scene, plan, [BodyDisk(name="moon", row=0, image=image)])
+    assert (truth.x_px, truth.y_px, truth.diameter_px) == pytest.approx((label.x_px, label.y_px, diameter_px))
 
 
 @pytest.mark.slow
