@@ -117,13 +117,14 @@ def thermal_term(lab: Laboratory, streams: Streams) -> Thermal | str:
     predicted, shift = (traced[1] - traced[0]) / (2.0 * span), (seen[1] - seen[0]) / (read[1] - read[0])  # [px/K]
     scale = span * lab.instrument.pixel_arcsec  # the excursion is three sigma already
     size, slope = (np.array(fit(place, shift)) for fit in (smooth_map_rms, growth_along_axes))  # with their sigmas
+    value_arcsec, sigma_arcsec = scale * size
     growth, focus = paraxial_change_per_k(cold, warm, STEP_K)
     return Thermal(
         calibrated_at_c=thermometer_c(lab),
         stars=len(place),
         signal_e=max(lab.bench.signal_e, BRIGHT_E),
         predicted_arcsec=scale * predicted.std(axis=0),
-        measured_arcsec=measured(scale * size[0], scale * size[1], place.size * lab.bench.frames),
+        measured_arcsec=measured(value_arcsec, sigma_arcsec, place.size * lab.bench.frames),
         scale_ppm_per_k=1e6 * growth_along_axes(place, predicted)[0],
         measured_scale_ppm_per_k=measured(*(1e6 * slope)),
         paraxial_ppm_per_k=1e6 * growth,

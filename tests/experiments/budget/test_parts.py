@@ -1,7 +1,5 @@
 """Parts of the budget that need no frames: overrides, attitude, sweeps."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,6 @@ from calib.accuracy import attitude_from_stars
 from calib.accuracy.attitude_from_stars import DirectionErrors
 from experiments.budget import attitude as attitude_module
 from experiments.budget.attitude import attitude_study
-from experiments.budget.experiment import chief
 from experiments.budget.laboratory import build_laboratory, half_field, moved_lens
 from experiments.budget.settings import AttitudeConfig, Config, MovedConfig
 from experiments.harness.config import load_config
@@ -90,12 +87,3 @@ def test_verdict_notices_another_power_of_the_number_of_stars(star_camera, monke
     quantities = described({**section}, Quantities(), {"attitude": result["attitude"]})
     (criterion,) = judged(section, Outcome(config=None, result=result, data=quantities.dataset))
     assert criterion.passed is (power == 0.5)
-
-
-def test_root_mean_squares_of_both_axes_are_what_sweeps_show():
-    both = {name: SimpleNamespace(arcsec=np.array([3.0, 4.0])) for name in ("total", "TE", "HSFE", "LSFE-S", "LSFE-C1")}
-    assert vars_of(chief(SimpleNamespace(budget=both))) == pytest.approx([np.sqrt(12.5)] * 5)
-
-
-def vars_of(record):
-    return [getattr(record, name) for name in type(record).__dataclass_fields__]
