@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.measure.target_points import common_shift
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from experiments.laboratory.chromatic_error import measure_chromatic
 from optics.lens.perturb import decentre
@@ -13,13 +12,6 @@ from optics.rays.spots import trace_spots
 from render.engine.random import Streams
 from render.sensor_file.instrument import build_instrument
 from render.sensor_file.tables import InstrumentConfig
-
-
-def test_common_shift_is_what_most_detections_agree_on():
-    rng = np.random.default_rng(1)
-    offset = np.concatenate([rng.normal([31.0, -12.0], 0.5, (25, 2)), rng.uniform(-80, 80, (60, 2))])
-    assert common_shift(offset) == pytest.approx([31.0, -12.0], abs=0.5)
-    assert common_shift(np.full((3, 2), 500.0)) == pytest.approx([0, 0])
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calib.measure import reduced_frame
-from calib.measure.reduced_frame import Reduction, measure_frame
-from calib.measure.reduced_windows import ring_subtracted
-from calib.records import NoiseModel
 from experiments.laboratory.bench.centroid_methods import has_own_epsf
 from experiments.laboratory.bench.point_bench import motion_method
 from experiments.laboratory.bench.readout.search import SEARCH_PX, find_star
@@ -20,14 +16,6 @@ from experiments.laboratory.temporal_error import target_place
 from optics.errors import DomainError
 from optics.light.band import TopHat
 from optics.light.spectrum import Blackbody
-from render.records import EffectivePsf, PsfGrid
-
-
-def test_the_nearest_psf_of_a_grid():
-    place = np.array([[10.0, 10.0], [50.0, 10.0], [10.0, 40.0]])
-    psf = EffectivePsf(values=np.ones((9, 9)), oversampling=2)
-    grid = PsfGrid(psfs=(psf,) * 3, place_px=place)
-    assert grid.nearest(np.array([12.0, 31.0, 9.0, 60.0]), np.array([9.0, 10.0, 26.0, 0.0])).tolist() == [0, 1, 2, 1]
 
 
 def test_the_target_stands_in_the_middle_of_the_first_chip(star_camera, bench_of):
@@ -93,62 +81,3 @@ def test_a_star_is_found_off_the_middle_and_at_the_corners():
         find_star(Windows(), rng.normal(0.0, 60.0, (70, 80)), np.array([[40.0, 30.0]]))
     with pytest.raises(DomainError, match="smaller than the search window"):
         find_star(Windows(), np.zeros((40, 80)), np.array([[20.0, 20.0]]))
-
-
-def test_centroids_of_windows_start_near_the_light_whatever_glows_elsewhere():
-    """Gravity over the 7 x 7 px around the detection; the upper edge of the window and the defect do not count."""
-    light = 3000.0 * spot(7.3, 6.8, 0.7, 15, 15)
-    dn, defect = 100.0 + 0.5 * light[None, None], np.zeros((1, 15, 15), bool)
-    dn[0, 0, 1, 7], dn[0, 0, 6, 5], defect[0, 6, 5] = 900.0, 4000.0, True
-    stack = SimpleNamespace(
-        dn=dn,
-        defect=defect,
-        saturated=np.zeros(dn.shape, bool),
-        corner_px=np.array([[30, 40]]),
-        offset_dn=100.0,
-        gain_dn_per_e=0.5,
-        read_noise_e=5.0,
-    )
-    stamps, _ = ring_subtracted(stack, np.array([[37.0, 47.0]]))
-    np.testing.assert_allclose(stamps.start_px, [[37.3, 46.8]], atol=0.02)
-
-
-@pytest.mark.parametrize("window_px", [7, 11])
-def test_a_frame_is_measured_in_the_window_that_was_asked_for(window_px, monkeypatch):
-    """At rest as asked, trails of 4 px two pixels more at each side."""
-    seen = []
-    real = reduced_frame.find_stamps
-    monkeypatch.setattr(reduced_frame, "find_stamps", lambda *a, **k: seen.append(k["size_px"]) or real(*a, **k))
-    noise = NoiseModel(read_noise_e=5.0)
-    dn = (1e4 * spot(30.3, 25.8, 1.0, 60, 64) + np.random.default_rng(4).normal(0.0, 5.0, (60, 64))) + 100.0
-    made = Reduction(
-        dark_dn=np.full((60, 64), 100.0),
-        noise=noise,
-        centroid="gaussian",
-        window_px=window_px,
-        threshold_sigma=8.0,
-        background_step_px=1,
-    )
-    off = np.zeros(dn.shape, bool)
-    told = {"read_noise_e": 5.0, "gain_dn_per_e": 1.0, "offset_dn": 100.0, "exposure_s": 1.0, "index": 0, "band": ""}
-    frame = SimpleNamespace(dn=dn, defect=off, saturated=off, **told)
-    found = measure_frame(frame, made).stars
-    np.testing.assert_allclose([found.x_px, found.y_px], [[30.3], [25.8]], atol=0.03)
-    measure_frame(frame, made, smear_px=4.0)
-    assert seen == [window_px, window_px + 4]
-
-
-def test_a_refined_grid_of_psfs_is_linear_between_its_nodes():
-    from render.psf_lattice import refined
-    from render.records import EffectivePsf, PsfGrid
-
-    x, y = np.meshgrid([0.0, 10.0, 20.0], [0.0, 8.0])
-    shape = np.arange(81.0).reshape(9, 9) + 1.0
-    psfs = tuple(
-        EffectivePsf(values=(1.0 + a + 3.0 * b) * shape, oversampling=4) for a, b in zip(x.flat, y.flat, strict=True)
-    )
-    found = refined(PsfGrid(psfs=psfs, place_px=np.column_stack([x.ravel(), y.ravel()])), 4)
-    assert len(found.psfs) == 9 * 5
-    for psf, (a, b) in zip(found.psfs, found.place_px, strict=True):
-        np.testing.assert_allclose(psf.values, (1.0 + a + 3.0 * b) * shape)
-    assert {tuple(one) for one in found.place_px} >= {(2.5, 2.0), (20.0, 8.0), (17.5, 6.0)}
