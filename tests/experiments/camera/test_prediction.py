@@ -56,6 +56,16 @@ def test_a_star_that_saturates_has_no_accuracy_and_meets_no_requirement(config):
     assert not judge({"nea_arcsec": (100.0, False)}, numbers_of(accuracy(long)))[0].met
 
 
+def test_saturation_and_sum_of_the_errors(tracker):
+    """The brightest pixel of the star that just saturates is full; errors of a star add in squares."""
+    full_e = min(tracker.detector.full_well_e, tracker.detector.converter_top_e) - tracker.pixel.dark_e
+    brightest = tracker.electrons(np.array([tracker.value("saturation_mag")]), 5800.0)[0]
+    assert brightest * tracker.stars.centroid.peak.max() == pytest.approx(full_e, rel=1e-6)
+    parts = [tracker.value(f"{name}_arcsec") for name in ("nea", "pattern", "phase", "colour")]
+    assert tracker.value("single_star_arcsec") == pytest.approx(np.linalg.norm(np.nan_to_num(parts)), rel=1e-9)
+    assert tracker.value("colour_arcsec") > 0.0
+
+
 def test_twice_the_light_is_three_quarters_of_a_magnitude(config, tracker):
     """Faint stars: the limit of half the throughput is brighter by 2.5 log 2."""
     half = predict_camera(with_value(config, "throughput_fraction", 0.5))

@@ -11,8 +11,6 @@ from experiments.harness.progress import Progress
 from experiments.harness.range import quantity_of
 from experiments.harness.what_if import _finer, crossing, run_sweep
 from optics.errors import ConfigError, DomainError
-from optics.lens_file import load_lens
-from optics.rays.paraxial import axial_paraxial, stopped_down
 from optics.validate import parse_model
 
 TRACKER = {
@@ -50,15 +48,6 @@ def test_where_a_requirement_is_crossed():
     assert crossing.at == pytest.approx(0.25, abs=2e-3)
     assert crossing.met == "below"
     assert found["swept"].answer.endswith("at exposure 0.235 s.")
-
-
-@pytest.mark.slow
-def test_two_keys_make_a_map():
-    found = study("exposure_s=0.1:0.2:2", "threshold_sigma=4:8:3")
-    limit = series(found, "limiting_magnitude_mag").reshape(2, 3)
-    assert (np.diff(limit, axis=0) > 0).all()
-    assert (np.diff(limit, axis=1) < 0).all()
-    assert (found["points"][4].first, found["points"][4].second) == (0.2, 6.0)
 
 
 @pytest.mark.slow
@@ -149,14 +138,3 @@ def test_lines_of_a_map_stand_where_the_law_crosses():
         true = (0.1 + np.sqrt(0.01 + 4.0 * 2.25 * 0.02 * y[row] ** 2)) / (2.0 * 2.25)
         if exposure[0] < true < exposure[-1]:
             assert found == pytest.approx(true, rel=0.02)
-
-
-def test_the_f_number_that_a_report_prints_leaves_the_lens_open():
-    lens = load_lens("star_camera_206mm")
-    printed = round(axial_paraxial(lens, lens.design_wavelength_nm).f_number, 2)
-    for stop in (printed, printed - 0.004):
-        assert stopped_down(lens, stop).surfaces[lens.stop_index].semi_diameter_mm == pytest.approx(
-            lens.surfaces[lens.stop_index].semi_diameter_mm, rel=2e-3
-        )
-    with pytest.raises(DomainError, match="at least"):
-        stopped_down(lens, printed - 0.02)

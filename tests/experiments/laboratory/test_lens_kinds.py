@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.special import j0, j1
+from scipy.special import j0
 
 from experiments.camera.settings import Config as CameraConfig
-from experiments.chromatic.settings import Config as ChromaticConfig
 from experiments.harness.config import load_config
 from experiments.harness.range import leaf_keys, parse_sweep, with_value
 from optics.errors import ConfigError, DomainError
@@ -115,21 +114,6 @@ def test_diffraction_is_the_airy_pattern_blurred_by_the_spot(ideal):
         assert share[row, column] == pytest.approx(expected, rel=4e-3), (row, column)
 
 
-def test_encircled_energy_of_the_airy_pattern(ideal):
-    """Share of the light outside a radius: J0^2 + J1^2 (Born & Wolf, sec. 8.5.2), summed over all pixels within it."""
-    camera = build_instrument(load_config(CameraConfig, sensor=ideal).instrument).camera
-    camera = replace(camera, pixel_pitch_mm=0.0004, charge_diffusion_px=0.0, diffraction="exact_waves")
-    image = StarRenderer(camera).render(star(camera, camera.nominal_direction([31.5], [31.5], 50.0)))
-    y, x = np.mgrid[:64, :64] - 31.5
-    v = np.pi * np.hypot(x, y) * 0.4 / (0.6 * 8.0)
-    for limit in (2.5, 4.5):
-        inside = v < limit
-        v_edge = limit * np.sqrt(inside.sum() * (0.4 * np.pi / 4.8) ** 2 / np.pi) / limit
-        expected = 1.0 - j0(v_edge) ** 2 - j1(v_edge) ** 2
-        share = image.electrons[..., 0][inside].sum() / image.truth.electrons_in[0, 0]
-        assert share == pytest.approx(expected, abs=3e-3)
-
-
 def test_measured_camera_puts_stars_where_its_model_says(measured):
     instrument = build_instrument(load_config(CameraConfig, sensor=measured).instrument)
     camera = instrument.camera
@@ -147,17 +131,6 @@ def test_measured_camera_puts_stars_where_its_model_says(measured):
 def test_measured_lens_is_used_as_it_was_measured(measured, key, value):
     with pytest.raises(DomainError, match=r"needs a prescription|was measured in focus"):
         build_instrument(load_config(CameraConfig, sensor=measured, settings=[f"instrument.{key}={value}"]).instrument)
-
-
-@pytest.mark.slow
-def test_chromatic_needs_glass(ideal, measured):
-    from experiments.chromatic.experiment import run
-    from experiments.harness.progress import Progress
-
-    for sensor, words in ((ideal, "ideal lens without glass"), (measured, "measured lens without surfaces")):
-        config = load_config(ChromaticConfig, sensor=sensor)
-        with pytest.raises(DomainError, match=words):
-            run(config, progress=Progress())
 
 
 def test_keys_of_the_lens_table_are_swept(ideal):
