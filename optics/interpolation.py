@@ -9,7 +9,7 @@ from optics.arrays import FloatArray
 
 
 def bilinear(
-    values: ArrayLike, knots: tuple[ArrayLike, ArrayLike], positions: tuple[ArrayLike, ArrayLike]
+    values: ArrayLike, knots: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
     """Bilinear interpolation of a table, constant beyond its edges.
 
@@ -27,10 +27,7 @@ def bilinear(
     (n,)
         Interpolated values.
     """
-    table = np.asarray(values, np.float64)
-    steps = [np.interp(x, k, np.arange(len(np.asarray(k)))) for x, k in zip(positions, knots, strict=True)]
-    first = [np.minimum(step.astype(np.int64), size - 2) for step, size in zip(steps, table.shape, strict=True)]
-    (row, column), (y, x) = first, (step - start for step, start in zip(steps, first, strict=True))
-    upper = table[row, column] * (1.0 - x) + table[row, column + 1] * x
-    lower = table[row + 1, column] * (1.0 - x) + table[row + 1, column + 1] * x
-    return np.asarray(upper * (1.0 - y) + lower * y)
+    from scipy.ndimage import map_coordinates  # here: every command would wait for it
+
+    steps = [np.interp(x, k, np.arange(len(k))) for x, k in zip(positions, knots, strict=True)]
+    return np.asarray(map_coordinates(np.asarray(values, np.float64), np.stack(steps), order=1, mode="nearest"))

@@ -150,7 +150,7 @@ def field_response(
     sensor.check_field()
     band = band or sensor.band or sensor.passband()
     camera, lens = sensor.camera, sensor.camera.focused_lens
-    light = _light(band, magnitude_system)
+    light = _light(band, magnitude_system)  # type: ignore[arg-type]  # bands are frozen records
     wave = light.wavelength_nm[0]
     response = camera.response_at(wave)
     fraction = _fraction(light, response, temperature_k)

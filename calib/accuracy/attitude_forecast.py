@@ -33,8 +33,8 @@ class Sightings:
 class AttitudeForecast:
     """Predicted attitude errors over f attitudes of the sky."""
 
-    found: FloatArray  # (f,) Expected number of stars that are detected
-    found_variance: FloatArray  # (f,) Variance of that number by noise
+    detected: FloatArray  # (f,) Expected number of stars that are detected
+    detected_variance: FloatArray  # (f,) Variance of that number by noise
     # (f,) Expected number of those that are fit: not saturated, whole and alone in their window, on good pixels
     stars: FloatArray
     # (f, 3) Standard deviation about x, y (across) and z (roll) by temporal noise; infinite where too few stars are fit
@@ -52,7 +52,7 @@ class AttitudeForecast:
 def whole_windows(pixel_px: FloatArray, size_px: tuple[int, int], window_px: int) -> NDArray[np.bool_]:
     """Which windows around positions (m, 2) lie on a detector of (columns, rows)."""
     edge = window_px // 2 - 0.5
-    return ((pixel_px > edge) & (pixel_px < np.array(size_px) - 1 - edge)).all(axis=1)
+    return np.asarray(((pixel_px > edge) & (pixel_px < np.array(size_px) - 1 - edge)).all(axis=1))
 
 
 def attitude_forecast(
@@ -103,10 +103,13 @@ def attitude_forecast(
             seen.direction, square * (pixel_arcsec / RAD_ARCSEC) ** 2, seen.frame, seen.frames, share=fit
         )
         spread.append(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * RAD_ARCSEC)
-    sums = [np.bincount(seen.frame, values, seen.frames) for values in (chance, chance * (1.0 - chance), fit)]
+    sums = [
+        np.bincount(seen.frame, values, seen.frames).astype(np.float64)
+        for values in (chance, chance * (1.0 - chance), fit)
+    ]
     return AttitudeForecast(
-        found=sums[0],
-        found_variance=sums[1],
+        detected=sums[0],
+        detected_variance=sums[1],
         stars=sums[2],
         noise_arcsec=spread[0],
         total_arcsec=spread[1],

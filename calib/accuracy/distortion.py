@@ -295,7 +295,7 @@ def map_change_px(position: FloatArray, change_px: FloatArray, *, scaled: bool) 
 def polynomial_rms_px(position: FloatArray, offset_px: FloatArray, order: int = 3) -> float:
     """RMS per axis of offsets (n, 2) that a polynomial of each axis leaves."""
     terms = polynomial_terms(position, order)
-    return float(np.hypot(*(_residual_rms(terms, axis) for axis in offset_px.T)) / np.sqrt(2.0))
+    return float(np.sqrt(np.mean([_residual_rms(terms, axis) ** 2 for axis in offset_px.T])))
 
 
 def _residual_rms(design_matrix: FloatArray, values: FloatArray) -> float:

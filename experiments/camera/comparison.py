@@ -196,9 +196,9 @@ def _alarms(prediction: CameraPrediction, rendered: Rendered) -> Compared:
 
 def _stars(prediction: CameraPrediction, rendered: Rendered) -> Iterator[Compared]:
     forecast, frames = prediction.attitude, len(rendered.sky.found)
-    variance = float(forecast.found_variance[:frames].sum())
+    variance = float(forecast.detected_variance[:frames].sum())
     for name, words, counts, expected, unfit in (
-        ("stars", f"Stars detected in {frames} frames of the sky", rendered.sky.found, forecast.found, 0.0),
+        ("stars", f"Stars detected in {frames} frames of the sky", rendered.sky.found, forecast.detected, 0.0),
         ("fit_stars", "Stars fit for an attitude", rendered.sky.fit, forecast.stars, UNFIT_SHARE),
     ):
         predicted = float(expected[:frames].sum())

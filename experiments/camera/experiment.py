@@ -84,7 +84,7 @@ def spots_over_field(outcome: Outcome) -> Figure:
     angles = [(float(angle), 0.0) for angle in traced.field_deg[[0, 2, 4]]]
     pixel_um = 1e3 * camera.pixel_pitch_mm
     return draw_spots(
-        camera.focused_lens, fields_deg=angles, wavelength_nm=traced.wavelength_nm[[0, 2, 5]], pixel_um=pixel_um
+        camera.focused_lens, fields_deg=angles, wavelength_nm=list(traced.wavelength_nm[[0, 2, 5]]), pixel_um=pixel_um
     )
 
 

@@ -61,9 +61,9 @@ def test_attitudes_star_by_star(seen):
     detected = np.interp(np.log(shown), np.log([200.0, 400.0]), [0.0, 1.0])
     merged = seen.brighter_px < 1.2 * 2.0  # 2 sqrt(2) standard deviations of a filter of 2 px
     np.testing.assert_allclose(forecast.chance, np.where(merged, 0.0, detected))
-    np.testing.assert_allclose(forecast.found, np.bincount(seen.frame, forecast.chance))
+    np.testing.assert_allclose(forecast.detected, np.bincount(seen.frame, forecast.chance))
     scatter = np.bincount(seen.frame, forecast.chance * (1.0 - forecast.chance))
-    np.testing.assert_allclose(forecast.found_variance, scatter, atol=1e-12)
+    np.testing.assert_allclose(forecast.detected_variance, scatter, atol=1e-12)
     first = np.rint(seen.pixel_px) - WINDOW // 2
     whole = ((first >= 0) & (first + WINDOW <= SIZE)).all(axis=1)
     alone = 1.0 - np.interp(np.log(np.maximum(seen.neighbour_e, 1.0)), np.log([200.0, 400.0]), [0.0, 1.0])
