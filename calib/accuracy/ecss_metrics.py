@@ -11,8 +11,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import bdtr, erf, ndtri
-from scipy.stats import beta
+from scipy.special import bdtr, betaincinv, erf, ndtri
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -121,7 +120,7 @@ def success_limit(successes: int, runs: int, confidence: float) -> float:
     _check_level(confidence, "confidence")
     if not 0 <= successes <= runs:
         raise DomainError(f"{successes} successes in {runs} runs; between 0 and the number of runs are possible")
-    return float(beta.ppf(1.0 - confidence, successes, runs - successes + 1)) if successes else 0.0
+    return float(betaincinv(successes, runs - successes + 1, 1.0 - confidence)) if successes else 0.0
 
 
 def runs_needed(fraction: float, confidence: float, failures: int = 0) -> int:

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import gammainc, gammaincc
-from scipy.stats import t
+from scipy.special import gammainc, gammaincc, stdtrit
 
 SAME_SPREAD = 1.2  # a typical residual this close to the stated sigma, as a factor, is the stated sigma
 NOTE_PROBABILITY = 1e-3  # two-sided, below which chance is no explanation
@@ -109,7 +108,7 @@ def two_sided_quantile(probability: float, degrees_of_freedom: float = np.inf) -
 
     Of a standard deviation that was itself estimated, with the degrees of freedom of Student's t distribution.
     """
-    return float(t.isf(probability / 2.0, degrees_of_freedom))
+    return float(-stdtrit(degrees_of_freedom, probability / 2.0))
 
 
 UNTESTED = ChiSquare(value=0.0, degrees_of_freedom=0)

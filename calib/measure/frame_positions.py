@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher_f
+from scipy.special import fdtri
 
 from calib.flags import StarFlag, has_flag
 from calib.measure.centroid import Centroider
@@ -62,4 +62,4 @@ def common_motion_limit(frames: int, points: int, false_alarm: float) -> float:
 
     Fisher's F with (f - 1) and (f - 1)(n - 1) degrees of freedom, f frames.
     """
-    return float(fisher_f.isf(false_alarm, frames - 1, (frames - 1) * (points - 1)))
+    return float(fdtri(frames - 1, (frames - 1) * (points - 1), 1.0 - false_alarm))
