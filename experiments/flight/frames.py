@@ -30,7 +30,6 @@ from optics.records import freeze
 from optics.units import ARCSEC_RAD
 from render.bodies.solar_system import BODIES, solar_system
 from render.engine.random import Streams
-from render.motion.trajectory import Trajectory
 from render.observation import SkyLight
 from render.psf_lattice import refined, render_psf_grid
 from render.records import Frame, PsfGrid
@@ -110,10 +109,9 @@ class Camera:
             by_grid=True,
         )
 
-    def expected(self, time_s: float, state_k: FloatArray, trajectory: Trajectory | None = None) -> SkyLight:
+    def expected(self, time_s: float, state_k: FloatArray) -> SkyLight:
         """Light of an exposure about a time, through the lens in a state."""
-        path = self.flight.trajectory if trajectory is None else trajectory
-        exposure = self.config.instrument.exposure_s
+        path, exposure = self.flight.trajectory, self.config.instrument.exposure_s
         start = time_s - 0.5 * exposure
         during = path.attitude(start + exposure * np.array([0.0, 0.5, 1.0]))
         turn_rad = 2.0 * (during[1:] * during[:-1].inv()).magnitude().max()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,12 +23,11 @@ from experiments.flight.settings import Config
 from optics.arrays import FloatArray
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
-from render.motion.trajectory import ConstantRate, rate_of_trail, trail_of_rate
+from render.motion.trajectory import rate_of_trail, trail_of_rate
 
 Sensor = Callable[[Rotation, ArrayLike, float], TrackedAttitude]
 """``sensor(attitude, rate_rad_per_s, time_s)``: cam from icrs and its rate in cam, in the middle of the exposure."""
 
-MARGIN_S = 1.0
 FIELD_PART = 0.02
 """Errors of the stars are looked up again after a turn by this part of the field, or `AGED_S`."""
 AGED_S = 10.0
@@ -45,10 +45,10 @@ def by_frames(config: Config) -> Sensor:
 
     def sensor(attitude: Rotation, rate_rad_per_s: ArrayLike, time_s: float) -> TrackedAttitude:
         rate = np.asarray(rate_rad_per_s, float)
-        start = Rotation.from_rotvec(rate * MARGIN_S) * attitude
-        path = ConstantRate(initial=start, rate_rad_per_s=rate, start_s=time_s - MARGIN_S, end_s=time_s + MARGIN_S)
-        image = camera.expected(time_s, np.zeros(5), path)
-        frame = camera.read(image, time_s, next(calls), "loop")
+        exposure: dict[str, Any] = {"rate_deg_per_s": np.degrees(rate)} if rate.any() else {}
+        velocity = flight.velocity_km_per_s(time_s)
+        light = camera.simulator.expected(attitude, velocity_km_per_s=velocity, **exposure)
+        frame = camera.read(light, time_s, next(calls), "loop")
         known = flight.known_velocity_km_per_s(time_s)
         found = tracker(frame, time_s, velocity_km_per_s=known, rate_rad_per_s=rate)
         return found if found.attitude is None else replace(found, attitude=aligned * found.attitude)

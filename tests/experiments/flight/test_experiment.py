@@ -126,8 +126,9 @@ def test_a_turn_that_grows_faster_moves_the_attitude_of_rendered_frames(engine):
     aim, growth = camera.flight.trajectory.attitude(100.0), np.radians(1.0)
     turned = Rotation.from_rotvec(-0.5 * growth * np.outer((time - 100.0) ** 2, [0.0, 1.0, 0.0])) * aim
     path = SampledAttitude(samples_s=time, attitudes=turned)
-    frame = camera.read(camera.expected(100.0, np.zeros(5), path), 100.0, 0, "growth")
-    found = tracker(frame, 100.0, velocity_km_per_s=camera.flight.velocity_km_per_s(100.0), near=aim)
+    velocity = camera.flight.velocity_km_per_s(100.0)
+    light = camera.simulator.expected(path, start_s=99.9, velocity_km_per_s=velocity)
+    found = tracker(camera.read(light, 100.0, 0, "growth"), 100.0, velocity_km_per_s=velocity, near=aim)
     error = attitude_error_arcsec(found.attitude, aim)
     expected = np.degrees(growth * config.instrument.exposure_s**2 / 24.0) * 3600.0
     np.testing.assert_allclose(error[:2], [0.0, -expected], atol=0.1 * expected)
