@@ -38,6 +38,7 @@ def excess_sigma(residual: FloatArray, variance: FloatArray, *, expected: float 
     def excess(sigma: float) -> float:
         total = stated + axes * sigma**2
         inside = squared < CLIP_SIGMA**2 * total
-        return float(np.mean(squared[inside] / total[inside])) - expected
+        # where all lie beyond five sigma the sought value is larger
+        return float(np.mean(squared[inside] / total[inside])) - expected if inside.any() else CLIP_SIGMA**2
 
     return float(brentq(excess, 0.0, largest)) if excess(0.0) > 0.0 > excess(largest) else 0.0
