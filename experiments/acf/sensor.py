@@ -11,9 +11,7 @@ from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.fit import fit_to_map
 from optics.brown_conrady import COEFFICIENTS
 from optics.frames import field_angles_deg
-from optics.lens.measured import MeasuredLens
 from optics.rays.chief import chief_ray_points
-from render.camera import Camera
 from render.sensor_file.instrument import build_instrument
 from render.sensor_file.tables import InstrumentConfig
 
@@ -34,32 +32,21 @@ def camera_settings(config: InstrumentConfig) -> dict[str, Any]:
     lens = camera.focused_lens
     x_mm, y_mm = chief_ray_points(lens, *field_angles_deg(direction), blocked="follow")
     pixel = camera.centre_px + np.column_stack([x_mm, -y_mm]) / camera.pixel_pitch_mm
-    if lens.measured is not None:
-        return _measured(lens.measured, camera)
-    start = BrownConrady.create(geometry, focal_length_mm=instrument.focal_length_mm)
-    free = ("focal_length_mm", "q1_per_mm2", "q2_per_mm4", "q3_per_mm6")
-    model = fit_to_map(start, direction, pixel, free=free, turn=False).model
-    return {
-        "width_px": camera.width_px,
-        "height_px": camera.height_px,
-        "pixel_um": 1e3 * camera.pixel_pitch_mm,
-        "x0_px": 0.0,
-        "y0_px": 0.0,
-        "p1_per_mm": 0.0,
-        "p2_per_mm": 0.0,
-        **{name: model.value(name) for name in free},
-    }
-
-
-def _measured(lens: MeasuredLens, camera: Camera) -> dict[str, Any]:
-    """The camera model of a measured lens, which is one of this experiment's, at its reference wavelength."""
-    x0_px, y0_px = lens.principal_point_mm / camera.pixel_pitch_mm
+    if lens.measured is not None:  # a camera model of this experiment, at its reference wavelength
+        x0_px, y0_px = lens.measured.principal_point_mm / camera.pixel_pitch_mm
+        distortion = dict(zip(COEFFICIENTS, lens.measured.distortion.tolist(), strict=True))
+        fitted = {"focal_length_mm": lens.measured.focal_length_mm, **distortion}
+    else:
+        x0_px = y0_px = 0.0
+        start = BrownConrady.create(geometry, focal_length_mm=instrument.focal_length_mm)
+        free = ("focal_length_mm", "q1_per_mm2", "q2_per_mm4", "q3_per_mm6")
+        model = fit_to_map(start, direction, pixel, free=free, turn=False).model
+        fitted = {"p1_per_mm": 0.0, "p2_per_mm": 0.0, **{name: model.value(name) for name in free}}
     return {
         "width_px": camera.width_px,
         "height_px": camera.height_px,
         "pixel_um": 1e3 * camera.pixel_pitch_mm,
         "x0_px": float(x0_px),
         "y0_px": float(y0_px),
-        "focal_length_mm": lens.focal_length_mm,
-        **dict(zip(COEFFICIENTS, lens.distortion.tolist(), strict=True)),
+        **fitted,
     }

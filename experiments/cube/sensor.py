@@ -29,7 +29,6 @@ class SensorRun:
 
     angle_rad: FloatArray  # (n, 2) True angles of the table
     pixel_px: FloatArray  # (n, 2) Measured spots
-    true_px: FloatArray  # (n, 2) Where geometry puts them
 
 
 def field_angles(config: Config) -> FloatArray:
@@ -56,7 +55,7 @@ def observe_spots(laboratory: Laboratory, truth: Truth, table: Turntable, stream
         log2_particles=config.log2_particles,
         streams=streams,
     )
-    return SensorRun(angle_rad=angle, pixel_px=centre_of_light(electrons) + corner, true_px=truth.sensor.spot_px(sun))
+    return SensorRun(angle_rad=angle, pixel_px=centre_of_light(electrons) + corner)
 
 
 def own_detector(laboratory: Laboratory, truth: Truth) -> Detector:

@@ -93,7 +93,6 @@ class Acquisition:
     # (n, 2, 2) Predicted, pixel by pixel: photons, read noise, rounding, dark frames, response pattern
     covariance_px2: FloatArray
     bundle_px: FloatArray  # (n, 2) Truth: mean of the traced rays over the exposure
-    windows: WindowStack  # The frames
     lost: int  # Places without a position
 
     def __post_init__(self) -> None:
@@ -218,7 +217,6 @@ def _measured(
         position_px=position[good],
         covariance_px2=covariance[good],
         bundle_px=bundle_px[good],
-        windows=stack,
         lost=int((~good).sum()),
     )
 

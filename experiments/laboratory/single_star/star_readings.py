@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.measure.centroid import get_centroider
 from calib.measure.frame_positions import frame_statistics, measured_positions
@@ -25,7 +24,7 @@ from experiments.laboratory.bench.readout.windows import WindowReader, cut_windo
 from optics.arrays import FloatArray
 from optics.records import freeze
 from render.engine.random import Streams
-from render.records import EffectivePsf, ExpectedImage, WindowStack
+from render.records import EffectivePsf, ExpectedImage
 from render.sensor_file.instrument import Instrument
 
 
@@ -46,15 +45,12 @@ class StarReadings:
     covariance_px2: FloatArray  # (n, 2, 2) Of the mean, predicted (see the module)
     temporal_px: FloatArray  # (n, 2) Standard deviation of a single frame's centroid, measured
     predicted_temporal_px: FloatArray  # (n, 2) The same, predicted
-    frames_used: NDArray[np.int64]  # (n,) Frames that gave a position
-    windows: WindowStack  # The readout
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         for name in ("position_px", "temporal_px", "predicted_temporal_px"):
             freeze(self, name, shape=("n", 2), sizes=sizes)
         freeze(self, "covariance_px2", shape=("n", 2, 2), sizes=sizes)
-        freeze(self, "frames_used", shape=("n",), dtype=np.int64, sizes=sizes)
 
     @property
     def sigma_px(self) -> FloatArray:
@@ -85,7 +81,7 @@ def read_windows(
     centroider = get_centroider("epsf", epsf=list(psfs))
     position = measured_positions(centroider, stamps, noise, plan.frames)
     refuse_few_frames(position, "epsf", where="the star")
-    mean, temporal, used = frame_statistics(position)
+    mean, temporal, _ = frame_statistics(position)
     light_e, pixel = light.astype(np.float64), instrument.pixel_noise()
     gain = linear_response(centroider, stamps.select(slice(0, len(centre))), noise, light_e)
     mean_e2 = pixel.temporal_e2(light_e, frames=plan.frames, dark_frames=plan.dark_frames) + pixel.response_e2(light_e)
@@ -94,6 +90,4 @@ def read_windows(
         covariance_px2=centroid_covariance(gain, mean_e2),
         temporal_px=temporal,
         predicted_temporal_px=np.sqrt(centroid_variance(gain, pixel.temporal_e2(light_e))),
-        frames_used=used,
-        windows=stack,
     )

@@ -1,4 +1,4 @@
-"""Joint calibration with a single star on a turntable; the table here is two or three rotations written out."""
+"""Joint calibration with a single star on a turntable; outer axis y, inner axis x."""
 
 from dataclasses import replace
 
@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib.calibration.attitude_family import RotationFamily
 from calib.calibration.calibrate import calibrate
 from calib.calibration.observations import Observations
+from calib.calibration.table_axes import TableAxes
 from calib.calibration.turntable import TableErrors, TurntableAttitudes, star_direction
 from calib.fitting.robust_loss import get_loss
 from optics.errors import DomainError
@@ -19,10 +20,6 @@ NOMINAL = np.array([0.0, 0.0, 1.0])
 THETA_DEG = (1.0, 2.0, 3.0)
 
 
-def axis_turn(axis, angle):
-    return Rotation.from_rotvec(np.outer(angle, axis))
-
-
 class Bench:
     """A star seen at random places of the detector: outer axis y, inner axis x (leaning by ``lean``), third axis z."""
 
@@ -30,27 +27,24 @@ class Bench:
         rng = np.random.default_rng(seed)
         self.camera = camera or scenes.CAMERA
         self.installation = Rotation.from_matrix(scenes.document_matrix(THETA_DEG))
-        self.angle = np.deg2rad(rng.uniform(-half_deg, half_deg, (count, axes)))
-        self.inner = np.array([np.cos(lean), np.sin(lean), 0.0])  # leaning towards the outer axis, +y
-        exact = self.camera.project(self.seen(self.angle, self.inner))
+        leans = np.zeros(axes - 1)
+        leans[0] = lean / ARCSEC_RAD
+        self.axes = TableAxes.create("yxz"[:axes], non_orthogonality_arcsec=leans)
+        angle = np.deg2rad(rng.uniform(-half_deg, half_deg, (count, axes)))
+        exact = self.camera.project(self.star_in_cam(angle))
         inside = np.all((exact > 0) & (exact < 1023), axis=1)
-        self.angle, self.exact = self.angle[inside], exact[inside]
+        self.angle, self.exact = angle[inside], exact[inside]
         self.count = len(self.exact)
         self.observations = self.measured(rng, sigma_px)
         self.truth = np.concatenate(
-            [
-                self.camera.parameters,
-                [np.arctan2(STAR[0], STAR[2]), np.arcsin(STAR[1])],
-                np.deg2rad(THETA_DEG),
-            ]
+            [self.camera.parameters, [np.arctan2(STAR[0], STAR[2]), np.arcsin(STAR[1])], np.deg2rad(THETA_DEG)]
         )
 
-    def table(self, angle, inner=(1.0, 0.0, 0.0)):
-        turn = axis_turn([0.0, 1.0, 0.0], angle[:, 0]) * axis_turn(inner, angle[:, 1])
-        return turn * axis_turn([0.0, 0.0, 1.0], angle[:, 2]) if angle.shape[1] == 3 else turn
+    def table(self, angle):
+        return self.axes.nominal.rotation(angle)
 
-    def seen(self, angle, inner):
-        return self.installation.apply(self.table(angle, inner).inv().apply(STAR))
+    def star_in_cam(self, angle):
+        return self.installation.apply(self.axes.rotation(angle).inv().apply(STAR))
 
     def measured(self, rng, sigma_px=0.05):
         return Observations.isotropic(
@@ -60,20 +54,6 @@ class Bench:
             sigma_px=sigma_px or 0.05,
             frames=self.count,
         )
-
-    def lean_rates(self, angle):
-        """Rotation vector of the table per lean of the inner axis, by differences of the rotations themselves."""
-        h = 1e-6
-        ahead, behind = (self.table(angle, [np.cos(s), np.sin(s), 0.0]) for s in (h, -h))
-        return ((ahead * behind.inv()).as_rotvec() / (2 * h))[:, None]
-
-    def angle_rates(self, angle):
-        """Rotation vectors per angle, likewise."""
-        h = 1e-6
-        out = []
-        for axis in np.eye(angle.shape[1]):
-            out.append((self.table(angle + h * axis) * self.table(angle - h * axis).inv()).as_rotvec() / (2 * h))
-        return np.stack(out, axis=1)
 
 
 @pytest.mark.parametrize("axes", [2, 3])
@@ -109,7 +89,7 @@ def test_a_leaning_axis_is_found_or_spoils_the_fit(scenes):
     bench = Bench(scenes, count=600, lean=lean, sigma_px=0.01)
     table = bench.table(bench.angle)
     ignored = calibrate(bench.observations, scenes.START, TurntableAttitudes(table_rotation=table)).solution
-    errors = TableErrors(axis_rate=bench.lean_rates(bench.angle), axis_names=("lean_rad",))
+    errors = TableErrors(axis_rate=bench.axes.nominal.lean_rates(bench.angle), axis_names=("lean_rad",))
     found = calibrate(
         bench.observations, scenes.START, TurntableAttitudes(table_rotation=table, errors=errors)
     ).solution
@@ -125,7 +105,7 @@ def test_a_known_axis_is_not_changed_by_a_tight_prior(scenes):
     bench = Bench(scenes)
     table = bench.table(bench.angle)
     errors = TableErrors(
-        axis_rate=bench.lean_rates(bench.angle), axis_names=("lean_rad",), axis_sigma_rad=np.array([1e-9])
+        axis_rate=bench.axes.nominal.lean_rates(bench.angle), axis_names=("lean_rad",), axis_sigma_rad=np.array([1e-9])
     )
     plain = calibrate(bench.observations, scenes.START, TurntableAttitudes(table_rotation=table)).solution
     found = calibrate(
@@ -140,15 +120,15 @@ def test_reading_errors_count_as_they_move_the_star(scenes):
     """A star per frame: errors of the angles are an error of its position, and can as well be put there."""
     bench = Bench(scenes)
     sigma = np.array([3e-6, 5e-6])  # rad; 0.1 px is 39e-6
-    rates = bench.angle_rates(bench.angle)
+    rates = bench.axes.nominal.angle_rates(bench.angle)
     errors = TableErrors(reading_rate=rates, reading_sigma_rad=10 * sigma)
     table = bench.table(bench.angle)
     found = calibrate(bench.observations, scenes.START, TurntableAttitudes(table_rotation=table, errors=errors))
     h = 1e-7
     moved = [
         (
-            bench.camera.project(bench.seen(bench.angle + h * e, bench.inner))
-            - bench.camera.project(bench.seen(bench.angle - h * e, bench.inner))
+            bench.camera.project(bench.star_in_cam(bench.angle + h * e))
+            - bench.camera.project(bench.star_in_cam(bench.angle - h * e))
         )
         / (2 * h)
         for e in np.eye(2)
@@ -165,7 +145,7 @@ def test_reading_errors_count_as_they_move_the_star(scenes):
 def test_one_axis_does_not_tell_star_and_installation_apart(scenes):
     bench = Bench(scenes, count=200)
     angle = bench.angle * [1.0, 0.0]
-    line = scenes.CAMERA.project(bench.seen(angle, bench.inner))
+    line = scenes.CAMERA.project(bench.star_in_cam(angle))
     observed = replace(bench.observations, pixel_px=line)
     found = calibrate(observed, scenes.START, TurntableAttitudes(table_rotation=bench.table(angle))).solution
     assert not found.converged or found.sigma[1] > 1.0
@@ -303,7 +283,7 @@ def test_errors_of_first_order_say_whether_they_hold(scenes, reading_arcsec, hol
     camera = scenes.CAMERA.with_parameters([10.0, -10.0, 50.0, 2e-4, -4e-7, 1e-8, 2e-4, 2e-4])
     bench = Bench(scenes, count=80, camera=camera, half_deg=5.5, sigma_px=0.0)
     angle, rng = bench.angle[:42], np.random.default_rng(5)
-    sigma, rates = np.full(2, reading_arcsec * ARCSEC_RAD), bench.angle_rates(angle)
+    sigma, rates = np.full(2, reading_arcsec * ARCSEC_RAD), bench.axes.nominal.angle_rates(angle)
     reading = angle + sigma * rng.standard_normal((42, 2))
     stars = replace(bench.observations.select(np.arange(42)), frames=42)
     errors = TableErrors(reading_rate=rates, reading_sigma_rad=sigma)

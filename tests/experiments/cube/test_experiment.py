@@ -99,7 +99,6 @@ def test_sensor_calibration_finds_what_is_true(laboratory):
     assert np.all(np.abs(error) < 4 * sigma)
     assert sigma.max() < 3.0
     assert found.focal_length_mm == pytest.approx(truth.sensor.gap_mm, abs=1e-4)
-    assert np.abs(run.pixel_px - run.true_px).max() < 0.03
 
 
 def test_every_bench_has_a_sun_sensor_chip_of_its_own(laboratory):

@@ -1,7 +1,5 @@
 """Rendered light against the closed form, and noise of pictures and sun sensor against its predictions."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,14 +10,12 @@ from calib.measure.screen_circles import fit_aperture, fit_hole, fit_spot, measu
 from experiments.cube import bench as cube_bench
 from experiments.cube.bench import NOMINAL_CUBE, SQUARE, Case, build_table, draw_truths
 from experiments.cube.budget import DETECTOR_RELATIVE, reading_term
-from experiments.cube.noise import picture_noise, sensor_noise, spot_particles_px2, spot_variance_px2
-from experiments.cube.sensor import field_angles, fit_sensor
+from experiments.cube.noise import picture_noise, spot_particles_px2
+from experiments.cube.sensor import field_angles
 from experiments.cube.settings import Config
 from experiments.cube.trim import exposed, spot_reach_mm
 from render.bench.scene import CubePose, place_cube
 from render.bench.sensor import mask_scene, trace_mask
-from render.bench.spot import spot_profile
-from render.bench.trace import land
 from render.engine.random import Streams
 
 PICTURES = 24
@@ -35,21 +31,6 @@ def turn_face(laboratory, tilt_rad):
     table = Rotation.from_rotvec([0.0, tilt_rad, 0.0]) * Rotation.from_euler("y", 180, degrees=True)
     pose = CubePose.of_table(laboratory.geometry, table.as_matrix(), NOMINAL_CUBE, SQUARE)
     place_cube(laboratory.scene, laboratory.geometry, pose)
-
-
-@pytest.mark.slow
-def test_profile_of_the_rendered_spot(laboratory):
-    """Particles in 60 rings of equal area against two circles overlapping; 2^20 particles count a ring to 0.8 %."""
-    of = laboratory.geometry
-    blur = of.blur_mm(of.path_mm)
-    turn_face(laboratory, 2.0 * (of.aperture_mm + blur) / of.path_mm)  # the whole spot beside the hole
-    points = land(laboratory.scene, of, log2_particles=20, seed=3).screen_mm
-    edge = 1.05 * (of.aperture_mm / 2 + blur) * np.sqrt(np.linspace(0.0, 1.0, 61))
-    count, _ = np.histogram(np.hypot(*(points - points.mean(0)).T), edge)
-    rendered = count / np.diff(edge**2) / (len(points) / (of.aperture_mm / 2) ** 2)
-    fine = edge[:-1, None] + np.diff(edge)[:, None] * (np.arange(16) + 0.5) / 16
-    closed = (spot_profile(of, fine) * fine).sum(1) / fine.sum(1)
-    assert np.abs(rendered - closed).max() < 0.02
 
 
 @pytest.mark.slow
@@ -129,25 +110,3 @@ def cube_of(angle_rad, lean_arcsec=0.0):
     across = second - (second @ first) * first
     across /= np.linalg.norm(across)
     return Rotation.from_matrix([across, np.cross(first, across), first])
-
-
-@pytest.mark.slow
-def test_noise_of_the_sun_sensor_is_that_of_many_fits(laboratory):
-    """Spots of known noise, N = 200 fits; a standard deviation is known to 5 %, four of those."""
-    config = Config(benches={"count": 2}, sensor={"grid": 5})
-    laboratory = replace(laboratory, config=config)
-    truth = draw_truths(config, Streams(3))[0]
-    sensor = replace(truth.sensor, offset_px=np.zeros(2), gap_mm=config.sensor.gap_mm)
-    table = build_table(config, replace(truth, lean=0.0), Case(name="", label="", reading=True))
-    angle, rng = field_angles(config), np.random.default_rng(5)
-    exact = sensor.spot_px(table.rotation(angle).inv().apply([0.0, 0.0, 1.0]))
-    noise = sensor_noise(laboratory, reading=True, lean=False)
-    cosine = table.rotation(angle).as_matrix()[:, 2, 2]
-    sigma = np.sqrt(spot_variance_px2(laboratory, cosine))[:, None]
-    found = []
-    for run in range(200):
-        spots = exact + sigma * rng.standard_normal(exact.shape)
-        read = table.read(angle, Streams(7), call=run)
-        found.append(fit_sensor(config, spots, read, table, sensor, free=False).rotation.as_rotvec())
-    predicted = np.sqrt(np.diag(noise.covariance_rad2))
-    assert np.std(found, axis=0) / predicted == pytest.approx(np.ones(3), abs=0.2)

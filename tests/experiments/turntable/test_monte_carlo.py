@@ -10,7 +10,6 @@ from calib.calibration.star_bench import StarBench, aiming_angles, star_directio
 from calib.cameras import BrownConrady, SensorGeometry
 from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.measure import TracedMap
-from experiments.turntable.fields import field_sweep
 from experiments.turntable.monte_carlo import Coordinates, equal_reading_noise_arcsec, monte_carlo, reading_sweep
 from render.engine.random import Streams
 
@@ -79,14 +78,3 @@ def test_readings_count_as_centroids_where_they_double_the_variance(setup):
         assert one.measured_arcsec.value == pytest.approx(one.bound_arcsec, rel=0.5)
         assert one.pull_rms == pytest.approx(1.0, abs=0.5)
     assert np.isnan(equal_reading_noise_arcsec(sweep[:1], still))
-
-
-def test_bounds_over_the_field_are_told_in_pixels_and_in_angles():
-    """5.5 um over the focal length that sees the field over 2048 px; a coordinate against a length over two axes."""
-    (point,) = field_sweep([6.0], 0.02)
-    pixel_arcsec = 2.0 * np.tan(np.radians(3.0)) / 2048 * 206264.806
-    assert point.image_arcsec == pytest.approx(0.02 * pixel_arcsec, rel=1e-6)
-    assert point.principal_point_sigma_arcsec == pytest.approx(point.principal_point_sigma_px * pixel_arcsec, rel=1e-6)
-    assert point.rolled_point_arcsec == pytest.approx(point.rolled_point_px * pixel_arcsec, rel=1e-6)
-    line = point.map_sigma_arcsec / 2**0.5
-    assert point.point_over_line == pytest.approx(point.principal_point_sigma_arcsec / line)
