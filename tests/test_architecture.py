@@ -244,3 +244,94 @@ def test_no_pyplot():
         if any(name.startswith("matplotlib.pyplot") for name in imported(path.read_text(encoding="utf-8"), "x"))
     ]
     assert users == []
+
+
+# --- Physics is library: experiments state settings, an order of calls and sections.
+
+NUMERICAL = re.compile(r"experiments/(harness|laboratory/devices)/")
+"""Statistics of verdicts; what a device of the virtual laboratory does."""
+BENCH = re.compile(r"experiments/laboratory/(bench|single_star)/")
+"""Where frames of the laboratory are rendered and read out."""
+IMAGE_FORMING = (
+    "render.StarRenderer", "render.expose", "render.forward", "render.plugins", "render.tracing",
+    "render.sky.background", "render.bodies.body_image", "render.bodies.mesh_image", "render.bodies.sphere_image",
+    "render.bodies.ghost_sources", "render.detector.chain", "render.detector.cosmic_rays", "render.detector.deposits",
+    "render.detector.diffusion", "render.detector.readout",
+)  # fmt: skip
+NUMERICS = {"einsum", "fft", "linalg", "polyfit", "polynomial", "polyval"}
+FUNCTIONS = {
+    *("arccos", "arcsin", "arctan", "arctan2", "convolve", "cos", "cross", "cumsum", "dot", "exp", "gradient"),
+    *("histogram", "hypot", "interp", "log", "log10", "matmul", "median", "outer", "percentile", "quantile", "sin"),
+    *("sqrt", "std", "tan", "tensordot", "trapezoid", "var"),
+}
+ARITHMETIC = ast.Mult | ast.Div | ast.Pow | ast.MatMult | ast.Mod | ast.FloorDiv
+MOST_ARITHMETIC = 12
+"""Products, quotients, powers and elementary functions in a function of an experiment; an estimator or a law of physics
+has more. Conversions of units, counts of work and axes of figures stay below."""
+
+
+def inside(function):
+    """Nodes of a function, without those of functions and classes defined in it."""
+    waiting = list(ast.iter_child_nodes(function))
+    while waiting:
+        node = waiting.pop()
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield node
+            waiting.extend(ast.iter_child_nodes(node))
+
+
+def arithmetic(function):
+    """How many operations of mathematics stand in a function."""
+    operators = (n for n in inside(function) if isinstance(n, ast.BinOp | ast.AugAssign))
+    calls = (n for n in inside(function) if isinstance(n, ast.Call) and isinstance(n.func, ast.Attribute))
+    return sum(isinstance(n.op, ARITHMETIC) for n in operators) + sum(n.func.attr in FUNCTIONS for n in calls)
+
+
+def physics(source, bench=False):
+    """What a source text of an experiment holds that belongs to the library; a bench forms images."""
+    tree = ast.parse(source)
+    names = imported(source, "experiments")
+    found = {n for n in names if n.startswith("scipy") and not n.startswith("scipy.spatial.transform.Rotation")}
+    found |= {n for n in names if n.startswith("numpy.") and n.split(".")[1] in NUMERICS}
+    if not bench:
+        found |= {n for n in names if any(n == m or n.startswith(f"{m}.") for m in IMAGE_FORMING)}
+    found |= {f"np.{n.attr}" for n in ast.walk(tree) if isinstance(n, ast.Attribute) and n.attr in NUMERICS}
+    functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    return sorted(found) + [
+        f"{f.name}: {arithmetic(f)} operations" for f in functions if arithmetic(f) > MOST_ARITHMETIC
+    ]
+
+
+def test_physics_is_library():
+    """An estimator, the formation of an image, a law of physics: callable and tested without a run."""
+    found = {}
+    for path in (ROOT / "experiments").rglob("*.py"):
+        if not NUMERICAL.match(label(path)):
+            found[label(path)] = physics(path.read_text(encoding="utf-8"), bool(BENCH.match(label(path))))
+    assert {name: what for name, what in found.items() if what} == {}
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("from scipy.optimize import least_squares", ["scipy.optimize.least_squares"]),
+        ("def f():\n    import scipy.special as s", ["scipy.special"]),
+        ("from scipy.spatial.transform import Rotation", []),
+        ("from numpy import linalg", ["numpy.linalg"]),
+        ("import numpy as n\nn.linalg.lstsq(a, b)", ["np.linalg"]),
+        ("from render import observe, expose", ["render.expose"]),
+        ("from render.detector.readout import expose as e", ["render.detector.readout.expose"]),
+        ("from render.detector.spec import load_detector", []),
+        ("from importlib import import_module\nimport_module('render.tracing.tracer')", ["render.tracing.tracer"]),
+        ("def fit(a):\n    return " + " * ".join("a" * 15), ["fit: 14 operations"]),
+        ("def f(a):\n    def g(b):\n        return b * b\n    return a * g(a)", []),
+        ("def f(a):\n    return " + " + ".join(["np.sqrt(a)"] * 13), ["f: 13 operations"]),
+    ],
+)
+def test_physics_is_seen(source, expected):
+    assert physics(source) == expected
+
+
+def test_a_bench_forms_images_but_solves_nothing():
+    assert physics("from render.forward import StarRenderer", bench=True) == []
+    assert physics("from scipy.optimize import brentq", bench=True) == ["scipy.optimize.brentq"]

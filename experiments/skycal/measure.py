@@ -186,5 +186,5 @@ class BankRenderer:
     def render(self, temperature_k: float) -> PsfBank:
         """PSFs of one colour, each centred on the mean of the rays of that colour."""
         lattice = self._lattice
-        psfs = lattice.render(clipped_temperature(temperature_k))
+        psfs = lattice.render(float(clipped_temperature(temperature_k)))
         return PsfBank(psfs, lattice.columns, lattice.rows, lattice.size_px)

@@ -153,12 +153,12 @@ def statistics_of(frames: Sequence[FrameStatistics], limit_mag: float, airmass: 
         add(f"averaging_{side}", f"noise of means of {side} × {side} px over that of white noise", ratio)
     add("tail", "fraction of background pixels beyond 3 sigma", 100.0 * tail_fraction(blocks), "percent")
     across, roll = (
-        np.sqrt(np.nanmean([np.mean(frame.halves_arcsec[axes] ** 2) for frame in frames]))
+        float(np.sqrt(np.nanmean([np.mean(frame.halves_arcsec[axes] ** 2) for frame in frames])))
         for axes in (slice(2), slice(2, 3))
     )
     add("attitude_arcsec", "attitude error across, from two halves of the stars", across, "arcsec")
     add("roll_arcsec", "attitude error in roll, from two halves of the stars", roll, "arcsec")
-    solved = np.mean([frame.solved for frame in frames])
+    solved = float(np.mean([frame.solved for frame in frames]))
     add("solved", "fraction of frames solved blind", solved, limit=0.0, relative=False)
     return out
 
