@@ -16,7 +16,7 @@ from experiments.flight.frames import Segment, render_flight
 from experiments.flight.prediction import Budget, build_budget
 from experiments.flight.scenario import Flight, build_flight
 from experiments.flight.settings import Config
-from experiments.flight.terms import COMPONENTS, LABELS, VERDICTS, Term, measured_terms, predicted_terms
+from experiments.flight.terms import COMPONENTS, LABELS, VERDICTS, AttitudeTerm, measured_terms, predicted_terms
 from experiments.harness.drawings import bars, curves
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities
@@ -219,7 +219,7 @@ METRICS = (
 """ECSS-E-ST-60-20C: absolute, mean and relative measurement error."""
 
 
-def metrics(terms: Sequence[Term], segments: Sequence[Segment]) -> list[Metric]:
+def metrics(terms: Sequence[AttitudeTerm], segments: Sequence[Segment]) -> list[Metric]:
     """Metrics at `LEVEL`, across about one axis, mixed interpretation: over the sampled orbit."""
     squares = {one.term: np.square(one.predicted_arcsec) for one in terms}
     values: list[dict[str, float]] = []
@@ -354,7 +354,7 @@ def axes(config: Config) -> Quantities:
     return q
 
 
-def _term_axis(q: Quantities, terms: Sequence[Term]) -> None:
+def _term_axis(q: Quantities, terms: Sequence[AttitudeTerm]) -> None:
     keys = [term.term for term in terms]
     q.axis("term", np.array(keys, dtype=object), "Term", names=[LABELS[key] for key in keys])
 
@@ -409,7 +409,7 @@ SECTIONS = {
         ],
     ),
     "terms": Section(
-        record=Term,
+        record=AttitudeTerm,
         dim="term",
         axes=_term_axis,
         prefix="term_",

@@ -80,7 +80,7 @@ class Segment:
         return np.asarray(np.isfinite(self.error_arcsec).all(axis=(0, 2)))
 
 
-class Camera:
+class FlightCamera:
     """Frames of the sensor along the flight."""
 
     def __init__(self, budget: Budget) -> None:
@@ -154,7 +154,7 @@ def psf_grid(budget: Budget) -> PsfGrid | None:
     return refined(coarse, BLENDED)
 
 
-def build_tracker(camera: Camera) -> StarTracker:
+def build_tracker(camera: FlightCamera) -> StarTracker:
     """The tracker as it was calibrated on ground: camera model, PSFs, mean dark frame, guide stars."""
     budget = camera.budget
     config, processing, grid = budget.config, budget.nominal.processing, psf_grid(budget)
@@ -188,13 +188,15 @@ def _patterns(budget: Budget) -> Any:
 
 def render_flight(budget: Budget, *, advance: Callable[[], None] = lambda: None) -> list[Segment]:
     """Render all segments and track their stars."""
-    camera = Camera(budget)
+    camera = FlightCamera(budget)
     tracker = build_tracker(camera)
     starts = budget.flight.segments_s
     return [_segment(camera, tracker, number, float(start_s), advance) for number, start_s in enumerate(starts)]
 
 
-def _segment(camera: Camera, tracker: StarTracker, number: int, start_s: float, advance: Callable[[], None]) -> Segment:
+def _segment(
+    camera: FlightCamera, tracker: StarTracker, number: int, start_s: float, advance: Callable[[], None]
+) -> Segment:
     flight, setting, bias = camera.flight, camera.config.frames, camera.budget.bias_arcsec()
     count, state = setting.frames, flight.states_k[number]
     aligned = Rotation.from_rotvec(ARCSEC_RAD * bias)
@@ -246,7 +248,7 @@ def _segment(camera: Camera, tracker: StarTracker, number: int, start_s: float, 
 
 
 def _switched(
-    camera: Camera, tracker: StarTracker, first: TrackedAttitude, frame: Frame, at_s: float, key: int
+    camera: FlightCamera, tracker: StarTracker, first: TrackedAttitude, frame: Frame, at_s: float, key: int
 ) -> list[FloatArray]:
     """Thermo-elastic error, and aberration that is left: this attitude less the one without, noise as it was."""
     truth, known = camera.flight.trajectory.attitude(at_s), camera.flight.known_velocity_km_per_s(at_s)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.tracker import TrackedAttitude
-from experiments.flight.frames import Camera, build_tracker
+from experiments.flight.frames import FlightCamera, build_tracker
 from experiments.flight.prediction import Budget, build_budget
 from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config
@@ -39,7 +39,7 @@ def by_frames(config: Config) -> Sensor:
     The attitude law of the configuration is not used. `StarbenchError` as of
     `experiments.flight.prediction.build_budget`.
     """
-    camera = Camera(build_budget(config, build_flight(config)))
+    camera = FlightCamera(build_budget(config, build_flight(config)))
     tracker, flight = build_tracker(camera), camera.flight
     aligned, calls = Rotation.from_rotvec(ARCSEC_RAD * camera.budget.bias_arcsec()), iter(range(2**31))
 

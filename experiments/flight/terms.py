@@ -31,7 +31,7 @@ FEWEST_SOLVED = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Term:
+class AttitudeTerm:
     """One term of the budget, root mean square over the flight, about one axis; roll apart."""
 
     measured_arcsec: Sequence[Measured] | None = col("Measured", "arcsec", dims="component", default=None)
@@ -90,17 +90,20 @@ def segment_prediction(budget: Budget, errors: Sequence[AttitudeErrors]) -> Atti
     )
 
 
-def predicted_terms(budget: Budget, errors: Sequence[AttitudeErrors]) -> list[Term]:
+def predicted_terms(budget: Budget, errors: Sequence[AttitudeErrors]) -> list[AttitudeTerm]:
     """The prediction alone; nothing where the sensor has no attitude at any of the times."""
     available = [error for error in errors if error.available]
     if not available:
         return []
     prediction = segment_prediction(budget, available)
     squares = [prediction.squares(axes) for _, axes in COMPONENTS]
-    return [Term(term=name, predicted_arcsec=np.sqrt([part[name] for part in squares])) for name in (*TERMS, "total")]
+    return [
+        AttitudeTerm(term=name, predicted_arcsec=np.sqrt([part[name] for part in squares]))
+        for name in (*TERMS, "total")
+    ]
 
 
-def measured_terms(budget: Budget, segments: Sequence[Segment], errors: Sequence[AttitudeErrors]) -> list[Term]:
+def measured_terms(budget: Budget, segments: Sequence[Segment], errors: Sequence[AttitudeErrors]) -> list[AttitudeTerm]:
     """Measured and predicted terms, over the segments with both."""
     pairs = [
         (segment, error)
@@ -123,7 +126,7 @@ def measured_terms(budget: Budget, segments: Sequence[Segment], errors: Sequence
     return [_term(name, [column[name] for column in columns]) for name in (*TERMS, "total")]
 
 
-def _term(name: str, components: Sequence[TermEstimate]) -> Term:
+def _term(name: str, components: Sequence[TermEstimate]) -> AttitudeTerm:
     def known(number: tuple[float, float], estimate: TermEstimate) -> Measured:
         value, error = number
         if not (estimate.comparable and math.isfinite(value)):
@@ -131,7 +134,7 @@ def _term(name: str, components: Sequence[TermEstimate]) -> Term:
         return Measured(value=value, uncertainty=error, n=estimate.samples)
 
     roots = [(*estimate.root_arcsec, estimate.samples) for estimate in components]
-    return Term(
+    return AttitudeTerm(
         term=name,
         measured_arcsec=[Measured(value=v, unit="arcsec", uncertainty=error, n=n) for v, error, n in roots],
         predicted_arcsec=np.sqrt([estimate.predicted_arcsec2 for estimate in components]),

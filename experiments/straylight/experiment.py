@@ -17,7 +17,7 @@ from experiments.harness.sections import Section, below, col, numbers_of
 from experiments.harness.summary import Measured
 from experiments.harness.what_if import REQUIREMENTS, judge
 from experiments.straylight.drawing import draw_baffle, draw_causes, draw_frames
-from experiments.straylight.frames import Bench, SunFrames, rms
+from experiments.straylight.frames import SunFields, SunFrames, rms
 from experiments.straylight.settings import Config
 from experiments.straylight.transmittance import bare_lens, behind_baffle, check_baffle
 from optics.arrays import FloatArray
@@ -53,7 +53,7 @@ def limits(config: Config) -> dict[str, tuple[float, bool]]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setup:
+class BaffledSensor:
     """What light meets."""
 
     name: str = col("Sensor", json="")
@@ -155,7 +155,7 @@ def _mean(values: Any) -> Measured:
 
 
 def at_sun(
-    config: Config, bench: Bench, stray: SensorTransmittance, scale_e: float, angle: float, before: SunFrames
+    config: Config, bench: SunFields, stray: SensorTransmittance, scale_e: float, angle: float, before: SunFrames
 ) -> SunAngle:
     """Frames with the Sun at an angle."""
     light = scale_e * stray.over_pixels(angle, bench.instrument.detector.shape)
@@ -240,7 +240,7 @@ REFINED = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class Variant:
     """A single change at a time."""
 
     change: str = col("Change", json="")
@@ -256,7 +256,7 @@ NEAR_DEG = 7.0
 
 def changes(
     config: Config, stray: SensorTransmittance, light: BandLight, critical: float, advance: Callable[[], None]
-) -> list[Change]:
+) -> list[Variant]:
     """Dust, coating and vanes; exclusion angles by the light at which frames cease to be usable."""
     assert stray.lens is not None
     angles = np.array(config.pst.angles_deg)
@@ -281,7 +281,7 @@ def changes(
         pst = stray.pst if same else behind_baffle(config, stray.lens, baffle, dust=dust, chosen=chosen).pst
         outside, inside = pst.at(polar_direction([min(shade + 5.0, 89.0), shade - 5.0])).tolist()
         rows.append(
-            Change(
+            Variant(
                 change=label,
                 outside_pst=outside,
                 outside_e=scale * outside,
@@ -303,7 +303,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     stray = _stray(config, instrument, progress)
     scale = light.sun_e_per_s * config.instrument.exposure_s
     with progress.stage("sky", total=config.frames.attitudes) as stage:
-        bench = Bench(config, instrument, stage.advance)
+        bench = SunFields(config, instrument, stage.advance)
     before = bench.look(0.0, "sky")
     if not before.found.any():
         raise DomainError(
@@ -350,7 +350,7 @@ def _stray(config: Config, instrument: Instrument, progress: Progress) -> Sensor
         return behind_baffle(config, lens, config.baffle, advance=stage.advance)
 
 
-def _setup(config: Config, instrument: Instrument, stray: SensorTransmittance, scale: float) -> Setup:
+def _setup(config: Config, instrument: Instrument, stray: SensorTransmittance, scale: float) -> BaffledSensor:
     baffle, nothing = None if stray.scene is None else stray.scene.baffle or stray.scene.mesh, math.nan
     vaned = baffle if isinstance(baffle, VanedBaffle) else None
     words = "none"
@@ -366,7 +366,7 @@ def _setup(config: Config, instrument: Instrument, stray: SensorTransmittance, s
         assert stray.weight is not None
         worst = stray.scene.worst_paths(polar_direction(worst_deg), stray.weight)
     coating = "" if stray.scene is None else f"{stray.scene.coating.name}: {stray.scene.coating.source}"
-    return Setup(
+    return BaffledSensor(
         name=config.name or f"{instrument.camera.lens.name} on {instrument.detector.name}",
         baffle=words,
         coating=coating,
@@ -403,7 +403,7 @@ def _pst_axes(q: Quantities, found: Sequence[Angle]) -> None:
 
 SECTIONS = {
     "setup": Section(
-        record=Setup,
+        record=BaffledSensor,
         figures={"baffle": draw_baffle},
         verdicts=[
             below(
@@ -460,7 +460,7 @@ SECTIONS = {
         record=Exclusion, vertical=True, caption="Exclusion angles."
     ),
     "changes": Section(
-        record=Change,
+        record=Variant,
         note="Exclusion angle: where the Sun's light falls to the tolerated light; end of the table: at no angle.",
         dim="variant",
         place="changes[variant]",

@@ -52,7 +52,7 @@ class SunFrames:
     example_e: NDArray[np.float32]  # The first frame
 
 
-class Bench:
+class SunFields:
     """Light of the attitudes, and what all frames share."""
 
     def __init__(self, config: Config, instrument: Instrument, advance: Callable[[], None] = lambda: None) -> None:

@@ -10,7 +10,7 @@ from experiments.dataset import frame as dataset_frame
 from experiments.dataset import scene as dataset_scene
 from experiments.dataset.labels import LabelMaker
 from experiments.dataset.settings import Config as DatasetConfig
-from experiments.flight.frames import Camera
+from experiments.flight.frames import FlightCamera
 from experiments.flight.prediction import build_budget
 from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config as FlightConfig
@@ -79,7 +79,7 @@ def test_a_flight_with_a_lens_at_its_temperatures(engine, state_k, image, number
     config = FlightConfig(
         instrument=SMALL | chip, passband={"range_nm": [500.0, 800.0]}, frames={"cosmic_rays": "solar_flare"}
     )
-    camera = Camera(build_budget(config, build_flight(config)))
+    camera = FlightCamera(build_budget(config, build_flight(config)))
     expected = camera.expected(1000.0, np.array(state_k, float))
     assert digest(expected.electrons) == image
     assert digest(camera.read(expected, 1000.0, 5, "first").dn) == numbers

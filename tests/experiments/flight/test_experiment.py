@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.flight import experiment
-from experiments.flight.frames import Camera, build_tracker
+from experiments.flight.frames import FlightCamera, build_tracker
 from experiments.flight.loop import by_frames
 from experiments.flight.prediction import build_budget
 from experiments.flight.scenario import build_flight
@@ -121,7 +121,7 @@ def test_bad_input_is_one_line_and_exit_status_two(tmp_path, capsys, options, wo
 def test_a_turn_that_grows_faster_moves_the_attitude_of_rendered_frames(engine):
     """By a t^2 / 24, the mean of the light: 6 arcsec here, of a trail of 0.4 px; the noise is 0.2 arcsec."""
     config = Config(**SMALL, temperature={"offset_k": 0, "mean_k": 0, "eclipse_k": 0}, attitude={"law": "inertial"})
-    camera = Camera(build_budget(config, build_flight(config)))
+    camera = FlightCamera(build_budget(config, build_flight(config)))
     tracker, time = build_tracker(camera), np.linspace(99.0, 101.0, 801)
     aim, growth = camera.flight.trajectory.attitude(100.0), np.radians(1.0)
     turned = Rotation.from_rotvec(-0.5 * growth * np.outer((time - 100.0) ** 2, [0.0, 1.0, 0.0])) * aim
@@ -138,7 +138,7 @@ def test_a_turn_that_grows_faster_moves_the_attitude_of_rendered_frames(engine):
 def test_a_frame_full_of_cosmic_rays_is_solved_lost_in_space(engine):
     """Some 95 tracks among 30 guide stars, most of them brighter: without their shape none of such frames is solved."""
     pytest.importorskip("tetra3rs")
-    camera = Camera(
+    camera = FlightCamera(
         build_budget(config := Config(**SMALL, frames={"cosmic_rays": "solar_flare"}), build_flight(config))
     )
     tracker, time = build_tracker(camera), 1000.0

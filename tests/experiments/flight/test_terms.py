@@ -7,7 +7,7 @@ import pytest
 
 from calib.accuracy.attitude_terms import TERMS
 from experiments.flight.experiment import SECTIONS, axes
-from experiments.flight.terms import Term
+from experiments.flight.terms import AttitudeTerm
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import described, judged
 from experiments.harness.summary import Measured
@@ -23,7 +23,9 @@ def criteria(ratio=1.0, slope=1.0):
         ratios, slopes = known if name != "bias" else (UNKNOWN, UNKNOWN)
         slopes = slopes if name in ("thermo_elastic", "fov_spatial", "aberration") else UNKNOWN
         size = [Measured(value=1.0, unit="arcsec", uncertainty=0.02, n=80)] * 2
-        terms.append(Term(term=name, measured_arcsec=size, predicted_arcsec=np.ones(2), ratio=ratios, slope=slopes))
+        terms.append(
+            AttitudeTerm(term=name, measured_arcsec=size, predicted_arcsec=np.ones(2), ratio=ratios, slope=slopes)
+        )
     sections = {"terms": SECTIONS["terms"]}
     data = described(sections, axes(None), {"terms": terms}).dataset
     return judged(sections, Outcome(config=None, result={"terms": terms}, data=data))
