@@ -17,14 +17,11 @@ from calib.measure.detection_score import flux_snr
 from experiments.dataset import truth as dataset_truth
 from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.bench.readout.frames import empty_frame, true_noise
-from experiments.laboratory.single_star.star_readings import WindowPlan, read_windows
 from experiments.laboratory.temporal_error import measure_temporal, predict_temporal, target_place
 from render.detector.readout import expose
 from render.engine.random import Streams
-from render.forward import StarRenderer
 from render.sensor_file.instrument import build_instrument
 from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
-from render.tracing.psf import epsf_tracer, render_epsf
 
 DATA_FILE = """
 base = "cmv4000"
@@ -36,7 +33,6 @@ read_noise_spread = 0.7
 damage_centres_per_px = 20.0
 damage_dark_e_per_s = 2880.0  # 0.1 s, 0 C: 20 e- each
 """
-PLACE = (750.0, 375.0)
 
 
 @pytest.fixture(scope="module")
@@ -60,45 +56,13 @@ def within(measured: np.ndarray, predicted: np.ndarray) -> None:
     assert abs(ratio.mean() - 1.0) < 4.0 * error, f"measured over predicted {ratio.mean():.3f} +- {error:.3f}"
 
 
-@pytest.fixture(scope="module")
-def visits(engine, camera):
-    """A star of 12000 e- at 12 x 8 places, with its PSFs."""
-    from experiments.laboratory.single_star.star import SingleStar
-    from optics.light.band import TopHat
-    from optics.light.spectrum import Blackbody
-
-    x, y = np.meshgrid(np.linspace(100, 1434.3, 12), np.linspace(100.4, 662, 8))
-    direction = camera.camera.nominal_direction(x.ravel(), y.ravel(), camera.focal_length_mm)
-    star = SingleStar(
-        azimuth_deg=0,
-        elevation_deg=0,
-        spectrum=Blackbody(temperature_k=5800.0),
-        band=TopHat(centre_nm=600.0, width_nm=100.0, edge_nm=10.0),
-        signal_e=12000.0,
-    )
-    field = star.seen(direction, camera)
-    expected = StarRenderer(camera.camera, exposure_s=camera.config.exposure_s).render(field)
-    psfs = [row[0] for row in render_epsf(epsf_tracer(camera.camera), field, half_size_px=7)]
-    return star, direction, expected, psfs
-
-
-@pytest.mark.slow
-def test_mean_centroids_of_a_star_that_visits_places(visits, camera):
-    _, _, expected, psfs = visits
-    truth = np.column_stack([expected.truth.bundle_x_px, expected.truth.bundle_y_px])
-    plan = WindowPlan(size_px=13, frames=20, dark_frames=4)
-    found = read_windows(expected, truth, psfs, camera, plan, streams=Streams(8))
-    within(found.temporal_px**2, found.predicted_temporal_px**2)
-    within((found.position_px - truth) ** 2, np.einsum("nii->ni", found.covariance_px2))
-
-
 @pytest.mark.slow
 def test_temporal_error_of_a_point_target(engine, bench_of, camera):
     bench = bench_of(rows=10, columns=8, frames=30, dark_frames=30, methods=("epsf", "cog"))
     bench = replace(bench, target=bench.target.model_copy(update={"pitch_px": 40.4}))
     scene = point_scene(bench, camera)
-    psf = scene.psfs(target_place(scene.bench, camera, PLACE))
-    levels = {"levels_e": [6000.0], "place_px": PLACE}
+    levels = {"levels_e": [6000.0], "place_px": (750.0, 375.0)}
+    psf = scene.psfs(target_place(scene.bench, camera, levels["place_px"]))
     measured = measure_temporal(bench, camera, streams=Streams(1), scene=scene, **levels)
     predicted = predict_temporal(bench, camera, psf=psf, draws=0, **levels)
     for method in bench.methods:
