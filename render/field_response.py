@@ -18,6 +18,7 @@ from optics.interpolation import bilinear
 from optics.light.band import Band
 from optics.rays.field_images import FieldImages
 from optics.rays.performance import LensPerformance, lens_performance
+from optics.rays.photocentre import spectral_mean
 from optics.rays.spots import Spots, trace_spots
 from render.camera import Camera
 from render.records import EffectivePsf
@@ -168,7 +169,7 @@ def field_response(
     kelvin = np.exp(light.log_temperature[4:-4:4])
     fractions = np.stack([_fraction(light, response, float(t)) for t in kelvin])
     area = np.nan_to_num(performance.area_mm2)
-    means = np.stack([(performance.bundle_mm * part * area).sum(1) / (part * area).sum(1) for part in fractions])
+    means = spectral_mean(performance.bundle_mm, fractions[:, None] * area)
     return FieldResponse(
         sensor=sensor,
         band=band,

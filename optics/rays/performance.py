@@ -17,6 +17,7 @@ from optics.lens.system import LensSystem
 from optics.rays.best_focus import FocusCurve, focus_by_axis, white_focus
 from optics.rays.chief import chief_ray_points, plate_scale_mm
 from optics.rays.paraxial import axial_paraxial
+from optics.rays.photocentre import spectral_mean
 from optics.rays.spots import Spots, trace_spots
 from optics.records import freeze
 from optics.units import DEG_RAD
@@ -58,12 +59,7 @@ class LensPerformance:
     @property
     def white_mm(self) -> FloatArray:
         """Mean of all light, (f,) [mm]."""
-        return np.asarray((self.bundle_mm * self._light).sum(1))
-
-    @property
-    def _light(self) -> FloatArray:
-        light = self.share * np.nan_to_num(self.area_mm2)
-        return np.asarray(light / np.maximum(light.sum(1, keepdims=True), 1e-300))
+        return spectral_mean(self.bundle_mm, self.share * np.nan_to_num(self.area_mm2))
 
     @property
     def lateral_colour_mm(self) -> FloatArray:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from optics.errors import ConfigError, ConvergenceError, DomainError
 from optics.frames import field_angles_deg
+from optics.rays.photocentre import spectral_mean
 from optics.rays.pupil import EntrancePupil
 from optics.rays.spots import spot_moments
 from render.camera import Camera
@@ -223,10 +224,7 @@ class Tracer:
         except ConvergenceError:
             return np.full((*share.shape[:2], 2), np.nan)
         x, y, area = (v.reshape(share.shape) for v in (spots.x_mm, spots.y_mm, spots.transmitted_mm2))
-        with np.errstate(invalid="ignore"):
-            light = share * area / (share * area).sum(2, keepdims=True)
-            mean = [(np.where(light > 0.0, v, 0.0) * light).sum(2) for v in (x, y)]
-        return np.stack(self.camera.to_pixel(*mean), axis=-1)
+        return np.stack(self.camera.to_pixel(*(spectral_mean(v, share * area) for v in (x, y))), axis=-1)
 
     def centred_cells(self, stars: StarField, *, half_size_px: int, cells_per_px: int) -> FloatArray:
         """Light of every star and band on a fine grid around its bundle mean: share of the collected light per cell.
