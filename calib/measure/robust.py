@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.measure.detection_score import robust_rms
 from optics.arrays import FloatArray
 
-CLIP_SIGMA, MAD_SIGMA = 4.0, 1.4826
-FEWEST = 8
+CLIP_SIGMA, FEWEST = 4.0, 8
 
 
 def clipped_mean(values: FloatArray) -> float:
@@ -15,8 +15,8 @@ def clipped_mean(values: FloatArray) -> float:
     known = values[np.isfinite(values)]
     if len(known) < 3:
         return float("nan")
-    distance = np.abs(known - np.median(known))
-    return float(known[distance < CLIP_SIGMA * (MAD_SIGMA * np.median(distance) + 1e-12)].mean())
+    deviation = known - np.median(known)
+    return float(known[np.abs(deviation) < CLIP_SIGMA * (robust_rms(deviation) + 1e-12)].mean())
 
 
 def quantile_sigma(values: FloatArray) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial.legendre import leggrid2d, legvander2d
 
+from calib.measure.detection_score import robust_rms
 from optics.arrays import FloatArray
 
 DEGREE, BLOCKS_PER_TERM = 10, 6
@@ -37,8 +38,7 @@ def sky_surface(level: FloatArray, sigma: FloatArray, shape: tuple[int, int], bl
     for _ in range(ROUNDS):
         coefficients[used] = np.linalg.lstsq(design * weight[:, None], level.ravel() * weight, rcond=None)[0]
         residual = (level.ravel() - design @ coefficients[used]) * weight
-        clip = CLIP_SIGMA * 1.4826 * np.median(np.abs(residual[weight > 0]))
-        weight = np.where(np.abs(residual) < clip, weight, 0.0)
+        weight = np.where(np.abs(residual) < CLIP_SIGMA * robust_rms(residual[weight > 0]), weight, 0.0)
     row, column = (
         np.clip((2.0 * np.arange(n) + 1.0) / (block_px * m) - 1.0, -1.0, 1.0)
         for n, m in zip(shape, level.shape, strict=True)

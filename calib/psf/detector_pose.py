@@ -14,6 +14,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
 from calib.measure.centroid import get_centroider
+from calib.measure.detection_score import robust_rms
 from calib.records import NoiseModel, Stamps
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -96,7 +97,7 @@ def fit_detector_pose(
         for start in STARTS * reach
     ]
     best = min(fits, key=lambda fit: float(fit.cost))
-    scatter = _robust_scatter(measured - model(best.x))
+    scatter = robust_rms(measured - model(best.x))
     free = best.x[3] > 1e-3  # a blur at its bound is held
     jacobian = best.jac if free else best.jac[:, :3]
     sigma = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian))) * scatter
@@ -106,12 +107,8 @@ def fit_detector_pose(
     others = [float(z) for z in equal if abs(z - best.x[0]) > SAME_FOCUS * reach]
     scale = np.array([1.0, -np.degrees(1.0), -np.degrees(1.0), 1.0])  # slopes along y and x are tilts about x and y
     rows = [0, 2, 1, 3]
-    before = _robust_scatter(measured - model(np.zeros(4)))
+    before = robust_rms(measured - model(np.zeros(4)))
     return DetectorPose(len(measured), scale * best.x[rows], np.abs(scale) * sigma[rows], scatter, before, others)
-
-
-def _robust_scatter(residual: FloatArray) -> float:
-    return 1.4826 * float(np.median(np.abs(residual)))
 
 
 def gaussian_widths(psfs: Sequence[EffectivePsf]) -> FloatArray:

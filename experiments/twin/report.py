@@ -18,7 +18,7 @@ from calib.photometry.zero_point import COLOUR_KNOTS
 from experiments.harness.drawings import bars, curves
 from experiments.harness.quantities import Outcome, Quantities, shown_unit
 from experiments.harness.sections import Section, Verdict, agree, below, col
-from experiments.harness.summary import Criterion, Measured
+from experiments.harness.summary import Criterion, Measured, measured
 from experiments.twin.compare import BRIGHT_MAG, CLIP_PX, THRESHOLDS, FrameStatistics, joined, limit_of, statistics_of
 from experiments.twin.hold_out import HeldOut
 from experiments.twin.measure import CameraFit, Centroids
@@ -81,7 +81,7 @@ def camera_numbers(night: MeasuredNight, compared: HeldOut, limit_mag: float) ->
         if name not in model.parameter_names:
             return Measured(value=float("nan"))
         at = model.parameter_names.index(name)
-        return Measured(value=float(model.parameters[at]) * scale, uncertainty=float(sigma[at]) * scale)
+        return measured(model.parameters[at] * scale, sigma[at] * scale)
 
     geometry, focal = model.geometry, parameter("focal_length_mm", 1.0 / night.pitch_mm)
     edges = model.unproject(geometry.centre_px + np.array([[-0.5, 0.0], [0.5, 0.0]]) * geometry.width_px)
@@ -101,28 +101,26 @@ def camera_numbers(night: MeasuredNight, compared: HeldOut, limit_mag: float) ->
         centre_y_px=parameter("y0_px"),
         corner_px=float(np.hypot(*distortion.T).mean()),
         floor_px=whole.floor_px,
-        width_px=Measured(value=width, uncertainty=width_error),
-        gain_e_per_dn=Measured(value=noise.gain_e_per_dn, uncertainty=noise.gain_error_e_per_dn, n=noise.blocks),
+        width_px=measured(width, width_error),
+        gain_e_per_dn=measured(noise.gain_e_per_dn, noise.gain_error_e_per_dn, noise.blocks),
         read_noise_low_e=noise.read_noise_e[0],
         read_noise_high_e=noise.read_noise_e[1],
         black_low_dn=noise.black_level_dn[0],
         black_high_dn=noise.black_level_dn[1],
-        dsnu_dn=Measured(value=noise.dsnu_dn, uncertainty=noise.dsnu_error_dn),
-        prnu_percent=Measured(value=100.0 * noise.prnu, uncertainty=100.0 * noise.prnu_error),
+        dsnu_dn=measured(noise.dsnu_dn, noise.dsnu_error_dn),
+        prnu_percent=measured(100.0 * noise.prnu, 100.0 * noise.prnu_error),
         hot_pixels=int(night.known.hot.sum()),
         saturation_dn=night.saturation_dn,
         # what is folded into the twin's light makes up for its PSF: the zero point is that of the stars
-        zero_point_mag=Measured(value=light.above_mag, unit="mag", uncertainty=light.above_error_mag, n=light.frames),
+        zero_point_mag=measured(light.above_mag, light.above_error_mag, light.frames, "mag"),
         extinction_mag=None
         if np.isnan(light.extinction_mag)
-        else Measured(value=light.extinction_mag, uncertainty=light.extinction_error_mag, n=light.frames),
-        vignetting_mag=Measured(
-            value=float(light.vignetting_at(np.ones(1))[0]), uncertainty=light.vignetting_error_at(1.0)
-        ),
+        else measured(light.extinction_mag, light.extinction_error_mag, light.frames),
+        vignetting_mag=measured(light.vignetting_at(np.ones(1))[0], light.vignetting_error_at(1.0)),
         limit_mag=limit_mag,
-        latitude_deg=None if site is None else Measured(value=site.latitude_deg, uncertainty=site.error_deg),
-        longitude_deg=None if site is None else Measured(value=site.longitude_deg, uncertainty=site.error_deg),
-        refraction_arcsec=None if refraction is None else Measured(value=refraction[0], uncertainty=refraction[1]),
+        latitude_deg=None if site is None else measured(site.latitude_deg, site.error_deg),
+        longitude_deg=None if site is None else measured(site.longitude_deg, site.error_deg),
+        refraction_arcsec=None if refraction is None else measured(*refraction),
     )
 
 
@@ -185,7 +183,7 @@ def _noise(frame: FrameStatistics) -> float:
 def _of_sets(values: FloatArray, spread: float | None = None) -> Measured:
     """Mean of the rendered sets; the standard deviation of one is ``spread``, or follows from their scatter."""
     spread = float(values.std(ddof=1)) if spread is None else spread
-    return Measured(value=float(values.mean()), uncertainty=spread / np.sqrt(len(values)), n=len(values))
+    return measured(values.mean(), spread / np.sqrt(len(values)), len(values))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -334,7 +332,7 @@ def records(
     limit = limit_of(compared.real, THRESHOLDS[0])
     numbers = camera_numbers(night, compared, limit)
     noise, light = night.whole.noise, night.whole.photometry
-    separable = classified(night, compared)
+    roc = classified(night, compared)
     return {
         "kept": Kept(
             name=name,
@@ -361,7 +359,7 @@ def records(
         "colours": [
             ColourPoint(
                 colour=float(COLOUR_KNOTS[k]),
-                measured_mag=Measured(value=float(light.colour_mag[k]), uncertainty=float(light.colour_error_mag[k])),
+                measured_mag=measured(light.colour_mag[k], light.colour_error_mag[k]),
                 twin_mag=float(twin.response_mag[k]),
             )
             for k in np.flatnonzero(np.isfinite(light.colour_mag))
@@ -369,12 +367,10 @@ def records(
         "causes": causes(night.whole, compared, limit),
         "comparison": comparison(compared, limit),
         "completeness": completeness_bins(compared, limit),
-        "detected": detected(compared, separable),
+        "detected": detected(compared, roc),
         "features": None
-        if separable is None
-        else [
-            Feature(name=name, effect=float(effect)) for name, effect in zip(FEATURES, separable.effect, strict=True)
-        ],
+        if roc is None
+        else [Feature(name=name, effect=float(effect)) for name, effect in zip(FEATURES, roc.effect, strict=True)],
         "pose": pose,
         "truth": None
         if truth is None
@@ -382,11 +378,11 @@ def records(
             TrueNumber(
                 name=name,
                 unit=shown_unit(unit),
-                found=replace(measured, unit=unit),
+                found=replace(value, unit=unit),
                 true=true,
-                pull=float((measured.value - true) / (measured.uncertainty or np.nan)),
+                pull=float((value.value - true) / (value.uncertainty or np.nan)),
             )
-            for name, unit, measured, true in true_values(truth, numbers, night.whole)
+            for name, unit, value, true in true_values(truth, numbers, night.whole)
         ],
     }
 
@@ -407,9 +403,9 @@ def comparison(compared: HeldOut, limit_mag: float) -> list[Compared]:
                 key=real.key,
                 label=real.label,
                 unit=shown_unit(real.unit),
-                real=Measured(value=real.value, unit=real.unit, uncertainty=spread),
+                real=measured(real.value, spread, unit=real.unit),
                 twin=_of_sets(drawn),
-                off=Measured(value=off, uncertainty=float(error)),
+                off=measured(off, error),
                 allowed=float(real.limit),
                 within=("yes" if abs(off) <= real.limit else "no") if judged else "",
             )
@@ -433,10 +429,7 @@ def completeness_bins(compared: HeldOut, limit_mag: float) -> list[HalfMagnitude
     for k in np.flatnonzero(count >= FEWEST_IN_BIN):
         # of one set: every star is detected or not
         spread = [float(np.sqrt(p * (1.0 - p) / count[k])) for p in (five[:, k].mean(), six[:, k].mean())]
-        real = [
-            Measured(value=float(fraction[0, k]), uncertainty=error, n=int(count[k]))
-            for fraction, error in zip((five, six), spread, strict=True)
-        ]
+        real = measured([five[0, k], six[0, k]], spread, int(count[k]))
         out.append(
             HalfMagnitude(
                 magnitude_mag=float(edges[k] + 0.25),
@@ -468,16 +461,13 @@ def classified(night: MeasuredNight, compared: HeldOut) -> Separability | None:
     return separability(values[good], kind[good], frame[good])
 
 
-def detected(compared: HeldOut, separable: Separability | None) -> Detected:
+def detected(compared: HeldOut, roc: Separability | None) -> Detected:
     """False detections of the real and of the rendered sets."""
 
     def false(sigma: float) -> tuple[Measured, Measured]:
         real, *drawn = ((joined(frames, "false") >= sigma).sum() for frames in (compared.real, *compared.sets))
         mean = float(np.mean(drawn))
-        return (
-            Measured(value=float(real), uncertainty=float(np.sqrt(max(real, 1)))),
-            Measured(value=mean, uncertainty=float(np.sqrt(max(mean, 0.5) / len(drawn)))),
-        )
+        return measured(real, np.sqrt(max(real, 1))), measured(mean, np.sqrt(max(mean, 0.5) / len(drawn)))
 
     (real_5, twin_5), (real_6, twin_6) = (false(sigma) for sigma in THRESHOLDS)
     spread = np.hypot(real_5.uncertainty or 1.0, twin_5.uncertainty or 0.0)
@@ -488,10 +478,8 @@ def detected(compared: HeldOut, separable: Separability | None) -> Detected:
         false_twin_6=twin_6,
         false_pull=float((twin_5.value - real_5.value) / spread),
         trails=sum(frame.trail for frame in compared.real),
-        area=None
-        if separable is None
-        else Measured(value=separable.area, uncertainty=separable.error, n=separable.first),
-        told_by="" if separable is None else FEATURES[int(np.argmax(np.abs(separable.effect)))],
+        area=None if roc is None else measured(roc.area, roc.error, roc.first),
+        told_by="" if roc is None else FEATURES[int(np.argmax(np.abs(roc.effect)))],
     )
 
 
