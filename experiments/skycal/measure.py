@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from calib.measure.background import estimate_background
 from calib.measure.centroid import get_centroider
@@ -19,14 +18,14 @@ from calib.records import NoiseModel, Stamps, StarTable
 from experiments.harness.system import prompt_pool
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame, true_noise
-from experiments.skycal.scene import Scene, clipped_temperature
+from experiments.skycal.scene import Scene
 from experiments.skycal.settings import Config
 from optics.arrays import FloatArray
 from optics.records import concatenated, freeze
 from render.engine.random import Streams
+from render.observation import SkyLight
 from render.psf_lattice import PsfLattice
-from render.records import Frame, Truth
-from render.simulator import SkySimulator
+from render.records import Frame
 
 BACKGROUND_BOX_PX = 256
 BACKGROUND_STEP_PX = 4
@@ -36,6 +35,7 @@ BANK_ERROR_PX, FINER = 0.005, 2
 AHEAD = 2
 """Frames that may wait for their reduction while the next ones are rendered."""
 FWHM_PX = 1.8
+NO_PIXELS = np.zeros((0, 0), np.float32)
 OVERSAMPLING = 4
 """Of the PSFs; against twice as many samples it moves a fit by some 1e-3 px where spots are sharpest."""
 
@@ -76,29 +76,17 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
     The renderer needs all cores for a moment and the reduction one for longer; the latter runs behind in threads of
     its own.
     """
-    instrument, still = scene.instrument, Rotation.identity()
-    simulator = SkySimulator(
-        instrument,
-        scene.sky,
-        exposure_s=instrument.config.exposure_s,
-        passband=scene.band,
-        nodes=config.sky.nodes,
-        temperature_c=instrument.config.chip_temperature_c,
-        background_e_per_s=scene.config.background_e_per_s,
-        seed=streams,
-        sobol_log2_rays=scene.config.sobol_log2_rays,
-    )
+    instrument, simulator = scene.instrument, scene.simulator
     noise = true_noise(instrument, dark_frames=config.dark_frames)
     dark_dn = mean_dark_frame(instrument, config.dark_frames, streams=streams.child("dark"))
     middle, example = scene.frames // 2, None
-    truths: list[_Rendered] = []
+    rendered: list[SkyLight] = []
     cut: list[Future[Stamps]] = []
     with prompt_pool(AHEAD) as pool:
         for number in range(scene.frames):
-            rows, direction = scene.in_cam(number)
-            light = simulator.expected(still, stars=scene.stars(rows, direction))
-            frame = simulator.read(light, frame=number)
-            truths.append(_Rendered(rows, direction, light.truth))
+            light = simulator.expected(scene.attitude[number])
+            frame = simulator.read(light, frame=number, streams=streams)
+            rendered.append(replace(light, electrons=NO_PIXELS, layers={}))  # images are large
             if number == middle:
                 example = frame
             cut.append(pool.submit(_detect, config, frame, dark_dn, noise))
@@ -113,8 +101,8 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
     ends = np.cumsum([len(one) for one in stamps])
     return Recording(
         frames=tuple(
-            truth.beside(table.select(slice(end - len(one), end)), int(end - len(one)))
-            for truth, one, end in zip(truths, stamps, ends, strict=True)
+            _frame_stars(light, table.select(slice(end - len(one), end)), int(end - len(one)))
+            for light, one, end in zip(rendered, stamps, ends, strict=True)
         ),
         example=example,
         example_index=middle,
@@ -123,24 +111,18 @@ def record(scene: Scene, config: Config, streams: Streams, *, advance: Callable[
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Rendered:
-    """True stars of a rendered frame."""
-
-    star: NDArray[np.int64]
-    direction: FloatArray
-    truth: Truth
-
-    def beside(self, found: StarTable, first_row: int) -> FrameStars:
-        """Truth and measurement, star by star."""
-        return FrameStars(
-            found=found,
-            first_row=first_row,
-            star=self.star,
-            direction=self.direction,
-            photon_px=np.column_stack([self.truth.photon_x_px, self.truth.photon_y_px]),
-            electrons=self.truth.electrons_image[:, 0],
-        )
+def _frame_stars(light: SkyLight, found: StarTable, first_row: int) -> FrameStars:
+    """Truth and measurement of a frame."""
+    field, truth = light.field, light.truth
+    assert field is not None
+    return FrameStars(
+        found=found,
+        first_row=first_row,
+        star=field.row,
+        direction=field.direction @ field.rotation_cam_from_icrs.T,
+        photon_px=np.column_stack([truth.photon_x_px, truth.photon_y_px]),
+        electrons=truth.electrons_image[:, 0],
+    )
 
 
 def _centroids(scene: Scene, config: Config, stamps: Stamps, noise: NoiseModel) -> StarTable:
@@ -171,7 +153,7 @@ class BankRenderer:
         spacing_px = scene.config.psf_spacing_px
         self._lattice = PsfLattice(
             scene.instrument,
-            scene.light,
+            scene.simulator.light,
             spacing_px=spacing_px,
             half_size_px=config.window_px // 2 + 1,
             oversampling=OVERSAMPLING,
@@ -186,5 +168,5 @@ class BankRenderer:
     def render(self, temperature_k: float) -> PsfBank:
         """PSFs of one colour, each centred on the mean of the rays of that colour."""
         lattice = self._lattice
-        psfs = lattice.render(float(clipped_temperature(temperature_k)))
+        psfs = lattice.render(temperature_k)
         return PsfBank(psfs, lattice.columns, lattice.rows, lattice.size_px)

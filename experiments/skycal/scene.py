@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.gyro_attitude import integrate_rates
@@ -15,7 +15,6 @@ from experiments.skycal.settings import CameraConfig, Config, MotionConfig, SkyC
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import DomainError, StarbenchError
-from optics.light.band import Band
 from optics.rays.spots import collecting_area_mm2
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
@@ -24,7 +23,7 @@ from render.motion.trajectory import SampledAttitude, mounted, precession
 from render.records import StarField
 from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument, build_instrument
-from render.sky.field import FieldOfView, field_of_view
+from render.simulator import SkySimulator
 from render.sky.sky import Sky, load_sky
 from render.sky.star_light import StarLight, star_light
 
@@ -35,11 +34,7 @@ AXIS_TURN_DEG = 180.0
 installation that turns about that axis could not be seen."""
 FEWEST_STARS = 3
 TEMPERATURE_RANGE_K = (1200.0, 50000.0)
-
-
-def clipped_temperature(temperature_k: ArrayLike) -> FloatArray:
-    """Temperatures for which the table of starlight is accurate."""
-    return np.clip(np.asarray(temperature_k, float), *TEMPERATURE_RANGE_K)
+"""In which the table of starlight is accurate: redder and hotter stars count as these."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,16 +44,18 @@ class Scene:
     name: str  # "narrow", "wide" or "own"
     config: CameraConfig  # What was asked for
     instrument: Instrument  # Camera and detector, cut to the window that is read out
-    view: FieldOfView  # Field of the camera, distortion and all
-    sky: Sky  # Stars down to the faintest that are rendered
-    band: Band  # The full pass band
-    light: StarLight  # Their light in it
+    simulator: SkySimulator  # Stars down to the faintest that are rendered, in the full pass band
     time_s: FloatArray  # (f,) Times of the frames
     attitude: Rotation  # f attitudes, cam from icrs: the truth
     prior_attitude: Rotation  # Attitudes that the matching starts from (a star tracker's, say), wrong by some arcmin
     gyro_rotation: Rotation  # Gyro body at frame k from gyro body at the first frame, integrated from noisy rates
     true_gyro_rotation: Rotation  # The same, true
     installation: Rotation  # Camera from gyro body
+
+    @property
+    def sky(self) -> Sky:
+        """Its stars."""
+        return self.simulator.sky
 
     @property
     def frames(self) -> int:
@@ -77,21 +74,14 @@ class Scene:
         size = {"width_px": camera.width_px, "height_px": camera.height_px}
         return SensorGeometry(**size, pixel_pitch_mm=camera.pixel_pitch_mm)
 
-    def stars(self, rows: NDArray[np.int64], direction: FloatArray) -> StarField:
-        """Stars of the sky with their own light, seen at directions (n, 3) in cam."""
-        return self.light.stars(direction, self.sky.magnitude[rows], clipped_temperature(self.sky.temperature_k[rows]))
-
     def of_one_colour(self, direction: FloatArray, temperature_k: float) -> StarField:
         """Stars of one colour and brightness at directions (n, 3) in cam."""
-        return self.light.stars(direction, 5.0, clipped_temperature(temperature_k))
+        return self.simulator.light.stars(direction, 5.0, temperature_k)
 
     def in_cam(self, frame: int) -> tuple[NDArray[np.int64], FloatArray]:
         """Rows of the stars that may fall on the detector in a frame, and their directions (n, 3) in cam."""
-        view, turn = self.view, self.attitude[frame].as_matrix()
-        near = np.flatnonzero(self.sky.direction @ turn[2] > np.cos(view.radius_rad))
-        direction = self.sky.direction[near] @ turn.T
-        inside = view.on_detector(view.pixel_of(direction))
-        return near[inside], direction[inside]
+        field = self.sky.field(self.simulator.view, self.attitude[frame])
+        return field.row, field.direction @ field.rotation_cam_from_icrs.T
 
 
 def build_scene(name: str, config: Config, streams: Streams) -> Scene:
@@ -114,15 +104,22 @@ def build_scene(name: str, config: Config, streams: Streams) -> Scene:
     error = streams.generator("told attitude").normal(size=(config.frames, 3))  # another name, other numbers
     error *= config.motion.attitude_error_arcmin * 60.0 * ARCSEC_RAD
     light = star_light([band], nodes=config.sky.nodes, magnitude_system="G")
-    faintest_mag = min(chosen.faintest_mag, _detectable_mag(instrument, light, chosen, config))
+    sky = load_sky(faintest_mag=min(chosen.faintest_mag, _detectable_mag(instrument, light, chosen, config)))
     scene = Scene(
         name=name,
         config=chosen,
         instrument=instrument,
-        view=field_of_view(instrument.camera, margin_px=0.02 * instrument.camera.width_px + 8.0),
-        sky=load_sky(faintest_mag=faintest_mag),
-        band=band,
-        light=light,
+        simulator=SkySimulator(
+            instrument,
+            replace(sky, temperature_k=np.clip(sky.temperature_k, *TEMPERATURE_RANGE_K)),
+            exposure_s=instrument.config.exposure_s,
+            passband=band,
+            nodes=config.sky.nodes,
+            temperature_c=instrument.config.chip_temperature_c,
+            background_e_per_s=chosen.background_e_per_s,
+            sobol_log2_rays=chosen.sobol_log2_rays,
+            margin_px=0.02 * instrument.camera.width_px + 8.0,
+        ),
         time_s=time_s,
         attitude=attitude,
         prior_attitude=Rotation.from_rotvec(error) * attitude,

@@ -27,12 +27,12 @@ def scene(config):
 
 def test_light_is_that_of_a_black_body_of_the_magnitude(scene):
     temperature, magnitude = 6123.0, 3.7
-    stars = scene.light.stars(np.array([[0.0, 0.0, 1.0]]), magnitude, temperature)
+    stars = scene.simulator.light.stars(np.array([[0.0, 0.0, 1.0]]), magnitude, temperature)
     density = photon_rate(
         Blackbody(temperature_k=temperature), magnitude, wavelength_nm=stars.wavelength_nm, system="G"
     )
     share = stars.photon_rate[0] / density  # node weight times transmission, the same for every star
-    other = scene.light.stars(np.array([[0.0, 0.0, 1.0]]), 0.0, 3500.0)
+    other = scene.simulator.light.stars(np.array([[0.0, 0.0, 1.0]]), 0.0, 3500.0)
     reference = photon_rate(Blackbody(temperature_k=3500.0), 0.0, wavelength_nm=stars.wavelength_nm, system="G")
     assert share == pytest.approx(other.photon_rate[0] / reference, rel=1e-4)
 
@@ -43,7 +43,7 @@ def test_stars_are_as_faint_as_their_light_in_one_pixel_is_noise(config, scene):
     long = replace(scene.instrument, config=scene.instrument.config.model_copy(update={"exposure_s": 1.0}))
     short = replace(scene.instrument, config=scene.instrument.config.model_copy(update={"exposure_s": 0.1}))
     noise2 = [one.pixel_noise().floor_e2 for one in (short, long)]
-    deep = [_detectable_mag(one, scene.light, chosen, config) for one in (short, long)]
+    deep = [_detectable_mag(one, scene.simulator.light, chosen, config) for one in (short, long)]
     assert deep[1] - deep[0] == pytest.approx(2.5 - 1.25 * np.log10(noise2[1] / noise2[0]), abs=0.5)
     # 0 mag sends some 1e4 photons/(s mm^2) through the band; 128 mm^2, a third detected; 5 sigma of 13 e-
     assert deep[0] == pytest.approx(2.5 * np.log10(1e4 * 128.0 * 0.1 * 0.33 / (5.0 * np.sqrt(noise2[0]))), abs=1.5)
