@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from optics.attitude import angles_from_attitude
+from optics.frames import equatorial_deg
 from optics.page import Marks, differences, save_frame_page
 from render.bodies.solar_system import SolarSystem
 from render.fits.wcs import lens_wcs, sky_grid
@@ -187,10 +188,9 @@ class Observation:
         from astropy.table import Table
 
         stars, truth, table = self.field.stars, self.truth, Table()
-        x, y, z = self.field.direction.T
+        ra_deg, dec_deg = equatorial_deg(self.field.direction)
         table["star_id"] = np.array(stars.id)
-        table["ra"] = np.degrees(np.arctan2(y, x)) % 360.0 * units.deg
-        table["dec"] = np.degrees(np.arcsin(z)) * units.deg
+        table["ra"], table["dec"] = ra_deg * units.deg, dec_deg * units.deg
         table["magnitude"] = stars.magnitude * units.mag
         table["temperature"] = self.sky.temperature_k[self.field.row] * units.K
         for name in Truth.__dataclass_fields__:
@@ -281,7 +281,7 @@ class Observation:
         truth, stars, electrons = self.truth, self.field.stars, self.truth.electrons_image[:, 0]
         rows = np.flatnonzero(electrons > 0)
         rows = rows[np.argsort(-electrons[rows], kind="stable")]
-        x, y, z = self.field.direction[rows].T
+        ra_deg, dec_deg = equatorial_deg(self.field.direction[rows])
         return Marks(
             name="true stars",
             x_px=truth.photon_x_px[rows, 0],
@@ -291,8 +291,8 @@ class Observation:
                 "star": np.asarray(stars.id)[rows],
                 "magnitude": stars.magnitude[rows],
                 "temperature [K]": np.rint(self.sky.temperature_k[self.field.row[rows]]),
-                "right ascension [deg]": np.degrees(np.arctan2(y, x)) % 360.0,
-                "declination [deg]": np.degrees(np.arcsin(z)),
+                "right ascension [deg]": ra_deg,
+                "declination [deg]": dec_deg,
                 "light [e-]": electrons[rows],
             },
         )

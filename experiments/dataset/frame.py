@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from experiments.dataset.plan import FramePlan, plan_frame
 from experiments.dataset.scene import PLANET_IDS, Scene
-from experiments.dataset.truth import FLAGS, FrameGhost, PointSources, StarLightOnChip, pixel_flags, star_rows
+from experiments.dataset.truth import FLAGS, FrameGhost, PointSources, pixel_flags, star_rows
 from optics.arrays import FloatArray
 from optics.attitude import angles_from_attitude, quat_xyzw
 from optics.units import RAD_DEG
@@ -86,15 +86,13 @@ class FrameMaker:
         truth = star_rows(
             sources,
             light.truth,
-            scene.instrument.camera.blur_px,
             frame=frame,
             band=light.band,
-            on_chip=StarLightOnChip(
-                empty_e2=float(scene.instrument.pixel_noise().temporal_e2(sky_e)),
-                pixel_flags=pixel_flags(read.saturated, read.defect, struck),
-                smear_px=self._smear_px(sources, plan, light),
-                axial_transmission=simulator.axial_transmission,
-            ),
+            blur_px=scene.instrument.camera.blur_px,
+            empty_e2=float(scene.instrument.pixel_noise().temporal_e2(sky_e)),
+            bits=pixel_flags(read.saturated, read.defect, struck),
+            smear_px=self._smear_px(sources, plan, light),
+            axial_transmission=simulator.axial_transmission,
         )
         return MadeFrame(
             plan=plan,

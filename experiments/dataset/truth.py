@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib.measure.detection_score import flux_snr
 from calib.measure.footprints import footprint_bits, footprint_px, overlapping
 from optics.arrays import FloatArray
-from optics.units import RAD_DEG
+from optics.frames import equatorial_deg
 
 if TYPE_CHECKING:
     from render.records import Truth
@@ -94,16 +94,6 @@ class PointSources:
         return len(self.direction)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StarLightOnChip:
-    """Disturbances of the stars of a frame."""
-
-    empty_e2: float  # Temporal variance of a pixel without starlight [e-^2]: sky, dark charge, read noise, rounding
-    pixel_flags: NDArray[np.uint8]  # (h, w) Bits of `FLAGS` for single pixels: saturated, defect, cosmic_ray
-    smear_px: FloatArray  # (n, 2) Motion of every star during the exposure
-    axial_transmission: float  # Part of the light of a star on the axis that the apertures let through
-
-
 def pixel_flags(
     saturated: NDArray[np.bool_], defect: NDArray[np.bool_], hit: NDArray[np.bool_] | None = None
 ) -> NDArray[np.uint8]:
@@ -116,10 +106,23 @@ def pixel_flags(
 
 
 def star_rows(
-    sources: PointSources, truth: Truth, blur_px: float, *, frame: int, band: str, on_chip: StarLightOnChip
+    sources: PointSources,
+    truth: Truth,
+    *,
+    frame: int,
+    band: str,
+    blur_px: float,
+    empty_e2: float,
+    bits: NDArray[np.uint8],
+    smear_px: FloatArray,
+    axial_transmission: float,
 ) -> dict[str, Any]:
-    """Columns of the truth of a frame in one band."""
-    x, y, z = sources.direction.T
+    """Columns of the truth of a frame in one band.
+
+    ``empty_e2``: temporal variance of a pixel without starlight [e-^2]; ``bits`` (h, w): `pixel_flags`; ``smear_px``
+    (n, 2): motion of every star; ``axial_transmission``: part of the light on the axis that the apertures let through.
+    """
+    ra_deg, dec_deg = equatorial_deg(sources.direction)
     values = {name: getattr(truth, name)[:, 0] for name in type(truth).__dataclass_fields__}
     n = len(sources)
     electrons = values["electrons_image"]
@@ -129,18 +132,18 @@ def star_rows(
         "star_id": sources.star_id,
         "catalogue_row": sources.catalogue_row,
         "band": band,
-        "ra_deg": np.arctan2(y, x) * RAD_DEG % 360.0,
-        "dec_deg": np.arctan2(z, np.hypot(x, y)) * RAD_DEG,
+        "ra_deg": ra_deg,
+        "dec_deg": dec_deg,
         "magnitude": sources.magnitude,
         "temperature_k": sources.temperature_k,
         "electrons": electrons,
-        "snr": flux_snr(electrons, values["noise_area_px2"], noise_e2=on_chip.empty_e2),
-        "smear_x_px": on_chip.smear_px[:, 0],
-        "smear_y_px": on_chip.smear_px[:, 1],
-        "flags": _flags(values, footprint_px(*rays, blur_px), on_chip),
+        "snr": flux_snr(electrons, values["noise_area_px2"], noise_e2=empty_e2),
+        "smear_x_px": smear_px[:, 0],
+        "smear_y_px": smear_px[:, 1],
+        "flags": _flags(values, footprint_px(*rays, blur_px), bits, axial_transmission),
         **{name: value for name, value in values.items() if name != "electrons_image"},
     }
-    kept = _worth_a_row(values, on_chip.pixel_flags.shape)
+    kept = _worth_a_row(values, bits.shape)
     return {
         column.name: columns[column.name] if column.type == "str" else np.asarray(columns[column.name])[kept]
         for column in COLUMNS
@@ -155,19 +158,21 @@ def _worth_a_row(values: dict[str, FloatArray], shape: tuple[int, int]) -> NDArr
     return near | (values["electrons_image"] > DARK_SHARE * values["electrons_in"])
 
 
-def _flags(values: dict[str, FloatArray], half: FloatArray, on_chip: StarLightOnChip) -> NDArray[np.int32]:
+def _flags(
+    values: dict[str, FloatArray], half: FloatArray, bits: NDArray[np.uint8], axial_transmission: float
+) -> NDArray[np.int32]:
     sent, arrived = values["electrons_in"], values["electrons_image"]
     lost = values["electrons_off_edge"] + arrived
     flags = np.zeros(len(sent), np.int32)
     flags[values["electrons_off_edge"] > SHARE_LOST * lost] |= FLAGS["off_edge"][0]
     through = sent - values["electrons_vignetted"]
-    flags[through < (1.0 - VIGNETTED_SHARE) * on_chip.axial_transmission * sent] |= FLAGS["vignetted"][0]
+    flags[through < (1.0 - VIGNETTED_SHARE) * axial_transmission * sent] |= FLAGS["vignetted"][0]
     flags[values["electrons_hidden"] > SHARE_LOST * sent] |= FLAGS["hidden"][0]
     dark = ~(arrived > DARK_SHARE * sent)
     flags[dark] |= FLAGS["no_light"][0]
     centre = np.stack([values["photon_x_px"], values["photon_y_px"]])
     lit = np.flatnonzero(~dark & np.isfinite(centre).all(0))
-    flags[lit] |= footprint_bits(centre[:, lit], half[:, lit], on_chip.pixel_flags)
+    flags[lit] |= footprint_bits(centre[:, lit], half[:, lit], bits)
     flags[lit[overlapping(centre[:, lit], half[:, lit], arrived[lit], BLEND_SHARE)]] |= FLAGS["blended"][0]
     return flags
 

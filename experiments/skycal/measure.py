@@ -18,7 +18,7 @@ from calib.records import NoiseModel, Stamps, StarTable
 from experiments.harness.system import prompt_pool
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame, true_noise
-from experiments.skycal.scene import Scene
+from experiments.skycal.scene import TEMPERATURE_RANGE_K, Scene
 from experiments.skycal.settings import Config
 from optics.arrays import FloatArray
 from optics.records import concatenated, freeze
@@ -168,5 +168,5 @@ class BankRenderer:
     def render(self, temperature_k: float) -> PsfBank:
         """PSFs of one colour, each centred on the mean of the rays of that colour."""
         lattice = self._lattice
-        psfs = lattice.render(temperature_k)
+        psfs = lattice.render(float(np.clip(temperature_k, *TEMPERATURE_RANGE_K)))
         return PsfBank(psfs, lattice.columns, lattice.rows, lattice.size_px)

@@ -76,7 +76,7 @@ class Scene:
 
     def of_one_colour(self, direction: FloatArray, temperature_k: float) -> StarField:
         """Stars of one colour and brightness at directions (n, 3) in cam."""
-        return self.simulator.light.stars(direction, 5.0, temperature_k)
+        return self.simulator.light.stars(direction, 5.0, np.clip(temperature_k, *TEMPERATURE_RANGE_K))
 
     def in_cam(self, frame: int) -> tuple[NDArray[np.int64], FloatArray]:
         """Rows of the stars that may fall on the detector in a frame, and their directions (n, 3) in cam."""
