@@ -15,7 +15,6 @@ from experiments.harness.config import load_config
 from experiments.harness.registry import found
 from experiments.laboratory.settings.sensor_file import SensorConfig
 from optics.errors import ConfigError
-from optics.rays.paraxial import axial_paraxial
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "triplet_50mm" / "sensor.toml"
 WITHOUT_SENSOR = {"cube"}
@@ -73,18 +72,6 @@ def without_folders(value):
     if isinstance(value, (list, tuple)):
         return [without_folders(one) for one in value]
     return Path(value).name if isinstance(value, str) else value
-
-
-@pytest.mark.parametrize("name", OF_ONE_CAMERA)
-def test_a_strangers_sensor_is_the_instrument_of_every_experiment(name):
-    from render.sensor_file.instrument import build_instrument
-
-    config = load_config(config_class(name), sensor=EXAMPLE)
-    instrument = build_instrument(config.instrument)
-    lens = instrument.camera.lens
-    assert axial_paraxial(lens, lens.design_wavelength_nm).efl_mm == pytest.approx(50.0, rel=1e-3)
-    assert (instrument.camera.width_px, instrument.camera.height_px) == (2048, 2048)
-    assert config.passband.range_nm == (450.0, 850.0)
 
 
 def test_filters_are_measured_curves_and_keep_their_nominal_centres():

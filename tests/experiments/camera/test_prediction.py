@@ -36,16 +36,6 @@ def tracker(config):
     return predict_camera(config)
 
 
-def test_first_order_by_hand(tracker):
-    """f = 25.6 mm and 5.5 um make 44.3 arcsec; 1024 of them 2 atan(2.816 / 25.6) = 12.55 deg; F/2."""
-    pixel = np.degrees(5.5e-3 / tracker.value("focal_length_mm")) * 3600.0
-    assert tracker.value("pixel_arcsec") == pytest.approx(pixel, rel=2e-3)
-    field = 2.0 * np.degrees(np.arctan(512 * 5.5e-3 / tracker.value("focal_length_mm")))
-    assert tracker.value("field_deg") == pytest.approx(field, rel=2e-3)
-    assert tracker.value("f_number") == pytest.approx(2.0, rel=0.03)
-    assert tracker.value("depth_of_focus_um") == pytest.approx(tracker.value("f_number") * 5.5, rel=1e-9)
-
-
 def test_a_star_that_saturates_has_no_accuracy_and_meets_no_requirement(config):
     """The brightest pixel of the star of [star] holds more than the full well: nothing is quoted."""
     long = predict_camera(with_value(config, "instrument.exposure_s", 20.0))

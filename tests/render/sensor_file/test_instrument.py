@@ -12,11 +12,20 @@ from optics.rays.pupil import entrance_pupil
 from optics.rays.spots import spot_moments
 from optics.units import ARCSEC_RAD
 from optics.validate import parse_model
+from optics.waves.pupil_field import trace_pupil
+from optics.waves.wavefront import wavefront
 from render.fits.wcs import lens_wcs
 from render.sensor_file.instrument import build_instrument, configured_lens, housing_of
 from render.sensor_file.tables import InstrumentConfig
 
 INNER_STOP = {"lens": "double_gauss_50mm", "detector": "cmv4000", "absorption": False}
+
+
+@pytest.fixture(scope="module")
+def star_camera():
+    return build_instrument(InstrumentConfig())
+
+
 TRIPLET = {"lens": "docs/examples/triplet_50mm/lens.toml", "detector": "cmv4000", "width_px": 1200, "height_px": 1200}
 
 
@@ -39,12 +48,6 @@ def test_the_angle_of_a_pixel_is_that_between_traced_bundles_and_that_of_the_wor
     assert sensor.pixel_arcsec * ARCSEC_RAD == pytest.approx(scale, rel=5e-5)
     paraxial_mm = axial_paraxial(camera.lens, camera.lens.design_wavelength_nm).efl_mm
     assert abs(sensor.focal_length_mm / paraxial_mm - 1.0) > 3e-3
-
-
-def test_defocus_moves_the_detector_away_from_the_lens(star_camera):
-    moved = build_instrument(InstrumentConfig(defocus_mm=0.25)).camera.focused_lens.image_position_mm
-    base = star_camera.camera.lens.image_position_mm
-    assert moved - base == pytest.approx([0, 0, 0.25], abs=1e-12)
 
 
 def test_coatings_let_more_light_through():
@@ -83,14 +86,6 @@ def test_lens_is_focused_at_its_own_temperature_and_warmed_with_its_housing():
         assert (warm - cold) / cold == pytest.approx(ppm * 1e-6 * 40.0, rel=0.003), (
             housing
         )  # prescriptions hold at 20 C
-
-
-def test_window_is_the_middle_of_the_detector_and_the_gain_is_set():
-    small = build_instrument(InstrumentConfig(**INNER_STOP, width_px=640, height_px=480, gain_dn_per_e=0.5))
-    assert (small.camera.width_px, small.camera.height_px) == (640, 480)
-    assert (small.detector.width_px, small.detector.height_px) == (640, 480)
-    assert small.detector.gain_dn_per_e == 0.5
-    assert small.camera.centre_px == pytest.approx([319.5, 239.5])
 
 
 @pytest.mark.parametrize(
@@ -138,3 +133,35 @@ def test_housing_of_a_sensor_file_reaches_the_lens():
     assert gap[0] == pytest.approx(gap[1] * math.exp(1e-4 * 40.0), rel=1e-12)
     assert InstrumentConfig.model_validate({"housing": "invar_36"}).housing.material == "invar_36"
     assert hash(config.housing) != hash(InstrumentConfig().housing)
+
+
+# --- A measured wavefront
+
+
+def rms_nm(**settings):
+    lens = configured_lens(InstrumentConfig(defocus_mm=0.0, **settings))
+    found = wavefront(trace_pupil(lens, [0.0], [0.0], [lens.design_wavelength_nm], order=(12, 32)))
+    return found.zernike_nm(11)[5]
+
+
+def test_coefficients_and_a_map_of_them(tmp_path):
+    """Sixth of Noll's polynomials: sqrt(6) (x^2 - y^2)."""
+    x, y = np.meshgrid(np.linspace(-1, 1, 33), np.linspace(-1, 1, 33))
+    np.save(tmp_path / "map.npy", 50.0 * np.sqrt(6.0) * (x**2 - y**2))
+    nominal = rms_nm()
+    assert rms_nm(wavefront_zernike_nm=(0, 0, 0, 0, 0, 50.0)) - nominal == pytest.approx(50.0, abs=0.2)
+    assert rms_nm(wavefront_map=str(tmp_path / "map.npy")) - nominal == pytest.approx(50.0, abs=0.2)
+
+
+def test_what_an_interferometer_masks_is_refused(tmp_path):
+    values = np.zeros((9, 9))
+    values[0, 2] = np.nan
+    np.savetxt(tmp_path / "map.txt", values)
+    with pytest.raises(DomainError, match=r"instrument.wavefront_map = .*map.txt: .*not finite, the first at row 0"):
+        configured_lens(InstrumentConfig(wavefront_map=str(tmp_path / "map.txt")))
+    with pytest.raises(ConfigError, match="map cannot be read"):
+        configured_lens(InstrumentConfig(wavefront_map=str(tmp_path / "none.npy")))
+    with pytest.raises(ValueError, match="finite number"):
+        InstrumentConfig(wavefront_zernike_nm=(0.0, float("nan")))
+    with pytest.raises(ValueError, match="give one of them"):
+        InstrumentConfig(wavefront_map="m.npy", wavefront_zernike_nm=(1.0,))
