@@ -32,7 +32,7 @@ from optics.records import freeze, freeze_all
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 from render.forward import StarRenderer
-from render.records import EffectivePsf, StarField, WindowStack
+from render.records import EffectivePsf, StarField
 from render.sensor_file.instrument import Instrument
 from render.tracing.psf import epsf_tracer, render_epsf
 
@@ -171,7 +171,7 @@ def acquire(
     stack = reader.expose(window_e, corner, frames=1, label=f"{name} star")
     dark_e = reader.dark(corner, window_px, frames=dark_frames, label=f"{name} dark")
     stamps, noise = dark_subtracted(stack, dark_e, start_px=expected_px)
-    return _measured(name, places, stamps, noise, list(psfs), window_e, bundle, stack, instrument, dark_frames)
+    return _measured(name, places, stamps, noise, psfs, window_e, bundle, instrument, dark_frames)
 
 
 def _measured(
@@ -182,7 +182,6 @@ def _measured(
     psfs: Sequence[EffectivePsf],
     light_e: NDArray[Any],
     bundle_px: FloatArray,
-    stack: WindowStack,
     instrument: Instrument,
     dark_frames: int,
 ) -> Acquisition:
@@ -200,11 +199,9 @@ def _measured(
             f"{FEWEST_SEEN:.0%} are needed; raise evaluation.signal_e or narrow the window"
         )
     variance = seen_e2 + pixel.response_e2(electrons)
+    chunks = [slice(first, first + CHUNK) for first in range(0, len(electrons), CHUNK)]
     covariance = np.concatenate(
-        [
-            _covariance(psfs[first : first + CHUNK], stamps, noise, electrons, variance, first)
-            for first in range(0, len(electrons), CHUNK)
-        ]
+        [_covariance(psfs[k], stamps.select(k), noise, electrons[k], variance[k]) for k in chunks]
     )
     return Acquisition(
         name=name,
@@ -222,18 +219,12 @@ def _measured(
 
 
 def _covariance(
-    psfs: Sequence[EffectivePsf],
-    stamps: Stamps,
-    noise: NoiseModel,
-    light_e: FloatArray,
-    variance_e2: FloatArray,
-    first: int,
+    psfs: Sequence[EffectivePsf], stamps: Stamps, noise: NoiseModel, light_e: FloatArray, variance_e2: FloatArray
 ) -> FloatArray:
-    """Covariance (k, 2, 2) of the centroids of k places from the first one on, through their linear response."""
-    part = slice(first, first + len(psfs))
-    chosen = replace(stamps.select(part), psf_index=np.arange(len(psfs)))
-    gain = linear_response(get_centroider("epsf", epsf=list(psfs)), chosen, noise, light_e[part])
-    return centroid_covariance(gain, variance_e2[part])
+    """Covariance (k, 2, 2) of the centroids of k places through their linear response."""
+    chosen = replace(stamps, psf_index=np.arange(len(psfs)))
+    gain = linear_response(get_centroider("epsf", epsf=list(psfs)), chosen, noise, light_e)
+    return centroid_covariance(gain, variance_e2)
 
 
 def _check_inside(

@@ -7,7 +7,7 @@ from experiments.acf import experiment as study
 from experiments.acf.reprojection import root_mean_square
 from experiments.acf.settings import Config, SkyConfig, SweepConfig, experiment
 from experiments.acf.table2 import PRINTED, ROUNDING, TRUE, implied
-from experiments.acf.trials import Point, Task, sky_of, work
+from experiments.acf.trials import Point, Task, work
 from experiments.harness.progress import Progress
 
 SMALL = Config(
@@ -38,36 +38,6 @@ def outcome(guess):
 def test_nothing_fails_to_converge_from_the_poor_start(outcome):
     assert outcome.values("figures_n", method="acc") == 4 * (2 * 3 + 2 + 2 * 2 + 1 + 2)  # by hand
     assert outcome.values("figures_failed").sum() == 0
-
-
-@pytest.mark.slow
-def test_a_perfect_gyro_gives_the_closed_form(outcome):
-    """sigma sqrt(14 / n) for n stars, whatever the camera; sec. 3.1's even frames are not quite the odd ones.
-
-    One run scatters by 1 / sqrt(28) = 19 %, the mean of four by 9.4 %; four of these and the 15 % of the frames.
-    """
-    stars = sky_of(SMALL, study.table2_point(SMALL), 0).stars
-    closed = np.array(SMALL.noise_px) * np.sqrt(14 / np.count_nonzero(stars.frame % 2 == 0))
-    assert outcome.values("fig3a_expected_px", bias=0.0) == pytest.approx(closed, rel=0.15)
-    assert outcome.values("fig3a_rms_px", bias=0.0) == pytest.approx(closed, rel=0.15 + 4 * 0.094)
-
-
-@pytest.mark.slow
-def test_full_weights_are_free_attitudes(outcome):
-    """2 n - 3 measurements of a frame either way; they differ by the terms that a linear weight leaves out."""
-    for name in ("x0_px", "y0_px", "focal_length_mm"):
-        full, free = (outcome.values(name, method=method) for method in ("iac_full", "free"))
-        assert full == pytest.approx(free, rel=0.02)
-
-
-@pytest.mark.slow
-def test_the_gyro_of_stated_noise_is_acc_when_the_gyro_is_perfect(outcome):
-    acc, linked = outcome.values("gain_acc"), outcome.values("gain_linked")
-    acc_bound, linked_bound = outcome.values("gain_acc_bound"), outcome.values("gain_linked_bound")
-    assert linked[:, 0] == pytest.approx(acc[:, 0], rel=1e-3)
-    assert linked_bound[:, 0] == pytest.approx(acc_bound[:, 0], rel=1e-9)
-    assert np.all(acc_bound[:, 1] < 1.0)  # twenty times the noise, trusted: harm
-    assert np.all(linked_bound >= 1.0)
 
 
 def test_runs_do_not_depend_on_how_they_are_cut_into_tasks():
