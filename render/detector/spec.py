@@ -31,7 +31,7 @@ LEAST_PEAK = 0.01
 _SIDE = 32768
 
 # name in the data file: (lowest, highest, unit)
-_RANGES: dict[str, tuple[float, float, str]] = {
+RANGES: dict[str, tuple[float, float, str]] = {
     "chip_width_px": (1, _SIDE, "px"),
     "chip_height_px": (1, _SIDE, "px"),
     "chips": (1, 16, ""),
@@ -193,7 +193,7 @@ class Detector:
     from_default: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for key, (low, high, unit) in _RANGES.items():
+        for key, (low, high, unit) in RANGES.items():
             name = _LENGTHS.get(key, key)
             scale = UM_MM if key in _LENGTHS else 1.0
             held = getattr(self, name)
@@ -316,7 +316,7 @@ def _fold(nonlinearity: tuple[float, ...]) -> float | None:
 
 
 def _in_range(key: str, text: str, **options: Any) -> Any:
-    low, high, unit = _RANGES[key]
+    low, high, unit = RANGES[key]
     return Field(ge=low, le=high, allow_inf_nan=False, description=f"{text} [{unit}]" if unit else text, **options)
 
 

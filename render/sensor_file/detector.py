@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from pydantic import Field
 
 from optics.settings import StrictModel
 from optics.units import UM_MM
-from render.detector.spec import Detector
+from render.detector.spec import RANGES, Detector, DetectorFile
 
-_HIGHEST = 1e7
 _IN_UM = {"diffusion_sigma_um": "diffusion_sigma_mm"}
+
+
+def _changed(name: str) -> Any:
+    """A key of the detector file that may be left out, with its range and description."""
+    low, high, _ = RANGES[name]
+    description = str(DetectorFile.model_fields[name].description).partition(" [")[0]
+    return Field(default=None, ge=low, le=high, description=description)
 
 
 class DetectorConfig(StrictModel):
@@ -22,47 +28,25 @@ class DetectorConfig(StrictModel):
         {"prnu", "crosstalk_horizontal", "crosstalk_vertical", "crosstalk_diagonal", "read_noise_spread"}
     )
 
-    diffusion_sigma_um: float | None = Field(default=None, ge=0, le=100, description="charge diffusion")
-    prnu: float | None = Field(default=None, ge=0, le=0.5, description="response non-uniformity")
-    dark_current_e_per_s: float | None = Field(default=None, ge=0, le=_HIGHEST, description="mean dark current")
-    dark_spread_e_per_s: float | None = Field(
-        default=None, ge=0, le=_HIGHEST, description="standard deviation of the dark current over the pixels"
-    )
-    hot_fraction: float | None = Field(default=None, ge=0, le=1, description="fraction of hot pixels")
-    hot_dark_e_per_s: float | None = Field(
-        default=None, ge=0, le=_HIGHEST, description="mean extra dark current of hot pixels"
-    )
-    dead_fraction: float | None = Field(default=None, ge=0, le=1, description="fraction of dead pixels")
-    full_well_e: float | None = Field(default=None, ge=1, le=_HIGHEST, description="saturation capacity")
-    crosstalk_horizontal: float | None = Field(
-        default=None, ge=0, le=0.2, description="charge share of a left or right neighbour"
-    )
-    crosstalk_vertical: float | None = Field(
-        default=None, ge=0, le=0.2, description="charge share of an upper or lower neighbour"
-    )
-    crosstalk_diagonal: float | None = Field(
-        default=None, ge=0, le=0.1, description="charge share of a diagonal neighbour"
-    )
-    read_noise_e: float | None = Field(default=None, ge=0, le=1e5, description="median temporal dark noise")
-    read_noise_spread: float | None = Field(
-        default=None, ge=0, le=2, description="standard deviation over the pixels of the logarithm of the read noise"
-    )
-    dsnu_e: float | None = Field(
-        default=None, ge=0, le=1e5, description="standard deviation of the offset over the pixels"
-    )
-    column_pattern_e: float | None = Field(
-        default=None, ge=0, le=1e5, description="standard deviation of the offset over the columns"
-    )
-    damage_centres_per_px: float | None = Field(
-        default=None, ge=0, le=1000, description="radiation damage: mean number of damage centres per pixel"
-    )
-    damage_dark_e_per_s: float | None = Field(
-        default=None, ge=0, le=_HIGHEST, description="mean dark current of a damage centre"
-    )
-    adc_bits: int | None = Field(default=None, ge=1, le=16, description="resolution of the converter")
-    sensor_seed: int | None = Field(
-        default=None, ge=0, le=2**63, description="seed of the individual detector's fixed patterns and defects"
-    )
+    diffusion_sigma_um: float | None = _changed("diffusion_sigma_um")
+    prnu: float | None = _changed("prnu")
+    dark_current_e_per_s: float | None = _changed("dark_current_e_per_s")
+    dark_spread_e_per_s: float | None = _changed("dark_spread_e_per_s")
+    hot_fraction: float | None = _changed("hot_fraction")
+    hot_dark_e_per_s: float | None = _changed("hot_dark_e_per_s")
+    dead_fraction: float | None = _changed("dead_fraction")
+    full_well_e: float | None = _changed("full_well_e")
+    crosstalk_horizontal: float | None = _changed("crosstalk_horizontal")
+    crosstalk_vertical: float | None = _changed("crosstalk_vertical")
+    crosstalk_diagonal: float | None = _changed("crosstalk_diagonal")
+    read_noise_e: float | None = _changed("read_noise_e")
+    read_noise_spread: float | None = _changed("read_noise_spread")
+    dsnu_e: float | None = _changed("dsnu_e")
+    column_pattern_e: float | None = _changed("column_pattern_e")
+    damage_centres_per_px: float | None = _changed("damage_centres_per_px")
+    damage_dark_e_per_s: float | None = _changed("damage_dark_e_per_s")
+    adc_bits: int | None = _changed("adc_bits")
+    sensor_seed: int | None = _changed("sensor_seed")
 
 
 def overridden(detector: Detector, changes: DetectorConfig) -> Detector:
