@@ -183,6 +183,21 @@ def test_the_detector_of_the_library_page_is_as_drawn():
         assert abs(value - true) < 5.0 * error < 0.2 * true
 
 
+def test_the_light_of_stars_of_the_library_page_is_as_drawn():
+    """Zero point 15, extinction 0.3, vignetting 0.4 at the corner, scatter 0.01: each within five standard errors."""
+    rng, airmass = np.random.default_rng(8), np.linspace(1.0, 2.0, 6)
+    names = {"airmass": airmass, "frame": rng.integers(0, 6, 600), "temperature_k": rng.uniform(3000.0, 1e4, 600)}
+    names |= {"magnitude": rng.uniform(3.0, 7.0, 600), "distance": rng.uniform(0.0, 1.0, 600)}
+    lost = names["magnitude"] + 0.3 * airmass[names["frame"]] + 0.4 * names["distance"] ** 2
+    names["flux_e"] = 10.0 ** (0.4 * (15.0 - lost + 0.01 * rng.standard_normal(600)))
+    names["flux_error_e"] = 1e-3 * names["flux_e"]
+    exec(block("docs/library.md", "fit_photometry"), names)
+    light = names["light"]
+    assert abs(light.above_mag - 15.0) < 5.0 * light.above_error_mag < 0.05
+    assert abs(light.extinction_mag - 0.3) < 5.0 * light.extinction_error_mag < 0.05
+    assert abs(light.vignetting_at(1.0) - 0.4) < 5.0 * light.vignetting_error_at(1.0) < 0.05
+
+
 def test_the_error_terms_of_the_library_page_are_those_of_drawn_centroids(capsys):
     """0.02 px of noise at 5.5 arcsec; half of a filter shift of 0.24 px; a cubic distortion that is removed."""
     rng = np.random.default_rng(6)

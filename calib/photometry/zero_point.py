@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from calib.fitting.excess import excess_sigma
 from optics.arrays import FloatArray, IntArray
@@ -50,9 +50,10 @@ class PhotometricSolution:
     above_error_mag: float = float("nan")
     frames: int = 0  # Frames with a zero point
 
-    def vignetting_at(self, u2: FloatArray) -> FloatArray:
+    def vignetting_at(self, u2: ArrayLike) -> FloatArray:
         """Vignetting (n,) [mag] at squared distances from the middle in units of half of the diagonal."""
-        return self.vignetting_mag[0] * u2 + self.vignetting_mag[1] * u2 * u2
+        u2 = np.asarray(u2, float)
+        return np.asarray(self.vignetting_mag[0] * u2 + self.vignetting_mag[1] * u2 * u2)
 
     def vignetting_error_at(self, u2: float) -> float:
         """Standard deviation of the vignetting [mag]."""

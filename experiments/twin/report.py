@@ -116,7 +116,7 @@ def camera_numbers(night: MeasuredNight, compared: HeldOut, limit_mag: float) ->
         extinction_mag=None
         if np.isnan(light.extinction_mag)
         else measured(light.extinction_mag, light.extinction_error_mag, light.frames),
-        vignetting_mag=measured(light.vignetting_at(np.ones(1))[0], light.vignetting_error_at(1.0)),
+        vignetting_mag=measured(light.vignetting_at(1.0), light.vignetting_error_at(1.0)),
         limit_mag=limit_mag,
         latitude_deg=None if site is None else measured(site.latitude_deg, site.error_deg),
         longitude_deg=None if site is None else measured(site.longitude_deg, site.error_deg),

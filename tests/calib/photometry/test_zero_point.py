@@ -42,7 +42,7 @@ def test_pulls_of_forty_nights():
         [
             [
                 (fit.extinction_mag - 0.3) / fit.extinction_error_mag,
-                (fit.vignetting_at(np.ones(1))[0] - 0.48) / fit.vignetting_error_at(1.0),
+                (fit.vignetting_at(1.0) - 0.48) / fit.vignetting_error_at(1.0),
                 (fit.above_mag - 15.2) / fit.above_error_mag,
             ]
             for fit in fits
