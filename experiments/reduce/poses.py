@@ -23,8 +23,9 @@ from calib.calibration.table_reduction import (
 )
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.cameras.line_of_sight import line_of_sight_map
+from calib.fitting.solution import LARGEST_RISE
 from experiments.harness.quantities import Outcome
-from experiments.harness.sections import Section, above, col, ratio_near
+from experiments.harness.sections import Section, above, below, col, ratio_near
 from experiments.harness.summary import Measured
 from experiments.reduce.folder import FrameFolder
 from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
@@ -132,6 +133,8 @@ class Fit:
     flat: bool  # Whether the response of the pixels is known
     fit_ratio: Measured = col("Mean square of the residuals over its prediction", json="")
     coverage: float = col("Fraction of the detector covered", format=".2f")
+    # 1 where the covariance, which is of first order, describes the errors
+    chi2_rise: float = col("Rise of χ² at one σ along the least determined direction", "", ".2f", shown=False)
 
 
 def fit_record(poses: PoseCalibration, folder: FrameFolder) -> Fit:
@@ -143,6 +146,7 @@ def fit_record(poses: PoseCalibration, folder: FrameFolder) -> Fit:
         flat=folder.flat is not None or folder.settings.prnu_fraction > 0.0,
         fit_ratio=Measured(value=misfit.value / degrees, uncertainty=float(np.sqrt(2.0 / degrees))),
         coverage=poses.coverage,
+        chi2_rise=poses.calibration.solution.chi2_rise,
     )
 
 
@@ -172,6 +176,12 @@ FIT = Section(
             LEAST_COVERAGE,
             title="fraction of the detector's width and height covered by the star, the smaller",
             advice="the rest of the field is not calibrated: cover more of it",
+        ),
+        below(
+            "chi2_rise",
+            LARGEST_RISE,
+            title="stated errors: rise of chi-square at one standard deviation, 1 where they hold",
+            advice="the stated errors are of first order and do not hold: take finer readings or more of the field",
         ),
     ],
 )
