@@ -207,7 +207,8 @@ def test_positions_in_the_wrong_order_are_named():
 
 @pytest.mark.parametrize(("ratio", "said"), [(0.5, "smaller than stated"), (1.0, ""), (1.5, "larger than stated")])
 def test_a_calibration_by_poses_is_judged_both_ways(ratio, said):
-    fit = Fit(misfit="m", flat=True, fit_ratio=Measured(value=ratio, uncertainty=0.07), coverage=1.0, chi2_rise=ratio + 0.2)
+    measured = Measured(value=ratio, uncertainty=0.07)
+    fit = Fit(misfit="m", flat=True, fit_ratio=measured, coverage=1.0, chi2_rise=ratio + 0.2)
     data = described({"fit": FIT}, Quantities(), {"fit": fit}).dataset
     criterion, _, first_order = judge_sections({"fit": FIT}, Outcome(config=None, result={"fit": fit}, data=data))
     assert criterion.failed is bool(said)
