@@ -32,6 +32,9 @@ PLEIADES = (
 SMALL = [*(word for setting in PLEIADES.split() for word in ("--set", setting)), "--workers", "1"]
 
 
+VERIFIED = ("--set", "verify.frames=1", "--set", "verify.dark_frames=4")
+
+
 def run(folder, *more, frames=3):
     return main([*SMALL, "--frames", str(frames), "--out", str(folder), *more])
 
@@ -46,7 +49,7 @@ def data(folder):
 def dataset(tmp_path_factory):
     """Three frames, made in one go."""
     folder = tmp_path_factory.mktemp("dataset") / "one"
-    assert run(folder, "--set", "verify.frames=1", "--set", "verify.dark_frames=4") == 0
+    assert run(folder, *VERIFIED) == 0
     return folder
 
 
@@ -148,7 +151,7 @@ def test_what_is_missing_or_damaged_is_made_again(dataset, tmp_path):
     closing = ("index.parquet", "README.md", "contact_sheet.png")
     for name in closing:
         (folder / name).unlink()
-    assert run(folder) == 0
+    assert run(folder, *VERIFIED) == 0
     assert data(folder) == data(dataset)
     assert all(file.exists() for file in mine)  # only temporary files of our own were cleared away
     assert json.loads((folder / "summary.json").read_text())["results"]["frames_made"] == 3
@@ -310,7 +313,6 @@ def test_no_bit_of_a_truth_file_can_change(dataset, tmp_path, form):
         path.write_bytes(whole)
 
 
-@pytest.mark.slow
 def test_check_names_what_is_damaged_and_what_is_made_again(dataset, tmp_path, capsys):
     folder = tmp_path / "checked"
     shutil.copytree(dataset, folder)
@@ -365,7 +367,6 @@ def test_a_line_of_the_list_that_is_gone_or_was_added_is_told(dataset, tmp_path)
         assert check(folder, Progress()).damaged == ("SHA256SUMS",)
 
 
-@pytest.mark.slow
 def test_dataset_json_is_written_anew_from_the_frames(dataset, tmp_path, capsys):
     folder = tmp_path / "renewed"
     shutil.copytree(dataset, folder)
