@@ -56,7 +56,6 @@ from experiments.laboratory.single_star.acquisition import (
     Motion,
     Places,
     acquire,
-    motion_of,
     place_psfs,
     smear_px,
     visit_once,
@@ -75,7 +74,7 @@ from experiments.laboratory.single_star.setup import (
 )
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
-from optics.units import RAD_ARCSEC
+from optics.units import DEG_RAD, RAD_ARCSEC
 from render.engine.random import Streams
 from render.sensor_file.instrument import Instrument
 
@@ -142,7 +141,9 @@ def evaluation_px(config: Config, instrument: Instrument) -> FloatArray:
 
 
 def _motion(config: Config) -> Motion:
-    return motion_of(config.dynamic.rate_deg_per_s, config.dynamic.jitter_ms, config.dynamic.samples)
+    dynamic = config.dynamic
+    rate = dynamic.rate_deg_per_s * DEG_RAD
+    return Motion(rate_rad_per_s=rate, jitter_s=dynamic.jitter_ms * 1e-3, samples=dynamic.samples)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -268,7 +268,7 @@ def line_of_sight(case: Case, pixel_arcsec: float) -> LineOfSight:
             for one in solutions
         ],
         principal_point_sigma_arcsec=point,
-        point_over_line=point_over_line(float(point.max()), predicted),
+        point_over_line=float(np.sqrt(2.0) * point.max() / predicted),  # the map's is a length over two axes
         lost_runs=found.lost,
         places=len(readings.position_px),
         centroid_error_px=np.sqrt(((readings.position_px - case.measurement.bundle_px) ** 2).mean(0)),
@@ -276,14 +276,6 @@ def line_of_sight(case: Case, pixel_arcsec: float) -> LineOfSight:
         line_error_arcsec=line.error_length_arcsec,
         line_sigma_arcsec=line.predicted_length_arcsec,
     )
-
-
-def point_over_line(sigma_arcsec: float, map_arcsec: float) -> float:
-    """Standard deviation of a principal-point coordinate over that of the line of sight, both per axis.
-
-    ``map_arcsec`` is an RMS length over two axes.
-    """
-    return float(sigma_arcsec / map_arcsec * np.sqrt(2.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

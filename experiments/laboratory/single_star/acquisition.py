@@ -29,7 +29,7 @@ from experiments.laboratory.single_star.star import SingleStar
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze, freeze_all
-from optics.units import ARCSEC_RAD, DEG_RAD
+from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.records import EffectivePsf, StarField
@@ -238,11 +238,6 @@ def _check_inside(
             f"column {expected_px[at, 0]:.0f}, row {expected_px[at, 1]:.0f}; the image is vignetted, off the detector "
             "or smeared beyond the window (dynamic.rate_deg_per_s times the exposure)"
         )
-
-
-def motion_of(rate_deg_per_s: float, jitter_ms: float, samples: int) -> Motion:
-    """Motion from the units of a configuration."""
-    return Motion(rate_rad_per_s=rate_deg_per_s * DEG_RAD, jitter_s=jitter_ms * 1e-3, samples=samples)
 
 
 def smear_px(motion: Motion, instrument: Instrument) -> float:

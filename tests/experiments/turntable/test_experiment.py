@@ -1,6 +1,5 @@
 """The turntable calibration: reduction on coordinates, a tiny rendered run from end to end, refusals."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,12 +16,11 @@ from experiments.laboratory.single_star.measure import Measurement, TracedMap
 from experiments.laboratory.single_star.setup import build_bench, grid_px
 from experiments.laboratory.single_star.visits import visit
 from experiments.turntable import experiment as study
-from experiments.turntable.experiment import point_over_line
 from experiments.turntable.monte_carlo import (
     Coordinates,
     map_error,
 )
-from experiments.turntable.settings import Config, main, rendered
+from experiments.turntable.settings import Config, rendered
 from optics.errors import ConfigError
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams
@@ -74,10 +72,6 @@ def test_what_a_square_table_is_taken_for_does_not_fit() -> None:
 def test_settings_that_do_not_do(setting: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         load_config(Config, settings=[setting])
-
-
-def test_principal_point_and_line_of_sight_are_compared_per_axis() -> None:
-    assert point_over_line(3.0, np.hypot(1.0, 1.0)) == pytest.approx(3.0)
 
 
 PLACES = {"columns": 7, "rows": 5}
@@ -145,6 +139,9 @@ def test_a_run_finds_what_was_set(table: str, outcome) -> None:
     assert rms == pytest.approx(predicted, rel=4.0 / np.sqrt(2 * 35))
     error, limit = outcome.values("map_error_arcsec", table=table)[0], outcome.value("map_limit_arcsec", table=table)
     assert error < limit
+    point = outcome.values("principal_point_sigma_arcsec", table=table).max()
+    line = outcome.value("map_predicted_arcsec", table=table) / np.sqrt(2.0)
+    assert outcome.value("point_over_line", table=table) == pytest.approx(point / line)
     drawn = outcome.values("map_monte_carlo_arcsec", table=table)
     assert outcome.value("map_bound_arcsec", table=table) == pytest.approx(drawn, rel=0.5)
 
@@ -157,21 +154,6 @@ def test_noise_and_knowledge_of_a_run(outcome) -> None:
     assert known[0] == pytest.approx(bound)
     assert known.max() <= bound * (1 + 1e-9)
     assert np.isnan(outcome.values("true_deg", table="two_axis", turn="middle")).all()
-
-
-@pytest.mark.slow
-def test_a_rendered_run_is_as_good_as_predicted(tmp_path) -> None:
-    """N = 35 places: a standard deviation is known to 12 %, three of those."""
-    settings = ["instrument.diffraction=rays", "grid.columns=7", "grid.rows=5", "study.runs=20", "study.sweep_runs=5"]
-    argv = ["--quick", "--out", str(tmp_path / "run"), *(part for one in settings for part in ("--set", one))]
-    assert main(argv) in (0, 1)
-    for found in [
-        json.loads((tmp_path / "run/summary.json").read_text())["results"][t] for t in ("two_axis", "three_axis")
-    ]:
-        assert found["map_split_arcsec"]["model"] < 1e-4 < found["map_error_arcsec"]["estimated"]
-        for axis in "xy":
-            rms, predicted = found["centroid_error_px"]["rms"][axis], found["centroid_predicted_px"][axis]
-            assert rms == pytest.approx(predicted, rel=3.0 / np.sqrt(2 * 35))
 
 
 @pytest.mark.parametrize(
