@@ -113,7 +113,7 @@ def check_laboratory(lab: Laboratory) -> None:
         corner_directions(lab.config.target, lab.instrument),
     )
     check_light(lab.filtered, lab.instrument, corners)
-    top = min(chip.full_well_e, (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e)
+    top = chip.saturation_e
     _, radius, _ = expected_spots(lab.filtered, lab.instrument, corners)
     sigma2 = float(np.nanmin(radius)) ** 2 / 2.0 + lab.instrument.camera.blur_px**2 + 1.0 / 12.0
     if signal / (2.0 * np.pi * sigma2 + 1.0) > top:

@@ -331,7 +331,7 @@ def check_light_levels(config: Config, detector: Detector, sensor_detector: Dete
         ("camera.plateau_e", config.camera.plateau_e, detector),
         ("sensor.plateau_e", config.sensor.plateau_e, sensor_detector),
     ):
-        limit = 0.9 * min(chip.full_well_e, (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e)
+        limit = 0.9 * chip.saturation_e
         if plateau_e > limit:
             raise DomainError(
                 f"{key} = {plateau_e:g} e- saturates {chip.name!r}; at most {limit:.4g} e- (0.9 of full well and "

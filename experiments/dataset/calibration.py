@@ -47,7 +47,7 @@ def write_calibration(scene: Scene, folder: Path, frames: int, done: Callable[[]
         root.mkdir(exist_ok=True)
     except OSError as error:
         raise storage_error(root, error) from None
-    span_e = min(chip.full_well_e, (chip.largest_dn - chip.offset_dn) / chip.gain_dn_per_e)
+    span_e = chip.saturation_e
     bias = _master(scene, "bias", frames, 0.0, SHORTEST_S)
     done()
     dark = _master(scene, "dark", frames, 0.0, config.exposure_s)

@@ -254,7 +254,6 @@ def detection_limit(config: PredictedSensorConfig, detector: Detector, fwhm_px: 
     clean_e2 = float(sound.temporal_e2(background_e, dark_frames=config.dark_frames))
     dark_s = detector.dark_factor(setting.chip_temperature_c) * setting.exposure_s * (1.0 + 1.0 / config.dark_frames)
     damage, fraction = damage_steps(detector)
-    top_e = min(detector.full_well_e, detector.converter_top_e)
     frame = FrameNoise(
         pixel=NoiseModel(
             read_noise_e=math.sqrt(pixel.read_e2 + pixel.dark_e),
@@ -266,7 +265,7 @@ def detection_limit(config: PredictedSensorConfig, detector: Detector, fwhm_px: 
         prnu=pixel.prnu,
         background_e=background_e,
         dark_frames=config.dark_frames,
-        saturation_e=float(top_e - background_e - pixel.dark_e),
+        saturation_e=float(detector.saturation_e - background_e - pixel.dark_e),
         clipped_ratio=clipped_noise(math.sqrt(sound.floor_e4) / clean_e2, damage * dark_s / clean_e2, fraction),
     )
     pixels, count = detector.width_px * detector.height_px, config.false_alarms_per_frame

@@ -260,6 +260,11 @@ class Detector:
         """Electrons above the offset at which the converter ends [e-]."""
         return (self.largest_dn - self.offset_dn) / self.gain_dn_per_e
 
+    @property
+    def saturation_e(self) -> float:
+        """Electrons at which a pixel saturates: the full well, or where the converter ends."""
+        return min(self.full_well_e, self.converter_top_e)
+
     def remarks(self) -> tuple[str, ...]:
         """Numbers that are not from the data sheet, and a converter that ends below half the full well."""
         said = []

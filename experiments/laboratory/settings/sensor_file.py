@@ -46,11 +46,9 @@ class SensorExperimentConfig(ExperimentConfig):
         """``defocus_mm = "best"`` becomes the number, for the pass band of this configuration."""
         instrument, passband = getattr(self, "instrument", None), getattr(self, "passband", None)
         if instrument is not None and instrument.defocus_mm == "best":
-            from render.sensor_file.instrument import stated_defocus_mm
-
             focused = in_best_focus(instrument, passband or PassbandConfig())
             object.__setattr__(self, "instrument", focused)
-            self._focused_mm = stated_defocus_mm(focused)
+            self._focused_mm = float(focused.defocus_mm)
         return self
 
     @classmethod
