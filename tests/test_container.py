@@ -1,7 +1,5 @@
 """The container recipe names what is there: it can only be built where images can be had."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from fnmatch import fnmatch

@@ -1,7 +1,5 @@
 """What is published: the tested versions of all dependencies, and a source distribution that runs its tests."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Checked configuration: what a user reads when a key or value is wrong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -33,7 +31,7 @@ class Camera(BaseModel):
     high: float = 1.0
 
     @model_validator(mode="after")
-    def ordered(self) -> Camera:
+    def ordered(self):
         if self.low >= self.high:
             raise ValueError(f"low = {self.low} must be below high = {self.high}")
         return self

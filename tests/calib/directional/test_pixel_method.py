@@ -1,7 +1,5 @@
 """Bias of the pixel method over the field: closed form against integral, Monte-Carlo and the camera's derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import dblquad

@@ -1,7 +1,5 @@
 """Predicted covariances against the scatter of many noisy realisations, of new data and of the calibration's own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

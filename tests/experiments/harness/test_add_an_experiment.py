@@ -1,7 +1,5 @@
 """The page "Add an experiment", followed to the letter: its files are written, found, listed and run."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re

@@ -1,7 +1,5 @@
 """The command line from end to end: exit codes, one clear line, complete output, nothing left after an interruption."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Configuration: layers, typing of ``--set``, names with units, one clear line for each mistake."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import pytest

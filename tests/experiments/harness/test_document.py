@@ -1,7 +1,5 @@
 """Reports from Markdown templates: blocks by name, numbers as in tables, a user's text never taken as markup."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -73,19 +71,6 @@ def page(tmp_path):
 
 def criterion(passed):
     return Criterion(name="c", value=0.0 if passed else 2.0, limit=1.0)
-
-
-@pytest.mark.parametrize(
-    ("passed", "line"),
-    [
-        ([], "No criteria were set."),
-        ([True], "The simulation is consistent: the criterion holds."),
-        ([True, True], "The simulation is consistent: all 2 criteria hold."),
-        ([True, False, True], "The simulation is not consistent: 1 of 3 criteria does not hold."),
-    ],
-)
-def test_verdict_line(passed, line):
-    assert verdict_line([criterion(one) for one in passed]) == line
 
 
 def test_what_could_not_notice_a_quarter_counts_neither_way():

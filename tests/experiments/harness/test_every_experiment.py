@@ -1,7 +1,5 @@
 """Every experiment of the package, by its name on the command line: what --help says of it, and that this works."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from itertools import pairwise
@@ -15,7 +13,6 @@ from experiments.harness.registry import declared, found
 
 ROOT = Path(__file__).parents[3]
 TIME = r"\d+ (s|min|minutes|h)"
-FIRST_LINE = 120
 
 
 def test_experiments_alone_are_listed(capsys):
@@ -24,14 +21,6 @@ def test_experiments_alone_are_listed(capsys):
     assert capsys.readouterr().out.split() == sorted(
         path.parent.name for path in ROOT.glob("experiments/*/settings.py") if path.parent.name != "laboratory"
     )
-
-
-@pytest.mark.parametrize("name", found())
-def test_it_answers_one_thing(name):
-    line = found()[name]
-    assert line.endswith((".", "?"))
-    assert len(line) <= FIRST_LINE
-    assert not re.search(r"[.?!] [A-Z]", line), f"{line!r} is more than one sentence"
 
 
 @pytest.mark.parametrize("name", found())

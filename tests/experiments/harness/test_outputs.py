@@ -1,7 +1,5 @@
 """The output folder appears complete or not at all, and nothing of the user's is lost."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

@@ -1,7 +1,5 @@
 """Tables from quantities: what runs down, what runs across, heads and keys."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from refusals import refuses

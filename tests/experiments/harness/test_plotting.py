@@ -1,7 +1,5 @@
 """House style of the figures, their bytes, and colours of light."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

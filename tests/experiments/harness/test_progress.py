@@ -1,7 +1,5 @@
 """Progress: bars on a terminal, now and then a line elsewhere, times in all cases."""
 
-from __future__ import annotations
-
 import io
 import time
 

@@ -1,7 +1,5 @@
 """Quantities: described once, found again as JSON, arrays, table cells and netCDF."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

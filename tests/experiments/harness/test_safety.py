@@ -1,7 +1,5 @@
 """Nothing of the user's is lost or hidden: folders of other runs, read-only homes, modules of the same name."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Every setting of every experiment, and of the sensor file, refuses what it cannot mean: one line, no traceback."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import typing

@@ -1,7 +1,5 @@
 """JSON of results: valid whatever is in it, complete, and criteria that NaN cannot pass."""
 
-from __future__ import annotations
-
 import enum
 import json
 import math

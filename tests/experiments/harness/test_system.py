@@ -1,7 +1,5 @@
 """Locks, signals and threads of this process."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal

@@ -1,7 +1,5 @@
 """Tables: numbers as people read them, full precision for machines."""
 
-from __future__ import annotations
-
 import io
 import math
 

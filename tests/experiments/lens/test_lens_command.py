@@ -1,7 +1,5 @@
 """``starbench lens``: the page of a file, conversion, and one line for whatever is wrong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

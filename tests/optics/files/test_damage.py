@@ -108,11 +108,3 @@ def test_files_that_are_too_big_are_not_read(tmp_path: Path) -> None:
     for read in (load_lens, read_agf):
         refuses(StarbenchError, "MiB", read, path)
     assert time.process_time() - start < 1.0
-
-
-def test_a_pipe_does_not_hang(tmp_path: Path) -> None:
-    import os
-
-    path = tmp_path / "pipe.seq"
-    os.mkfifo(path)
-    refuses(StarbenchError, "regular file", load_lens, path)

@@ -155,13 +155,6 @@ def test_the_tables_of_the_page_are_valid(tmp_path):
     assert float(glass_from_table("mine", mine).index(587.5618)) == pytest.approx(1.5168, abs=5e-6)  # N-BK7, printed
 
 
-@pytest.mark.parametrize("name", ["gradient_index", "grating", "binary", "hologram"])
-def test_what_is_not_traced_is_refused_by_name(name):
-    with pytest.raises(ConfigError, match=f"unknown surface.0.kind '{name}'") as caught:
-        lens_from_table({**HEAD, "surface": [{**STOP, "kind": name}]}, where="my.toml")
-    assert "\n" not in str(caught.value)
-
-
 def test_the_spherical_mirror_with_a_schmidt_plate_has_no_spherical_aberration():
     """Plate at the centre of curvature, ground to (r^4 - 1.5 a^2 r^2) / (4 (n - 1) R^3) (Born & Wolf, sec. 6.4)."""
     radius, half = 400.0, 40.0

@@ -52,7 +52,6 @@ def measured(**changes):
 def test_file_comes_back(tmp_path):
     lens = measured()
     again = load_lens(write_measured_lens(lens, tmp_path / "camera.toml"))
-    assert again.measured is not None
     for name in ("distortion", "principal_point_mm", "colour_shift_mm", "relative_light", "vignetting_mm"):
         np.testing.assert_allclose(getattr(again.measured, name), getattr(lens, name), rtol=1e-15)
     np.testing.assert_allclose(again.measured.psf.covariance_mm2, lens.psf.covariance_mm2, rtol=1e-14)

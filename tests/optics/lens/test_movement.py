@@ -1,7 +1,5 @@
 """Search of a movement on hand-made functions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from refusals import refuses

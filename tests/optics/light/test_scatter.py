@@ -44,13 +44,6 @@ def test_total_scatter_is_the_integral_over_the_hemisphere(law: HarveyShack | AB
     assert law.tis == pytest.approx(integral[0], rel=1e-9)
 
 
-def test_both_laws_agree_where_they_are_one() -> None:
-    """Harvey-Shack of slope -2 is an ABg law of g = 2: A = b0 l^2, B = l^2; pi b0 l^2 ln(1 + 1 / l^2)."""
-    law = HarveyShack(b0=2.0, shoulder=0.01, slope=-2.0)
-    assert law.tis == pytest.approx(np.pi * 2e-4 * np.log(10001.0), rel=1e-13)
-    assert ABg(a=2e-4, b=1e-4, g=2.0).tis == pytest.approx(law.tis, rel=1e-12)
-
-
 @pytest.mark.parametrize("level", [100.0, 300.0, 750.0])
 def test_area_coverage_is_the_sum_over_particles(level: float) -> None:
     """Disks counted in 200 000 classes of size; the largest particle at its own size."""

@@ -8,9 +8,8 @@ from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from optics.glass.catalogue import Glass, get_glass
-from optics.glass.coating import BARE, QuarterWave, TabulatedCoating
+from optics.glass.coating import QuarterWave, TabulatedCoating
 from optics.glass.dispersion import Dispersion
-from optics.lens_file import load_lens
 from optics.light.transmission import Layout, layout_of, lens_transmission
 from optics.response import Response
 
@@ -35,18 +34,6 @@ def test_bare_plate_of_index_one_and_a_half_loses_four_percent_twice() -> None:
     assert lens_transmission(plate(constant(1.5)), LINES, absorption=False) == pytest.approx([0.96**2] * 3, rel=1e-13)
 
 
-def test_quarter_wave_film_at_its_wavelength() -> None:
-    """R = ((n_f^2 - n) / (n_f^2 + n))^2; a film of index sqrt(n) is perfect; half a wave does nothing."""
-    index = np.array([1.5, 1.8])
-    film = constant(1.38)
-    coating = QuarterWave(design_wavelength_nm=600.0, film=film)
-    expected = ((1.38**2 - index) / (1.38**2 + index)) ** 2
-    assert coating.reflectance(np.full(2, 600.0), index) == pytest.approx(expected, rel=1e-12)
-    assert coating.reflectance(np.full(2, 300.0), index) == pytest.approx(((index - 1) / (index + 1)) ** 2, rel=1e-9)
-    perfect = QuarterWave(design_wavelength_nm=600.0, film=constant(np.sqrt(1.8)))
-    assert float(perfect.reflectance(np.array([600.0]), np.array([1.8]))[0]) == pytest.approx(0.0, abs=1e-15)
-
-
 def test_film_against_a_sum_over_reflections() -> None:
     """Airy sum of the amplitudes bounced inside the film, term by term."""
     n_film, n_glass, design, wave = 1.38, 1.7, 550.0, np.linspace(400.0, 1000.0, 13)
@@ -57,13 +44,6 @@ def test_film_against_a_sum_over_reflections() -> None:
         amplitude += (1.0 - front**2) * back * turn * (-front * back * turn) ** bounce
     coating = QuarterWave(design_wavelength_nm=design, film=constant(n_film))
     assert coating.reflectance(wave, np.full(13, n_glass)) == pytest.approx(np.abs(amplitude) ** 2, rel=1e-12)
-
-
-def test_magnesium_fluoride_on_crown_leaves_the_textbook_figure() -> None:
-    """About 1.3 % per surface on N-BK7 at the design wavelength instead of 4.2 %."""
-    index = np.asarray(get_glass("N-BK7").index(LINES[1:2]))
-    assert float(QuarterWave().reflectance(LINES[1:2], index)[0]) == pytest.approx(0.0125, abs=0.0015)
-    assert float(BARE.reflectance(LINES[1:2], index)[0]) == pytest.approx(0.042, abs=0.001)
 
 
 def test_absorption_and_reflection_multiply_and_cement_is_uncoated() -> None:
@@ -96,17 +76,6 @@ def test_a_stop_in_air_costs_nothing_and_a_lens_is_read_along_its_vertices() -> 
     assert layout.media == (None, glass, None)
     assert layout.thickness_mm == pytest.approx([2.0, 12.5, 85.5])
     assert lens_transmission(lens, LINES) == pytest.approx(lens_transmission(plate(glass, 12.5), LINES), rel=1e-14)
-
-
-def test_star_camera_lens_transmits_as_its_glasses_allow() -> None:
-    """Real lens: coated beats bare, never above one, and less in the blue where its flint absorbs."""
-    lens = load_lens("star_camera_206mm")
-    wave = np.array([400.0, 500.0, 600.0, 700.0, 800.0, 900.0])
-    bare, coated = lens_transmission(lens, wave), lens_transmission(lens, wave, coating=QuarterWave())
-    assert (coated > bare).all()
-    assert (coated < 1.0).all()
-    assert coated[0] < coated[2]
-    assert 0.75 < coated[1] < 0.95
 
 
 def test_mistakes() -> None:

@@ -1,7 +1,5 @@
 """Photocentres against Planck's law on single rays, and on moments made by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from refusals import refuses

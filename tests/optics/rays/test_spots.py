@@ -45,11 +45,6 @@ def test_shift_between_colours_of_a_lens_with_holes():
     np.testing.assert_allclose(x, dense_x, atol=1e-3 * 0.0055)
 
 
-def test_transmitted_area_is_the_stop_where_nothing_cuts():
-    spots = spot_moments(CAMERA, [0.0, 3.5], [0.0, 0.0], 600.0)
-    np.testing.assert_allclose(spots.transmitted_mm2, np.pi * 35.0**2, rtol=1e-13)
-
-
 def test_vignetting_by_a_small_rear_aperture_against_counting_rays():
     field = [0.0, 5.0, 10.0, 16.5]
     fraction = vignetting(TRACKER, field, np.zeros(4))

@@ -193,33 +193,6 @@ def test_the_focal_length_of_an_ideal_lens_is_that_in_its_surroundings(environme
     assert float(-out.x / out.dx * out.dz) + 60.0 == pytest.approx(100.0 - 7.0 / ratio, abs=1e-8)
 
 
-def test_a_hyperbolic_back_focuses_a_parallel_beam_in_one_point():
-    """Plano-convex lens whose back is a hyperboloid of k = -n^2: no spherical aberration (Descartes 1637)."""
-    flat = {"kind": "plane", "thickness_mm": 6.0, "medium": "N-BK7"}
-    lens = lens_from_table({**HEAD, "surface": [STOP, flat, {**STOP, "stop": False, "kind": "plane"}]}, where="test")
-    index = lens.indices(600.0)
-    ratio = float(index[2] / index[3])
-    back = {"kind": "conic", "radius_mm": -30.0, "conic": -(ratio**2), "thickness_mm": 30.0 / (ratio - 1.0),
-            "medium": "air"}  # fmt: skip
-    out = trace(lens_from_table({**HEAD, "surface": [STOP, flat, back]}, where="test"), grid_rays(5.5))
-    assert out.ok.all()
-    assert np.hypot(out.x, out.y).max() < 1e-12
-    np.testing.assert_allclose(out.opl_mm, out.opl_mm[0], atol=1e-12)
-
-
-def test_a_window_moves_the_focus_back_by_what_the_plate_formula_says():
-    thin = {"kind": "paraxial", "focal_length_mm": 100.0, "thickness_mm": 20.0, "medium": "air"}
-    plate = {"kind": "plane", "thickness_mm": 5.0, "medium": "N-BK7"}
-    exit_ = {"kind": "plane", "thickness_mm": 60.0, "medium": "air"}
-    lens = lens_from_table({**HEAD, "surface": [STOP, thin, plate, exit_]}, where="test")
-    n_air, n = float(lens.indices(600.0)[0]), float(lens.indices(600.0)[3])
-    out = trace(lens, Rays.create(x_mm=4.0, y_mm=0.0, z_mm=0.0, direction=[0, 0, 1.0], wavelength_nm=600.0))
-    sine = 4.0 / math.hypot(4.0, 100.0)
-    inside = n_air / n * sine
-    heights = 4.0 - 80.0 * 4.0 / 100.0 - 5.0 * inside / math.sqrt(1 - inside**2)
-    assert float(out.x) == pytest.approx(heights, abs=1e-13)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
