@@ -170,17 +170,9 @@ def build_laboratory(config: Config) -> Laboratory:
     pose = CubePose.of_table(geometry, Rotation.from_euler("y", 180, degrees=True).as_matrix(), NOMINAL_CUBE, SQUARE)
     sensor = camera.sensor()
     covered = bench_scene(geometry, pose, covered=True)
-    aperture_e = screen_light(
-        covered,
-        sensor,
-        camera,
-        geometry,
-        detector,
-        electrons_per_radiance=electrons_per_radiance(config),
-        covered=True,
-        log2_particles=COVER_LOG2,
-        seed=config.seed,
-    )
+    parts = covered, sensor, camera, geometry, detector
+    trace = {"covered": True, "log2_particles": COVER_LOG2, "seed": config.seed}
+    aperture_e = screen_light(*parts, electrons_per_radiance=electrons_per_radiance(config), **trace)
     return Laboratory(
         config=config,
         geometry=geometry,

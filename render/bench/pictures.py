@@ -28,22 +28,10 @@ def screen_light(
     detector: Detector,
     *,
     electrons_per_radiance: float,
-    covered: bool,
-    log2_particles: int,
-    seed: int,
-    inner_mm: float = 0.0,
+    **options: Any,
 ) -> NDArray[np.float32]:
-    """Expected electrons (h, w) of a picture of the screen; arguments as of `render.bench.trace.trace_screen`."""
-    light = trace_screen(
-        scene,
-        sensor,
-        camera,
-        geometry,
-        covered=covered,
-        log2_particles=log2_particles,
-        inner_mm=inner_mm,
-        seed=seed,
-    )
+    """Expected electrons (h, w) of a picture of the screen; options are those of `render.bench.trace.trace_screen`."""
+    light = trace_screen(scene, sensor, camera, geometry, **options)
     return diffuse(light * np.float32(electrons_per_radiance), detector.diffusion_sigma_px)
 
 
