@@ -170,8 +170,8 @@ def build_laboratory(config: Config) -> Laboratory:
     pose = CubePose.of_table(geometry, Rotation.from_euler("y", 180, degrees=True).as_matrix(), NOMINAL_CUBE, SQUARE)
     sensor = camera.sensor()
     covered = bench_scene(geometry, pose, covered=True)
-    parts = covered, sensor, camera, geometry, detector
-    trace = {"covered": True, "log2_particles": COVER_LOG2, "seed": config.seed}
+    parts: Any = covered, sensor, camera, geometry, detector
+    trace: dict[str, Any] = {"covered": True, "log2_particles": COVER_LOG2, "seed": config.seed}
     aperture_e = screen_light(*parts, electrons_per_radiance=electrons_per_radiance(config), **trace)
     return Laboratory(
         config=config,
