@@ -7,8 +7,7 @@ import pytest
 
 from experiments.laboratory.devices.targets import grid_directions, survey
 from experiments.laboratory.settings.tables import GridTargetConfig
-from optics.errors import ConfigError, DomainError
-from render.sensor_file.housing import expansion_per_k
+from optics.errors import DomainError
 
 
 def on_the_detector(instrument, direction):
@@ -56,16 +55,3 @@ def test_surveys_are_off_by_the_marking_error_independently(small_camera):
 def test_a_grid_must_fit(small_camera):
     with pytest.raises(DomainError, match="does not fit"):
         grid_directions(GridTargetConfig(edge_px=768.0), small_camera, np.random.default_rng(1))
-
-
-def test_expansion_of_housings():
-    """Data sheets: Invar 36 1.3, Ti-6Al-4V 8.6, 6061 23.6 (Yoder and Vukobratovich), all 1e-6/K."""
-    assert [
-        1e6 * expansion_per_k(name) for name in ("invar_36", "titanium_ti6al4v", "aluminium_6061")
-    ] == pytest.approx([1.3, 8.6, 23.6])
-    assert [expansion_per_k(value) for value in (-200.0, 12.5, 200.0)] == pytest.approx([-2e-4, 1.25e-5, 2e-4])
-    for value in (-200.1, 200.1, np.nan):
-        with pytest.raises(ValueError, match="at most 200"):
-            expansion_per_k(value)
-    with pytest.raises(ConfigError, match="did you mean invar_36"):
-        expansion_per_k("invar36")

@@ -87,9 +87,7 @@ def test_zero_is_no_colour(tmp_path):
     ],
 )
 def test_other_files_refused(tmp_path, change, told):
-    with pytest.raises(ConfigError, match=told) as error:
-        load_gaia(write(tmp_path / "a.bin", rows_of(), **change))
-    assert "\n" not in str(error.value)
+    assert "\n" not in refuses(ConfigError, told, lambda: load_gaia(write(tmp_path / "a.bin", rows_of(), **change)))
 
 
 @pytest.mark.parametrize(

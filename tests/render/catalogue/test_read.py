@@ -281,9 +281,7 @@ def test_ids_that_are_no_numbers():
     ],
 )
 def test_values_refused(table, arguments, told):
-    with pytest.raises(DomainError, match=told) as error:
-        read_plain(table, **arguments)
-    assert "\n" not in str(error.value)
+    assert "\n" not in refuses(DomainError, told, read_plain, table, **arguments)
 
 
 def test_stated_units_are_believed():
@@ -313,23 +311,21 @@ def test_stated_units_are_believed():
 def test_tables_refused(change, arguments, told):
     table = plain()
     change(table)
-    with pytest.raises(ConfigError, match=told) as error:
-        read_plain(table, **arguments)
-    assert "\n" not in str(error.value)
+    assert "\n" not in refuses(ConfigError, told, read_plain, table, **arguments)
 
 
 def test_files_refused(tmp_path):
-    refuses(ConfigError, "no such file", read_catalog, tmp_path / "none.fits", "hipparcos")
+    assert "\n" not in refuses(ConfigError, "no such file", read_catalog, tmp_path / "none.fits", "hipparcos")
     (tmp_path / "a.fits").write_text("this is no FITS")
-    with pytest.raises(ConfigError, match="not a readable FITS file") as error:
-        read_catalog(tmp_path / "a.fits", "hipparcos")
-    assert "\n" not in str(error.value)
+    assert "\n" not in refuses(
+        ConfigError, "not a readable FITS file", lambda: read_catalog(tmp_path / "a.fits", "hipparcos")
+    )
     (tmp_path / "a.vot").write_text("<xml")
-    refuses(ConfigError, "cannot be read as votable", read_catalog, tmp_path / "a.vot", "hipparcos")
+    assert "\n" not in refuses(ConfigError, "cannot be read as votable", read_catalog, tmp_path / "a.vot", "hipparcos")
     (tmp_path / "a.odd").write_text("1 2 3")
-    refuses(ConfigError, "does not identify a format", read_catalog, tmp_path / "a.odd", "hipparcos")
+    assert "\n" not in refuses(ConfigError, "does not identify a format", read_catalog, tmp_path / "a.odd", "hipparcos")
     hipparcos_table().write(tmp_path / "a.ecsv")
-    refuses(ConfigError, "did you mean hipparcos", read_catalog, tmp_path / "a.ecsv", "hiparcos")
+    assert "\n" not in refuses(ConfigError, "did you mean hipparcos", read_catalog, tmp_path / "a.ecsv", "hiparcos")
     with pytest.raises(ConfigError, match="does not hold angles"):
         catalog_from_table(Table({"ra": ["a"], "dec": ["b"], "magnitude": [1.0]}), "plain", name="x",
                            epoch_year=2000.0, magnitude_system="V")  # fmt: skip

@@ -61,15 +61,6 @@ def test_select_keeps_rows_together():
     assert catalog.row_of(102) == 2
 
 
-def test_arrays_are_locked_copies():
-    magnitude = np.ones(5)
-    catalog = catalog_of(magnitude=magnitude)
-    magnitude[:] = 9.0
-    assert catalog.magnitude.tolist() == [1.0] * 5
-    with pytest.raises(ValueError, match="read-only"):
-        catalog.magnitude[0] = 2.0
-
-
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
@@ -85,9 +76,7 @@ def test_arrays_are_locked_copies():
     ],
 )
 def test_refused(changes, told):
-    with pytest.raises((DomainError, ConfigError), match=told) as error:
-        catalog_of(**changes)
-    assert "\n" not in str(error.value)
+    assert "\n" not in refuses((DomainError, ConfigError), told, catalog_of, **changes)
 
 
 def test_no_such_star():

@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
 from render.detector.maps import DISPLACEMENTS, full_maps, neighbour_bits, sensor_maps, window_maps
 from render.detector.spec import Detector, load_detector
@@ -96,9 +95,3 @@ def test_window_beyond_the_edge_continues_its_pixels() -> None:
     for part, whole in zip(window[:4], full_maps(chip, types)[:4], strict=True):
         padded = np.pad(np.array(whole).reshape(48, 64), ((2, 3), (3, 3)), mode="edge")
         assert np.array_equal(np.array(part).reshape(53, 70), padded)
-
-
-def test_maps_are_locked() -> None:
-    maps = sensor_maps(clean())
-    with pytest.raises(ValueError, match="read-only"):
-        maps.response[0, 0] = 2

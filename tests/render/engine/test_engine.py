@@ -114,9 +114,7 @@ def test_the_package_of_a_distribution_is_found(listed, package):
     ],
 )
 def test_llvm_that_cannot_work_is_refused(version, drjit, said, expected):
-    with pytest.raises(BackendError, match=expected) as caught:
-        check_llvm(version, drjit, said=said)
-    assert "\n" not in str(caught.value)
+    assert "\n" not in refuses(BackendError, expected, check_llvm, version, drjit, said=said)
 
 
 @pytest.mark.parametrize(("version", "drjit"), [((15, 0, 6), "1.4.0"), ((19, 1, 7), "1.4.0"), ((19, 1, 7), "1.5.0")])

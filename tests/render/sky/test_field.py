@@ -62,42 +62,24 @@ def test_polynomial_is_the_chief_ray(bench, lens):
     assert len(v) > 150
 
 
-@pytest.mark.parametrize("lens", LENSES)
+OFF_AXIS = {"width_px": 512, "height_px": 256, "centre_px": np.array([100.0, 200.0])}
+
+
+@pytest.mark.parametrize(("lens", "part"), [*((lens, {}) for lens in LENSES), ("star_tracker_26mm", OFF_AXIS)])
 @pytest.mark.parametrize("seed", range(2))
-def test_all_stars_of_the_frame_and_no_other(bench, index, lens, seed):
-    camera = bench.camera_of(lens)
+def test_all_stars_of_the_frame_and_no_other(bench, index, lens, part, seed):
+    camera = replace(bench.camera_of(lens), **part)
     view = field_of_view(camera, margin_px=10.0)
     attitude = Rotation.random(random_state=seed)
     field = field_of(index, view, attitude, epoch_year=2030.0)
     v = directions_at(index.catalog, 2030.0) @ attitude.as_matrix().T
-    rows = np.flatnonzero(v[:, 2] > np.cos(1.02 * view.radius_rad))
+    rows = np.flatnonzero(v[:, 2] > np.cos(1.1 * view.radius_rad))
     pixel = chief_px(camera, v[rows])
     size = np.array([camera.width_px, camera.height_px])
     on = ((pixel > -10.5 - 1e-6) & (pixel < size + 9.5 + 1e-6)).all(axis=1)
     assert field.row.tolist() == rows[on].tolist()
     np.testing.assert_allclose(field.pixel_px, pixel[on], atol=1e-3)
     assert (field.stars.id == field.row).all()
-
-
-def test_distortion_brings_stars_in(bench, index):
-    # the double Gauss has barrel distortion: its corners see what an ideal lens of its focal length would not
-    camera = bench.camera_of("double_gauss_50mm")
-    view = field_of_view(camera, margin_px=0.0)
-    corner = camera.nominal_direction(-0.5, -0.5, bench.focal_length_mm(camera))
-    assert np.abs(view.pixel_of(corner[None])[0] + 0.5).max() > 1.0
-
-
-def test_off_centre_axis(bench, index):
-    camera = bench.camera_of("star_tracker_26mm")
-    camera = replace(camera, width_px=512, height_px=256, centre_px=np.array([100.0, 200.0]))
-    view = field_of_view(camera, margin_px=0.0)
-    attitude = Rotation.random(random_state=4)
-    field = field_of(index, view, attitude)
-    v = index.catalog.direction @ attitude.as_matrix().T
-    rows = np.flatnonzero(v[:, 2] > np.cos(1.1 * view.radius_rad))
-    pixel = chief_px(camera, v[rows])
-    on = ((pixel >= -0.5) & (pixel <= [511.5, 255.5])).all(axis=1)
-    assert field.row.tolist() == rows[on].tolist()
 
 
 def test_margin_and_magnitude(bench, index):

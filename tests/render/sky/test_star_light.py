@@ -36,10 +36,6 @@ def test_nodes_add_up_to_the_light_of_the_band(kelvin):
     np.testing.assert_allclose(light.photon_rate([4.0], [kelvin])[0].sum(1), exact, rtol=2e-4)
 
 
-def test_no_stars():
-    assert star_light(BANDS, nodes=3).photon_rate([], []).shape == (0, 2, 3)
-
-
 def test_ones_own_spectra():
     # flat spectra whatever the temperature: 5 mag is the same at every T
     wave = np.array([300.0, 1200.0])

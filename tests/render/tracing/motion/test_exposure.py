@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError, ConvergenceError, DomainError
@@ -237,9 +238,7 @@ def test_paths_are_led_by_few_directions(bench):
 def test_bad_motion(bench, change, kind, message):
     camera = bench.camera_of("star_tracker_26mm")
     settings = {"start_s": 0.0, "exposure_s": EXPOSURE_S, "camera": camera, "px": 1.0} | change
-    with pytest.raises(kind, match=message) as caught:
-        exposure_motion(turning(camera, settings.pop("px")), **settings)
-    assert "\n" not in str(caught.value)
+    assert "\n" not in refuses(kind, message, lambda: exposure_motion(turning(camera, settings.pop("px")), **settings))
 
 
 def test_image_that_outruns_the_shutter(engine, bench):
