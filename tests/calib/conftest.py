@@ -1,10 +1,8 @@
 """Star images from closed forms, independent of the models under test."""
 
-import importlib.util
-import sys
 from collections.abc import Callable
-from pathlib import Path
 
+import calibration_scene
 import numpy as np
 import pytest
 from scipy.special import erf
@@ -75,10 +73,5 @@ def noise():
 
 @pytest.fixture(scope="session")
 def scenes():
-    """The module ``calibration_scene.py`` of this folder: star lists with known truth."""
-    path = Path(__file__).with_name("calibration_scene.py")
-    spec = importlib.util.spec_from_file_location("calibration_scene_for_tests", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    """Star lists with known truth."""
+    return calibration_scene

@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from optics.figures import draw_distortion, draw_lens, draw_spots
+from optics import draw_distortion, draw_lens, draw_spots, load_lens, spot_moments
 from optics.lens.prescription import lens_from_table
-from optics.lens_file import load_lens
-from optics.rays.spots import spot_moments
 
 
 def test_a_mirror_that_is_a_piece_beside_the_axis_is_drawn_as_that_piece():

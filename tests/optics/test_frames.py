@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from refusals import refuses
 
-from optics import frames
+from optics import frames, load_lens, spot_moments
 from optics.errors import DomainError
-from optics.lens_file import load_lens
-from optics.rays.spots import spot_moments
 
 SIZE = (4096, 2048)
 

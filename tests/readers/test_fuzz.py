@@ -28,11 +28,10 @@ from experiments.dataset.truth import COLUMNS, FrameRecord
 from experiments.dataset.truth_files import index_bytes, read_record, read_table, truth_bytes
 from experiments.harness.config import load_config
 from experiments.reduce import frames_toml as own_frames
-from optics.errors import StarbenchError
+from optics import StarbenchError, load_lens, read_lens_file
 from optics.export.write import write_lens
 from optics.glass.agf import read_agf
 from optics.glass.index_database import read_material
-from optics.lens_file import load_lens, read_lens_file
 from optics.light.band_file import load_band
 from render.catalogue.read import read_catalog
 from render.detector.spec import load_detector
@@ -387,9 +386,7 @@ def test_a_bomb_within_a_tile(tmp_path, members):
     made.header.update(dict(cards))
     fits.HDUList([fits.PrimaryHDU(), made]).writeto(tmp_path / "bomb.fits")
     before, begun = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
-    with pytest.raises(StarbenchError, match="unpacks to more than its 4096 pixels") as error:
-        image_of(tmp_path / "bomb.fits")
-    assert "\n" not in str(error.value)
+    assert "\n" not in refuses(StarbenchError, "unpacks to more than its 4096 pixels", image_of, tmp_path / "bomb.fits")
     assert time.process_time() - begun < LONGEST_S
     assert 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) < 2**26
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.cameras import BrownConrady, Polynomial, SensorGeometry
+from calib import BrownConrady, Polynomial, SensorGeometry, fit_camera
 from calib.cameras.aligned import AlignedCamera
-from calib.cameras.fit import fit_camera
 from render.records import PixelMap
 
 GEOMETRY = SensorGeometry(width_px=200, height_px=160, pixel_pitch_mm=0.01)

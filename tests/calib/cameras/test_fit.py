@@ -2,31 +2,16 @@
 
 import numpy as np
 import pytest
+from calibration_scene import CAMERA, GEOMETRY
+from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, PerBand, Polynomial, SensorGeometry
 from calib.cameras.fit import fit_camera, fit_to_map, left_jacobian
+from optics import chief_ray_points, load_lens, plate_scale_mm
 from optics.errors import ConfigError, DomainError
 from optics.frames import field_direction, pixel_from_lens
-from optics.lens_file import load_lens
-from optics.rays.chief import chief_ray_points, plate_scale_mm
 from render.records import PixelMap
-
-GEOMETRY = SensorGeometry(width_px=1024, height_px=1024, pixel_pitch_mm=0.01)
-
-
-def acf17():
-    return BrownConrady.create(
-        GEOMETRY,
-        focal_length_mm=25.6,
-        x0_px=10.0,
-        y0_px=-10.0,
-        q1_per_mm2=2e-4,
-        q2_per_mm4=-4e-7,
-        q3_per_mm6=1e-8,
-        p1_per_mm=2e-4,
-        p2_per_mm=2e-4,
-    )
 
 
 def traced(lens_name, geometry, count=11, wavelength_nm=None):
@@ -44,12 +29,12 @@ def traced(lens_name, geometry, count=11, wavelength_nm=None):
 
 def test_the_true_family_is_found_from_a_poor_start():
     pixel = GEOMETRY.grid_px(15)
-    direction = acf17().unproject(pixel)
+    direction = CAMERA.unproject(pixel)
     direction.setflags(write=False)  # as the arrays of records are
     fit = fit_to_map(BrownConrady.create(GEOMETRY, focal_length_mm=20.0), direction, pixel, turn=False)
     assert fit.solution.converged
     assert fit.max_px < 1e-10
-    np.testing.assert_allclose(fit.model.parameters, acf17().parameters, rtol=1e-9)
+    np.testing.assert_allclose(fit.model.parameters, CAMERA.parameters, rtol=1e-9)
     assert fit.rotation.magnitude() == 0.0
 
 
@@ -70,7 +55,7 @@ def test_a_polynomial_follows_a_turned_brown_conrady_camera():
     pixel = GEOMETRY.grid_px(15)
     turn = Rotation.from_rotvec([0.003, -0.002, 0.3])
     fit = fit_to_map(
-        Polynomial.create(GEOMETRY, focal_length_mm=25.0, degree=7), turn.apply(acf17().unproject(pixel)), pixel
+        Polynomial.create(GEOMETRY, focal_length_mm=25.0, degree=7), turn.apply(CAMERA.unproject(pixel)), pixel
     )
     assert fit.solution.converged
     assert fit.rms_px < 1e-4
@@ -130,12 +115,8 @@ def test_the_left_jacobian_is_the_derivative_of_the_rotation():
 
 def test_bad_input_is_refused():
     pixel = GEOMETRY.grid_px(3)
-    direction = acf17().unproject(pixel)
-    with pytest.raises(DomainError, match="11 unknowns"):
-        fit_to_map(acf17(), direction[:5], pixel[:5])
-    with pytest.raises(DomainError, match="9 directions and 4 pixels"):
-        fit_to_map(acf17(), direction, pixel[:4])
-    with pytest.raises(ConfigError, match="did you mean"):
-        fit_to_map(acf17(), direction, pixel, free=("focal_length",))
-    with pytest.raises(DomainError, match="finite"):
-        fit_to_map(acf17(), direction * np.nan, pixel)
+    direction = CAMERA.unproject(pixel)
+    refuses(DomainError, "11 unknowns", lambda: fit_to_map(CAMERA, direction[:5], pixel[:5]))
+    refuses(DomainError, "9 directions and 4 pixels", lambda: fit_to_map(CAMERA, direction, pixel[:4]))
+    refuses(ConfigError, "did you mean", lambda: fit_to_map(CAMERA, direction, pixel, free=("focal_length",)))
+    refuses(DomainError, "finite", lambda: fit_to_map(CAMERA, direction * np.nan, pixel))

@@ -2,29 +2,16 @@
 
 import numpy as np
 import pytest
+from calibration_scene import CAMERA, GEOMETRY
+from refusals import refuses
 from scipy.spatial.transform import Rotation
 
-from calib.cameras import BrownConrady, PerBand, Polynomial, SensorGeometry
+from calib.cameras import BrownConrady, PerBand, Polynomial
 from calib.cameras.line_of_sight import best_rotation, drawn_rms, expected_rms, line_of_sight_map, mean_square_matrix
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD, RAD_ARCSEC
 
-GEOMETRY = SensorGeometry(width_px=1024, height_px=1024, pixel_pitch_mm=0.01)
 GRID = GEOMETRY.grid_px(9)
-
-
-def camera():
-    return BrownConrady.create(
-        GEOMETRY,
-        focal_length_mm=25.6,
-        x0_px=10.0,
-        y0_px=-10.0,
-        q1_per_mm2=2e-4,
-        q2_per_mm4=-4e-7,
-        q3_per_mm6=1e-8,
-        p1_per_mm=2e-4,
-        p2_per_mm=2e-4,
-    )
 
 
 def spread(model, sigma_px, seed):
@@ -37,9 +24,9 @@ def spread(model, sigma_px, seed):
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-6, 1e-3, 0.5, 3.0])
 def test_a_pure_rotation_is_no_error(angle_rad):
     turn = Rotation.from_rotvec(angle_rad * np.array([2.0, -1.0, 2.0]) / 3.0)
-    truth = turn.apply(camera().unproject(GRID))
+    truth = turn.apply(CAMERA.unproject(GRID))
     truth.setflags(write=False)  # as the arrays of records are
-    result = line_of_sight_map(camera(), truth, GRID)
+    result = line_of_sight_map(CAMERA, truth, GRID)
     np.testing.assert_allclose(result.error_arcsec, 0.0, atol=1e-9)
     assert (result.rotation * turn.inv()).magnitude() < 1e-12
     assert result.rms_arcsec < 1e-9
@@ -63,11 +50,11 @@ def test_a_longer_focal_length_points_inwards_by_the_known_amount():
 
 def test_an_error_towards_a_larger_column_is_positive_in_x():
     """The middle pixel looks too far towards +X; over so many pixels the rotation hardly follows."""
-    truth = camera().unproject(GRID)
+    truth = CAMERA.unproject(GRID)
     middle = len(GRID) // 2
     truth[middle] -= [1e-5, 0.0, 0.0]
     truth[middle] /= np.linalg.norm(truth[middle])
-    error = line_of_sight_map(camera(), truth, GRID).error_arcsec
+    error = line_of_sight_map(CAMERA, truth, GRID).error_arcsec
     assert error[middle, 0] > 0.9 * 1e-5 * RAD_ARCSEC
     assert abs(error[middle, 1]) < 0.02 * error[middle, 0]
 
@@ -79,7 +66,7 @@ def test_monte_carlo_of_parameters_agrees_with_the_predicted_map(family):
     """A sigma from N = 800 draws is known to 1/sqrt(2 N) = 2.5 %; the largest of 50 may be off by 4.5 times that."""
     count, pixel = 800, GEOMETRY.grid_px(5)
     model = {
-        "brown_conrady": camera(),
+        "brown_conrady": CAMERA,
         "polynomial": Polynomial.create(GEOMETRY, focal_length_mm=25.6, degree=3),
         "per_band": PerBand.create(GEOMETRY, focal_length_mm=[25.6, 25.7], q1_per_mm2=2e-4),
     }[family]
@@ -114,12 +101,12 @@ def test_parameters_that_only_turn_the_camera_predict_no_error():
 
 
 def test_without_a_covariance_nothing_is_predicted_and_an_infinite_one_predicts_infinity():
-    truth = camera().unproject(GRID)
-    assert np.isnan(line_of_sight_map(camera(), truth, GRID).predicted_sigma_arcsec).all()
-    assert np.isnan(line_of_sight_map(camera(), truth, GRID).predicted_rms_arcsec)
+    truth = CAMERA.unproject(GRID)
+    assert np.isnan(line_of_sight_map(CAMERA, truth, GRID).predicted_sigma_arcsec).all()
+    assert np.isnan(line_of_sight_map(CAMERA, truth, GRID).predicted_rms_arcsec)
     unknown = np.zeros((8, 8))
     unknown[3, 3] = np.inf
-    assert line_of_sight_map(camera(), truth, GRID, covariance=unknown).predicted_rms_arcsec == np.inf
+    assert line_of_sight_map(CAMERA, truth, GRID, covariance=unknown).predicted_rms_arcsec == np.inf
 
 
 def test_a_pixel_without_a_direction_spoils_the_mean_instead_of_hiding():
@@ -134,7 +121,7 @@ def test_a_pixel_without_a_direction_spoils_the_mean_instead_of_hiding():
 
 
 def test_best_rotation_is_a_rotation_even_for_a_mirrored_sky():
-    truth = camera().unproject(GRID)
+    truth = CAMERA.unproject(GRID)
     turn = best_rotation(truth * [-1.0, 1.0, 1.0], truth)
     assert np.linalg.det(turn.as_matrix()) == pytest.approx(1.0)
     small = Rotation.from_rotvec([3 * ARCSEC_RAD, -2 * ARCSEC_RAD, 50 * ARCSEC_RAD])
@@ -152,14 +139,13 @@ def test_best_rotation_is_a_rotation_even_for_a_mirrored_sky():
     ],
 )
 def test_bad_input_is_refused(change, match):
-    given = {"reference_direction": camera().unproject(GRID), "pixel_px": GRID, "covariance": None} | change
-    with pytest.raises(DomainError, match=match):
-        line_of_sight_map(camera(), **given)
+    given = {"reference_direction": CAMERA.unproject(GRID), "pixel_px": GRID, "covariance": None} | change
+    refuses(DomainError, match, lambda: line_of_sight_map(CAMERA, **given))
 
 
 def test_map_error_passes_its_limit_as_often_as_stated():
     """1000 calibrations drawn from the covariance; the eigenvalues are unequal, so no single chi-square holds."""
-    model, (covariance, factor) = camera(), spread(camera(), 1e-3, 3)
+    model, (covariance, factor) = CAMERA, spread(CAMERA, 1e-3, 3)
     truth = model.unproject(GRID)
     stated = line_of_sight_map(model, truth, GRID, covariance=covariance)
     assert stated.mean_square_arcsec2.sum() == pytest.approx(stated.predicted_rms_arcsec**2)
@@ -174,7 +160,7 @@ def test_map_error_passes_its_limit_as_often_as_stated():
 
 def test_mean_square_matrix_against_the_map():
     """Linear in small changes of the parameters; the map removes its rotation by Kabsch's method."""
-    model, truth, matrix = camera(), camera().unproject(GRID), mean_square_matrix(camera(), GRID)
+    model, truth, matrix = CAMERA, CAMERA.unproject(GRID), mean_square_matrix(CAMERA, GRID)
     covariance, factor = spread(model, 0.01, 3)
     change = factor @ np.random.default_rng(5).standard_normal(8)
     found = line_of_sight_map(model.with_parameters(model.parameters + change), truth, GRID, covariance=covariance)

@@ -6,6 +6,7 @@ Expected behaviour: good samples are refused as often as stated, bad ones are se
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from refusals import refuses
 from scipy.stats import chi2, expon, kstest
 
 from calib.directional.fisher import fit_fisher, sample_fisher
@@ -90,10 +91,8 @@ def test_false_alarms_of_the_outlier_test() -> None:
 def test_bad_input() -> None:
     w = sample_fisher(MEAN, 1e12, 3, np.random.default_rng(1))
     for check in (isotropy_check, exponential_check, fisher_outliers):
-        with pytest.raises(DomainError, match="3 directions; at least 4"):
-            check(w)
-    with pytest.raises(DomainError, match="level = 0"):
-        fisher_outliers(w, level=0.0)
+        refuses(DomainError, "3 directions; at least 4", check, w)
+    refuses(DomainError, "level = 0", fisher_outliers, w, level=0.0)
 
 
 def test_effective_degrees() -> None:
@@ -105,8 +104,7 @@ def test_effective_degrees() -> None:
     low, high = fit_fisher(long).sigma_interval_rad(effective=effective_degrees(long))
     narrow = fit_fisher(long).sigma_interval_rad()
     assert low < narrow[0] < narrow[1] < high
-    with pytest.raises(DomainError, match="effective = -1"):
-        fit_fisher(long).sigma_interval_rad(effective=-1.0)
+    refuses(DomainError, "effective = -1", lambda: fit_fisher(long).sigma_interval_rad(effective=-1.0))
 
 
 @pytest.mark.parametrize(("shape", "own"), [("ellipse", (0.92, 0.98)), ("tails", (0.5, 0.95))])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 from scipy.optimize import least_squares
 
 from calib.fitting.least_squares import DenseProblem, solve
@@ -161,7 +162,6 @@ def test_steps_do_not_leave_the_domain():
 def test_bad_input():
     with pytest.raises(ConfigError, match="unknown parameter 'b3'"):
         DenseProblem(*misra(), ("b1", "b2"), (1.0, 1.0), free=("b3",))
-    with pytest.raises(DomainError, match="start of shape"):
-        DenseProblem(*misra(), ("b1", "b2"), (1.0,))
+    refuses(DomainError, "start of shape", lambda: DenseProblem(*misra(), ("b1", "b2"), (1.0,)))
     with pytest.raises(ConfigError, match="unknown loss"):
         solve(DenseProblem(*misra(), ("b1", "b2"), (500.0, 1e-4)), np.array([500.0, 1e-4]), loss="l2")

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib.calibration.attitude_correlated import AttitudeCorrelated
-from calib.calibration.calibrate import calibrate
-from calib.calibration.free_attitudes import FreeAttitudes
-from calib.calibration.no_attitude import NoAttitude
+from calib import AttitudeCorrelated, FreeAttitudes, NoAttitude, calibrate
 from calib.fitting.misfit import UNTESTED, ChiSquare, chi_square_minimum, two_sided_quantile
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from calib.fitting.robust_loss import Loss, get_loss, list_losses
 from optics.errors import ConfigError, DomainError
@@ -54,9 +55,7 @@ def test_efficiency_and_variance_factor_of_a_mean(name):
 
 
 def test_bad_input():
-    with pytest.raises(ConfigError, match="did you mean huber"):
-        get_loss("hubert")
-    with pytest.raises(DomainError, match="tuning = -1"):
-        get_loss("tukey", tuning=-1)
+    refuses(ConfigError, "did you mean huber", get_loss, "hubert")
+    refuses(DomainError, "tuning = -1", get_loss, "tukey", tuning=-1)
     custom = Loss(name="cauchy", tuning=2.0)
     assert get_loss(custom) is custom

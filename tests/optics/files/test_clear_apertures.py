@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import chief_ray_points, load_lens, read_lens_file, vignetting
 from optics.errors import ConfigError
-from optics.lens_file import load_lens, read_lens_file
-from optics.rays.chief import chief_ray_points
-from optics.rays.spots import vignetting
 
 PLATE = """VERS 190513 80 123457 L123457
 MODE SEQ

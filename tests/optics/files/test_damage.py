@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 from refusals import refuses
 
-from optics import load_lens
-from optics.errors import StarbenchError
+from optics import LensFile, StarbenchError, load_lens
 from optics.export.seq import seq_text
 from optics.export.sequence import sequence
 from optics.export.zmx import zmx_text
 from optics.glass.agf import read_agf
 from optics.lens.prescription import lens_from_table
-from optics.lens_file import LensFile
 from optics.textfile import LARGEST_BYTES
 
 FILES = 1000

@@ -8,9 +8,8 @@ triplet, has no column of OpticStudio's yet.
 import numpy as np
 import pytest
 
-from optics.lens_file import read_lens_file
+from optics import Rays, read_lens_file, trace
 from optics.rays.paraxial import axial_paraxial
-from optics.rays.trace import Rays, trace
 
 HEAD = "MODE SEQ\nNAME {name}\nUNIT MM X W X CM MR CPMM\n{aperture}\nGCAT {glass}\nFTYP 0 0 3 3 0 0 0\nXFLN 0 0 0\n"
 SINGLET = (63.73364157, 10.0, "LAC9"), (653.29392320, 92.73834630, "STOP")

@@ -7,13 +7,10 @@ import numpy as np
 import pytest
 from refusals import refuses
 
-from optics import list_lenses, read_lens_file
+from optics import LensFile, LensSystem, Rays, list_lenses, read_lens_file, trace
 from optics.errors import ConfigError
 from optics.export.write import write_lens
 from optics.lens.prescription import lens_from_table
-from optics.lens.system import LensSystem
-from optics.lens_file import LensFile
-from optics.rays.trace import Rays, trace
 
 MIRRORS = [
     {"kind": "plane", "thickness_mm": 5.0, "medium": "air", "stop": True, "semi_diameter_mm": 20.0,

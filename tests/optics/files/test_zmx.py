@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 from refusals import refuses
 
-from optics import load_lens, paraxial, read_lens_file
+from optics import EvenAsphere, Rays, change_shape, load_lens, paraxial, read_lens_file, tilt, trace
 from optics.errors import ConfigError, DomainError
 from optics.files.report import Status
-from optics.lens.perturb import change_shape, tilt
-from optics.lens.shapes.even_asphere import EvenAsphere
-from optics.rays.trace import Rays, trace
 
 HEADER = """VERS 190513 80 123457 L123457
 MODE SEQ

@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import LensSystem, get_glass, lens_transmission, read_lens_file
 from optics.errors import ConfigError, DomainError
-from optics.glass.catalogue import get_glass
 from optics.glass.coating import BARE, Film, QuarterWave, Stack, TabulatedCoating
 from optics.lens.prescription import lens_from_table
-from optics.lens.system import LensSystem
-from optics.lens_file import read_lens_file
-from optics.light.transmission import lens_transmission
 
 WAVES = np.array([420.0, 550.0, 780.0])
 ANGLES = np.radians([0.0, 20.0, 45.0, 70.0])

@@ -10,18 +10,13 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
+from optics import Conic, Rays, chief_ray_points, draw_lens, load_lens, spot_moments, trace
 from optics.errors import ConfigError
-from optics.figures import draw_lens
 from optics.glass.catalogue import get_glass, glass_from_table
 from optics.lens.perturb import EVERYTHING, change_temperature, decentre, despace, tilt
 from optics.lens.prescription import lens_from_table
-from optics.lens.shapes.conic import Conic
-from optics.lens_file import load_lens
-from optics.rays.chief import chief_ray_points
 from optics.rays.paraxial import paraxial, refocused
 from optics.rays.reverse import retraced, reverse
-from optics.rays.spots import spot_moments
-from optics.rays.trace import Rays, trace
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "lens_file.md"
 HEAD = {"name": "test", "source": "closed form", "design_wavelength_nm": 600.0, "max_field_deg": 1.0}

@@ -5,11 +5,10 @@ import os
 import pytest
 from refusals import refuses
 
+from optics import load_lens, paraxial, read_lens_file
 from optics.errors import ConfigError, DomainError
 from optics.export.write import write_lens
-from optics.lens_file import load_lens, read_lens_file
 from optics.rays.axial_beam import check_axial_beam
-from optics.rays.paraxial import paraxial
 
 STOP = """[[surface]]
 stop = true

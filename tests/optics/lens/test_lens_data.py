@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import Environment, EvenAsphere, field_direction, list_lenses, load_lens, paraxial
 from optics.errors import ConfigError, DomainError
-from optics.frames import field_direction
-from optics.glass.media import Environment
-from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.lens.system import AMBIENT
-from optics.lens_file import list_lenses, load_lens
 from optics.rays.chief import chief_ray_points, distortion_map, plate_scale_mm
-from optics.rays.paraxial import paraxial
 from optics.rays.pupil import PupilSamples, entrance_pupil, star_rays
 from optics.rays.spots import lateral_colour, spot_moments
 from optics.rays.trace import trace_path

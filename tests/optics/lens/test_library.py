@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
+from optics import list_lenses, load_lens, paraxial, spot_moments
 from optics.lens.geometry import geometry_faults
-from optics.lens_file import list_lenses, load_lens
 from optics.rays.axial_beam import check_axial_beam
-from optics.rays.paraxial import paraxial
-from optics.rays.spots import spot_moments
 
 # name: scale to the source's own units; printed focal length, back focus, F-number; how far they may be off (the last
 # printed digit, or what the source says of its own precision)

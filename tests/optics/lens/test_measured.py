@@ -6,16 +6,12 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import chief_ray_points, decentre, distortion_map, load_lens, spot_moments, trace_pupil, vignetting
 from optics.errors import ConfigError, DomainError
 from optics.export.write import write_measured_lens
 from optics.lens.measured import measured_from_table, measured_table
-from optics.lens.perturb import decentre
 from optics.lens.without_glass import ideal_lens, measured_lens
-from optics.lens_file import load_lens
-from optics.rays.chief import chief_ray_points, distortion_map
 from optics.rays.paraxial import paraxial, stopped_down
-from optics.rays.spots import spot_moments, vignetting
-from optics.waves.pupil_field import trace_pupil
 
 TABLE = {
     "kind": "measured",

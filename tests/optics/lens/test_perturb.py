@@ -8,9 +8,8 @@ import pytest
 from refusals import refuses
 from scipy.spatial.transform import Rotation
 
+from optics import Glass, LensSystem, Plane, Rays, Sphere, Surface, field_direction, load_lens, paraxial, trace
 from optics.errors import ConfigError, DomainError
-from optics.frames import field_direction
-from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Dispersion
 from optics.lens.perturb import (
     ALL_SURFACES,
@@ -24,14 +23,8 @@ from optics.lens.perturb import (
     tilt,
     tilt_image,
 )
-from optics.lens.shapes.plane import Plane
-from optics.lens.shapes.sphere import Sphere
-from optics.lens.system import LensSystem, Surface
-from optics.lens_file import load_lens
-from optics.rays.paraxial import paraxial
 from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
 from optics.rays.spots import lateral_colour, spot_moments
-from optics.rays.trace import Rays, trace
 
 LENS = load_lens("star_tracker_26mm")
 

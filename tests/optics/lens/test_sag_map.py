@@ -8,13 +8,11 @@ import pytest
 from scipy.interpolate import RectBivariateSpline
 from scipy.optimize import brentq
 
+from optics import change_temperature, compile_lens, load_lens
 from optics.arrays import NUMPY
 from optics.errors import ConfigError, DomainError
-from optics.lens.perturb import change_temperature
 from optics.lens.prescription import lens_from_table
 from optics.lens.sag_map import SagMap
-from optics.lens_file import load_lens
-from optics.rays.program import compile_lens
 from optics.rays.reverse import retraced, reverse
 from optics.rays.trace import MISSED, Rays, trace, trace_program
 

@@ -6,19 +6,12 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import VACUUM, Glass, Plane, Rays, Sphere, decentre, get_glass, load_lens, paraxial, tilt, trace
 from optics.errors import ConfigError, DomainError
-from optics.glass.catalogue import Glass, get_glass
 from optics.glass.dispersion import Dispersion, ThermalDispersion
-from optics.glass.media import VACUUM
-from optics.lens.perturb import decentre, tilt
-from optics.lens.shapes.plane import Plane
-from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import HALF_TURN, LensSystem, Surface
 from optics.lens.thermal import COMPONENTS, Housing, Mount, ThermalState, heated_lens, with_spacers
-from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points, plate_scale_mm
-from optics.rays.paraxial import paraxial
-from optics.rays.trace import Rays, trace
 
 LENS = load_lens("star_camera_206mm")
 ALUMINIUM = 23.6e-6

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from optics.lens.perturb import decentre
+from optics import decentre, load_lens
 from optics.lens.tolerances import Tolerances, draw_amounts, perturbations, perturbed
-from optics.lens_file import load_lens
 
 LENS = load_lens("star_tracker_26mm")
 

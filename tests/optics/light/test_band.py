@@ -134,10 +134,7 @@ def test_nodes_are_locked_and_integrate_over_leading_axes() -> None:
     ],
 )
 def test_bad_top_hats(change: dict[str, float], part: str) -> None:
-    with pytest.raises(DomainError) as error:
-        TopHat(**({"centre_nm": 600.0, "width_nm": 100.0} | change))
-    assert part in str(error.value)
-    assert "\n" not in str(error.value)
+    assert "\n" not in refuses(DomainError, part, TopHat, **{"centre_nm": 600.0, "width_nm": 100.0} | change)
 
 
 @pytest.mark.parametrize(
@@ -151,9 +148,7 @@ def test_bad_top_hats(change: dict[str, float], part: str) -> None:
     ],
 )
 def test_bad_tables(wave: list[float], value: list[float], part: str) -> None:
-    with pytest.raises(DomainError) as error:
-        TabulatedBand(name="bad", source="test", wavelength_nm=wave, value=value)  # type: ignore[arg-type]
-    assert part in str(error.value)
+    refuses(DomainError, part, TabulatedBand, name="bad", source="test", wavelength_nm=wave, value=value)
 
 
 def test_other_mistakes() -> None:

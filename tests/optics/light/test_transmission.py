@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import Glass, QuarterWave, Response, TabulatedCoating, get_glass
 from optics.errors import ConfigError, DomainError
-from optics.glass.catalogue import Glass, get_glass
-from optics.glass.coating import QuarterWave, TabulatedCoating
 from optics.glass.dispersion import Dispersion
 from optics.light.transmission import Layout, layout_of, lens_transmission
-from optics.response import Response
 
 LINES = np.array([450.0, 550.0, 650.0])
 

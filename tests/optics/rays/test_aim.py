@@ -7,17 +7,12 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from optics import LensSystem, Plane, Sphere, Surface, chief_ray_points, load_lens, spot_moments
 from optics.errors import ConvergenceError
 from optics.frames import field_direction, light_direction
 from optics.glass.catalogue import glass_from_table
-from optics.lens.shapes.plane import Plane
-from optics.lens.shapes.sphere import Sphere
-from optics.lens.system import LensSystem, Surface
-from optics.lens_file import load_lens
 from optics.rays.aim import aim_at_stop
-from optics.rays.chief import chief_ray_points
 from optics.rays.pupil import launch_disks, sobol_disk, star_rays
-from optics.rays.spots import spot_moments
 from optics.rays.trace import Rays, trace, trace_path
 
 CROWN, STOP = 1.52, 6

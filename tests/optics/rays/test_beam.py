@@ -6,16 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from optics import Plane, Surface, collecting_area_mm2, decentre, field_direction, load_lens, sobol_disk, spot_moments
 from optics.errors import ConvergenceError
-from optics.frames import field_direction
-from optics.lens.perturb import decentre
-from optics.lens.shapes.plane import Plane
-from optics.lens.system import Surface
-from optics.lens_file import load_lens
 from optics.rays.beam import find_beams
 from optics.rays.beam_widths import beam_widths
-from optics.rays.pupil import sobol_disk
-from optics.rays.spots import collecting_area_mm2, spot_moments
 from optics.rays.trace import OK, Rays, trace
 
 CAMERA, GAUSS = load_lens("star_camera_206mm"), load_lens("double_gauss_50mm")

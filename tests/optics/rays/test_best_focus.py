@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from optics.lens.perturb import refocus
-from optics.lens_file import load_lens
+from optics import load_lens, refocus, spot_moments, trace_spots
 from optics.rays.best_focus import best_focus_shift_mm, focus_by_axis, white_focus
-from optics.rays.spots import spot_moments, trace_spots
 
 CAMERA = load_lens("star_camera_206mm")
 

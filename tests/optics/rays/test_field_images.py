@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
+from optics import best_focus_shift_mm, load_lens, refocus, spot_moments
 from optics.errors import ConvergenceError
-from optics.lens.perturb import refocus
-from optics.lens_file import load_lens
-from optics.rays.best_focus import best_focus_shift_mm
 from optics.rays.field_images import field_images
-from optics.rays.spots import spot_moments
 
 LENS, WAVES = load_lens("star_camera_206mm"), [500.0, 600.0, 800.0]
 

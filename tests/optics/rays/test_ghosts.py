@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import LensSystem, QuarterWave, TabulatedCoating, field_direction, load_lens
 from optics.errors import DomainError
-from optics.frames import field_direction
-from optics.glass.coating import QuarterWave, TabulatedCoating
 from optics.lens.prescription import lens_from_table
-from optics.lens.system import LensSystem
-from optics.lens_file import load_lens
 from optics.rays.ghosts import find_ghosts, ghost_pairs, trace_ghost, with_cover_glass
 from optics.rays.pupil import launch_disks, sobol_disk, star_rays
 

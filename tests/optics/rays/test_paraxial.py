@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import VACUUM, Glass, LensSystem, Plane, Rays, Sphere, Surface, decentre, load_lens, tilt, trace
 from optics.errors import DomainError
-from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Dispersion
-from optics.glass.media import VACUUM
-from optics.lens.perturb import decentre, tilt
-from optics.lens.shapes.plane import Plane
-from optics.lens.shapes.sphere import Sphere
-from optics.lens.system import LensSystem, Surface
-from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points, plate_scale_mm
 from optics.rays.paraxial import (
     axial_colour_mm,
@@ -26,7 +20,6 @@ from optics.rays.paraxial import (
     paraxial,
     refocused,
 )
-from optics.rays.trace import Rays, trace
 
 N15 = Glass(
     name="n15",

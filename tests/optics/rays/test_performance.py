@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import best_focus_shift_mm, distortion_map, lateral_colour, load_lens, refocus, spot_moments, vignetting
 from optics.errors import DomainError
-from optics.lens.perturb import refocus
-from optics.lens_file import load_lens
-from optics.rays.best_focus import best_focus_shift_mm
-from optics.rays.chief import distortion_map
 from optics.rays.paraxial import axial_colour_mm, paraxial, stopped_down
 from optics.rays.performance import lens_performance
-from optics.rays.spots import lateral_colour, spot_moments, vignetting
 
 WAVES = np.array([520.0, 650.0, 800.0])
 

@@ -5,9 +5,8 @@ import pytest
 from refusals import refuses
 from scipy.constants import c, h, k
 
+from optics import Blackbody, load_lens
 from optics.errors import DomainError
-from optics.lens_file import load_lens
-from optics.light.spectrum import Blackbody
 from optics.rays.photocentre import photocentre, photocentres_of
 from optics.rays.spots import SpotMoments, trace_spots
 

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import decentre, field_direction, load_lens, tilt, trace
 from optics.errors import ConvergenceError, DomainError
-from optics.frames import field_direction
-from optics.lens.perturb import decentre, tilt
-from optics.lens_file import load_lens
 from optics.rays.pupil import EntrancePupil, disk_from_square, entrance_pupil, gauss_disk, sobol_disk, star_rays
-from optics.rays.trace import trace
 
 
 def disk_moment(a: int, b: int) -> float:

@@ -9,22 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from optics import VACUUM, Conic, EvenAsphere, Plane, Sphere, compile_lens, strehl, trace_pupil, wavefront
 from optics.arrays import NUMPY
 from optics.glass.air import air_index
 from optics.glass.catalogue import glass_from_table
-from optics.glass.media import VACUUM
 from optics.lens.apertures import Circle, Rectangle
-from optics.lens.shapes.conic import Conic
-from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.lens.shapes.odd_asphere import OddAsphere
-from optics.lens.shapes.plane import Plane
-from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import AMBIENT, HALF_TURN, LensSystem, Surface
-from optics.rays.program import compile_lens
 from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
-from optics.waves.image_quality import strehl
-from optics.waves.pupil_field import trace_pupil
-from optics.waves.wavefront import wavefront
 from optics.waves.zernike import fit_zernikes
 
 pytestmark = pytest.mark.reference

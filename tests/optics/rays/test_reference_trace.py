@@ -3,20 +3,13 @@
 import numpy as np
 import pytest
 
-from optics.frames import field_direction
+from optics import Conic, EvenAsphere, Plane, Sphere, field_direction, load_lens, paraxial, trace
 from optics.glass.air import air_index
 from optics.lens.perturb import decentre, tilt, tilt_image
-from optics.lens.shapes.conic import Conic
-from optics.lens.shapes.even_asphere import EvenAsphere
-from optics.lens.shapes.plane import Plane
-from optics.lens.shapes.sphere import Sphere
 from optics.lens.system import AMBIENT, LensSystem
 from optics.lens.thermal import Housing, ThermalState, heated_lens
-from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points, plate_scale_mm
-from optics.rays.paraxial import paraxial
 from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
-from optics.rays.trace import trace
 
 pytestmark = pytest.mark.reference
 

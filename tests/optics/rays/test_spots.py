@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import chief_ray_points, decentre, distortion_map, gauss_disk, load_lens, refocus, sobol_disk
 from optics.errors import ConvergenceError, DomainError
-from optics.lens.perturb import decentre, refocus
-from optics.lens_file import load_lens
-from optics.rays.chief import chief_ray_points, distortion_map
-from optics.rays.pupil import gauss_disk, sobol_disk
 from optics.rays.spots import lateral_colour, spot_moments, vignetting
 
 CAMERA, TRACKER = load_lens("star_camera_206mm"), load_lens("star_tracker_26mm")

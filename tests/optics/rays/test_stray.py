@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import TabulatedCoating, load_lens
 from optics.errors import DomainError
 from optics.frames import field_direction, light_direction, polar_direction
-from optics.glass.coating import TabulatedCoating
 from optics.lens.prescription import lens_from_table
-from optics.lens_file import load_lens
 from optics.light.scatter import polished
 from optics.rays.ghosts import entrance_radius_mm
 from optics.rays.pupil import launch_disks

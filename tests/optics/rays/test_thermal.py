@@ -4,15 +4,10 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import best_focus_shift_mm, change_temperature, field_direction, load_lens, plate_scale_mm, trace_spots
 from optics.errors import ConvergenceError, DomainError
-from optics.frames import field_direction
-from optics.lens.perturb import change_temperature
 from optics.lens.thermal import COMPONENTS, Housing, ThermalState, heated_lens
-from optics.lens_file import load_lens
-from optics.rays.best_focus import best_focus_shift_mm
-from optics.rays.chief import plate_scale_mm
 from optics.rays.paraxial import stopped_down
-from optics.rays.spots import trace_spots
 from optics.rays.thermal import athermal_spacer, focus_um_per_k, spacers_of, thermal_sensitivity
 
 LENS = load_lens("star_camera_206mm")

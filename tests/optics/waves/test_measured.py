@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import load_lens, trace_pupil, with_wavefront
 from optics.errors import DomainError
-from optics.lens_file import load_lens
-from optics.waves.measured import with_wavefront
-from optics.waves.pupil_field import trace_pupil
 from optics.waves.wavefront import PathMap, wavefront, zernike_map
 
 GIVEN_NM = np.zeros(15)

@@ -4,35 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ideal_pupil import INDEX, WAVE_NM, ideal_pupil
 from refusals import refuses
 from scipy.integrate import quad
 from scipy.special import j0, j1
 
+from optics import load_lens, wavefront, zernike_map, zernikes
 from optics.errors import DomainError
-from optics.lens_file import load_lens
 from optics.waves.image_quality import encircled_energy, peak, strehl, strehl_through_focus, transfer_function
-from optics.waves.pupil_field import PupilField, needed_order, trace_pupil
-from optics.waves.wavefront import wavefront, zernike_map
-from optics.waves.zernike import zernikes
-
-WAVE_NM, INDEX = 550.0, 1.00027
-
-
-def ideal_pupil(sine, hole=0.0, order=(40, 160)):
-    """Pupil of a lens without errors that obeys the sine condition: directions fill a disk or an annulus evenly."""
-    node, weight = np.polynomial.legendre.leggauss(order[0])
-    inner = hole**2
-    r = np.sqrt(inner + (1.0 - inner) * 0.5 * (1.0 + node))[:, None]
-    angle = 2.0 * np.pi * np.arange(order[1]) / order[1]
-    focal = 100.0
-    l, m = sine * r * np.cos(angle), sine * r * np.sin(angle)  # noqa: E741
-    area = np.broadcast_to(np.pi * (1.0 - inner) * (focal * sine) ** 2 * 0.5 * weight[:, None] / order[1], l.shape)
-    zero = np.zeros(l.shape)
-    rays = {"pupil_x": focal * l, "pupil_y": focal * m, "area_mm2": area, "x_mm": zero, "y_mm": zero, "l": l, "m": m,
-            "n": np.sqrt(1.0 - l**2 - m**2), "path_mm": zero, "jacobian": zero + focal**-2}  # fmt: skip
-    return PupilField(
-        wavelength_nm=[WAVE_NM], index=[INDEX], ring=r[:, 0], **{name: v[None, None] for name, v in rays.items()}
-    )
+from optics.waves.pupil_field import needed_order, trace_pupil
 
 
 def airy(v):

@@ -6,35 +6,10 @@ z component of the mean Poynting vector, of an unpolarised star.
 
 import numpy as np
 import pytest
+from ideal_pupil import ideal_pupil
 from scipy.special import jv
 
-from optics.rays.pupil import gauss_disk
-from optics.waves.pupil_field import PupilField
-
 WAVE_MM = 550e-6
-ORDER = (40, 64)
-
-
-def aplanatic(sine: float) -> PupilField:
-    """Focus of a lens that fulfils the sine condition: even light over direction cosines."""
-    disk = gauss_disk(*ORDER)
-    l, m, area = (v.reshape(1, 1, *ORDER) for v in (sine * disk.x, sine * disk.y, np.pi * disk.weight))  # noqa: E741
-    ones = np.ones_like(area)
-    return PupilField(
-        wavelength_nm=np.array([WAVE_MM * 1e6]),
-        index=np.ones(1),
-        ring=np.sqrt(0.5 * (1.0 + np.polynomial.legendre.leggauss(ORDER[0])[0])),
-        pupil_x=l / sine,
-        pupil_y=m / sine,
-        area_mm2=area,
-        x_mm=0.0 * ones,
-        y_mm=0.0 * ones,
-        l=l,
-        m=m,
-        n=np.sqrt(1.0 - l**2 - m**2),
-        path_mm=ones,
-        jacobian=sine**2 * ones,
-    )
 
 
 def vector(sine: float, r_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -56,7 +31,7 @@ def test_flux_of_an_unpolarised_star(f_number: float, error: float, density: flo
     """Peak and rings; the energy density |E|^2, which no pixel takes, peaks lower."""
     sine = 0.5 / f_number
     r = np.linspace(0.0, 3.0 * WAVE_MM * f_number, 61)
-    ours = aplanatic(sine).intensity(r, np.zeros(1))[0]
+    ours = ideal_pupil(sine, order=(40, 64), index=1.0).intensity(r, np.zeros(1))[0]
     flux, energy = vector(sine, r)
     assert np.abs(ours - flux).max() < error * flux[0]
     # both hold all light: that of |E|^2 is larger by the mean of 1 / cos

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from refusals import refuses
 
+from optics import gauss_disk, load_lens, trace_pupil
 from optics.errors import ConfigError, DomainError
-from optics.lens_file import load_lens
-from optics.rays.pupil import gauss_disk
-from optics.waves.pupil_field import trace_pupil
 from optics.waves.wavefront import PathMap, wavefront, zernike_map
 from optics.waves.zernike import fit_zernikes, zernike_numbers, zernikes
 

@@ -7,15 +7,13 @@ import pytest
 from numpy.polynomial.polynomial import polyval2d
 from refusals import refuses
 
+from optics import CATALOGUE_AIR, VACUUM, Conic, EvenAsphere, Rays, trace, zernikes
 from optics.arrays import NUMPY
 from optics.errors import DomainError
-from optics.glass.media import CATALOGUE_AIR, VACUUM
 from optics.lens.geometry import axial_ray
 from optics.lens.prescription import lens_from_table
 from optics.lens.shapes.biconic import Biconic
-from optics.lens.shapes.conic import Conic
 from optics.lens.shapes.cylinder import Cylinder
-from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.lens.shapes.odd_asphere import OddAsphere
 from optics.lens.shapes.polynomial import Polynomial
 from optics.lens.shapes.qbfs import Qbfs
@@ -23,8 +21,6 @@ from optics.lens.shapes.qcon import Qcon
 from optics.lens.shapes.toroid import Toroid
 from optics.lens.shapes.zernike import Zernike
 from optics.rays.paraxial import axial_paraxial
-from optics.rays.trace import Rays, trace
-from optics.waves.zernike import zernikes
 
 R, RHO = 30.0, 9.0
 U = np.linspace(0.0, 1.0, 11)
