@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from calib.attitude.solve import solve_wahba, solve_wahba_many
+from calib.attitude.attitude_solution import solve_wahba, solve_wahba_many
 from optics.attitude import attitude_error_arcsec
 
 SIGMA_RAD = 5e-6

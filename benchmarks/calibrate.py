@@ -47,12 +47,12 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from calib.attitude.link import link_attitudes
+from calib.attitude.gyro_link import link_attitudes
 from calib.calibration.attitude_correlated import AttitudeCorrelated
-from calib.calibration.bound import bound as cramer_rao_bound
 from calib.calibration.calibrate import calibrate
+from calib.calibration.cramer_rao_bound import bound as cramer_rao_bound
 from calib.calibration.free_attitudes import FreeAttitudes, start_attitudes
-from calib.calibration.no_attitude import NoAttitude
+from calib.calibration.interstar_angles import NoAttitude
 from calib.calibration.observations import Observations
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady

@@ -1,21 +1,21 @@
 # Public names and where they live; calib/__init__.py loads them on first use.
 from .attitude.association import associate as associate
 from .attitude.association import match_stars as match_stars
+from .attitude.attitude_solution import AttitudeSolution as AttitudeSolution
+from .attitude.attitude_solution import solve_wahba as solve_wahba
+from .attitude.attitude_solution import solve_wahba_many as solve_wahba_many
 from .attitude.identify import Identification as Identification
 from .attitude.identify import build_database as build_database
-from .attitude.solve import AttitudeSolution as AttitudeSolution
-from .attitude.solve import solve_wahba as solve_wahba
-from .attitude.solve import solve_wahba_many as solve_wahba_many
 from .attitude.star_attitude import StarAttitude as StarAttitude
 from .attitude.star_attitude import identify_stars as identify_stars
 from .attitude.star_attitude import solve_attitude as solve_attitude
 from .calibration.attitude_correlated import AttitudeCorrelated as AttitudeCorrelated
-from .calibration.bound import bound as bound
 from .calibration.calibrate import calibrate as calibrate
+from .calibration.cramer_rao_bound import bound as bound
 from .calibration.free_attitudes import FreeAttitudes as FreeAttitudes
 from .calibration.gyro_linked import GyroLinked as GyroLinked
 from .calibration.gyro_linked import GyroNoise as GyroNoise
-from .calibration.no_attitude import NoAttitude as NoAttitude
+from .calibration.interstar_angles import NoAttitude as NoAttitude
 from .calibration.observations import Observations as Observations
 from .calibration.record import Calibration as Calibration
 from .calibration.turntable import TableErrors as TableErrors

@@ -29,7 +29,7 @@ from docs.moon_model import MOON_RADIUS_KM, moon_scene
 from optics.glass.coating import QuarterWave
 from optics.lens_file import load_lens
 from optics.light.band import BandNodes, TopHat, band_nodes
-from optics.light.photometry import photon_rate
+from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody
 from optics.rays.paraxial import axial_paraxial
 from render.camera import Camera, build_camera

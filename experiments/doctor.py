@@ -250,7 +250,7 @@ def check_catalogue() -> Iterator[Finding]:
 
 def check_caches() -> Iterator[Finding]:
     """Folders of compiled kernels (drjit-core, init.cpp) and star patterns: size, and whether they can be written."""
-    from calib.attitude.patterns import cache_folder
+    from calib.attitude.pattern_cache import cache_folder
 
     lost = "otherwise every start compiles anew", "otherwise star patterns are recomputed at every start"
     yield _cache("kernels", Path.home() / ".drjit", f"set HOME to a folder that can be written, {lost[0]}")

@@ -19,23 +19,23 @@ optics.lens.shapes          `Shape` and its kinds `Plane`, `Sphere`, `Conic`, `E
 optics.lens.perturb         `tilt`, `decentre`, `despace`, `refocus`, `tilt_image`, `change_temperature`,
                             `change_index`, `change_shape` (radius, conic, ...); what moves: an element,
                             surfaces, `ALL_SURFACES`, `EVERYTHING`
-optics.lens.thermal         `heated_lens`: gradients of temperature, `ThermalState`, `Housing`, `Mount`
+optics.lens.heated_lens         `heated_lens`: gradients of temperature, `ThermalState`, `Housing`, `Mount`
 optics.glass.catalogue      `get_glass`, `list_glasses`, `Glass`
 optics.glass.coating        `Stack` of `Film`, `QuarterWave`, `TabulatedCoating`: R, T over wavelength, angle, s and p
-optics.glass.media          `Environment`, `CATALOGUE_AIR`, `VACUUM`
+optics.glass.index_along_path          `Environment`, `CATALOGUE_AIR`, `VACUUM`
 optics.rays.paraxial        `paraxial`, `axial_colour_mm`
 optics.rays.chief           `chief_ray_points`, `plate_scale_mm`, `distortion_map`
 optics.rays.spots           `spot_moments`, `trace_spots`, `lateral_colour`, `vignetting`, `collecting_area_mm2`
 optics.rays.best_focus      `best_focus_shift_mm`, `white_focus`: spots through focus
 optics.rays.pupil           `entrance_pupil`, `star_rays`, `gauss_disk`, `sobol_disk`
 optics.rays.trace           `Rays`, `trace`, `trace_program`
-optics.rays.thermal         `thermal_sensitivity`, `athermal_spacer`
+optics.rays.thermal_sensitivity         `thermal_sensitivity`, `athermal_spacer`
 optics.rays.program         `compile_lens`
 optics.rays.reverse         `reverse`
 optics.rays.ghosts          `find_ghosts`, `with_cover_glass`
 optics.light.spectrum       `Blackbody`, `TabulatedSed`
 optics.light.band           `TopHat`, `TabulatedBand`, `band_nodes`
-optics.light.photometry     `photon_rate`, `synthetic_magnitude`
+optics.light.magnitudes     `photon_rate`, `synthetic_magnitude`
 optics.light.transmission   `lens_transmission`
 optics.response             `Response`
 optics.waves                `trace_pupil`, `wavefront`, `zernikes`, `zernike_map`, `strehl`, `strehl_through_focus`,

@@ -22,7 +22,7 @@ from optics.files.glasses import read_glass
 from optics.files.read import FOREIGN, Reading, import_lens, split_configuration
 from optics.files.report import ImportReport, ReportLine, Status
 from optics.glass.catalogue import list_glasses
-from optics.glass.media import CATALOGUE_AIR, Environment
+from optics.glass.index_along_path import CATALOGUE_AIR, Environment
 from optics.lens.geometry import acts, crossings, geometry_faults, idle_stop
 from optics.lens.measured import measured_from_table
 from optics.lens.prescription import lens_from_table, rims_mm
@@ -103,8 +103,8 @@ def load_lens(name_or_path: str | Path, *, environment: Environment | None = Non
         A built-in name (`list_lenses`), a TOML file, or a lens file of Zemax (.zmx) or CODE V (.seq), of which
         ``zoom.zmx#2`` is the second configuration. `read_lens_file` reports on every line of such a file.
     environment : Environment, optional
-        Temperature and pressure; `optics.glass.media.VACUUM` for space. Left out: that of the file, or
-        `optics.glass.media.CATALOGUE_AIR`.
+        Temperature and pressure; `optics.glass.index_along_path.VACUUM` for space. Left out: that of the file, or
+        `optics.glass.index_along_path.CATALOGUE_AIR`.
 
     Returns
     -------

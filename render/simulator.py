@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
-from optics.lens.thermal import Housing, ThermalState, heated_lens
+from optics.lens.heated_lens import Housing, ThermalState, heated_lens
 from optics.light.band import Band
 from optics.light.pst import PointSourceTransmittance
 from render.bodies.ghost_sources import GhostSources

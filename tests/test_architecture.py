@@ -27,8 +27,8 @@ ALLOWED = {"calib": {"render.records"}}
 # Rooms between two "<" know nothing of each other. A new room (or module at the top) has to be put in its place here.
 ORDER = {
     "optics": "arrays errors forbes units < attitude brown_conrady fits frames interpolation record_files records"
-    " textfile < validate < response settings < glass < files < lens light < rays < lens_file < export waves"
-    " < figures lens_study page",
+    " stellar_aberration textfile < validate < response settings < glass < files < lens light < rays < lens_file"
+    " < export waves < figures lens_study page",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing"
     " < field_response plugins sensor_file < baffle bench bodies forward psf_lattice < observation < simulator",
     "calib": "directional fitting flags < photometry records < cameras measure < attitude detector psf"
@@ -249,7 +249,8 @@ BENCH = re.compile(r"experiments/laboratory/(bench|single_star)/")
 IMAGE_FORMING = (
     "render.StarRenderer", "render.expose", "render.forward", "render.plugins", "render.tracing",
     "render.sky.background", "render.bodies.body_image", "render.bodies.mesh_image", "render.bodies.sphere_image",
-    "render.bodies.ghost_sources", "render.detector.chain", "render.detector.cosmic_rays", "render.detector.deposits",
+    "render.bodies.ghost_sources", "render.detector.chain", "render.detector.cosmic_rays",
+    "render.detector.cosmic_ray_charge",
     "render.detector.diffusion", "render.detector.readout",
 )  # fmt: skip
 NUMERICS = {"einsum", "fft", "linalg", "polyfit", "polynomial", "polyval"}

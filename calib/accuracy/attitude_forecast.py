@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.accuracy.star_errors import DetectionLimit, StarErrors, colour_distance
-from calib.attitude.predicted import attitude_covariance
+from calib.attitude.attitude_covariance import attitude_covariance
 from optics.arrays import FloatArray
 from optics.units import RAD_ARCSEC
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.accuracy.error_budget import ErrorBudget, ErrorTerm, over_stars
-from calib.attitude.solve import solve_wahba_many
+from calib.attitude.attitude_solution import solve_wahba_many
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from optics.units import ARCSEC_RAD

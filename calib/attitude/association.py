@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.special import bdtrc
 
-from calib.attitude.solve import AttitudeSolution, solve_wahba, solve_wahba_many
+from calib.attitude.attitude_solution import AttitudeSolution, solve_wahba, solve_wahba_many
 from calib.cameras.base import CameraModel
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError

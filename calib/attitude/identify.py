@@ -2,7 +2,8 @@
 
 The detections are turned into directions by the camera model and projected through an ideal pinhole, which tetra3rs
 sees in its own pixel convention (`optics.frames`); its camera axes are ours (x right, y down, z into the sky). The
-attitude is then computed here, from the directions of the matched stars (`calib.attitude.solve`). Two traps are closed:
+attitude is then computed here, from the directions of the matched stars (`calib.attitude.attitude_solution`). Two
+traps are closed:
 
 * Some solvers accept a mirrored sky silently; here it is a separate status, tested twice: by tetra3rs and by the
   determinant of the best orthogonal matrix.
@@ -25,8 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib.attitude.attitude_solution import AttitudeSolution, solve_wahba
 from calib.attitude.residuals import star_residuals
-from calib.attitude.solve import AttitudeSolution, solve_wahba
 from calib.cameras.base import CameraModel
 from calib.fitting.misfit import UNTESTED, ChiSquare, joined
 from optics.arrays import FloatArray
@@ -116,7 +117,7 @@ def build_database(
 ) -> Any:
     """Pattern database of tetra3rs from its Gaia catalogue; takes 1 s for 12 deg, 10 s for 3 deg.
 
-    `calib.attitude.patterns.kept_database` keeps them on disk.
+    `calib.attitude.pattern_cache.kept_database` keeps them on disk.
 
     Parameters
     ----------

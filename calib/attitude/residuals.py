@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import pixel_angle_rad
-from calib.attitude.solve import solve_wahba
+from calib.attitude.attitude_solution import solve_wahba
 from calib.attitude.wahba import rotations_of_groups
 from calib.cameras.base import CameraModel
 from calib.fitting.misfit import LARGEST_WRONG_PART, UNTESTED, ChiSquare, joined

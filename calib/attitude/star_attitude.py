@@ -18,9 +18,9 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate, match_stars, pixel_angle_rad
+from calib.attitude.attitude_solution import AttitudeSolution, solve_wahba
 from calib.attitude.identify import Identification, identify, with_residuals
-from calib.attitude.patterns import kept_database
-from calib.attitude.solve import AttitudeSolution, solve_wahba
+from calib.attitude.pattern_cache import kept_database
 from calib.cameras.base import CameraModel
 from calib.fitting.misfit import joined
 from calib.flags import StarFlag, has_flag

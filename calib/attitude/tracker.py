@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import pixel_angle_rad
-from calib.attitude.solve import AttitudeSolution, solve_wahba
+from calib.attitude.attitude_solution import AttitudeSolution, solve_wahba
 from calib.attitude.star_attitude import identify_stars
 from calib.cameras.base import CameraModel
 from calib.flags import StarFlag
@@ -34,9 +34,10 @@ from calib.measure.image import image_from_frame, subtract_dark
 from calib.measure.stamps import ring_background, stamps_from_windows
 from calib.records import NoiseModel, Stamps, StarTable
 from optics.arrays import FloatArray
-from optics.attitude import aberrated, quat_xyzw
+from optics.attitude import quat_xyzw
 from optics.errors import DomainError
 from optics.records import freeze, freeze_all
+from optics.stellar_aberration import aberrated
 from optics.units import RAD_ARCSEC
 from render.records import EffectivePsf, Frame, WindowStack
 

@@ -8,7 +8,8 @@ Steps are rotation vectors, w_R of R_1 and w_A of A; frame k turns by (`calib.ca
 
     w_k = M_k w_R + (I - M_k) w_A.
 
-No angle is singular inside. The results are the document's angles phi of R_1 and theta of A (`calib.attitude.link`),
+No angle is singular inside. The results are the document's angles phi of R_1 and theta of A
+(`calib.attitude.gyro_link`),
 with the covariance carried over. If the body turns about a single axis, the turn of A about that axis does not show in
 any star, and A is "singular"; the camera is not.
 
@@ -25,7 +26,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import angle_per_increment, angles_of_rotation, exponential
+from calib.attitude.gyro_link import angle_per_increment, angles_of_rotation, exponential
 from calib.attitude.wahba import rotations_of_groups
 from calib.calibration.attitude_family import RotationFamily
 from calib.calibration.free_attitudes import frame_parity

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.solve import solve_wahba
+from calib.attitude.attitude_solution import solve_wahba
 from calib.attitude.triad import angle_between_rad, triad
 from calib.calibration.table_axes import TableAxes
 from calib.fitting.misfit import UNTESTED, ChiSquare

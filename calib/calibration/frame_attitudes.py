@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.solve import solve_wahba
+from calib.attitude.attitude_solution import solve_wahba
 from calib.calibration.observations import Observations
 from calib.cameras.base import CameraModel
 from optics.arrays import BoolArray, FloatArray

@@ -2,7 +2,8 @@
 
     minimise  sum over frames k, stars j of |W_kj (project(camera, R_k r_j) - measured_kj)|^2
 
-over the camera and one rotation R_k per frame, eliminated frame by frame (`calib.fitting.arrow`). Nothing is assumed
+over the camera and one rotation R_k per frame, eliminated frame by frame (`calib.fitting.block_arrow`). Nothing is
+assumed
 about how the camera moves. A frame of n stars gives 2 n - 3 measurements of the camera; a frame with a single star
 gives none and is left out (its attitude in the result is one of the many that fit).
 """
@@ -15,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import exponential
+from calib.attitude.gyro_link import exponential
 from calib.attitude.wahba import rotations_of_groups
 from calib.calibration.attitude_family import RotationFamily, frames_with_stars
 from calib.calibration.observations import Observations

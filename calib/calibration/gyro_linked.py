@@ -24,7 +24,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import exponential, right_jacobian
+from calib.attitude.gyro_link import exponential, right_jacobian
 from calib.calibration.attitude_correlated import AttitudeCorrelated, LinkState
 from calib.calibration.attitude_family import RotationFamily
 from calib.calibration.observations import Observations

@@ -1,4 +1,5 @@
-"""Angles between the stars of a frame, as least-squares problems; the mathematics of `calib.calibration.no_attitude`.
+"""Angles between the stars of a frame, as least-squares problems; the mathematics of
+`calib.calibration.interstar_angles`.
 
 Frames are padded to the longest one, a missing star being the zero vector: every product with it vanishes, so that no
 mask is needed. With u_i the direction of the measured star i by the present camera and r_i its catalogue direction, the
@@ -35,7 +36,7 @@ import numpy as np
 from calib.calibration.observations import Observations
 from calib.calibration.stages import free_names
 from calib.cameras.base import CameraModel, unproject_jacobian
-from calib.fitting.arrow import ArrowSystem, Step
+from calib.fitting.block_arrow import ArrowSystem, Step
 from calib.fitting.least_squares import covariance_of
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.errors import DomainError

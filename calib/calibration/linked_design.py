@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import skew
+from calib.attitude.gyro_link import skew
 from calib.cameras.base import CameraModel
 from optics.arrays import FloatArray, IntArray
 from optics.records import freeze, freeze_all

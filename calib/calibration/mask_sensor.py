@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import increment_per_angle, rotation_of_angles
+from calib.attitude.gyro_link import increment_per_angle, rotation_of_angles
 from calib.calibration.calibrate import calibrate
 from calib.calibration.observations import Observations
 from calib.calibration.table_axes import TableAxes

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import angles_of_rotation, increment_per_angle
+from calib.attitude.gyro_link import angles_of_rotation, increment_per_angle
 from calib.attitude.star_vectors import initial_frame_vectors
 from calib.calibration.table_axes import TableAxes
 from calib.cameras.base import CameraModel, unproject_jacobian

@@ -23,7 +23,7 @@ import numpy as np
 from calib.calibration.observations import Observations
 from calib.calibration.stages import free_names
 from calib.cameras.base import CameraModel
-from calib.fitting.arrow import ArrowSystem, Step
+from calib.fitting.block_arrow import ArrowSystem, Step
 from optics.arrays import BoolArray, FloatArray, IntArray
 
 

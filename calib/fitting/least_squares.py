@@ -1,6 +1,7 @@
 """The least-squares core of all calibrations: Levenberg-Marquardt on block-arrow normal equations, with robust losses.
 
-A problem hands in whitened residuals (unit variance) and its normal equations (`calib.fitting.arrow`); unknowns may
+A problem hands in whitened residuals (unit variance) and its normal equations (`calib.fitting.block_arrow`); unknowns
+may
 live on a curved space (rotations), so the solver only uses "this state moved by that step". It minimises
 
     cost = sum over groups of rho(|r|^2) + penalty,
@@ -26,7 +27,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.fitting.arrow import ArrowSystem, Reduced, Step, spectrum
+from calib.fitting.block_arrow import ArrowSystem, Reduced, Step, spectrum
 from calib.fitting.determined import Determined, covariance_of_spectrum, transformed_covariance
 from calib.fitting.misfit import joined
 from calib.fitting.robust_loss import Loss, get_loss

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.fitting.arrow import Step, spectrum
+from calib.fitting.block_arrow import Step, spectrum
 from calib.fitting.least_squares import Problem
 from optics.arrays import FloatArray
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.measure.centroid import Centroider
 from calib.measure.centroiders.centre_of_gravity import CentreOfGravity
-from calib.measure.scoring import LikelihoodFit
+from calib.measure.maximum_likelihood import LikelihoodFit
 from calib.records import NoiseModel, Stamps
 from optics.arrays import FloatArray
 
@@ -20,7 +20,8 @@ from optics.arrays import FloatArray
 def linear_response(centroider: Centroider, stamps: Stamps, noise: NoiseModel, light_e: FloatArray) -> FloatArray:
     """Derivative of a centroid by the signal of each pixel [px per e-] on noiseless windows.
 
-    Of a centre of gravity and of fits (`calib.measure.scoring.fit_response`) in closed form, of others by differences.
+    Of a centre of gravity and of fits (`calib.measure.maximum_likelihood.fit_response`) in closed form, of others by
+    differences.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from calib.photometry.zero_point import COLOUR_KNOTS, POGSON, REFERENCE_KNOT
 from optics.arrays import FloatArray
-from optics.light.photometry import photon_rate
+from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody
 
 REFERENCE_K = 5040.0

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.fitting.excess import excess_sigma
+from calib.fitting.excess_error import excess_sigma
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 

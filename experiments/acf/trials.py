@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import angles_of_rotation, link_attitudes
+from calib.attitude.gyro_link import angles_of_rotation, link_attitudes
 from calib.calibration.attitude_correlated import AttitudeCorrelated
 from calib.calibration.attitude_family import AttitudeFamily
 from calib.calibration.calibrate import calibrate
 from calib.calibration.drawn_stars import DrawnStars, draw_stars
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.gyro_linked import GyroLinked, GyroNoise
+from calib.calibration.interstar_angles import NoAttitude
 from calib.calibration.linked_design import GyroDrift, LinkedDesign, correlated_covariance, free_bound, linked_bound
-from calib.calibration.no_attitude import NoAttitude
 from calib.calibration.observations import Observations
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.line_of_sight import drawn_rms, expected_rms, line_of_sight_map, mean_square_matrix

@@ -29,7 +29,7 @@ from experiments.laboratory.bench.points import nominal_px, point_scene, read_po
 from experiments.laboratory.bench.ray_prediction import bundle_prediction
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.rays.thermal import paraxial_change_per_k
+from optics.rays.thermal_sensitivity import paraxial_change_per_k
 from render.engine.random import Streams
 
 METHOD = "cog"

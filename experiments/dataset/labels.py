@@ -15,7 +15,7 @@ from experiments.dataset.scene import PLANET_IDS, Scene
 from experiments.dataset.truth import DiskTruth
 from optics.frames import equatorial_deg
 from optics.units import ARCSEC_RAD
-from render.detector.clusters import ChargeCluster, charge_clusters
+from render.detector.cosmic_ray_clusters import ChargeCluster, charge_clusters
 from render.detector.maps import sensor_maps
 from render.observation import BodyDisk
 

@@ -22,7 +22,7 @@ from optics.units import ARCSEC_RAD, RAD_DEG
 from render.bodies.solar_system import BODIES
 from render.catalogue.motion import earth_observer
 from render.catalogue.record import StarCatalog
-from render.detector.radiation import aged
+from render.detector.displacement_damage import aged
 from render.fits.wcs import LensWcs, lens_wcs
 from render.motion.image_motion import image_motion
 from render.sensor_file.catalogue import load_catalogue
@@ -38,7 +38,8 @@ from render.sky.zodiacal import CLOSEST_DEG
 SEARCHED_FRAMES = 10_000
 JITTER_SIGMA = 5.0
 LONGEST_ANNEALED_S = 5e6
-"""A dose that comes over years has annealed all along: the end of the published curve (`render.detector.radiation`)."""
+"""A dose that comes over years has annealed all along: the end of the published curve
+(`render.detector.displacement_damage`)."""
 SUN_MARGIN_DEG = 0.5
 PLANET_IDS = {
     "mercury": -1000199,

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate
 from calib.attitude.identify import Identification, identify
-from calib.attitude.patterns import kept_database
+from calib.attitude.pattern_cache import kept_database
 from calib.attitude.star_attitude import FEWEST, MATCH_PX, balanced_attitude, identify_stars
 from calib.cameras.base import CameraModel
 from calib.measure.detection_score import rms_pull, robust_median

@@ -24,7 +24,7 @@ from experiments.harness.sections import Section, above, below, col
 from experiments.harness.summary import Measured, measured
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.lens.thermal import ThermalState
+from optics.lens.heated_lens import ThermalState
 from render.motion.trajectory import rate_of_trail, trail_of_rate
 
 HISTORY = 61

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.patterns import kept_database
+from calib.attitude.pattern_cache import kept_database
 from calib.attitude.tracker import StarTracker, TrackedAttitude
 from experiments.flight.prediction import Budget
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame
 from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
-from optics.lens.thermal import ThermalState
+from optics.lens.heated_lens import ThermalState
 from optics.records import freeze
 from optics.units import ARCSEC_RAD
 from render.bodies.solar_system import BODIES, solar_system

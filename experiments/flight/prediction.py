@@ -1,7 +1,8 @@
 """The error budget in flight without frames: errors of guide stars, and the resulting attitude error.
 
 A star's errors come from the camera report's prediction (noise, pixel patterns and pixel phase against its electrons)
-and from ray traces (colour, distortion left by the camera model, heated lens); `calib.attitude.predicted` turns them
+and from ray traces (colour, distortion left by the camera model, heated lens); `calib.attitude.attitude_covariance`
+turns them
 into errors of the attitude.
 """
 
@@ -18,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from calib.accuracy.attitude_terms import AttitudeErrors
 from calib.accuracy.star_errors import colour_distance
 from calib.attitude.association import pixel_angle_rad
-from calib.attitude.predicted import attitude_of_shifts, attitude_of_velocity, covariance_of_noise
+from calib.attitude.attitude_covariance import attitude_of_shifts, attitude_of_velocity, covariance_of_noise
 from calib.attitude.tracker import GuideCatalogue, expected_guides
 from calib.cameras.base import CameraModel
 from calib.cameras.field_map import FieldMap, fit_field_map, fit_similarity
@@ -31,8 +32,8 @@ from experiments.laboratory.sensor_prediction import CameraPrediction, detector_
 from experiments.laboratory.settings.prediction import PredictedSensorConfig, SlewConfig, aged_config
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.lens.heated_lens import COMPONENTS, ThermalState, heated_lens
 from optics.lens.system import LensSystem
-from optics.lens.thermal import COMPONENTS, ThermalState, heated_lens
 from optics.units import RAD_ARCSEC
 from render.motion.trajectory import trail_of_rate
 from render.records import EffectivePsf

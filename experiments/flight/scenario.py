@@ -17,13 +17,13 @@ from experiments.flight.settings import Config, OrbitConfig
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import DomainError, StarbenchError
-from optics.lens.thermal import COMPONENTS
+from optics.lens.heated_lens import COMPONENTS
 from optics.lens.thermal_history import ThermalHistory, first_order_response
 from optics.textfile import read_text
-from render.bodies.orbit_view import OrbitView, in_shadow, orbit_view
+from render.bodies.orbit_view import OrbitView, orbit_view
 from render.engine.random import Streams
 from render.motion.jitter import JitterSpectrum, jittered
-from render.motion.orbit import Orbit, kepler_orbit, sgp4_orbit
+from render.motion.orbit import Orbit, in_shadow, kepler_orbit, sgp4_orbit
 from render.motion.trajectory import ConstantRate, SampledAttitude, Trajectory, rate_of_trail
 
 SAMPLES = 721

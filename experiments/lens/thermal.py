@@ -5,9 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from optics.errors import ConfigError, DomainError
+from optics.lens.heated_lens import COMPONENTS, Housing
 from optics.lens.system import LensSystem
-from optics.lens.thermal import COMPONENTS, Housing
-from optics.rays.thermal import Athermal, ThermalSensitivity, athermal_spacer, spacers_of, thermal_sensitivity
+from optics.rays.thermal_sensitivity import (
+    Athermal,
+    ThermalSensitivity,
+    athermal_spacer,
+    spacers_of,
+    thermal_sensitivity,
+)
 from render.sensor_file.housing import expansion_per_k
 
 NAMES = dict(

@@ -25,7 +25,7 @@ from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, Polynomial
 from calib.cameras.base import CameraModel
 from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
-from calib.fitting.excess import excess_sigma
+from calib.fitting.excess_error import excess_sigma
 from experiments.skycal.match import Matched
 from experiments.skycal.measure import Recording
 from experiments.skycal.positions import STEPS, Chart, positions, trace_chart

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.gyro_attitude import integrate_rates
-from calib.attitude.link import rotation_of_angles
+from calib.attitude.gyro_link import rotation_of_angles
 from calib.cameras.base import SensorGeometry
 from experiments.skycal.settings import CameraConfig, Config, MotionConfig, SkyConfig
 from optics.arrays import FloatArray

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.attitude.blind import BlindIdentifier
+from calib.attitude.identify_unknown_scale import BlindIdentifier
 from calib.calibration.frame_attitudes import frame_attitude, predicted_residuals, split_half_error_arcsec
 from calib.calibration.observations import Observations
 from calib.detector.sky_transfer import SkyBlocks, averaging_ratio, neighbour_correlation, sky_blocks, tail_fraction

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.attitude.blind import BlindIdentifier
+from calib.attitude.identify_unknown_scale import BlindIdentifier
 from calib.calibration.frame_attitudes import camera_residuals
 from calib.detector.sky_transfer import BLOCK_PX
 from calib.measure.detection import detection_noise

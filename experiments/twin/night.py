@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate
-from calib.attitude.blind import BlindIdentifier
 from calib.attitude.identify import Identification
+from calib.attitude.identify_unknown_scale import BlindIdentifier
 from calib.cameras.base import CameraModel
 from calib.detector.sky_transfer import SkyNoise
 from calib.flags import StarFlag, has_flag

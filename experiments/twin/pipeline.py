@@ -10,7 +10,7 @@ import numpy as np
 from astropy.time import Time
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.blind import FIELDS_DEG, BlindIdentifier
+from calib.attitude.identify_unknown_scale import FIELDS_DEG, BlindIdentifier
 from calib.calibration.camera_order import OrderValidation, calibrate_order
 from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, SensorGeometry

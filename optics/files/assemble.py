@@ -17,7 +17,7 @@ from optics.files.first_order import FirstOrder, first_order
 from optics.files.glasses import Found, GlassFinder
 from optics.files.report import Comparison, ImportReport
 from optics.glass.catalogue import Glass, get_glass, list_glasses
-from optics.glass.media import CATALOGUE_AIR, Environment
+from optics.glass.index_along_path import CATALOGUE_AIR, Environment
 from optics.records import locked
 
 WIDEST_DEG = 89.0

@@ -17,7 +17,7 @@ from optics.arrays import FloatArray
 from optics.files.draft import Row
 from optics.forbes import bfs_from_q, bfs_sum
 from optics.glass.catalogue import Glass
-from optics.glass.media import CATALOGUE_AIR, Environment
+from optics.glass.index_along_path import CATALOGUE_AIR, Environment
 
 
 @dataclass(frozen=True, slots=True)

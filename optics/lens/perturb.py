@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
-from optics.glass.media import Environment
+from optics.glass.index_along_path import Environment
+from optics.lens.heated_lens import Housing, ThermalState, heated_lens
 from optics.lens.system import AMBIENT, LensSystem
-from optics.lens.thermal import Housing, ThermalState, heated_lens
 
 What = str | int | Sequence[int]
 
@@ -271,7 +271,7 @@ def change_temperature(
 ) -> LensSystem:
     """Lens at another uniform temperature; its dimensions hold at the present one.
 
-    `optics.lens.thermal.heated_lens` without gradients, its spacers measured from vertex to vertex.
+    `optics.lens.heated_lens.heated_lens` without gradients, its spacers measured from vertex to vertex.
 
     Parameters
     ----------

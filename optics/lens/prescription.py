@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, StarbenchError, unknown_name
 from optics.glass.catalogue import Glass, get_glass, glass_from_table
-from optics.glass.media import CATALOGUE_AIR, Environment
+from optics.glass.index_along_path import CATALOGUE_AIR, Environment
 from optics.lens.geometry import axial_ray
 from optics.lens.sag_map import SagMap, read_map
 from optics.lens.shapes.plane import Plane

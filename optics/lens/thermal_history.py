@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.lens.thermal import COMPONENTS
+from optics.lens.heated_lens import COMPONENTS
 from optics.records import freeze
 
 
@@ -19,7 +19,7 @@ class ThermalHistory:
     """Temperatures of lens and housing less those of its dimensions, at increasing times."""
 
     time_s: FloatArray  # (t,) Increasing
-    values_k: FloatArray  # (t, 5) In the order of `optics.lens.thermal.COMPONENTS`
+    values_k: FloatArray  # (t, 5) In the order of `optics.lens.heated_lens.COMPONENTS`
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}

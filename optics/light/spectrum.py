@@ -1,6 +1,6 @@
 """Spectral energy distributions: photons emitted per nanometre.
 
-Only the shape matters where a magnitude sets the scale (`optics.light.photometry`). Both types have the unit photons
+Only the shape matters where a magnitude sets the scale (`optics.light.magnitudes`). Both types have the unit photons
 s^-1 mm^-2 nm^-1, emitted by the surface of a blackbody or tabulated.
 """
 

@@ -15,7 +15,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.frames import perpendicular
 from optics.light.band import Band, BandNodes, band_nodes
-from optics.light.photometry import band_integral
+from optics.light.magnitudes import band_integral
 from optics.records import freeze
 from render.bodies.earth_air import rayleigh_thickness
 from render.bodies.pixel_maps import PixelMaps

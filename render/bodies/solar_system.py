@@ -23,10 +23,11 @@ from scipy import constants
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.light.band import Band, band_nodes
-from optics.light.photometry import band_photon_rate, photon_rate
+from optics.light.magnitudes import band_photon_rate, photon_rate
 from optics.records import freeze
-from render.bodies.brightness import planet_spectrum, planet_v
-from render.catalogue.motion import Observer, aberrated, earth_observer
+from optics.stellar_aberration import aberrated
+from render.bodies.planet_magnitudes import planet_spectrum, planet_v
+from render.catalogue.motion import Observer, earth_observer
 from render.records import StarField
 
 RADIUS_KM = {
@@ -55,7 +56,7 @@ class SolarSystem:
     to_observer_au: FloatArray
     to_earth_au: FloatArray
     radius_km: FloatArray  # (n,) Mean radius
-    magnitude_v: FloatArray  # (n,) V; NaN where no published equation holds (`render.bodies.brightness`)
+    magnitude_v: FloatArray  # (n,) V; NaN where no published equation holds (`render.bodies.planet_magnitudes`)
     epoch_year: float  # Julian year (TDB)
 
     def __post_init__(self) -> None:

@@ -20,9 +20,9 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError
 from optics.frames import polar_direction
 from optics.light.band import Band, band_nodes
-from optics.light.photometry import band_photon_rate
+from optics.light.magnitudes import band_photon_rate
 from optics.light.pst import PointSourceTransmittance, read_pst
-from render.bodies.brightness import planet_spectrum
+from render.bodies.planet_magnitudes import planet_spectrum
 from render.bodies.solar_system import RADIUS_KM, solar_system
 from render.catalogue.motion import Observer
 from render.detector.spec import Detector

@@ -19,12 +19,12 @@ from scipy import constants
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.frames import perpendicular
-from optics.light.photometry import photon_rate
+from optics.light.magnitudes import photon_rate
 from optics.records import freeze
-from render.bodies.brightness import ALBEDO, ALBEDO_NM, planet_spectrum, planet_v
 from render.bodies.earth_air import BOND_ALBEDO, Air, earth_air
 from render.bodies.lunar_irradiance import KNOWN_DEG, moon_reflectance
 from render.bodies.lunar_map import HIGHLAND, MARE, lunar_map, moon_rotation
+from render.bodies.planet_magnitudes import ALBEDO, ALBEDO_NM, planet_spectrum, planet_v
 from render.bodies.solar_system import SolarSystem
 from render.bodies.sphere_image import Light
 from render.plugins.lunar_surface import lommel_seeliger_phase

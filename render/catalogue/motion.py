@@ -24,9 +24,9 @@ from numpy.typing import ArrayLike
 from scipy import constants
 
 from optics.arrays import FloatArray
-from optics.attitude import aberrated
 from optics.errors import DomainError
 from optics.records import freeze
+from optics.stellar_aberration import aberrated
 from render.catalogue.record import StarCatalog
 
 _AU_PER_YEAR_KM_PER_S = constants.au / (365.25 * 86400.0) / 1e3

@@ -66,7 +66,7 @@ class StarCatalog:
     epoch_year : float
         Julian year (TCB or TDB) of directions and proper motions.
     magnitude_system : {"V", "G"}
-        What ``magnitude`` is measured in (`optics.light.photometry.magnitude_system`).
+        What ``magnitude`` is measured in (`optics.light.magnitudes.magnitude_system`).
     id : (n,) int64
         Number in the catalogue that ``source`` names.
     direction : (n, 3)

@@ -5,7 +5,7 @@ omnidirectional one (4 pi times the intensity: particles through a sphere of uni
 to the normal is uniform, and their mean path is twice the depth. A track longer than the diagonal of the detector is
 shortened to it. The middle of every track lies on the detector; what sticks out is lost.
 
-Along each track `render.detector.ionisation` draws collisions at uniform places; each frees energy / 3.65 eV
+Along each track `render.detector.ionisation_loss` draws collisions at uniform places; each frees energy / 3.65 eV
 electrons, which spread by the detector's charge diffusion and are collected by its pixels. Electrons that diffuse up
 from deeper silicon, nuclear reactions, secondaries from the spacecraft and the Fano noise of a collision are left out.
 """
@@ -23,7 +23,7 @@ from scipy.special import ndtr
 from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
 from optics.records import freeze, locked
-from render.detector.ionisation import PAIR_ENERGY_EV, draw_collisions, knock_on_limit_ev
+from render.detector.ionisation_loss import PAIR_ENERGY_EV, draw_collisions, knock_on_limit_ev
 from render.detector.spec import Detector
 from render.engine.random import Streams
 

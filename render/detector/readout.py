@@ -32,8 +32,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from optics.errors import ConfigError, DomainError, unknown_name
+from render.detector.cosmic_ray_charge import frame_deposit, window_deposit
 from render.detector.cosmic_rays import CosmicRayHits
-from render.detector.deposits import frame_deposit, window_deposit
 from render.detector.diffusion import diffuse
 from render.detector.maps import full_maps, full_neighbours, neighbour_bits, window_maps
 from render.detector.spec import Detector

@@ -23,6 +23,7 @@ from optics.response import Response
 from optics.textfile import read_text, two_columns
 from optics.units import UM_MM
 from optics.validate import MOST_MISSING, parse_model, read_toml
+from render.detector.dark_current import dark_current_ratio, tabulated_dark_current
 
 _DATA = Path(__file__).parents[1] / "data" / "detectors"
 _HIGHEST = 1e7
@@ -66,7 +67,6 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "damage_dark_e_per_s": (0, _HIGHEST, "e-/s"),
     "damage_known_e_per_s": (0, _HIGHEST, "e-/s"),
 }
-ZERO_C_K = 273.15
 OFFSET_SIGMA = 10.0
 """Offset where a file gives none, in the read noise: no pixel is cut off at zero."""
 UNSAID = frozenset({"base", "assumed", "chips", "gap_px", "sensor_seed", "dark_current"})
@@ -134,7 +134,8 @@ class Detector:
     transfer_line_us : float
         Time per row of a frame transfer under light [us]; 0: a shutter, or a detector that does not shift its image.
     damage_centres_per_px, damage_dark_e_per_s : float
-        Radiation damage (`render.detector.radiation.aged`): mean number of centres per pixel, mean of the exponentially
+        Radiation damage (`render.detector.displacement_damage.aged`): mean number of centres per pixel, mean of the
+        exponentially
         distributed dark current of each at the reference [e-/s].
     damage_known_e_per_s : float
         Dark current by centres above which a pixel is in the map of defects [e-/s].
@@ -300,16 +301,9 @@ class Detector:
                     f"temperature_c = {temperature_c:g} C; the dark current of detector {self.name!r} is tabulated "
                     f"from {low:g} to {high:g} C"
                 )
-            return _tabulated(self.dark_curve_c, self.dark_curve_e_per_s, temperature_c) / self.dark_current_e_per_s
-        if not -200.0 <= temperature_c <= 150.0:
-            raise DomainError(f"temperature_c = {temperature_c:g} C; it must be -200 to 150 C")
-        return float(2.0 ** ((temperature_c - self.dark_reference_c) / self.dark_doubling_c))
-
-
-def _tabulated(curve_c: tuple[float, ...], current: tuple[float, ...], temperature_c: float) -> float:
-    """Dark current [e-/s] of a table; ln I is linear in 1/T, as for a single activation energy."""
-    inverse = -1.0 / (np.asarray(curve_c) + ZERO_C_K)
-    return float(np.exp(np.interp(-1.0 / (temperature_c + ZERO_C_K), inverse, np.log(current))))
+            current = tabulated_dark_current(self.dark_curve_c, self.dark_curve_e_per_s, temperature_c)
+            return current / self.dark_current_e_per_s
+        return dark_current_ratio(temperature_c, reference_c=self.dark_reference_c, doubling_c=self.dark_doubling_c)
 
 
 def _fold(nonlinearity: tuple[float, ...]) -> float | None:
@@ -565,7 +559,7 @@ def _with_curves(mapping: dict[str, Any], path: Path) -> dict[str, Any]:
     low, high = table.temperature_c[0], table.temperature_c[-1]
     if not isinstance(reference, int | float) or not low <= reference <= high:
         raise ConfigError(f"{path}: dark_reference_c = {reference!r} C is outside the table's {low:g} to {high:g} C")
-    at = _tabulated(tuple(table.temperature_c), tuple(table.e_per_s), reference)
+    at = tabulated_dark_current(tuple(table.temperature_c), tuple(table.e_per_s), reference)
     return {**mapping, "dark_reference_c": reference, "dark_current_e_per_s": at}
 
 

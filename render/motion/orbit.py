@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
@@ -139,3 +139,19 @@ def sgp4_orbit(first: str, second: str) -> Orbit:
 
     period_s = 120.0 * math.pi / satellite.no_kozai
     return Orbit(state=state, period_s=period_s, epoch_year=2000.0 + (sum(days) - 2451545.0) / 365.25)
+
+
+def in_shadow(position_km: ArrayLike, sun: ArrayLike, radius_km: float = EARTH_RADIUS_KM) -> NDArray[np.bool_]:
+    """Whether (...,) positions (..., 3) about a body lie in its cylinder of shadow; ``sun``: unit vector (3,)."""
+    position, towards = np.asarray(position_km, float), np.asarray(sun, float)
+    along = position @ towards
+    across = np.linalg.norm(position - along[..., None] * towards, axis=-1)
+    return np.asarray((along < 0.0) & (across < radius_km))
+
+
+def limb_angle_deg(direction: ArrayLike, position_km: ArrayLike, radius_km: float = EARTH_RADIUS_KM) -> FloatArray:
+    """Angle (...,) from directions (..., 3) to the limb of a body at the origin; negative within its disk."""
+    position = np.asarray(position_km, float)
+    distance = np.linalg.norm(position, axis=-1)
+    angle = np.arccos(np.clip(-(np.asarray(direction) * position).sum(-1) / distance, -1.0, 1.0))
+    return np.asarray(np.degrees(angle - np.arcsin(np.minimum(radius_km / distance, 1.0))))

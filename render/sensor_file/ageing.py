@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from render.detector.radiation import aged
+from render.detector.displacement_damage import aged
 from render.detector.spec import Detector
 from render.sensor_file.file import LifeConfig
 
@@ -20,7 +20,7 @@ def aged_detector(detector: Detector, life: LifeConfig, fraction: float, *, temp
     Raises
     ------
     DomainError
-        As `render.detector.radiation.aged`.
+        As `render.detector.displacement_damage.aged`.
     """
     dark_e_per_s = detector.dark_current_e_per_s + fraction * life.ionising_dark_e_per_s
     detector = replace(detector, dark_current_e_per_s=dark_e_per_s)

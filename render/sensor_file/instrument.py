@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from optics.errors import DomainError
-from optics.glass.media import Environment
+from optics.glass.index_along_path import Environment
+from optics.lens.heated_lens import Housing, Mount, ThermalState, heated_lens
 from optics.lens.sag_map import read_map
 from optics.lens.system import LensSystem
-from optics.lens.thermal import Housing, Mount, ThermalState, heated_lens
 from optics.lens.without_glass import ideal_lens
 from optics.lens_file import load_lens
 from optics.light.band_file import load_band

@@ -28,7 +28,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, ConvergenceError, DomainError
 from optics.frames import field_angles_deg
 from optics.light.band import Band, band_nodes
-from optics.light.photometry import band_integral, photon_rate
+from optics.light.magnitudes import band_integral, photon_rate
 from optics.light.spectrum import Sed
 from optics.rays.spots import spot_moments
 from optics.records import freeze

@@ -17,10 +17,10 @@ from scipy import constants
 from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
-from optics.attitude import aberrated
 from optics.errors import ConfigError, DomainError
 from optics.rays.paraxial import axial_paraxial
 from optics.records import freeze
+from optics.stellar_aberration import aberrated
 from render.camera import Camera
 from render.catalogue.index import SkyIndex
 from render.catalogue.motion import Observer, directions_at

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.band import Band, band_nodes
-from optics.light.photometry import photon_rate
+from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody, Sed
 from optics.records import freeze
 from render.records import StarField
@@ -89,7 +89,7 @@ def star_light(
     Raises
     ------
     ConfigError, DomainError
-        As `optics.light.band.band_nodes` and `optics.light.photometry.photon_rate`.
+        As `optics.light.band.band_nodes` and `optics.light.magnitudes.photon_rate`.
     """
     from scipy.interpolate import CubicSpline
 

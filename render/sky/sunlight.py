@@ -1,7 +1,7 @@
 """The Sun as a source of light: its spectrum outside the atmosphere, at any distance.
 
 ASTM G173-03, extraterrestrial column, in steps of 5 nm (`docs/make_solar_spectrum.py`). Through the passbands of
-`optics.light.photometry` it has V = -26.76, as C. N. A. Willmer, ApJS 236, 47 (2018), table 3 gives it.
+`optics.light.magnitudes` it has V = -26.76, as C. N. A. Willmer, ApJS 236, 47 (2018), table 3 gives it.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.constants import c, h, k
 
-from optics.light.photometry import band_photon_rate
+from optics.light.magnitudes import band_photon_rate
 from optics.light.spectrum import Blackbody
 from optics.rays.spots import trace_spots
 from render.field_response import COLD_K, HOT_K, field_response

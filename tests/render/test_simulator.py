@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError, DomainError
-from optics.lens.thermal import Housing, ThermalState, heated_lens
-from optics.light.photometry import photon_rate
+from optics.lens.heated_lens import Housing, ThermalState, heated_lens
+from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody
 from optics.page import Marks
 from optics.rays.spots import collecting_area_mm2

@@ -10,8 +10,8 @@ import numpy as np
 
 from calib.flags import StarFlag
 from calib.measure.gaussian import LN_SIGMA_X, LN_SIGMA_Y, WIDTH_PRIOR_LN, WIDTH_PRIOR_PX, GaussianModel
+from calib.measure.maximum_likelihood import LikelihoodFit, PixelFit
 from calib.measure.options import option
-from calib.measure.scoring import LikelihoodFit, PixelFit
 from calib.records import Stamps
 from optics.arrays import FloatArray
 
@@ -26,7 +26,8 @@ deviations, so half of one here (`tests/calib/measure/test_sharp_stars.py`). Gau
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GaussianCentroider(LikelihoodFit):
-    """Maximum likelihood of x, y, flux and widths of a pixel-integrated Gaussian, see `calib.measure.scoring`.
+    """Maximum likelihood of x, y, flux and widths of a pixel-integrated Gaussian, see
+    `calib.measure.maximum_likelihood`.
 
     Attributes
     ----------
@@ -35,7 +36,7 @@ class GaussianCentroider(LikelihoodFit):
     sigma_start_px : float
         First guess of the widths.
     fit_background, max_shift_px, tolerance, max_iterations
-        As in `calib.measure.scoring.LikelihoodFit`.
+        As in `calib.measure.maximum_likelihood.LikelihoodFit`.
     """
 
     name: ClassVar[str] = "gaussian"

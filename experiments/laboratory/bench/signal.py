@@ -9,7 +9,7 @@ import numpy as np
 from experiments.laboratory.settings.tables import SignalConfig
 from optics.errors import DomainError
 from optics.light.band import Band, band_nodes
-from optics.light.photometry import photon_rate
+from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody
 from optics.rays.spots import collecting_area_mm2
 from render.sensor_file.instrument import Instrument

@@ -25,7 +25,7 @@ from experiments.laboratory.settings.collimator import CollimatorConfig, Filtere
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.glass.catalogue import get_glass
-from optics.glass.media import Environment
+from optics.glass.index_along_path import Environment
 from optics.light.collimation import Collimation, air_deviation_rad, wedge_deviation_rad
 from optics.rays.pupil import gauss_disk
 from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM

@@ -11,8 +11,9 @@ from calib.attitude.tracker import StarTracker, guide_catalogue, sky_coverage, u
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.measure.find import find_stars
 from calib.measure.gaussian import draw_gaussian
-from optics.attitude import aberrated, attitude_error_arcsec, attitude_from_angles
+from optics.attitude import attitude_error_arcsec, attitude_from_angles
 from optics.errors import DomainError
+from optics.stellar_aberration import aberrated
 from render.records import Frame
 
 SIDE, READ_E, GAIN, OFFSET = 256, 5.0, 1.0, 100

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import angles_of_rotation, link_attitudes, rotation_of_angles
+from calib.attitude.gyro_link import angles_of_rotation, link_attitudes, rotation_of_angles
 from calib.calibration.attitude_correlated import ANGLE_NAMES, AttitudeCorrelated
 from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes

@@ -9,7 +9,7 @@ from calib.calibration.attitude_correlated import AttitudeCorrelated
 from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.gyro_linked import GyroLinked, GyroNoise
-from calib.calibration.no_attitude import NoAttitude
+from calib.calibration.interstar_angles import NoAttitude
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.polynomial import Polynomial

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.calibration.attitude_correlated import AttitudeCorrelated
-from calib.calibration.bound import bound
 from calib.calibration.calibrate import calibrate
+from calib.calibration.cramer_rao_bound import bound
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.gyro_linked import GyroLinked, GyroNoise
 from optics.errors import DomainError

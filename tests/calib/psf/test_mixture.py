@@ -10,7 +10,7 @@ from calib.photometry.response import WAVELENGTHS_NM
 from calib.psf.by_wavelength import CLASS_K, PSF_WAVES_NM, mixture_table
 from calib.psf.mixture import MixturePsf, StarWindows, colour_class, fit_psf, psf_fluxes
 from optics.errors import DomainError
-from optics.light.photometry import photon_rate
+from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody
 
 SIZE_PX, MIDDLE, ONE = (1024, 768), np.array([[511.5, 383.5]]), np.array([1])

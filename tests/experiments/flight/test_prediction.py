@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.predicted import attitude_of_shifts
-from calib.attitude.solve import solve_wahba
+from calib.attitude.attitude_covariance import attitude_of_shifts
+from calib.attitude.attitude_solution import solve_wahba
 from calib.cameras.field_map import fit_field_map
 from experiments.flight.loop import by_budget
 from experiments.flight.prediction import Budget, build_budget
 from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config
-from optics.attitude import aberrated, attitude_error_arcsec
+from optics.attitude import attitude_error_arcsec
+from optics.stellar_aberration import aberrated
 from optics.units import RAD_ARCSEC
 
 TIME_S, REST, WINDOW = 900.0, np.zeros(3), 11

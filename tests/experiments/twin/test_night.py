@@ -12,7 +12,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.blind import BlindIdentifier
+from calib.attitude.identify_unknown_scale import BlindIdentifier
 from calib.measure.image import sensor_image
 from calib.photometry.atmosphere import airmass, refracted, zenith_directions
 from experiments.harness.progress import Progress

@@ -8,10 +8,10 @@ from astropy.time import Time
 
 from optics.lens_file import load_lens
 from optics.light.band import TopHat
-from optics.light.photometry import photon_rate
+from optics.light.magnitudes import photon_rate
 from render.bodies.body_image import BodyRenderer
-from render.bodies.brightness import planet_spectrum
 from render.bodies.lunar_map import HIGHLAND, MARE, lunar_map, moon_rotation
+from render.bodies.planet_magnitudes import planet_spectrum
 from render.bodies.solar_system import solar_system
 from render.bodies.sunlit_body import planet_body, sphere_photons
 from render.camera import Camera

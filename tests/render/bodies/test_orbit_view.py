@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from render.bodies.orbit_view import in_shadow, limb_angle_deg, orbit_view
-from render.motion.orbit import EARTH_RADIUS_KM, kepler_orbit
+from render.bodies.orbit_view import orbit_view
+from render.motion.orbit import EARTH_RADIUS_KM, in_shadow, kepler_orbit, limb_angle_deg
 
 
 def test_sun_and_moon_are_where_astropy_has_them():

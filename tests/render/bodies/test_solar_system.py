@@ -9,8 +9,8 @@ from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from optics.light.band import TopHat
-from optics.light.photometry import photon_rate
-from render.bodies.brightness import planet_spectrum
+from optics.light.magnitudes import photon_rate
+from render.bodies.planet_magnitudes import planet_spectrum
 from render.bodies.solar_system import BODIES, joined, planet_field, solar_system
 from render.catalogue.motion import earth_observer
 

@@ -11,7 +11,8 @@ from astropy.time import Time
 from refusals import refuses
 
 from optics.errors import DomainError
-from render.catalogue.motion import Observer, aberrated, deflected, directions_at, earth_observer, propagate
+from optics.stellar_aberration import aberrated
+from render.catalogue.motion import Observer, deflected, directions_at, earth_observer, propagate
 from render.catalogue.record import MAS_RAD, StarCatalog, direction_from_angles
 
 LIGHT_KM_PER_S = 299792.458

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optics.light.photometry import synthetic_magnitude
+from optics.light.magnitudes import synthetic_magnitude
 from optics.light.spectrum import Blackbody
 from render.catalogue.temperature import colour_temperature, effective_temperature
 
@@ -54,7 +54,7 @@ def test_no_extrapolation():
 @pytest.mark.parametrize("colour", [0.0, 0.3, 0.6, 0.8, 1.0, 1.3, 1.6, 2.0])
 def test_blackbody_of_the_colour_has_the_stars_other_colour_too(colour):
     # The relation knows nothing of V. G - V of stars against BP-RP: M. Riello et al., A&A 649, A3 (2021), table C.2,
-    # sigma 0.03 mag; of black bodies: the passbands of optics.light.photometry.
+    # sigma 0.03 mag; of black bodies: the passbands of optics.light.magnitudes.
     body = Blackbody(temperature_k=float(colour_temperature(colour)))
     found = synthetic_magnitude(body, system="G") - synthetic_magnitude(body, system="V")
     stars = -0.02704 + 0.01424 * colour - 0.2156 * colour**2 + 0.01426 * colour**3

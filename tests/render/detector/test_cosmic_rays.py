@@ -9,7 +9,7 @@ from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from render.detector.cosmic_rays import CosmicRayHits, cosmic_ray_environment, cosmic_ray_hits, list_environments
-from render.detector.ionisation import PAIR_ENERGY_EV, knock_on_limit_ev, restricted_loss_ev_per_um
+from render.detector.ionisation_loss import PAIR_ENERGY_EV, knock_on_limit_ev, restricted_loss_ev_per_um
 from render.detector.readout import expose, expose_windows
 from render.detector.spec import Detector, load_detector
 from render.engine.random import Streams

@@ -60,7 +60,7 @@ def test_centre_and_uniform_sky_in_closed_form():
     sky = UniformSky(magnitude_per_arcsec2=20.0, spectrum=Blackbody(temperature_k=5800.0))
     got = sky_background(made, Rotation.identity(), zodiacal=False, uniform=sky)[8, 8, 0]
     arcsec2 = (np.degrees(camera.pixel_pitch_mm / 206.2) * 3600) ** 2
-    from optics.light.photometry import photon_rate
+    from optics.light.magnitudes import photon_rate
 
     star = photon_rate(Blackbody(temperature_k=5800.0), 20.0 - 2.5 * np.log10(arcsec2), wavelength_nm=[600.0])[0]
     assert got == pytest.approx(star * 1.0 * np.pi * 35.0**2, rel=3e-3)

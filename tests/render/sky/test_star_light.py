@@ -6,7 +6,7 @@ from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from optics.light.band import TabulatedBand, TopHat, band_nodes
-from optics.light.photometry import band_photon_rate, photon_rate
+from optics.light.magnitudes import band_photon_rate, photon_rate
 from optics.light.spectrum import Blackbody, TabulatedSed
 from render.sky.star_light import star_light
 

@@ -5,7 +5,7 @@ import pytest
 from refusals import refuses
 
 from optics.errors import DomainError
-from optics.light.photometry import synthetic_magnitude
+from optics.light.magnitudes import synthetic_magnitude
 from render.sky.sunlight import sun_spectrum, sunlight
 
 

@@ -9,7 +9,7 @@ from astropy.coordinates import ICRS, BarycentricMeanEcliptic, SkyCoord
 from refusals import refuses
 
 from optics.errors import DomainError
-from optics.light.photometry import synthetic_magnitude
+from optics.light.magnitudes import synthetic_magnitude
 from optics.light.spectrum import PHOTON_J_NM, TabulatedSed
 from render.sky.zodiacal import CLOSEST_DEG, ecliptic_from_icrs, zodiacal_radiance
 

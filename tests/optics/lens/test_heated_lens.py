@@ -10,7 +10,7 @@ from optics import VACUUM, Glass, Plane, Rays, Sphere, decentre, get_glass, load
 from optics.errors import ConfigError, DomainError
 from optics.glass.dispersion import Dispersion, ThermalDispersion
 from optics.lens.system import HALF_TURN, LensSystem, Surface
-from optics.lens.thermal import COMPONENTS, Housing, Mount, ThermalState, heated_lens, with_spacers
+from optics.lens.heated_lens import COMPONENTS, Housing, Mount, ThermalState, heated_lens, with_spacers
 from optics.rays.chief import chief_ray_points, plate_scale_mm
 
 LENS = load_lens("star_camera_206mm")

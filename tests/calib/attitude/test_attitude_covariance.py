@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.predicted import (
+from calib.attitude.attitude_covariance import (
     attitude_covariance,
     attitude_of_shifts,
     attitude_of_velocity,
     covariance_of_noise,
 )
-from calib.attitude.solve import solve_wahba, solve_wahba_many
-from optics.attitude import aberrated, attitude_error_arcsec
+from calib.attitude.attitude_solution import solve_wahba, solve_wahba_many
+from optics.attitude import attitude_error_arcsec
+from optics.stellar_aberration import aberrated
 from optics.units import RAD_ARCSEC
 
 

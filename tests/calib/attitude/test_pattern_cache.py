@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
-from calib.attitude import patterns
-from calib.attitude.patterns import cache_folder, kept_database
+from calib.attitude import pattern_cache as patterns
+from calib.attitude.pattern_cache import cache_folder, kept_database
 
 pytestmark = pytest.mark.reference
 

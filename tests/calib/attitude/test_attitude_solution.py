@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from calib.attitude.solve import solve_wahba, solve_wahba_many
+from calib.attitude.attitude_solution import solve_wahba, solve_wahba_many
 from optics.attitude import attitude_error_arcsec
 from optics.errors import ConfigError, DomainError
 from optics.units import RAD_ARCSEC

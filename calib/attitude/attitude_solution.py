@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincc
 
-from calib.attitude.exchange import best_exchange
+from calib.attitude.exchanged_identities import best_exchange
 from calib.attitude.wahba import adjugate3, rotation_quest, rotation_svd
 from calib.fitting.misfit import ChiSquare, joined
 from optics.arrays import FloatArray

@@ -7,9 +7,9 @@ import pytest
 from refusals import refuses
 
 from optics.errors import ConfigError
-from render.bodies.brightness import ALBEDO, planet_spectrum, planet_v
 from render.bodies.lunar_irradiance import moon_reflectance
 from render.bodies.lunar_map import moon_rotation
+from render.bodies.planet_magnitudes import ALBEDO, planet_spectrum, planet_v
 
 # distances from Sun and observer [au], phase [deg], V: the test data that A. Mallama and J. L. Hilton give with their
 # paper (Ap_Mag_Input_V3.txt)

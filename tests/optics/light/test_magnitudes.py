@@ -8,7 +8,7 @@ from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from optics.light.band import TopHat
-from optics.light.photometry import band_integral, band_photon_rate, magnitude_system, photon_rate, synthetic_magnitude
+from optics.light.magnitudes import band_integral, band_photon_rate, magnitude_system, photon_rate, synthetic_magnitude
 from optics.light.spectrum import PHOTON_J_NM, Blackbody, TabulatedSed
 
 VEGA_LIKE = Blackbody(temperature_k=9600.0)

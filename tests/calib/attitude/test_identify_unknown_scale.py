@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.attitude import blind
-from calib.attitude.blind import BlindIdentifier
+from calib.attitude import identify_unknown_scale as blind
 from calib.attitude.identify import failed
+from calib.attitude.identify_unknown_scale import BlindIdentifier
 
 PIXEL, FLUX = np.random.default_rng(1).uniform(0, 500, (100, 2)), np.arange(100.0)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.fitting.arrow import ArrowSystem, spectrum
+from calib.fitting.block_arrow import ArrowSystem, spectrum
 
 
 def dense_of(system):

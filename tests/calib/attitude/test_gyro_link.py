@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.link import (
+from calib.attitude.gyro_link import (
     angle_per_increment,
     angles_of_rotation,
     exponential,

@@ -6,9 +6,9 @@ from refusals import refuses
 
 from optics import best_focus_shift_mm, change_temperature, field_direction, load_lens, plate_scale_mm, trace_spots
 from optics.errors import ConvergenceError, DomainError
-from optics.lens.thermal import COMPONENTS, Housing, ThermalState, heated_lens
+from optics.lens.heated_lens import COMPONENTS, Housing, ThermalState, heated_lens
 from optics.rays.paraxial import stopped_down
-from optics.rays.thermal import athermal_spacer, focus_um_per_k, spacers_of, thermal_sensitivity
+from optics.rays.thermal_sensitivity import athermal_spacer, focus_um_per_k, spacers_of, thermal_sensitivity
 
 LENS = load_lens("star_camera_206mm")
 HOUSING = Housing(expansion_per_k=23.6e-6, diameter_mm=100.0)

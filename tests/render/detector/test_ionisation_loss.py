@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from render.detector.ionisation import draw_collisions, knock_on_limit_ev, restricted_loss_ev_per_um
+from render.detector.ionisation_loss import draw_collisions, knock_on_limit_ev, restricted_loss_ev_per_um
 
 DENSITY = 2.329
 

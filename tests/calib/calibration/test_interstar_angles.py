@@ -7,7 +7,7 @@ import pytest
 
 from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes
-from calib.calibration.no_attitude import NoAttitude
+from calib.calibration.interstar_angles import NoAttitude
 from calib.cameras import PerBand
 from calib.cameras.line_of_sight import line_of_sight_map
 from optics.errors import ConfigError, DomainError

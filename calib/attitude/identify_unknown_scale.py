@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calib.attitude.identify import Identification, failed, identify
-from calib.attitude.patterns import kept_database
+from calib.attitude.pattern_cache import kept_database
 from calib.cameras import BrownConrady, SensorGeometry
 from optics.arrays import FloatArray
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.fitting.excess import excess_sigma
+from calib.fitting.excess_error import excess_sigma
 
 
 def test_excess_is_the_scatter_that_was_not_stated():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from render.detector.clusters import charge_clusters
+from render.detector.cosmic_ray_clusters import charge_clusters
 from render.detector.cosmic_rays import cosmic_ray_hits
 from render.detector.spec import load_detector
 from render.engine.random import Streams

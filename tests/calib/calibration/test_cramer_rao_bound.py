@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.calibration.attitude_correlated import AttitudeCorrelated
-from calib.calibration.bound import bound
 from calib.calibration.calibrate import calibrate
+from calib.calibration.cramer_rao_bound import bound
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.gyro_linked import GyroLinked, GyroNoise
-from calib.calibration.no_attitude import NoAttitude
+from calib.calibration.interstar_angles import NoAttitude
 from calib.calibration.observations import Observations
 from calib.calibration.turntable import TurntableAttitudes
 from optics.errors import DomainError
