@@ -9,8 +9,8 @@ from refusals import refuses
 from optics import VACUUM, Glass, Plane, Rays, Sphere, decentre, get_glass, load_lens, paraxial, tilt, trace
 from optics.errors import ConfigError, DomainError
 from optics.glass.dispersion import Dispersion, ThermalDispersion
-from optics.lens.system import HALF_TURN, LensSystem, Surface
 from optics.lens.heated_lens import COMPONENTS, Housing, Mount, ThermalState, heated_lens, with_spacers
+from optics.lens.system import HALF_TURN, LensSystem, Surface
 from optics.rays.chief import chief_ray_points, plate_scale_mm
 
 LENS = load_lens("star_camera_206mm")

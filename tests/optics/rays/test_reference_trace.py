@@ -5,9 +5,9 @@ import pytest
 
 from optics import Conic, EvenAsphere, Plane, Sphere, field_direction, load_lens, paraxial, trace
 from optics.glass.air import air_index
+from optics.lens.heated_lens import Housing, ThermalState, heated_lens
 from optics.lens.perturb import decentre, tilt, tilt_image
 from optics.lens.system import AMBIENT, LensSystem
-from optics.lens.heated_lens import Housing, ThermalState, heated_lens
 from optics.rays.chief import chief_ray_points, plate_scale_mm
 from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
 

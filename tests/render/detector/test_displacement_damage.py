@@ -8,8 +8,8 @@ import pytest
 from refusals import refuses
 
 from optics.errors import DomainError
-from render.detector.maps import sensor_maps
 from render.detector.displacement_damage import aged, damage_factor
+from render.detector.maps import sensor_maps
 from render.detector.spec import load_detector
 
 NEW = dataclasses.replace(load_detector("cmv4000"), chip_width_px=1024, chip_height_px=512, dark_reference_c=26.85)
