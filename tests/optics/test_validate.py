@@ -1,5 +1,6 @@
 """Checked configuration: what a user reads when a key or value is wrong."""
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -38,9 +39,7 @@ class Camera(BaseModel):
 
 
 def fault(mapping: object) -> str:
-    with pytest.raises(ConfigError) as caught:
-        parse_model(Camera, mapping, "camera.toml")  # type: ignore[arg-type]
-    return str(caught.value)
+    return refuses(ConfigError, ".", parse_model, Camera, mapping, "camera.toml")
 
 
 def test_valid_mapping_becomes_model() -> None:
@@ -133,11 +132,8 @@ class Scan(BaseModel):
     ],
 )
 def test_the_kind_of_a_table_is_no_part_of_its_keys(pointing, said):
-    with pytest.raises(ConfigError) as caught:
-        parse_model(Scan, {"pointing": pointing}, "f.toml")
-    assert said in str(caught.value)
-    assert ".cone." not in str(caught.value)
-    assert ".sky." not in str(caught.value)
+    message = refuses(ConfigError, said, parse_model, Scan, {"pointing": pointing}, "f.toml")
+    assert not re.search(r"\.(cone|sky)\.", message)
 
 
 @pytest.mark.parametrize("text", ["{} = 1", "[{}]\nx = 1", "x = {{ {} = 1 }}"])

@@ -50,20 +50,22 @@ def test_every_type_and_no_nan():
         "model": Config(),
         500: "number as key",
     }
-    back = json.loads(dumps(value), parse_constant=refuse_constant)
-    assert back["nan"] is None
-    assert back["array"] == [[1.0, None], [None, -0.5]]
-    assert back["float32"] == 0.5
-    assert back["int64"] == 7
-    assert back["bool"] is True
-    assert back["record"] == {"array": [0, 1, 2], "name": "x"}
-    assert back["measured"] == {"value": 1.0, "unit": "px", "uncertainty": None, "n": None}
-    assert back["enum"] == "red"
-    assert back["red"] == 1
-    assert back["path"] == "lens.toml"
-    assert back["set"] == [1, 2, 3]
-    assert back["model"] == {"seed": 1, "width_nm": 100.0}
-    assert back["500"] == "number as key"
+    assert json.loads(dumps(value), parse_constant=refuse_constant) == {
+        "nan": None,
+        "array": [[1.0, None], [None, -0.5]],
+        "float32": 0.5,
+        "int64": 7,
+        "bool": True,
+        "record": {"array": [0, 1, 2], "name": "x"},
+        "measured": {"value": 1.0, "unit": "px", "uncertainty": None, "n": None},
+        "enum": "red",
+        "red": 1,
+        "path": "lens.toml",
+        "set": [1, 2, 3],
+        "none": None,
+        "model": {"seed": 1, "width_nm": 100.0},
+        "500": "number as key",
+    }
 
 
 def test_doubles_survive_to_the_last_bit():

@@ -10,6 +10,8 @@ from refusals import refuses
 from optics import EvenAsphere, Rays, change_shape, load_lens, paraxial, read_lens_file, tilt, trace
 from optics.errors import ConfigError, DomainError
 from optics.files.report import Status
+from optics.glass.agf import read_agf
+from optics.textfile import LARGEST_BYTES
 
 HEADER = """VERS 190513 80 123457 L123457
 MODE SEQ
@@ -60,10 +62,9 @@ def written(folder: Path, text: str, name: str = "lens.zmx", encoding: str = "ut
 
 
 def refusal(folder: Path, text: str) -> str:
-    with pytest.raises(ConfigError) as error:
-        load_lens(written(folder, text))
-    assert "\n" not in str(error.value)
-    return str(error.value)
+    message = refuses(ConfigError, ".", load_lens, written(folder, text))
+    assert "\n" not in message
+    return message
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "iso-8859-1"])
@@ -362,6 +363,10 @@ def test_files_of_other_kinds_are_told(tmp_path: Path) -> None:
         refuses(ConfigError, part, load_lens, name)
     (tmp_path / "long.zmx").write_text("SURF 0\n" * 200_001)
     refuses(ConfigError, "lines are too many", load_lens, tmp_path / "long.zmx")
+    with (tmp_path / "big.zmx").open("wb") as file:
+        file.truncate(LARGEST_BYTES + 1)
+    for read in (load_lens, read_agf):
+        refuses(ConfigError, "MiB", read, tmp_path / "big.zmx")
     (tmp_path / "folder.zmx").mkdir()
     (tmp_path / "empty.zmx").touch()
     (tmp_path / "noise.zmx").write_bytes(bytes(range(256)) * 64)

@@ -72,11 +72,8 @@ def test_air_thins_out_to_vacuum() -> None:
         ({"pressure_hpa": -1.0}, DomainError, "-1 hPa"),
         ({"humidity": 1.5, "formula": "ciddor"}, DomainError, r"1\.5"),
         ({"co2_ppm": -1.0, "formula": "ciddor"}, DomainError, "-1 ppm"),
+        ({"wavelength_nm": [500.0, 100.0]}, DomainError, r"100 nm is outside 185 \.\.\. 10000 nm"),
     ],
 )
 def test_conditions_outside(call: dict[str, object], kind: type[ValueError], part: str) -> None:
-    refuses(kind, part, air_index, 550.0, **call)
-
-
-def test_wavelength_outside() -> None:
-    refuses(DomainError, r"100 nm is outside 185 \.\.\. 10000 nm", air_index, [500.0, 100.0])
+    refuses(kind, part, air_index, **({"wavelength_nm": 550.0} | call))

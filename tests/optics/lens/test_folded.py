@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refuses
 from scipy.optimize import minimize_scalar
 
 from optics import Conic, Rays, chief_ray_points, draw_lens, load_lens, spot_moments, trace
@@ -32,6 +33,14 @@ CASSEGRAIN = {
          "semi_diameter_mm": 40.0, "element": "M2"},
     ],
 }  # fmt: skip
+
+
+def bent(*tilt_deg):
+    """The telescope with a flat mirror that bends its axis 200 mm in front of the focus."""
+    primary, secondary = CASSEGRAIN["surface"]
+    flat = {"kind": "plane", "tilt_deg": tilt_deg, "carry": "bend", "thickness_mm": -200.0, "medium": "mirror"}
+    table = {**CASSEGRAIN, "surface": [primary, {**secondary, "thickness_mm": 1000.0}, flat]}
+    return lens_from_table(table, where="test")
 
 
 def grid(half, count=21):
@@ -75,12 +84,7 @@ def test_a_parabola_alone_has_its_image_in_front_of_it_the_right_way_round():
 
 @pytest.mark.parametrize("which", ["cassegrain", "folded"])
 def test_light_goes_back_through_mirrors_the_way_it_came(which):
-    table = CASSEGRAIN
-    if which == "folded":
-        flat = {"kind": "plane", "tilt_deg": [40.0, 20.0], "carry": "bend", "thickness_mm": -200.0, "medium": "mirror"}
-        m2 = {**CASSEGRAIN["surface"][1], "thickness_mm": 1000.0}
-        table = {**CASSEGRAIN, "surface": [CASSEGRAIN["surface"][0], m2, flat]}
-    lens = lens_from_table(table, where="test")
+    lens = bent(40.0, 20.0) if which == "folded" else lens_from_table(CASSEGRAIN, where="test")
     start = rays(95.0, (0.003, 0.001, 1.0))
     out = trace(lens, start)
     start, out = kept(start, out.ok), kept(out, out.ok)
@@ -96,10 +100,8 @@ def test_light_goes_back_through_mirrors_the_way_it_came(which):
 
 def test_a_bent_axis_meets_the_middle_of_the_image():
     """A flat mirror anywhere in a converging beam folds the focus and nothing else."""
-    m2 = {**CASSEGRAIN["surface"][1], "thickness_mm": 1000.0}
-    for angles in ([45.0, 0.0], [0.0, -30.0], [20.0, 35.0]):
-        flat = {"kind": "plane", "tilt_deg": angles, "carry": "bend", "thickness_mm": -200.0, "medium": "mirror"}
-        lens = lens_from_table({**CASSEGRAIN, "surface": [CASSEGRAIN["surface"][0], m2, flat]}, where="test")
+    for angles in ((45.0, 0.0), (0.0, -30.0), (20.0, 35.0)):
+        lens = bent(*angles)
         out = trace(lens, rays(95.0))
         assert np.hypot(out.x, out.y)[out.ok].max() < 1e-11
         # the image plane stands square to the folded axis: its normal is the mirrored z axis
@@ -189,9 +191,7 @@ def test_mirrors_that_move_move_the_image_as_the_mirror_equation_says():
     near = refocused(despace(lens, "M2", -small)).image_position_mm[2] - refocused(lens).image_position_mm[2]
     assert near == pytest.approx(-17.0 * small, rel=1e-3)
     # a flat mirror 200 mm in front of the image turns the beam by twice its tilt
-    flat = {"kind": "plane", "tilt_deg": [45.0, 0.0], "carry": "bend", "thickness_mm": -200.0, "medium": "mirror"}
-    m2 = {**CASSEGRAIN["surface"][1], "thickness_mm": 1000.0}
-    folded = lens_from_table({**CASSEGRAIN, "surface": [CASSEGRAIN["surface"][0], m2, flat]}, where="test")
+    folded = bent(45.0, 0.0)
     tilted = image_of_the_axis(tilt(folded, 2, x_deg=math.degrees(1e-5))) - image_of_the_axis(folded)
     np.testing.assert_allclose(np.abs(tilted), [0.0, 2e-5 * 200.0], rtol=1e-4, atol=1e-9)
     # all of it together moves nothing
@@ -213,9 +213,7 @@ def test_a_telescope_of_one_material_stays_in_focus_and_one_with_glass_mirrors_d
     before = 300.0 - 700.0 * (growth - 1.0)
     focus = 1.0 / (1.0 / before - 1.0 / 400.0)
     assert paraxial(warm).bfl_mm == pytest.approx(focus, rel=1e-9)
-    flat = {"kind": "plane", "tilt_deg": [45.0, 0.0], "carry": "bend", "thickness_mm": -200.0, "medium": "mirror"}
-    m2 = {**CASSEGRAIN["surface"][1], "thickness_mm": 1000.0}
-    folded = lens_from_table({**CASSEGRAIN, "surface": [CASSEGRAIN["surface"][0], m2, flat]}, where="test")
+    folded = bent(45.0, 0.0)
     warm = change_temperature(folded, folded.environment.temperature_c + kelvin, housing_cte_per_k=cte)
     for cold, hot in zip(folded.poses, warm.poses, strict=True):
         np.testing.assert_allclose(hot[0], growth * cold[0], atol=1e-9)
@@ -296,10 +294,8 @@ def test_the_image_plane_is_tilted_from_the_file():
     ],
 )
 def test_impossible_frames_get_one_clear_line(surfaces, message):
-    with pytest.raises(ConfigError, match=message) as caught:
-        lens_from_table({**HEAD, "surface": [STOP, *surfaces, {**STOP, "stop": False}]}, where="my.toml")
-    assert "\n" not in str(caught.value)
-    assert str(caught.value).startswith("my.toml")
+    table = {**HEAD, "surface": [STOP, *surfaces, {**STOP, "stop": False}]}
+    assert "\n" not in refuses(ConfigError, f"^my.toml.*{message}", lens_from_table, table, where="my.toml")
 
 
 def test_a_mirror_keeps_its_medium():

@@ -5,12 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from made_lens import made_glass, made_lens
 from refusals import refuses
 from scipy.spatial.transform import Rotation
 
-from optics import Glass, LensSystem, Plane, Rays, Sphere, Surface, field_direction, load_lens, paraxial, trace
+from optics import Plane, Rays, Sphere, field_direction, load_lens, paraxial, trace
 from optics.errors import ConfigError, DomainError
-from optics.glass.dispersion import Dispersion
+from optics.glass.dispersion import ThermalDispersion
 from optics.lens.perturb import (
     ALL_SURFACES,
     EVERYTHING,
@@ -91,22 +92,13 @@ def test_decentre_of_the_lens_against_the_detector_moves_the_image_by_as_much():
     assert float(moved.y_mm[0, 0] - plain.y_mm[0, 0]) == pytest.approx(-0.03, abs=2e-4)
 
 
-def test_despace_states_what_follows():
-    gap = despace(LENS, "L45", 0.2)
-    spacer = despace(LENS, "L45", 0.2, following=True)
-    first = LENS.indices_of("L45")[0]
-    np.testing.assert_allclose(
-        [s.position_mm[2] - t.position_mm[2] for s, t in zip(gap.surfaces, LENS.surfaces, strict=True)],
-        [0.2 if i in LENS.indices_of("L45") else 0.0 for i in range(len(LENS.surfaces))],
-        atol=1e-13,
-    )
-    np.testing.assert_allclose(
-        [s.position_mm[2] - t.position_mm[2] for s, t in zip(spacer.surfaces, LENS.surfaces, strict=True)],
-        [0.2 if i >= first else 0.0 for i in range(len(LENS.surfaces))],
-        atol=1e-13,
-    )
-    assert spacer.image_position_mm[2] - LENS.image_position_mm[2] == pytest.approx(0.2)
-    assert gap.image_position_mm[2] == LENS.image_position_mm[2]
+@pytest.mark.parametrize("following", [False, True])
+def test_despace_states_what_follows(following):
+    moved, own = despace(LENS, "L45", 0.2, following=following), LENS.indices_of("L45")
+    shift = [s.position_mm[2] - t.position_mm[2] for s, t in zip(moved.surfaces, LENS.surfaces, strict=True)]
+    expected = [0.2 * (i in own or (following and i > own[0])) for i in range(len(LENS.surfaces))]
+    np.testing.assert_allclose(shift, expected, atol=1e-13)
+    assert moved.image_position_mm[2] - LENS.image_position_mm[2] == pytest.approx(0.2 * following)
 
 
 def test_a_decentred_element_makes_even_lateral_colour():
@@ -123,38 +115,15 @@ def test_a_decentred_element_makes_even_lateral_colour():
     assert large == pytest.approx(2.0 * small, rel=1e-3)
 
 
-def uniform_lens() -> LensSystem:
+def uniform_lens():
     """Singlet of glass whose expansion equals the housing's and whose index does not change with temperature."""
-    glass = Glass(
-        name="g",
-        source="made up",
-        dispersion=Dispersion.sellmeier((1.25,), (0.01,)),
-        range_nm=(400.0, 900.0),
-        cte_per_k=1e-5,
-        dndt=ZERO_DNDT,
+    dndt = ThermalDispersion(D0=0.0, D1=0.0, D2=0.0, E0=0.0, E1=0.0, lambda_tk_um=0.2)
+    parts = (
+        (Plane(), 3.0, "air", 5.0),
+        (Sphere(radius_mm=50.0), 6.0, "n15"),
+        (Sphere(radius_mm=-80.0), 54.0, "air"),
     )
-    return LensSystem(
-        name="singlet",
-        source="test",
-        surfaces=(
-            Surface(shape=Plane(), position_mm=np.array([0.0, 0.0, -3.0]), semi_diameter_mm=5.0, is_stop=True),
-            Surface(shape=Sphere(radius_mm=50.0), position_mm=np.zeros(3), medium="g"),
-            Surface(shape=Sphere(radius_mm=-80.0), position_mm=np.array([0.0, 0.0, 6.0])),
-        ),
-        glasses={"g": glass},
-        image_position_mm=np.array([0.0, 0.0, 60.0]),
-        design_wavelength_nm=600.0,
-        max_field_deg=5.0,
-    )
-
-
-def _zero_dndt():
-    from optics.glass.dispersion import ThermalDispersion
-
-    return ThermalDispersion(D0=0.0, D1=0.0, D2=0.0, E0=0.0, E1=0.0, lambda_tk_um=0.2)
-
-
-ZERO_DNDT = _zero_dndt()
+    return made_lens(*parts, start_mm=-3.0, glasses=(made_glass(cte_per_k=1e-5, dndt=dndt),))
 
 
 def test_uniform_expansion_only_scales_the_lens():
@@ -180,7 +149,7 @@ def test_thermal_focus_of_a_thin_lens_in_vacuum():
     bk7 = get_glass("N-BK7")
     thin = replace(
         uniform_lens(),
-        glasses={"g": bk7},
+        glasses={"n15": bk7},
         surfaces=tuple(
             replace(s, position_mm=np.zeros(3)) if i == 2 else s for i, s in enumerate(uniform_lens().surfaces)
         ),

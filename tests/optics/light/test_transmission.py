@@ -4,24 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_lens import made_glass
 from refusals import refuses
 
 from optics import Glass, QuarterWave, Response, TabulatedCoating, get_glass
 from optics.errors import ConfigError, DomainError
-from optics.glass.dispersion import Dispersion
 from optics.light.transmission import Layout, layout_of, lens_transmission
 
 LINES = np.array([450.0, 550.0, 650.0])
-
-
-def constant(index: float) -> Glass:
-    """A glass whose index does not depend on wavelength."""
-    return Glass(
-        name=f"n{index}",
-        source="test",
-        dispersion=Dispersion.sellmeier((index**2 - 1.0,), (0.0,)),
-        range_nm=(300.0, 1200.0),
-    )
 
 
 def plate(glass: Glass, thickness_mm: float = 10.0) -> Layout:
@@ -29,7 +19,7 @@ def plate(glass: Glass, thickness_mm: float = 10.0) -> Layout:
 
 
 def test_bare_plate_of_index_one_and_a_half_loses_four_percent_twice() -> None:
-    assert lens_transmission(plate(constant(1.5)), LINES, absorption=False) == pytest.approx([0.96**2] * 3, rel=1e-13)
+    assert lens_transmission(plate(made_glass(1.5)), LINES, absorption=False) == pytest.approx([0.96**2] * 3, rel=1e-13)
 
 
 def test_film_against_a_sum_over_reflections() -> None:
@@ -40,7 +30,7 @@ def test_film_against_a_sum_over_reflections() -> None:
     amplitude = np.full(wave.shape, front, dtype=complex)
     for bounce in range(200):
         amplitude += (1.0 - front**2) * back * turn * (-front * back * turn) ** bounce
-    coating = QuarterWave(design_wavelength_nm=design, film=constant(n_film))
+    coating = QuarterWave(design_wavelength_nm=design, film=made_glass(n_film))
     assert coating.reflectance(wave, np.full(13, n_glass)) == pytest.approx(np.abs(amplitude) ** 2, rel=1e-12)
 
 
@@ -78,9 +68,9 @@ def test_a_stop_in_air_costs_nothing_and_a_lens_is_read_along_its_vertices() -> 
 
 def test_mistakes() -> None:
     refuses(ConfigError, "a lens or a layout is needed, got str", lens_transmission, "star_camera", LINES)
-    refuses(DomainError, "negative", lambda: plate(constant(1.5), -1.0))
+    refuses(DomainError, "negative", lambda: plate(made_glass(1.5), -1.0))
     refuses(DomainError, "shape", lambda: Layout(media=(None,), thickness_mm=np.array([1.0, 2.0])))
-    refuses(DomainError, "no internal transmittance", lambda: lens_transmission(plate(constant(1.5)), LINES))
+    refuses(DomainError, "no internal transmittance", lambda: lens_transmission(plate(made_glass(1.5)), LINES))
     refuses(DomainError, "MgF2: wavelength 100 nm", QuarterWave, design_wavelength_nm=100.0)
     refuses(DomainError, r"N-BK7: wavelength 250 nm", lambda: lens_transmission(plate(get_glass("N-BK7")), 250.0))
     with pytest.raises(ConfigError, match="source"):

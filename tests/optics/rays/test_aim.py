@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_lens import made_glass, made_lens
 from scipy.optimize import brentq
 
-from optics import LensSystem, Plane, Sphere, Surface, chief_ray_points, load_lens, spot_moments
+from optics import Plane, Sphere, chief_ray_points, load_lens, spot_moments
 from optics.errors import ConvergenceError
 from optics.frames import field_direction, light_direction
-from optics.glass.catalogue import glass_from_table
 from optics.rays.aim import aim_at_stop
 from optics.rays.pupil import launch_disks, sobol_disk, star_rays
 from optics.rays.trace import Rays, trace, trace_path
@@ -29,34 +29,15 @@ FISHEYE = [  # radius, thickness, index behind, semi-diameter: two menisci of st
 ]
 
 
-def fisheye():
-    """The lens of `FISHEYE`."""
-    names = {"source": "one index", "B": (CROWN**2 - 1, 0, 0), "C": (0, 0, 0), "range_nm": (300.0, 1000.0)}
-    surfaces, z = [], 0.0
-    for number, (radius, thickness, index, semi) in enumerate(FISHEYE):
-        shape = Sphere(radius_mm=radius) if math.isfinite(radius) else Plane()
-        surfaces.append(
-            Surface(
-                shape=shape,
-                position_mm=np.array([0.0, 0.0, z]),
-                medium="crown" if index > 1.0 else "air",
-                semi_diameter_mm=semi,
-                is_stop=number == STOP,
-            )
-        )
-        z += thickness
-    return LensSystem(
-        name="fisheye",
-        source="two menisci and a singlet",
-        surfaces=tuple(surfaces),
-        glasses={"crown": glass_from_table("crown", names)},
-        image_position_mm=np.array([0.0, 0.0, z]),
-        design_wavelength_nm=600.0,
-        max_field_deg=80.0,
-    )
-
-
-LENS = fisheye()
+LENS = made_lens(
+    *(
+        (Sphere(radius_mm=r) if math.isfinite(r) else Plane(), thickness, "crown" if index > 1.0 else "air", semi)
+        for r, thickness, index, semi in FISHEYE
+    ),
+    stop=STOP,
+    glasses=(made_glass(CROWN, "crown"),),
+    max_field_deg=80.0,
+)
 
 
 def meridional(height, angle, surfaces):

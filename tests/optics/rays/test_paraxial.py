@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_lens import made_lens
 from refusals import refuses
 
-from optics import VACUUM, Glass, LensSystem, Plane, Rays, Sphere, Surface, decentre, load_lens, tilt, trace
+from optics import VACUUM, Plane, Rays, Sphere, decentre, load_lens, tilt, trace
 from optics.errors import DomainError
-from optics.glass.dispersion import Dispersion
 from optics.rays.chief import chief_ray_points, plate_scale_mm
 from optics.rays.paraxial import (
     axial_colour_mm,
@@ -21,29 +21,14 @@ from optics.rays.paraxial import (
     refocused,
 )
 
-N15 = Glass(
-    name="n15",
-    source="made up: n = 1.5 exactly",
-    dispersion=Dispersion.sellmeier((1.25,), (0.0,)),
-    range_nm=(300.0, 1100.0),
-)
 
-
-def thick_lens(r1: float, r2: float, thickness: float, stop_z: float) -> LensSystem:
+def thick_lens(r1, r2, thickness, stop_z):
     """Singlet of n = 1.5 in catalogue air with a stop in front (stop_z < 0) or behind."""
-    stop = Surface(shape=Plane(), position_mm=np.array([0.0, 0.0, stop_z]), semi_diameter_mm=4.0, is_stop=True)
-    first = Surface(shape=Sphere(radius_mm=r1), position_mm=np.zeros(3), medium="n15")
-    last = Surface(shape=Sphere(radius_mm=r2), position_mm=np.array([0.0, 0.0, thickness]))
-    order = (stop, first, last) if stop_z < 0 else (first, last, stop)
-    return LensSystem(
-        name="singlet",
-        source="test",
-        surfaces=order,
-        glasses={"n15": N15},
-        image_position_mm=np.array([0.0, 0.0, 100.0]),
-        design_wavelength_nm=600.0,
-        max_field_deg=5.0,
-    )
+    faces = [(Sphere(radius_mm=r1), thickness, "n15"), (Sphere(radius_mm=r2), 100.0 - thickness, "air")]
+    if stop_z < 0:
+        return made_lens((Plane(), -stop_z, "air", 4.0), *faces, start_mm=stop_z)
+    last = (faces[1][0], stop_z - thickness, "air")
+    return made_lens(faces[0], last, (Plane(), 100.0 - stop_z, "air", 4.0), stop=2)
 
 
 def test_thick_lens_formulas():

@@ -67,12 +67,18 @@ def theirs(lens, surfaces, poses, start, direction):
     return np.array([rays.x, rays.y, rays.z]), np.array([rays.L, rays.M, rays.N]), n_air * np.array(rays.opd)
 
 
-def meet(lens, point, direction):
-    """Optiland's last points, carried on to our image plane, in its frame; and how far that is."""
+def agree(lens, out, surfaces, poses, start, direction):
+    """Optiland's last points, carried on to our image plane, are ours in its frame, paths and directions too."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        point, along, opd = theirs(lens, surfaces, poses, start, direction)
+    assert out.ok.all()
     local = lens.image_rotation.T @ (point - lens.image_position_mm[:, None])
-    along = lens.image_rotation.T @ direction
+    along = lens.image_rotation.T @ along
     path = -local[2] / along[2]
-    return local + path * along, along, path
+    np.testing.assert_allclose([out.x, out.y], (local + path * along)[:2], atol=1e-10)
+    np.testing.assert_allclose([out.dx, out.dy], along[:2], atol=1e-13)
+    np.testing.assert_allclose(out.opl_mm, opd + float(lens.indices(600.0)[0]) * path, atol=1e-9)
 
 
 def bundle(half):
@@ -86,15 +92,7 @@ def test_catadioptric_rays_agree_with_optiland(surfaces, half, direction):
     start = bundle(half)
     lens, out = ours(surfaces, start, direction)
     z = np.concatenate([[0.0], np.cumsum([s["thickness_mm"] for s in surfaces])])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        point, along, opd = theirs(lens, surfaces, [{"z": float(v)} for v in z[:-1]], start, direction)
-    assert out.ok.all()
-    point, along, path = meet(lens, point, along)
-    np.testing.assert_allclose([out.x, out.y], point[:2], atol=1e-10)
-    np.testing.assert_allclose([out.dx, out.dy], along[:2], atol=1e-13)
-    air = float(lens.indices(600.0)[0])
-    np.testing.assert_allclose(out.opl_mm, opd + air * path, atol=1e-9)
+    agree(lens, out, surfaces, [{"z": float(v)} for v in z[:-1]], start, direction)
 
 
 def spun(x_deg, y_deg, z_deg):
@@ -122,14 +120,7 @@ def test_a_tilted_and_decentred_lens_agrees_with_optiland(angles):
     lens, out = ours(table, start, (0.02, 0.01, 1.0))
     turn, origin = spun(*angles), np.array([0.5, -0.3, 20.0])
     poses = [pose([0.0, 0.0, 0.0], (0.0, 0.0, 0.0)), pose(origin, angles), pose(origin + 9.0 * turn[:, 2], angles)]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        point, along, opd = theirs(lens, [STOP, *LENS], poses, start, (0.02, 0.01, 1.0))
-    assert out.ok.all()
-    point, along, path = meet(lens, point, along)
-    np.testing.assert_allclose([out.x, out.y], point[:2], atol=1e-10)
-    np.testing.assert_allclose([out.dx, out.dy], along[:2], atol=1e-13)
-    np.testing.assert_allclose(out.opl_mm, opd + float(lens.indices(600.0)[0]) * path, atol=1e-9)
+    agree(lens, out, [STOP, *LENS], poses, start, (0.02, 0.01, 1.0))
 
 
 def test_a_lens_behind_a_fold_mirror_agrees_with_optiland():
@@ -142,11 +133,4 @@ def test_a_lens_behind_a_fold_mirror_agrees_with_optiland():
     square = (90.0, 0.0, 0.0)
     poses = [pose([0.0, 0.0, 0.0], (0.0, 0.0, 0.0)), pose(mirror, (45.0, 0.0, 0.0)),
              pose(mirror - 30.0 * axis, square), pose(mirror - 39.0 * axis, square)]  # fmt: skip
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        point, along, opd = theirs(lens, [STOP, fold, *behind], poses, start, (0.02, 0.01, 1.0))
-    assert out.ok.all()
-    point, along, path = meet(lens, point, along)
-    np.testing.assert_allclose([out.x, out.y], point[:2], atol=1e-10)
-    np.testing.assert_allclose([out.dx, out.dy], along[:2], atol=1e-13)
-    np.testing.assert_allclose(out.opl_mm, opd + float(lens.indices(600.0)[0]) * path, atol=1e-9)
+    agree(lens, out, [STOP, fold, *behind], poses, start, (0.02, 0.01, 1.0))

@@ -57,14 +57,6 @@ def centred(lens):
     return lens
 
 
-def tilted(lens):
-    return tilt(lens, lens.elements[1], 0.4, -0.3)
-
-
-def decentred(lens):
-    return decentre(lens, lens.elements[-1], 0.2, -0.1)
-
-
 def everything_askew(lens):
     return tilt_image(tilt(decentre(lens, lens.elements[0], 0.1, 0.05), lens.elements[-2], -0.2, 0.3), 0.5, 0.4)
 
@@ -76,7 +68,7 @@ def heated(lens):
 
 
 @pytest.mark.parametrize("name", ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"])
-@pytest.mark.parametrize("change", [centred, tilted, decentred, everything_askew, heated])
+@pytest.mark.parametrize("change", [centred, everything_askew, heated])
 def test_rays_agree_with_batoid(name, change):
     batoid = pytest.importorskip("batoid")
     lens = change(load_lens(name))

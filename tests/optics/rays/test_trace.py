@@ -4,48 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_lens import made_lens
 from refusals import refuses
 
-from optics import Conic, Glass, LensSystem, Plane, Shape, Sphere, Surface, compile_lens, field_direction, load_lens
+from optics import Conic, LensSystem, Plane, Sphere, compile_lens, field_direction, load_lens
 from optics.arrays import NUMPY
 from optics.errors import DomainError
-from optics.glass.dispersion import Dispersion
 from optics.lens.perturb import change_shape, decentre, tilt
 from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
 from optics.rays.trace import MISSED, OK, TOTAL_REFLECTION, VIGNETTED, Rays, trace, trace_program
-
-N15 = Glass(
-    name="n15",
-    source="made up: n = 1.5 exactly",
-    dispersion=Dispersion.sellmeier((1.25,), (0.0,)),
-    range_nm=(300.0, 1100.0),
-)
-
-
-def simple_lens(*parts: tuple[Shape, float, str], semi_mm=np.inf, inner_mm=0.0, stop=0) -> LensSystem:
-    """Lens of (shape, distance to the next, medium) in catalogue air; its glass has n = 1.5 relative to that."""
-    z, surfaces = 0.0, []
-    for number, (shape, distance, medium) in enumerate(parts):
-        surfaces.append(
-            Surface(
-                shape=shape,
-                position_mm=np.array([0.0, 0.0, z]),
-                medium=medium,
-                semi_diameter_mm=semi_mm,
-                inner_semi_diameter_mm=inner_mm,
-                is_stop=number == stop,
-            )
-        )
-        z += distance
-    return LensSystem(
-        name="test",
-        source="test",
-        surfaces=tuple(surfaces),
-        glasses={"n15": N15},
-        image_position_mm=np.array([0.0, 0.0, z]),
-        design_wavelength_nm=600.0,
-        max_field_deg=5.0,
-    )
 
 
 def axial(*heights: float, direction=(0.0, 0.0, 1.0)) -> Rays:
@@ -66,7 +33,7 @@ def field_by_field(rays: Rays, other: Rays, mask, **signs: float) -> float:
 
 def test_plane_parallel_plate_shifts_by_its_closed_form():
     angle, thickness, n = np.radians(30.0), 7.0, 1.5
-    lens = simple_lens((Plane(), thickness, "n15"), (Plane(), 10.0, "air"))
+    lens = made_lens((Plane(), thickness, "n15"), (Plane(), 10.0, "air"))
     out = trace(lens, axial(0.0, direction=(0.0, np.sin(angle), np.cos(angle))))
     inside = np.arcsin(np.sin(angle) / n)
     assert out.y[0] == pytest.approx(thickness * np.tan(inside) + 10.0 * np.tan(angle), abs=1e-13)
@@ -79,7 +46,7 @@ def test_plane_parallel_plate_shifts_by_its_closed_form():
 def test_single_sphere_against_triangle_geometry():
     radius, n = 50.0, 1.5
     height = np.array([0.5, 10.0, 25.0, 40.0])
-    out = trace(simple_lens((Sphere(radius_mm=radius), 0.0, "n15"), (Plane(), 0.0, "n15")), axial(*height))
+    out = trace(made_lens((Sphere(radius_mm=radius), 0.0, "n15"), (Plane(), 0.0, "n15")), axial(*height))
     incidence = np.arcsin(height / radius)
     bend = incidence - np.arcsin(height / radius / n)
     vertex_distance = radius + radius * np.sin(incidence - bend) / np.sin(bend)  # sine rule in the centre's triangle
@@ -90,7 +57,7 @@ def test_single_sphere_against_triangle_geometry():
 def test_cartesian_ellipsoid_images_a_star_perfectly(height):
     radius, n = 30.0, 1.5
     focus = n * radius / (n - 1.0)
-    lens = simple_lens((Conic(radius_mm=radius, conic=-1.0 / n**2), focus, "n15"), (Plane(), 0.0, "n15"))
+    lens = made_lens((Conic(radius_mm=radius, conic=-1.0 / n**2), focus, "n15"), (Plane(), 0.0, "n15"))
     out = trace(lens, axial(height, -height, 0.0))
     np.testing.assert_allclose(out.y, 0.0, atol=2e-14)
     np.testing.assert_allclose(
@@ -101,7 +68,7 @@ def test_cartesian_ellipsoid_images_a_star_perfectly(height):
 def test_plano_hyperboloid_images_a_star_perfectly():
     radius, n = -40.0, 1.5
     back = -radius / (n - 1.0)
-    lens = simple_lens((Plane(), 8.0, "n15"), (Conic(radius_mm=radius, conic=-(n**2)), back, "air"))
+    lens = made_lens((Plane(), 8.0, "n15"), (Conic(radius_mm=radius, conic=-(n**2)), back, "air"))
     out = trace(lens, axial(0.0, 3.0, 12.0, -20.0))
     np.testing.assert_allclose(out.y, 0.0, atol=2e-14)
     np.testing.assert_allclose(optical_path_mm(lens, out), n * 8.0 + back, atol=5e-14)
@@ -111,7 +78,7 @@ def test_aplanatic_points_of_a_sphere():
     """Inside glass, light towards the point R (1 + 1/n) behind the vertex goes on towards R (1 + n), without error."""
     radius, n = 20.0, 1.5
     sine = np.array([0.05, 0.2, 0.4])
-    lens = simple_lens((Plane(), 30.0, "n15"), (Sphere(radius_mm=radius), 0.0, "air"))
+    lens = made_lens((Plane(), 30.0, "n15"), (Sphere(radius_mm=radius), 0.0, "air"))
     rays = Rays.create(
         x_mm=0.0,
         y_mm=(30.0 + radius * (1.0 + 1.0 / n)) * np.tan(np.arcsin(sine)),
@@ -124,13 +91,13 @@ def test_aplanatic_points_of_a_sphere():
 
 
 def test_status_missed():
-    out = trace(simple_lens((Sphere(radius_mm=10.0), 30.0, "n15"), (Plane(), 1.0, "air")), axial(9.9, 10.1, 0.0))
+    out = trace(made_lens((Sphere(radius_mm=10.0), 30.0, "n15"), (Plane(), 1.0, "air")), axial(9.9, 10.1, 0.0))
     assert out.status.tolist() == [OK, MISSED, OK]
     assert out.failed_at.tolist() == [-1, 0, -1]
 
 
 def test_status_total_reflection():
-    lens = simple_lens((Plane(), 5.0, "n15"), (Sphere(radius_mm=-30.0), 10.0, "air"))
+    lens = made_lens((Plane(), 5.0, "n15"), (Sphere(radius_mm=-30.0), 10.0, "air"))
     critical = 30.0 / 1.5  # sin(i) = h / R = 1 / n
     out = trace(lens, axial(critical - 1e-9, critical + 1e-9))
     assert out.status.tolist() == [OK, TOTAL_REFLECTION]
@@ -138,7 +105,7 @@ def test_status_total_reflection():
 
 
 def test_status_vignetted_tells_where_and_first_loss_wins():
-    lens = simple_lens((Plane(), 5.0, "n15"), (Sphere(radius_mm=-30.0), 10.0, "air"), semi_mm=8.0)
+    lens = made_lens((Plane(), 5.0, "n15"), (Sphere(radius_mm=-30.0), 10.0, "air"), semi_mm=8.0)
     lens = lens.with_surfaces({1: replace(lens.surfaces[1], semi_diameter_mm=5.0)})
     out = trace(lens, axial(4.999999, 5.000001, 7.999999, 8.000001, 25.0))
     assert out.status.tolist() == [OK, VIGNETTED, VIGNETTED, VIGNETTED, VIGNETTED]
@@ -147,13 +114,13 @@ def test_status_vignetted_tells_where_and_first_loss_wins():
 
 
 def test_annular_aperture_blocks_the_middle():
-    lens = simple_lens((Plane(), 5.0, "air"), (Sphere(radius_mm=90.0), 10.0, "n15"), semi_mm=8.0, inner_mm=2.0)
+    lens = made_lens((Plane(), 5.0, "air"), (Sphere(radius_mm=90.0), 10.0, "n15"), semi_mm=8.0, inner_mm=2.0)
     out = trace(lens, axial(0.0, 1.999999, 2.000001, 7.999999, 8.000001))
     assert out.status.tolist() == [VIGNETTED, VIGNETTED, OK, OK, VIGNETTED]
 
 
 def test_decentred_aperture_is_measured_in_its_own_frame():
-    lens = decentre(simple_lens((Plane(), 5.0, "air"), semi_mm=2.0), 0, y_mm=3.0)
+    lens = decentre(made_lens((Plane(), 5.0, "air"), semi_mm=2.0), 0, y_mm=3.0)
     assert trace(lens, axial(0.999, 1.001, 4.999, 5.001)).status.tolist() == [VIGNETTED, OK, OK, VIGNETTED]
 
 
