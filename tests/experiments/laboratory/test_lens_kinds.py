@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fields import star_field
 from refusals import refuses
 from scipy.integrate import quad
 from scipy.special import j0
@@ -17,7 +18,6 @@ from optics.errors import ConfigError, DomainError
 from optics.export.write import write_measured_lens
 from optics.lens.measured import measured_from_table
 from render.forward import StarRenderer
-from render.records import StarField
 from render.sensor_file.file import read_sensor
 from render.sensor_file.instrument import build_instrument, configured_lens
 
@@ -59,16 +59,11 @@ def measured(tmp_path):
     return tmp_path / "measured.toml"
 
 
-def star(camera, direction, wavelength_nm=600.0, rate=1000.0):
-    waves = np.array([[wavelength_nm]])
-    return StarField(direction=direction, wavelength_nm=waves, photon_rate=np.full((1, 1, 1), rate), band=("b",))
-
-
 def test_ideal_lens_is_in_focus_and_scales_by_the_tangent(ideal):
     instrument = build_instrument(load_config(CameraConfig, sensor=ideal).instrument)
     assert instrument.camera.defocus_mm == 0.0
     assert instrument.focal_length_mm == pytest.approx(50.0, rel=1e-12)
-    truth = StarRenderer(instrument.camera).render(star(instrument.camera, field(0.02, -0.01))).truth
+    truth = StarRenderer(instrument.camera).render(star_field(field(0.02, -0.01), 600.0, 1000.0)).truth
     place = np.array([31.5, 31.5]) + np.array([0.02, -0.01]) * 50.0 / 0.0055
     found = [truth.chief_x_px[0, 0], truth.chief_y_px[0, 0]]
     np.testing.assert_allclose(found, place, atol=1e-9)
@@ -81,7 +76,7 @@ def field(x, y):
 
 def test_electrons_by_hand(ideal):
     instrument = build_instrument(load_config(CameraConfig, sensor=ideal).instrument)
-    truth = StarRenderer(instrument.camera, exposure_s=0.1).render(star(instrument.camera, field(0.0, 0.0))).truth
+    truth = StarRenderer(instrument.camera, exposure_s=0.1).render(star_field(field(0.0, 0.0), 600.0, 1000.0)).truth
     efficiency = float(instrument.detector.quantum_efficiency.interpolate(600.0))
     area_mm2 = np.pi / 4.0 * (50.0 / 8.0) ** 2
     # photons / s mm^2 x exposure x stop x transmission x quantum efficiency
@@ -93,7 +88,7 @@ def test_diffraction_is_the_airy_pattern_blurred_by_the_spot(ideal):
     config = load_config(CameraConfig, sensor=ideal, settings=["instrument.lens.spot_um=4"]).instrument
     camera = replace(build_instrument(config).camera, charge_diffusion_px=0.0, diffraction="exact_waves")
     assert camera.blur_px == pytest.approx(4.0 / np.sqrt(2.0) / 5.5)
-    image = StarRenderer(camera).render(star(camera, camera.nominal_direction([31.0], [31.0], 50.0)))
+    image = StarRenderer(camera).render(star_field(camera.nominal_direction([31.0], [31.0], 50.0), 600.0, 1000.0))
     share = image.electrons[..., 0] / image.truth.electrons_in[0, 0]
     cut = 1.0 / (0.6 * 8.0)  # cycles per um
 

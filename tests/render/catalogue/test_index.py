@@ -2,31 +2,16 @@
 
 import numpy as np
 import pytest
+from fields import star_catalog
 from refusals import refuses
 
 from optics.errors import DomainError
 from render.catalogue.index import build_index
-from render.catalogue.record import StarCatalog
-
-
-def sky_of(count, seed=2, **changes):
-    rng = np.random.default_rng(seed)
-    v = rng.normal(size=(count, 3))
-    fields = {
-        "name": "random",
-        "source": "made up",
-        "epoch_year": 2016.0,
-        "magnitude_system": "G",
-        "id": np.arange(count),
-        "direction": v / np.linalg.norm(v, axis=1)[:, None],
-        "magnitude": rng.uniform(0, 10, count),
-    }
-    return StarCatalog(**fields | changes)
 
 
 @pytest.fixture(scope="module")
 def index():
-    return build_index(sky_of(20000))
+    return build_index(star_catalog(20000))
 
 
 @pytest.mark.parametrize("radius_deg", [0.01, 10.0, 120.0])
@@ -47,7 +32,7 @@ def test_magnitude_limit_includes_itself(index):
 def test_star_without_magnitude():
     magnitude = np.full(10, 5.0)
     magnitude[3] = np.nan
-    index = build_index(sky_of(10, magnitude=magnitude))
+    index = build_index(star_catalog(10, magnitude=magnitude))
     assert len(index.within([1.0, 0, 0], np.pi)) == 10
     assert 3 not in index.within([1.0, 0, 0], np.pi, magnitude_limit=99.0)
 
@@ -75,4 +60,4 @@ def test_refused(index, arguments, told):
 
 
 def test_empty_catalogue():
-    refuses(DomainError, "empty", lambda: build_index(sky_of(3).select([])))
+    refuses(DomainError, "empty", lambda: build_index(star_catalog(3).select([])))

@@ -8,12 +8,13 @@ import pytest
 from astropy import units as u
 from astropy.coordinates import GCRS, SkyCoord
 from astropy.time import Time
+from fields import star_catalog
 from refusals import refuses
 
 from optics.errors import DomainError
 from optics.stellar_aberration import aberrated
 from render.catalogue.motion import Observer, deflected, directions_at, earth_observer, propagate
-from render.catalogue.record import MAS_RAD, StarCatalog, direction_from_angles
+from render.catalogue.record import MAS_RAD, direction_from_angles
 
 LIGHT_KM_PER_S = 299792.458
 
@@ -33,28 +34,19 @@ def random_stars(count=2000, seed=5, **changes):
     rng = np.random.default_rng(seed)
     ra, dec = rng.uniform(0, 2 * np.pi, count), np.arcsin(rng.uniform(-1, 1, count))
     fields = {
-        "name": "random",
-        "source": "made up",
-        "epoch_year": 2016.0,
-        "magnitude_system": "G",
-        "id": np.arange(count),
         "direction": direction_from_angles(ra, dec),
-        "magnitude": np.full(count, 5.0),
         "proper_motion_rad_per_year": rng.normal(0, 500, (count, 2)) * MAS_RAD,
         "parallax_rad": rng.uniform(1, 300, count) * MAS_RAD,
         "radial_velocity_km_per_s": rng.normal(0, 50, count),
     }
-    return StarCatalog(**fields | changes)
+    return star_catalog(count, **fields | changes)
 
 
 def fast_stars():
     table = np.array([row[1:] for row in FAST])
-    return StarCatalog(
-        name="fast",
-        source="SIMBAD",
+    return star_catalog(
+        len(table),
         epoch_year=2000.0,
-        magnitude_system="V",
-        id=np.arange(len(table)),
         direction=direction_from_angles(*np.radians(table[:, :2]).T),
         proper_motion_rad_per_year=table[:, 2:4] * MAS_RAD,
         parallax_rad=table[:, 4] * MAS_RAD,

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fields import star_catalog
 from refusals import refuses
 from scipy.spatial.transform import Rotation
 
@@ -13,7 +14,7 @@ from optics.light.band import TopHat
 from optics.rays.chief import chief_ray_points
 from render.catalogue.index import build_index
 from render.catalogue.motion import Observer, directions_at
-from render.catalogue.record import MAS_RAD, StarCatalog, direction_from_angles
+from render.catalogue.record import MAS_RAD, direction_from_angles
 from render.catalogue.temperature import colour_temperature
 from render.sky.field import field_of, field_of_view, star_field
 from render.sky.star_light import star_light
@@ -21,22 +22,14 @@ from render.sky.star_light import star_light
 LENSES = ["star_camera_206mm", "star_tracker_26mm", "double_gauss_50mm"]
 
 
-def sky_of(count=40000, seed=8, **changes):
-    rng = np.random.default_rng(seed)
-    v = rng.normal(size=(count, 3))
+def sky_of(count=40000, **changes):
+    rng = np.random.default_rng(8)
     fields = {
-        "name": "random",
-        "source": "made up",
-        "epoch_year": 2016.0,
-        "magnitude_system": "G",
-        "id": np.arange(count),
-        "direction": v / np.linalg.norm(v, axis=1)[:, None],
-        "magnitude": rng.uniform(0, 10, count),
         "bp_rp_mag": rng.uniform(0, 2, count),
         "proper_motion_rad_per_year": rng.normal(0, 500, (count, 2)) * MAS_RAD,
         "parallax_rad": rng.uniform(1, 100, count) * MAS_RAD,
     }
-    return StarCatalog(**fields | changes)
+    return star_catalog(count, **fields | changes)
 
 
 @pytest.fixture(scope="module")

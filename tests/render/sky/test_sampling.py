@@ -1,30 +1,20 @@
 """Stars of many attitudes at once are those that are looked up attitude by attitude."""
 
 import numpy as np
+from fields import star_catalog
 from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError
 from render.catalogue.index import build_index
-from render.catalogue.record import StarCatalog
 from render.sky.field import field_of, field_of_view
 from render.sky.sampling import sample_sky
 
 
 def test_same_stars_as_one_by_one(bench):
-    rng = np.random.default_rng(1)
-    v = rng.normal(size=(20000, 3))
-    catalogue = StarCatalog(
-        name="random",
-        source="made up",
-        epoch_year=2016.0,
-        magnitude_system="G",
-        id=np.arange(len(v)),
-        direction=v / np.linalg.norm(v, axis=1)[:, None],
-        magnitude=rng.uniform(0, 10, len(v)),
-    )
+    catalogue = star_catalog(20000)
     index, view = build_index(catalogue), field_of_view(bench.camera_of("star_tracker_26mm"), margin_px=0.0)
-    attitudes = Rotation.random(20, rng=rng)
+    attitudes = Rotation.random(20, rng=np.random.default_rng(1))
     sample = sample_sky(index, view, attitudes)
     assert (sample.summed(np.ones(len(sample.row))) > 0).any()
     for number, attitude in enumerate(attitudes):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fields import star_field
 from refusals import refuses
 
 from optics.errors import DomainError
@@ -36,10 +37,8 @@ def camera(request):
     )  # fmt: skip
 
 
-def stars(rate: float, direction: np.ndarray = STAR) -> StarField:
-    return StarField(
-        direction=direction[None], wavelength_nm=WAVE_NM, photon_rate=np.full((1, 1, 1), rate), band=("v",)
-    )
+def stars(rate: float | np.ndarray, direction: np.ndarray = STAR) -> StarField:
+    return star_field(direction, WAVE_NM, rate)
 
 
 def ghosts_of(camera: Camera, least_e: float, field: StarField) -> tuple[GhostTruth, np.ndarray, Truth]:
@@ -116,11 +115,8 @@ def test_a_source_beside_the_frame_is_its_points(engine, camera, radius_rad):
     else:
         points = gauss_disk(3, 6)
         towards = middle + radius_rad * np.column_stack([points.x, points.y, 0.0 * points.x])
-        rates = (rate * points.weight)[:, None, None]
-        field = StarField(
-            direction=towards / np.linalg.norm(towards, axis=1, keepdims=True), wavelength_nm=WAVE_NM,
-            photon_rate=rates, band=("v",),
-        )  # fmt: skip
+        towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+        field = stars((rate * points.weight)[:, None, None], towards)
         drawn = beside(camera, field, 1e-4)[1]
     assert light.sum(dtype=float) == pytest.approx(drawn.sum(dtype=float), rel=0.03)
     for axis in (0, 1):

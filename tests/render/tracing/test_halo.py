@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fields import star_field
 from refusals import refuses
 
 from optics.errors import DomainError
@@ -13,7 +14,6 @@ from optics.frames import field_direction
 from optics.lens.without_glass import ideal_lens
 from optics.light.scatter import ABg, HarveyShack, polished
 from render.camera import Camera, FarLight
-from render.records import StarField
 from render.tracing.tracer import TracedStars, Tracer
 
 PITCH_MM, FOCAL_MM = 0.01, 50.0
@@ -31,10 +31,7 @@ def camera() -> Camera:
 
 def star(camera: Camera, electrons: float) -> TracedStars:
     tracer = Tracer(camera)
-    rate = np.full((1, 1, 1), electrons / tracer.pupil.area_mm2)
-    field = StarField(
-        direction=field_direction(0.01, -0.02)[None], wavelength_nm=np.array([[600.0]]), photon_rate=rate, band=("v",)
-    )
+    field = star_field(field_direction(0.01, -0.02), 600.0, electrons / tracer.pupil.area_mm2)
     return tracer.render(field, exposure_s=1.0)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fields import star_field
 from refusals import refuses
 from scipy.special import ndtr
 
@@ -11,7 +12,7 @@ from optics.errors import DomainError
 from optics.frames import field_angles_deg, field_direction
 from optics.lens_file import load_lens
 from optics.rays.spots import trace_spots
-from render.records import EffectivePsf, StarField
+from render.records import EffectivePsf
 from render.sensor_file.load import load_star_sensor
 from render.tracing import psf as psf_module
 from render.tracing.psf import epsf_tracer, ray_epsf, render_epsf, trailed, wave_images
@@ -103,9 +104,7 @@ def test_rays_on_numpy_make_the_same(engine):
     camera = sensor.camera
     direction = camera.nominal_direction(camera.centre_px[0] + 300.0, camera.centre_px[1], sensor.focal_length_mm)
     wave = np.array([[550.0, 700.0]])
-    stars = StarField(
-        direction=direction[None], wavelength_nm=wave, photon_rate=np.array([[[2.0, 1.0]]]), band=("two lines",)
-    )
+    stars = star_field(direction, wave, [2.0, 1.0])
     rendered = render_epsf(epsf_tracer(camera), stars, oversampling=8)[0][0]
     x, y = field_angles_deg(direction[None])
     spots = trace_spots(camera.focused_lens, x, y, wave[0], order=(32, 64))
@@ -150,12 +149,7 @@ def test_wavefronts_on_numpy_make_the_same(engine, azimuth):
     share = np.array([0.4, 0.6])
     turn = np.radians(azimuth)
     tangent = np.tan(np.radians(field)) * np.array([np.cos(turn), np.sin(turn)])
-    stars = StarField(
-        direction=field_direction(*np.degrees(np.arctan(tangent))[:, None]),
-        wavelength_nm=wave[None],
-        photon_rate=(share / camera.response_at(wave))[None, None],
-        band=("two lines",),
-    )
+    stars = star_field(field_direction(*np.degrees(np.arctan(tangent))), wave, share / camera.response_at(wave))
     rendered = render_epsf(epsf_tracer(camera), stars, oversampling=4, half_size_px=6)[0][0]
     images = wave_images(
         camera.focused_lens,

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fields import star_field
 from scipy.spatial.transform import Rotation
 
 from optics.lens.measured import GaussianMixture, MeasuredLens
@@ -10,7 +11,6 @@ from optics.response import Response
 from render.camera import Camera
 from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate
-from render.records import StarField
 from render.tracing.measured.images import LINE_ERROR, line_nodes
 from render.tracing.motion.exposure import exposure_motion
 from render.tracing.psf import epsf_tracer, render_epsf
@@ -64,9 +64,7 @@ def camera_of(psf, size=64, **changes):
 
 def stars_at(camera, x_px, y_px, wavelength_nm=(600.0,), rate=1000.0):
     direction = camera.nominal_direction(np.asarray(x_px, float), np.asarray(y_px, float), FOCAL_MM)
-    waves = np.asarray(wavelength_nm, float)[None]
-    rates = np.full((len(direction), 1, waves.shape[1]), rate / waves.shape[1])
-    return StarField(direction=direction, wavelength_nm=waves, photon_rate=rates, band=("b",))
+    return star_field(direction, wavelength_nm, rate / len(wavelength_nm))
 
 
 OBLIQUE = [(0.12, 0.25, 0.25, 0.0, 0.0), (0.74, 0.63, 0.73, 0.5, 0.0), (0.14, 2.2, 1.9, -0.3, 0.4)]

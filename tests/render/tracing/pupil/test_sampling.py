@@ -5,12 +5,12 @@ from functools import partial
 
 import numpy as np
 import pytest
+from fields import star_field
 from scipy import stats
 from scipy.stats import qmc
 
 from optics.lens.apertures import Spider
 from optics.lens_file import load_lens
-from render.records import StarField
 from render.tracing.convergence import TOLERANCE
 from render.tracing.pupil import points as pupil_points
 from render.tracing.pupil.points import SobolPoints
@@ -215,8 +215,7 @@ def test_a_star_that_loses_light_unforeseen_is_no_matter_of_its_neighbour(engine
     direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)) @ camera.rotation_cam_from_world
     images = []
     for some in (direction, direction[:1], direction[1:]):
-        rate = np.full((len(some), 1, 12), 1e3)
-        stars = StarField(direction=some, wavelength_nm=wavelength[None], photon_rate=rate, band=("wide",))
+        stars = star_field(some, wavelength, 1e3)
         images.append(Tracer(camera).render(stars, exposure_s=1.0).electrons)
     np.testing.assert_allclose(images[0], images[1] + images[2], atol=1e-4 * images[0].max())
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fields import star_field
 
 from optics.frames import field_direction
 from optics.glass.coating import Film, QuarterWave, Stack
@@ -31,9 +32,7 @@ def camera_of(losses: PathLosses | None, **settings: object) -> Camera:
 
 
 def stars() -> StarField:
-    direction = np.array([field_direction(*place) for place in FIELDS_DEG])
-    rate = np.broadcast_to([[[30.0, 50.0]]], (len(direction), 1, 2))
-    return StarField(direction=direction, wavelength_nm=WAVE_NM, photon_rate=rate, band=("v",))
+    return star_field([field_direction(*place) for place in FIELDS_DEG], WAVE_NM, [30.0, 50.0])
 
 
 @pytest.mark.parametrize("losses", [PathLosses(coating=QuarterWave()), PathLosses(coating=STACK, absorption=False)])

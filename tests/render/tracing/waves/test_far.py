@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fields import star_field
 from scipy.special import j0, j1
 
 from optics.frames import field_direction
@@ -13,7 +14,6 @@ from optics.lens.apertures import Spider
 from optics.lens.system import LensSystem
 from optics.lens.without_glass import ideal_lens
 from render.camera import Camera, FarLight
-from render.records import StarField
 from render.tracing.tracer import TracedStars, Tracer
 from render.tracing.waves import summed
 from render.tracing.waves.far import FarImage, far_image
@@ -42,9 +42,7 @@ def known(**stop: object) -> FarImage:
 
 def star(camera: Camera, electrons: float, place_deg: tuple[float, float] = (0.02, 0.01)) -> TracedStars:
     tracer = Tracer(camera)
-    rate = np.full((1, 1, 3), electrons / tracer.pupil.area_mm2 / 3.0)
-    wave = np.array([[580.0, 600.0, 620.0]])
-    field = StarField(direction=field_direction(*place_deg)[None], wavelength_nm=wave, photon_rate=rate, band=("v",))
+    field = star_field(field_direction(*place_deg), [580.0, 600.0, 620.0], electrons / tracer.pupil.area_mm2 / 3.0)
     return tracer.render(field, exposure_s=1.0)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fields import star_field
 from scipy.spatial.transform import Rotation
 
 from optics.errors import ConfigError, DomainError
@@ -18,7 +19,6 @@ from optics.light.collimation import Collimation
 from optics.waves.pupil_field import PupilField, trace_pupil
 from render.camera import Camera
 from render.motion.trajectory import ConstantRate
-from render.records import StarField
 from render.tracing.motion.exposure import exposure_motion
 from render.tracing.psf import render_epsf
 from render.tracing.tracer import Tracer
@@ -31,15 +31,6 @@ def camera_of(lens, width=64, height=64, **changes):
     lens = lens if isinstance(lens, LensSystem) else load_lens(lens)
     settings = {"pixel_pitch_mm": PITCH_MM, "charge_diffusion_px": SIGMA_PX, "diffraction": "waves"} | changes
     return Camera(lens=lens, width_px=width, height_px=height, **settings)
-
-
-def stars_of(direction, wavelength_nm, weight=None):
-    direction = np.atleast_2d(direction)
-    waves = np.atleast_2d(np.asarray(wavelength_nm, float))
-    rate = np.broadcast_to(
-        np.ones(waves.size) if weight is None else np.asarray(weight), (len(direction), *waves.shape)
-    )
-    return StarField(direction=direction, wavelength_nm=waves, photon_rate=rate, band=("b",))
 
 
 def looking_at(camera, field_x_deg, field_y_deg, wavelength_nm, at_px):
@@ -83,7 +74,7 @@ def test_pixels_are_the_integrals_of_the_plane_wave_sum(engine, name, field, sig
     wave, weight = np.array([560.0, 640.0]), np.array([1.0, 0.6])
     camera = camera_of(name, 11, 11, charge_diffusion_px=sigma_px, defocus_mm=defocus_mm)
     camera = looking_at(camera, *field, wave[:1], (5.2, 4.7))
-    traced = Tracer(camera).render(stars_of(field_direction(*field), wave, weight), exposure_s=1.0)
+    traced = Tracer(camera).render(star_field(field_direction(*field), wave, weight), exposure_s=1.0)
     pupil = trace_pupil(camera.focused_lens, *field, wave, half_width_mm=0.066)
     expected = pixel_shares(camera, pupil, weight, sigma_px)
     truth = traced.truth
@@ -100,7 +91,7 @@ def test_arcs_of_an_outline_have_rays_enough_at_every_wavelength(engine):
     camera = looking_at(camera, *field, wave[:1], (16.2, 15.7))
     many, alone = (
         Tracer(camera).render(
-            stars_of(field_direction(*field), waves, [1.0] + [0.0] * (len(waves) - 1)), exposure_s=1.0
+            star_field(field_direction(*field), waves, [1.0] + [0.0] * (len(waves) - 1)), exposure_s=1.0
         )
         for waves in (wave, wave[:1])
     )
@@ -110,7 +101,7 @@ def test_arcs_of_an_outline_have_rays_enough_at_every_wavelength(engine):
 
 def test_every_electron_is_accounted_for_and_the_rest_is_what_the_rings_hold(engine):
     camera = camera_of("star_camera_206mm", 31, 31)
-    traced = Tracer(camera).render(stars_of(field_direction(0.0, 0.0), 600.0), exposure_s=2.0)
+    traced = Tracer(camera).render(star_field(field_direction(0.0, 0.0), 600.0), exposure_s=2.0)
     truth = traced.truth
     parts = (truth.electrons_image, truth.electrons_vignetted, truth.electrons_off_edge, truth.electrons_beyond)
     assert sum(parts) == pytest.approx(truth.electrons_in, rel=1e-12)
@@ -127,7 +118,7 @@ def test_the_centroid_of_all_light_is_the_mean_of_the_rays_at_every_wavelength(e
     camera = camera_of("star_camera_206mm", 41, 41)
     for wave in (500.0, 800.0):
         seen = looking_at(camera, 3.3, 0.0, wave, (20.3, 20.0))
-        stars = stars_of(field_direction(3.3, 0.0), wave)
+        stars = star_field(field_direction(3.3, 0.0), wave)
         truth = Tracer(seen).render(stars, exposure_s=1.0).truth
         rays = Tracer(replace(seen, diffraction="rays")).render(stars, exposure_s=1.0).truth
         assert truth.photon_x_px[0, 0] == pytest.approx(rays.bundle_x_px[0, 0], abs=1e-6)
@@ -138,7 +129,7 @@ def test_the_centroid_of_all_light_is_the_mean_of_the_rays_at_every_wavelength(e
 def test_a_trail_is_the_mean_of_still_images(engine):
     camera = camera_of("star_camera_206mm", 36, 36)
     star = field_direction(0.001, 0.0)
-    stars = stars_of(star, 600.0)
+    stars = star_field(star, 600.0)
     trajectory = ConstantRate(initial=Rotation.identity(), rate_rad_per_s=np.radians([0.005, -0.008, 0.0]), end_s=1.0)
     motion = exposure_motion(trajectory, start_s=0.0, exposure_s=0.5, camera=camera)
     moving = Tracer(camera).render(stars, exposure_s=0.5, motion=motion)
@@ -158,7 +149,7 @@ def test_a_hole_in_the_stop_makes_the_amplitude_of_the_disk_less_that_of_the_hol
     stop, hole = lens.surfaces[lens.stop_index], 14.0
     pierced = lens.with_surfaces({lens.stop_index: replace(stop, inner_semi_diameter_mm=hole)})
     camera = camera_of(pierced, 13, 13)
-    traced = Tracer(camera).render(stars_of(field_direction(0.0, 0.0), 600.0), exposure_s=1.0)
+    traced = Tracer(camera).render(star_field(field_direction(0.0, 0.0), 600.0), exposure_s=1.0)
     small = lens.with_surfaces({lens.stop_index: replace(stop, semi_diameter_mm=hole)})
     n = 10
     grid = ((np.arange(33 * n) + 0.5) / n - 16.5) * PITCH_MM
@@ -186,7 +177,7 @@ def test_a_hole_in_the_stop_makes_the_amplitude_of_the_disk_less_that_of_the_hol
 @pytest.mark.slow
 def test_effective_psf_is_what_the_renderer_puts_into_pixels(engine):
     camera = looking_at(camera_of("star_camera_206mm", 13, 13), 2.0, 1.0, 600.0, (6.0, 6.0))
-    stars = stars_of(field_direction(2.0, 1.0), 600.0)
+    stars = star_field(field_direction(2.0, 1.0), 600.0)
     tracer = Tracer(camera)
     truth = tracer.render(stars, exposure_s=1.0).truth
     at = np.array([truth.bundle_x_px[0, 0], truth.bundle_y_px[0, 0]])
@@ -222,12 +213,7 @@ def test_images_interpolated_over_the_field_are_those_of_every_star(engine, name
     x, y = (rng.uniform(60.0, size - 60.0, 16) for size in size_px)
     wave = np.array([560.0, 680.0])
     direction = camera.nominal_direction(x, y, focal_mm)
-    stars = StarField(
-        direction=direction,
-        wavelength_nm=wave[None],
-        photon_rate=rng.uniform(0.2, 1.0, (16, 1, 2)),
-        band=("b",),
-    )
+    stars = star_field(direction, wave, rng.uniform(0.2, 1.0, (16, 1, 2)))
     fast = Tracer(camera, by_grid=True).render(stars, exposure_s=1.0)
     exact = Tracer(replace(camera, diffraction="exact_waves")).render(stars, exposure_s=1.0)
     assert list(fast.sampling) == ["grid"]
@@ -259,13 +245,8 @@ def test_a_grid_shares_wavelengths_and_holds_the_light_of_a_collimator(engine):
         slope_rad=1e-6 * np.stack([wave - 600.0, 0.4 * (600.0 - wave)], axis=-1) / 50.0,
         vergence_per_mm=np.full(wave.shape, 2e-7),
     )
-    stars = StarField(
-        direction=camera.nominal_direction(rng.uniform(30.0, 370.0, 6), rng.uniform(30.0, 270.0, 6), 206.2),
-        wavelength_nm=wave,
-        photon_rate=rng.uniform(0.2, 1.0, (6, 1, 16)),
-        band=("b",),
-        collimation=bent,
-    )
+    direction = camera.nominal_direction(rng.uniform(30.0, 370.0, 6), rng.uniform(30.0, 270.0, 6), 206.2)
+    stars = replace(star_field(direction, wave, rng.uniform(0.2, 1.0, (6, 1, 16))), collimation=bent)
     fast, exact = (Tracer(replace(camera, diffraction=how), by_grid=True) for how in ("waves", "exact_waves"))
     ours, theirs = (one.render(stars, exposure_s=1.0) for one in (fast, exact))
     assert list(ours.sampling) == ["grid"]
@@ -277,7 +258,7 @@ def test_a_grid_shares_wavelengths_and_holds_the_light_of_a_collimator(engine):
 
 def test_a_star_beside_the_detector_costs_nothing_and_is_off_the_edge(engine):
     camera = camera_of("star_camera_206mm", 16, 16)
-    traced = Tracer(camera).render(stars_of(field_direction(1.0, 0.0), 600.0), exposure_s=1.0)
+    traced = Tracer(camera).render(star_field(field_direction(1.0, 0.0), 600.0), exposure_s=1.0)
     assert not traced.sampling
     assert traced.truth.electrons_off_edge == pytest.approx(traced.truth.electrons_in)
 
@@ -285,7 +266,7 @@ def test_a_star_beside_the_detector_costs_nothing_and_is_off_the_edge(engine):
 def test_bad_input_is_refused_by_name(engine):
     with pytest.raises(ConfigError, match=r"unknown diffraction 'wave'; did you mean waves"):
         camera_of("star_camera_206mm", diffraction="wave")
-    stars = stars_of(field_direction(0.0, 0.0), 600.0)
+    stars = star_field(field_direction(0.0, 0.0), 600.0)
     with pytest.raises(DomainError, match=r"set diffraction = 'rays', which suffices for such images"):
         Tracer(camera_of("star_camera_206mm", defocus_mm=4.0)).render(stars, exposure_s=1.0)
 
@@ -294,7 +275,7 @@ def test_bad_input_is_refused_by_name(engine):
 def test_the_mean_of_rays_keeps_the_symmetry_that_sampling_at_random_breaks(engine):
     """Apertures cut the beams of this lens, whose rays are else Sobol points: 3e-4 px beside the plane of symmetry."""
     camera = camera_of("double_gauss_50mm", 2048, 64)
-    truth = Tracer(camera).render(stars_of(field_direction(4.0, 0.0), 600.0), exposure_s=1.0).truth
+    truth = Tracer(camera).render(star_field(field_direction(4.0, 0.0), 600.0), exposure_s=1.0).truth
     for y in (truth.bundle_y_px, truth.photon_y_px):
         assert y[0, 0] == pytest.approx(camera.centre_px[1], abs=1e-5)
 
@@ -317,7 +298,7 @@ def test_light_past_a_spider_is_that_of_its_area(engine, tmp_path, angle_deg):
     path = tmp_path / "telescope.toml"
     toml = re.search(r"```toml\n(name = .Ritchey.*?)```", text, flags=re.DOTALL)[1]
     path.write_text(toml.replace("angle_deg = 45.0", f"angle_deg = {angle_deg}"), encoding="utf-8")
-    stars = stars_of(np.array([0.0, 0.0, 1.0]), 600.0)
+    stars = star_field(np.array([0.0, 0.0, 1.0]), 600.0)
     truth = Tracer(camera_of(load_lens(path))).render(stars, exposure_s=1.0).truth
 
     def under_arc(radius, y=0.5):  # from -y to y
