@@ -178,10 +178,16 @@ def refused_by(tmp_path, monkeypatch, capsys):
 
 
 @pytest.fixture(scope="session")
-def tiny_run(engine, tmp_path_factory):
-    """``tiny_run(name, key=value, ...)``: exit status, folder, records of a run on 288 x 256 px; ``__`` is a dot."""
+def tiny_chip(tmp_path_factory):
+    """Data file of a detector of 288 x 256 px."""
     chip = tmp_path_factory.mktemp("chip") / "tiny.toml"
     chip.write_text('base = "cmv4000"\nname = "tiny"\nchip_width_px = 288\nchip_height_px = 256\n')
+    return chip
+
+
+@pytest.fixture(scope="session")
+def tiny_run(engine, tiny_chip, tmp_path_factory):
+    """``tiny_run(name, key=value, ...)``: exit status, folder, records of a run on 288 x 256 px; ``__`` is a dot."""
 
     def run(name, **settings):
         from experiments.harness.cli import command
@@ -194,7 +200,7 @@ def tiny_run(engine, tmp_path_factory):
             kept.extend((work(config, **keywords), config))
             return kept[0]
 
-        given = {"instrument.detector": chip, **{key.replace("__", "."): value for key, value in settings.items()}}
+        given = {"instrument.detector": tiny_chip, **{key.replace("__", "."): value for key, value in settings.items()}}
         texts = [f"{key}={json.dumps(value) if isinstance(value, list) else value}" for key, value in given.items()]
         out = tmp_path_factory.mktemp(name) / "out"
         status = command(replace(experiment, run=keep))(

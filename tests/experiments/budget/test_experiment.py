@@ -57,18 +57,16 @@ TINY = {
 
 
 @pytest.fixture(scope="module")
-def run(engine, tmp_path_factory):
+def run(engine, tiny_chip):
     """All parts of a budget but the temperature, on few pixels, of a target that is badly surveyed.
 
     PSFs from frames are built by their own tests; here a Gaussian stands for them.
     """
-    chip = tmp_path_factory.mktemp("chip") / "tiny.toml"
-    chip.write_text('base = "cmv4000"\nname = "tiny"\nchip_width_px = 288\nchip_height_px = 256\n')
     line = np.exp(-0.5 * (np.arange(-40, 41) / 4 / 0.6) ** 2)
     built = SimpleNamespace(epsf=EffectivePsf(values=16.0 * np.outer(line, line) / line.sum() ** 2, oversampling=4))
     texts = [f"{key}={json.dumps(value)}" for key, value in TINY.items() if not isinstance(value, dict)]
     texts += [f"{k}.{n}={json.dumps(v)}" for k, of in TINY.items() if isinstance(of, dict) for n, v in of.items()]
-    config = load_config(Config, settings=[f"instrument.detector={chip}", *texts])
+    config = load_config(Config, settings=[f"instrument.detector={tiny_chip}", *texts])
     few = ((predict, "STEP_NOISE_DRAWS", 12), (predict, "SESSIONS", 2), (high_frequency_model, "PATHS", 4))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(epsf_session, "build_epsf", lambda *_, **__: built)

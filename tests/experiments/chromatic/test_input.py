@@ -62,20 +62,10 @@ def test_lens_that_is_not_centred(refused, tmp_path):
     assert "paraxial quantities exist for centred lenses only" in refused("--set", "instrument.lens=tilted.toml")
 
 
-SLOW = [
-    ("signal_e=300", r"target points not detected: \d of 9, e\.g\. the one at column .*raise signal_e .300 e-."),
-    ("signal_e=1e5", r"upper left position, filter 500 nm: saturated at \d of 9 places.*lower signal_e .100000 e-."),
-    ("instrument.exposure_s=1000", "lower the dark current .1000 s at 0 C."),
-    ("decentre.wanted_px=50", "no decentre of any element up to 3 mm gives .*decentre.wanted_px = 50 px in 800-600, x"),
-    ("decentre.wanted_px=1.0", "moves the whole image by 147 px; at most 80 px can be followed"),
-]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(("setting", "expected"), SLOW, ids=[setting for setting, _ in SLOW])
-def test_setting_that_only_the_light_shows_wrong(refused, setting, expected):
-    said = refused("--set", setting, "--set", "instrument.diffraction=rays", within_s=20.0)
-    assert re.search(expected, said), said
+def test_dark_charge_that_only_frames_show(refused):
+    said = refused("--set", "instrument.exposure_s=1000", "--set", "instrument.diffraction=rays", within_s=20.0)
+    assert "lower the dark current (1000 s at 0 C" in said
 
 
 UNUSUAL = ["decentre.wanted_px=0", "target.rows=1", "target.columns=1", "filters.centres_nm=[600,800]"]

@@ -79,23 +79,6 @@ def test_a_data_sheet_with_curves_from_csv(tmp_path: Path) -> None:
         load_detector(written(tmp_path, SHEET + "gain_dn_per_e = 0.9\n" + CURVES))
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (CURVES, "keys are missing: name, source, chip_width_px"),
-        (SHEET + "dark_current_e_per_s = 3.0\n" + CURVES, "either dark_current_e_per_s or a table [dark_current]"),
-        (SHEET + 'gain_dn_per_e = 0.3\nassumed = ["adc_bit"]\n' + CURVES, "did you mean adc_bits"),
-        (SHEET + "dark_reference_c = 25.0\n" + CURVES, "dark_reference_c = 25.0 C is outside the table's 0 to 20 C"),
-    ],
-)
-def test_faults_of_curves(tmp_path: Path, text: str, words: str) -> None:
-    (tmp_path / "qe.csv").write_text("400,0.3\n600,0.5\n")
-    (tmp_path / "dark.csv").write_text("0,1.0\n20,8.0\n")
-    with pytest.raises(ConfigError) as caught:
-        load_detector(written(tmp_path, text))
-    assert words in str(caught.value)
-
-
 def test_mosaic_size_and_gap() -> None:
     mosaic = load_detector("acc18_mosaic")
     assert mosaic.shape == (2048, 4096)
@@ -130,10 +113,9 @@ def test_dark_current_law() -> None:
     ],
 )
 def test_record_refuses_impossible_values(change: dict[str, object], words: str) -> None:
-    with pytest.raises(DomainError) as caught:
-        dataclasses.replace(load_detector("cmv4000"), **change)  # type: ignore[arg-type]
-    assert words in str(caught.value)
-    assert "\n" not in str(caught.value)
+    said = refuses(DomainError, ".", dataclasses.replace, load_detector("cmv4000"), **change)
+    assert words in said
+    assert "\n" not in said
 
 
 def test_own_file_on_a_base(tmp_path: Path) -> None:
@@ -153,6 +135,10 @@ def test_own_file_on_a_base(tmp_path: Path) -> None:
         ('base = "cmv4000"\nprnu = nan\n', ["prnu = nan"]),
         ('base = "cmv4000"\nnonlinearity = [0.9]\n', ["nonlinearity = 0.9", "-0.5 to 0.5"]),
         ("base = 3\n", ["base = 3", "name of a detector"]),
+        (CURVES, ["keys are missing: name, source, chip_width_px"]),
+        (SHEET + "dark_current_e_per_s = 3.0\n" + CURVES, ["either dark_current_e_per_s or a table [dark_current]"]),
+        (SHEET + 'gain_dn_per_e = 0.3\nassumed = ["adc_bit"]\n' + CURVES, ["did you mean adc_bits"]),
+        (SHEET + "dark_reference_c = 25.0\n" + CURVES, ["dark_reference_c = 25.0 C is outside the table's 0 to 20 C"]),
         ('name = "mine"\n', ['"cmv4000"']),
         ('base = "cmv400"\n', ["mine.toml: base: ", "unknown detector 'cmv400'; did you mean cmv4000"]),
         ('base = "mine.toml"\n', ["refers back to itself"]),
@@ -168,10 +154,10 @@ def test_own_file_on_a_base(tmp_path: Path) -> None:
     ],
 )
 def test_faults_in_a_file(tmp_path: Path, text: str, words: list[str]) -> None:
-    with pytest.raises(ConfigError) as caught:
-        load_detector(written(tmp_path, text))
-    for word in words:
-        assert word in str(caught.value)
+    (tmp_path / "qe.csv").write_text("400,0.3\n600,0.5\n")
+    (tmp_path / "dark.csv").write_text("0,1.0\n20,8.0\n")
+    said = refuses(ConfigError, ".", lambda: load_detector(written(tmp_path, text)))
+    assert all(word in said for word in words), said
 
 
 def test_unknown_name_and_missing_file(tmp_path: Path) -> None:

@@ -181,10 +181,6 @@ def bad_file(folder: Path, kind: str) -> Path:
         path.write_bytes(write_frame(frame(), path).read_bytes()[:2900])
     elif kind == "table":
         fits.BinTableHDU.from_columns([fits.Column("x", "D", array=np.ones(3))]).writeto(path)
-    elif kind == "negative":
-        fits.PrimaryHDU(np.full((3, 3), -5, np.int16)).writeto(path)
-    elif kind == "fractions":
-        fits.PrimaryHDU(np.full((3, 3), 0.5)).writeto(path)
     elif kind == "cube":
         fits.PrimaryHDU(np.ones((2, 3, 3), np.int16)).writeto(path)
     elif kind == "gain":
@@ -200,8 +196,6 @@ def bad_file(folder: Path, kind: str) -> Path:
         ("empty", "not a readable FITS file"),
         ("truncated", "not a readable FITS file"),
         ("table", "holds no image"),
-        ("negative", "whole numbers from 0 to 65535"),
-        ("fractions", "whole numbers from 0 to 65535"),
         ("cube", "3 axes"),
         ("gain", "GAIN = 0 e-/DN"),
     ],

@@ -103,20 +103,6 @@ def _reversed(trajectory):
 
 
 @pytest.mark.slow
-def test_hardly_any_motion_is_none(engine, bench):
-    camera, whole = small(bench, "star_tracker_26mm")
-    stars = bench.stars_at(whole, [699.3], [301.4])
-    trajectory = turning(whole, 1e-6)
-    tracer = Tracer(camera)
-    still = tracer.render(stars, exposure_s=EXPOSURE_S, rotation_cam_from_world=trajectory.attitude(0.2).as_matrix())
-    for line_time_s in (0.0, 1e-5):
-        motion = exposure_motion(trajectory, start_s=0.0, exposure_s=EXPOSURE_S, camera=camera, line_time_s=line_time_s)
-        assert len(motion.weight) == 1
-        moved = tracer.render(stars, exposure_s=EXPOSURE_S, motion=motion)
-        assert np.abs(moved.electrons - still.electrons).max() < 1e-6 * still.electrons.max()
-
-
-@pytest.mark.slow
 def test_rolling_shutter_row_by_row(engine, bench):
     """Every row is the mean of images at rest over its own time."""
     camera, whole = small(bench, "star_tracker_26mm", size=28)
