@@ -120,11 +120,6 @@ def test_switching_a_cause_off_keeps_the_other_patterns(small_camera):
     assert chip.sensor_seed == small_camera.detector.sensor_seed
 
 
-def test_a_step_larger_than_the_window_is_refused(bench, small_camera):
-    with pytest.raises(DomainError, match=r"a step of 9 px is not smaller than half the window"):
-        measure_high_frequency(bench, small_camera, IDEAL, StepConfig(step_px=9.0), streams=Streams(1))
-
-
 def test_raw_frames_keep_the_pattern_and_dark_subtraction_takes_it(scene, bench, small_camera):
     light = scene.light(target_place(bench, small_camera, PLACE), Streams(5), "here")
     error = {}

@@ -7,7 +7,6 @@ import pytest
 
 from experiments.laboratory.devices.targets import grid_directions, survey
 from experiments.laboratory.settings.tables import GridTargetConfig
-from optics.errors import DomainError
 
 
 def on_the_detector(instrument, direction):
@@ -50,8 +49,3 @@ def test_surveys_are_off_by_the_marking_error_independently(small_camera):
     angle = np.degrees(np.linalg.norm(copies - direction, axis=2)) * 3600.0
     assert np.sqrt((angle**2).mean() / 2.0) == pytest.approx(0.3, rel=4 / np.sqrt(2 * 2 * 6400) + 0.003)
     assert abs(np.corrcoef((copies - direction)[0].ravel(), (copies - direction)[1].ravel())[0, 1]) < 0.5
-
-
-def test_a_grid_must_fit(small_camera):
-    with pytest.raises(DomainError, match="does not fit"):
-        grid_directions(GridTargetConfig(edge_px=768.0), small_camera, np.random.default_rng(1))

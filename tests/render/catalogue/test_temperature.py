@@ -61,13 +61,6 @@ def test_blackbody_of_the_colour_has_the_stars_other_colour_too(colour):
     assert found == pytest.approx(stars, abs=0.02)
 
 
-def test_blackbody_of_the_effective_temperature_does_not():
-    # why stars are rendered with their colour temperature: an M dwarf of BP-RP = 2 would be half a magnitude too blue
-    body = Blackbody(temperature_k=float(effective_temperature(2.0)))
-    found = synthetic_magnitude(body, system="G") - synthetic_magnitude(body, system="V")
-    assert found - (-0.02704 + 0.02848 - 0.8624 + 0.11408) > 0.15
-
-
 def test_ballesteros_for_the_sun():
     # F. J. Ballesteros, EPL 97, 34008 (2012): the formula gives 5772 to 5800 K for the Sun
     assert float(colour_temperature(None, 0.65)) == pytest.approx(5778, abs=30)

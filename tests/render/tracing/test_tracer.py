@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
-from optics.lens.perturb import decentre, tilt
+from optics.lens.perturb import decentre
 from optics.lens_file import load_lens
 from optics.rays.chief import chief_ray_points
 from render.records import StarField
@@ -273,15 +273,6 @@ def test_star_whose_rays_all_fail_is_flagged_in_its_truth(engine, bench):
     assert truth.electrons_vignetted[1, 0] == pytest.approx(truth.electrons_in[1, 0], rel=1e-12)
     assert truth.missing.tolist() == [[""], ["apertures of the lens stop all light of the star"]]
     assert traced.electrons.astype(float).sum() == pytest.approx(truth.electrons_image[0, 0], rel=1e-6)
-
-
-@pytest.mark.slow
-def test_bundle_means_need_no_image(engine, bench):
-    camera = bench.camera_of(tilt(load_lens("star_camera_206mm"), "L2", x_deg=0.1), film=False)
-    stars = bench.stars_at(camera, [100.0, 2000.0], [100.0, 1000.0], bands=BANDS)
-    means = Tracer(camera, general=True).bundle_means(stars)
-    truth = rendered(camera, stars).truth
-    assert np.abs(means - np.stack([truth.bundle_x_px, truth.bundle_y_px], axis=-1)).max() < 1e-7
 
 
 @pytest.mark.parametrize(

@@ -65,18 +65,11 @@ def test_centroids_scatter_as_predicted(visited, small_camera) -> None:
     assert ratio == pytest.approx(1.0, abs=0.063)
 
 
-def test_a_star_that_is_not_there(visited, small_camera) -> None:
+def test_stars_that_are_not_there_or_too_bright(visited, small_camera) -> None:
     expected, psfs = visited[:2]
-    beside = np.add(_truth(expected), [150.0, 0.0])
     with pytest.raises(DomainError, match="not detected"):
-        read_windows(expected, beside, psfs, small_camera, PLAN, streams=Streams(8))
-
-
-def test_a_star_that_is_too_bright(visited, small_camera) -> None:
-    expected, psfs = visited[:2]
-    bright = ExpectedImage(
-        electrons=expected.electrons * 20.0, band=expected.band, exposure_s=expected.exposure_s, diffused=True
-    )
+        read_windows(expected, _truth(expected) + [150.0, 0.0], psfs, small_camera, PLAN, streams=Streams(8))
+    bright = replace(expected, electrons=expected.electrons * 20.0)
     with pytest.raises(DomainError, match="saturated"):
         read_windows(bright, _truth(expected), psfs, small_camera, PLAN, streams=Streams(8))
 

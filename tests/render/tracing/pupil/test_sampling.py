@@ -233,15 +233,6 @@ def test_no_quadrature_takes_more_rays_than_it_is_worth(engine, bench):
     assert max(rays.values()) <= 1 << 18
 
 
-def test_plan_does_not_depend_on_earlier_fields(engine, bench):
-    camera = bench.camera_of()
-    wide = bench.stars_at(camera, [100, 2000], [100, 1000])
-    narrow = bench.stars_at(camera, [1900.3, 2000.1], [1000.2, 1010.7])
-    fresh, used = Tracer(camera), Tracer(camera)
-    used.render(wide, exposure_s=1.0)
-    assert np.array_equal(fresh.render(narrow, exposure_s=1.0).electrons, used.render(narrow, exposure_s=1.0).electrons)
-
-
 def test_probes_cover_the_field_and_bounds_the_rim():
     v = probe_fields(0.3)
     assert np.allclose(np.linalg.norm(v, axis=1), 1.0)
