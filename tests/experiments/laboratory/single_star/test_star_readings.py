@@ -68,7 +68,7 @@ def test_centroids_scatter_as_predicted(visited, small_camera) -> None:
 def test_stars_that_are_not_there_or_too_bright(visited, small_camera) -> None:
     expected, psfs = visited[:2]
     with pytest.raises(DomainError, match="not detected"):
-        read_windows(expected, _truth(expected) + [150.0, 0.0], psfs, small_camera, PLAN, streams=Streams(8))
+        read_windows(expected, np.add(_truth(expected), [150.0, 0.0]), psfs, small_camera, PLAN, streams=Streams(8))
     bright = replace(expected, electrons=expected.electrons * 20.0)
     with pytest.raises(DomainError, match="saturated"):
         read_windows(bright, _truth(expected), psfs, small_camera, PLAN, streams=Streams(8))
