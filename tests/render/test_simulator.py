@@ -21,7 +21,6 @@ from optics.page import Marks
 from optics.rays.spots import collecting_area_mm2
 from render.bodies.solar_system import solar_system
 from render.bodies.sunlit_body import planet_body, sphere_photons
-from render.catalogue.motion import earth_observer
 from render.sensor_file.load import load_star_sensor
 from render.simulator import SkySimulator, observe
 from render.sky.background import UniformSky
@@ -103,26 +102,6 @@ def test_light_is_the_integral_over_the_pass_band(observation, sensor):
         rate = photon_rate(sed, float(table["magnitude"][star]), wavelength_nm=wavelength, system="G")
         electrons = (rate * through).sum() * area_mm2 * cosine[star] * 0.1
         assert table["electrons_in"][star] == pytest.approx(electrons, rel=1e-2)
-
-
-@pytest.mark.slow
-def test_diffuse_light_is_added_where_it_is_asked_for(sky):
-    sensor = load_star_sensor("star_tracker_26mm", "cmv4000", window_px=128)
-    attitude = attitude_from_angles(*ORION)
-    bright = observe(sensor, attitude, sky, uniform=UniformSky(magnitude_per_arcsec2=15.0))
-    dark = observe(sensor, attitude, sky)
-    extra = bright.expected.electrons - dark.expected.electrons
-    assert extra.min() > 0
-    assert extra.std() < 0.05 * extra.mean()
-    assert bright.frame.dn.mean() - dark.frame.dn.mean() == pytest.approx(0.3 * extra.mean(), rel=0.05)  # gain
-
-
-def test_an_observer_on_the_earth_sees_stars_aberrated(sky):
-    moving = load_sky(faintest_mag=6.0, observer="earth")
-    ours = np.degrees(np.arccos(np.clip((moving.direction * sky.direction).sum(1), -1, 1))) * 3600
-    speed = np.linalg.norm(earth_observer(2016.0).velocity_km_per_s) / 299792.458
-    assert ours.max() == pytest.approx(np.degrees(speed) * 3600, rel=0.02)
-    assert np.array_equal(moving.id, sky.id)
 
 
 def test_a_master_dark_is_the_pattern_without_the_noise(simulator, sensor):

@@ -29,18 +29,12 @@ def test_the_chromatic_term_in_x_is_a_slip_and_in_y_is_not():
     assert x == pytest.approx(0.0385)  # printed 0.03: 5e-3 px x 5.5" = 0.0275
 
 
-def test_detector_overrides():
-    detector = load_detector("acc18_mosaic")
-    changed = overridden(detector, DetectorConfig(read_noise_e=5.0, diffusion_sigma_um=2.0))
-    assert (changed.read_noise_e, changed.diffusion_sigma_mm) == (5.0, pytest.approx(2e-3))
-    assert changed.prnu == detector.prnu
-    assert overridden(detector, DetectorConfig()) is detector
-
-
 def test_override_reaches_camera_and_readout():
     lab = build_laboratory(load_config(Config, settings=["detector.diffusion_sigma_um=2.75", "detector.prnu=0.02"]))
     assert lab.instrument.camera.charge_diffusion_px == pytest.approx(0.5)
-    assert lab.instrument.detector.prnu == 0.02
+    detector = load_detector("acc18_mosaic")
+    assert (lab.instrument.detector.prnu, lab.instrument.detector.read_noise_e) == (0.02, detector.read_noise_e)
+    assert overridden(detector, DetectorConfig()) is detector
 
 
 def test_moved_element_shifts_the_image_as_its_power_says(star_camera):

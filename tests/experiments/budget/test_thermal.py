@@ -91,8 +91,3 @@ def test_stars_are_spread_over_the_detector_at_all_fractions_of_a_pixel(star_cam
     # a row of middles stands on one fraction; spread evenly it leaves at most gaps of a few over the number of stars
     fractions = np.sort(np.mod(pixel, 1.0), axis=0)
     assert np.diff(fractions, axis=0).max() < 4.0 / len(pixel)
-
-
-def test_it_can_be_switched_off():
-    lab = build_laboratory(load_config(Config, settings=[*QUICK, "thermal.stability_k=0"]))
-    assert thermal_term(lab, Streams(5)) == "thermal.stability_k is 0"

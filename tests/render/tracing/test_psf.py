@@ -16,7 +16,6 @@ from render.records import EffectivePsf
 from render.sensor_file.load import load_star_sensor
 from render.tracing import psf as psf_module
 from render.tracing.psf import epsf_tracer, ray_epsf, render_epsf, trailed, wave_images
-from render.tracing.tracer import Tracer
 
 OVERSAMPLING = 4
 
@@ -43,26 +42,6 @@ def test_samples_are_pixel_integrals_around_the_bundle_mean(engine, bench, name)
                 x - mean[0] - offset[0], y - mean[1] - offset[1], weight, camera.charge_diffusion_px, 0, 0, 1
             )[0, 0]
             assert values[half + dy, half + dx] == pytest.approx(expected, abs=2e-4)
-
-
-@pytest.mark.slow
-def test_predicts_the_image_of_a_star(engine, bench):
-    """At a quarter-pixel phase the ePSF's samples are the pixels of the rendered image."""
-    whole = bench.camera_of(defocus_mm=0.01)
-    camera = bench.window(whole, 31, 3000, 500)
-    start = bench.stars_at(whole, 3000.0, 500.0)
-    # shift the detector so that the bundle mean lies 1/4, -1/2 px from a pixel's centre
-    mean = Tracer(camera).bundle_means(start, rings=12, arms=26)[0, 0]
-    shift = np.array([15.25, 14.5]) - mean
-    camera = replace(camera, centre_px=camera.centre_px + shift)
-    traced = Tracer(camera).render(start, exposure_s=1.0)
-    share = traced.electrons[..., 0].astype(float) / traced.truth.electrons_image[0, 0]
-    ((psf,),) = render_epsf(epsf_tracer(camera), start, oversampling=8, half_size_px=7)
-    half, values = psf.values.shape[0] // 2, psf.values
-    for row in range(10, 21):
-        for column in range(10, 21):
-            dx, dy = round(8 * (column - 15.25)), round(8 * (row - 14.5))
-            assert values[half + dy, half + dx] == pytest.approx(share[row, column], abs=1e-4)
 
 
 def test_light_is_conserved_and_centred(engine, bench):
