@@ -2,13 +2,12 @@
 
 import pytest
 
+from experiments.budget.settings import Config
 from experiments.harness.config import load_config
 from experiments.laboratory.settings.published import is_published_sensor
 
 
 def test_what_the_document_leaves_open_may_change():
-    from experiments.budget.settings import Config
-
     assert is_published_sensor(Config())
     open_keys = [
         "instrument.defocus_mm=0.02",
@@ -25,6 +24,4 @@ def test_what_the_document_leaves_open_may_change():
     ["instrument.lens=star_camera_50mm", "instrument.f_number=4", "passband.range_nm=[450,850]", "filters.width_nm=80"],
 )
 def test_another_sensor_is_not_the_published_one(setting):
-    from experiments.budget.settings import Config
-
     assert not is_published_sensor(load_config(Config, settings=[setting]))

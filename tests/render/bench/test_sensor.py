@@ -46,20 +46,8 @@ def test_light_through_the_hole(engine):
     assert light[:, 20:28, 20:28].mean((1, 2)) == pytest.approx(v[:, 2], rel=0.02)
 
 
-def test_sun_behind_the_mask_is_refused(engine):
-    of = sensor()
-    with pytest.raises(DomainError, match="not in front of the mask"):
-        trace_mask(
-            mask_scene(of),
-            of,
-            [[1.0, 0.0, 0.0]],
-            [[0, 0]],
-            SIZE,
-            half_angle_rad=1e-3,
-            log2_particles=8,
-            seed=1,
-        )
-
-
-def test_impossible_sensors_are_refused():
+def test_what_cannot_be_is_refused(engine):
+    of, options = sensor(), {"half_angle_rad": 1e-3, "log2_particles": 8, "seed": 1}
+    beside = [[1.0, 0.0, 0.0]]
+    refuses(DomainError, "not in front of the mask", trace_mask, mask_scene(of), of, beside, [[0, 0]], SIZE, **options)
     refuses(DomainError, "gap_mm = 0 mm", sensor, gap_mm=0.0)
