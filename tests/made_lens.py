@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from optics import Glass, LensSystem, Surface
+from optics import Glass, LensSystem, Surface, TabulatedCoating
 from optics.glass.dispersion import Dispersion
 
 
@@ -13,6 +13,14 @@ def made_glass(index=1.5, name="n15", **properties):
 
 
 N15 = made_glass()
+
+
+def made_coating(reflectance=0.0, absorptance=0.0):
+    """Coating of constant shares at all wavelengths and angles."""
+    both = np.full((1, 2), reflectance)
+    shares = {"reflectance_s": both, "reflectance_p": both}
+    shares |= dict.fromkeys(("transmittance_s", "transmittance_p"), 1.0 - both - absorptance)
+    return TabulatedCoating(source="test", wavelength_nm=np.array([300.0, 1100.0]), **shares)
 
 
 def made_lens(*parts, glasses=(N15,), stop=0, start_mm=0.0, semi_mm=np.inf, inner_mm=0.0, **settings):

@@ -5,13 +5,7 @@ import pytest
 from calibration_scene import CAMERA, DISTORTION, GEOMETRY
 from refusals import refuses
 
-from calib.cameras import (
-    BrownConrady,
-    PerBand,
-    Polynomial,
-    SensorGeometry,
-    unproject_jacobian,
-)
+from calib.cameras import BrownConrady, PerBand, Polynomial, SensorGeometry, unproject_jacobian
 from optics.errors import ConfigError, DomainError
 
 OBLONG = SensorGeometry(width_px=1500, height_px=900, pixel_pitch_mm=0.0055)

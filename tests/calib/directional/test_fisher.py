@@ -93,22 +93,19 @@ def test_bias_of_the_estimators() -> None:
     assert np.std(one.sigma_rad * root) == pytest.approx(1 / np.sqrt(2 * 8), rel=0.05)
 
 
-def test_interval_covers_and_so_does_the_cone() -> None:
+def test_cone_of_the_mean_covers() -> None:
     """N = 2000: a coverage of 0.95 is known to 0.0049, one of 0.68 to 0.0104. So few directions that n is not n - 1."""
     n, runs, k = 4, 2000, 1e12
     w = sample_fisher(MEAN, k, n * runs, _rng(10)).reshape(runs, n, 3)
     fits = [fit_fisher(sample) for sample in w]
+    off = np.array([np.linalg.norm(fit.mean - MEAN) for fit in fits])
     for level, error in ((0.95, 0.0049), (0.6827, 0.0104)):
-        ends = np.array([fit.sigma_interval_rad(level) for fit in fits])
-        covered = np.mean((ends[:, 0] <= k**-0.5) & (k**-0.5 <= ends[:, 1]))
-        assert covered == pytest.approx(level, abs=4 * error)
-        off = np.array([np.linalg.norm(fit.mean - MEAN) for fit in fits])
         inside = np.mean(off <= [2 * np.sin(fit.mean_cone_rad(level) / 2) for fit in fits])
         assert inside == pytest.approx(level, abs=4 * error)
 
 
 @pytest.mark.parametrize("k", [1e12, 20.0])
-@pytest.mark.parametrize("count", [5, 20, 100, 200])
+@pytest.mark.parametrize("count", [4, 20, 100, 200])
 def test_interval_covers_from_few_directions_to_many(count: int, k: float) -> None:
     """N = 4000: a coverage of 0.95 is known to 0.0034, one of 0.68 to 0.0074; the unbiased 1/k to its scatter."""
     w = sample_fisher(MEAN, k, 4000 * count, _rng(12)).reshape(4000, count, 3)

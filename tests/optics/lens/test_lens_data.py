@@ -31,11 +31,8 @@ def printed_sampling() -> PupilSamples:
 
 
 @pytest.mark.parametrize(("wavelength", "printed"), [(500.0, 206.230), (600.0, 206.237), (800.0, 206.286)])
-def test_star_camera_focal_length_in_the_image_plane(wavelength, printed):
+def test_star_camera_focal_length_in_the_image_plane_and_f_number(wavelength, printed):
     assert plate_scale_mm(load_lens(STAR_CAMERA), wavelength) == pytest.approx(printed, abs=0.0006)
-
-
-def test_star_camera_f_number():
     assert paraxial(load_lens(STAR_CAMERA)).f_number == pytest.approx(2.95, abs=0.005)
 
 

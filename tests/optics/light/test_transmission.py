@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_lens import made_glass
+from made_lens import made_coating, made_glass
 from refusals import refuses
 
-from optics import Glass, QuarterWave, Response, TabulatedCoating, get_glass
+from optics import Glass, QuarterWave, Response, get_glass
 from optics.errors import ConfigError, DomainError
 from optics.light.transmission import Layout, layout_of, lens_transmission
 
@@ -37,12 +37,7 @@ def test_film_against_a_sum_over_reflections() -> None:
 def test_absorption_and_reflection_multiply_and_cement_is_uncoated() -> None:
     crown, flint = get_glass("N-BK7"), get_glass("F2")
     doublet = Layout(media=(crown, flint, None), thickness_mm=np.array([8.0, 3.0, 100.0]))
-    coating = TabulatedCoating(
-        source="test",
-        wavelength_nm=np.array([400.0, 700.0]),
-        reflectance_s=np.full((1, 2), 0.01),
-        reflectance_p=np.full((1, 2), 0.01),
-    )
+    coating = made_coating(0.01)
     cement = ((crown.index(LINES) - flint.index(LINES)) / (crown.index(LINES) + flint.index(LINES))) ** 2
     inside = crown.internal_transmittance(LINES, 8.0) * flint.internal_transmittance(LINES, 3.0)
     assert lens_transmission(doublet, LINES, coating=coating) == pytest.approx(

@@ -4,24 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_lens import made_coating
 from refusals import refuses
 
-from optics import LensSystem, QuarterWave, TabulatedCoating, field_direction, load_lens
+from optics import LensSystem, QuarterWave, field_direction, load_lens
 from optics.errors import DomainError
 from optics.lens.prescription import lens_from_table
 from optics.rays.ghosts import find_ghosts, ghost_pairs, trace_ghost, with_cover_glass
 from optics.rays.pupil import launch_disks, sobol_disk, star_rays
 
 DETECTOR = 2e-3
-
-
-def constant(reflectance: float, absorptance: float) -> TabulatedCoating:
-    both = np.full((1, 2), reflectance)
-    passed = 1.0 - both - absorptance
-    return TabulatedCoating(
-        source="test", wavelength_nm=np.array([300.0, 1100.0]), reflectance_s=both, reflectance_p=both,
-        transmittance_s=passed, transmittance_p=passed,
-    )  # fmt: skip
 
 
 def batoid_lens(batoid, lens: LensSystem):
@@ -60,7 +52,7 @@ def test_every_path_is_that_of_batoid(name: str) -> None:
     batoid = pytest.importorskip("batoid")
     lens = load_lens(name)
     coated = {
-        k: replace(s, coating=constant(1e-3 * (1.0 + 0.1 * k), 2e-3)) for k, s in enumerate(lens.surfaces)
+        k: replace(s, coating=made_coating(1e-3 * (1.0 + 0.1 * k), 2e-3)) for k, s in enumerate(lens.surfaces)
         if lens.media[k] != lens.media[k + 1]
     }  # fmt: skip
     lens, star, wave = lens.with_surfaces(coated), field_direction(1.5, -0.7), lens.design_wavelength_nm
@@ -153,7 +145,7 @@ def test_cover_glass_and_detector() -> None:
 def test_no_light_is_lost_from_the_books() -> None:
     """Films and mirrors that absorb, rims, glass: what enters is found again to 1e-9."""
     lens = load_lens("star_camera_206mm")
-    lossy = lens.with_surfaces({3: replace(lens.surfaces[3], coating=constant(0.3, 0.1))})
+    lossy = lens.with_surfaces({3: replace(lens.surfaces[3], coating=made_coating(0.3, 0.1))})
     found = find_ghosts(lossy, field_direction(0.0, 3.0), wavelength_nm=480.0, coating=QuarterWave())
     parts = found.ledger
     assert parts.total == pytest.approx(1.0, abs=1e-9)

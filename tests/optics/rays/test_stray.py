@@ -4,35 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_lens import made_coating
 from refusals import refuses
 
-from optics import TabulatedCoating, load_lens
+from optics import load_lens
 from optics.errors import DomainError
 from optics.frames import field_direction, light_direction, polar_direction
 from optics.lens.prescription import lens_from_table
 from optics.light.scatter import polished
 from optics.rays.ghosts import entrance_radius_mm
 from optics.rays.pupil import launch_disks
-from optics.rays.stray import (
-    ghost_light,
-    imaging_rays,
-    lens_scatter_light,
-    scattering_surfaces,
-)
+from optics.rays.stray import ghost_light, imaging_rays, lens_scatter_light, scattering_surfaces
 from optics.rays.trace import OK, Rays, trace
 
 TRACKER = load_lens("star_tracker_26mm")
 
 
-def perfect() -> TabulatedCoating:
-    none = np.zeros((1, 2))
-    return TabulatedCoating(
-        source="test", wavelength_nm=np.array([300.0, 1100.0]), reflectance_s=none, reflectance_p=none
-    )
-
-
 def loss_free(lens):
-    return replace(lens, surfaces=tuple(replace(one, coating=perfect()) for one in lens.surfaces))
+    return replace(lens, surfaces=tuple(replace(one, coating=made_coating()) for one in lens.surfaces))
 
 
 def test_a_bright_sky_gives_pi_sin2_of_the_marginal_ray() -> None:

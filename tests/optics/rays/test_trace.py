@@ -90,18 +90,24 @@ def test_aplanatic_points_of_a_sphere():
     np.testing.assert_allclose(-out.dy, sine / n, rtol=1e-13)
 
 
-def test_status_missed():
-    out = trace(made_lens((Sphere(radius_mm=10.0), 30.0, "n15"), (Plane(), 1.0, "air")), axial(9.9, 10.1, 0.0))
-    assert out.status.tolist() == [OK, MISSED, OK]
-    assert out.failed_at.tolist() == [-1, 0, -1]
+CRITICAL = 30.0 / 1.5  # sin(i) = h / R = 1 / n
+PLATE = (Plane(), 5.0, "n15"), (Sphere(radius_mm=-30.0), 10.0, "air")
+RING = made_lens((Plane(), 5.0, "air"), (Sphere(radius_mm=90.0), 10.0, "n15"), semi_mm=8.0, inner_mm=2.0)
 
 
-def test_status_total_reflection():
-    lens = made_lens((Plane(), 5.0, "n15"), (Sphere(radius_mm=-30.0), 10.0, "air"))
-    critical = 30.0 / 1.5  # sin(i) = h / R = 1 / n
-    out = trace(lens, axial(critical - 1e-9, critical + 1e-9))
-    assert out.status.tolist() == [OK, TOTAL_REFLECTION]
-    assert out.failed_at.tolist() == [-1, 1]
+@pytest.mark.parametrize(
+    ("lens", "heights", "status", "failed_at"),
+    [
+        (made_lens((Sphere(radius_mm=10.0), 30.0, "n15"), PLATE[0]), (9.9, 10.1, 0.0), (OK, MISSED, OK), (-1, 0, -1)),
+        (made_lens(*PLATE), (CRITICAL - 1e-9, CRITICAL + 1e-9), (OK, TOTAL_REFLECTION), (-1, 1)),
+        (RING, (0.0, 1.999999, 2.000001, 7.999999, 8.000001), (VIGNETTED, VIGNETTED, OK, OK, VIGNETTED), None),
+    ],
+    ids=["missed", "total reflection", "ring"],
+)
+def test_status(lens, heights, status, failed_at):
+    out = trace(lens, axial(*heights))
+    assert tuple(out.status) == status
+    assert failed_at is None or tuple(out.failed_at) == failed_at
 
 
 def test_status_vignetted_tells_where_and_first_loss_wins():
@@ -111,12 +117,6 @@ def test_status_vignetted_tells_where_and_first_loss_wins():
     assert out.status.tolist() == [OK, VIGNETTED, VIGNETTED, VIGNETTED, VIGNETTED]
     assert out.failed_at.tolist() == [-1, 1, 1, 0, 0]
     assert not np.isin(out.status[1:], [MISSED, TOTAL_REFLECTION]).any()
-
-
-def test_annular_aperture_blocks_the_middle():
-    lens = made_lens((Plane(), 5.0, "air"), (Sphere(radius_mm=90.0), 10.0, "n15"), semi_mm=8.0, inner_mm=2.0)
-    out = trace(lens, axial(0.0, 1.999999, 2.000001, 7.999999, 8.000001))
-    assert out.status.tolist() == [VIGNETTED, VIGNETTED, OK, OK, VIGNETTED]
 
 
 def test_decentred_aperture_is_measured_in_its_own_frame():
