@@ -130,10 +130,15 @@ def block(page, name):
     return next(script for script in scripts(page) if re.search(rf"^from .*\b{name}\b", script, re.M))
 
 
+def run_block(name, **names):
+    """Names that the block of the library page has defined which imports a name."""
+    exec(block("docs/library.md", name), names)
+    return names
+
+
 def test_the_library_page_predicts_a_sensor_of_its_file(capsys, monkeypatch):
     monkeypatch.chdir(ROOT)
-    names = {}
-    exec(block("docs/library.md", "predict_sensor"), names)
+    names = run_block("predict_sensor")
     shown = dict(line.split() for line in capsys.readouterr().out.splitlines()[:5])
     assert names["prediction"].value("false_alarms_per_frame") == pytest.approx(0.1, rel=1e-3)
     assert float(shown["snr"]) < math.sqrt(float(shown["electrons_e"]))  # photon noise alone
@@ -142,15 +147,13 @@ def test_the_library_page_predicts_a_sensor_of_its_file(capsys, monkeypatch):
 
 
 def test_the_best_focus_of_the_library_page_is_one(capsys):
-    names = {}
-    exec(block("docs/library.md", "best_focus_shift_mm"), names)
+    names = run_block("best_focus_shift_mm")
     assert names["defocus_mm"] == pytest.approx(0.01, abs=0.02)
 
 
 def test_the_triad_of_the_library_page_is_a_quarter_turn(capsys):
     """By hand: about +X by -90 deg; the first direction gives x and z, the second y, each by its own noise."""
-    names = {"np": np}
-    exec(block("docs/library.md", "triad"), names)
+    names = run_block("triad", np=np)
     assert capsys.readouterr().out
     np.testing.assert_allclose(names["attitude"].rotation.as_rotvec(degrees=True), [-90.0, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(names["attitude"].covariance_rad2, np.eye(3) * (2e-5) ** 2, atol=1e-16)
@@ -158,7 +161,7 @@ def test_the_triad_of_the_library_page_is_a_quarter_turn(capsys):
 
 def test_the_metrics_of_the_library_page_are_those_of_its_series(capsys):
     error = np.random.default_rng(4).normal(0.5, 0.2, (20, 1000))
-    exec(block("docs/library.md", "ecss_metrics"), {"error_arcsec": error})
+    run_block("ecss_metrics", error_arcsec=error)
     metrics, limit = capsys.readouterr().out.splitlines()
     assert ast.literal_eval(metrics)["AME"] == pytest.approx(np.quantile(error, 0.997), rel=1e-9)
     assert float(limit) == pytest.approx(0.05 ** (1.0 / 93.0))
@@ -231,8 +234,7 @@ def test_the_error_terms_of_the_library_page_are_those_of_drawn_centroids(capsys
 
 
 def test_the_light_of_the_library_page_is_by_source(capsys):
-    names = {}
-    exec(block("docs/library.md", "SkySimulator"), names)
+    names = run_block("SkySimulator")
     means = ast.literal_eval(capsys.readouterr().out)
     seen = names["seen"]
     assert set(means) == {"stars", "sky", "dark"}

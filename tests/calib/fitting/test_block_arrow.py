@@ -1,5 +1,7 @@
 """Block-arrow normal equations against the same matrix written out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -77,21 +79,11 @@ def test_reduced_information_is_the_inverse_of_the_covariance(system):
 
 
 def test_frames_without_stars_do_no_harm(system):
-    empty = np.zeros((6, 4, 3))
-    empty[:5] = system.border
-    block = np.zeros((6, 3, 3))
-    block[:5] = system.block
-    gradient = np.zeros((6, 3))
-    gradient[:5] = system.block_gradient
-    coupling = None if system.coupling is None else np.concatenate([system.coupling, np.zeros((1, 3, 3))])
-    more = ArrowSystem(
-        common=system.common,
-        gradient=system.gradient,
-        border=empty,
-        block=block,
-        block_gradient=gradient,
-        coupling=coupling,
-    )
+    def padded(blocks):
+        return None if blocks is None else np.concatenate([blocks, np.zeros((1, *blocks.shape[1:]))])
+
+    names = ("border", "block", "block_gradient", "coupling")
+    more = replace(system, **{name: padded(getattr(system, name)) for name in names})
     np.testing.assert_allclose(more.reduce().information, system.reduce().information, rtol=1e-10)
 
 

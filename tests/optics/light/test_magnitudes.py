@@ -15,11 +15,13 @@ VEGA_LIKE = Blackbody(temperature_k=9600.0)
 EVERY_NM = np.arange(300.0, 1101.0)
 
 
+def sed(wavelength_nm, value, quantity="photon") -> TabulatedSed:
+    wave, value = np.asarray(wavelength_nm, dtype=float), np.asarray(value, dtype=float)
+    return TabulatedSed(name="made", source="test", wavelength_nm=wave, value=value, quantity=quantity)
+
+
 def flat(quantity: str, value: float) -> TabulatedSed:
-    return TabulatedSed(
-        name="flat", source="test", wavelength_nm=np.array([300.0, 1100.0]), value=np.full(2, value),
-        quantity=quantity,  # type: ignore[arg-type]
-    )  # fmt: skip
+    return sed([300.0, 1100.0], [value, value], quantity)
 
 
 def test_a_star_of_magnitude_zero_sends_a_thousand_photons_per_angstrom() -> None:
@@ -68,10 +70,7 @@ def test_g_minus_v_of_known_colours(kelvin: float, gmv: float) -> None:
 @pytest.mark.parametrize("system", ["V", "G"])
 def test_magnitude_and_flux_are_inverse(system: str) -> None:
     star = Blackbody(temperature_k=4500.0)
-    sampled = TabulatedSed(
-        name="as seen", source="test", wavelength_nm=EVERY_NM, quantity="photon",
-        value=photon_rate(star, 6.5, wavelength_nm=EVERY_NM, system=system),
-    )  # fmt: skip
+    sampled = sed(EVERY_NM, photon_rate(star, 6.5, wavelength_nm=EVERY_NM, system=system))
     assert synthetic_magnitude(sampled, system=system) == pytest.approx(6.5, abs=2e-6)  # 1 nm steps of the table
 
 
@@ -87,12 +86,9 @@ def test_band_rate_is_the_integral_of_the_rate() -> None:
 
 def test_a_step_in_the_spectrum_is_met_exactly() -> None:
     """A table with a steep flank inside a band: breakpoints of the spectrum are breakpoints of the quadrature."""
-    sed = TabulatedSed(
-        name="edge", source="test", wavelength_nm=np.array([400.0, 612.3, 612.4, 800.0]),
-        value=np.array([0.0, 0.0, 1.0, 1.0]), quantity="photon",
-    )  # fmt: skip
+    edge = sed([400.0, 612.3, 612.4, 800.0], [0.0, 0.0, 1.0, 1.0])
     total = band_integral(
-        TopHat(centre_nm=600.0, width_nm=100.0), sed.photon_density, breakpoints_nm=sed.breakpoints_nm
+        TopHat(centre_nm=600.0, width_nm=100.0), edge.photon_density, breakpoints_nm=edge.breakpoints_nm
     )
     assert total == pytest.approx(650.0 - 612.35, rel=1e-13)
 
@@ -105,9 +101,7 @@ def test_calspec_vega() -> None:
     """
     galsim = pytest.importorskip("galsim")
     table = np.loadtxt(Path(galsim.meta_data.share_dir) / "SEDs" / "vega.txt")
-    vega = TabulatedSed(
-        name="Vega", source="CALSPEC", wavelength_nm=table[:, 0], value=table[:, 1] * 1e-9, quantity="power"
-    )  # erg s^-1 cm^-2 nm^-1 -> W mm^-2 nm^-1
+    vega = sed(table[:, 0], table[:, 1] * 1e-9, "power")  # erg s^-1 cm^-2 nm^-1 -> W mm^-2 nm^-1
     assert synthetic_magnitude(vega) == pytest.approx(0.03, abs=0.015)
     assert synthetic_magnitude(vega, system="G") == pytest.approx(0.023, abs=0.01)
     assert float(vega.photon_density(555.6)) * PHOTON_J_NM / 555.6 == pytest.approx(3.44e-17, rel=0.01)
@@ -117,13 +111,8 @@ def test_mistakes() -> None:
     refuses(ConfigError, "known: G, V", photon_rate, VEGA_LIKE, 0.0, wavelength_nm=550.0, system="B")
     refuses(DomainError, "magnitude nan", lambda: photon_rate(VEGA_LIKE, [1.0, float("nan")], wavelength_nm=550.0))
     refuses(DomainError, "outside 1", photon_rate, VEGA_LIKE, 0.0, wavelength_nm=-550.0)
-    short = TabulatedSed(
-        name="short", source="test", wavelength_nm=np.array([500.0, 600.0]), value=np.ones(2), quantity="photon"
-    )
+    short = sed([500.0, 600.0], np.ones(2))
     with pytest.raises(DomainError, match=r"500 to 600 nm does not cover the V passband, 470 \.\.\. 700 nm"):
         photon_rate(short, 0.0, wavelength_nm=550.0)
-    dark = TabulatedSed(
-        name="dark", source="test", wavelength_nm=np.array([300.0, 900.0, 1100.0]), value=np.array([0.0, 0.0, 1.0]),
-        quantity="photon",
-    )  # fmt: skip
+    dark = sed([300.0, 900.0, 1100.0], [0.0, 0.0, 1.0])
     refuses(DomainError, "no light in the V passband", synthetic_magnitude, dark)

@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from optics import Plane, Sphere, chief_ray_points, load_lens, spot_moments
 from optics.errors import ConvergenceError
 from optics.frames import field_direction, light_direction
+from optics.lens.perturb import decentre
 from optics.rays.aim import aim_at_stop
 from optics.rays.pupil import launch_disks, sobol_disk, star_rays
 from optics.rays.trace import Rays, trace, trace_path
@@ -133,15 +134,7 @@ def test_chief_rays_pass_the_vertex_of_a_curved_stop_and_the_centre_of_a_moved_o
     at = lens.stop_index
     curved = lens.with_surfaces({at: replace(lens.surfaces[at], shape=Sphere(radius_mm=-30.0))})
     np.testing.assert_allclose(chief_ray_points(curved, 8.0, 5.0), chief_ray_points(lens, 8.0, 5.0), atol=1e-10)
-    moved = lens.with_surfaces(
-        {
-            at: replace(
-                lens.surfaces[at],
-                position_mm=lens.surfaces[at].position_mm + np.array([3.0, -2.0, 0.0]),
-                element="stop",
-            )
-        }
-    )
+    moved = decentre(lens, at, 3.0, -2.0)
     direction = light_direction(field_direction(8.0, 5.0))
     aimed = aim_at_stop(moved, direction, 600.0)
     rays = Rays.create(x_mm=aimed.x_mm, y_mm=aimed.y_mm, z_mm=aimed.z_mm, direction=direction, wavelength_nm=600.0)
