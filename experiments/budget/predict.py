@@ -189,7 +189,7 @@ def _distortion(
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
     """sigma_d, sigma_Dd, sigma_C1 (3, 2) [px], and the scatter of their RMS over the surveys of a chip and a run."""
     bench, grid = lab.bench, lab.config.grid
-    direction = grid_directions(grid, lab.instrument, grid_streams(lab).generator("grid"))
+    direction = grid_directions(grid, lab.instrument, grid_streams(lab))
     predicted = predict_distortion(
         bench,
         lab.instrument,
@@ -214,5 +214,5 @@ def _distortion(
 def _marking_alone_px(lab: Laboratory) -> FloatArray:
     """sigma_C1 (2,) [px] of marking errors alone."""
     grid = lab.config.grid
-    direction = grid_directions(grid, lab.instrument, grid_streams(lab).generator("grid"))
+    direction = grid_directions(grid, lab.instrument, grid_streams(lab))
     return expected_numbers(marking_errors(grid, lab.instrument, direction), grid.order, grid.reference).rms_px[2]

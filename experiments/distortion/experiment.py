@@ -280,7 +280,7 @@ def run(config: Config, *, progress: Progress) -> dict[str, Any]:
     """Render, read out, reduce, predict, compare with the true map."""
     bench, instrument = point_laboratory(config)
     streams = Streams(config.seed).child("distortion")
-    direction = grid_directions(config.target, instrument, streams.generator("target"))
+    direction = grid_directions(config.target, instrument, streams)
     scene = prepared_scene(bench, instrument, direction[None], progress)
     with progress.stage("frames", total=2) as stage:
         frames = measure_distortion(

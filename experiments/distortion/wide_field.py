@@ -97,7 +97,7 @@ def wide_run(config: Config, streams: Streams, *, progress: Progress) -> WideRun
     wide = config.wide
     own = {"instrument": wide.instrument, "passband": PassbandConfig(), "compare": ()}
     bench, instrument = point_laboratory(config.model_copy(update=own))
-    direction = grid_directions(wide.target, instrument, streams.generator("target"))
+    direction = grid_directions(wide.target, instrument, streams)
     scene = prepared_scene(bench, instrument, direction[None], progress)
     with progress.stage("wide field", total=2) as stage:
         frames = measure_distortion(

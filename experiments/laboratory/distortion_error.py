@@ -127,7 +127,7 @@ def measure_distortion(
     """Frames of a static grid target in two sessions (`SESSIONS`)."""
     scene = scene_of(scene, bench, instrument)
     bench = scene.bench
-    direction = grid_directions(target, instrument, streams.generator("target"))
+    direction = grid_directions(target, instrument, streams)
     light = scene.light(direction, streams, "grid")
     sessions: dict[str, list[FloatArray]] = {m: [] for m in bench.methods}
     sigma: dict[str, FloatArray] = {}

@@ -150,7 +150,7 @@ def predict_map(
     field_offset_px: FloatArray,
 ) -> ExpectedMapError:
     """Expected error over the field of the map that a target of this kind gives."""
-    direction = grid_directions(target, instrument, Streams(0).generator("forecast"))
+    direction = grid_directions(target, instrument, Streams(0), part="forecast")
     nominal, position = grid_position(instrument, direction)
     return expected_map_error(
         position,

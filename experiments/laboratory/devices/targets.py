@@ -9,11 +9,19 @@ from experiments.laboratory.settings.tables import GridTargetConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.units import ARCSEC_RAD
+from render.engine.random import Streams
 from render.sensor_file.instrument import Instrument
 
 
-def grid_directions(target: GridTargetConfig, instrument: Instrument, rng: np.random.Generator) -> FloatArray:
-    """True unit vectors (rows * columns, 3) in cam towards the points, row by row."""
+def grid_directions(
+    target: GridTargetConfig, instrument: Instrument, streams: Streams, *, part: str = "target"
+) -> FloatArray:
+    """True unit vectors (rows * columns, 3) in cam towards the points, row by row.
+
+    The same streams are the same hardware: what is predicted and what is measured has its points at the same fractions
+    of a pixel.
+    """
+    rng = streams.generator(part)
     camera = instrument.camera
     low = np.full(2, target.edge_px)
     high = np.array([camera.width_px, camera.height_px]) - 1.0 - target.edge_px
