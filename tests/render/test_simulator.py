@@ -60,6 +60,7 @@ def test_same_settings_and_seed_same_bytes(rate_deg_per_s, digest):
     assert hashlib.sha256(frame.dn.tobytes()).hexdigest()[:16] == digest
 
 
+@pytest.mark.slow
 def test_layers_add_up(sensor, sky):
     """Sources apart: their sum is the image, the sky is even, dark current is that of the data sheet."""
     simulator = SkySimulator(

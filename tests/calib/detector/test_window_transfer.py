@@ -28,7 +28,11 @@ def windows(rng, *, frames=25, points=9, size=13, dsnu_e=12.0, spread=0.3, flick
     ("trials", "options"),
     [
         (100, {"points": 2, "size": 11}),
-        (100, {"points": 2, "size": 11, "dsnu_e": 0.0, "spread": 0.0, "flicker": 0.0, "motion_px": 0.0}),
+        pytest.param(
+            100,
+            {"points": 2, "size": 11, "dsnu_e": 0.0, "spread": 0.0, "flicker": 0.0, "motion_px": 0.0},
+            marks=pytest.mark.slow,
+        ),
         pytest.param(400, {}, marks=pytest.mark.slow),
         pytest.param(400, {"frames": 8}, marks=pytest.mark.slow),
     ],

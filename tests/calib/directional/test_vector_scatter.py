@@ -82,6 +82,7 @@ def test_same_data_lose_as_many_degrees_as_there_are_unknowns(model, bench, angl
     assert same.satterthwaite == pytest.approx(2 * len(by_pixel) - design.shape[2], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_same_data_and_others_by_real_calibrations(model, bench) -> None:
     """N = 30 calibrations at 36 places: variances known to some 4 %."""
     angle = aiming_angles(bench, model.unproject(model.geometry.grid_px(6)), np.zeros(36))

@@ -28,6 +28,7 @@ def sensor(**tolerances):
     )
 
 
+@pytest.mark.slow
 def test_a_decentre_alone_is_predicted_by_its_sensitivities():
     """Uncalibrated distortion is linear in small moves: RMS over n lenses within 5 sigma of the sum of squares."""
     lenses = 12

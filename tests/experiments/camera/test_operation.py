@@ -59,6 +59,7 @@ def test_a_star_leaves_its_window_first_where_nothing_is_required():
     assert found.motion_trail_px[-1] < 13.0
 
 
+@pytest.mark.slow
 def test_age_at_which_the_first_requirement_is_missed():
     new = sensor(life=LIFE).value("limiting_magnitude_mag")
     prediction = sensor(life=LIFE, requirements={"limiting_magnitude_mag": new - 0.2, "nea_arcsec": 100.0})

@@ -95,6 +95,7 @@ def test_tornado_and_verdicts(config, tracker):
     assert missed_words(verdicts) == "The sensor misses 1 of 3 requirements: NEA."
 
 
+@pytest.mark.slow
 def test_focus_gains_what_the_best_focus_gives(config):
     blurred = with_value(config, "instrument.defocus_mm", config.instrument.defocus_mm + 0.06)
     only = blurred.model_copy(

@@ -33,6 +33,7 @@ def series(found, name):
     return np.array([getattr(point, name) for point in found["points"]])
 
 
+@pytest.mark.slow
 def test_magnitude_of_the_star_that_is_quoted():
     light = series(study("magnitude_mag=3:8:3"), "electrons_e")
     np.testing.assert_allclose(light[:-1] / light[1:], 10.0, rtol=1e-9)

@@ -55,9 +55,8 @@ def solution_of(engine, star_camera, bench_of):
     return solve
 
 
-@pytest.mark.parametrize(
-    ("element", "kind", "axis"), [("L1", "tilt", 0), pytest.param("L2", "decentre", 1, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("element", "kind", "axis"), [("L1", "tilt", 0), ("L2", "decentre", 1)])
 def test_solution_by_the_trace_on_numpy(solution_of, star_camera, bench_of, element, kind, axis):
     """The movement gives the wanted mean by a trace that knows neither kernel nor frames; rays weighted by their own
     transmission need another by less than 1 %."""

@@ -56,6 +56,7 @@ def test_noise_of_the_pictures_by_the_detector(laboratory):
     assert ratio == pytest.approx(np.ones(2), abs=DETECTOR_RELATIVE + 3.29 / np.sqrt(4 * (PICTURES - 1)))
 
 
+@pytest.mark.slow
 def test_particles_of_the_rendered_spots(laboratory):
     """RMS error of three nets of 121 noiseless spots; nets differ by 3 %, the prediction has four: 4 sigma.
 

@@ -134,6 +134,7 @@ def test_a_frame_made_alone_in_another_order_is_the_same(dataset, job, tmp_path)
     assert made.items() <= data(dataset).items()
 
 
+@pytest.mark.slow
 def test_what_is_missing_or_damaged_is_made_again(dataset, tmp_path):
     folder = tmp_path / "resumed"
     shutil.copytree(dataset, folder)
@@ -367,6 +368,7 @@ def test_a_line_of_the_list_that_is_gone_or_was_added_is_told(dataset, tmp_path)
         assert check(folder, Progress()).damaged == ("SHA256SUMS",)
 
 
+@pytest.mark.slow
 def test_dataset_json_is_written_anew_from_the_frames(dataset, tmp_path, capsys):
     folder = tmp_path / "renewed"
     shutil.copytree(dataset, folder)

@@ -144,6 +144,7 @@ def test_pixels_that_cosmic_rays_struck_are_marked(shot):
     assert "COSMIC" not in pixel_marks(scene, quiet.make(0))
 
 
+@pytest.mark.slow
 def test_hot_pixels_stand_out_of_frames_without_light(shot):
     scene, maker = shot
     hot = [one for one in LabelMaker(scene).labels(0) if one.kind == "hot_pixel"]

@@ -42,6 +42,7 @@ def made(maker):
     return maker.make(0)
 
 
+@pytest.mark.slow
 def test_chief_rays_of_the_other_trace(maker, made):
     """The columns ra and dec, turned by the attitude and traced by NumPy, land on the columns chief_x and chief_y."""
     truth, camera = made.truth, maker.scene.instrument.camera

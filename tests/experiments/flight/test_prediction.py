@@ -60,6 +60,7 @@ def stars_of(budget, attitude):
     return rows, v, (noise, pixel, np.hypot(phase, spot), shift)
 
 
+@pytest.mark.slow
 def test_random_errors_are_the_scatter_of_attitudes(budget, seen):
     """3000 draws; a star with a bad pixel in its window is left out."""
     attitude, told = seen

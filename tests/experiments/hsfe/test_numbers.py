@@ -79,6 +79,7 @@ def test_independent_errors_show_sqrt_2_times_and_once(seen):
     np.testing.assert_allclose(found.dark_arcsec, 0.25 * scale * document)
 
 
+@pytest.mark.slow
 def test_the_error_of_one_position_is_as_uncertain_as_its_noise_makes_it():
     """Over runs with the same errors: what taking the noise away leaves, of the noise's square and of its product."""
     rng, apart, told = np.random.default_rng(8), [], []

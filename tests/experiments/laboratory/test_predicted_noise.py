@@ -103,6 +103,7 @@ def empty_pixels(scene, sky_e: float, dark_frames: int) -> np.ndarray:
     return np.var(frames, axis=0, ddof=1)
 
 
+@pytest.mark.slow
 def test_signal_to_noise_ratio_of_the_truth(dataset, monkeypatch):
     """The noise of an empty pixel that ratios are computed with."""
     maker, made = dataset

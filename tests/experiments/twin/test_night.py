@@ -91,6 +91,7 @@ def test_images_that_are_no_points(options, words):
     assert words in shape_words(one.image, one.detected)
 
 
+@pytest.mark.slow
 def test_a_mirrored_sky_is_stated():
     words = likely_fault(solved(frame(light_of(1)[:, ::-1])))
     assert "mirrored" in words

@@ -119,6 +119,7 @@ def test_a_black_baffle_has_no_light() -> None:
     assert (found.walls, found.edges, found.direct) == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_the_part_of_the_entrance_in_the_sun_is_that_of_two_circles() -> None:
     baffle = vaned_baffle(entrance_mm=9.0, field_deg=12.0, shade_deg=40.0, vanes=0)
     scene = BaffleScene(baffle, matt(0.0), entrance_mm=9.0, field_deg=12.0)

@@ -74,6 +74,7 @@ def test_stars_that_are_not_there_or_too_bright(visited, small_camera) -> None:
         read_windows(bright, _truth(expected), psfs, small_camera, PLAN, streams=Streams(8))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_rad_per_s", [0.0, 2e-3])
 def test_single_frames_of_an_acquisition_scatter_as_predicted(rate_rad_per_s, visited, small_camera) -> None:
     """64 places, two axes, at rest and with a streak of some pixels: N = 128, RMS of a pull within 4 / sqrt(2 N)."""

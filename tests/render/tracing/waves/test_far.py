@@ -61,6 +61,7 @@ def test_light_beyond_a_radius_of_a_round_aperture() -> None:
         assert 1.0 - pixels[inside].sum() == pytest.approx(ring, rel=worst)
 
 
+@pytest.mark.slow
 def test_spike_of_a_vane() -> None:
     """Pixels along the spike of two vanes across a hole: circle less circle less two rectangles, transformed."""
     far = known(**BLACK)
