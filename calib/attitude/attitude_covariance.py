@@ -24,8 +24,7 @@ def attitude_covariance(
     """Covariance of the error's rotation vector in cam, ``(sum share (I - v v^T) / variance)^-1``.
 
     Shuster and Oh, J. Guid. Control 4, 70 (1981); the estimate of `calib.attitude.attitude_solution.solve_wahba` with
-    the right
-    weights reaches it.
+    the right weights reaches it.
 
     Shapes: ``v_cam`` (m, 3), ``variance_rad2`` (m,), ``frame`` (m,), ``share`` (m,).
     """

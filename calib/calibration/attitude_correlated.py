@@ -9,9 +9,8 @@ Steps are rotation vectors, w_R of R_1 and w_A of A; frame k turns by (`calib.ca
     w_k = M_k w_R + (I - M_k) w_A.
 
 No angle is singular inside. The results are the document's angles phi of R_1 and theta of A
-(`calib.attitude.gyro_link`),
-with the covariance carried over. If the body turns about a single axis, the turn of A about that axis does not show in
-any star, and A is "singular"; the camera is not.
+(`calib.attitude.gyro_link`), with the covariance carried over. If the body turns about a single axis, the turn of A
+about that axis does not show in any star, and A is "singular"; the camera is not.
 
 The start of ACF17 is 0 px, 20 mm, no distortion, phi = 0 and theta = 0. With phi = 0 the stars stand 62 deg from where
 they should be, and it still converges as long as none of them falls behind the camera (else the start is "refused"). By

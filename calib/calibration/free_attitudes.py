@@ -3,9 +3,8 @@
     minimise  sum over frames k, stars j of |W_kj (project(camera, R_k r_j) - measured_kj)|^2
 
 over the camera and one rotation R_k per frame, eliminated frame by frame (`calib.fitting.block_arrow`). Nothing is
-assumed
-about how the camera moves. A frame of n stars gives 2 n - 3 measurements of the camera; a frame with a single star
-gives none and is left out (its attitude in the result is one of the many that fit).
+assumed about how the camera moves. A frame of n stars gives 2 n - 3 measurements of the camera; a frame with a single
+star gives none and is left out (its attitude in the result is one of the many that fit).
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-"""Angles between the stars of a frame, as least-squares problems; the mathematics of
-`calib.calibration.interstar_angles`.
+"""Mathematics of `calib.calibration.interstar_angles`: angles between the stars of a frame, as least squares.
 
 Frames are padded to the longest one, a missing star being the zero vector: every product with it vanishes, so that no
 mask is needed. With u_i the direction of the measured star i by the present camera and r_i its catalogue direction, the

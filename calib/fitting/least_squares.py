@@ -1,8 +1,7 @@
 """The least-squares core of all calibrations: Levenberg-Marquardt on block-arrow normal equations, with robust losses.
 
 A problem hands in whitened residuals (unit variance) and its normal equations (`calib.fitting.block_arrow`); unknowns
-may
-live on a curved space (rotations), so the solver only uses "this state moved by that step". It minimises
+may live on a curved space (rotations), so the solver only uses "this state moved by that step". It minimises
 
     cost = sum over groups of rho(|r|^2) + penalty,
 

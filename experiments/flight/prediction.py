@@ -2,8 +2,7 @@
 
 A star's errors come from the camera report's prediction (noise, pixel patterns and pixel phase against its electrons)
 and from ray traces (colour, distortion left by the camera model, heated lens); `calib.attitude.attitude_covariance`
-turns them
-into errors of the attitude.
+turns them into errors of the attitude.
 """
 
 from __future__ import annotations

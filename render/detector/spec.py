@@ -135,8 +135,7 @@ class Detector:
         Time per row of a frame transfer under light [us]; 0: a shutter, or a detector that does not shift its image.
     damage_centres_per_px, damage_dark_e_per_s : float
         Radiation damage (`render.detector.displacement_damage.aged`): mean number of centres per pixel, mean of the
-        exponentially
-        distributed dark current of each at the reference [e-/s].
+        exponentially distributed dark current of each at the reference [e-/s].
     damage_known_e_per_s : float
         Dark current by centres above which a pixel is in the map of defects [e-/s].
     dark_curve_c, dark_curve_e_per_s : tuple of float
