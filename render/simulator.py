@@ -109,7 +109,9 @@ class SkySimulator:
     tolerance : float, optional
         Largest error of a pixel by the quadratures of pupil and motion, relative to the star's light; 3e-5 and 1e-4 if
         left out.
-    by_grid, sobol_log2_rays
+    by_grid : bool
+        As in `StarRenderer`.
+    sobol_log2_rays : int
         As in `StarRenderer`.
 
     Attributes

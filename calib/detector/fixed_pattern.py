@@ -53,6 +53,11 @@ def fixed_pattern(
         Side (odd) of a running mean that is subtracted first, for light that is not even; pixels nearer to the edge
         than half of it do not count. The mean of all pixels if not given.
 
+    Returns
+    -------
+    FixedPattern
+        PRNU, DSNU and their standard errors.
+
     Raises
     ------
     DomainError

@@ -44,6 +44,11 @@ def mean_frame(frames: Iterable[ArrayLike]) -> MeanFrame:
     frames : iterable of (h, w)
         Frames of equal size [DN], or an array (n, h, w).
 
+    Returns
+    -------
+    MeanFrame
+        Mean and temporal variance of every pixel.
+
     Raises
     ------
     DomainError

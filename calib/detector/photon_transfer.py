@@ -59,6 +59,11 @@ def flat_photon_transfer(
     dark_variance_dn2 : float, optional
         Temporal variance of the darks where it is known by other means; taken as free of error.
 
+    Returns
+    -------
+    PhotonTransfer
+        Gain, read noise and their standard errors.
+
     Raises
     ------
     DomainError

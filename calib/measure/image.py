@@ -63,6 +63,11 @@ def subtract_dark(frame: Frame, dark_dn: ArrayLike, *, noise: NoiseModel | None 
     noise : NoiseModel, optional
         Noise of the difference; that of the frame if not given.
 
+    Returns
+    -------
+    SensorImage
+        Light above the offset, with its noise.
+
     Raises
     ------
     DomainError
