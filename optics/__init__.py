@@ -11,41 +11,41 @@ runs on NumPy and on Dr.Jit arrays (`trace_program`). No Mitsuba and no randomne
 
 Public names (read from ``__init__.pyi``, loaded on first use) and the modules behind them:
 
-==========================  ============================================================================================
-optics.lens_file            `load_lens`, `list_lenses`; `read_lens_file`, `LensFile`: Zemax, CODE V and TOML files,
-                            with the report on every line
-optics.lens.system          `LensSystem`, `Surface`
-optics.lens.shapes          `Shape` and its kinds `Plane`, `Sphere`, `Conic`, `EvenAsphere`
-optics.lens.perturb         `tilt`, `decentre`, `despace`, `refocus`, `tilt_image`, `change_temperature`,
-                            `change_index`, `change_shape` (radius, conic, ...); what moves: an element,
-                            surfaces, `ALL_SURFACES`, `EVERYTHING`
-optics.lens.heated_lens         `heated_lens`: gradients of temperature, `ThermalState`, `Housing`, `Mount`
-optics.glass.catalogue      `get_glass`, `list_glasses`, `Glass`
-optics.glass.coating        `Stack` of `Film`, `QuarterWave`, `TabulatedCoating`: R, T over wavelength, angle, s and p
-optics.glass.index_along_path          `Environment`, `CATALOGUE_AIR`, `VACUUM`
-optics.rays.paraxial        `paraxial`, `axial_colour_mm`
-optics.rays.chief           `chief_ray_points`, `plate_scale_mm`, `distortion_map`
-optics.rays.spots           `spot_moments`, `trace_spots`, `lateral_colour`, `vignetting`, `collecting_area_mm2`
-optics.rays.best_focus      `best_focus_shift_mm`, `white_focus`: spots through focus
-optics.rays.pupil           `entrance_pupil`, `star_rays`, `gauss_disk`, `sobol_disk`
-optics.rays.trace           `Rays`, `trace`, `trace_program`
-optics.rays.thermal_sensitivity         `thermal_sensitivity`, `athermal_spacer`
-optics.rays.program         `compile_lens`
-optics.rays.reverse         `reverse`
-optics.rays.ghosts          `find_ghosts`, `with_cover_glass`
-optics.light.spectrum       `Blackbody`, `TabulatedSed`
-optics.light.band           `TopHat`, `TabulatedBand`, `band_nodes`
-optics.light.magnitudes     `photon_rate`, `synthetic_magnitude`
-optics.light.transmission   `lens_transmission`
-optics.response             `Response`
-optics.waves                `trace_pupil`, `wavefront`, `zernikes`, `zernike_map`, `strehl`, `strehl_through_focus`,
-                            `encircled_energy`, `transfer_function`, `with_wavefront`
-optics.figures              `draw_lens`, `draw_spots`, `draw_distortion`
-optics.page                 `frame_page`, `save_frame_page`, `Marks`: any frame as an HTML page to zoom into
-optics.frames               `field_direction`
-optics.attitude             `attitude_from_angles`, `angles_from_attitude`, `attitude_error_arcsec`
-optics.errors               `StarbenchError`
-==========================  ============================================================================================
+==================================  ====================================================================================
+optics.lens_file                    `load_lens`, `list_lenses`; `read_lens_file`, `LensFile`: Zemax, CODE V and TOML,
+                                    with the report on every line
+optics.lens.system                  `LensSystem`, `Surface`
+optics.lens.shapes                  `Shape` and its kinds `Plane`, `Sphere`, `Conic`, `EvenAsphere`
+optics.lens.perturb                 `tilt`, `decentre`, `despace`, `refocus`, `tilt_image`, `change_temperature`,
+                                    `change_index`, `change_shape` (radius, conic, ...); what moves: an element,
+                                    surfaces, `ALL_SURFACES`, `EVERYTHING`
+optics.lens.heated_lens             `heated_lens`: gradients of temperature, `ThermalState`, `Housing`, `Mount`
+optics.glass.catalogue              `get_glass`, `list_glasses`, `Glass`
+optics.glass.coating                `Stack` of `Film`, `QuarterWave`, `TabulatedCoating`: R, T of s and p light
+optics.glass.index_along_path       `Environment`, `CATALOGUE_AIR`, `VACUUM`
+optics.rays.paraxial                `paraxial`, `axial_colour_mm`
+optics.rays.chief                   `chief_ray_points`, `plate_scale_mm`, `distortion_map`
+optics.rays.spots                   `spot_moments`, `trace_spots`, `lateral_colour`, `vignetting`, `collecting_area_mm2`
+optics.rays.best_focus              `best_focus_shift_mm`, `white_focus`: spots through focus
+optics.rays.pupil                   `entrance_pupil`, `star_rays`, `gauss_disk`, `sobol_disk`
+optics.rays.trace                   `Rays`, `trace`, `trace_program`
+optics.rays.thermal_sensitivity     `thermal_sensitivity`, `athermal_spacer`
+optics.rays.program                 `compile_lens`
+optics.rays.reverse                 `reverse`
+optics.rays.ghosts                  `find_ghosts`, `with_cover_glass`
+optics.light.spectrum               `Blackbody`, `TabulatedSed`
+optics.light.band                   `TopHat`, `TabulatedBand`, `band_nodes`
+optics.light.magnitudes             `photon_rate`, `synthetic_magnitude`
+optics.light.transmission           `lens_transmission`
+optics.response                     `Response`
+optics.waves                        `trace_pupil`, `wavefront`, `zernikes`, `zernike_map`, `strehl`,
+                                    `strehl_through_focus`, `encircled_energy`, `transfer_function`, `with_wavefront`
+optics.figures                      `draw_lens`, `draw_spots`, `draw_distortion`
+optics.page                         `frame_page`, `save_frame_page`, `Marks`: any frame as an HTML page to zoom into
+optics.frames                       `field_direction`
+optics.attitude                     `attitude_from_angles`, `angles_from_attitude`, `attitude_error_arcsec`
+optics.errors                       `StarbenchError`
+==================================  ====================================================================================
 """
 
 import lazy_loader

@@ -33,6 +33,7 @@ SMALL_IDEAL = SMALL["instrument"] | {"lens": IDEAL, "width_px": 700, "height_px"
 @pytest.fixture(scope="module")
 def flown():
     """Two rendered segments of a small sensor, and the sensor at the end of its life by prediction."""
+    pytest.importorskip("tetra3rs")
     settings = {
         "centroid": "windowed", "window_px": 11, "dark_frames": 2, "rates_deg_per_s": [0.0, 0.05, 50.0],
         "frames": {"segments": 2, "frames": 4, "switched": 2, "thermal_states": 1, "cosmic_rays": "leo_quiet"},
