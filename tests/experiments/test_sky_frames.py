@@ -19,8 +19,6 @@ from experiments.skycal import experiment as skycal
 from experiments.skycal.settings import Config as SkycalConfig
 from optics.rays.paraxial import axial_paraxial
 
-pytestmark = pytest.mark.slow
-
 DETECTORS = Path(__file__).parents[2] / "render" / "data" / "detectors"
 SMALL = {"lens": "star_tracker_26mm", "exposure_s": 0.2, "defocus_mm": 0.0, "diffraction": "rays"}
 SCAN = {  # with jitter, rolling shutter, lag, cosmic rays, Moon and planets, and a uniform sky
@@ -49,6 +47,7 @@ JUPITER = (36, 3), ("918e33e892a89dca", "533456924ec1e9b0", "743eb85ae618f8f7") 
 MOON = (43, 3), ("9807921f01fbc624", "ac4a4967ae4bef4c", "2113dbad5aca4d28")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("direction_deg", "count", "digests"),
     [((78.0, 22.7), *JUPITER), ((293.3, -26.9), *MOON)],
@@ -70,6 +69,7 @@ def test_a_dataset_with_everything(engine, tmp_path, direction_deg, count, diges
     assert digest(*made.layers.values()) == digests[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("state_k", "image", "numbers"),
     [

@@ -83,7 +83,6 @@ def test_bad_input_is_told_without_a_traceback(
     assert all(line.startswith("error: ") for line in error.splitlines())
 
 
-@pytest.mark.slow
 def test_the_page_holds_prescription_figures_and_every_line(lens: Path) -> None:
     assert main(["lens", "show", lens.name]) == 0
     page = (lens.parent / "my lens.html").read_text(encoding="utf-8")
