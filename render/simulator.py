@@ -29,7 +29,7 @@ from render.camera import FAR_NOISE, Camera, build_camera
 from render.catalogue.temperature import TYPICAL_TEMPERATURE_K
 from render.detector.cosmic_rays import CosmicRayEnvironment, CosmicRayHits, cosmic_ray_hits
 from render.detector.maps import dark_electrons
-from render.detector.readout import expose
+from render.detector.readout import expose, mean_dark_frame
 from render.engine.random import Streams
 from render.forward import StarRenderer
 from render.motion.trajectory import ConstantRate, Trajectory
@@ -475,18 +475,14 @@ class SkySimulator:
 
         `calib.subtract_dark` takes the fixed pattern and the dark current out of a frame with it.
         """
-        total = np.zeros(self.sensor.detector.shape)
-        for frame in range(frames):
-            total += expose(
-                np.zeros(self.sensor.detector.shape, np.float32),
-                self.sensor.detector,
-                streams=self._streams.child("dark"),
-                frame=frame,
-                exposure_s=self.exposure_s,
-                temperature_c=self.temperature_c,
-                band="dark",
-            ).dn
-        return np.asarray(total / frames, np.float32)
+        return mean_dark_frame(
+            self.sensor.detector,
+            frames,
+            streams=self._streams.child("dark"),
+            exposure_s=self.exposure_s,
+            temperature_c=self.temperature_c,
+            band="dark",
+        )
 
     def pixel_px(self, v_cam: FloatArray) -> FloatArray:
         """Column and row (n, 2) of directions (n, 3) in cam in front of the camera; undistorted beyond the field."""

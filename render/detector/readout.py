@@ -362,3 +362,21 @@ def _unpack(packed: NDArray[np.uint32]) -> tuple[NDArray[np.uint16], NDArray[np.
     words = packed.astype("<u4", copy=False)[..., None]
     number, flag = words.view("<u2")[..., 0], words.view(np.uint8)[..., 2]
     return number, flag.view(np.bool_)  # a byte of 0 or 1 is a truth value
+
+
+def mean_dark_frame(
+    detector: Detector,
+    frames: int,
+    *,
+    streams: Streams,
+    exposure_s: float,
+    temperature_c: float | None = None,
+    band: str = "",
+) -> NDArray[np.float32]:
+    """Mean (h, w) [DN] of frames without light, numbered from 0; parameters as of `expose`."""
+    dark, total = np.zeros(detector.shape, np.float32), np.zeros(detector.shape)
+    for frame in range(frames):
+        total += expose(
+            dark, detector, streams=streams, frame=frame, exposure_s=exposure_s, temperature_c=temperature_c, band=band
+        ).dn
+    return np.asarray(total / frames, np.float32)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from calib.records import NoiseModel
 from render.detector.readout import expose
+from render.detector.readout import mean_dark_frame as detector_mean_dark_frame
 from render.engine.random import Streams
 from render.records import Frame
 from render.sensor_file.instrument import Instrument
@@ -33,10 +34,15 @@ def empty_frame(
 
 def mean_dark_frame(instrument: Instrument, frames: int, *, streams: Streams, label: str = "") -> NDArray[np.float32]:
     """Mean of frames without light [DN] under the conditions of the instrument."""
-    total = np.zeros(instrument.detector.shape, np.uint32)
-    for number in range(frames):
-        total += empty_frame(instrument, number, streams=streams, label=label).dn
-    return np.asarray(total / frames, np.float32)
+    config = instrument.config
+    return detector_mean_dark_frame(
+        instrument.detector,
+        frames,
+        streams=streams,
+        exposure_s=config.exposure_s,
+        temperature_c=config.chip_temperature_c,
+        band=label,
+    )
 
 
 def nominal_noise(instrument: Instrument) -> NoiseModel:
