@@ -70,7 +70,7 @@ def rate(settings: list[str], frames: int, workers: int) -> dict[str, Any]:
 
 def parts(settings: list[str], frames: int) -> dict[str, float]:
     """Milliseconds of processor time of the parts of a frame, in this process on one thread."""
-    from experiments.dataset.settings import Config
+    from experiments.dataset.settings import DatasetConfig
     from experiments.harness.config import load_config
     from render.engine import Engine
 
@@ -84,7 +84,7 @@ def parts(settings: list[str], frames: int) -> dict[str, float]:
     from render.sky.sky import Sky
 
     dr.set_thread_count(1)
-    maker = FrameMaker(build_scene(load_config(Config, settings=settings)))
+    maker = FrameMaker(build_scene(load_config(DatasetConfig, settings=settings)))
     times: dict[str, list[float]] = {}
 
     def timed(name: str, function: Any) -> Any:

@@ -15,7 +15,7 @@ from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, below, col
 from experiments.harness.summary import Measured, measured
 from experiments.reduce.folder import FrameFolder
-from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
+from experiments.reduce.frames_toml import SETTINGS_FILE, FolderLayout
 from experiments.reduce.pipeline import FramesTest, Reduced
 from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
@@ -222,7 +222,7 @@ def _axes(q: Quantities, pairs: Sequence[Pair]) -> None:
 
 own_frames = FramesTest(
     title="Chromatic error",
-    layout=Layout(needs=("filter_nm",), same_scene="place"),
+    layout=FolderLayout(needs=("filter_nm",), same_scene="place"),
     reduce=reduce,
     sections={
         "pairs": Section(

@@ -26,7 +26,7 @@ from experiments.dataset.frame import instrument_cards
 from experiments.laboratory.bench.readout.frames import empty_frame
 
 if TYPE_CHECKING:
-    from experiments.dataset.scene import Scene
+    from experiments.dataset.scene import DatasetScene
 
 
 FOLDER = "calibration"
@@ -37,7 +37,7 @@ BLOCK_PX = 32
 """A pixel's own gain from 20 frames would be known to a third; that of a block of this side [px] to 1 %."""
 
 
-def write_calibration(scene: Scene, folder: Path, frames: int, done: Callable[[], None]) -> str:
+def write_calibration(scene: DatasetScene, folder: Path, frames: int, done: Callable[[], None]) -> str:
     """Write the products of a dataset."""
     from render.detector.maps import sensor_maps
 
@@ -72,7 +72,7 @@ def write_calibration(scene: Scene, folder: Path, frames: int, done: Callable[[]
     return f"bias, dark, flat, gain map and defect map of {frames} frames each, with their standard errors"
 
 
-def _master(scene: Scene, name: str, frames: int, electrons: float, exposure_s: float) -> MeanFrame:
+def _master(scene: DatasetScene, name: str, frames: int, electrons: float, exposure_s: float) -> MeanFrame:
     instrument = replace(scene.instrument, config=scene.instrument.config.model_copy(update={"exposure_s": exposure_s}))
     streams, label = scene.plan.streams.child("calibration").child(name), scene.light.band[0]
     return mean_frame(

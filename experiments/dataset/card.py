@@ -16,7 +16,7 @@ import numpy as np
 from experiments.dataset.folder import IDENTITY, file_digest, identity
 from experiments.dataset.frame import LAYER_WORDS
 from experiments.dataset.labels import CLASSES
-from experiments.dataset.truth import COLUMNS, FLAGS, Column, FrameRecord
+from experiments.dataset.truth import COLUMNS, FLAGS, FileColumn, FrameRecord
 from experiments.dataset.truth_files import INDEX_COLUMNS, index_bytes
 from experiments.harness.outputs import flat
 from render.fits.files import read_frame
@@ -25,13 +25,13 @@ from render.sky.partition import GAP, PARTS, leakage
 
 if TYPE_CHECKING:
     from experiments.dataset.detection import Example
-    from experiments.dataset.scene import Scene
-    from experiments.dataset.settings import Config
+    from experiments.dataset.scene import DatasetScene
+    from experiments.dataset.settings import DatasetConfig
     from render.catalogue.record import StarCatalog
 
 
 def write_closing_files(
-    scene: Scene,
+    scene: DatasetScene,
     source: Path,
     records: Sequence[FrameRecord],
     folder: Path,
@@ -56,7 +56,7 @@ def write_closing_files(
     (folder / "contact_sheet.png").write_bytes(contact_sheet(source, records))
 
 
-def about(config: Config, catalogue: StarCatalog) -> dict[str, str]:
+def about(config: DatasetConfig, catalogue: StarCatalog) -> dict[str, str]:
     """Title, version, licence (SPDX identifier), licence_url, citation; each on one line."""
     card = config.card
     licence = card.licence or ("CC-BY-SA-3.0-IGO" if "CC BY-SA 3.0 IGO" in catalogue.attribution else "")
@@ -74,7 +74,12 @@ def about(config: Config, catalogue: StarCatalog) -> dict[str, str]:
 
 
 def data_card(
-    scene: Scene, records: Sequence[FrameRecord], *, exports: Mapping[str, str], baseline: Mapping[str, str], page: bool
+    scene: DatasetScene,
+    records: Sequence[FrameRecord],
+    *,
+    exports: Mapping[str, str],
+    baseline: Mapping[str, str],
+    page: bool,
 ) -> str:
     """Markdown; the text depends on the dataset alone, not on its makers or the time."""
     from jinja2 import Environment, StrictUndefined
@@ -145,7 +150,7 @@ _TYPES = {"str": "sc:Text", "int32": "cr:Int32", "int64": "cr:Int64", "float64":
 _PARQUET = "application/x-parquet"
 
 
-def croissant(scene: Scene, records: Sequence[FrameRecord], folder: Path) -> str:
+def croissant(scene: DatasetScene, records: Sequence[FrameRecord], folder: Path) -> str:
     """JSON-LD text of what a dataset holds; ``folder`` holds the index."""
     words = about(scene.config, scene.catalogue)
     truth = scene.config.files.truth
@@ -184,7 +189,7 @@ def _file_set(name: str, glob: str, kind: str, text: str) -> dict[str, Any]:
     return head | {"includes": glob, "encodingFormat": kind}
 
 
-def _record_set(name: str, text: str, columns: Sequence[Column], source: dict[str, Any]) -> dict[str, Any]:
+def _record_set(name: str, text: str, columns: Sequence[FileColumn], source: dict[str, Any]) -> dict[str, Any]:
     fields = [
         {
             "@type": "cr:Field",

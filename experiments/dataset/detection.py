@@ -39,7 +39,7 @@ from optics.frames import pixel_from_fits
 from optics.records import concatenated, freeze
 
 if TYPE_CHECKING:
-    from experiments.dataset.scene import Scene
+    from experiments.dataset.scene import DatasetScene
     from render.records import PsfGrid
 
 
@@ -141,7 +141,7 @@ BOUND_RADII = (0.0, 0.5, 0.9)
 """Where PSFs for the bound are taken: parts of the largest distance of a PSF from the middle."""
 
 
-def dataset_bound(scene: Scene, psfs: PsfGrid, sky_e: float) -> CentroidBound:
+def dataset_bound(scene: DatasetScene, psfs: PsfGrid, sky_e: float) -> CentroidBound:
     """Bound with the PSFs of the lens on an even sky; dark charge and the noise of the mean dark count."""
     distance = np.hypot(*(psfs.place_px - scene.instrument.camera.centre_px).T)
     chosen = [int(np.abs(distance - part * distance.max()).argmin()) for part in BOUND_RADII]
@@ -241,7 +241,7 @@ class Detection:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Share:
+class CompletenessBin:
     """Stars detected in a bin; stars cut by the detector's edge are excluded."""
 
     bin: Any  # Magnitude, its range, or signal-to-noise ratio
@@ -322,7 +322,7 @@ def detection(
     }
 
 
-def shares(stars: FoundStars, value: FloatArray, edges: FloatArray, name: str = "") -> list[Share]:
+def shares(stars: FoundStars, value: FloatArray, edges: FloatArray, name: str = "") -> list[CompletenessBin]:
     """Fraction of detected stars in non-empty bins of a value per star; Wilson intervals."""
     inside = ~stars.has("off_edge")
     total, _ = np.histogram(value[inside], edges)
@@ -332,7 +332,7 @@ def shares(stars: FoundStars, value: FloatArray, edges: FloatArray, name: str = 
         low, high = (float(v) for v in binom_conf_interval(detected[k], total[k], interval="wilson"))
         share = Measured(value=float(detected[k] / total[k]), uncertainty=(high - low) / 2, n=int(total[k]))
         bin_ = name.format(low=edges[k], high=edges[k + 1]) if name else float((edges[k] + edges[k + 1]) / 2)
-        bins.append(Share(bin=bin_, stars=int(total[k]), share_found=share, low=low, high=high))
+        bins.append(CompletenessBin(bin=bin_, stars=int(total[k]), share_found=share, low=low, high=high))
     return bins
 
 
@@ -350,7 +350,7 @@ def snr_edges(snr: FloatArray) -> FloatArray:
     return np.geomspace(max(LEAST_SNR, positive.min()), positive.max() * 1.001, SNR_BINS + 1)
 
 
-def magnitude_of_half(fine: Sequence[Share]) -> float:
+def magnitude_of_half(fine: Sequence[CompletenessBin]) -> float:
     """Magnitude where the share of detected stars falls below one half for good; NaN where it never does."""
     enough = [share for share in fine if share.stars >= FEWEST_FOR_HALF]
     middle, share = np.array([[bin_.bin, bin_.share_found.value] for bin_ in enough], float).reshape(-1, 2).T
@@ -464,7 +464,7 @@ SECTIONS = {
         ],
     ),
     "magnitudes": Section(
-        record=Share,
+        record=CompletenessBin,
         dim="magnitude",
         axes=_axis("magnitude", "Magnitude"),
         prefix="magnitude_",
@@ -473,14 +473,14 @@ SECTIONS = {
         note="Without stars cut by the detector's edge. ±: half of the 68 % confidence interval (Wilson).",
     ),
     "magnitude_curve": Section(
-        record=Share,
+        record=CompletenessBin,
         dim="magnitude_step",
         axes=_axis("magnitude_step", "Magnitude"),
         prefix="magnitude_step_",
         figures={"magnitude_curve": curves("magnitude_step", points="magnitude_step_share_found", **HALF)},
     ),
     "snr_curve": Section(
-        record=Share,
+        record=CompletenessBin,
         dim="snr_step",
         axes=_axis("snr_step", "Signal-to-noise ratio"),
         prefix="snr_step_",

@@ -22,8 +22,8 @@ from experiments.dataset.exports import COCO, WEBDATASET, check_webdataset, expo
 from experiments.dataset.folder import DatasetFolder, StorageError, for_workers, frame_files, in_words, software
 from experiments.dataset.job import Job
 from experiments.dataset.labels import LabelMaker
-from experiments.dataset.scene import Scene, build_scene
-from experiments.dataset.settings import Config
+from experiments.dataset.scene import DatasetScene, build_scene
+from experiments.dataset.settings import DatasetConfig
 from experiments.dataset.solve import BlindSolver, attitudes, star_patterns
 from experiments.dataset.truth import FrameRecord
 from experiments.dataset.truth_files import read_table
@@ -52,7 +52,7 @@ FAINTEST_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frames:
+class CompleteDataset:
     """A dataset that is complete."""
 
     frames: int = col("Frames")
@@ -64,7 +64,7 @@ class Frames:
     frames_without_stars: int = col("Frames without stars")
     damaged: tuple[int, ...]  # Frames that were there and damaged; they were made again
     folder: Path  # Where the dataset is
-    scene: Scene  # What the frames have in common
+    scene: DatasetScene  # What the frames have in common
     records: tuple[FrameRecord, ...]  # One per frame, in their order
     exports: Mapping[str, str]  # Name of an export -> what was written, in words
 
@@ -81,7 +81,7 @@ class Solver:
 # --- Make what is missing
 
 
-def run(config: Config, *, progress: Progress, output: DatasetFolder) -> dict[str, Any]:
+def run(config: DatasetConfig, *, progress: Progress, output: DatasetFolder) -> dict[str, Any]:
     """Render missing frames, write the exports, evaluate the first frames."""
     with progress.stage("prepare"):
         if "webdataset" in config.exports:
@@ -97,7 +97,7 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> dict[st
         made = _complete(scene, output, job, progress)
         output.fetch(_needed(config, output, made["records"]))
         exports = _export(scene, output.path, made["records"], progress)
-        frames = Frames(**made, folder=output.path, scene=scene, exports=exports)
+        frames = CompleteDataset(**made, folder=output.path, scene=scene, exports=exports)
         return (
             dict.fromkeys(SECTIONS)
             | {"frames": frames}
@@ -108,7 +108,7 @@ def run(config: Config, *, progress: Progress, output: DatasetFolder) -> dict[st
         raise
 
 
-def _check_window(config: Config, scene: Scene) -> None:
+def _check_window(config: DatasetConfig, scene: DatasetScene) -> None:
     """Refuse a detector too small for the evaluation, before rendering."""
     camera = scene.instrument.camera
     if config.verify.frames and min(camera.width_px, camera.height_px) < config.window_px:
@@ -119,7 +119,7 @@ def _check_window(config: Config, scene: Scene) -> None:
         )
 
 
-def _complete(scene: Scene, output: DatasetFolder, job: Job, progress: Progress) -> dict[str, Any]:
+def _complete(scene: DatasetScene, output: DatasetFolder, job: Job, progress: Progress) -> dict[str, Any]:
     """A dataset completed to the requested frames: intact frames are kept, missing ones rendered."""
     config, camera = scene.config, scene.instrument.camera
     if output.repaired:
@@ -175,14 +175,14 @@ def _complete(scene: Scene, output: DatasetFolder, job: Job, progress: Progress)
     }
 
 
-def _needed(config: Config, output: DatasetFolder, records: Sequence[FrameRecord]) -> list[str]:
+def _needed(config: DatasetConfig, output: DatasetFolder, records: Sequence[FrameRecord]) -> list[str]:
     """Files needed on this machine: every truth, and frames for exports, report and contact sheet."""
     exported = bool(config.exports) or any((output.path / name).is_dir() for name in EXPORTS)
     some = records if exported else (*records[: config.verify.frames], *chosen(records))
     return list(dict.fromkeys([*(record.truth for record in records), *(record.file for record in some)]))
 
 
-def _export(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, str]:
+def _export(scene: DatasetScene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, str]:
     """The exports wanted; name -> what was written, in words."""
     config = scene.config
     written: dict[str, str] = {}
@@ -210,7 +210,7 @@ def _export(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress
 # --- Look at the first frames as others will: read back from the files, stars measured, attitudes solved blind
 
 
-def _look_at(scene: Scene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, Any]:
+def _look_at(scene: DatasetScene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, Any]:
     if not records:
         return {}
     with progress.stage("star patterns of the sky (computed once, then kept on disk)"):
@@ -220,7 +220,7 @@ def _look_at(scene: Scene, folder: Path, records: Sequence[FrameRecord], progres
 
 
 def evaluate(
-    folder: Path, scene: Scene, records: Sequence[FrameRecord], *, patterns: Any, advance: Callable[[], None]
+    folder: Path, scene: DatasetScene, records: Sequence[FrameRecord], *, patterns: Any, advance: Callable[[], None]
 ) -> dict[str, Any]:
     """Sections of detection and solution of the frames of a dataset."""
     config, camera, instrument = scene.config, scene.instrument.camera, scene.instrument
@@ -300,7 +300,7 @@ def files(result: Mapping[str, Any], folder: Path) -> None:
     )
 
 
-def _baseline(config: Config, result: Mapping[str, Any]) -> dict[str, str]:
+def _baseline(config: DatasetConfig, result: Mapping[str, Any]) -> dict[str, str]:
     """Baseline results of simple methods on the frames."""
     seen, solved, bins = (result.get(name) for name in ("detection", "attitudes", "centroids"))
     if seen is None or not seen.bright_stars:
@@ -344,7 +344,7 @@ def sky_coverage(outcome: Outcome) -> Figure:
 
 
 SECTIONS = {
-    "frames": Section(record=Frames, figures={"sky_coverage": sky_coverage}),
+    "frames": Section(record=CompleteDataset, figures={"sky_coverage": sky_coverage}),
     **detection.SECTIONS,
     "solver": Section(record=Solver),
     **solve.SECTIONS,

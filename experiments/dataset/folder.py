@@ -26,7 +26,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.dataset.settings import Config
+from experiments.dataset.settings import DatasetConfig
 from experiments.dataset.truth import FrameRecord
 from experiments.dataset.truth_files import read_origin, read_record
 from experiments.harness.outputs import flat, shown_value
@@ -79,7 +79,7 @@ def storage_error(path: Path, error: OSError) -> StorageError:
     return StorageError(f"{path} cannot be written ({error.strerror or error})")
 
 
-def identity(config: Config) -> dict[str, Any]:
+def identity(config: DatasetConfig) -> dict[str, Any]:
     """The configuration without what changes no frame; a file is its name and digest, wherever it lies."""
     content = config.model_dump(mode="json", exclude=set(FREE))
     for table, key, name in _files_of(content):
@@ -109,18 +109,18 @@ def software(backend: str) -> dict[str, str]:
     return versions
 
 
-def origin(config: Config, backend: str) -> dict[str, Any]:
+def origin(config: DatasetConfig, backend: str) -> dict[str, Any]:
     """Identity of the dataset in ``dataset.json`` and every truth file: format, software and configuration, JSON
     types."""
     return {"format": FORMAT_VERSION, "software": software(backend), "config": identity(config)}
 
 
-def for_workers(config: Config) -> Config:
+def for_workers(config: DatasetConfig) -> DatasetConfig:
     """The same configuration with absolute paths, for processes that run elsewhere."""
     content = config.model_dump()
     for table, key, name in _files_of(content):
         table[key] = str(Path(name).resolve())
-    return Config.model_validate(content)
+    return DatasetConfig.model_validate(content)
 
 
 def file_digest(name: str | Path) -> str:

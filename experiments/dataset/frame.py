@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.dataset.plan import FramePlan, plan_frame
-from experiments.dataset.scene import PLANET_IDS, Scene
+from experiments.dataset.scene import PLANET_IDS, DatasetScene
 from experiments.dataset.truth import FLAGS, FrameGhost, PointSources, pixel_flags, star_rows
 from optics.arrays import FloatArray
 from optics.attitude import angles_from_attitude, quat_xyzw
@@ -63,7 +63,7 @@ class MadeFrame:
 class FrameMaker:
     """Makes frames of one dataset; a frame depends on the scene and the frame number alone."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: DatasetScene) -> None:
         self.scene = scene
         self._lags = scene.instrument.detector.lag > 0.0 and scene.plan.path is not None
         self._last: tuple[int, SkyLight] | None = None
@@ -128,7 +128,7 @@ class FrameMaker:
         )
 
 
-def point_sources(scene: Scene, light: SkyLight) -> PointSources:
+def point_sources(scene: DatasetScene, light: SkyLight) -> PointSources:
     """Names and catalogue values of the sources of a frame."""
     field, planets = light.field, light.planets
     assert field is not None
@@ -164,7 +164,7 @@ _MJD_J2000, _YEAR_DAYS, _DAY_S = 51544.5, 365.25, 86400.0
 # --- Cards of the header: time, instrument, attitude, rate, light, world coordinates
 
 
-def header_cards(scene: Scene, made: MadeFrame) -> list[Card]:
+def header_cards(scene: DatasetScene, made: MadeFrame) -> list[Card]:
     """Cards (keyword, value, comment) for ``write_frame(..., cards=...)``; nothing of the machine or its clock."""
     config, attitude = scene.config, made.plan.attitude
     ra, dec, roll = angles_from_attitude(attitude)
@@ -191,7 +191,7 @@ def header_cards(scene: Scene, made: MadeFrame) -> list[Card]:
     ]
 
 
-def _since_epoch_s(scene: Scene, made: MadeFrame) -> float:
+def _since_epoch_s(scene: DatasetScene, made: MadeFrame) -> float:
     """Start of an exposure after the epoch: frames of a scan follow each other, the middle of any other is at it."""
     path = scene.plan.path
     return made.plan.start_s - path.start_s if path is not None else -0.5 * scene.plan.duration_s

@@ -28,8 +28,8 @@ from experiments.dataset.folder import (
 from experiments.dataset.frame import LAYER_WORDS, FrameMaker, MadeFrame, header_cards
 from experiments.dataset.labels import body_labels, disk_truth
 from experiments.dataset.remote import Store
-from experiments.dataset.scene import Scene, build_scene
-from experiments.dataset.settings import Config
+from experiments.dataset.scene import DatasetScene, build_scene
+from experiments.dataset.settings import DatasetConfig
 from experiments.dataset.truth import FrameRecord
 from experiments.dataset.truth_files import truth_bytes
 from optics.attitude import angles_from_attitude, quat_xyzw
@@ -95,7 +95,7 @@ def prepare(job: Job, threads: int | None = None) -> tuple[FrameMaker, str]:
             dr.set_thread_count(threads)
             dr.set_log_level(dr.LogLevel.Error)  # it warns where two workers keep the same new kernel
         _MAKERS.clear()  # one dataset at a time; memory is better spent on its images
-        config = Config.model_validate_json(job.config)
+        config = DatasetConfig.model_validate_json(job.config)
         _MAKERS[key] = FrameMaker(build_scene(config)), json.dumps(origin(config, job.backend))
     return _MAKERS[key]
 
@@ -167,7 +167,7 @@ def _write_fits(maker: FrameMaker, made: MadeFrame, path: Path) -> None:
         raise storage_error(path, error) from None
 
 
-def _layers(scene: Scene, made: MadeFrame) -> bytes:
+def _layers(scene: DatasetScene, made: MadeFrame) -> bytes:
     """File of the layers of a frame: an extension of float32 for each, behind the header of the frame."""
     from astropy.io import fits
 
@@ -182,7 +182,7 @@ def _layers(scene: Scene, made: MadeFrame) -> bytes:
     return fits_bytes(units)
 
 
-def pixel_marks(scene: Scene, made: MadeFrame) -> dict[str, NDArray[np.bool_]]:
+def pixel_marks(scene: DatasetScene, made: MadeFrame) -> dict[str, NDArray[np.bool_]]:
     """Pixels (h, w) struck by cosmic rays, and pixels of disks, where a dataset may have them, by card of the mask."""
     marks = {} if made.struck is None else {"COSMIC": made.struck}
     if scene.simulator.disks is not None:
@@ -193,7 +193,9 @@ def pixel_marks(scene: Scene, made: MadeFrame) -> dict[str, NDArray[np.bool_]]:
     return marks
 
 
-def _record(made: MadeFrame, scene: Scene, frame_name: str, truth_name: str, size: int, digest: str) -> FrameRecord:
+def _record(
+    made: MadeFrame, scene: DatasetScene, frame_name: str, truth_name: str, size: int, digest: str
+) -> FrameRecord:
     config = scene.config
     ra, dec, roll = angles_from_attitude(made.plan.attitude)
     x, y, z, w = quat_xyzw(made.plan.attitude).tolist()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.dataset.plan import FramePlan, plan_frame
-from experiments.dataset.scene import PLANET_IDS, Scene
+from experiments.dataset.scene import PLANET_IDS, DatasetScene
 from experiments.dataset.truth import DiskTruth
 from optics.frames import equatorial_deg
 from optics.units import ARCSEC_RAD
@@ -58,7 +58,7 @@ def pixels_of_ellipse(x: float, y: float, half_x: float, half_y: float, shape: t
 class LabelMaker:
     """Labels of the frames of one dataset."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: DatasetScene) -> None:
         self.scene = scene
         self._hot = self._hot_pixels()
 
@@ -88,7 +88,7 @@ class LabelMaker:
         ]
 
 
-def body_labels(scene: Scene, plan: FramePlan) -> list[Label]:
+def body_labels(scene: DatasetScene, plan: FramePlan) -> list[Label]:
     """Labels of the disks that a frame shows."""
     disks = scene.simulator.disks
     if disks is None or not len(disks):
@@ -134,7 +134,7 @@ def _track(cluster: ChargeCluster) -> Label:
 # --- What is true of the bodies that a frame shows as disks
 
 
-def disk_truth(scene: Scene, plan: FramePlan, disks: Sequence[BodyDisk]) -> tuple[DiskTruth, ...]:
+def disk_truth(scene: DatasetScene, plan: FramePlan, disks: Sequence[BodyDisk]) -> tuple[DiskTruth, ...]:
     """Truth of those disks of a frame whose light reaches the detector."""
     lit = [disk for disk in disks if disk.image.electrons[0] > 0.0]
     if scene.simulator.disks is None or not lit:

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from experiments.dataset.settings import (
     BodyPointing,
     ConePointing,
-    Config,
+    DatasetConfig,
     FixedRate,
-    JitterConfig,
+    JitterSpectrumConfig,
     ListPointing,
     RandomRate,
     ScanPointing,
@@ -39,7 +39,7 @@ RATE_SAMPLES = 1000
 class Plan:
     """All frames of a dataset; made by `build_plan`."""
 
-    config: Config  # The configuration
+    config: DatasetConfig  # The configuration
     streams: Streams  # Root of the randomness of this dataset
     duration_s: float  # From the start of the exposure of the first row to the end of that of the last
     attitudes: Rotation | None  # Of a list
@@ -62,7 +62,7 @@ class FramePlan:
     trajectory: Trajectory | None  # Motion during the exposure; None where the camera stands still
 
 
-def build_plan(config: Config, height_px: int | None = None, diagonal_deg: float = 0.0) -> Plan:
+def build_plan(config: DatasetConfig, height_px: int | None = None, diagonal_deg: float = 0.0) -> Plan:
     """Read input files, and refuse impossible settings."""
     pointing = config.pointing
     rows = config.instrument.height_px if height_px is None else height_px
@@ -106,7 +106,7 @@ def build_plan(config: Config, height_px: int | None = None, diagonal_deg: float
     )
 
 
-def _spectrum(config: JitterConfig) -> JitterSpectrum | None:
+def _spectrum(config: JitterSpectrumConfig) -> JitterSpectrum | None:
     """The configured power spectra."""
     count = len(config.frequency_hz)
     densities = (config.psd_x_arcsec2_per_hz, config.psd_y_arcsec2_per_hz, config.psd_z_arcsec2_per_hz)
@@ -118,7 +118,7 @@ def _spectrum(config: JitterConfig) -> JitterSpectrum | None:
     )
 
 
-def observer_of(config: Config) -> Observer | None:
+def observer_of(config: DatasetConfig) -> Observer | None:
     """The centre of the Earth, or a place from which the Earth is seen where the settings say; None for no place."""
     if config.catalogue.observer != "earth":
         return None
@@ -129,7 +129,7 @@ def observer_of(config: Config) -> Observer | None:
     return observer.moved(position_km=away, velocity_km_per_s=np.zeros(3))
 
 
-def _cone_about(pointing: BodyPointing, config: Config) -> ConePointing:
+def _cone_about(pointing: BodyPointing, config: DatasetConfig) -> ConePointing:
     """The cone of boresights that have a body in their field, as the observer sees it."""
     from render.bodies.solar_system import solar_system
 
@@ -155,7 +155,7 @@ def _check_cone(pointing: ConePointing, to_sun: FloatArray) -> None:
         )
 
 
-def _scan(pointing: ScanPointing, config: Config, duration_s: float) -> Trajectory:
+def _scan(pointing: ScanPointing, config: DatasetConfig, duration_s: float) -> Trajectory:
     last_s = (config.frames - 1) / pointing.frame_rate_hz + duration_s
     if pointing.file:
         times, attitudes = read_motion(pointing.file, "pointing.file")

@@ -35,7 +35,7 @@ from experiments.dataset.folder import (
     identity,
     numbers,
 )
-from experiments.dataset.settings import Config
+from experiments.dataset.settings import DatasetConfig
 from experiments.dataset.truth import FrameRecord
 from experiments.harness.progress import terminal_progress
 from optics.errors import ConfigError
@@ -45,7 +45,7 @@ BUCKETS = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "os
 """Stores without folders: to make one would make a bucket, of whatever name was misspelt."""
 
 
-def dataset_at(path: str, config: Config) -> DatasetFolder:
+def dataset_at(path: str, config: DatasetConfig) -> DatasetFolder:
     """The folder of a dataset, new or begun, or a URL."""
     wanted: dict[str, Any] = {"config": identity(config), "frames": config.frames, "truth": config.files.truth}
     if "://" not in path:

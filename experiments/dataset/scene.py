@@ -14,7 +14,7 @@ from experiments.dataset.plan import (
     observer_of,
     plan_frame,
 )
-from experiments.dataset.settings import Config, SkyPointing
+from experiments.dataset.settings import DatasetConfig, SkyPointing
 from experiments.laboratory.devices.scatter_laws import with_halos
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
@@ -57,10 +57,10 @@ LAST_PLANET_ID = max(PLANET_IDS.values())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class DatasetScene:
     """Common data of the frames of a dataset; made by `build_scene`."""
 
-    config: Config  # The configuration
+    config: DatasetConfig  # The configuration
     instrument: Instrument  # Camera and detector, cut to the window
     simulator: SkySimulator  # Stars that are bright enough, bodies, diffuse light; what the camera sees of them
     row: NDArray[np.int64]  # (n,) Rows of its stars in the whole catalogue
@@ -105,7 +105,7 @@ class Scene:
         return self.wcs.field_deg(camera.width_px, camera.height_px)
 
 
-def build_scene(config: Config) -> Scene:
+def build_scene(config: DatasetConfig) -> DatasetScene:
     """Read and prepare everything, and refuse what cannot become a dataset."""
     instrument = build_instrument(config.instrument)
     try:
@@ -128,7 +128,7 @@ def build_scene(config: Config) -> Scene:
         temperature=config.catalogue.temperature,
     )
     simulator = _simulator(config, instrument, sky, plan)
-    scene = Scene(
+    scene = DatasetScene(
         config=config,
         instrument=instrument,
         simulator=simulator,
@@ -145,7 +145,7 @@ def build_scene(config: Config) -> Scene:
     return scene
 
 
-def _simulator(config: Config, instrument: Instrument, sky: Sky, plan: Plan) -> SkySimulator:
+def _simulator(config: DatasetConfig, instrument: Instrument, sky: Sky, plan: Plan) -> SkySimulator:
     background, radiation = config.background, config.radiation
     for key, wanted in (("moon_planets", background.moon_planets), ("stray_light", background.stray_light)):
         if wanted and sky.observer is None:
@@ -175,7 +175,7 @@ def _simulator(config: Config, instrument: Instrument, sky: Sky, plan: Plan) -> 
     )
 
 
-def _aged(instrument: Instrument, config: Config) -> Instrument:
+def _aged(instrument: Instrument, config: DatasetConfig) -> Instrument:
     """The instrument with what radiation has done to its detector."""
     radiation = config.radiation
     if not radiation.displacement_dose_tev_per_g:
@@ -190,7 +190,7 @@ def _aged(instrument: Instrument, config: Config) -> Instrument:
     return replace(instrument, detector=detector)
 
 
-def stars_of(scene: Scene, frame: int) -> SkyField:
+def stars_of(scene: DatasetScene, frame: int) -> SkyField:
     """Stars that a frame sees in the middle of its exposure; `SkyField.row` counts in ``scene.sky``."""
     return scene.sky.field(scene.view, plan_frame(scene.plan, frame).attitude)
 
@@ -205,7 +205,7 @@ def _no_star(catalogue: StarCatalog, config: CatalogueConfig) -> str:
     )
 
 
-def _check_light(scene: Scene) -> None:
+def _check_light(scene: DatasetScene) -> None:
     """Refuse stars that cannot be rendered now, not in the middle of the work."""
     coldest, hottest = np.argmin(scene.sky.temperature_k), np.argmax(scene.sky.temperature_k)
     for at in (coldest, hottest):
@@ -251,7 +251,7 @@ def _reach_px(plan: Plan, instrument: Instrument) -> float:
     return moved.reach_px
 
 
-def _check_stars(scene: Scene) -> None:
+def _check_stars(scene: DatasetScene) -> None:
     """Refuse a dataset of which no frame sees a star; single empty frames are frames of an empty sky."""
     if isinstance(scene.config.pointing, SkyPointing) or scene.config.background.moon_planets:
         return  # some frame of a random sky may always see one; planets are points of light too

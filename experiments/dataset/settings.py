@@ -110,7 +110,7 @@ class RandomRate(StrictModel):
         return self
 
 
-class JitterConfig(StrictModel):
+class JitterSpectrumConfig(StrictModel):
     """Random motion about the camera's axes, as one-sided power spectra; power laws between the frequencies."""
 
     frequency_hz: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = Field(
@@ -125,7 +125,7 @@ class JitterConfig(StrictModel):
     )
 
     @model_validator(mode="after")
-    def _as_many(self) -> JitterConfig:
+    def _as_many(self) -> JitterSpectrumConfig:
         frequencies = self.frequency_hz
         if len(frequencies) == 1 or any(b <= a for a, b in pairwise(frequencies)):
             raise ValueError(f"frequency_hz = {list(frequencies)}: at least two, increasing, are needed, or none")
@@ -260,7 +260,7 @@ class VerifyConfig(StrictModel):
     dark_frames: int = Field(default=20, ge=1, le=1000, description="dark frames averaged")
 
 
-class Config(SensorExperimentConfig):
+class DatasetConfig(SensorExperimentConfig):
     """Two hundred frames of the real sky in random attitudes."""
 
     frames: int = Field(
@@ -288,7 +288,7 @@ class Config(SensorExperimentConfig):
     )
     pointing: Pointing = Field(default=SkyPointing(), discriminator="kind", description="distribution of attitudes")
     rate: Rate = Field(default=FixedRate(), discriminator="kind", description="rotation during the exposure")
-    jitter: JitterConfig = JitterConfig()
+    jitter: JitterSpectrumConfig = JitterSpectrumConfig()
     background: BackgroundConfig = BackgroundConfig()
     scatter: ScatterConfig = ScatterConfig()
     contamination: ContaminationConfig = ContaminationConfig()
@@ -345,7 +345,7 @@ class Config(SensorExperimentConfig):
 
 experiment = Experiment(
     name="dataset",
-    config=Config,
+    config=DatasetConfig,
     run="experiment:run",
     sections="experiment:SECTIONS",
     extra="experiment:extra",

@@ -39,7 +39,7 @@ from optics.units import RAD_ARCSEC
 
 if TYPE_CHECKING:
     from calib.cameras.fit import MapFit
-    from experiments.dataset.scene import Scene
+    from experiments.dataset.scene import DatasetScene
     from experiments.dataset.truth import FrameRecord
 
 
@@ -169,14 +169,14 @@ def _weighted(
     return solution, int(kept.sum()), common_px
 
 
-def _field_deg(scene: Scene) -> float:
+def _field_deg(scene: DatasetScene) -> float:
     """Full width of the field of view."""
     camera = scene.instrument.camera
     half = camera.width_px * camera.pixel_pitch_mm / 2 / scene.instrument.focal_length_mm
     return 2.0 * float(np.degrees(np.arctan(half)))
 
 
-def star_patterns(scene: Scene) -> Any:
+def star_patterns(scene: DatasetScene) -> Any:
     """Patterns of tetra3rs for the camera of a dataset; None without tetra3rs, or in a field too narrow for them."""
     field = _field_deg(scene)
     if importlib.util.find_spec("tetra3rs") is None or field < NARROWEST_BLIND_DEG:
@@ -187,7 +187,7 @@ def star_patterns(scene: Scene) -> Any:
 class BlindSolver:
     """tetra3rs with the camera and the sky of a dataset; in narrow fields, identification near a rough attitude."""
 
-    def __init__(self, scene: Scene, calibration: MapFit, patterns: Any) -> None:
+    def __init__(self, scene: DatasetScene, calibration: MapFit, patterns: Any) -> None:
         self.scene, self.calibration, self.database = scene, calibration, patterns
         self.blind = _field_deg(scene) >= NARROWEST_BLIND_DEG  # nothing but the camera is known before
         # why no frame can be solved; "" if they can
@@ -241,7 +241,7 @@ UNSOLVED_SHARE = 0.005
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Attitudes:
+class AttitudeStatistics:
     """Attitudes of all frames against the truth; mirrored and wrong frames are not solved."""
 
     attempted: int = col("Frames tried", shown=False)
@@ -269,7 +269,7 @@ class Unsolved:
     without_solver: str = col("Reason for no attempt", json="why")
 
 
-def attitudes(frames: Sequence[SolvedFrame]) -> Attitudes:
+def attitudes(frames: Sequence[SolvedFrame]) -> AttitudeStatistics:
     """Statistics of solved frames; NaN where none was solved."""
     good = [frame for frame in frames if frame.solved]
     error, sigma, equal = (
@@ -280,7 +280,7 @@ def attitudes(frames: Sequence[SolvedFrame]) -> Attitudes:
     equal_off = np.hypot(equal[:, 0], equal[:, 1]) if good else off
     common = [f.common_px for f in frames if np.isfinite(f.common_px)]
     (median, spread), pulls = robust_median(off), error / sigma
-    return Attitudes(
+    return AttitudeStatistics(
         attempted=len(frames),
         solved=len(good),
         mirrored=sum(frame.status == "mirrored" for frame in frames),
@@ -313,7 +313,7 @@ def _axes(q: Quantities, frames: Sequence[SolvedFrame]) -> None:
 SECTIONS = {
     "unsolved": Section(record=Unsolved, place="solver"),
     "attitudes": Section(
-        record=Attitudes,
+        record=AttitudeStatistics,
         place="solver",
         table="solver",
         caption="Errors of the solved attitudes against the truth.",

@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from experiments.dataset.settings import ConePointing, Config, ScanPointing, SkyPointing, SplitsConfig
+from experiments.dataset.settings import ConePointing, DatasetConfig, ScanPointing, SkyPointing, SplitsConfig
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import DomainError
@@ -39,7 +39,9 @@ class Splits:
     of: Callable[[int, FloatArray], str]  # ``of(frame, boresight)``: name of the split, `GAP` for none
 
 
-def build_splits(config: Config, streams: Streams, diagonal_deg: float, listed: FloatArray | None = None) -> Splits:
+def build_splits(
+    config: DatasetConfig, streams: Streams, diagonal_deg: float, listed: FloatArray | None = None
+) -> Splits:
     """The splits of a dataset; which one a frame is in follows from configuration, number and boresight."""
     splits = config.splits
     gap_deg = diagonal_deg if splits.gap_deg is None else splits.gap_deg
@@ -87,7 +89,7 @@ def _by_sky(splits: SplitsConfig, streams: Streams, gap_deg: float, boresights: 
     return _spatial("sky", gap_deg, parts_by_latitude(_fractions(splits), boresights, gap_rad, normal))
 
 
-def _cone(config: Config) -> FloatArray | None:
+def _cone(config: DatasetConfig) -> FloatArray | None:
     """Boresights (n, 3) that fill the cone of a configuration evenly; None without one."""
     pointing = config.pointing
     if not isinstance(pointing, ConePointing):
@@ -96,7 +98,7 @@ def _cone(config: Config) -> FloatArray | None:
     return cone_directions(axes, pointing.radius_deg * DEG_RAD)
 
 
-def _circle(config: Config) -> tuple[FloatArray, FloatArray] | None:
+def _circle(config: DatasetConfig) -> tuple[FloatArray, FloatArray] | None:
     """Pole of the circle of a scan at a constant rate, and the boresight at its start."""
     pointing = config.pointing
     if not isinstance(pointing, ScanPointing) or pointing.file or not any(pointing.rate_deg_per_s):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class FileColumn:
     """A column of the truth: name, type, unit as astropy spells it, and what it holds."""
 
     name: str
@@ -29,36 +29,40 @@ class Column:
 
 
 COLUMNS = (
-    Column("frame", "int64", "", "number of the frame"),
-    Column("star_id", "int64", "", "id in the catalogue (Gaia DR3 source_id, or -HIP); planets: -10^6 - NAIF number"),
-    Column("catalogue_row", "int64", "", "row of the catalogue; -1 for planets"),
-    Column("band", "str", "", "pass band"),
-    Column("ra_deg", "float64", "deg", "right ascension of the direction in which the star is seen, icrs"),
-    Column("dec_deg", "float64", "deg", "declination of this direction, icrs"),
-    Column("magnitude", "float64", "mag", "magnitude in the catalogue; V of planets"),
-    Column("temperature_k", "float64", "K", "temperature of the black body that was rendered; NaN for planets"),
-    Column("chief_x_px", "float64", "pix", "column of the ray through the centre of the aperture stop"),
-    Column("chief_y_px", "float64", "pix", "row of this ray"),
-    Column("bundle_x_px", "float64", "pix", "column of the photon-weighted mean of all traced rays"),
-    Column("bundle_y_px", "float64", "pix", "row of this mean"),
-    Column("photon_x_px", "float64", "pix", "column of the centroid of all light, after charge diffusion"),
-    Column("photon_y_px", "float64", "pix", "row of this mean"),
-    Column("electrons_in", "float64", "electron", "electrons that the aperture stop alone would let in"),
-    Column("electrons", "float64", "electron", "expected electrons on the detector"),
-    Column("electrons_vignetted", "float64", "electron", "electrons let in by the stop, blocked by other apertures"),
-    Column("electrons_off_edge", "float64", "electron", "expected electrons off the detector or between chips"),
-    Column("electrons_hidden", "float64", "electron", "electrons lost behind a body in front of the star"),
-    Column(
+    FileColumn("frame", "int64", "", "number of the frame"),
+    FileColumn(
+        "star_id", "int64", "", "id in the catalogue (Gaia DR3 source_id, or -HIP); planets: -10^6 - NAIF number"
+    ),
+    FileColumn("catalogue_row", "int64", "", "row of the catalogue; -1 for planets"),
+    FileColumn("band", "str", "", "pass band"),
+    FileColumn("ra_deg", "float64", "deg", "right ascension of the direction in which the star is seen, icrs"),
+    FileColumn("dec_deg", "float64", "deg", "declination of this direction, icrs"),
+    FileColumn("magnitude", "float64", "mag", "magnitude in the catalogue; V of planets"),
+    FileColumn("temperature_k", "float64", "K", "temperature of the black body that was rendered; NaN for planets"),
+    FileColumn("chief_x_px", "float64", "pix", "column of the ray through the centre of the aperture stop"),
+    FileColumn("chief_y_px", "float64", "pix", "row of this ray"),
+    FileColumn("bundle_x_px", "float64", "pix", "column of the photon-weighted mean of all traced rays"),
+    FileColumn("bundle_y_px", "float64", "pix", "row of this mean"),
+    FileColumn("photon_x_px", "float64", "pix", "column of the centroid of all light, after charge diffusion"),
+    FileColumn("photon_y_px", "float64", "pix", "row of this mean"),
+    FileColumn("electrons_in", "float64", "electron", "electrons that the aperture stop alone would let in"),
+    FileColumn("electrons", "float64", "electron", "expected electrons on the detector"),
+    FileColumn(
+        "electrons_vignetted", "float64", "electron", "electrons let in by the stop, blocked by other apertures"
+    ),
+    FileColumn("electrons_off_edge", "float64", "electron", "expected electrons off the detector or between chips"),
+    FileColumn("electrons_hidden", "float64", "electron", "electrons lost behind a body in front of the star"),
+    FileColumn(
         "electrons_absorbed", "float64", "electron", "electrons absorbed by surfaces and glasses in excess of the axis"
     ),
-    Column("electrons_scattered", "float64", "electron", "electrons scattered by the lens into a halo"),
-    Column("electrons_beyond", "float64", "electron", "electrons in omitted wings of the diffraction image"),
-    Column("variance_x_px2", "float64", "pix2", "second central moment of the ray bundle along the columns"),
-    Column("variance_y_px2", "float64", "pix2", "second central moment of the ray bundle along the rows"),
-    Column("snr", "float64", "", "signal-to-noise ratio of the flux by optimal weights"),
-    Column("smear_x_px", "float64", "pix", "motion of the chief ray from start to end of the exposure, columns"),
-    Column("smear_y_px", "float64", "pix", "motion of the chief ray from start to end of the exposure, rows"),
-    Column("flags", "int32", "", "sum of bits, see flag names"),
+    FileColumn("electrons_scattered", "float64", "electron", "electrons scattered by the lens into a halo"),
+    FileColumn("electrons_beyond", "float64", "electron", "electrons in omitted wings of the diffraction image"),
+    FileColumn("variance_x_px2", "float64", "pix2", "second central moment of the ray bundle along the columns"),
+    FileColumn("variance_y_px2", "float64", "pix2", "second central moment of the ray bundle along the rows"),
+    FileColumn("snr", "float64", "", "signal-to-noise ratio of the flux by optimal weights"),
+    FileColumn("smear_x_px", "float64", "pix", "motion of the chief ray from start to end of the exposure, columns"),
+    FileColumn("smear_y_px", "float64", "pix", "motion of the chief ray from start to end of the exposure, rows"),
+    FileColumn("flags", "int32", "", "sum of bits, see flag names"),
 )
 
 FLAGS = {

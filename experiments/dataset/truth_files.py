@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from experiments.dataset.truth import COLUMNS, FLAGS, Column, FrameRecord, record_from_text
+from experiments.dataset.truth import COLUMNS, FLAGS, FileColumn, FrameRecord, record_from_text
 from optics.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -30,23 +30,23 @@ _BLANK = "0" * 64
 _SEAL = re.compile(DIGEST.encode() + rb"[^0-9a-f]{1,6}([0-9a-f]{64})", re.DOTALL)
 
 INDEX_COLUMNS = (
-    Column("frame", "int64", "", "number of the frame"),
-    Column("split", "str", "", "train, validation or test"),
-    Column("file", "str", "", "the frame, relative to this folder"),
-    Column("truth", "str", "", "its truth, relative to this folder"),
-    Column("ra_deg", "float64", "deg", "right ascension of the boresight in the middle of the exposure"),
-    Column("dec_deg", "float64", "deg", "declination of the boresight in the middle of the exposure"),
-    Column("roll_deg", "float64", "deg", "position angle of up in the image, from north through east"),
-    *(Column(f"quat_{axis}", "float64", "", "attitude cam from icrs, scalar last, w >= 0") for axis in "xyzw"),
-    *(Column(f"rate_{axis}_deg_per_s", "float64", "deg / s", "angular velocity in camera axes") for axis in "xyz"),
-    Column("epoch_year", "float64", "yr", "Julian year"),
-    Column("exposure_s", "float64", "s", "exposure time"),
-    Column("stars", "int32", "", "stars of which light reaches the detector"),
-    Column("saturated", "int32", "", "stars with a saturated pixel"),
-    Column("saturated_px", "int32", "", "saturated pixels"),
-    Column("background_e", "float64", "electron", "mean expected sky light per pixel"),
-    Column("sha256", "str", "", "digest of the frame's file"),
-    Column("truth_sha256", "str", "", "digest of its truth's file"),
+    FileColumn("frame", "int64", "", "number of the frame"),
+    FileColumn("split", "str", "", "train, validation or test"),
+    FileColumn("file", "str", "", "the frame, relative to this folder"),
+    FileColumn("truth", "str", "", "its truth, relative to this folder"),
+    FileColumn("ra_deg", "float64", "deg", "right ascension of the boresight in the middle of the exposure"),
+    FileColumn("dec_deg", "float64", "deg", "declination of the boresight in the middle of the exposure"),
+    FileColumn("roll_deg", "float64", "deg", "position angle of up in the image, from north through east"),
+    *(FileColumn(f"quat_{axis}", "float64", "", "attitude cam from icrs, scalar last, w >= 0") for axis in "xyzw"),
+    *(FileColumn(f"rate_{axis}_deg_per_s", "float64", "deg / s", "angular velocity in camera axes") for axis in "xyz"),
+    FileColumn("epoch_year", "float64", "yr", "Julian year"),
+    FileColumn("exposure_s", "float64", "s", "exposure time"),
+    FileColumn("stars", "int32", "", "stars of which light reaches the detector"),
+    FileColumn("saturated", "int32", "", "stars with a saturated pixel"),
+    FileColumn("saturated_px", "int32", "", "saturated pixels"),
+    FileColumn("background_e", "float64", "electron", "mean expected sky light per pixel"),
+    FileColumn("sha256", "str", "", "digest of the frame's file"),
+    FileColumn("truth_sha256", "str", "", "digest of its truth's file"),
 )
 
 
@@ -147,7 +147,7 @@ def _read(path: Path, *, sealed: bool) -> tuple[Any, Mapping[str, Any]]:
 
 
 @cache
-def _schema(columns: tuple[Column, ...]) -> Any:
+def _schema(columns: tuple[FileColumn, ...]) -> Any:
     import pyarrow as pa
 
     types = {"str": pa.string(), "int32": pa.int32(), "int64": pa.int64(), "float64": pa.float64()}
@@ -160,7 +160,7 @@ def _schema(columns: tuple[Column, ...]) -> Any:
 
 
 def _parquet(
-    columns: tuple[Column, ...], rows: Mapping[str, Any], metadata: Mapping[str, str], beside: Mapping[str, str]
+    columns: tuple[FileColumn, ...], rows: Mapping[str, Any], metadata: Mapping[str, str], beside: Mapping[str, str]
 ) -> bytes:
     """``metadata`` goes into the schema, which Arrow keeps twice; ``beside`` is written once."""
     import pyarrow as pa
@@ -186,7 +186,7 @@ def _parquet(
 
 
 def _ecsv(
-    columns: tuple[Column, ...], rows: Mapping[str, Any], metadata: Mapping[str, str], beside: Mapping[str, str]
+    columns: tuple[FileColumn, ...], rows: Mapping[str, Any], metadata: Mapping[str, str], beside: Mapping[str, str]
 ) -> bytes:
     from astropy.table import Column as TableColumn
     from astropy.table import Table

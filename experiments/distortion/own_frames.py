@@ -22,7 +22,7 @@ from experiments.harness.drawings import arrows
 from experiments.harness.quantities import Outcome, Quantities
 from experiments.harness.sections import Section, above, below, col
 from experiments.reduce.folder import FrameFolder
-from experiments.reduce.frames_toml import Layout
+from experiments.reduce.frames_toml import FolderLayout
 from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
 from experiments.reduce.series import reduce_series
 from optics.arrays import FloatArray
@@ -144,7 +144,7 @@ def _order_advice(outcome: Outcome) -> str:
 
 own_frames = FramesTest(
     title="Distortion error",
-    layout=Layout(),
+    layout=FolderLayout(),
     reduce=reduce,
     sections={
         "grid": Section(

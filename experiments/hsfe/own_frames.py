@@ -20,7 +20,7 @@ from experiments.harness.drawings import cloud
 from experiments.harness.sections import Section, below, col
 from experiments.harness.summary import Measured, measured
 from experiments.reduce.folder import FrameFolder
-from experiments.reduce.frames_toml import Layout
+from experiments.reduce.frames_toml import FolderLayout
 from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
 from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
@@ -129,7 +129,7 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> R
 
 own_frames = FramesTest(
     title="High spatial frequency error",
-    layout=Layout(),
+    layout=FolderLayout(),
     reduce=reduce,
     sections={
         "steps": Section(

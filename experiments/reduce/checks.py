@@ -38,7 +38,7 @@ from experiments.harness.quantities import Outcome
 from experiments.harness.sections import Section, Verdict, below, col, ratio_near, two_sided_limit
 from experiments.harness.summary import Measured
 from experiments.reduce.folder import FrameFolder, FrameSeries
-from experiments.reduce.series import FALSE_ALARM, Finding, SeriesFrames
+from experiments.reduce.series import FALSE_ALARM, FrameStatistic, SeriesFrames
 from optics.arrays import FloatArray
 
 GAIN_ALLOWANCE = 0.05
@@ -66,7 +66,7 @@ class FrameChecks:
     gain_ratio: Measured | None = col("Gain by photon transfer over stated gain", json="")  # None where it says nothing
     noise_ratio: Measured | None = col("Scatter over noise model")
     # The most significant of all series against its limit each, None where no series has points or frames enough
-    findings: Mapping[str, Finding | None]  # Of motion, moved, light, lag, shared
+    findings: Mapping[str, FrameStatistic | None]  # Of motion, moved, light, lag, shared
     common_motion_px: float | None = col("Common motion", "px", ".4f")
     motion_limit_px: float | None = col("Tolerated common motion", "px", ".4f", json="")
     moved_px: float | None = col("Jump or drift of the target", "px", ".4f")
@@ -143,7 +143,7 @@ def check_frames(folder: FrameFolder, reduced: Sequence[SeriesFrames], method: s
     )
 
 
-def _worst(findings: Iterable[Finding | None]) -> Finding | None:
+def _worst(findings: Iterable[FrameStatistic | None]) -> FrameStatistic | None:
     """The finding that exceeds its limit most, or comes nearest to it."""
     return max((one for one in findings if one is not None), key=lambda one: abs(one.value) / one.limit, default=None)
 
@@ -160,7 +160,7 @@ def _gain(folder: FrameFolder, several: Sequence[FrameSeries]) -> Measured | Non
     return Measured(value=value, unit="DN/e-", uncertainty=error, n=transfer.pixels)
 
 
-def _motions(position_px: FloatArray, name: str, tests: int) -> Iterator[Finding]:
+def _motions(position_px: FloatArray, name: str, tests: int) -> Iterator[FrameStatistic]:
     """Common motion along x and y from centroids (f, j, 2); none for one point or fewer than three whole frames."""
     whole = position_px[np.isfinite(position_px).all((1, 2))]
     frames, points, _ = whole.shape
@@ -174,10 +174,12 @@ def _motions(position_px: FloatArray, name: str, tests: int) -> Iterator[Finding
             f"the image moves by {rms_px:.2g} px from frame to frame, all points alike ({name}, {'xy'[axis]}): "
             "vibration, or a target that is not at rest"
         )
-        yield Finding(value=float(rms_px), limit=float(limit[axis]), text=text)
+        yield FrameStatistic(value=float(rms_px), limit=float(limit[axis]), text=text)
 
 
-def _changed(change: Change | None, names: Sequence[str], series: str, what: str, *, format: str) -> Finding | None:
+def _changed(
+    change: Change | None, names: Sequence[str], series: str, what: str, *, format: str
+) -> FrameStatistic | None:
     """A change in words: frame, kind and size."""
     if change is None:
         return None
@@ -188,10 +190,10 @@ def _changed(change: Change | None, names: Sequence[str], series: str, what: str
         "frame": f"{what} is off by {size} in {frame} alone ({series})",
         "step": f"{what} jumps by {size} between {before} and {frame} ({series})",
     }[change.kind]
-    return Finding(value=change.size, limit=change.limit, text=text)
+    return FrameStatistic(value=change.size, limit=change.limit, text=text)
 
 
-def _moves(one: SeriesFrames, method: str, tests: int) -> Iterator[Finding | None]:
+def _moves(one: SeriesFrames, method: str, tests: int) -> Iterator[FrameStatistic | None]:
     """Changes of the position of all points together, along x and y."""
     position = one.points.position_px[method]
     whole = np.flatnonzero(np.isfinite(position).all((1, 2)))
@@ -201,12 +203,12 @@ def _moves(one: SeriesFrames, method: str, tests: int) -> Iterator[Finding | Non
         yield _changed(change, names, one.name, f"the image ({'xy'[axis]})", format="+.3f")
 
 
-def _light(one: SeriesFrames, tests: int) -> Finding | None:
+def _light(one: SeriesFrames, tests: int) -> FrameStatistic | None:
     change = largest_change(one.light, false_alarm=FALSE_ALARM / tests)
     return _changed(change, one.origin, one.name, "the light", format="+.1%")
 
 
-def _shared(one: FrameSeries, tests: int) -> Finding | None:
+def _shared(one: FrameSeries, tests: int) -> FrameStatistic | None:
     """Noise that two frames have in common, copies left out."""
     kept = _unique(one)
     pair = common_noise(one.windows.dn[kept], ~one.windows.defect, false_alarm=FALSE_ALARM / tests)
@@ -214,7 +216,7 @@ def _shared(one: FrameSeries, tests: int) -> Finding | None:
         return None
     first, second = (one.origin[kept[number]] for number in pair.frames)
     text = f"the noise of {first} and {second} ({one.name}) is {pair.correlation:.0%} the same"
-    return Finding(value=pair.correlation, limit=max(pair.limit, COMMON_NOISE), text=text)
+    return FrameStatistic(value=pair.correlation, limit=max(pair.limit, COMMON_NOISE), text=text)
 
 
 def _copied(series: Sequence[FrameSeries]) -> list[str]:

@@ -34,8 +34,8 @@ from experiments.reduce.frames import (
 )
 from experiments.reduce.frames_toml import (
     SETTINGS_FILE,
+    FolderLayout,
     FolderSettings,
-    Layout,
     SeriesSettings,
     read_settings,
     read_table,
@@ -90,9 +90,9 @@ class FrameFolder:
         return np.asarray(self.settings.centre_px or middle, float)
 
 
-def read_folder(folder: str | Path, *, window_px: int, layout: Layout | None = None) -> FrameFolder:
+def read_folder(folder: str | Path, *, window_px: int, layout: FolderLayout | None = None) -> FrameFolder:
     """Read a folder, find the points, cut windows."""
-    folder, layout = Path(folder), layout or Layout()
+    folder, layout = Path(folder), layout or FolderLayout()
     settings = read_settings(folder)
     layout.check(settings)
     files = [find_files(folder, one.files, one.name) for one in settings.series]

@@ -124,7 +124,7 @@ class FolderSettings(StrictModel):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class FolderLayout:
     """Requirements of an experiment on a folder."""
 
     needs: tuple[str, ...] = ()  # Keys that every series must have

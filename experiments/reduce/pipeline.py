@@ -22,7 +22,7 @@ from experiments.harness.summary import Measured
 from experiments.laboratory.bench.centroid_methods import MethodLabels, needs_epsf
 from experiments.reduce.checks import CHECKS, check_frames
 from experiments.reduce.folder import FrameFolder, read_folder
-from experiments.reduce.frames_toml import Layout
+from experiments.reduce.frames_toml import FolderLayout
 from experiments.reduce.series import SeriesFrames
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
@@ -36,7 +36,7 @@ class FramesTest:
     """Reduction of own frames by a method."""
 
     title: str  # Of the report
-    layout: Layout  # What it asks of a folder
+    layout: FolderLayout  # What it asks of a folder
     # ``reduce(folder, methods, config)``: centroids of the series, records of the method's own sections
     reduce: Callable[[FrameFolder, Sequence[str], Any], Reduced]
     sections: Mapping[str, Section]  # The method's own
@@ -227,7 +227,7 @@ COMMON = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Point:
+class TargetPoint:
     """A target point in the last series, first centroider."""
 
     mean_px: FloatArray = col("Mean", "px", ".4f", "axis", json="", key="mean_{axis}_px")
@@ -246,14 +246,14 @@ def points_of(folder: FrameFolder, series: SeriesFrames, method: str) -> dict[st
     place, points = series.points.position_px[method], series.points
     rows = zip(points.mean_px(method), points.sigma_px(method), strict=True)
     return {
-        "points": [Point(mean_px=mean, sigma_px=sigma) for mean, sigma in rows],
+        "points": [TargetPoint(mean_px=mean, sigma_px=sigma) for mean, sigma in rows],
         "cloud": Cloud(apart_arcsec=folder.settings.pixel_arcsec * (place - np.nanmean(place, axis=0))),
     }
 
 
 POINTS = {
     "points": Section(
-        record=Point,
+        record=TargetPoint,
         dim="point",
         across="axis",
         caption="Centroids of the last series, first centroider; σ of a single frame.",

@@ -28,13 +28,13 @@ from experiments.harness.quantities import Outcome
 from experiments.harness.sections import Section, above, below, col, ratio_near
 from experiments.harness.summary import Measured
 from experiments.reduce.folder import FrameFolder
-from experiments.reduce.frames_toml import SETTINGS_FILE, Layout
+from experiments.reduce.frames_toml import SETTINGS_FILE, FolderLayout
 from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 from optics.units import ARCSEC_RAD
 
-POSES = Layout(needs=("outer_deg", "inner_deg"), same_scene="none", points=1, fewest=1)
+POSES = FolderLayout(needs=("outer_deg", "inner_deg"), same_scene="none", points=1, fewest=1)
 """Required keys of a folder of poses; a third axis has ``middle_deg`` too."""
 KEYS = {2: ("outer_deg", "inner_deg"), 3: ("outer_deg", "middle_deg", "inner_deg")}
 LEAST_COVERAGE = 0.5
@@ -126,7 +126,7 @@ def pose_data(series: Sequence[SeriesFrames], table: TableAxes, method: str) -> 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fit:
+class PoseFit:
     """Whether residuals match their noise, and the detector is covered."""
 
     misfit: str  # In words
@@ -137,11 +137,11 @@ class Fit:
     chi2_rise: float = col("Rise of χ² at one σ along the least determined direction", "", ".2f", shown=False)
 
 
-def fit_record(poses: PoseCalibration, folder: FrameFolder) -> Fit:
+def fit_record(poses: PoseCalibration, folder: FrameFolder) -> PoseFit:
     """Residuals of the calibration."""
     misfit = poses.calibration.solution.misfit
     degrees = max(misfit.degrees_of_freedom, 1)
-    return Fit(
+    return PoseFit(
         misfit=str(misfit).capitalize(),
         flat=folder.flat is not None or folder.settings.prnu_fraction > 0.0,
         fit_ratio=Measured(value=misfit.value / degrees, uncertainty=float(np.sqrt(2.0 / degrees))),
@@ -162,7 +162,7 @@ def _fit_advice(outcome: Outcome) -> str:
 
 
 FIT = Section(
-    record=Fit,
+    record=PoseFit,
     verdicts=[
         ratio_near(
             "fit_ratio",

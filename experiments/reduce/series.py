@@ -32,7 +32,7 @@ FALSE_ALARM = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class FrameStatistic:
     """What a check found in the frames of a series."""
 
     value: float
@@ -56,7 +56,7 @@ class SeriesFrames:
     # standard deviation: noise of the mean dark frame and of the flat, and the response that no flat removes
     pattern_px: FloatArray
     origin: tuple[str, ...]  # File of every frame
-    lags: tuple[Finding, ...]  # Correlation of the first method's centroids from frame to frame
+    lags: tuple[FrameStatistic, ...]  # Correlation of the first method's centroids from frame to frame
     light: FloatArray  # (f,) Light of every frame over the mean, all points together
     percent_px: float  # RMS over points and axes of what a response that differs by 1 % from pixel to pixel moves them
 
@@ -150,7 +150,7 @@ def _light(frames_e: FloatArray, mean_e: FloatArray, usable: NDArray[np.bool_]) 
     return np.asarray((frames_e * weight).sum((1, 2, 3)) / (mean_e * weight).sum())
 
 
-def _lags(position_px: FloatArray, series: str, *, tests: int) -> tuple[Finding, ...]:
+def _lags(position_px: FloatArray, series: str, *, tests: int) -> tuple[FrameStatistic, ...]:
     """Correlations of centroids (f, j, 2) of a series, one of ``tests``: of all points together, x and y, and apart."""
     whole = position_px[np.isfinite(position_px).all((1, 2))]
     common = whole.mean(1)
@@ -167,7 +167,7 @@ def _lags(position_px: FloatArray, series: str, *, tests: int) -> tuple[Finding,
                 f"frames of {series} are not independent: {what}, correlation {lag.correlation:+.2f} with the next "
                 "frame"
             )
-            findings.append(Finding(value=lag.correlation, limit=lag.limit, text=text))
+            findings.append(FrameStatistic(value=lag.correlation, limit=lag.limit, text=text))
     return tuple(findings)
 
 

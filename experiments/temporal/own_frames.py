@@ -14,7 +14,7 @@ from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured
 from experiments.harness.summary import measured as with_error
 from experiments.reduce.folder import FrameFolder
-from experiments.reduce.frames_toml import Layout
+from experiments.reduce.frames_toml import FolderLayout
 from experiments.reduce.pipeline import POINTS, POINTS_CAPTION, FramesTest, Reduced, points_of
 from experiments.reduce.series import SeriesFrames, reduce_series
 from optics.arrays import FloatArray
@@ -63,7 +63,7 @@ def reduce(folder: FrameFolder, methods: Sequence[str], config: Any = None) -> R
 
 own_frames = FramesTest(
     title="Temporal error",
-    layout=Layout(),
+    layout=FolderLayout(),
     reduce=reduce,
     sections={
         "levels": Section(

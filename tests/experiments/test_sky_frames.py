@@ -9,7 +9,7 @@ import pytest
 from experiments.dataset import frame as dataset_frame
 from experiments.dataset import scene as dataset_scene
 from experiments.dataset.labels import LabelMaker
-from experiments.dataset.settings import Config as DatasetConfig
+from experiments.dataset.settings import DatasetConfig
 from experiments.flight.frames import FlightCamera
 from experiments.flight.prediction import build_budget
 from experiments.flight.scenario import build_flight

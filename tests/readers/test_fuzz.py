@@ -23,7 +23,7 @@ from refusals import refuses
 
 from calib.measure.image import read_image
 from experiments.dataset.plan import read_attitudes, read_motion
-from experiments.dataset.settings import Config
+from experiments.dataset.settings import DatasetConfig
 from experiments.dataset.truth import COLUMNS, FrameRecord
 from experiments.dataset.truth_files import index_bytes, read_record, read_table, truth_bytes
 from experiments.harness.config import load_config
@@ -230,7 +230,7 @@ def motion_of(path):
 
 
 def settings_of(path):
-    held = load_config(Config, file=path)
+    held = load_config(DatasetConfig, file=path)
     assert held.frames >= 1
     assert held.instrument.exposure_s > 0
 

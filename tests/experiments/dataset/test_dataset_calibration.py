@@ -14,13 +14,13 @@ from astropy.time import Time
 from experiments.dataset.calibration import write_calibration
 from experiments.dataset.job import Job, make_frame
 from experiments.dataset.scene import build_scene
-from experiments.dataset.settings import Config, ScanPointing, VerifyConfig
+from experiments.dataset.settings import DatasetConfig, ScanPointing, VerifyConfig
 from render.detector.maps import sensor_maps
 from render.engine import Engine
 from render.sensor_file.tables import InstrumentConfig
 
 FRAMES = 20
-CONFIG = Config(
+CONFIG = DatasetConfig(
     instrument=InstrumentConfig(
         lens="star_tracker_26mm",
         detector="cmv4000",

@@ -14,7 +14,7 @@ from experiments.dataset.exports import export_coco, export_shards
 from experiments.dataset.folder import StorageError
 from experiments.dataset.job import Job, make_frame
 from experiments.dataset.labels import CLASSES
-from experiments.dataset.settings import ConePointing, Config, VerifyConfig
+from experiments.dataset.settings import ConePointing, DatasetConfig, VerifyConfig
 from experiments.dataset.truth_files import read_table
 from render.fits.files import read_frame
 from render.sensor_file.tables import CatalogueConfig, InstrumentConfig
@@ -28,7 +28,7 @@ def dataset(engine, tmp_path_factory):
     folder = tmp_path_factory.mktemp("exports")
     for name in ("frames", "truth"):
         (folder / name).mkdir()
-    config = Config(
+    config = DatasetConfig(
         instrument=InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=192, height_px=128),
         nodes=3,
         catalogue=CatalogueConfig(faintest_mag=10.0),

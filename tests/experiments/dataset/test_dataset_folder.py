@@ -20,7 +20,7 @@ from experiments.dataset import folder as storage
 from experiments.dataset.folder import DatasetFolder, check
 from experiments.dataset.job import Job, make_frame, prepare
 from experiments.dataset.plan import plan_frame
-from experiments.dataset.settings import Config, main
+from experiments.dataset.settings import DatasetConfig, main
 from experiments.dataset.truth_files import read_record, truth_bytes
 from experiments.harness.progress import Progress
 from optics.errors import ConfigError
@@ -57,7 +57,7 @@ def dataset(tmp_path_factory):
 def job(dataset):
     """The same dataset as a worker sees it."""
     return lambda folder: Job(
-        config=Config.model_validate(settings_of(dataset)).model_dump_json(), folder=str(folder), backend="llvm"
+        config=DatasetConfig.model_validate(settings_of(dataset)).model_dump_json(), folder=str(folder), backend="llvm"
     )
 
 
@@ -106,7 +106,7 @@ def test_layers_are_files_that_add_up_to_the_light(tmp_path):
     ghosts = found["GHOSTS"].sum(dtype=float)
     assert 0.0 < ghosts < 1.01 * sum(ghost.electrons for ghost in record.ghosts)
     assert {ghost.source for ghost in record.ghosts} <= {str(one) for one in truth["star_id"]}
-    text = Config.model_validate(settings_of(tmp_path / "one")).model_dump_json()
+    text = DatasetConfig.model_validate(settings_of(tmp_path / "one")).model_dump_json()
     job = Job(config=text, folder=str(tmp_path / "one"), backend="llvm")
     maker = prepare(job)[0]
     light = maker.scene.simulator.expected(plan_frame(maker.scene.plan, 0).attitude).electrons

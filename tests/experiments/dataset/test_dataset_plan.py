@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from experiments.dataset.plan import build_plan, plan_frame, read_attitudes
 from experiments.dataset.settings import (
     ConePointing,
-    Config,
+    DatasetConfig,
     FixedRate,
-    JitterConfig,
+    JitterSpectrumConfig,
     ListPointing,
     RandomRate,
     ScanPointing,
@@ -28,7 +28,7 @@ N = 500
 
 
 def frames_of(count=N, **settings):
-    plan = build_plan(Config(frames=count, **settings))
+    plan = build_plan(DatasetConfig(frames=count, **settings))
     return [plan_frame(plan, frame) for frame in range(count)]
 
 
@@ -53,13 +53,13 @@ def test_a_scan_is_one_motion():
     first, second = frames_of(9, pointing=scan)[7:9]
     assert (second.attitude * first.attitude.inv()).as_rotvec() == pytest.approx(-rate / 4.0, abs=1e-12)
     assert first.trajectory is second.trajectory
-    middle = first.trajectory.attitude(first.start_s + Config().instrument.exposure_s / 2)
+    middle = first.trajectory.attitude(first.start_s + DatasetConfig().instrument.exposure_s / 2)
     assert (middle * first.attitude.inv()).magnitude() < 1e-12
 
 
 def test_rates():
     fixed = frames_of(4, rate=FixedRate(rate_deg_per_s=(0.0, 1.0, 0.0)))[3]
-    middle = fixed.trajectory.attitude(Config().instrument.exposure_s / 2)
+    middle = fixed.trajectory.attitude(DatasetConfig().instrument.exposure_s / 2)
     assert (middle * fixed.attitude.inv()).magnitude() < 1e-12
     free = frames_of(4)[3]
     assert free.trajectory is None
@@ -76,7 +76,9 @@ def test_rates():
 
 def test_jitter():
     """Attitudes scatter about those without it by what the spectrum says; frames of a scan share one motion."""
-    jitter = JitterConfig(frequency_hz=(0.5, 50.0), psd_x_arcsec2_per_hz=(4.0, 4.0), psd_z_arcsec2_per_hz=(16.0, 16.0))
+    jitter = JitterSpectrumConfig(
+        frequency_hz=(0.5, 50.0), psd_x_arcsec2_per_hz=(4.0, 4.0), psd_z_arcsec2_per_hz=(16.0, 16.0)
+    )
     still, moved = frames_of(150), frames_of(150, jitter=jitter)
     off = np.array([(b.attitude * a.attitude.inv()).as_rotvec() for a, b in zip(still, moved, strict=True)])
     rms = np.degrees(np.sqrt((off**2).mean(0))) * 3600
@@ -98,7 +100,7 @@ def test_splits_are_shared_out_in_blocks():
 
 
 def planned(count, diagonal_deg, **settings):
-    plan = build_plan(Config(frames=count, **settings), diagonal_deg=diagonal_deg)
+    plan = build_plan(DatasetConfig(frames=count, **settings), diagonal_deg=diagonal_deg)
     return [plan_frame(plan, frame) for frame in range(count)]
 
 
@@ -113,7 +115,7 @@ def test_every_kind_of_pointing_has_its_splits(tmp_path):
     """By the sky for random attitudes, cones and lists, by arcs for a scan; more frames change nothing."""
     cone = ConePointing(ra_deg=350.0, dec_deg=80.0, radius_deg=40.0)
     for by, pointing in (("sky", SkyPointing()), ("sky", cone), ("sky", listed(tmp_path)), ("arc", ScanPointing())):
-        plan = build_plan(Config(frames=100, pointing=pointing), diagonal_deg=8.0)
+        plan = build_plan(DatasetConfig(frames=100, pointing=pointing), diagonal_deg=8.0)
         assert (plan.splits.by, plan.splits.gap_deg) == (by, pytest.approx(8.0))
         names = [plan_frame(plan, frame).split for frame in range(100)]
         assert names.count("train") > 30
@@ -168,7 +170,7 @@ def test_attitudes_that_are_none(tmp_path, columns, error, said):
     path = tmp_path / "list.ecsv"
     Table(columns).write(path)
     with pytest.raises(error, match=said):
-        build_plan(Config(frames=1, pointing=ListPointing(file=str(path))))
+        build_plan(DatasetConfig(frames=1, pointing=ListPointing(file=str(path))))
 
 
 @pytest.mark.parametrize(
@@ -181,4 +183,4 @@ def test_attitudes_that_are_none(tmp_path, columns, error, said):
 )
 def test_plans_that_are_none(settings, said):
     with pytest.raises(StarbenchError, match=said):
-        build_plan(Config(frames=2, **settings))
+        build_plan(DatasetConfig(frames=2, **settings))

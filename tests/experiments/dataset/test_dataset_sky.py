@@ -20,7 +20,7 @@ from experiments.dataset.settings import (
     BackgroundConfig,
     BodyPointing,
     ConePointing,
-    Config,
+    DatasetConfig,
     RadiationConfig,
     SkyPointing,
     VerifyConfig,
@@ -39,14 +39,14 @@ CAMERA = {"instrument": InstrumentConfig(detector="cmv4000", exposure_s=0.2, wid
 
 def test_attitudes_keep_away_from_the_sun():
     pointing = SkyPointing(sun_exclusion_deg=60.0)
-    plan = build_plan(Config(frames=300, catalogue=CatalogueConfig(epoch_year=EPOCH), pointing=pointing))
+    plan = build_plan(DatasetConfig(frames=300, catalogue=CatalogueConfig(epoch_year=EPOCH), pointing=pointing))
     sun = get_sun(Time(EPOCH, format="jyear")).cartesian  # from the centre of the Earth
     towards = sun.xyz.value / np.linalg.norm(sun.xyz.value)
     boresight = np.array([plan_frame(plan, frame).attitude.as_matrix()[2] for frame in range(300)])
     height = boresight @ towards
     assert height.max() < np.cos(np.radians(59.9))
     assert abs(height.mean() + 0.25) < 4 * 1.5 / np.sqrt(12 * 300)  # uniform from -1 to 0.5
-    free = build_plan(Config(frames=300, catalogue=CatalogueConfig(epoch_year=EPOCH)))
+    free = build_plan(DatasetConfig(frames=300, catalogue=CatalogueConfig(epoch_year=EPOCH)))
     kept = [k for k in range(300) if plan_frame(free, k).attitude.as_matrix()[2] @ towards < 0.499]
     assert len(kept) > 150
     same = [(plan_frame(free, k).attitude * plan_frame(plan, k).attitude.inv()).magnitude() for k in kept]
@@ -75,7 +75,7 @@ def test_attitudes_keep_away_from_the_sun():
 def test_refused(settings, said):
     sky = CatalogueConfig(faintest_mag=9.0, epoch_year=EPOCH)
     with pytest.raises(StarbenchError, match=said):
-        build_scene(Config(**{**CAMERA, "catalogue": sky, **settings}))
+        build_scene(DatasetConfig(**{**CAMERA, "catalogue": sky, **settings}))
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_venus_behind_the_moon_gives_no_light():
     then = Time(2019.0834474, format="jyear", scale="tdb")
     moon, planet = get_body("moon", then), get_body("venus", then)
     assert moon.separation(planet).rad < np.arcsin(1737.4 / moon.distance.to_value("km"))
-    config = Config.model_validate(
+    config = DatasetConfig.model_validate(
         {
             "frames": 1,
             "catalogue": {"epoch_year": 2019.0834474, "observer": "earth", "faintest_mag": 9.0},
@@ -117,7 +117,7 @@ SMALL = InstrumentConfig(
 def shot():
     Engine.start("llvm")
     scene = build_scene(
-        Config(
+        DatasetConfig(
             instrument=SMALL,
             nodes=3,
             pointing=ConePointing(ra_deg=56.75, dec_deg=24.12, radius_deg=0.1),
@@ -182,7 +182,7 @@ def hold_disk_to_astropy(disk, made, scene, label):
 def test_the_label_of_the_moon_is_its_disk():
     """Half a degree wide, 0.3 deg from the boresight; lit on the side of the Sun; nothing is rendered."""
     Engine.start("llvm")
-    config = Config(instrument=SMALL, nodes=3, pointing=BodyPointing(body="moon", offset_deg=0.3))
+    config = DatasetConfig(instrument=SMALL, nodes=3, pointing=BodyPointing(body="moon", offset_deg=0.3))
     scene, plan = build_scene(config), plan_frame(build_plan(config), 0)
     (label,) = body_labels(scene, plan)
     assert (label.kind, label.name) == ("moon", "moon")
@@ -200,7 +200,7 @@ def test_any_number_of_a_frame_with_the_moon():
     """(From frame 65 536 on the number of a stream overflowed.)"""
     Engine.start("llvm")
     small = SMALL.model_copy(update={"exposure_s": 1e-4, "width_px": 256, "height_px": 256})
-    config = Config(instrument=small, nodes=3, pointing=BodyPointing(body="moon", offset_deg=0.3))
+    config = DatasetConfig(instrument=small, nodes=3, pointing=BodyPointing(body="moon", offset_deg=0.3))
     maker = FrameMaker(build_scene(config))
     for frame in (65_536, 2**40):
         made = maker.make(frame)
@@ -213,11 +213,11 @@ def test_the_moon_behind_the_earth():
     """A million kilometres behind the Earth, as the Moon sees it: its disk with the air around it, and no Moon."""
     Engine.start("llvm")
     small = SMALL.model_copy(update={"exposure_s": 1e-6, "width_px": 256, "height_px": 256})
-    moon = solar_system(Config().catalogue.epoch_year, bodies=["moon"]).direction[0]
+    moon = solar_system(DatasetConfig().catalogue.epoch_year, bodies=["moon"]).direction[0]
     away = (float(np.degrees(np.arctan2(moon[1], moon[0]))) % 360.0, float(np.degrees(np.arcsin(moon[2]))))
     background = BackgroundConfig(moon_planets=True, earth_direction_deg=away, earth_distance_km=1e6)
     pointing = BodyPointing(body="moon", offset_deg=0.1)
-    scene = build_scene(Config(instrument=small, nodes=3, pointing=pointing, background=background))
+    scene = build_scene(DatasetConfig(instrument=small, nodes=3, pointing=pointing, background=background))
     made = FrameMaker(scene).make(0)
     earth, hidden = made.disks
     assert (earth.name, hidden.name) == ("earth", "moon")
@@ -230,7 +230,7 @@ def test_the_moon_behind_the_earth():
 @pytest.mark.slow
 def test_a_field_with_the_moon_has_its_disk_where_the_label_says():
     Engine.start("llvm")
-    config = Config(
+    config = DatasetConfig(
         instrument=SMALL.model_copy(update={"exposure_s": 2e-5, "width_px": 512, "height_px": 512}),
         nodes=3,
         pointing=BodyPointing(body="moon", offset_deg=2.0),

@@ -12,7 +12,14 @@ from calib.measure.footprints import footprint_px
 from experiments.dataset.frame import FrameMaker
 from experiments.dataset.job import _record
 from experiments.dataset.scene import build_scene, stars_of
-from experiments.dataset.settings import BackgroundConfig, ConePointing, Config, FixedRate, JitterConfig, ScanPointing
+from experiments.dataset.settings import (
+    BackgroundConfig,
+    ConePointing,
+    DatasetConfig,
+    FixedRate,
+    JitterSpectrumConfig,
+    ScanPointing,
+)
 from experiments.dataset.truth import FLAGS, record_from_text
 from optics.errors import DomainError, StarbenchError
 from optics.frames import field_angles_deg
@@ -29,12 +36,12 @@ SMALL = {
 
 
 SLOW = InstrumentConfig(detector="cmv4000", exposure_s=0.2, width_px=256, height_px=192, line_time_us=1e4)
-SHAKEN = JitterConfig(frequency_hz=(1.0, 100.0), psd_x_arcsec2_per_hz=(1e9, 1e9))
+SHAKEN = JitterSpectrumConfig(frequency_hz=(1.0, 100.0), psd_x_arcsec2_per_hz=(1e9, 1e9))
 
 
 @pytest.fixture(scope="module")
 def maker(engine):
-    return FrameMaker(build_scene(Config(**SMALL)))
+    return FrameMaker(build_scene(DatasetConfig(**SMALL)))
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +136,7 @@ def test_a_record_says_the_same_in_text_and_in_angles(maker, made):
 
 def test_no_light_at_all(engine):
     """A field without stars is a frame like any other: noise, and a table without rows."""
-    config = Config(**{**SMALL, "pointing": ConePointing(ra_deg=192.9, dec_deg=27.1, radius_deg=2.0)}, frames=50)
+    config = DatasetConfig(**{**SMALL, "pointing": ConePointing(ra_deg=192.9, dec_deg=27.1, radius_deg=2.0)}, frames=50)
     maker = FrameMaker(build_scene(config))
     empty = next(k for k in range(50) if not len(stars_of(maker.scene, k)))
     made = maker.make(empty)
@@ -154,14 +161,14 @@ def test_no_light_at_all(engine):
 )
 def test_refused_before_anything_is_rendered(settings, said):
     with pytest.raises(StarbenchError, match=said):
-        build_scene(Config(**{**SMALL, **settings}, background=BackgroundConfig(extra_e_per_s=0.0)))
+        build_scene(DatasetConfig(**{**SMALL, **settings}, background=BackgroundConfig(extra_e_per_s=0.0)))
 
 
 def test_a_catalogue_without_magnitudes(tmp_path):
     path = tmp_path / "stars.ecsv"
     Table({"source_id": [1, 2], "ra": [10.0, 20.0], "dec": [1.0, 2.0], "phot_g_mean_mag": [np.nan, np.nan]}).write(path)
     with pytest.raises(DomainError, match="no magnitude for any of its 2 stars"):
-        build_scene(Config(**{**SMALL, "catalogue": CatalogueConfig(source=str(path), preset="gaia")}))
+        build_scene(DatasetConfig(**{**SMALL, "catalogue": CatalogueConfig(source=str(path), preset="gaia")}))
 
 
 RATE_DEG_PER_S = (0.01, -0.015, 0.05)
@@ -185,7 +192,9 @@ def test_smear_and_place(engine, scanned, line_time_us):
         cone = ConePointing(**pleiades, radius_deg=0.0)
         settings = {"pointing": cone, "rate": FixedRate(rate_deg_per_s=RATE_DEG_PER_S)}
     scene = build_scene(
-        Config(instrument=InstrumentConfig(**sensor), nodes=3, catalogue=CatalogueConfig(faintest_mag=8.0), **settings)
+        DatasetConfig(
+            instrument=InstrumentConfig(**sensor), nodes=3, catalogue=CatalogueConfig(faintest_mag=8.0), **settings
+        )
     )
     made = FrameMaker(scene).make(2)
     truth, plan = made.truth, made.plan

@@ -74,9 +74,9 @@ def dataset(engine, chip_file):
     """Frames of the sky through the chip; the pixel variance of a frame without stars, measured."""
     from experiments.dataset.frame import FrameMaker
     from experiments.dataset.scene import build_scene
-    from experiments.dataset.settings import ConePointing, Config, VerifyConfig
+    from experiments.dataset.settings import ConePointing, DatasetConfig, VerifyConfig
 
-    config = Config(
+    config = DatasetConfig(
         instrument=InstrumentConfig(
             lens="star_tracker_26mm", detector=str(chip_file), width_px=128, height_px=128, exposure_s=0.1
         ),

@@ -17,7 +17,7 @@ from experiments.harness.summary import Measured
 from experiments.hsfe.own_frames import exchange_text
 from experiments.reduce.checks import check_frames
 from experiments.reduce.folder import read_folder
-from experiments.reduce.poses import FIT, Fit
+from experiments.reduce.poses import FIT, PoseFit
 from experiments.temporal.own_frames import reduce
 from experiments.temporal.settings import Config, experiment
 
@@ -208,7 +208,7 @@ def test_positions_in_the_wrong_order_are_named():
 @pytest.mark.parametrize(("ratio", "said"), [(0.5, "smaller than stated"), (1.0, ""), (1.5, "larger than stated")])
 def test_a_calibration_by_poses_is_judged_both_ways(ratio, said):
     measured = Measured(value=ratio, uncertainty=0.07)
-    fit = Fit(misfit="m", flat=True, fit_ratio=measured, coverage=1.0, chi2_rise=ratio + 0.2)
+    fit = PoseFit(misfit="m", flat=True, fit_ratio=measured, coverage=1.0, chi2_rise=ratio + 0.2)
     data = described({"fit": FIT}, Quantities(), {"fit": fit}).dataset
     criterion, _, first_order = judge_sections({"fit": FIT}, Outcome(config=None, result={"fit": fit}, data=data))
     assert criterion.failed is bool(said)

@@ -21,7 +21,7 @@ from experiments.laboratory.temporal_error import measure_temporal, target_place
 from experiments.reduce.checks import check_frames
 from experiments.reduce.folder import read_folder
 from experiments.reduce.frames import find_files
-from experiments.reduce.frames_toml import Layout
+from experiments.reduce.frames_toml import FolderLayout
 from experiments.temporal.own_frames import reduce as temporal_from_frames
 from optics.errors import ConfigError, DomainError
 from render.detector.readout import expose
@@ -309,7 +309,7 @@ def test_files_that_do_not_fit_are_one_line(folder, text, error, said):
 
 def test_filters_and_places_must_be_complete(folder):
     """A place without a filter, one filter twice, a reference that is not there, FILTER against filter_nm."""
-    layout, config = Layout(needs=("filter_nm",), same_scene="place"), ChromaticConfig()
+    layout, config = FolderLayout(needs=("filter_nm",), same_scene="place"), ChromaticConfig()
     for name in "abcd":
         for number in range(2):
             blank(folder, f"{name}_{number}.fits")
@@ -360,7 +360,7 @@ def test_wedge_of_a_filter_and_exchanged_filters_are_found_in_rendered_frames(tm
     writer.lines.append("points = 9\nprnu_fraction = 0.01")
     head = "\n".join(writer.lines) + "\n"
     (writer.folder / "frames.toml").write_text(head + "".join(rows))
-    layout, config = Layout(needs=("filter_nm",), same_scene="place"), ChromaticConfig()
+    layout, config = FolderLayout(needs=("filter_nm",), same_scene="place"), ChromaticConfig()
     read = read_folder(writer.folder, window_px=WINDOW_PX, layout=layout)
     found = chromatic_own_frames.reduce(read, ("cog",), config)[1]
     pair = next(one for one in found["constants"] if one.wedge_px[0].value > 0.02)
