@@ -136,7 +136,7 @@ def takers() -> Iterator[str]:
     yield "| experiment | takes |"
     yield "|---|---|"
     for name in found():
-        config: type[ExperimentConfig] = import_module(f"experiments.{name}.settings").Config
+        config: type[ExperimentConfig] = import_module(f"experiments.{name}.settings").experiment.config
         common = [key for key in SensorConfig.model_fields if key in config.model_fields]
         whole = {key for key in common if hasattr(SensorConfig.model_fields[key].annotation, "model_fields")}
         takes = ", ".join(f"`[{key}]`" if key in whole else f"`{key}`" for key in common)

@@ -22,7 +22,7 @@ OF_ONE_CAMERA = [name for name in found() if name not in {*WITHOUT_SENSOR, "acf"
 
 
 def config_class(name):
-    return import_module(f"experiments.{name}.settings").Config
+    return import_module(f"experiments.{name}.settings").experiment.config
 
 
 def printed(name, capsys, *options):

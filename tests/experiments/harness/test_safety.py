@@ -72,7 +72,7 @@ def test_an_empty_name_is_no_folder(main, capsys):
 
 @pytest.mark.parametrize("name", found())
 def test_frames_is_a_number_wherever_there_is_one(name, capsys):
-    config = import_module(f"experiments.{name}.settings").Config
+    config = import_module(f"experiments.{name}.settings").experiment.config
     assert starbench([name, "-h"]) == 0
     options = capsys.readouterr().out
     number = config.model_fields.get("frames") is not None and config.model_fields["frames"].annotation is int

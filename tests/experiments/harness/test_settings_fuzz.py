@@ -41,7 +41,7 @@ WHOLE: list[BaseModel] = [
     SensorConfig(),
     FolderSettings.model_validate(FOLDER),
     *(
-        importlib.import_module(f"experiments.{file.parent.name}.settings").Config()
+        importlib.import_module(f"experiments.{file.parent.name}.settings").experiment.config()
         for file in sorted(PACKAGES.glob("*/settings.py"))
         if file.parent.name != "laboratory"
     ),
