@@ -15,7 +15,7 @@ from calib.flags import describe_flags
 from calib.measure.image import as_image
 from calib.records import SensorImage, StarTable
 from optics.figures import draw_image
-from optics.page import Marks
+from optics.frame_html import Marks
 from render.records import Frame
 
 IDENTIFIED, FIT, UNFIT = "#59d98e", "#4aa3df", "#ff5d8f"
@@ -87,7 +87,7 @@ def star_marks(stars: StarTable, identified: Identification | StarAttitude | Non
     Returns
     -------
     list of Marks
-        For ``Observation.save_page`` or `optics.page.frame_page`; only layers that hold something.
+        For ``Observation.save_page`` or `optics.frame_html.frame_page`; only layers that hold something.
     """
     names = np.full(len(stars), "", object)
     if identified is not None:

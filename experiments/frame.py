@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from astropy.io import fits
 
     from calib.records import SensorImage
-    from optics.page import Marks
+    from optics.frame_html import Marks
 
 CARDS = ("OBJECT", "DATE-OBS", "EXPTIME", "FILTER", "INSTRUME", "TELESCOP", "GAIN", "CCD-TEMP")
 NEAR_PX = 3.0
@@ -81,7 +81,7 @@ def _write_page(
     from calib.measure.image import read_image
     from experiments.laboratory.bench.truth_marks import truth_marks
     from optics.fits import image_header
-    from optics.page import differences, save_frame_page
+    from optics.frame_html import differences, save_frame_page
     from render.fits.wcs import sky_grid
 
     image = read_image(file, hdu=hdu, plane=plane)
@@ -163,8 +163,8 @@ def _catalogue(header: fits.Header, shape: tuple[int, int], faintest_mag: float)
     import numpy as np
     from astropy.wcs import WCS
 
+    from optics.frame_html import Marks
     from optics.frames import equatorial_deg
-    from optics.page import Marks
     from render.sky.sky import load_sky
 
     known = load_sky(faintest_mag=faintest_mag)

@@ -22,7 +22,7 @@ optics.lens.perturb                 `tilt`, `decentre`, `despace`, `refocus`, `t
 optics.lens.heated_lens             `heated_lens`: gradients of temperature, `ThermalState`, `Housing`, `Mount`
 optics.glass.catalogue              `get_glass`, `list_glasses`, `Glass`
 optics.glass.coating                `Stack` of `Film`, `QuarterWave`, `TabulatedCoating`: R, T of s and p light
-optics.glass.index_along_path       `Environment`, `CATALOGUE_AIR`, `VACUUM`
+optics.glass.absolute_index         `Environment`, `CATALOGUE_AIR`, `VACUUM`
 optics.rays.paraxial                `paraxial`, `axial_colour_mm`
 optics.rays.chief                   `chief_ray_points`, `plate_scale_mm`, `distortion_map`
 optics.rays.spots                   `spot_moments`, `trace_spots`, `lateral_colour`, `vignetting`, `collecting_area_mm2`
@@ -41,7 +41,7 @@ optics.response                     `Response`
 optics.waves                        `trace_pupil`, `wavefront`, `zernikes`, `zernike_map`, `strehl`,
                                     `strehl_through_focus`, `encircled_energy`, `transfer_function`, `with_wavefront`
 optics.figures                      `draw_lens`, `draw_spots`, `draw_distortion`
-optics.page                         `frame_page`, `save_frame_page`, `Marks`: any frame as an HTML page to zoom into
+optics.frame_html                   `frame_page`, `save_frame_page`, `Marks`: any frame as an HTML page to zoom into
 optics.frames                       `field_direction`
 optics.attitude                     `attitude_from_angles`, `angles_from_attitude`, `attitude_error_arcsec`
 optics.errors                       `StarbenchError`

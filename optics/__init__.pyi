@@ -6,7 +6,13 @@ from .errors import StarbenchError as StarbenchError
 from .figures import draw_distortion as draw_distortion
 from .figures import draw_lens as draw_lens
 from .figures import draw_spots as draw_spots
+from .frame_html import Marks as Marks
+from .frame_html import frame_page as frame_page
+from .frame_html import save_frame_page as save_frame_page
 from .frames import field_direction as field_direction
+from .glass.absolute_index import CATALOGUE_AIR as CATALOGUE_AIR
+from .glass.absolute_index import VACUUM as VACUUM
+from .glass.absolute_index import Environment as Environment
 from .glass.catalogue import Glass as Glass
 from .glass.catalogue import get_glass as get_glass
 from .glass.catalogue import list_glasses as list_glasses
@@ -14,9 +20,6 @@ from .glass.coating import Film as Film
 from .glass.coating import QuarterWave as QuarterWave
 from .glass.coating import Stack as Stack
 from .glass.coating import TabulatedCoating as TabulatedCoating
-from .glass.index_along_path import CATALOGUE_AIR as CATALOGUE_AIR
-from .glass.index_along_path import VACUUM as VACUUM
-from .glass.index_along_path import Environment as Environment
 from .lens.heated_lens import Housing as Housing
 from .lens.heated_lens import Mount as Mount
 from .lens.heated_lens import ThermalState as ThermalState
@@ -50,9 +53,6 @@ from .light.magnitudes import synthetic_magnitude as synthetic_magnitude
 from .light.spectrum import Blackbody as Blackbody
 from .light.spectrum import TabulatedSed as TabulatedSed
 from .light.transmission import lens_transmission as lens_transmission
-from .page import Marks as Marks
-from .page import frame_page as frame_page
-from .page import save_frame_page as save_frame_page
 from .rays.best_focus import best_focus_shift_mm as best_focus_shift_mm
 from .rays.chief import chief_ray_points as chief_ray_points
 from .rays.chief import distortion_map as distortion_map

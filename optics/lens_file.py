@@ -17,18 +17,18 @@ import numpy as np
 
 from optics.errors import ConfigError, StarbenchError, unknown_name
 from optics.files.assemble import FileDefaults, Imported, glass_table
-from optics.files.draft import Row
 from optics.files.glasses import read_glass
+from optics.files.parsed_file import SurfaceRow
 from optics.files.read import FOREIGN, Reading, import_lens, split_configuration
 from optics.files.report import ImportReport, ReportLine, Status
+from optics.glass.absolute_index import CATALOGUE_AIR, Environment
 from optics.glass.catalogue import list_glasses
-from optics.glass.index_along_path import CATALOGUE_AIR, Environment
 from optics.lens.geometry import acts, crossings, geometry_faults, idle_stop
+from optics.lens.ideal_lens import measured_lens
 from optics.lens.measured import measured_from_table
 from optics.lens.prescription import lens_from_table, rims_mm
 from optics.lens.system import LensSystem
 from optics.lens.tables import BREAK
-from optics.lens.without_glass import measured_lens
 from optics.rays.beam_widths import BeamWidths, beam_widths
 from optics.validate import read_toml
 
@@ -103,8 +103,8 @@ def load_lens(name_or_path: str | Path, *, environment: Environment | None = Non
         A built-in name (`list_lenses`), a TOML file, or a lens file of Zemax (.zmx) or CODE V (.seq), of which
         ``zoom.zmx#2`` is the second configuration. `read_lens_file` reports on every line of such a file.
     environment : Environment, optional
-        Temperature and pressure; `optics.glass.index_along_path.VACUUM` for space. Left out: that of the file, or
-        `optics.glass.index_along_path.CATALOGUE_AIR`.
+        Temperature and pressure; `optics.glass.absolute_index.VACUUM` for space. Left out: that of the file, or
+        `optics.glass.absolute_index.CATALOGUE_AIR`.
 
     Returns
     -------
@@ -280,7 +280,7 @@ def _note(line: int, command: str, message: str, surface: int | None = None) -> 
 
 
 def _within_surfaces(
-    tables: dict[str, Any], rows: Sequence[Row], labels: Sequence[str], where: str
+    tables: dict[str, Any], rows: Sequence[SurfaceRow], labels: Sequence[str], where: str
 ) -> tuple[dict[str, Any], list[ReportLine]]:
     """The prescription without clear apertures that reach beyond the rim where their surface ends."""
     rims, notes, surfaces = rims_mm(tables, where, labels), [], []
@@ -299,7 +299,7 @@ def _within_surfaces(
 
 
 def _as_drawn(
-    lens: LensSystem, tables: dict[str, Any], mine: Mapping[int, Row], notes: list[ReportLine]
+    lens: LensSystem, tables: dict[str, Any], mine: Mapping[int, SurfaceRow], notes: list[ReportLine]
 ) -> tuple[LensSystem, dict[str, Any]]:
     """Clear apertures of a lens whose file has a near object: as its program computed them for light from there."""
     drawn = {i: mine[i].drawn_mm or 0.0 for i in _open(lens)}
@@ -327,7 +327,9 @@ def _found(lens: LensSystem, defaults: FileDefaults) -> BeamWidths:
     return beam_widths(lens, fields, np.unique([*waves, lens.design_wavelength_nm])[[0, -1]], factors)
 
 
-def _told(lens: LensSystem, needs: Sequence[int], mine: Mapping[int, Row], found: BeamWidths) -> list[ReportLine]:
+def _told(
+    lens: LensSystem, needs: Sequence[int], mine: Mapping[int, SurfaceRow], found: BeamWidths
+) -> list[ReportLine]:
     """Report on computed clear apertures, clear apertures of the file's program, and lost light."""
     if not needs:
         return []
@@ -355,7 +357,7 @@ def _told(lens: LensSystem, needs: Sequence[int], mine: Mapping[int, Row], found
 
 
 def _uncrossed(
-    lens: LensSystem, tables: dict[str, Any], mine: Mapping[int, Row], found: BeamWidths, notes: list[ReportLine]
+    lens: LensSystem, tables: dict[str, Any], mine: Mapping[int, SurfaceRow], found: BeamWidths, notes: list[ReportLine]
 ) -> tuple[LensSystem, dict[str, Any]]:
     """Clear apertures closed to what light needs where surfaces meet beyond it only; told in ``notes``."""
     for crossing in crossings(lens):

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from optics.attitude import angles_from_attitude
+from optics.frame_html import Marks, differences, save_frame_page
 from optics.frames import equatorial_deg
-from optics.page import Marks, differences, save_frame_page
 from render.bodies.solar_system import SolarSystem
 from render.fits.wcs import lens_wcs, sky_grid
 from render.records import ExpectedImage, Frame, StarField, Truth

@@ -4,7 +4,7 @@ Ideal -> distorted, in mm from the principal point (ACF17, eq. 3 and 4). For a d
 b = Y/Z:
 
     x = f a,  y = f b                          ideal image [mm]
-    (x', y') = distortion of (x, y)            `optics.brown_conrady`
+    (x', y') = distortion of (x, y)            `optics.distortion_polynomial`
     column = (W - 1)/2 + x0 + x'/pitch
     row    = (H - 1)/2 + y0 + y'/pitch
 
@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 from calib.cameras.base import CameraModel, Projection, SensorGeometry, checked_vectors
 from calib.cameras.distortion import distort_jacobian, undistort
 from optics.arrays import FloatArray
-from optics.brown_conrady import COEFFICIENTS, distort
+from optics.distortion_polynomial import COEFFICIENTS, distort
 from optics.errors import DomainError
 from optics.units import DEG_RAD
 

@@ -1,4 +1,4 @@
-"""Derivative and inverse of the Brown-Conrady distortion, `optics.brown_conrady`, in mm from the principal point.
+"""Derivative and inverse of the Brown-Conrady distortion (`optics.distortion_polynomial`), in mm.
 
 With s = x^2 + y^2, g = q1 s + q2 s^2 + q3 s^3 and h = dg/ds, the derivative
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.cameras.inversion import PlaneMap, invert_plane
 from optics.arrays import FloatArray
-from optics.brown_conrady import one_to_one_radius_mm
+from optics.distortion_polynomial import one_to_one_radius_mm
 
 
 def distort_jacobian(x: FloatArray, y: FloatArray, coefficients: FloatArray) -> PlaneMap:

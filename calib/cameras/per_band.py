@@ -6,7 +6,7 @@ length per band, and for a lens with a tilted or decentred element another princ
 `calib.cameras.brown_conrady`:
 
     x = f_k X/Z,  y = f_k Y/Z
-    (x', y') = distortion of (x, y)            `optics.brown_conrady`, ideal -> distorted
+    (x', y') = distortion of (x, y)            `optics.distortion_polynomial`, ideal -> distorted
     column = (W - 1)/2 + x0_k + x'/pitch
     row    = (H - 1)/2 + y0_k + y'/pitch
 
@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib.cameras.base import CameraModel, Projection, SensorGeometry, checked_vectors
 from calib.cameras.brown_conrady import BrownConrady, edge_scales
 from optics.arrays import FloatArray
-from optics.brown_conrady import COEFFICIENTS
+from optics.distortion_polynomial import COEFFICIENTS
 from optics.errors import DomainError
 
 

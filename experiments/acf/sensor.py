@@ -9,7 +9,7 @@ import numpy as np
 from calib.cameras.base import SensorGeometry
 from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.fit import fit_to_map
-from optics.brown_conrady import COEFFICIENTS
+from optics.distortion_polynomial import COEFFICIENTS
 from optics.frames import field_angles_deg
 from optics.rays.chief import chief_ray_points
 from render.sensor_file.instrument import build_instrument

@@ -248,7 +248,7 @@ def _write_frame_page(source: Path, records: Sequence[FrameRecord], example: Exa
     from calib.figures import star_marks
     from experiments.laboratory.bench.truth_marks import truth_marks
     from optics.fits import image_header
-    from optics.page import differences, save_frame_page
+    from optics.frame_html import differences, save_frame_page
     from render.fits.wcs import sky_grid
 
     record = next(record for record in records if record.frame == example.frame)

@@ -18,8 +18,8 @@ from experiments.twin.measure import CameraFit
 from experiments.twin.night import FieldStars
 from optics.arrays import FloatArray
 from optics.export.write import toml_lens, write_measured_lens
+from optics.lens.ideal_lens import measured_lens
 from optics.lens.measured import MeasuredLens
-from optics.lens.without_glass import measured_lens
 from optics.response import Response
 from render.detector.spec import Detector, load_detector
 from render.engine.random import Streams

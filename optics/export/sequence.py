@@ -11,7 +11,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.glass.catalogue import Glass, get_glass
 from optics.glass.dispersion import AGF_FORMULAS, Dispersion
-from optics.lens.prescription import Pose, glasses_of
+from optics.lens.prescription import LocalFrame, glasses_of
 from optics.lens.tables import MIRROR, BreakTable, MovedTable, Prescription, SurfaceTable
 from optics.lens_file import LensFile
 
@@ -64,7 +64,7 @@ def _break(moved: MovedTable, thickness_mm: float) -> Break | None:
         return Break((x, y, z), (a, b, c), thickness_mm)
     if moved.axes == "fixed" and moved.first == "tilt":
         return Break((-x, -y, -z), (-a, -b, -c), thickness_mm, inverse=True)
-    pose = Pose().moved(moved)
+    pose = LocalFrame().moved(moved)
     x, y, z = (float(v) for v in pose.origin)
     return Break((x, y, z), _angles_deg(pose.axes), thickness_mm)
 
@@ -76,7 +76,7 @@ def _angles_deg(turn: FloatArray) -> tuple[float, float, float]:
 
 def _bent(turn: FloatArray) -> tuple[float, float, float]:
     """Turn from a mirror's own frame to the one in which the axis is reflected: the mirror's turn once more."""
-    return _angles_deg(turn.T @ Pose().bent(turn[:, 2]).axes)
+    return _angles_deg(turn.T @ LocalFrame().bent(turn[:, 2]).axes)
 
 
 def _items(file: Prescription) -> list[Break | Element]:
@@ -95,7 +95,7 @@ def _items(file: Prescription) -> list[Break | Element]:
             items.append(Element(table, table.thickness_mm))
         elif table.carry == "bend":
             items.append(Element(table, 0.0))
-            items.append(Break((0.0, 0.0, 0.0), _bent(Pose().moved(table).axes), table.thickness_mm))
+            items.append(Break((0.0, 0.0, 0.0), _bent(LocalFrame().moved(table).axes), table.thickness_mm))
         else:
             items.append(Element(table, 0.0))
             items.append(Break(before.shift_mm, before.turn_deg, table.thickness_mm, inverse=not before.inverse))
@@ -185,8 +185,7 @@ def agf_text(glasses: Mapping[str, Glass], title: str) -> str:
         lines.append(f"NM {safe_name(name)} {number} 0 {nd!r} {vd!r} 0 0")
         lines.append(f"ED {1e6 * (glass.cte_per_k or 0.0):.10g} 0 {glass.density_g_cm3 or 0.0:.10g} 0 0")
         lines.append("CD " + " ".join(map(repr, coefficients)))
-        d = glass.dndt
-        thermal = [0.0] * 6 if d is None else [d.D0, d.D1, d.D2, d.E0, d.E1, d.lambda_tk_um]
+        thermal = [0.0] * 6 if glass.dndt is None else glass.dndt.constants
         lines.append("TD " + " ".join(map(repr, [*thermal, glass.reference_temperature_c])))
         lines.append(f"LD {1e-3 * glass.range_nm[0]!r} {1e-3 * glass.range_nm[1]!r}")
         if glass.transmittance is not None:

@@ -12,12 +12,12 @@ import numpy as np
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
-from optics.files.draft import Draft, Row
 from optics.files.first_order import FirstOrder, first_order
 from optics.files.glasses import Found, GlassFinder
-from optics.files.report import Comparison, ImportReport
+from optics.files.parsed_file import ParsedFile, SurfaceRow
+from optics.files.report import FirstOrderComparison, ImportReport
+from optics.glass.absolute_index import CATALOGUE_AIR, Environment
 from optics.glass.catalogue import Glass, get_glass, list_glasses
-from optics.glass.index_along_path import CATALOGUE_AIR, Environment
 from optics.records import locked
 
 WIDEST_DEG = 89.0
@@ -57,70 +57,70 @@ class Imported:
     tables: dict[str, Any]
     report: ImportReport
     defaults: FileDefaults
-    rows: tuple[Row, ...]
+    rows: tuple[SurfaceRow, ...]
 
 
-def assemble(draft: Draft, catalogues: Sequence[Path], glasses: Mapping[str, str]) -> Imported:
+def assemble(parsed: ParsedFile, catalogues: Sequence[Path], glasses: Mapping[str, str]) -> Imported:
     """Complete a parsed file: glasses, stop, fields, defaults of its program."""
-    _checked_rows(draft)
-    _checked_wavelengths(draft)
-    finder = GlassFinder(draft, catalogues, glasses)
-    found = {id(row): finder.find(row.glass) for row in draft.rows if row.glass is not None}
-    after = [found[id(row)].glass if id(row) in found else None for row in draft.rows]
-    media = _through_mirrors(draft.rows, after)
-    wave = draft.wavelengths[draft.primary][0]
-    data = first_order(draft.rows, media, wave, _environment(draft))
-    choices = [_told(draft, row, found[id(row)], media, data, wave) for row in draft.rows if id(row) in found]
-    pupil_mm = _stop(draft, data)
-    angles = _field_angles(draft, data, pupil_mm)
-    comparisons = _comparisons(draft, data, pupil_mm)
-    tables = _tables(draft, found, angles)
-    _remarks(draft)
+    _checked_rows(parsed)
+    _checked_wavelengths(parsed)
+    finder = GlassFinder(parsed, catalogues, glasses)
+    found = {id(row): finder.find(row.glass) for row in parsed.rows if row.glass is not None}
+    after = [found[id(row)].glass if id(row) in found else None for row in parsed.rows]
+    media = _through_mirrors(parsed.rows, after)
+    wave = parsed.wavelengths[parsed.primary][0]
+    data = first_order(parsed.rows, media, wave, _environment(parsed))
+    choices = [_told(parsed, row, found[id(row)], media, data, wave) for row in parsed.rows if id(row) in found]
+    pupil_mm = _stop(parsed, data)
+    angles = _field_angles(parsed, data, pupil_mm)
+    comparisons = _comparisons(parsed, data, pupil_mm)
+    tables = _tables(parsed, found, angles)
+    _remarks(parsed)
     unique = {(c.asked, c.taken, c.where): c for c in choices}
     return Imported(
         tables=tables,
-        report=draft.report.finished(list(unique.values()), comparisons),
-        defaults=_defaults(draft, angles, pupil_mm),
-        rows=tuple(draft.rows),
+        report=parsed.report.finished(list(unique.values()), comparisons),
+        defaults=_defaults(parsed, angles, pupil_mm),
+        rows=tuple(parsed.rows),
     )
 
 
-def _checked_rows(draft: Draft) -> None:
-    if not draft.rows:
-        raise ConfigError(f"{draft.report.file}: no surface between object and image")
-    for row in draft.rows:
+def _checked_rows(parsed: ParsedFile) -> None:
+    if not parsed.rows:
+        raise ConfigError(f"{parsed.report.file}: no surface between object and image")
+    for row in parsed.rows:
         if math.isinf(row.thickness_mm):
-            raise draft.fail(row.line, f"surface {row.number}: its thickness is infinite")
-    stops = [row for row in draft.rows if row.stop]
+            raise parsed.fail(row.line, f"surface {row.number}: its thickness is infinite")
+    stops = [row for row in parsed.rows if row.stop]
     if len(stops) > 1:
-        raise draft.fail(stops[1].line, f"surfaces {stops[0].number} and {stops[1].number} are both the stop")
+        raise parsed.fail(stops[1].line, f"surfaces {stops[0].number} and {stops[1].number} are both the stop")
     if stops and stops[0].is_break:
-        raise draft.fail(stops[0].line, "a coordinate break cannot be the stop")
+        raise parsed.fail(stops[0].line, "a coordinate break cannot be the stop")
     if not stops:
-        first = next((row for row in draft.rows if not row.is_break), None)
+        first = next((row for row in parsed.rows if not row.is_break), None)
         if first is None:
-            raise ConfigError(f"{draft.report.file}: it contains only coordinate breaks, no surface")
+            raise ConfigError(f"{parsed.report.file}: it contains only coordinate breaks, no surface")
         first.stop = True
-        draft.report.assumed("STOP", f"the file names no stop; surface {first.number} is taken, as design programs do")
+        parsed.report.assumed("STOP", f"the file names no stop; surface {first.number} is taken, as design programs do")
 
 
-def _checked_wavelengths(draft: Draft) -> None:
-    if not draft.wavelengths:
-        raise ConfigError(f"{draft.report.file}: no wavelength is stated")
-    for wave, weight in draft.wavelengths:
+def _checked_wavelengths(parsed: ParsedFile) -> None:
+    if not parsed.wavelengths:
+        raise ConfigError(f"{parsed.report.file}: no wavelength is stated")
+    for wave, weight in parsed.wavelengths:
         if not 100.0 < wave < 30000.0 or not weight >= 0.0:
             raise ConfigError(
-                f"{draft.report.file}: wavelength {wave:g} nm, weight {weight:g}; 100 to 30000 nm "
+                f"{parsed.report.file}: wavelength {wave:g} nm, weight {weight:g}; 100 to 30000 nm "
                 "and a weight of 0 or more are needed"
             )
-    if not 0 <= draft.primary < len(draft.wavelengths):
-        draft.report.assumed(
-            "primary wavelength", f"number {draft.primary + 1} of {len(draft.wavelengths)} does not exist: 1 is taken"
+    if not 0 <= parsed.primary < len(parsed.wavelengths):
+        parsed.report.assumed(
+            "primary wavelength", f"number {parsed.primary + 1} of {len(parsed.wavelengths)} does not exist: 1 is taken"
         )
-        draft.primary = 0
+        parsed.primary = 0
 
 
-def _through_mirrors(rows: Sequence[Row], after: list[Glass | None]) -> list[Glass | None]:
+def _through_mirrors(rows: Sequence[SurfaceRow], after: list[Glass | None]) -> list[Glass | None]:
     """What light runs through behind every row: behind mirrors and breaks what was before."""
     media: list[Glass | None] = []
     current: Glass | None = None
@@ -130,33 +130,35 @@ def _through_mirrors(rows: Sequence[Row], after: list[Glass | None]) -> list[Gla
     return media
 
 
-def _told(draft: Draft, row: Row, found: Found, media: list[Glass | None], data: FirstOrder, wave: float) -> Any:
+def _told(
+    parsed: ParsedFile, row: SurfaceRow, found: Found, media: list[Glass | None], data: FirstOrder, wave: float
+) -> Any:
     """The choice of a glass with the change of focal length it makes, and its line of the report."""
     choice, asked = found.choice, row.glass
     assert asked is not None
     if found.meant is not None:
         meant = [found.meant if glass is found.glass else glass for glass in media]
-        other = first_order(draft.rows, meant, wave, _environment(draft))
+        other = first_order(parsed.rows, meant, wave, _environment(parsed))
         choice = replace(choice, efl_mm=data.efl_mm - other.efl_mm, bfl_mm=data.bfl_mm - other.bfl_mm)
     if choice.status == "taken":
-        draft.report.taken(asked.line, asked.command, f"{choice.taken}: {choice.where}", row.number)
+        parsed.report.taken(asked.line, asked.command, f"{choice.taken}: {choice.where}", row.number)
     else:
         text = f"{choice.asked} -> {choice.taken}: {choice.where}; {choice.change_text}"
-        draft.report.approximated(asked.line, asked.command, text, row.number)
+        parsed.report.approximated(asked.line, asked.command, text, row.number)
     return choice
 
 
-def _stop(draft: Draft, data: FirstOrder) -> float:
+def _stop(parsed: ParsedFile, data: FirstOrder) -> float:
     """Give the stop its semi-diameter [mm] from the aperture that the file states; the entrance pupil's diameter."""
-    row = next(row for row in draft.rows if row.stop)
-    aperture, share = draft.aperture, abs(data.stop_share)
+    row = next(row for row in parsed.rows if row.stop)
+    aperture, share = parsed.aperture, abs(data.stop_share)
     own = row.clear_mm or row.drawn_mm
     if aperture is None or aperture.kind == "STOP":
         if not own:
             what = "no aperture is stated" if aperture is None else "the aperture floats by the stop"
-            raise draft.fail(row.line, f"{what}, and the stop (surface {row.number}) has no semi-diameter")
+            raise parsed.fail(row.line, f"{what}, and the stop (surface {row.number}) has no semi-diameter")
         if aperture is None:
-            draft.report.assumed("aperture", f"none is stated; the stop's own semi-diameter {own:g} mm is taken")
+            parsed.report.assumed("aperture", f"none is stated; the stop's own semi-diameter {own:g} mm is taken")
         row.clear_mm = own
         return 2.0 * own / share if share else math.inf
     where = f"line {aperture.line}: the aperture"
@@ -166,23 +168,23 @@ def _stop(draft: Draft, data: FirstOrder) -> float:
         )
         pupil = abs(data.efl_mm) / (aperture.value if aperture.kind == "FNO" else half_cone / 2.0)
     elif aperture.kind == "NAO":
-        if math.isinf(draft.object_mm) or not 0.0 < aperture.value < 1.0:
-            raise draft.fail(
+        if math.isinf(parsed.object_mm) or not 0.0 < aperture.value < 1.0:
+            raise parsed.fail(
                 aperture.line,
-                f"object-side NA {aperture.value:g}, object at {draft.object_mm:g} mm; an NA "
+                f"object-side NA {aperture.value:g}, object at {parsed.object_mm:g} mm; an NA "
                 "between 0 and 1 and a finite distance are needed",
             )
-        pupil = 2.0 * math.tan(math.asin(aperture.value)) * abs(draft.object_mm + data.pupil_mm)
+        pupil = 2.0 * math.tan(math.asin(aperture.value)) * abs(parsed.object_mm + data.pupil_mm)
     else:
         pupil = aperture.value
     semi = 0.5 * pupil * share
     if not 0.0 < semi < 1e7:
         raise ConfigError(
-            f"{draft.report.file}: {where} gives the stop a semi-diameter of {semi:g} mm; it must be "
+            f"{parsed.report.file}: {where} gives the stop a semi-diameter of {semi:g} mm; it must be "
             "positive and below 1e7 mm"
         )
     if row.clear_mm is not None and row.clear_mm < semi * (1.0 - 1e-6):
-        draft.report.approximated(
+        parsed.report.approximated(
             aperture.line,
             "aperture",
             f"it makes the stop {semi:.6g} mm; the smaller clear aperture of the stop, {row.clear_mm:.6g} mm, is used",
@@ -194,60 +196,60 @@ def _stop(draft: Draft, data: FirstOrder) -> float:
     return pupil
 
 
-def _field_angles(draft: Draft, data: FirstOrder, pupil_mm: float) -> list[tuple[float, float]]:
+def _field_angles(parsed: ParsedFile, data: FirstOrder, pupil_mm: float) -> list[tuple[float, float]]:
     """Fields as angles along x and y [deg]."""
     angles = []
-    for point in draft.fields:
+    for point in parsed.fields:
         if not (math.isfinite(point.x) and math.isfinite(point.y)):
-            raise draft.fail(draft.fields_line, "a field is not finite")
-        if draft.field_kind == "angle":
+            raise parsed.fail(parsed.fields_line, "a field is not finite")
+        if parsed.field_kind == "angle":
             if max(abs(point.x), abs(point.y)) >= 90.0:
-                raise draft.fail(
-                    draft.fields_line, f"a field of {max(abs(point.x), abs(point.y)):g} deg; it must be below 90 deg"
+                raise parsed.fail(
+                    parsed.fields_line, f"a field of {max(abs(point.x), abs(point.y)):g} deg; it must be below 90 deg"
                 )
             angles.append((point.x, point.y))
             continue
-        base = data.efl_mm if draft.field_kind != "object" else draft.object_mm + data.pupil_mm
+        base = data.efl_mm if parsed.field_kind != "object" else parsed.object_mm + data.pupil_mm
         if not math.isfinite(base) or base == 0.0:
-            raise draft.fail(
-                draft.fields_line, "fields are heights, but object or focus is at infinity; give field angles"
+            raise parsed.fail(
+                parsed.fields_line, "fields are heights, but object or focus is at infinity; give field angles"
             )
         angles.append((math.degrees(math.atan(point.x / base)), math.degrees(math.atan(point.y / base))))
     return angles
 
 
-def _half_field(draft: Draft, angles: list[tuple[float, float]]) -> float:
+def _half_field(parsed: ParsedFile, angles: list[tuple[float, float]]) -> float:
     tangents = [math.hypot(*(math.tan(math.radians(a)) for a in angle)) for angle in angles]
     half = math.degrees(math.atan(max(tangents, default=0.0)))
     if half < 1e-6:
-        draft.report.assumed("field", f"the only field is the axis; a half field of {AXIS_ONLY_DEG:g} deg is taken")
+        parsed.report.assumed("field", f"the only field is the axis; a half field of {AXIS_ONLY_DEG:g} deg is taken")
         return AXIS_ONLY_DEG
     return min(half, WIDEST_DEG)
 
 
-def _comparisons(draft: Draft, data: FirstOrder, pupil_mm: float) -> list[Comparison]:
-    stated = {name: value for name, (value, _) in draft.stated.items()}
-    source = {name: where for name, (_, where) in draft.stated.items()}
+def _comparisons(parsed: ParsedFile, data: FirstOrder, pupil_mm: float) -> list[FirstOrderComparison]:
+    stated = {name: value for name, (value, _) in parsed.stated.items()}
+    source = {name: where for name, (_, where) in parsed.stated.items()}
     finite = math.isfinite(data.efl_mm) and abs(data.efl_mm) < 1e9
     f_number = abs(data.efl_mm) / pupil_mm if finite and pupil_mm else None
     return [
-        Comparison("EFL", data.efl_mm if finite else None, stated.get("EFL"), "mm", source.get("EFL", "")),
-        Comparison(
+        FirstOrderComparison("EFL", data.efl_mm if finite else None, stated.get("EFL"), "mm", source.get("EFL", "")),
+        FirstOrderComparison(
             "BFL", data.bfl_mm if finite else None, data.image_mm, "mm", "distance of the image plane in the file"
         ),
-        Comparison("F-number", f_number, stated.get("F-number"), "", source.get("F-number", "")),
-        Comparison("entrance pupil", pupil_mm, None, "mm"),
+        FirstOrderComparison("F-number", f_number, stated.get("F-number"), "", source.get("F-number", "")),
+        FirstOrderComparison("entrance pupil", pupil_mm, None, "mm"),
     ]
 
 
-def _tables(draft: Draft, found: dict[int, Found], angles: list[tuple[float, float]]) -> dict[str, Any]:
+def _tables(parsed: ParsedFile, found: dict[int, Found], angles: list[tuple[float, float]]) -> dict[str, Any]:
     """The prescription."""
     built_in = {*list_glasses(), *list_glasses(obsolete=True)}
     own: dict[str, Any] = {}
     names: dict[tuple[str, str], str] = {}
     surfaces = []
     medium = AIR
-    for row in draft.rows:
+    for row in parsed.rows:
         if row.is_break:
             surfaces.append({**row.shape, "thickness_mm": row.thickness_mm})
             continue
@@ -260,19 +262,19 @@ def _tables(draft: Draft, found: dict[int, Found], angles: list[tuple[float, flo
                     own[medium] = glass_table(glass)
         surfaces.append(_surface_table(row, MIRROR if row.mirror else medium))
     tables: dict[str, Any] = {
-        "name": draft.name or draft.path.stem or "lens",
-        "source": _source(draft),
-        "design_wavelength_nm": draft.wavelengths[draft.primary][0],
-        "max_field_deg": _half_field(draft, angles),
+        "name": parsed.name or parsed.path.stem or "lens",
+        "source": _source(parsed),
+        "design_wavelength_nm": parsed.wavelengths[parsed.primary][0],
+        "max_field_deg": _half_field(parsed, angles),
         "surface": surfaces,
     }
-    image = draft.image
+    image = parsed.image
     if image is not None and image.moved:
         tables["image"] = {k: v for k, v in image.moved.items() if k != "carry"}
     if own:
         tables["glass"] = own
-    if draft.coatings:
-        tables["coating"] = draft.coatings
+    if parsed.coatings:
+        tables["coating"] = parsed.coatings
     return tables
 
 
@@ -298,9 +300,7 @@ def glass_table(glass: Glass) -> dict[str, Any]:
         "reference_pressure_hpa": glass.reference_pressure_hpa,
     }
     if glass.dndt is not None:
-        d = glass.dndt
-        table["dndt"] = [d.D0, d.D1, d.D2, d.E0, d.E1, d.lambda_tk_um]
-        table["dndt_range_c"] = list(d.range_c)
+        table["dndt"], table["dndt_range_c"] = list(glass.dndt.constants), list(glass.dndt.range_c)
     for key in ("cte_per_k", "density_g_cm3", "nd", "vd"):
         if getattr(glass, key) is not None:
             table[key] = getattr(glass, key)
@@ -311,7 +311,7 @@ def glass_table(glass: Glass) -> dict[str, Any]:
     return table
 
 
-def _surface_table(row: Row, medium: str) -> dict[str, Any]:
+def _surface_table(row: SurfaceRow, medium: str) -> dict[str, Any]:
     table: dict[str, Any] = {**row.shape, "thickness_mm": row.thickness_mm, "medium": medium}
     if row.clear_mm is not None:
         table["semi_diameter_mm"] = row.clear_mm
@@ -326,58 +326,58 @@ def _surface_table(row: Row, medium: str) -> dict[str, Any]:
     return {**table, **row.moved}
 
 
-def _source(draft: Draft) -> str:
-    text = f"read from {draft.report.file}"
-    notes = " ".join(draft.notes[:4])
+def _source(parsed: ParsedFile) -> str:
+    text = f"read from {parsed.report.file}"
+    notes = " ".join(parsed.notes[:4])
     return f"{text}: {notes}"[:300] if notes else text
 
 
-def _remarks(draft: Draft) -> None:
+def _remarks(parsed: ParsedFile) -> None:
     """Remarks on an image plane that no detector can have."""
-    report = draft.report
-    if math.isfinite(draft.object_mm):
+    report = parsed.report
+    if math.isfinite(parsed.object_mm):
         report.assumed(
             "object",
-            f"it stands at {draft.object_mm:g} mm in the file; stars are at infinity, the lens is unchanged",
+            f"it stands at {parsed.object_mm:g} mm in the file; stars are at infinity, the lens is unchanged",
         )
-    if draft.image is not None and draft.image.shape.get("kind") not in ("plane", "sphere", "coordinate_break"):
+    if parsed.image is not None and parsed.image.shape.get("kind") not in ("plane", "sphere", "coordinate_break"):
         report.assumed("image", "the image surface is not plane in the file; a plane detector stands at its vertex")
-    elif draft.image is not None and math.isfinite(draft.image.shape.get("radius_mm", math.inf)):
-        radius = draft.image.shape["radius_mm"]
+    elif parsed.image is not None and math.isfinite(parsed.image.shape.get("radius_mm", math.inf)):
+        radius = parsed.image.shape["radius_mm"]
         report.assumed(
             "image", f"the image surface has a radius of {radius:g} mm; a plane detector stands at its vertex"
         )
 
 
-def _environment(draft: Draft) -> Environment:
+def _environment(parsed: ParsedFile) -> Environment:
     """Surroundings that the indices of the file belong to."""
-    if not draft.adjusted:
+    if not parsed.adjusted:
         return CATALOGUE_AIR
-    return Environment(temperature_c=draft.temperature_c, pressure_hpa=draft.pressure_hpa)
+    return Environment(temperature_c=parsed.temperature_c, pressure_hpa=parsed.pressure_hpa)
 
 
-def _defaults(draft: Draft, angles: list[tuple[float, float]], pupil_mm: float) -> FileDefaults:
-    aperture = draft.aperture
+def _defaults(parsed: ParsedFile, angles: list[tuple[float, float]], pupil_mm: float) -> FileDefaults:
+    aperture = parsed.aperture
     words = "semi-diameter of the stop" if aperture is None or aperture.kind == "STOP" else ""
-    if not draft.adjusted and (draft.temperature_c, draft.pressure_hpa) != (20.0, 1013.25):
-        draft.report.assumed(
+    if not parsed.adjusted and (parsed.temperature_c, parsed.pressure_hpa) != (20.0, 1013.25):
+        parsed.report.assumed(
             "environment",
-            f"the file states {draft.temperature_c:g} C, {draft.pressure_hpa:g} hPa; refractive indices stay at 20 "
+            f"the file states {parsed.temperature_c:g} C, {parsed.pressure_hpa:g} hPa; refractive indices stay at 20 "
             "C in air",
             exact=True,
         )
     return FileDefaults(
-        wavelength_nm=locked([wave for wave, _ in draft.wavelengths]),
-        wavelength_weight=locked([weight for _, weight in draft.wavelengths]),
-        field_kind=draft.field_kind,
-        field_stated=locked(np.array([(p.x, p.y) for p in draft.fields]).reshape(-1, 2)),
+        wavelength_nm=locked([wave for wave, _ in parsed.wavelengths]),
+        wavelength_weight=locked([weight for _, weight in parsed.wavelengths]),
+        field_kind=parsed.field_kind,
+        field_stated=locked(np.array([(p.x, p.y) for p in parsed.fields]).reshape(-1, 2)),
         field_deg=locked(np.array(angles).reshape(-1, 2)),
-        field_weight=locked([p.weight for p in draft.fields]),
-        vignetting=locked(np.array([p.vignetting for p in draft.fields]).reshape(-1, 5)),
+        field_weight=locked([p.weight for p in parsed.fields]),
+        vignetting=locked(np.array([p.vignetting for p in parsed.fields]).reshape(-1, 5)),
         aperture=words or f"{aperture.kind} {aperture.value:g}" if aperture is not None else words,
         entrance_pupil_mm=pupil_mm,
-        object_mm=draft.object_mm,
-        environment=_environment(draft),
-        configuration=draft.configuration,
-        configurations=draft.configurations,
+        object_mm=parsed.object_mm,
+        environment=_environment(parsed),
+        configuration=parsed.configuration,
+        configurations=parsed.configurations,
     )

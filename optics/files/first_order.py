@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from optics.arrays import FloatArray
-from optics.files.draft import Row
+from optics.files.parsed_file import SurfaceRow
 from optics.forbes import bfs_from_q, bfs_sum
+from optics.glass.absolute_index import CATALOGUE_AIR, Environment
 from optics.glass.catalogue import Glass
-from optics.glass.index_along_path import CATALOGUE_AIR, Environment
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class FirstOrder:
     image_mm: float
 
 
-def _power(row: Row, before: float, after: float) -> float:
+def _power(row: SurfaceRow, before: float, after: float) -> float:
     shape = row.shape
     if shape["kind"] == "paraxial":
         return 1.0 / float(shape["focal_length_mm"])
@@ -61,7 +61,7 @@ def _index(glass: Glass, wavelength_nm: float, environment: Environment) -> floa
 
 @np.errstate(all="ignore")
 def first_order(
-    rows: Sequence[Row],
+    rows: Sequence[SurfaceRow],
     glasses: Sequence[Glass | None],
     wavelength_nm: float,
     environment: Environment = CATALOGUE_AIR,

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from optics.errors import ConfigError, StarbenchError
-from optics.files.draft import Draft, GlassName
+from optics.files.parsed_file import GlassName, ParsedFile
 from optics.files.report import GlassChoice, Status
 from optics.glass.agf import AgfCatalogue, read_agf
 from optics.glass.catalogue import Glass, get_glass, list_glasses
 from optics.glass.index_database import read_material
-from optics.glass.model import D_NM, MODEL_ERROR, model_glass, six_digits
+from optics.glass.model_glass import D_NM, MODEL_ERROR, model_glass, six_digits
 
 BUILT_IN = {
     "SCHOTT": ("SCHOTT",),
@@ -67,7 +67,7 @@ def _bare(name: str) -> str:
 class GlassFinder:
     """Finds the glasses of one file."""
 
-    draft: Draft  # The file
+    parsed: ParsedFile  # The file
     files: Sequence[Path] = ()  # AGF catalogues of the user; those beside the lens file are added
     # Name in the file -> name of the glass to take in its place, by the user's order
     replace: Mapping[str, str] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class GlassFinder:
     @cached_property
     def own(self) -> dict[str, AgfCatalogue]:
         """The user's catalogues by name; an invalid one that is not requested is left out."""
-        beside = sorted(p for p in self.draft.path.parent.glob("*") if p.suffix.lower() == ".agf")[:40]
+        beside = sorted(p for p in self.parsed.path.parent.glob("*") if p.suffix.lower() == ".agf")[:40]
         found: dict[str, AgfCatalogue] = {}
         for path in dict.fromkeys([*self.files, *beside]):
             try:
@@ -89,7 +89,7 @@ class GlassFinder:
 
     @property
     def _listed(self) -> list[str]:
-        return self.draft.catalogues
+        return self.parsed.catalogues
 
     def find(self, asked: GlassName) -> Found:
         """The glass named in a file."""
@@ -99,7 +99,7 @@ class GlassFinder:
         if wanted is not None:
             glass, where = self._by_name(GlassName(name=wanted, line=asked.line, command=""), wanted) or (None, "")
             if glass is None:
-                raise self.draft.fail(asked.line, f"glass {wanted!r}, given to replace {name!r}, is not known")
+                raise self.parsed.fail(asked.line, f"glass {wanted!r}, given to replace {name!r}, is not known")
             return self._found(name, glass, f"{where}, substituted for {name} as requested", meant, exact=False)
         if asked.nd and (asked.model or not _bare(name).replace("BLANK", "")):
             return self._model(asked, name, asked.nd, asked.vd or 0.0)
@@ -117,7 +117,7 @@ class GlassFinder:
         """The glass of that name, in the listed catalogues first."""
         name, catalogue = self._split(name)
         order = [catalogue.upper(), *self._listed] if catalogue else self._listed
-        private = self.draft.private.get(name.upper())
+        private = self.parsed.private.get(name.upper())
         if private is not None:
             return private, "the file's own glass"
         for listed in order:
@@ -227,7 +227,7 @@ class GlassFinder:
         try:
             glass = model_glass(f"{shown}", nd, vd, partial=asked.partial)
         except StarbenchError as error:
-            raise self.draft.fail(asked.line, str(error)) from None
+            raise self.parsed.fail(asked.line, str(error)) from None
         known = self._by_name(asked, name) if name and not _code(name) else None
         remark = ""
         if known is not None:
@@ -252,19 +252,19 @@ class GlassFinder:
         near = [known[n] for n in difflib.get_close_matches(base.upper(), known, n=3, cutoff=0.6)]
         listed = ", ".join(self._listed) or "none"
         hint = f" (nearest names: {', '.join(near)})" if near else ""
-        raise self.draft.fail(
+        raise self.parsed.fail(
             asked.line,
             f"glass {name!r} is in no available catalogue{hint}; the file lists {listed}: put the AGF file into "
             "the folder of the lens file, or name a substitute glass",
         )
 
     def _found(self, name: str, glass: Glass, where: str, meant: Glass | None, *, exact: bool) -> Found:
-        waves = [wave for wave, _ in self.draft.wavelengths]
+        waves = [wave for wave, _ in self.parsed.wavelengths]
         for wave in waves:
             low, high = glass.range_nm
             if not low <= wave <= high:
                 raise ConfigError(
-                    f"{self.draft.report.file}: wavelength {wave:g} nm is outside {low:g} ... {high:g} nm, the range "
+                    f"{self.parsed.report.file}: wavelength {wave:g} nm is outside {low:g} ... {high:g} nm, the range "
                     f"of glass {glass.name} ({where})"
                 )
         index = tuple(float(glass.index(wave)) for wave in waves)

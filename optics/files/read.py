@@ -10,7 +10,7 @@ import numpy as np
 
 from optics.errors import ConfigError, StarbenchError
 from optics.files.assemble import Imported, assemble
-from optics.files.draft import Draft
+from optics.files.parsed_file import ParsedFile
 from optics.files.seq import read_seq
 from optics.files.zmx import read_zmx
 from optics.textfile import TextFile, read_text
@@ -55,7 +55,7 @@ def import_lens(path: Path, reading: Reading = Reading()) -> Imported:
             f"{path}: {len(text.lines)} lines are too many for a lens file; at most {MOST_LINES} are read"
         )
     try:
-        imported = assemble(_draft(path, text, reading.configuration), reading.catalogues, reading.glasses)
+        imported = assemble(_parsed(path, text, reading.configuration), reading.catalogues, reading.glasses)
     except StarbenchError as error:
         folder = f"{path.parent}/" if str(path.parent) != "." else ""
         raise type(error)("\n".join(folder + line for line in str(error).split("\n"))) from None
@@ -66,7 +66,7 @@ def import_lens(path: Path, reading: Reading = Reading()) -> Imported:
     return imported
 
 
-def _draft(path: Path, text: TextFile, configuration: int | None) -> Draft:
+def _parsed(path: Path, text: TextFile, configuration: int | None) -> ParsedFile:
     firsts = [line.split()[0].upper() for line in text.lines if line.strip()]
     zemax, codev = (sum(word in words for word in firsts) for words in (("SURF", "CURV", "DISZ"), ("S", "SO", "SI")))
     suffix = path.suffix.lower()

@@ -66,7 +66,7 @@ class GlassChoice:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class FirstOrderComparison:
     """A first-order quantity as computed here and as the file states it."""
 
     name: str
@@ -85,7 +85,7 @@ class ImportReport:
     encoding: str
     lines: tuple[ReportLine, ...]  # Every command of the file in its order; first what it does not say
     glasses: tuple[GlassChoice, ...] = ()  # Its glasses
-    comparisons: tuple[Comparison, ...] = ()  # First-order data, computed and stated
+    comparisons: tuple[FirstOrderComparison, ...] = ()  # First-order data, computed and stated
 
     @property
     def count(self) -> dict[Status, int]:
@@ -142,7 +142,9 @@ class ReportBuilder:
         """A value missing in the file."""
         self.add(0, command, Status.TAKEN if exact else Status.APPROXIMATED, message, None, exact)
 
-    def finished(self, glasses: Sequence[GlassChoice] = (), comparisons: Sequence[Comparison] = ()) -> ImportReport:
+    def finished(
+        self, glasses: Sequence[GlassChoice] = (), comparisons: Sequence[FirstOrderComparison] = ()
+    ) -> ImportReport:
         """The report, in the order of the file."""
         return ImportReport(
             file=self.file,

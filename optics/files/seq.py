@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from optics.errors import ConfigError, StarbenchError
-from optics.files.draft import FAR_MM, Aperture, Draft, Field, number, whole
+from optics.files.parsed_file import FAR_MM, ParsedFile, StatedAperture, StatedField, number, whole
 from optics.files.report import ReportBuilder
-from optics.files.seq_surfaces import SurfaceData
+from optics.files.seq_surfaces import SeqSurface
 from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Dispersion
 from optics.glass.index_database import fitted_index
@@ -104,16 +104,16 @@ def _split(text: str) -> list[str]:
     return [text[begin:end] for begin, end in zip([0, *(at + 1 for at in ends)], [*ends, len(text)], strict=True)]
 
 
-class _Reader:
+class _SeqReader:
     """State while the commands are read."""
 
     def __init__(self, path: Path, text: TextFile, configuration: int | None) -> None:
         self.report = ReportBuilder(path.name, "CODE V (.seq)", text.encoding)
-        self.draft = Draft(path, self.report)
+        self.parsed = ParsedFile(path, self.report)
         self.commands = list(_commands(text.lines))
         self.lines = text.lines
         self.wanted = configuration
-        self.surfaces: list[SurfaceData] = []
+        self.surfaces: list[SeqSurface] = []
         self.ended = False
         self.radius_mode = True
         self.fields: dict[str, list[float]] = {}
@@ -125,14 +125,14 @@ class _Reader:
         self.zooms: list[_Command] = []
         self.pickups: list[_Command] = []
 
-    def read(self) -> Draft:
+    def read(self) -> ParsedFile:
         """The whole file."""
         for at, command in enumerate(self.commands):
             if command.key == "DIM":
                 unit = command.words[1].upper() if len(command.words) > 1 else ""
                 if unit not in UNITS_MM:
-                    raise self.draft.fail(command.line, f"dimension {unit!r} is none of M, C, I")
-                self.draft.unit_mm = UNITS_MM[unit]
+                    raise self.parsed.fail(command.line, f"dimension {unit!r} is none of M, C, I")
+                self.parsed.unit_mm = UNITS_MM[unit]
             if command.key == "RDM" and at < len(self.commands):
                 self.radius_mode = not (len(command.words) > 1 and command.words[1].upper().startswith("N"))
         known = {c.key for c in self.commands}
@@ -145,12 +145,12 @@ class _Reader:
                 self._one(command)
             except (ValueError, IndexError, OverflowError) as error:
                 if isinstance(error, StarbenchError):
-                    raise self.draft.fail(command.line, str(error)) from None
+                    raise self.parsed.fail(command.line, str(error)) from None
                 reason = "a value is missing" if isinstance(error, IndexError) else error
-                raise self.draft.fail(command.line, f"{command.text[:60]!r}: {reason}") from None
+                raise self.parsed.fail(command.line, f"{command.text[:60]!r}: {reason}") from None
         self._comments()
         self._settle()
-        return self.draft
+        return self.parsed
 
     def _radii_or_curvatures(self) -> None:
         """Without RDM the numbers may be radii or curvatures: what no surface can be is ruled out."""
@@ -209,24 +209,24 @@ class _Reader:
     # --- system -----------------------------------------------------------------------------------------------------
 
     def _system(self, command: _Command) -> bool:
-        key, words, draft = command.key, command.words, self.draft
+        key, words, parsed = command.key, command.words, self.parsed
         if key[:3] == "TIT":
-            draft.name = " ".join(words[1:]).strip("'\" ")
+            parsed.name = " ".join(words[1:]).strip("'\" ")
             message = "name of the lens"
         elif key in ("EPD", "FNO", "NAO", "NA"):
-            value = number(words, 1) * (draft.unit_mm if key == "EPD" else 1.0)
+            value = number(words, 1) * (parsed.unit_mm if key == "EPD" else 1.0)
             if not 0.0 < value < math.inf:
                 raise ValueError(f"an aperture of {value:g}; it must be positive")
-            draft.aperture = Aperture(key, value, command.line)
+            parsed.aperture = StatedAperture(key, value, command.line)
             if key == "FNO":
-                draft.stated["F-number"] = (value, f"line {command.line}")
+                parsed.stated["F-number"] = (value, f"line {command.line}")
             message = f"aperture {key} = {value:g}"
         elif key == "REF":
-            draft.primary, message = whole(words, 1) - 1, "reference wavelength: the design wavelength"
+            parsed.primary, message = whole(words, 1) - 1, "reference wavelength: the design wavelength"
         elif key == "TEM":
-            draft.temperature_c, message = number(words, 1), "temperature [C]"
+            parsed.temperature_c, message = number(words, 1), "temperature [C]"
         elif key == "PRE":
-            draft.pressure_hpa, message = number(words, 1) * 1013.25 / 760.0, "pressure [mm Hg]"
+            parsed.pressure_hpa, message = number(words, 1) * 1013.25 / 760.0, "pressure [mm Hg]"
         elif key in ("WL", "WTW", "WTF", *_FIELDS, *_VIGNETTING):
             message = self._list(key, [number(words, i) for i in range(1, len(words))], command.line)
         else:
@@ -250,7 +250,7 @@ class _Reader:
         kind, _ = _FIELDS[key]
         if any(_FIELDS[k][0] != kind for k in self.fields if k in _FIELDS):
             raise ValueError("fields are given both by angles and by heights; only one is possible")
-        self.draft.field_kind, self.draft.fields_line = kind, line
+        self.parsed.field_kind, self.parsed.fields_line = kind, line
         return f"fields by {kind.replace('_', ' ')}: defaults of the file"
 
     def _private(self, command: _Command) -> None:
@@ -265,11 +265,11 @@ class _Reader:
         else:
             name = words[0].strip("'\"").upper()
             if len(words) > 2 and words[1].upper() == "LAU":
-                self.draft.private[name] = self._laurent(name, [number(words, i) for i in range(2, len(words))])
+                self.parsed.private[name] = self._laurent(name, [number(words, i) for i in range(2, len(words))])
                 self.report.taken(command.line, command.text[:80], f"glass {name} by Laurent's formula")
                 return
             indices = [number(words, i) for i in range(1, len(words))]
-            self.draft.private[name] = self._measured(command.line, name, indices)
+            self.parsed.private[name] = self._measured(command.line, name, indices)
             self.report.taken(command.line, command.text[:80], f"glass {name} by its indices")
 
     def _laurent(self, name: str, coefficients: list[float]) -> Glass:
@@ -321,10 +321,10 @@ class _Reader:
         if len(self.surfaces) >= MOST_SURFACES:
             raise ValueError(f"more than {MOST_SURFACES} surfaces")
         self.ended = key == "SI"
-        data = SurfaceData(len(self.surfaces), command.line)
+        data = SeqSurface(len(self.surfaces), command.line)
         self.surfaces.append(data)
-        data.set_base(number(words, 1, 0.0), self.radius_mode, self.draft.unit_mm)
-        data.thickness = self.draft.unit_mm * number(words, 2, 0.0)
+        data.set_base(number(words, 1, 0.0), self.radius_mode, self.parsed.unit_mm)
+        data.thickness = self.parsed.unit_mm * number(words, 2, 0.0)
         if len(words) > 3:
             data.set_glass(words[3], command.line, command.text)
         self.report.taken(command.line, command.text, "surface", data.number)
@@ -336,13 +336,13 @@ class _Reader:
             self._open(_Command(command.line, ["S", *command.words[1:]], command.text))
             return
         data = self._find(f"S{at}")
-        data.set_base(number(command.words, 1), self.radius_mode, self.draft.unit_mm)
-        data.thickness = self.draft.unit_mm * number(command.words, 2, data.thickness / self.draft.unit_mm)
+        data.set_base(number(command.words, 1), self.radius_mode, self.parsed.unit_mm)
+        data.thickness = self.parsed.unit_mm * number(command.words, 2, data.thickness / self.parsed.unit_mm)
         if len(command.words) > 3:
             data.set_glass(command.words[3], command.line, command.text)
         self.report.taken(command.line, command.text, "surface", data.number)
 
-    def _find(self, word: str) -> SurfaceData:
+    def _find(self, word: str) -> SeqSurface:
         named = _SURFACE.match(word)
         if named is None:
             raise ValueError(f"{word!r} is not a surface")
@@ -359,7 +359,7 @@ class _Reader:
         data = self.surfaces[-1]
         if len(words) > 1 and _SURFACE.match(words[1]):
             data = self._find(words.pop(1))
-        message = data.take(words, command.line, command.text, self.draft.unit_mm, self.radius_mode)
+        message = data.take(words, command.line, command.text, self.parsed.unit_mm, self.radius_mode)
         if message is None:
             return False
         if message.startswith("!"):
@@ -371,7 +371,7 @@ class _Reader:
     # --- all of it --------------------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
-        draft = self.draft
+        parsed = self.parsed
         if len(self.surfaces) < 3 or not self.ended:
             raise ConfigError(
                 f"{self.report.file}: {len(self.surfaces)} surfaces; object (SO), lens (S) and image (SI) are needed"
@@ -379,18 +379,18 @@ class _Reader:
         self._zoom()
         self._pickup_all()
         first, *inner, last = self.surfaces
-        draft.object_mm = first.thickness if abs(first.thickness) < FAR_MM else math.inf
+        parsed.object_mm = first.thickness if abs(first.thickness) < FAR_MM else math.inf
         for data in (*inner, last):
             try:
-                row = data.row(draft.unit_mm)
+                row = data.row(parsed.unit_mm)
             except (ValueError, OverflowError) as error:
-                raise draft.fail(data.line, f"surface {data.number}: {error}") from None
+                raise parsed.fail(data.line, f"surface {data.number}: {error}") from None
             if data is last:
-                draft.image = row
+                parsed.image = row
             else:
-                draft.rows.append(row)
+                parsed.rows.append(row)
         points = max((len(v) for k, v in self.fields.items() if k in _FIELDS), default=0)
-        scale = 1.0 if draft.field_kind == "angle" else draft.unit_mm
+        scale = 1.0 if parsed.field_kind == "angle" else parsed.unit_mm
         for i in range(points):
             at = {0: 0.0, 1: 0.0}
             for key, (_, axis) in _FIELDS.items():
@@ -400,27 +400,27 @@ class _Reader:
             weights = self.fields.get("WTF", [])
             # upper and lower factors cut the pupil on one side each: decentre and compression of the same ellipse
             factors = ((lx - ux) / 2, (ly - uy) / 2, (ux + lx) / 2, (uy + ly) / 2, 0.0)
-            draft.fields.append(Field(at[0], at[1], weights[i] if i < len(weights) else 1.0, factors))
-        draft.wavelengths = [
+            parsed.fields.append(StatedField(at[0], at[1], weights[i] if i < len(weights) else 1.0, factors))
+        parsed.wavelengths = [
             (wave, self.weights[i] if i < len(self.weights) else 1.0) for i, wave in enumerate(self.waves)
         ]
-        draft.adjusted = False
+        parsed.adjusted = False
 
     def _zoom(self) -> None:
         """Zoom positions: ``ZOO n`` and ``ZOO command surface values``; position 1 is what the surfaces hold."""
-        draft = self.draft
+        parsed = self.parsed
         for command in self.zooms:
             if len(command.words) == 2:
-                draft.configurations = max(1, whole(command.words, 1))
-        chosen = draft.configuration = 1 if self.wanted is None else self.wanted
-        if not 1 <= chosen <= draft.configurations:
+                parsed.configurations = max(1, whole(command.words, 1))
+        chosen = parsed.configuration = 1 if self.wanted is None else self.wanted
+        if not 1 <= chosen <= parsed.configurations:
             name = self.report.file
-            raise ConfigError(f"{name}: configuration {chosen} does not exist; it has {draft.configurations}")
+            raise ConfigError(f"{name}: configuration {chosen} does not exist; it has {parsed.configurations}")
         for command in self.zooms:
             words = command.words[1:]
             try:
                 if len(words) == 1:
-                    message = f"{draft.configurations} zoom positions"
+                    message = f"{parsed.configurations} zoom positions"
                 elif _SURFACE.match(words[1]):
                     single = [words[0], words[1], words[1 + chosen]]
                     if not self._of_surface(_Command(command.line, single, command.text)):
@@ -433,7 +433,7 @@ class _Reader:
                 else:
                     raise ValueError(f"zoom (ZOO) of {words[0]} is not supported")
             except (ValueError, IndexError) as error:
-                raise draft.fail(command.line, f"{command.text[:60]!r}: {error}") from None
+                raise parsed.fail(command.line, f"{command.text[:60]!r}: {error}") from None
             self.report.taken(command.line, command.text, message)
 
     def _pickup_all(self) -> None:
@@ -445,8 +445,8 @@ class _Reader:
                 scale, offset = number(words, 4, 1.0), number(words, 5, 0.0)
                 stored, wanted = self._find(target).value(what), scale * self._find(source).value(source_what)
             except (ValueError, IndexError, KeyError) as error:
-                raise self.draft.fail(command.line, f"{text[:60]!r}: this pickup is not supported ({error})") from None
-            wanted += offset * self.draft.unit_mm
+                raise self.parsed.fail(command.line, f"{text[:60]!r}: this pickup is not supported ({error})") from None
+            wanted += offset * self.parsed.unit_mm
             if math.isclose(stored, wanted, rel_tol=1e-6, abs_tol=1e-9) or stored == wanted:
                 self.report.taken(command.line, text, "pickup; its stored result agrees")
             else:
@@ -455,6 +455,6 @@ class _Reader:
                 )
 
 
-def read_seq(path: Path, text: TextFile, configuration: int | None = None) -> Draft:
+def read_seq(path: Path, text: TextFile, configuration: int | None = None) -> ParsedFile:
     """Read a CODE V sequence file; arguments and errors as `optics.files.zmx.read_zmx`."""
-    return _Reader(path, text, configuration).read()
+    return _SeqReader(path, text, configuration).read()

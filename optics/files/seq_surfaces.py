@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from optics.files.draft import GlassName, Row, number
+from optics.files.parsed_file import GlassName, SurfaceRow, number
 
 _POLYNOMIAL = "ABCDEFGHJ"
 """Commands of the even asphere: r^4, r^6, ... r^20."""
@@ -17,7 +17,7 @@ _IGNORED_WORDS = {"EDG": "edge, no aperture"}
 
 
 @dataclass(slots=True)
-class SurfaceData:
+class SeqSurface:
     """Numbers of one surface in mm; polynomial coefficients in the unit of the file."""
 
     number: int
@@ -216,7 +216,7 @@ class SurfaceData:
             raise ValueError("BEN is for mirrors only")
         return {**keys, "carry": carry}
 
-    def row(self, unit: float) -> Row:
+    def row(self, unit: float) -> SurfaceRow:
         """The surface as a table of our own prescription; ValueError for unsupported contents."""
         outlines = list(self.obscured)
         for kind, sizes in self.rectangle.items():
@@ -229,7 +229,7 @@ class SurfaceData:
                 outlines.append({"kind": "circle", "radius_mm": clear})
                 clear = None
             outlines = [{**outline, "centre_mm": list(self.centre)} for outline in outlines]
-        return Row(
+        return SurfaceRow(
             number=self.number,
             line=self.line,
             shape=self._shape(unit),
@@ -244,14 +244,14 @@ class SurfaceData:
         )
 
 
-_PLAIN: dict[str, Callable[[SurfaceData, list[str], int, str, float], str]] = {
-    **dict.fromkeys(("STO", "STOP"), SurfaceData._is_stop),
-    **dict.fromkeys(("ASP", "CON", "SPH"), SurfaceData._is_named),
-    **dict.fromkeys(("GLA", "GL1", "GL2"), SurfaceData._filled),
-    "CYL": SurfaceData._is_cylinder,
-    "THI": SurfaceData._thick,
-    "K": SurfaceData._conic,
-    "RMD": SurfaceData._mode,
+_PLAIN: dict[str, Callable[[SeqSurface, list[str], int, str, float], str]] = {
+    **dict.fromkeys(("STO", "STOP"), SeqSurface._is_stop),
+    **dict.fromkeys(("ASP", "CON", "SPH"), SeqSurface._is_named),
+    **dict.fromkeys(("GLA", "GL1", "GL2"), SeqSurface._filled),
+    "CYL": SeqSurface._is_cylinder,
+    "THI": SeqSurface._thick,
+    "K": SeqSurface._conic,
+    "RMD": SeqSurface._mode,
 }
 
 

@@ -14,9 +14,18 @@ from pathlib import Path
 from typing import Any
 
 from optics.errors import ConfigError
-from optics.files.draft import FAR_MM, Aperture, Draft, Field, GlassName, Row, number, whole
+from optics.files.parsed_file import (
+    FAR_MM,
+    GlassName,
+    ParsedFile,
+    StatedAperture,
+    StatedField,
+    SurfaceRow,
+    number,
+    whole,
+)
 from optics.files.report import ReportBuilder
-from optics.files.zmx_surfaces import APERTURE_KEYS, SurfaceData
+from optics.files.zmx_surfaces import APERTURE_KEYS, ZmxSurface
 from optics.textfile import TextFile
 
 UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
@@ -43,15 +52,15 @@ _FIELD_KINDS = {0: "angle", 1: "object", 2: "paraxial_image", 3: "real_image"}
 _VIGNETTING = {"VDXN": 0, "VDYN": 1, "VCXN": 2, "VCYN": 3, "VANN": 4, "ZVDX": 0, "ZVDY": 1, "ZVCX": 2, "ZVCY": 3}
 
 
-class _Reader:
+class _ZmxReader:
     """State while the lines are read."""
 
     def __init__(self, path: Path, text: TextFile, configuration: int | None) -> None:
         self.report = ReportBuilder(path.name, "Zemax OpticStudio (.zmx)", text.encoding)
-        self.draft = Draft(path, self.report)
+        self.parsed = ParsedFile(path, self.report)
         self.lines = text.lines
         self.wanted = configuration
-        self.surfaces: list[SurfaceData] = []
+        self.surfaces: list[ZmxSurface] = []
         self.numbers: dict[str, list[float]] = {}
         self.vignetting: dict[int, list[float]] = {}
         self.waves: dict[int, tuple[float, float]] = {}
@@ -70,7 +79,7 @@ class _Reader:
             self.report.ignored(line, text, _DISPLAY[key])
         elif not self.surfaces:
             self.report.ignored(line, text, "unknown command of the header", harmless=False)
-        elif self.draft.configurations > 1 and len(words) >= 4:
+        elif self.parsed.configurations > 1 and len(words) >= 4:
             self.operands.append((line, words))
         else:
             self.report.ignored(line, text, "operand of a merit function or of an analysis")
@@ -81,40 +90,40 @@ class _Reader:
         self.report.taken(line, text, "sequential")
 
     def _name(self, line: int, key: str, words: list[str], text: str) -> None:
-        self.draft.name = text[4:].strip().strip('"')
+        self.parsed.name = text[4:].strip().strip('"')
         self.report.taken(line, text, "name of the lens")
 
     def _unit_line(self, line: int, key: str, words: list[str], text: str) -> None:
-        self.report.taken(line, text, f"lens unit {words[1].upper()} = {self.draft.unit_mm:g} mm")
+        self.report.taken(line, text, f"lens unit {words[1].upper()} = {self.parsed.unit_mm:g} mm")
 
     def _environment(self, line: int, key: str, words: list[str], text: str) -> None:
-        draft = self.draft
-        draft.temperature_c, draft.adjusted = number(words, 1, 20.0), bool(whole(words, 3, 0))
-        draft.pressure_hpa = ATMOSPHERE_HPA * number(words, 2, 1.0)
-        how = "indices adjusted to it" if draft.adjusted else "indices as in the catalogues"
-        self.report.taken(line, text, f"{draft.temperature_c:g} C, {draft.pressure_hpa:g} hPa, {how}")
+        parsed = self.parsed
+        parsed.temperature_c, parsed.adjusted = number(words, 1, 20.0), bool(whole(words, 3, 0))
+        parsed.pressure_hpa = ATMOSPHERE_HPA * number(words, 2, 1.0)
+        how = "indices adjusted to it" if parsed.adjusted else "indices as in the catalogues"
+        self.report.taken(line, text, f"{parsed.temperature_c:g} C, {parsed.pressure_hpa:g} hPa, {how}")
 
     def _catalogues(self, line: int, key: str, words: list[str], text: str) -> None:
-        self.draft.catalogues = [word.upper() for word in words[1:]]
+        self.parsed.catalogues = [word.upper() for word in words[1:]]
         self.report.taken(line, text, "catalogues in this order")
 
     def _note(self, line: int, key: str, words: list[str], text: str) -> None:
         note = text[4:].strip().lstrip("0123456789").strip()
-        self.draft.notes.extend([note] if note else [])
+        self.parsed.notes.extend([note] if note else [])
         self.report.ignored(line, text, "note")
 
     def _configurations(self, line: int, key: str, words: list[str], text: str) -> None:
-        draft = self.draft
-        draft.configurations, draft.configuration = max(1, whole(words, 1, 1)), whole(words, 2, 1)
+        parsed = self.parsed
+        parsed.configurations, parsed.configuration = max(1, whole(words, 1, 1)), whole(words, 2, 1)
         self.report.taken(
-            line, text, f"{draft.configurations} configuration(s), number {draft.configuration} is active"
+            line, text, f"{parsed.configurations} configuration(s), number {parsed.configuration} is active"
         )
 
     def _stated(self, line: int, key: str, words: list[str], text: str) -> None:
         """Part number, focal length and aperture that makers of stock lenses enter."""
         if len(words) >= 5 and words[1] == "0" and number(words, 3) > 0.0:
-            unit = self.draft.unit_mm
-            self.draft.stated["EFL"] = (unit * number(words, 3), f"line {line}, stock-lens entry")
+            unit = self.parsed.unit_mm
+            self.parsed.stated["EFL"] = (unit * number(words, 3), f"line {line}, stock-lens entry")
             self.report.taken(line, text, "focal length as the maker states it: compared below")
             return
         self.report.ignored(line, text, "entry of a stock-lens catalogue")
@@ -125,24 +134,24 @@ class _Reader:
         if key != "FLOA" and not 0.0 < value < math.inf:
             raise ValueError(f"an aperture of {value:g}; it must be positive")
         if key == "ENPD":
-            value *= self.draft.unit_mm
+            value *= self.parsed.unit_mm
         if key == "FNUM":
-            self.draft.stated["F-number"] = (value, f"line {line}")
+            self.parsed.stated["F-number"] = (value, f"line {line}")
         what = {"ENPD": f"entrance pupil of {value:g} mm", "FNUM": f"F/{value:g}", "OBNA": f"object-side NA {value:g}"}
-        self.draft.aperture = Aperture(kinds[key], value, line)
+        self.parsed.aperture = StatedAperture(kinds[key], value, line)
         self.report.taken(line, text, what.get(key, "aperture by the stop's own semi-diameter"))
 
     def _field_type(self, line: int, key: str, words: list[str], text: str) -> None:
-        kind, draft = whole(words, 1), self.draft
+        kind, parsed = whole(words, 1), self.parsed
         if kind not in _FIELD_KINDS:
             raise ValueError(f"field type {kind} is not known; angles and heights (0 to 3) are read")
-        draft.field_kind, draft.fields_line = _FIELD_KINDS[kind], line
+        parsed.field_kind, parsed.fields_line = _FIELD_KINDS[kind], line
         self.counts = (max(0, whole(words, 3, 0)), max(0, whole(words, 4, 0)))
         if max(self.counts) > MOST_LISTED:
             raise ValueError(
                 f"{self.counts[0]} fields and {self.counts[1]} wavelengths; at most {MOST_LISTED} are read"
             )
-        self.report.taken(line, text, f"fields by {draft.field_kind.replace('_', ' ')}, {self.counts[0]} of them")
+        self.report.taken(line, text, f"fields by {parsed.field_kind.replace('_', ' ')}, {self.counts[0]} of them")
 
     def _fields(self, line: int, key: str, words: list[str], text: str) -> None:
         values = [number(words, i) for i in range(1, len(words))]
@@ -176,7 +185,7 @@ class _Reader:
 
     def surface(self, line: int, key: str, words: list[str], text: str) -> None:
         """One command of the current surface."""
-        data, unit = self.surfaces[-1], self.draft.unit_mm
+        data, unit = self.surfaces[-1], self.parsed.unit_mm
         if key == "GLAS":
             self._glass(line, words, text, data)
         elif key == "DIAM":
@@ -195,7 +204,7 @@ class _Reader:
         else:
             self.report.ignored(line, text, "unknown command of a surface", data.number, harmless=False)
 
-    def _glass(self, line: int, words: list[str], text: str, data: SurfaceData) -> None:
+    def _glass(self, line: int, words: list[str], text: str, data: ZmxSurface) -> None:
         name, mode = words[1], whole(words, 2, 0)
         if name.upper() == "MIRROR":
             data.mirror = True
@@ -211,8 +220,8 @@ class _Reader:
             glass.offset = (number(words, 10, 0.0), number(words, 11, 0.0))
         data.glass = glass
 
-    def _diameter(self, line: int, words: list[str], text: str, data: SurfaceData) -> None:
-        value, mode = self.draft.unit_mm * number(words, 1), whole(words, 2, 0)
+    def _diameter(self, line: int, words: list[str], text: str, data: ZmxSurface) -> None:
+        value, mode = self.parsed.unit_mm * number(words, 1), whole(words, 2, 0)
         data.drawn = value
         if mode in (1, 2) and value > 0.0:
             data.fixed = value
@@ -224,7 +233,7 @@ class _Reader:
 
     # --- all of it --------------------------------------------------------------------------------------------------
 
-    def read(self) -> Draft:
+    def read(self) -> ParsedFile:
         """The whole file."""
         self._unit()
         for line, raw in enumerate(self.lines, 1):
@@ -241,9 +250,9 @@ class _Reader:
                     self.header(line, key, words, text)
             except (ValueError, IndexError, OverflowError) as error:
                 reason = "a value is missing" if isinstance(error, IndexError) else error
-                raise self.draft.fail(line, f"{text[:60]!r}: {reason}") from None
+                raise self.parsed.fail(line, f"{text[:60]!r}: {reason}") from None
         self._settle()
-        return self.draft
+        return self.parsed
 
     def _unit(self) -> None:
         """The lens unit comes first: every length is in it."""
@@ -253,8 +262,8 @@ class _Reader:
             return
         line, words = found[0]
         if len(words) < 2 or words[1].upper() not in UNITS_MM:
-            raise self.draft.fail(line, f"lens unit {' '.join(words[1:2])!r} is none of {', '.join(UNITS_MM)}")
-        self.draft.unit_mm = UNITS_MM[words[1].upper()]
+            raise self.parsed.fail(line, f"lens unit {' '.join(words[1:2])!r} is none of {', '.join(UNITS_MM)}")
+        self.parsed.unit_mm = UNITS_MM[words[1].upper()]
 
     def _next_surface(self, line: int, words: list[str], text: str) -> None:
         index = whole(words, 1)
@@ -262,11 +271,11 @@ class _Reader:
             raise ValueError(f"surface {len(self.surfaces)} is expected here; a surface is missing or repeated")
         if index >= MOST_SURFACES:
             raise ValueError(f"more than {MOST_SURFACES} surfaces")
-        self.surfaces.append(SurfaceData(index, line))
+        self.surfaces.append(ZmxSurface(index, line))
         self.report.taken(line, text, "surface", index)
 
     def _settle(self) -> None:
-        draft = self.draft
+        parsed = self.parsed
         if len(self.surfaces) < 3:
             raise ConfigError(f"{self.report.file}: {len(self.surfaces)} surfaces; object, lens and image are needed")
         self._configure()
@@ -274,23 +283,23 @@ class _Reader:
         for data in self.surfaces:
             self._coating(data)
         first, *inner, last = self.surfaces
-        draft.object_mm = first.thickness if abs(first.thickness) < FAR_MM else math.inf
-        draft.rows = [self._row(data) for data in inner]
-        draft.image = self._row(last)
+        parsed.object_mm = first.thickness if abs(first.thickness) < FAR_MM else math.inf
+        parsed.rows = [self._row(data) for data in inner]
+        parsed.image = self._row(last)
         counted = self.counts[0] or max(map(len, self.numbers.values()), default=0)
         listed = [self.numbers.get(key, []) for key in ("XFLN", "YFLN", "FWGN")]
-        scale = 1.0 if draft.field_kind == "angle" else draft.unit_mm
+        scale = 1.0 if parsed.field_kind == "angle" else parsed.unit_mm
         for i in range(counted):
             x, y, weight = (v[i] if i < len(v) else d for v, d in zip(listed, (0.0, 0.0, 1.0), strict=True))
             factors = [self.vignetting.get(k, []) for k in range(5)]
             dx, dy, cx, cy, turn = (v[i] if i < len(v) else 0.0 for v in factors)
-            draft.fields.append(Field(scale * x, scale * y, weight, (dx, dy, cx, cy, turn)))
+            parsed.fields.append(StatedField(scale * x, scale * y, weight, (dx, dy, cx, cy, turn)))
         used = self.counts[1] or len(self.waves)
         chosen = [self.waves[i] for i in sorted(self.waves) if i <= used]
-        draft.wavelengths = chosen
-        draft.primary = self.primary - 1
+        parsed.wavelengths = chosen
+        parsed.primary = self.primary - 1
 
-    def _coating(self, data: SurfaceData) -> None:
+    def _coating(self, data: ZmxSurface) -> None:
         """Take the coatings that the program's help defines; others stand in a file of the program and are named."""
         if data.coat is None:
             return
@@ -311,21 +320,21 @@ class _Reader:
             self.report.ignored(line, text, what if name else "no coating", data.number)
             return
         data.coating = name
-        self.draft.coatings[name] = table
+        self.parsed.coatings[name] = table
         self.report.taken(line, text, meaning, data.number)
 
-    def _row(self, data: SurfaceData) -> Row:
+    def _row(self, data: ZmxSurface) -> SurfaceRow:
         try:
-            return data.row(self.draft.unit_mm)
+            return data.row(self.parsed.unit_mm)
         except (ValueError, KeyError, OverflowError) as error:
-            raise self.draft.fail(data.kind_line, f"surface {data.number} ({data.kind}): {error}") from None
+            raise self.parsed.fail(data.kind_line, f"surface {data.number} ({data.kind}): {error}") from None
 
     def _configure(self) -> None:
         """Values of the requested configuration; the surfaces hold the active one."""
-        draft, report = self.draft, self.report
-        chosen = draft.configuration if self.wanted is None else self.wanted
-        if not 1 <= chosen <= draft.configurations:
-            raise ConfigError(f"{report.file}: configuration {chosen} does not exist; it has {draft.configurations}")
+        parsed, report = self.parsed, self.report
+        chosen = parsed.configuration if self.wanted is None else self.wanted
+        if not 1 <= chosen <= parsed.configurations:
+            raise ConfigError(f"{report.file}: configuration {chosen} does not exist; it has {parsed.configurations}")
         for line, words in self.operands:
             text = " ".join(words)
             try:
@@ -333,17 +342,17 @@ class _Reader:
                     report.ignored(line, text, f"of another configuration than {chosen}")
                 elif self._operand(words):
                     report.taken(line, text, f"value in configuration {chosen}")
-                elif chosen == draft.configuration or words[0].upper() in ("MOFF", "MCOM", "LTTL"):
+                elif chosen == parsed.configuration or words[0].upper() in ("MOFF", "MCOM", "LTTL"):
                     report.ignored(line, text, "operand whose value the surfaces hold already")
                 else:
                     raise ValueError(f"operand {words[0]} of configuration {chosen} is not read")
             except (ValueError, IndexError) as error:
-                raise draft.fail(line, f"{text[:60]!r}: {error}") from None
-        draft.configuration = chosen
+                raise parsed.fail(line, f"{text[:60]!r}: {error}") from None
+        parsed.configuration = chosen
 
     def _operand(self, words: list[str]) -> bool:
         """Apply one operand of a configuration; False if it is not known."""
-        key, at, unit = words[0].upper(), whole(words, 1), self.draft.unit_mm
+        key, at, unit = words[0].upper(), whole(words, 1), self.parsed.unit_mm
         if key in ("THIC", "CRVT", "CONN"):
             if not 0 <= at < len(self.surfaces):
                 raise ValueError(f"there is no surface {at}")
@@ -354,12 +363,12 @@ class _Reader:
                 data.curvature = value / unit
             else:
                 data.conic = value
-        elif key == "APER" and self.draft.aperture is not None:
-            self.draft.aperture.value = number(words, 3) * (unit if self.draft.aperture.kind == "EPD" else 1.0)
+        elif key == "APER" and self.parsed.aperture is not None:
+            self.parsed.aperture.value = number(words, 3) * (unit if self.parsed.aperture.kind == "EPD" else 1.0)
         elif key in ("XFIE", "YFIE") and 0 < at <= MOST_LISTED:
             self.numbers.setdefault(f"{key[0]}FLN", [0.0] * at)[at - 1] = number(words, 3)
         elif key == "TEMP":
-            self.draft.temperature_c = number(words, 3)
+            self.parsed.temperature_c = number(words, 3)
         else:
             return False
         return True
@@ -371,14 +380,14 @@ class _Reader:
                 try:
                     self._pickup(data, line, key, words, text)
                 except (ValueError, IndexError) as error:
-                    raise self.draft.fail(line, f"{text[:60]!r}: {error}") from None
+                    raise self.parsed.fail(line, f"{text[:60]!r}: {error}") from None
 
-    def _pickup(self, data: SurfaceData, line: int, key: str, words: list[str], text: str) -> None:
+    def _pickup(self, data: ZmxSurface, line: int, key: str, words: list[str], text: str) -> None:
         shift = 1 if key == "PPAR" else 0
         source, scale, offset = (number(words, 1 + shift + i, d) for i, d in enumerate((0.0, 1.0, 0.0)))
         if not 0 <= source < len(self.surfaces) or source != int(source):
             raise ValueError(f"there is no surface {source:g} to take a value from")
-        other, unit = self.surfaces[int(source)], self.draft.unit_mm
+        other, unit = self.surfaces[int(source)], self.parsed.unit_mm
         column = whole(words, 4 + shift, 0) if len(words) > 4 + shift else 0
         message = f"value of surface {source:g}, scaled by {scale:g}, plus {offset:g}"
         if column or key == "CPUP":
@@ -397,26 +406,26 @@ class _Reader:
         )
 
 
-_HEADER: dict[str, Callable[[_Reader, int, str, list[str], str], None]] = {
-    "MODE": _Reader._mode,
-    "NAME": _Reader._name,
-    "UNIT": _Reader._unit_line,
-    "ENVD": _Reader._environment,
-    "GCAT": _Reader._catalogues,
-    "NOTE": _Reader._note,
-    "DBDT": _Reader._stated,
-    "MNUM": _Reader._configurations,
-    "FTYP": _Reader._field_type,
-    "PWAV": _Reader._primary,
-    "WAVM": _Reader._wave,
-    **dict.fromkeys(("WAVL", "WWGN"), _Reader._waves),
-    **dict.fromkeys(("XFLN", "YFLN", "FWGN", *_VIGNETTING), _Reader._fields),
-    **dict.fromkeys(("ENPD", "FNUM", "OBNA", "FLOA"), _Reader._aperture),
+_HEADER: dict[str, Callable[[_ZmxReader, int, str, list[str], str], None]] = {
+    "MODE": _ZmxReader._mode,
+    "NAME": _ZmxReader._name,
+    "UNIT": _ZmxReader._unit_line,
+    "ENVD": _ZmxReader._environment,
+    "GCAT": _ZmxReader._catalogues,
+    "NOTE": _ZmxReader._note,
+    "DBDT": _ZmxReader._stated,
+    "MNUM": _ZmxReader._configurations,
+    "FTYP": _ZmxReader._field_type,
+    "PWAV": _ZmxReader._primary,
+    "WAVM": _ZmxReader._wave,
+    **dict.fromkeys(("WAVL", "WWGN"), _ZmxReader._waves),
+    **dict.fromkeys(("XFLN", "YFLN", "FWGN", *_VIGNETTING), _ZmxReader._fields),
+    **dict.fromkeys(("ENPD", "FNUM", "OBNA", "FLOA"), _ZmxReader._aperture),
 }
 
 
-def read_zmx(path: Path, text: TextFile, configuration: int | None = None) -> Draft:
+def read_zmx(path: Path, text: TextFile, configuration: int | None = None) -> ParsedFile:
     """Read a sequential Zemax file."""
     if text.lines and any(line.lstrip().startswith("SURF") for line in text.lines):
-        return _Reader(path, text, configuration).read()
+        return _ZmxReader(path, text, configuration).read()
     raise ConfigError(f"{path.name}: no surface (a line that begins with SURF): not a sequential .zmx file")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from optics.files.draft import GlassName, Row, number, whole
+from optics.files.parsed_file import GlassName, SurfaceRow, number, whole
 
 APERTURE_KEYS = ("CLAP", "FLAP", "OBSC", "SQAP", "SQOB", "ELAP", "ELOB", "SPID", "UDAP", "UDOB", "OBDC")
 """Commands that describe apertures of a surface."""
@@ -28,7 +28,7 @@ _MEANINGS = {
 
 
 @dataclass(slots=True)
-class SurfaceData:
+class ZmxSurface:
     """Numbers of one surface: curvature [1/mm], lengths [mm]; ``parm`` and ``xdat`` in the unit of the file."""
 
     number: int
@@ -108,7 +108,7 @@ class SurfaceData:
             self.centre = (unit * number(words, 1, 0.0), unit * number(words, 2, 0.0))
         return True
 
-    def row(self, unit: float) -> Row:
+    def row(self, unit: float) -> SurfaceRow:
         """The surface as a table of our own prescription."""
         if self.kind not in SURFACE_KINDS:
             raise ValueError(f"this kind of surface is not read; {', '.join(sorted(SURFACE_KINDS))} are")
@@ -123,7 +123,7 @@ class SurfaceData:
                 clear, inner = None, 0.0
             for outline in outlines:
                 outline["centre_mm"] = list(self.centre)
-        return Row(
+        return SurfaceRow(
             number=self.number,
             line=self.line,
             shape=SURFACE_KINDS[self.kind](self, unit),
@@ -140,7 +140,7 @@ class SurfaceData:
         )
 
 
-def _standard(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _standard(s: ZmxSurface, unit: float) -> dict[str, Any]:
     if not s.curvature:
         return {"kind": "plane"}
     if not s.conic:
@@ -156,7 +156,7 @@ def _lengths(values: list[float], first: int, step: int, unit: float) -> list[fl
     return scaled
 
 
-def _even(s: SurfaceData, unit: float, values: list[float]) -> dict[str, Any]:
+def _even(s: ZmxSurface, unit: float, values: list[float]) -> dict[str, Any]:
     """Conic plus a polynomial in r^2 that begins with the r^2 term."""
     terms = _lengths(values, 2, 2, unit)
     if not terms:
@@ -169,22 +169,22 @@ def _even(s: SurfaceData, unit: float, values: list[float]) -> dict[str, Any]:
     return {"kind": "even_asphere", **base, "asphere": terms[1:]}
 
 
-def _even_asphere(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _even_asphere(s: ZmxSurface, unit: float) -> dict[str, Any]:
     return _even(s, unit, [s.parm.get(i, 0.0) for i in range(1, 9)])
 
 
-def _odd(s: SurfaceData, unit: float, values: list[float]) -> dict[str, Any]:
+def _odd(s: ZmxSurface, unit: float, values: list[float]) -> dict[str, Any]:
     terms = _lengths(values, 1, 1, unit)
     if not terms:
         return _standard(s, unit)
     return {"kind": "odd_asphere", "radius_mm": s.radius_mm, "conic": s.conic, "terms": terms}
 
 
-def _odd_asphere(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _odd_asphere(s: ZmxSurface, unit: float) -> dict[str, Any]:
     return _odd(s, unit, [s.parm.get(i, 0.0) for i in range(1, 9)])
 
 
-def _extra(s: SurfaceData, skip: int) -> tuple[list[float], float]:
+def _extra(s: ZmxSurface, skip: int) -> tuple[list[float], float]:
     """Coefficients behind their count and the normalisation radius, and that radius in the file's unit."""
     count = int(s.xdat.get(1, 0.0))
     radius = s.xdat.get(2, 1.0)
@@ -193,24 +193,24 @@ def _extra(s: SurfaceData, skip: int) -> tuple[list[float], float]:
     return [s.xdat.get(i + 1 + skip, 0.0) for i in range(1, count + 1)], radius
 
 
-def _extended_even(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _extended_even(s: ZmxSurface, unit: float) -> dict[str, Any]:
     values, radius = _extra(s, 1)
     return _even(s, unit, [v / radius ** (2 * i + 2) for i, v in enumerate(values)])
 
 
-def _extended_odd(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _extended_odd(s: ZmxSurface, unit: float) -> dict[str, Any]:
     values, radius = _extra(s, 1)
     return _odd(s, unit, [v / radius ** (i + 1) for i, v in enumerate(values)])
 
 
-def _polynomial(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _polynomial(s: ZmxSurface, unit: float) -> dict[str, Any]:
     values, radius = _extra(s, 1)
     shape = {"kind": "polynomial", "radius_mm": s.radius_mm, "conic": s.conic, "norm_radius_mm": radius * unit}
     return {**shape, "coefficients_mm": [v * unit for v in values]}
 
 
-def _zernike(ordering: str) -> Callable[[SurfaceData, float], dict[str, Any]]:
-    def make(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _zernike(ordering: str) -> Callable[[ZmxSurface, float], dict[str, Any]]:
+    def make(s: ZmxSurface, unit: float) -> dict[str, Any]:
         if any(s.parm.get(i, 0.0) for i in range(0, 14)):
             raise ValueError("a Zernike sag with further aspheric terms or an offset is not read")
         values, radius = _extra(s, 1)
@@ -220,7 +220,7 @@ def _zernike(ordering: str) -> Callable[[SurfaceData, float], dict[str, Any]]:
     return make
 
 
-def _qed(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _qed(s: ZmxSurface, unit: float) -> dict[str, Any]:
     """Q-type asphere (Forbes 2007): extra data are its type (0: Q_bfs on a conic, 1: Q_con), the count of terms, the
     normalisation radius, the terms."""
     kind = {0.0: "qbfs", 1.0: "qcon"}.get(s.xdat.get(1, 0.0))
@@ -234,7 +234,7 @@ def _qed(s: SurfaceData, unit: float) -> dict[str, Any]:
     return {**shape, "norm_radius_mm": unit * radius, "q_mm": values}
 
 
-def _toroidal(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _toroidal(s: ZmxSurface, unit: float) -> dict[str, Any]:
     if any(s.parm.get(i, 0.0) for i in range(9, 14)) or any(v for i, v in s.xdat.items() if i > 2):
         raise ValueError("a toroid with Zernike terms is not read")
     rotation = unit * s.parm.get(1, 0.0)
@@ -247,7 +247,7 @@ def _toroidal(s: SurfaceData, unit: float) -> dict[str, Any]:
     return {**shape, "rotation_radius_mm": rotation or math.inf}
 
 
-def _biconic(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _biconic(s: ZmxSurface, unit: float) -> dict[str, Any]:
     across = unit * s.parm.get(1, 0.0)
     return {
         "kind": "biconic",
@@ -258,14 +258,14 @@ def _biconic(s: SurfaceData, unit: float) -> dict[str, Any]:
     }
 
 
-def _paraxial(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _paraxial(s: ZmxSurface, unit: float) -> dict[str, Any]:
     focal = unit * s.parm.get(1, 0.0)
     if not focal:
         raise ValueError("an ideal lens of focal length 0")
     return {"kind": "paraxial", "focal_length_mm": focal}
 
 
-def _break(s: SurfaceData, unit: float) -> dict[str, Any]:
+def _break(s: ZmxSurface, unit: float) -> dict[str, Any]:
     p = [s.parm.get(i, 0.0) for i in range(7)]
     shape: dict[str, Any] = {"kind": "coordinate_break"}
     if any(p[1:3]):
@@ -277,7 +277,7 @@ def _break(s: SurfaceData, unit: float) -> dict[str, Any]:
     return {**shape, "axes": "moving", "first": "decentre"}
 
 
-SURFACE_KINDS: dict[str, Callable[[SurfaceData, float], dict[str, Any]]] = {
+SURFACE_KINDS: dict[str, Callable[[ZmxSurface, float], dict[str, Any]]] = {
     "STANDARD": _standard,
     "EVENASPH": _even_asphere,
     "ODDASPHE": _odd_asphere,

@@ -15,7 +15,8 @@ import numpy as np
 
 from optics.errors import ConfigError, DomainError, StarbenchError, unknown_name
 from optics.glass.catalogue import Glass
-from optics.glass.dispersion import AGF_FORMULAS, Dispersion, ThermalDispersion
+from optics.glass.dispersion import AGF_FORMULAS, Dispersion
+from optics.glass.thermal_index import ThermalDispersion
 from optics.response import Response
 from optics.textfile import read_text
 
@@ -161,11 +162,7 @@ def _glass(record: _Record, catalogue: str, file: str) -> Glass:
 def _thermal(words: list[str]) -> ThermalDispersion | None:
     """The dn/dT constants; none where all are zero or missing: AGF files write zeros for what is not known."""
     values = [_number(words, i, 0.0) for i in range(6)]
-    if not any(values[:5]):
-        return None
-    return ThermalDispersion(
-        D0=values[0], D1=values[1], D2=values[2], E0=values[3], E1=values[4], lambda_tk_um=values[5]
-    )
+    return ThermalDispersion.of(values) if any(values[:5]) else None
 
 
 def _transmittance(record: _Record, name: str, file: str) -> tuple[Response | None, float | None]:

@@ -27,7 +27,8 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from optics.glass.air import STANDARD_PRESSURE_HPA, AirFormula, air_index
-from optics.glass.dispersion import Dispersion, ThermalDispersion
+from optics.glass.dispersion import Dispersion
+from optics.glass.thermal_index import ThermalDispersion
 from optics.response import Response, checked_wavelength
 
 
@@ -351,9 +352,8 @@ def _thermal(name: str, table: Mapping[str, Any]) -> ThermalDispersion | None:
     constants = _floats(table["dndt"], f"glass {name}: dndt")
     if len(constants) != 6:
         raise ConfigError(f"glass {name}: dndt has {len(constants)} numbers; D0 D1 D2 E0 E1 lambda_TK are needed")
-    d0, d1, d2, e0, e1, resonance = constants
     try:
-        dndt = ThermalDispersion(D0=d0, D1=d1, D2=d2, E0=e0, E1=e1, lambda_tk_um=resonance)
+        dndt = ThermalDispersion.of(constants)
     except DomainError as error:
         raise DomainError(f"glass {name}: {error}") from None
     if "dndt_range_c" not in table:

@@ -13,7 +13,6 @@ order.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -264,53 +263,3 @@ AGF_FORMULAS: dict[int, tuple[str, int]] = {
     13: ("extended3", 9),
 }
 """Number of a formula in AGF catalogues: its name here, and its number of coefficients."""
-
-
-def thermal_change(wavelength_nm: Any, index: Any, volume: Any, strength: Any, resonance: Any) -> Any:
-    """Change of the absolute index by SCHOTT's formula, on any array type; numbers from `ThermalDispersion.terms`."""
-    l2 = (wavelength_nm * 1e-3) * (wavelength_nm * 1e-3)
-    return (index * index - 1.0) / (2.0 * index) * (volume + strength / (l2 - resonance))
-
-
-LARGE_STEP_K = 60.0
-LARGEST_RESONANCE_UM = 1000.0
-"""No glass has a resonance beyond it; catalogues give 0 to some tenths of a micrometre."""
-LARGE_CHANGE = 0.1
-"""Of n^2 - 1, and by a resonance of n^2 - 1 times um^2; germanium, the most of all, changes by 0.013."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ThermalDispersion:
-    """Constants of SCHOTT's dn/dT formula."""
-
-    D0: float  # [1/K], [1/K^2], [1/K^3]
-    D1: float
-    D2: float
-    E0: float  # [um^2/K], [um^2/K^2]
-    E1: float
-    lambda_tk_um: float  # Mean resonance wavelength [um]
-    range_c: tuple[float, float] = (-100.0, 140.0)  # (float, float) Temperatures for which the maker states them [C]
-
-    def __post_init__(self) -> None:
-        values = (self.D0, self.D1, self.D2, self.E0, self.E1, self.lambda_tk_um, *self.range_c)
-        if not all(math.isfinite(value) for value in values):
-            raise DomainError(f"dn/dT constants {values} hold a value that is not finite")
-        if abs(self.lambda_tk_um) > LARGEST_RESONANCE_UM:
-            raise DomainError(
-                f"dn/dT constant lambda_TK = {self.lambda_tk_um:g} um; at most {LARGEST_RESONANCE_UM:g} um is allowed"
-            )
-        if max(abs(term) for kelvin in (-LARGE_STEP_K, LARGE_STEP_K) for term in self.terms(kelvin)[:2]) > LARGE_CHANGE:
-            raise DomainError(
-                f"dn/dT constants {values[:6]} change n^2 - 1 by more than a tenth in {LARGE_STEP_K:g} K, which no "
-                "glass does; they are [1/K], [1/K^2], [1/K^3], [um^2/K], [um^2/K^2], [um]"
-            )
-
-    def index_change(self, wavelength_nm: ArrayLike, index: ArrayLike, kelvin: float) -> FloatArray:
-        """Change of the absolute index when the glass warms by ``kelvin`` [K]; ``index`` is that at the reference."""
-        wavelength, n = np.asarray(wavelength_nm, dtype=np.float64), np.asarray(index, dtype=np.float64)
-        return np.asarray(thermal_change(wavelength, n, *self.terms(kelvin)))
-
-    def terms(self, kelvin: float) -> tuple[float, float, float]:
-        """The formula's numbers for one temperature step: volume, resonance strength [um^2], resonance [um^2]."""
-        volume = self.D0 * kelvin + self.D1 * kelvin**2 + self.D2 * kelvin**3
-        return volume, self.E0 * kelvin + self.E1 * kelvin**2, self.lambda_tk_um**2

@@ -20,8 +20,9 @@ from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError, StarbenchError
 from optics.glass.air import STANDARD_PRESSURE_HPA
 from optics.glass.catalogue import Glass
-from optics.glass.dispersion import Dispersion, ThermalDispersion
-from optics.glass.model import model_glass
+from optics.glass.dispersion import Dispersion
+from optics.glass.model_glass import model_glass
+from optics.glass.thermal_index import ThermalDispersion
 from optics.response import Response
 from optics.textfile import read_text
 
@@ -139,9 +140,7 @@ def _plate(wave_um: FloatArray, k: FloatArray, name: str) -> Response:
 def _thermal(properties: Mapping[str, Any]) -> ThermalDispersion | None:
     for entry in properties.get("thermal_dispersion") or ():
         if str(entry.get("type", "")).lower() in ("formula a", "schott formula"):
-            numbers = [float(x) for x in str(entry["coefficients"]).split()]
-            d0, d1, d2, e0, e1, resonance = numbers[:6]
-            return ThermalDispersion(D0=d0, D1=d1, D2=d2, E0=e0, E1=e1, lambda_tk_um=resonance)
+            return ThermalDispersion.of([float(x) for x in str(entry["coefficients"]).split()[:6]])
     return None
 
 

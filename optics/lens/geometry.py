@@ -23,7 +23,7 @@ USED_STOP = 0.75
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Crossing:
+class SurfaceCrossing:
     """Two crossing surfaces of a lens: their numbers, the smallest height of crossing [mm], a message."""
 
     surfaces: tuple[int, int]
@@ -82,7 +82,7 @@ def _on_one_axis(one: Surface, other: Surface) -> float | None:
     return float(shift[2]) if same and one.shape.rotational and other.shape.rotational else None
 
 
-def crossings(lens: LensSystem) -> list[Crossing]:
+def crossings(lens: LensSystem) -> list[SurfaceCrossing]:
     """Surfaces that follow each other and meet inside both their rims."""
     real = [(i, s) for i, s in enumerate(lens.surfaces) if s.shape.curvature != 0.0 or acts(lens, i)]
     found = []
@@ -113,7 +113,7 @@ def crossings(lens: LensSystem) -> list[Crossing]:
         else:
             continue
         first = float(height[int(np.argmax(~(gap >= -TOUCHING_MM)))])
-        found.append(Crossing(surfaces=(i, j), from_mm=first, words=words))
+        found.append(SurfaceCrossing(surfaces=(i, j), from_mm=first, words=words))
     return found
 
 

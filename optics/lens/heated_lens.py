@@ -33,9 +33,9 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError, unknown_name
+from optics.glass.absolute_index import Environment
 from optics.glass.air import kohlrausch_density
 from optics.glass.catalogue import Glass
-from optics.glass.index_along_path import Environment
 from optics.lens.shapes.base import Shape
 from optics.lens.shapes.conic import Conic
 from optics.lens.shapes.plane import Plane

@@ -54,7 +54,7 @@ from pydantic import Field, FiniteFloat
 from scipy.interpolate import PchipInterpolator
 
 from optics.arrays import FloatArray
-from optics.brown_conrady import COEFFICIENTS, distort, one_to_one_radius_mm
+from optics.distortion_polynomial import COEFFICIENTS, distort, one_to_one_radius_mm
 from optics.errors import DomainError
 from optics.lens.tables import StrictTable
 from optics.records import freeze, freeze_all, locked
@@ -150,7 +150,7 @@ class MeasuredLens:
     date: str  # When it was measured
     focal_length_mm: float  # Of the camera model
     principal_point_mm: FloatArray  # (2,) Minus the centre of the detector, along columns and rows
-    distortion: FloatArray  # (5,) Coefficients of `optics.brown_conrady`
+    distortion: FloatArray  # (5,) Coefficients of `optics.distortion_polynomial`
     colour_nm: FloatArray  # (c,) Lateral colour: scale of the distances from the principal point, and shift
     colour_scale: FloatArray  # (c,)
     colour_shift_mm: FloatArray  # (c, 2)

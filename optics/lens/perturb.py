@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
-from optics.glass.index_along_path import Environment
+from optics.glass.absolute_index import Environment
 from optics.lens.heated_lens import Housing, ThermalState, heated_lens
 from optics.lens.system import AMBIENT, LensSystem
 

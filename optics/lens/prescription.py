@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, StarbenchError, unknown_name
+from optics.glass.absolute_index import CATALOGUE_AIR, Environment
 from optics.glass.catalogue import Glass, get_glass, glass_from_table
-from optics.glass.index_along_path import CATALOGUE_AIR, Environment
 from optics.lens.geometry import axial_ray
 from optics.lens.sag_map import SagMap, read_map
 from optics.lens.shapes.plane import Plane
@@ -34,13 +34,13 @@ UNIT_MM = {"nm": 1e-6, "um": 1e-3, "mm": 1.0}
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class LocalFrame:
     """Origin [mm] and axes (columns) in the lens frame."""
 
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
     axes: FloatArray = field(default_factory=lambda: np.eye(3))
 
-    def moved(self, by: MovedTable) -> Pose:
+    def moved(self, by: MovedTable) -> LocalFrame:
         """The frame after a shift and a turn."""
         shift = np.array([*by.decentre_mm, 0.0][:3])
         angles = [*by.tilt_deg, 0.0][:3]
@@ -49,9 +49,9 @@ class Pose:
             order = "xyz" if by.axes == "fixed" else "XYZ"
             turn = Rotation.from_euler(order, angles, degrees=True).as_matrix()
         axes = self.axes @ turn
-        return Pose(self.origin + (self.axes if by.first == "decentre" else axes) @ shift, axes)
+        return LocalFrame(self.origin + (self.axes if by.first == "decentre" else axes) @ shift, axes)
 
-    def bent(self, normal: FloatArray) -> Pose:
+    def bent(self, normal: FloatArray) -> LocalFrame:
         """The frame behind a mirror: turned twice by the smallest turn that takes its z axis to the mirror's normal."""
         z = self.axes[:, 2]
         along = np.cross(z, normal)
@@ -59,11 +59,11 @@ class Pose:
         if sine == 0.0:
             return self
         twice = 2.0 * np.arctan2(sine, float(z @ normal))
-        return Pose(self.origin, Rotation.from_rotvec(along / sine * twice).as_matrix() @ self.axes)
+        return LocalFrame(self.origin, Rotation.from_rotvec(along / sine * twice).as_matrix() @ self.axes)
 
-    def after(self, thickness_mm: float) -> Pose:
+    def after(self, thickness_mm: float) -> LocalFrame:
         """The frame a thickness further along its z axis."""
-        return Pose(self.origin + thickness_mm * self.axes[:, 2], self.axes)
+        return LocalFrame(self.origin + thickness_mm * self.axes[:, 2], self.axes)
 
 
 def _error_map(table: ErrorTable | None, folder: Path) -> SagMap | None:
@@ -74,7 +74,7 @@ def _error_map(table: ErrorTable | None, folder: Path) -> SagMap | None:
     return SagMap(values_mm=values * (table.scale * UNIT_MM[table.unit]), width_mm=table.width_mm)
 
 
-def _surface(table: SurfaceTable, frame: Pose, before: str, folder: Path, label: str) -> Surface:
+def _surface(table: SurfaceTable, frame: LocalFrame, before: str, folder: Path, label: str) -> Surface:
     """The surface that a table describes, in a frame where light travels towards +z."""
     mirror = table.medium == MIRROR
     return Surface(
@@ -94,9 +94,9 @@ def _surface(table: SurfaceTable, frame: Pose, before: str, folder: Path, label:
     )
 
 
-def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[list[Surface], Pose]:
+def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[list[Surface], LocalFrame]:
     """Surfaces at their vertices, and the frame of the image plane."""
-    frame, light, medium = Pose(), np.array([0.0, 0.0, 1.0]), AMBIENT
+    frame, light, medium = LocalFrame(), np.array([0.0, 0.0, 1.0]), AMBIENT
     surfaces: list[Surface] = []
     for label, table in zip(labels, file.surface, strict=True):
         if isinstance(table, BreakTable):
@@ -104,7 +104,7 @@ def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[li
             continue
         own = frame.moved(table)
         if table.carry != "none":
-            frame = own if table.carry == "forward" else Pose(own.origin, frame.axes).bent(own.axes[:, 2])
+            frame = own if table.carry == "forward" else LocalFrame(own.origin, frame.axes).bent(own.axes[:, 2])
         normal = own.axes[:, 2]
         facing = float(light @ normal)
         if abs(facing) < EDGE_ON:
@@ -128,7 +128,7 @@ def _placed(file: Prescription, folder: Path, labels: Sequence[str]) -> tuple[li
     facing = float(light @ frame.axes[:, 2])
     if abs(facing) < EDGE_ON:
         raise ConfigError("the image plane is edge-on to the light on the axis; check tilts and breaks")
-    return surfaces, frame if facing > 0.0 else Pose(frame.origin, frame.axes @ np.diag([1.0, 1.0, -1.0]))
+    return surfaces, frame if facing > 0.0 else LocalFrame(frame.origin, frame.axes @ np.diag([1.0, 1.0, -1.0]))
 
 
 def _with_stop(file: Prescription, surfaces: list[Surface]) -> list[Surface]:

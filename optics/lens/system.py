@@ -14,9 +14,9 @@ import numpy as np
 
 from optics.arrays import NUMPY, FloatArray
 from optics.errors import ConfigError, DomainError, unknown_name
+from optics.glass.absolute_index import CATALOGUE_AIR, Environment, IndexFormula, index_parameters
 from optics.glass.catalogue import Glass
 from optics.glass.coating import Coating, TabulatedCoating
-from optics.glass.index_along_path import CATALOGUE_AIR, Environment, IndexFormula, index_parameters
 from optics.lens.apertures import Aperture
 from optics.lens.measured import MeasuredLens
 from optics.lens.sag_map import SagMap

@@ -9,9 +9,9 @@ import numpy as np
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.glass.absolute_index import Environment
 from optics.glass.air import air_index
 from optics.glass.catalogue import Glass
-from optics.glass.index_along_path import Environment
 from optics.records import freeze, freeze_all
 
 AIR_STEP_K = 0.5

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optics.arrays import FloatArray
-from optics.glass.index_along_path import IndexFormula, index_parameters
+from optics.glass.absolute_index import IndexFormula, index_parameters
 from optics.lens.apertures import Aperture
 from optics.lens.sag_map import SagMap
 from optics.lens.shapes.base import Shape

@@ -175,7 +175,7 @@ def lens_wcs(camera: Camera, *, wavelength_nm: float | None = None, tolerance_px
 
 
 def sky_grid(header: fits.Header | Iterable[Card], shape: tuple[int, int], *, nodes: int = 65) -> FloatArray | None:
-    """Directions over a frame, for `optics.page.frame_page`."""
+    """Directions over a frame, for `optics.frame_html.frame_page`."""
     # -> (nodes, nodes, 3)
     from astropy.wcs import WCS
 

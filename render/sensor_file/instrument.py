@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from optics.errors import DomainError
-from optics.glass.index_along_path import Environment
+from optics.glass.absolute_index import Environment
 from optics.lens.heated_lens import Housing, Mount, ThermalState, heated_lens
+from optics.lens.ideal_lens import ideal_lens
 from optics.lens.sag_map import read_map
 from optics.lens.system import LensSystem
-from optics.lens.without_glass import ideal_lens
 from optics.lens_file import load_lens
 from optics.light.band_file import load_band
 from optics.rays.chief import plate_scale_mm

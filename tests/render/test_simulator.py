@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from optics.attitude import attitude_from_angles
 from optics.errors import ConfigError, DomainError
+from optics.frame_html import Marks
 from optics.lens.heated_lens import Housing, ThermalState, heated_lens
 from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody
-from optics.page import Marks
 from optics.rays.spots import collecting_area_mm2
 from render.bodies.solar_system import solar_system
 from render.bodies.sunlit_body import planet_body, sphere_photons

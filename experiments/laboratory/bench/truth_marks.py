@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from optics.errors import ConfigError
-from optics.page import Marks
+from optics.frame_html import Marks
 
 PLACES = (("photon_x_px", "photon_y_px"), ("x_px", "y_px"), ("x", "y"), ("xcentroid", "ycentroid"))
 BRIGHTNESS = ("electrons", "flux_e", "flux")

@@ -24,8 +24,8 @@ from scipy.spatial.transform import Rotation
 from experiments.laboratory.settings.collimator import CollimatorConfig, FilteredCollimatorConfig
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.glass.absolute_index import Environment
 from optics.glass.catalogue import get_glass
-from optics.glass.index_along_path import Environment
 from optics.light.collimation import Collimation, air_deviation_rad, wedge_deviation_rad
 from optics.rays.pupil import gauss_disk
 from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM

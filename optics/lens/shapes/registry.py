@@ -8,17 +8,17 @@ from optics.lens.shapes.conic import Conic
 from optics.lens.shapes.cylinder import Cylinder
 from optics.lens.shapes.even_asphere import EvenAsphere
 from optics.lens.shapes.odd_asphere import OddAsphere
-from optics.lens.shapes.paraxial_lens import ParaxialLens
 from optics.lens.shapes.plane import Plane
-from optics.lens.shapes.polynomial import Polynomial
 from optics.lens.shapes.qbfs import Qbfs
 from optics.lens.shapes.qcon import Qcon
 from optics.lens.shapes.sphere import Sphere
+from optics.lens.shapes.thin_lens import ThinLens
 from optics.lens.shapes.toroid import Toroid
+from optics.lens.shapes.xy_polynomial import XYPolynomial
 from optics.lens.shapes.zernike import Zernike
 
-ROTATIONAL: tuple[type[Shape], ...] = (Plane, Sphere, Conic, EvenAsphere, OddAsphere, Qbfs, Qcon, ParaxialLens)
-SHAPES: tuple[type[Shape], ...] = (*ROTATIONAL, Cylinder, Toroid, Biconic, Zernike, Polynomial)
+ROTATIONAL: tuple[type[Shape], ...] = (Plane, Sphere, Conic, EvenAsphere, OddAsphere, Qbfs, Qcon, ThinLens)
+SHAPES: tuple[type[Shape], ...] = (*ROTATIONAL, Cylinder, Toroid, Biconic, Zernike, XYPolynomial)
 
 UNNAMED: type[Shape] = EvenAsphere
 """Kind of a surface without ``kind``; the result is the simplest of plane, sphere, conic and even asphere."""

@@ -20,7 +20,7 @@ from experiments.laboratory.devices.collimator import build_collimator
 from experiments.laboratory.devices.target import corner_directions
 from experiments.laboratory.settings.collimator import CollimatorConfig, FilteredCollimatorConfig
 from optics.errors import ConfigError, DomainError
-from optics.glass.index_along_path import Environment
+from optics.glass.absolute_index import Environment
 from optics.light.spectrum import Blackbody
 from optics.units import ARCSEC_RAD
 from render.engine.random import Streams

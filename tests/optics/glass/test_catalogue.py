@@ -7,7 +7,8 @@ from refusals import refuses
 from optics.errors import ConfigError, DomainError
 from optics.glass.air import air_index
 from optics.glass.catalogue import Glass, get_glass, glass_from_table, list_glasses
-from optics.glass.dispersion import Dispersion, ThermalDispersion
+from optics.glass.dispersion import Dispersion
+from optics.glass.thermal_index import ThermalDispersion
 
 D, F, C = 587.5618, 486.1327, 656.2725
 PRINTED = [name for name in list_glasses() if get_glass(name).nd is not None]

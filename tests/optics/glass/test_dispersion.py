@@ -11,7 +11,7 @@ from optics.glass.agf import read_agf
 from optics.glass.catalogue import get_glass
 from optics.glass.dispersion import AGF_FORMULAS, FORMULAS, Dispersion
 from optics.glass.index_database import read_material
-from optics.glass.model import model_glass, six_digits
+from optics.glass.model_glass import model_glass, six_digits
 
 LINES = np.array([587.5618, 486.1327, 656.2725])
 

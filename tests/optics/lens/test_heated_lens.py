@@ -9,7 +9,7 @@ from refusals import refuses
 
 from optics import VACUUM, Plane, Rays, Sphere, decentre, get_glass, load_lens, paraxial, tilt, trace
 from optics.errors import ConfigError, DomainError
-from optics.glass.dispersion import ThermalDispersion
+from optics.glass.thermal_index import ThermalDispersion
 from optics.lens.heated_lens import COMPONENTS, Housing, Mount, ThermalState, heated_lens, with_spacers
 from optics.lens.system import HALF_TURN, Surface
 from optics.rays.chief import chief_ray_points, plate_scale_mm

@@ -9,8 +9,8 @@ from refusals import refuses
 from optics import chief_ray_points, decentre, distortion_map, load_lens, spot_moments, trace_pupil, vignetting
 from optics.errors import ConfigError, DomainError
 from optics.export.write import write_measured_lens
+from optics.lens.ideal_lens import ideal_lens, measured_lens
 from optics.lens.measured import measured_from_table, measured_table
-from optics.lens.without_glass import ideal_lens, measured_lens
 from optics.rays.paraxial import paraxial, stopped_down
 
 TABLE = {

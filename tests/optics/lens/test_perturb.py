@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from optics import Plane, Rays, Sphere, field_direction, load_lens, paraxial, trace
 from optics.errors import ConfigError, DomainError
-from optics.glass.dispersion import ThermalDispersion
+from optics.glass.thermal_index import ThermalDispersion
 from optics.lens.perturb import (
     ALL_SURFACES,
     EVERYTHING,

@@ -12,7 +12,7 @@ from refusals import refuses
 from optics.errors import DomainError
 from optics.frames import field_direction
 from optics.glass.coating import QuarterWave
-from optics.lens.without_glass import ideal_lens
+from optics.lens.ideal_lens import ideal_lens
 from optics.lens_file import load_lens
 from optics.rays.ghosts import find_ghosts, with_cover_glass
 from optics.rays.pupil import gauss_disk

@@ -15,10 +15,10 @@ from optics.lens.prescription import lens_from_table
 from optics.lens.shapes.biconic import Biconic
 from optics.lens.shapes.cylinder import Cylinder
 from optics.lens.shapes.odd_asphere import OddAsphere
-from optics.lens.shapes.polynomial import Polynomial
 from optics.lens.shapes.qbfs import Qbfs
 from optics.lens.shapes.qcon import Qcon
 from optics.lens.shapes.toroid import Toroid
+from optics.lens.shapes.xy_polynomial import XYPolynomial
 from optics.lens.shapes.zernike import Zernike
 from optics.rays.paraxial import axial_paraxial
 
@@ -118,7 +118,7 @@ def test_a_polynomial_has_its_terms_in_the_order_of_design_programs():
     grid = np.zeros((5, 5))
     for name, value in zip(names, a, strict=True):
         grid[name.count("x"), name.count("y")] = value
-    shape = Polynomial(radius_mm=R, conic=0.3, norm_radius_mm=RHO, coefficients_mm=tuple(a))
+    shape = XYPolynomial(radius_mm=R, conic=0.3, norm_radius_mm=RHO, coefficients_mm=tuple(a))
     conic = Conic(radius_mm=R, conic=0.3).sag(x, y)
     np.testing.assert_allclose(shape.sag(x, y) - conic, polyval2d(x / RHO, y / RHO, grid), atol=1e-14)
 

@@ -14,12 +14,12 @@ from optics.lens.perturb import change_shape, change_temperature, decentre, tilt
 from optics.lens.shapes.biconic import Biconic
 from optics.lens.shapes.cylinder import Cylinder
 from optics.lens.shapes.odd_asphere import OddAsphere
-from optics.lens.shapes.paraxial_lens import ParaxialLens
-from optics.lens.shapes.polynomial import Polynomial
 from optics.lens.shapes.qbfs import Qbfs
 from optics.lens.shapes.qcon import Qcon
 from optics.lens.shapes.registry import SHAPES
+from optics.lens.shapes.thin_lens import ThinLens
 from optics.lens.shapes.toroid import Toroid
+from optics.lens.shapes.xy_polynomial import XYPolynomial
 from optics.lens.shapes.zernike import Zernike
 from optics.rays.reverse import retraced, reverse
 
@@ -33,12 +33,12 @@ EXAMPLES = (
     Qcon(radius_mm=40.0, conic=-0.5, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
     Qbfs(radius_mm=-35.0, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
     Qbfs(radius_mm=30.0, conic=-1.4, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),
-    ParaxialLens(focal_length_mm=80.0),
+    ThinLens(focal_length_mm=80.0),
     Cylinder(radius_mm=30.0, conic=0.2),
     Toroid(radius_mm=40.0, conic=-0.5, terms=(1e-3, 2e-6), rotation_radius_mm=-25.0),
     Biconic(radius_x_mm=25.0, radius_y_mm=-60.0, conic_x=0.3, conic_y=-1.2),
     Zernike(radius_mm=50.0, conic=-1.0, norm_radius_mm=9.0, ordering="noll", coefficients_mm=COEFFICIENTS),
-    Polynomial(radius_mm=50.0, conic=0.5, norm_radius_mm=9.0, coefficients_mm=COEFFICIENTS[:9]),
+    XYPolynomial(radius_mm=50.0, conic=0.5, norm_radius_mm=9.0, coefficients_mm=COEFFICIENTS[:9]),
 )
 REACH_MM = 8.0
 """Half width of the region that is looked at; every example reaches that far."""

@@ -10,9 +10,9 @@ import pytest
 
 from optics.arrays import NUMPY
 from optics.lens.shapes.odd_asphere import OddAsphere
-from optics.lens.shapes.polynomial import Polynomial
 from optics.lens.shapes.qbfs import Qbfs
 from optics.lens.shapes.toroid import Toroid
+from optics.lens.shapes.xy_polynomial import XYPolynomial
 from optics.lens.shapes.zernike import Zernike
 
 pytestmark = [pytest.mark.reference, pytest.mark.slow]
@@ -54,7 +54,7 @@ def theirs(name, place):
 OURS = {
     "odd_asphere": OddAsphere(radius_mm=45.0, conic=0.4, terms=(0.0, 1e-3, 2e-5, -1e-6)),
     "toroid": Toroid(radius_mm=40.0, conic=-0.5, terms=(1e-3, 2e-6), rotation_radius_mm=-25.0),
-    "polynomial": Polynomial(radius_mm=50.0, conic=0.5, norm_radius_mm=9.0, coefficients_mm=A),
+    "polynomial": XYPolynomial(radius_mm=50.0, conic=0.5, norm_radius_mm=9.0, coefficients_mm=A),
     "zernike noll": Zernike(radius_mm=50.0, conic=-1.0, norm_radius_mm=9.0, ordering="noll", coefficients_mm=A),
     "zernike fringe": Zernike(radius_mm=50.0, conic=-1.0, norm_radius_mm=9.0, ordering="fringe", coefficients_mm=A),
     "qbfs": Qbfs(radius_mm=-35.0, norm_radius_mm=9.0, q_mm=(0.05, -0.02, 0.01, 0.003)),

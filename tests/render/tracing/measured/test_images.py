@@ -5,8 +5,8 @@ import pytest
 from fields import star_field
 from scipy.spatial.transform import Rotation
 
+from optics.lens.ideal_lens import measured_lens
 from optics.lens.measured import GaussianMixture, MeasuredLens
-from optics.lens.without_glass import measured_lens
 from optics.response import Response
 from render.camera import Camera
 from render.forward import StarRenderer

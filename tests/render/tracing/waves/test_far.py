@@ -11,8 +11,8 @@ from scipy.special import j0, j1
 
 from optics.frames import field_direction
 from optics.lens.apertures import Spider
+from optics.lens.ideal_lens import ideal_lens
 from optics.lens.system import LensSystem
-from optics.lens.without_glass import ideal_lens
 from render.camera import Camera, FarLight
 from render.tracing.tracer import TracedStars, Tracer
 from render.tracing.waves import summed

@@ -8,8 +8,8 @@ import numpy as np
 
 from optics.errors import DomainError
 from optics.lens.measured import MeasuredLens
-from optics.lens.shapes.paraxial_lens import ParaxialLens
 from optics.lens.shapes.plane import Plane
+from optics.lens.shapes.thin_lens import ThinLens
 from optics.lens.system import LensSystem, Surface
 from optics.response import Response
 
@@ -53,7 +53,7 @@ def ideal_lens(
     Returns
     -------
     LensSystem
-        A stop and a `ParaxialLens`; light falls with the cosine of the field angle, as the stop is seen obliquely.
+        A stop and a `ThinLens`; light falls with the cosine of the field angle, as the stop is seen obliquely.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def _thin(
         source=source,
         surfaces=(
             Surface(shape=Plane(), position_mm=here, semi_diameter_mm=radius_mm, element="lens", is_stop=True),
-            Surface(shape=ParaxialLens(focal_length_mm=focal_length_mm), position_mm=here, element="lens"),
+            Surface(shape=ThinLens(focal_length_mm=focal_length_mm), position_mm=here, element="lens"),
         ),
         glasses={},
         image_position_mm=np.array([0.0, 0.0, focal_length_mm]),

@@ -11,7 +11,7 @@ import pytest
 from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
-from optics.page import Marks, differences, frame_page, save_frame_page
+from optics.frame_html import Marks, differences, frame_page, save_frame_page
 
 
 class Parts(HTMLParser):

@@ -33,7 +33,7 @@ class GlassName:
 
 
 @dataclass(slots=True)
-class Row:
+class SurfaceRow:
     """A surface, or a coordinate break.
 
     ``shape`` and ``moved`` are keys of a surface table (`optics.lens.tables`); ``clear_mm`` is a clear aperture,
@@ -62,7 +62,7 @@ class Row:
 
 
 @dataclass(slots=True)
-class Aperture:
+class StatedAperture:
     """How the file states the aperture: ``EPD`` [mm], ``FNO``, ``NAO`` (object side), ``NA`` (image side), ``STOP``."""
 
     kind: str
@@ -71,7 +71,7 @@ class Aperture:
 
 
 @dataclass(slots=True)
-class Field:
+class StatedField:
     """A field point in the unit of the file's field type, its weight and vignetting factors (dx, dy, cx, cy, angle)."""
 
     x: float = 0.0
@@ -81,7 +81,7 @@ class Field:
 
 
 @dataclass(slots=True)
-class Draft:
+class ParsedFile:
     """All contents of a file.
 
     ``rows`` are the surfaces between object and image; ``image`` the last row. ``field_kind`` is one of ``angle``
@@ -96,18 +96,18 @@ class Draft:
     wavelengths: list[tuple[float, float]] = field(default_factory=list)
     primary: int = 0
     field_kind: str = "angle"
-    fields: list[Field] = field(default_factory=list)
+    fields: list[StatedField] = field(default_factory=list)
     fields_line: int = 0
-    aperture: Aperture | None = None
+    aperture: StatedAperture | None = None
     temperature_c: float = 20.0
     pressure_hpa: float = 1013.25
     adjusted: bool = False
     catalogues: list[str] = field(default_factory=list)
     private: dict[str, Glass] = field(default_factory=dict)
     coatings: dict[str, dict[str, Any]] = field(default_factory=dict)
-    rows: list[Row] = field(default_factory=list)
+    rows: list[SurfaceRow] = field(default_factory=list)
     object_mm: float = math.inf
-    image: Row | None = None
+    image: SurfaceRow | None = None
     stated: dict[str, tuple[float, str]] = field(default_factory=dict)
     configurations: int = 1
     configuration: int = 1

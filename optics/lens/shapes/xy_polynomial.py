@@ -14,7 +14,7 @@ from optics.lens.shapes.freeform import PolynomialFreeform
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Polynomial(PolynomialFreeform):
+class XYPolynomial(PolynomialFreeform):
     """Conic plus ``coefficients_mm`` of x, y, x^2, x y, y^2, x^3, x^2 y, ..., x and y over ``norm_radius_mm``."""
 
     norm_radius_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0

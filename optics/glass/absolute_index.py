@@ -19,7 +19,8 @@ from optics.arrays import ArrayNamespace
 from optics.errors import DomainError
 from optics.glass.air import STANDARD_PRESSURE_HPA, kohlrausch_density, kohlrausch_refractivity
 from optics.glass.catalogue import Glass
-from optics.glass.dispersion import Form, thermal_change
+from optics.glass.dispersion import Form
+from optics.glass.thermal_index import thermal_change
 
 UNKNOWN_DNDT_K = 5.0
 """How far from its catalogue temperature a glass of unknown dn/dT may be used; 5 K change an index by about 1e-5."""

@@ -27,7 +27,7 @@ from optics.lens.shapes.base import Hit, Shape
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ParaxialLens(Shape):
+class ThinLens(Shape):
     """Ideal thin lens of ``focal_length_mm``; see the module for its optical path."""
 
     focal_length_mm: float
@@ -37,9 +37,9 @@ class ParaxialLens(Shape):
 
     def __post_init__(self) -> None:
         if self.focal_length_mm == 0.0 or math.isnan(self.focal_length_mm) or math.isinf(self.focal_length_mm):
-            raise DomainError(f"ParaxialLens.focal_length_mm = {self.focal_length_mm}; a number other than 0 is needed")
+            raise DomainError(f"ThinLens.focal_length_mm = {self.focal_length_mm}; a number other than 0 is needed")
         if self.collimated not in ("before", "after"):
-            raise DomainError(f"ParaxialLens.collimated = {self.collimated!r}; 'before' or 'after' is needed")
+            raise DomainError(f"ThinLens.collimated = {self.collimated!r}; 'before' or 'after' is needed")
 
     @property
     def curvature(self) -> float:

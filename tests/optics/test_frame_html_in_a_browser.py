@@ -9,7 +9,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from optics.page import Marks, differences, frame_page
+from optics.frame_html import Marks, differences, frame_page
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")]
