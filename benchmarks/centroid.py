@@ -3,11 +3,11 @@
     python benchmarks/centroid.py [--psf NAME] [--stars N] [--peer-stars N] [--seed N]
 
 For every PSF source: RMS position error over the bound at matched-filter SNR 20, 50, 100 and 500
-(`calib.measure.crlb`), S-curve (largest position error against sub-pixel phase without noise, constant offset removed)
-and time per star, the slowest of the four SNRs, best of three; CPU time is summed over the cores and depends less on
-other processes. The bound is for known background, which all methods know. A constant offset (an asymmetric PSF has no
-obvious centre) is taken from the noiseless S-curve and removed, for all methods alike; the phase-dependent part stays
-in the RMS.
+(`calib.measure.centroid_error.cramer_rao_bound`), S-curve (largest position error against sub-pixel phase without
+noise, constant offset removed) and time per star, the slowest of the four SNRs, best of three; CPU time is summed over
+the cores and depends less on other processes. The bound is for known background, which all methods know. A constant
+offset (an asymmetric PSF has no obvious centre) is taken from the noiseless S-curve and removed, for all methods alike;
+the phase-dependent part stays in the RMS.
 
 A PSF source is a function without arguments that returns a `PsfSource`; put your own into `SOURCES`, or hand a finely
 sampled `EffectivePsf` (for instance a rendered one) to `source_from_fine`.
@@ -31,11 +31,11 @@ from scipy.special import ndtr
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from calib.measure.centroid import get_centroider
-from calib.measure.crlb import fisher_information, flux_for_snr
-from calib.measure.epsf import draw_epsf
-from calib.measure.epsf_build import build_epsf
-from calib.measure.gaussian import draw_gaussian
+from calib.measure.centroid_error.cramer_rao_bound import fisher_information, flux_for_snr
+from calib.measure.centroiding.gaussian import draw_gaussian
+from calib.measure.centroiding.registry import get_centroider
+from calib.measure.epsf.bspline import draw_epsf
+from calib.measure.epsf.build import build_epsf
 from calib.measure.stamps import coarse_position
 from calib.records import NoiseModel, Stamps
 from render.records import EffectivePsf

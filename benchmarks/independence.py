@@ -39,7 +39,7 @@ LEFT_OUT = (
         "render/records",
         "calib/records",
         "calib/flags",
-        "calib/measure/options",
+        "calib/measure/centroiding/options",
     ),
     *("optics/errors", "optics/validate", "optics/units", "optics/arrays"),
     *("render/plugins", "render/engine/engine", "render/engine/arrays", "render/engine/jit"),

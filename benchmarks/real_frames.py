@@ -25,8 +25,8 @@ from calib import FreeAttitudes, Observations, calibrate, find_stars, identify_s
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.detector.hot_pixels import find_hot_pixels, without_pixels
 from calib.flags import StarFlag, has_flag
-from calib.measure.detection import detect, detection_noise
-from calib.measure.image import read_images
+from calib.measure.detection.matched_filter import detect, detection_noise
+from calib.measure.images.sensor_image import read_images
 from render.sky.sky import load_sky
 
 FALSE_PX, NEAR_PX, BORDER_PX, SYSTEMATIC_PX = 2.5, 1.5, 6.0, 0.03

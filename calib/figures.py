@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib.attitude.identify import Identification
 from calib.attitude.star_attitude import StarAttitude
 from calib.flags import describe_flags
-from calib.measure.image import as_image
+from calib.measure.images.sensor_image import as_image
 from calib.records import SensorImage, StarTable
 from optics.figures import draw_image
 from optics.frame_html import Marks

@@ -31,9 +31,9 @@ class StarFlag(IntFlag):
         (``StarTable.width_px`` and ``phase_error_px``). The star may be used; its error is larger than stated.
     WIDTH_UNKNOWN
         Gaussian fit with free widths: so much of the light is in single pixels that the width along an axis, and with
-        it the position, is not determined (`calib.measure.gaussian.WIDTH_PRIOR_PX`). The covariance includes this for
-        stars down to a sigma of a quarter of a pixel, and is too small for narrower ones. The star may be used; it is
-        measured better with the width of the other stars, ``sigma_px=``.
+        it the position, is not determined (`calib.measure.centroiding.gaussian.WIDTH_PRIOR_PX`). The covariance
+        includes this for stars down to a sigma of a quarter of a pixel, and is too small for narrower ones. The star
+        may be used; it is measured better with the width of the other stars, ``sigma_px=``.
     TRAIL
         Part of a line of light (satellite, aeroplane): light lies between this detection and others in a row.
     UNDETERMINED

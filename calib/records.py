@@ -203,8 +203,8 @@ class StarTable:
     width_px : (n,)
         Standard deviation of the star as a Gaussian, before pixels integrate it; NaN where it was not measured.
     phase_error_px : (n,)
-        RMS error per axis by the place of the star in its pixel (`calib.measure.pixel_phase`), for a Gaussian star of
-        this width; NaN for centroiders that fit a PSF, whose error depends on how well they know it.
+        RMS error per axis by the place of the star in its pixel (`calib.measure.centroid_error.s_curve`), for a
+        Gaussian star of this width; NaN for centroiders that fit a PSF, whose error depends on how well they know it.
     """
 
     x_px: FloatArray

@@ -78,7 +78,7 @@ def _write_page(
     """Write the page; return the marks on it."""
     from calib.figures import star_marks
     from calib.measure.find import find_stars
-    from calib.measure.image import read_image
+    from calib.measure.images.sensor_image import read_image
     from experiments.laboratory.bench.truth_marks import truth_marks
     from optics.fits import image_header
     from optics.frame_html import differences, save_frame_page

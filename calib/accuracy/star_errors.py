@@ -13,8 +13,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.measure.centroid import centroider_class
-from calib.measure.centroid_prediction import (
+from calib.measure.centroid_error.cramer_rao_bound import matched_snr
+from calib.measure.centroid_error.prediction import (
     SCALE_FREE,
     CentroidErrors,
     CentroidResponse,
@@ -22,8 +22,8 @@ from calib.measure.centroid_prediction import (
     predict_centroids,
     psf_mismatch,
 )
-from calib.measure.crlb import matched_snr
-from calib.measure.detection_statistics import detection_probability, false_alarms, threshold_for_false_alarms
+from calib.measure.centroiding.registry import centroider_class
+from calib.measure.detection.false_alarms import detection_probability, false_alarms, threshold_for_false_alarms
 from calib.records import NoiseModel
 from optics.arrays import FloatArray
 from optics.interpolation import bilinear
@@ -61,7 +61,7 @@ class FrameNoise:
     saturation_e : float
         Electrons of a star in a pixel at which it saturates.
     clipped_ratio : float
-        Noise that clipping finds over the root mean square (`calib.measure.detection_statistics.clipped_noise`).
+        Noise that clipping finds over the root mean square (`calib.measure.detection.false_alarms.clipped_noise`).
     """
 
     pixel: NoiseModel

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from calib.accuracy.budget_comparison import next_draw_variance
 from calib.accuracy.error_budget import ErrorTerm
 from calib.accuracy.high_frequency import position_rms_px, step_rms_px
-from calib.measure.centroid import Centroider
-from calib.measure.expected_windows import (
+from calib.measure.centroid_error.expected_windows import (
     ExpectedWindows,
     PixelStatistics,
     drawn_positions,
@@ -33,6 +32,7 @@ from calib.measure.expected_windows import (
     usable_pixels,
     window_response,
 )
+from calib.measure.centroiding.registry import Centroider
 from calib.records import NoiseModel
 from optics.arrays import FloatArray
 

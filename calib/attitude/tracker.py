@@ -28,9 +28,9 @@ from calib.attitude.star_attitude import identify_stars
 from calib.cameras.base import CameraModel
 from calib.flags import StarFlag
 from calib.measure.background import estimate_background
-from calib.measure.centroid import Centroider, get_centroider
+from calib.measure.centroiding.registry import Centroider, get_centroider
 from calib.measure.find import find_stamps
-from calib.measure.image import image_from_frame, subtract_dark
+from calib.measure.images.sensor_image import image_from_frame, subtract_dark
 from calib.measure.stamps import ring_background, stamps_from_windows
 from calib.records import NoiseModel, Stamps, StarTable
 from optics.arrays import FloatArray
@@ -235,7 +235,7 @@ class StarTracker:
     noise : NoiseModel, optional
         Of a frame minus that mean; the frame's own if left out.
     centroid : str
-        Centroider (`calib.measure.centroid.list_centroiders`).
+        Centroider (`calib.measure.centroiding.registry.list_centroiders`).
     psfs, psf_place_px : sequence of EffectivePsf, (p, 2), optional
         PSFs for a centroider that needs them, and where on the detector they hold; the nearest is taken.
     window_px : int

@@ -7,10 +7,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from calib.measure.background import Background, estimate_background
-from calib.measure.centroid import get_centroider
-from calib.measure.detection import detect
-from calib.measure.filtered_noise import FilteredNoise
-from calib.measure.image import as_image
+from calib.measure.centroiding.registry import get_centroider
+from calib.measure.detection.filtered_noise import FilteredNoise
+from calib.measure.detection.matched_filter import detect
+from calib.measure.images.sensor_image import as_image
 from calib.measure.stamps import extract_stamps
 from calib.records import SensorImage, Stamps, StarTable
 from render.records import Frame
@@ -38,9 +38,9 @@ def find_stars(
     ----------
     image : SensorImage, Frame or (h, w) array
         The image. Of a plain array of digital numbers, offset and noise are estimated from the background
-        (`calib.measure.image.sensor_image`, which also takes gain and read noise where they are known).
+        (`calib.measure.images.sensor_image.sensor_image`, which also takes gain and read noise where they are known).
     centroider : str
-        Name of a centroider (`calib.measure.centroid.list_centroiders`).
+        Name of a centroider (`calib.measure.centroiding.registry.list_centroiders`).
     background, threshold_sigma, fwhm_px, size_px, max_stars, noise : optional
         As in `find_stamps`.
     **options

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.background import estimate_background
-from calib.measure.centroid import get_centroider
-from calib.measure.detection_score import nearest_pairs
+from calib.measure.centroiding.registry import get_centroider
+from calib.measure.detection.scores import nearest_pairs
 from calib.measure.find import find_stamps
-from calib.measure.image import subtract_dark
+from calib.measure.images.sensor_image import subtract_dark
 from calib.records import NoiseModel, StarTable
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -30,7 +30,7 @@ a cell is then known to some 3 %, which at 5 sigma makes a third more false alar
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reduction:
+class FrameReduction:
     """Settings of a reduction: dark frame, noise model, centroider, detection limit."""
 
     dark_dn: NDArray[np.float32]  # (h, w) Mean of frames without light
@@ -70,7 +70,7 @@ class MeasuredFrame:
         return replace(self, stars=replace(self.stars, x_px=pixel_px[:, 0], y_px=pixel_px[:, 1]))
 
 
-def measure_frame(frame: Frame, reduction: Reduction, *, smear_px: float = 0.0) -> MeasuredFrame:
+def measure_frame(frame: Frame, reduction: FrameReduction, *, smear_px: float = 0.0) -> MeasuredFrame:
     """Detect and centroid the stars of a frame.
 
     A PSF at rest does not fit a trail: where the camera turned, as its rate says, positions are first moments under a

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial.legendre import leggrid2d, legvander2d
 
-from calib.measure.detection_score import robust_rms
+from calib.measure.statistics.robust import robust_rms
 from optics.arrays import FloatArray
 
 DEGREE, BLOCKS_PER_TERM = 10, 6

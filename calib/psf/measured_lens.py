@@ -6,10 +6,10 @@ import numpy as np
 
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import as_brown_conrady
-from calib.photometry.response import WAVELENGTHS_NM, aperture_and_transmission, fit_response
+from calib.photometry.spectral_response import WAVELENGTHS_NM, aperture_and_transmission, fit_response
 from calib.photometry.zero_point import PhotometricSolution
-from calib.psf.by_wavelength import PSF_WAVES_NM, mixture_table
-from calib.psf.mixture import MixturePsf
+from calib.psf.chromatic_psf import PSF_WAVES_NM, mixture_table
+from calib.psf.gaussian_mixture import MixturePsf
 from optics.arrays import FloatArray
 from optics.lens.measured import MeasuredLens
 from optics.response import Response
@@ -43,7 +43,7 @@ def lens_from_stars(
     pitch_mm, exposure_s : float
         Pixel pitch and exposure time: frames of stars determine angles per pixel and electrons per exposure only.
     efficiency : (w,)
-        Quantum efficiency of the detector at `calib.photometry.response.WAVELENGTHS_NM`.
+        Quantum efficiency of the detector at `calib.photometry.spectral_response.WAVELENGTHS_NM`.
     aperture_mm : float, optional
         Diameter of the entrance pupil; the smallest that the light allows if left out.
     name, source, date : str

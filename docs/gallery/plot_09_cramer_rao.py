@@ -9,7 +9,7 @@ element tilts the map.
 import numpy as np
 from matplotlib import pyplot as plt
 
-from calib.measure.centroid_prediction import predict_centroids
+from calib.measure.centroid_error.prediction import predict_centroids
 from calib.records import NoiseModel
 from optics import TopHat, decentre, load_lens
 from render import load_star_sensor, star_light

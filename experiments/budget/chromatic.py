@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.accuracy.budget_comparison import next_draw_variance
 from calib.accuracy.chromatic import rms_shift_px, shifts, table1
 from calib.accuracy.error_budget import ErrorTerm
-from calib.measure.expected_windows import drawn_positions, noiseless_positions
+from calib.measure.centroid_error.expected_windows import drawn_positions, noiseless_positions
 from experiments.budget.laboratory import Laboratory
 from experiments.harness.sections import Section, col
 from experiments.harness.summary import Measured, measured

@@ -19,7 +19,7 @@ from calib.attitude.attitude_solution import solve_wahba
 from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import fit_camera
-from calib.measure.reduced_frame import MeasuredFrame, Reduction, measure_frame
+from calib.measure.reduced_frame import FrameReduction, MeasuredFrame, measure_frame
 from experiments.camera.comparison import ChartFrames, Rendered, SkyFrames, noise_of_chart
 from experiments.camera.manufacture import CHOSEN, Manufactured, RenderedLens
 from experiments.camera.operation import moving
@@ -104,7 +104,7 @@ class _Bench:
         self.match_px = max(MATCH_PX, MATCH_WIDTHS * processing.fwhm_px)
         if dark_dn is None:
             dark_dn = mean_dark_frame(sensor, config.dark_frames, streams=self.streams, label="dark")
-        self.reduction = Reduction(
+        self.reduction = FrameReduction(
             dark_dn=dark_dn,
             noise=processing.noise,
             centroid=config.centroid,

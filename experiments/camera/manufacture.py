@@ -19,7 +19,7 @@ import numpy as np
 
 from calib.accuracy.attitude_forecast import with_noise_scaled
 from calib.accuracy.distortion import map_change_px, polynomial_rms_px
-from calib.measure.centroid_prediction import predict_centroids
+from calib.measure.centroid_error.prediction import predict_centroids
 from experiments.camera.settings import Config
 from experiments.harness.drawings import bars
 from experiments.harness.quantities import Quantities

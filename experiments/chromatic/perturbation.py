@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from calib.accuracy.chromatic import shifts, table1
-from calib.measure.target_points import SEARCH_MARGIN_PX
+from calib.measure.targets.target_points import SEARCH_MARGIN_PX
 from experiments.chromatic.settings import Config
 from experiments.harness.progress import Progress
 from experiments.harness.sections import Section, col

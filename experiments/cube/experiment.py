@@ -10,16 +10,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from calib.measure.circle_fit import CircleFit
-from calib.measure.screen_circles import ScreenPicture
-from experiments.cube.bench import (
-    Case,
-    Laboratory,
-    Truth,
-    build_laboratory,
-    build_table,
-    draw_truths,
-)
+from calib.measure.targets.circle_fit import CircleFit
+from calib.measure.targets.screen_circles import ScreenPicture
+from experiments.cube.bench import Case, Laboratory, Truth, build_laboratory, build_table, draw_truths
 from experiments.cube.budget import (
     BUDGET,
     DETECTOR_RELATIVE,

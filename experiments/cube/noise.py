@@ -1,10 +1,11 @@
 """Noise of pictures and sun sensor, predicted from detector, light and geometry without pictures or fits.
 
-Pictures: `calib.measure.circle_noise` for the detector; the particles of the rendering add noise that a laboratory does
-not have (`render.bench.spot`). The rim of the spot and its slope follow from the overlap of two circles.
+Pictures: `calib.measure.targets.circle_noise` for the detector; the particles of the rendering add noise that a
+laboratory does not have (`render.bench.spot`). The rim of the spot and its slope follow from the overlap of two
+circles.
 
-Sun sensor: closed form of a centre of light (`calib.measure.moments`); the noise of spots and readings at each position
-is propagated through the least squares of a pinhole on a table (`calib.calibration.mask_sensor`).
+Sun sensor: closed form of a centre of light (`calib.measure.centroiding.moments`); the noise of spots and readings at
+each position is propagated through the least squares of a pinhole on a table (`calib.calibration.mask_sensor`).
 """
 
 from __future__ import annotations
@@ -15,9 +16,15 @@ import numpy as np
 
 from calib.calibration.mask_sensor import mask_sensor_noise
 from calib.calibration.table_axes import TableAxes
-from calib.measure.circle_noise import Contour, blurred_step_slope, centre_variance_px2, light_offsets_px, rim_contour
-from calib.measure.moments import disk_centre_variance_px2
-from calib.measure.screen_circles import BESIDE_PX, EDGE_HALF_WIDTH_PX, RAYS, RIM_LEVEL, SPOKES
+from calib.measure.centroiding.moments import disk_centre_variance_px2
+from calib.measure.targets.circle_noise import (
+    Contour,
+    blurred_step_slope,
+    centre_variance_px2,
+    light_offsets_px,
+    rim_contour,
+)
+from calib.measure.targets.screen_circles import BESIDE_PX, EDGE_HALF_WIDTH_PX, RAYS, RIM_LEVEL, SPOKES
 from experiments.cube.bench import Laboratory
 from experiments.cube.sensor import EXPOSURE_S, field_angles
 from optics.arrays import FloatArray

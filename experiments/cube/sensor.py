@@ -9,7 +9,7 @@ import numpy as np
 from calib.calibration.mask_sensor import MaskSensorCalibration, calibrate_mask_sensor
 from calib.calibration.table_axes import TableAxes
 from calib.cameras import SensorGeometry
-from calib.measure.moments import centre_of_light
+from calib.measure.centroiding.moments import centre_of_light
 from experiments.cube.bench import Laboratory, Truth
 from experiments.cube.settings import Config
 from experiments.laboratory.devices.turntable import Turntable

@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.screen_circles import ScreenPicture, SpotOffset, fit_aperture, fit_hole, fit_spot, measure_offset
-from experiments.cube.bench import (
-    Case,
-    Laboratory,
-    Truth,
-    check_landing,
-    put_cube,
-    start_angles,
+from calib.measure.targets.screen_circles import (
+    ScreenPicture,
+    SpotOffset,
+    fit_aperture,
+    fit_hole,
+    fit_spot,
+    measure_offset,
 )
+from experiments.cube.bench import Case, Laboratory, Truth, check_landing, put_cube, start_angles
 from experiments.cube.settings import Config
 from experiments.laboratory.devices.turntable import Turntable
 from optics.arrays import FloatArray

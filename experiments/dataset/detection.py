@@ -17,17 +17,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from calib.flags import UNFIT, StarFlag, has_flag
-from calib.measure.centroid_prediction import CentroidBound, centroid_bound
-from calib.measure.detection_score import (
-    completeness_magnitude,
-    missed_limit,
-    nearest_pairs,
-    rate_excess_sigma,
-    robust_ratio_limit,
-    robust_rms,
-    robust_scatter,
-)
+from calib.measure.centroid_error.prediction import CentroidBound, centroid_bound
+from calib.measure.detection.limiting_magnitude import limiting_magnitude
+from calib.measure.detection.scores import missed_limit, nearest_pairs, rate_excess_sigma, robust_ratio_limit
 from calib.measure.reduced_frame import SMEAR_PX, MeasuredFrame
+from calib.measure.statistics.robust import robust_rms, robust_scatter
 from experiments.dataset.truth import FLAGS
 from experiments.harness.drawings import curves
 from experiments.harness.quantities import Outcome
@@ -183,7 +177,7 @@ BRIGHT_SNR = 10.0
 """From here on a star that nothing disturbs is detected."""
 BOUND_SNR = (8.0, 25.0)
 """Between these noise alone decides: below, only stars that the noise helped are seen; above, colours and response."""
-FEWEST_IN_BIN, FEWEST_FOR_HALF = 8, 5
+FEWEST_IN_BIN = 8
 """Stars in a bin for a centroid error, and for a share of detected stars to count."""
 BOUND_STARS = 300
 """Fewer tell the ratio to worse than 5 %: an excess of 25 % would pass."""
@@ -303,7 +297,7 @@ def detection(
             bright_undisturbed=undisturbed,
             bright_missed=1.0 - undisturbed if np.isfinite(undisturbed) else None,
             bright_missed_limit=missed_limit(int(even.sum()), MISSED_SHARE, FALSE_ALARM),
-            magnitude_of_half=magnitude_of_half(fine),
+            magnitude_of_half=limiting_magnitude(stars.magnitude[stars.clean], stars.matched[stars.clean]),
             false_all=len(stars.false) / stars.frames,
             false_not_flagged=lonely / stars.frames,
             false_in_empty_frames=empty_detections / empty_frames,
@@ -348,13 +342,6 @@ def snr_edges(snr: FloatArray) -> FloatArray:
     if not positive.max(initial=0.0) > LEAST_SNR:
         return np.ones(2)
     return np.geomspace(max(LEAST_SNR, positive.min()), positive.max() * 1.001, SNR_BINS + 1)
-
-
-def magnitude_of_half(fine: Sequence[CompletenessBin]) -> float:
-    """Magnitude where the share of detected stars falls below one half for good; NaN where it never does."""
-    enough = [share for share in fine if share.stars >= FEWEST_FOR_HALF]
-    middle, share = np.array([[bin_.bin, bin_.share_found.value] for bin_ in enough], float).reshape(-1, 2).T
-    return completeness_magnitude(middle, share)
 
 
 def mean_of(values: NDArray[np.bool_], which: NDArray[np.bool_]) -> float:

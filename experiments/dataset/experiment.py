@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calib.cameras.fit import fit_camera
-from calib.measure.reduced_frame import Reduction, measure_frame
+from calib.measure.reduced_frame import FrameReduction, measure_frame
 from experiments.dataset import detection, solve
 from experiments.dataset.calibration import write_calibration
 from experiments.dataset.card import about, chosen, write_closing_files
@@ -228,7 +228,7 @@ def evaluate(
     dark = mean_dark_frame(instrument, dark_frames, streams=streams, label=EMPTY)
     temperature_k = float(np.median(scene.sky.temperature_k))
     psfs = render_psf_grid(instrument, scene.light, temperature_k=temperature_k, window_px=config.window_px)
-    reduction = Reduction(
+    reduction = FrameReduction(
         dark_dn=dark,
         noise=true_noise(instrument, dark_frames=dark_frames),
         centroid=config.centroid,

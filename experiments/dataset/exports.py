@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.footprints import footprint_px
+from calib.measure.detection.footprints import footprint_px
 from experiments.dataset.folder import storage_error, write_whole
 from experiments.dataset.labels import CLASSES, Label, pixels_of_ellipse
 from experiments.dataset.scene import LAST_PLANET_ID

@@ -26,8 +26,8 @@ from calib.attitude.identify import Identification, identify
 from calib.attitude.pattern_cache import kept_database
 from calib.attitude.star_attitude import FEWEST, MATCH_PX, balanced_attitude, identify_stars
 from calib.cameras.base import CameraModel
-from calib.measure.detection_score import rms_pull, robust_median
 from calib.measure.reduced_frame import MeasuredFrame
+from calib.measure.statistics.robust import rms_pull, robust_median
 from experiments.harness.drawings import cloud
 from experiments.harness.quantities import Quantities
 from experiments.harness.sections import Section, below, col, ratio_near

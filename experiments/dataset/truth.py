@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.detection_score import flux_snr
-from calib.measure.footprints import footprint_bits, footprint_px, overlapping
+from calib.measure.centroid_error.cramer_rao_bound import flux_snr
+from calib.measure.detection.footprints import footprint_bits, footprint_px, overlapping
 from optics.arrays import FloatArray
 from optics.frames import equatorial_deg
 
@@ -75,7 +75,7 @@ FLAGS = {
     "no_light": (64, "none of its light reaches the detector"),
     "hidden": (128, "a body hides it from the aperture or a part of it"),
 }
-"""Name -> (bit, meaning); footprints: `calib.measure.footprints`."""
+"""Name -> (bit, meaning); footprints: `calib.measure.detection.footprints`."""
 
 SHARE_LOST = 1e-3
 VIGNETTED_SHARE = 0.01

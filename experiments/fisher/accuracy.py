@@ -43,7 +43,7 @@ from calib.directional.vector_scatter import (
     scatter_of_own_data,
     vector_sigma_arcsec,
 )
-from calib.measure.epsf import smeared_epsfs
+from calib.measure.epsf.bspline import smeared_epsfs
 from experiments.fisher.settings import Config
 from experiments.harness.drawings import bars, cloud
 from experiments.harness.progress import Progress

@@ -23,8 +23,8 @@ from calib.attitude.tracker import GuideCatalogue, expected_guides
 from calib.cameras.base import CameraModel
 from calib.cameras.field_map import FieldMap, fit_field_map, fit_similarity
 from calib.cameras.fit import fit_camera
-from calib.measure.centroid import centroider_class
-from calib.measure.centroid_prediction import fit_bias
+from calib.measure.centroid_error.prediction import fit_bias
+from calib.measure.centroiding.registry import centroider_class
 from experiments.flight.scenario import Flight
 from experiments.flight.settings import Config
 from experiments.laboratory.sensor_prediction import CameraPrediction, detector_radii, predict_camera

@@ -15,7 +15,7 @@ from calib.accuracy.high_frequency import (
     step_rms_px,
 )
 from calib.accuracy.step_prediction import CAUSES, StepPrediction
-from calib.measure.expected_windows import expected_windows, noiseless_positions
+from calib.measure.centroid_error.expected_windows import expected_windows, noiseless_positions
 from experiments.harness.drawings import bars, cloud, curves
 from experiments.harness.progress import Progress
 from experiments.harness.quantities import Quantities

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.accuracy.chromatic import Pair, shift_sigma, table1_sigma
-from calib.measure.expected_windows import pattern_shifts_px
-from calib.measure.linear_response import centroid_variance, linear_response, tight
+from calib.measure.centroid_error.expected_windows import pattern_shifts_px
+from calib.measure.centroid_error.linear_response import centroid_variance, linear_response, tight
 from calib.measure.stamps import centre_of_gravity
 from experiments.laboratory.bench.point_bench import Bench
 from experiments.laboratory.bench.points import PointFrames, PointLight, filter_scene, read_points

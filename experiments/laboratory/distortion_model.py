@@ -20,9 +20,14 @@ from calib.accuracy.distortion_prediction import (
     expected_map_error,
     expected_numbers,
 )
-from calib.measure.centroid import Centroider
-from calib.measure.expected_windows import ExpectedWindows, drawn_positions, noiseless_positions, window_response
-from calib.measure.frame_positions import position_covariance_px2
+from calib.measure.centroid_error.expected_windows import (
+    ExpectedWindows,
+    drawn_positions,
+    noiseless_positions,
+    window_response,
+)
+from calib.measure.centroiding.registry import Centroider
+from calib.measure.statistics.frame_positions import position_covariance_px2
 from calib.records import NoiseModel
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.point_bench import Bench, centroiders, one_filter, session_centroiders

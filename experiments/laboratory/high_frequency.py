@@ -23,8 +23,8 @@ from calib.accuracy.high_frequency import (
     step_rms_px,
 )
 from calib.accuracy.step_prediction import CAUSES
-from calib.measure.frame_positions import common_motion_px2, frame_statistics
 from calib.measure.stamps import noiseless_stamps
+from calib.measure.statistics.frame_positions import common_motion_px2, frame_statistics
 from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method
 from experiments.laboratory.bench.points import PointLight, PointScene, Subtraction, read_points, scene_of
 from experiments.laboratory.bench.readout.frames import nominal_noise
@@ -66,7 +66,7 @@ class HighFrequencyMeasurement:
     corner_px: NDArray[np.int64]  # (m, j, 2) First pixels of the windows
     moving: bool  # Whether the line of sight moves from frame to frame, all stars alike
     # (m, 2, 2) What the stars have in common in the frames
-    # (`calib.measure.frame_positions.common_motion_px2`)
+    # (`calib.measure.statistics.frame_positions.common_motion_px2`)
     motion_px2: FloatArray
 
     @property

@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 from calib.accuracy.attitude_forecast import AttitudeForecast, Sightings, attitude_forecast
 from calib.accuracy.star_errors import DetectionLimit, FrameNoise, StarErrors, colour_distance, mean_snr, star_errors
 from calib.attitude.tracker import GuideCatalogue, guide_catalogue
-from calib.measure.centroid import get_centroider
-from calib.measure.detection_statistics import clipped_noise
+from calib.measure.centroiding.registry import get_centroider
+from calib.measure.detection.false_alarms import clipped_noise
 from calib.records import NoiseModel
 from experiments.harness.config import load_config
 from experiments.harness.sections import col

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from calib.accuracy.error_budget import ErrorTerm
 from calib.accuracy.temporal import expected_temporal_error, temporal_error
-from calib.measure.expected_windows import bound_px, drawn_positions, followed_px, window_response
-from calib.measure.frame_positions import common_motion_px2
+from calib.measure.centroid_error.expected_windows import bound_px, drawn_positions, followed_px, window_response
+from calib.measure.statistics.frame_positions import common_motion_px2
 from experiments.laboratory.bench.point_bench import Bench, centroiders, motion_method, one_filter
 from experiments.laboratory.bench.points import PointLight, PointScene, read_points, scene_of
 from experiments.laboratory.bench.ray_prediction import bundle_prediction, target_windows
@@ -33,7 +33,7 @@ class TemporalMeasurement:
     sigma_px: Mapping[str, FloatArray]  # (l, j, 2) By method
     light: PointLight  # The target as rendered, at the signal of the bench
     position_px: Mapping[str, FloatArray]  # (l, f, j, 2) Centroids, dark-subtracted
-    # (l, 2, 2) What the stars have in common (`calib.measure.frame_positions.common_motion_px2`)
+    # (l, 2, 2) What the stars have in common (`calib.measure.statistics.frame_positions.common_motion_px2`)
     motion_px2: FloatArray
 
     def temporal_error(self, method: str, level: int = 0) -> ErrorTerm:

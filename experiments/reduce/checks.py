@@ -4,21 +4,21 @@ Every number has its own statistic, and none needs more than the frames:
 
 ``gain``
     Photon transfer of flats (`calib.detector.photon_transfer`), if there are several; else of the windows
-    (`calib.detector.window_transfer`).
+    (`calib.detector.window_photon_transfer`).
 ``motion``
     What all points of a frame have in common, against the noise of the points by Fisher's F
-    (`calib.measure.frame_positions`).
+    (`calib.measure.statistics.frame_positions`).
 ``moved``, ``light``, ``lag``
     Jumps and drift of position and light, correlation from frame to frame (`calib.accuracy.frame_sequence`).
 ``shared``
-    Noise that two frames have in common (`calib.detector.window_transfer`).
+    Noise that two frames have in common (`calib.detector.window_photon_transfer`).
 ``noise``
     Standard deviation of the centroids over that of the noise model.
 ``copies``, ``disorder``
     Frames of the folder that equal another one; frames that were taken before the one that they follow.
 ``step``, ``clipped``, ``zero``
     Common divisor of all readings; how often the highest reading comes against the four below it; fraction of readings
-    of 0 (`calib.detector.converter`).
+    of 0 (`calib.detector.adc_range`).
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from functools import partial
 import numpy as np
 
 from calib.accuracy.frame_sequence import Change, largest_change, scatter_ratio
-from calib.detector.converter import converter_range
+from calib.detector.adc_range import converter_range
 from calib.detector.photon_transfer import PhotonTransfer
-from calib.detector.window_transfer import FEWEST_PIXELS, common_noise, window_photon_transfer
-from calib.measure.frame_positions import common_motion_limit, common_motion_px2
+from calib.detector.window_photon_transfer import FEWEST_PIXELS, common_noise, window_photon_transfer
+from calib.measure.statistics.frame_positions import common_motion_limit, common_motion_px2
 from experiments.harness.quantities import Outcome
 from experiments.harness.sections import Section, Verdict, below, col, ratio_near, two_sided_limit
 from experiments.harness.summary import Measured

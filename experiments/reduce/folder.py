@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.flags import StarFlag, has_flag
-from calib.measure.detection import detect
-from calib.measure.image import sensor_image
-from calib.measure.target_points import match_points
+from calib.measure.detection.matched_filter import detect
+from calib.measure.images.sensor_image import sensor_image
+from calib.measure.targets.target_points import match_points
 from experiments.laboratory.bench.readout.windows import cut_windows, window_corners
 from experiments.reduce.frames import (
     Flat,

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from calib.accuracy.frame_sequence import common_part, effective_frames, lag_one
 from calib.detector.fixed_pattern import reduced_variance
-from calib.measure.centroid import get_centroider
-from calib.measure.frame_positions import measured_positions
-from calib.measure.linear_response import centroid_covariance, linear_response, tight
+from calib.measure.centroid_error.linear_response import centroid_covariance, linear_response, tight
+from calib.measure.centroiding.registry import get_centroider
 from calib.measure.reduced_windows import dark_subtracted, refuse_saturated, ring_subtracted
+from calib.measure.statistics.frame_positions import measured_positions
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.point_bench import refuse_few_frames
 from experiments.laboratory.bench.points import PointFrames

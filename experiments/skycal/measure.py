@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.background import estimate_background
-from calib.measure.centroid import get_centroider
+from calib.measure.centroiding.registry import get_centroider
+from calib.measure.epsf.field_interpolation import PsfBank
 from calib.measure.find import find_stamps
-from calib.measure.image import subtract_dark
-from calib.measure.psf_bank import PsfBank
+from calib.measure.images.sensor_image import subtract_dark
 from calib.records import NoiseModel, Stamps, StarTable
 from experiments.harness.system import prompt_pool
 from experiments.laboratory.bench.centroid_methods import needs_epsf

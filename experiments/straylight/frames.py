@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.star_attitude import identify_stars, solve_attitude
 from calib.cameras.fit import fit_camera
-from calib.measure.reduced_frame import MeasuredFrame, Reduction, measure_frame
+from calib.measure.reduced_frame import FrameReduction, MeasuredFrame, measure_frame
 from experiments.laboratory.bench.centroid_methods import needs_epsf
 from experiments.laboratory.bench.readout.frames import mean_dark_frame, true_noise
 from experiments.straylight.settings import Config
@@ -79,7 +79,7 @@ class SunFields:
             psfs = render_psf_grid(
                 instrument, self.simulator.light, temperature_k=TYPICAL_K, window_px=config.window_px, long_side=7
             )
-        self.reduction = Reduction(
+        self.reduction = FrameReduction(
             dark_dn=mean_dark_frame(instrument, config.dark_frames, streams=streams, label="dark"),
             noise=true_noise(instrument, dark_frames=config.dark_frames),
             centroid=config.centroid,

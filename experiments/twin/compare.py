@@ -15,14 +15,20 @@ import numpy as np
 from calib.attitude.identify_unknown_scale import BlindIdentifier
 from calib.calibration.frame_attitudes import frame_attitude, predicted_residuals, split_half_error_arcsec
 from calib.calibration.observations import Observations
-from calib.detector.sky_transfer import SkyBlocks, averaging_ratio, neighbour_correlation, sky_blocks, tail_fraction
+from calib.detector.sky_photon_transfer import (
+    SkyBlocks,
+    averaging_ratio,
+    neighbour_correlation,
+    sky_blocks,
+    tail_fraction,
+)
 from calib.flags import StarFlag, has_flag
-from calib.measure.completeness import limiting_magnitude
-from calib.measure.filtered_noise import FilteredNoise
-from calib.measure.robust import clipped_mean, quantile_sigma, rms_within
+from calib.measure.detection.filtered_noise import FilteredNoise
+from calib.measure.detection.limiting_magnitude import limiting_magnitude
+from calib.measure.statistics.robust import clipped_mean, quantile_sigma, rms_within
 from calib.photometry.zero_point import fit_photometry
-from calib.psf.mixture import COLOUR_NAMES
-from calib.psf.windows import isolated
+from calib.psf.gaussian_mixture import COLOUR_NAMES
+from calib.psf.star_windows import isolated
 from calib.records import SensorImage
 from experiments.twin.measure import CameraFit, PreparedNight, star_fluxes
 from experiments.twin.night import PAIR_PX, detections, field_stars, identify, masked_pixels

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.measure.completeness import empty_fraction
-from calib.measure.trails import star_shape
+from calib.measure.detection.limiting_magnitude import empty_fraction
+from calib.measure.detection.trails import star_shape
 from calib.records import SensorImage
 from experiments.twin.night import Detections, FrameSolution
 from optics.units import RAD_ARCSEC

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from calib.measure.image import read_image
+from calib.measure.images.sensor_image import read_image
 from calib.records import SensorImage
 from optics.errors import ConfigError, StarbenchError
 

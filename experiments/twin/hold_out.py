@@ -15,9 +15,9 @@ import numpy as np
 
 from calib.attitude.identify_unknown_scale import BlindIdentifier
 from calib.calibration.frame_attitudes import camera_residuals
-from calib.detector.sky_transfer import BLOCK_PX
-from calib.measure.detection import detection_noise
-from calib.measure.filtered_noise import FilteredNoise
+from calib.detector.sky_photon_transfer import BLOCK_PX
+from calib.measure.detection.filtered_noise import FilteredNoise
+from calib.measure.detection.matched_filter import detection_noise
 from calib.measure.sky_surface import sky_surface
 from calib.photometry.zero_point import POGSON, scatter_at
 from calib.records import SensorImage

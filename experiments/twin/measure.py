@@ -25,13 +25,13 @@ from calib.calibration.frame_attitudes import frame_attitudes
 from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
 from calib.cameras.base import CameraModel
-from calib.detector.sky_transfer import SkyBlocks, SkyNoise, sky_blocks, sky_photon_transfer
+from calib.detector.sky_photon_transfer import SkyBlocks, SkyNoise, sky_blocks, sky_photon_transfer
 from calib.flags import UNFIT, has_flag
-from calib.measure.centroid import get_centroider
+from calib.measure.centroiding.registry import get_centroider
 from calib.measure.stamps import extract_stamps
 from calib.photometry.zero_point import POGSON, PhotometricSolution, fit_photometry
-from calib.psf.mixture import MixturePsf, StarWindows, colour_class, fit_psf, psf_fluxes
-from calib.psf.windows import star_windows
+from calib.psf.gaussian_mixture import MixturePsf, StarWindows, colour_class, fit_psf, psf_fluxes
+from calib.psf.star_windows import star_windows
 from calib.records import StarTable
 from experiments.twin.night import FieldStars, IdentifiedFrame, SolvedNight, field_stars, masked_pixels
 from optics.arrays import FloatArray, IntArray

@@ -15,18 +15,18 @@ from calib.attitude.association import associate
 from calib.attitude.identify import Identification
 from calib.attitude.identify_unknown_scale import BlindIdentifier
 from calib.cameras.base import CameraModel
-from calib.detector.sky_transfer import SkyNoise
+from calib.detector.sky_photon_transfer import SkyNoise
 from calib.flags import StarFlag, has_flag
 from calib.measure.background import Background, estimate_background
-from calib.measure.centroid import get_centroider
-from calib.measure.completeness import detected_stars
-from calib.measure.detection import detect
-from calib.measure.filtered_noise import FilteredNoise
+from calib.measure.centroiding.registry import get_centroider
+from calib.measure.detection.filtered_noise import FilteredNoise
+from calib.measure.detection.limiting_magnitude import detected_stars
+from calib.measure.detection.matched_filter import detect
 from calib.measure.stamps import extract_stamps
 from calib.photometry.atmosphere import airmass, refracted
-from calib.photometry.response import REFERENCE_K
-from calib.psf.mixture import colour_class
-from calib.psf.windows import starlit_pixels
+from calib.photometry.spectral_response import REFERENCE_K
+from calib.psf.gaussian_mixture import colour_class
+from calib.psf.star_windows import starlit_pixels
 from calib.records import FLUX, NoiseModel, SensorImage, StarTable
 from experiments.harness.progress import Progress
 from optics.arrays import FloatArray, IntArray

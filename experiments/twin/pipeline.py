@@ -16,7 +16,7 @@ from calib.calibration.record import Calibration
 from calib.cameras import BrownConrady, SensorGeometry
 from calib.detector.hot_pixels import find_hot_pixels
 from calib.fitting.misfit import chi_square_minimum
-from calib.measure.completeness import clouded_fraction
+from calib.measure.detection.limiting_magnitude import clouded_fraction
 from calib.photometry.atmosphere import SiteZenith, fit_zenith, zenith_directions
 from experiments.harness.progress import Progress
 from experiments.twin.faults import likely_fault, shape_words

@@ -1,7 +1,7 @@
 """A known prescription in place of the measured lens: focus, tilt and decentre of its detector, fitted to the frames.
 
 Widths of Gaussian fits over the field are compared with fits to the prescription's own PSFs, rendered by rays at
-several shifts of the detector (`calib.psf.detector_pose`). Decentre is the principal point of the lens minus that of
+several shifts of the detector (`calib.psf.focus_tilt`). Decentre is the principal point of the lens minus that of
 the camera.
 """
 
@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from calib.calibration.camera_order import as_calibrated
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import camera_model
-from calib.psf.detector_pose import WINDOW_PX, DetectorPose, fit_detector_pose, gaussian_widths
+from calib.psf.focus_tilt import WINDOW_PX, DetectorPose, fit_detector_pose, gaussian_widths
 from experiments.harness.sections import col
 from experiments.harness.summary import Measured, measured
 from experiments.twin.compare import BRIGHT_MAG

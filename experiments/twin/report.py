@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from calib.calibration.frame_attitudes import camera_residuals
 from calib.fitting.misfit import two_sided_quantile
-from calib.measure.completeness import completeness
-from calib.measure.separability import FEATURES, Separability, separability, window_features
+from calib.measure.detection.limiting_magnitude import completeness
+from calib.measure.statistics.separability import FEATURES, Separability, separability, window_features
 from calib.photometry.zero_point import COLOUR_KNOTS
 from experiments.harness.drawings import bars, curves
 from experiments.harness.quantities import Outcome, Quantities, shown_unit

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from calib.cameras.base import CameraModel
 from calib.cameras.fit import camera_model
 from calib.cameras.line_of_sight import line_of_sight_map
-from calib.measure.image import sensor_image
-from calib.photometry.response import REFERENCE_K
+from calib.measure.images.sensor_image import sensor_image
+from calib.photometry.spectral_response import REFERENCE_K
 from calib.photometry.zero_point import noiseless_zero_point
 from experiments.harness.progress import Progress
 from experiments.harness.summary import Measured

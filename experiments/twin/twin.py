@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.detector.sky_transfer import lognormal_dark
-from calib.photometry.response import WAVELENGTHS_NM
+from calib.detector.sky_photon_transfer import lognormal_dark
+from calib.photometry.spectral_response import WAVELENGTHS_NM
 from calib.psf.measured_lens import lens_from_stars
 from calib.records import NoiseModel, SensorImage
 from experiments.twin.measure import CameraFit

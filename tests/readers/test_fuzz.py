@@ -21,7 +21,7 @@ from astropy.io import fits
 from astropy.table import Table
 from refusals import refuses
 
-from calib.measure.image import read_image
+from calib.measure.images.sensor_image import read_image
 from experiments.dataset.plan import read_attitudes, read_motion
 from experiments.dataset.settings import DatasetConfig
 from experiments.dataset.truth import COLUMNS, FrameRecord

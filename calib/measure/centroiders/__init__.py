@@ -1,1 +1,1 @@
-"""The centroiders, one per file; `calib.measure.centroid` is their interface and registry."""
+"""The centroiders, one per file; `calib.measure.centroiding.registry` is their interface and registry."""

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.measure.moments import gravity_table, light_above_background
-from calib.measure.options import check_options, option
-from calib.measure.pixel_phase import PhaseTable, measure_with_phase
+from calib.measure.centroid_error.s_curve import PhaseTable, measure_with_phase
+from calib.measure.centroiding.moments import gravity_table, light_above_background
+from calib.measure.centroiding.options import check_options, option
 from calib.records import NoiseModel, Stamps, StarTable
 from optics.arrays import FloatArray
 
@@ -34,7 +34,7 @@ class CentreOfGravity:
         return measure_with_phase(self, stamps, noise)
 
     def measure_by(self, stamps: Stamps, noise: NoiseModel, known: PhaseTable | None) -> StarTable:
-        """The same, width and error by pixel phase from a table (`calib.measure.pixel_phase`)."""
+        """The same, width and error by pixel phase from a table (`calib.measure.centroid_error.s_curve`)."""
         light, used = light_above_background(stamps, self.half_width_px)
         return gravity_table(stamps, noise, known, weight=light, light=light, used=used)
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from calib.measure.epsf import EpsfModel, epsf_bank
-from calib.measure.maximum_likelihood import LikelihoodFit
+from calib.measure.centroiding.maximum_likelihood import LikelihoodFit
+from calib.measure.epsf.bspline import EpsfModel, epsf_bank
 from calib.records import Stamps
 from optics.errors import DomainError
 from render.records import EffectivePsf
@@ -15,7 +15,8 @@ from render.records import EffectivePsf
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpsfCentroider(LikelihoodFit):
-    """Effective-PSF maximum likelihood of x, y and flux (and background), see `calib.measure.maximum_likelihood`.
+    """Effective-PSF maximum likelihood of x, y and flux (and background), see
+    `calib.measure.centroiding.maximum_likelihood`.
 
     Positions refer to the origin of the `EffectivePsf`; its scale defines the flux.
 
@@ -24,7 +25,7 @@ class EpsfCentroider(LikelihoodFit):
     epsf : EffectivePsf or sequence of EffectivePsf
         The PSF; of several, ``Stamps.psf_index`` picks each star's own.
     fit_background, max_shift_px, tolerance, max_iterations
-        As in `calib.measure.maximum_likelihood.LikelihoodFit`.
+        As in `calib.measure.centroiding.maximum_likelihood.LikelihoodFit`.
     """
 
     name: ClassVar[str] = "epsf"

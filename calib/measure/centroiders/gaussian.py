@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from calib.flags import StarFlag
-from calib.measure.gaussian import LN_SIGMA_X, LN_SIGMA_Y, WIDTH_PRIOR_LN, WIDTH_PRIOR_PX, GaussianModel
-from calib.measure.maximum_likelihood import LikelihoodFit, PixelFit
-from calib.measure.options import option
+from calib.measure.centroiding.gaussian import LN_SIGMA_X, LN_SIGMA_Y, WIDTH_PRIOR_LN, WIDTH_PRIOR_PX, GaussianModel
+from calib.measure.centroiding.maximum_likelihood import LikelihoodFit, PixelFit
+from calib.measure.centroiding.options import option
 from calib.records import Stamps
 from optics.arrays import FloatArray
 
@@ -21,13 +21,14 @@ NARROWEST_PX = 0.25
 SHARP_PX, SHARP_MISFIT = 0.75, 25.0
 """Stars narrower than this whose pixels differ from a Gaussian by this much chi-square are flagged ``PIXEL_PHASE``: of
 a core sharper than the Gaussian, the error by pixel phase is about a tenth of the root of the misfit, in standard
-deviations, so half of one here (`tests/calib/measure/test_sharp_stars.py`). Gaussian stars have none at any width."""
+deviations, so half of one here (`tests/calib/measure/centroiding/test_sharp_stars.py`). Gaussian stars have none at any
+width."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GaussianCentroider(LikelihoodFit):
     """Maximum likelihood of x, y, flux and widths of a pixel-integrated Gaussian, see
-    `calib.measure.maximum_likelihood`.
+    `calib.measure.centroiding.maximum_likelihood`.
 
     Attributes
     ----------
@@ -36,7 +37,7 @@ class GaussianCentroider(LikelihoodFit):
     sigma_start_px : float
         First guess of the widths.
     fit_background, max_shift_px, tolerance, max_iterations
-        As in `calib.measure.maximum_likelihood.LikelihoodFit`.
+        As in `calib.measure.centroiding.maximum_likelihood.LikelihoodFit`.
     """
 
     name: ClassVar[str] = "gaussian"

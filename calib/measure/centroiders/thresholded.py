@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.measure.centroid_error.s_curve import PhaseTable
 from calib.measure.centroiders.centre_of_gravity import CentreOfGravity
-from calib.measure.moments import gravity_table, light_above_background
-from calib.measure.options import option
-from calib.measure.pixel_phase import PhaseTable
+from calib.measure.centroiding.moments import gravity_table, light_above_background
+from calib.measure.centroiding.options import option
 from calib.records import NoiseModel, Stamps, StarTable
 
 

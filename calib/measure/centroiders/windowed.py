@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.flags import StarFlag
-from calib.measure.moments import (
+from calib.measure.centroid_error.s_curve import PhaseTable, measure_with_phase
+from calib.measure.centroiding.moments import (
     FWHM_PER_SIGMA,
     Moments,
     half_light_radius,
@@ -18,8 +19,7 @@ from calib.measure.moments import (
     pixel_variance,
     powers,
 )
-from calib.measure.options import check_options, option
-from calib.measure.pixel_phase import PhaseTable, measure_with_phase
+from calib.measure.centroiding.options import check_options, option
 from calib.records import FLUX, NoiseModel, Stamps, StarTable
 from optics.arrays import FloatArray
 

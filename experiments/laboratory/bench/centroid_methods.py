@@ -1,9 +1,9 @@
 """Centroiders of configurations.
 
-Names, checks and labels come from the registry (`calib.measure.centroid`): a centroider added there is available in
-every experiment. A centroider that needs an ePSF makes two *methods* if an experiment has several PSFs: under its own
-name every place and filter is measured with its own PSF; as ``NAME_reference`` all are measured with the PSF of one
-place or one filter. As ``NAME_measured`` all are measured with one PSF built from frames
+Names, checks and labels come from the registry (`calib.measure.centroiding.registry`): a centroider added there is
+available in every experiment. A centroider that needs an ePSF makes two *methods* if an experiment has several PSFs:
+under its own name every place and filter is measured with its own PSF; as ``NAME_reference`` all are measured with the
+PSF of one place or one filter. As ``NAME_measured`` all are measured with one PSF built from frames
 (`experiments.laboratory.bench.epsf_session`), where an experiment takes such frames.
 """
 
@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
-from calib.measure.centroid import centroider_class, get_centroider, list_centroiders
+from calib.measure.centroiding.registry import centroider_class, get_centroider, list_centroiders
 from optics.errors import ConfigError, unknown_name
 
 if TYPE_CHECKING:
-    from calib.measure.centroid import Centroider
+    from calib.measure.centroiding.registry import Centroider
     from render.records import EffectivePsf
 
 _REFERENCE, _MEASURED = "_reference", "_measured"

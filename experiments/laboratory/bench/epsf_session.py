@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.epsf_build import build_epsf
-from calib.measure.expected_windows import ExpectedWindows
+from calib.measure.centroid_error.expected_windows import ExpectedWindows
+from calib.measure.epsf.build import build_epsf
 from calib.measure.reduced_windows import dark_subtracted
 from calib.measure.stamps import centre_of_gravity
 from calib.records import NoiseModel, Stamps

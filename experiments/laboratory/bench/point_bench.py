@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.accuracy.chromatic import band_pairs
-from calib.measure.centroid import Centroider
-from calib.measure.frame_positions import FEWEST_FRAMES
+from calib.measure.centroiding.registry import Centroider
+from calib.measure.statistics.frame_positions import FEWEST_FRAMES
 from experiments.laboratory.bench.centroid_methods import method_centroiders, needs_measured_epsf
 from experiments.laboratory.devices.collimator import Collimator
 from experiments.laboratory.settings.tables import TargetConfig

@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.centroid import Centroider
-from calib.measure.epsf import draw_epsf
-from calib.measure.frame_positions import frame_statistics, measured_positions
+from calib.measure.centroiding.registry import Centroider
+from calib.measure.epsf.bspline import draw_epsf
 from calib.measure.reduced_windows import dark_subtracted, refuse_saturated, ring_subtracted
+from calib.measure.statistics.frame_positions import frame_statistics, measured_positions
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.centroid_methods import method_centroiders
 from experiments.laboratory.bench.point_bench import Bench, one_filter, point_field, refuse_few_frames

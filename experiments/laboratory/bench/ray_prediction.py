@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.expected_windows import ExpectedWindows, expected_windows
+from calib.measure.centroid_error.expected_windows import ExpectedWindows, expected_windows
 from experiments.laboratory.bench.point_bench import Bench
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.calibration.star_bench import StarBench, aiming_angles
-from calib.measure.centroid import get_centroider
-from calib.measure.frame_positions import measured_positions
-from calib.measure.linear_response import centroid_covariance, linear_response
+from calib.measure.centroid_error.linear_response import centroid_covariance, linear_response
+from calib.measure.centroiding.registry import get_centroider
 from calib.measure.reduced_windows import dark_subtracted, refuse_saturated
+from calib.measure.statistics.frame_positions import measured_positions
 from calib.records import NoiseModel, Stamps
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners
 from experiments.laboratory.devices.turntable import Turntable

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.measure.centroid import get_centroider
-from calib.measure.frame_positions import frame_statistics, measured_positions
-from calib.measure.linear_response import centroid_covariance, centroid_variance, linear_response
+from calib.measure.centroid_error.linear_response import centroid_covariance, centroid_variance, linear_response
+from calib.measure.centroiding.registry import get_centroider
 from calib.measure.reduced_windows import dark_subtracted, refuse_saturated
+from calib.measure.statistics.frame_positions import frame_statistics, measured_positions
 from experiments.laboratory.bench.point_bench import refuse_few_frames
 from experiments.laboratory.bench.readout.search import find_star
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows, window_corners

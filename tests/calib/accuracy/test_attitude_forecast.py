@@ -5,7 +5,7 @@ import pytest
 
 from calib.accuracy.attitude_forecast import Sightings, attitude_forecast, draw_star_list, with_noise_scaled
 from calib.accuracy.star_errors import DetectionLimit, FrameNoise, StarErrors, colour_distance
-from calib.measure.centroid_prediction import CentroidErrors
+from calib.measure.centroid_error.prediction import CentroidErrors
 from calib.records import NoiseModel
 from optics.units import RAD_ARCSEC
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calib.accuracy.step_prediction import StepModel, step_term
-from calib.measure.centroid import get_centroider
-from calib.measure.expected_windows import expected_windows
+from calib.measure.centroid_error.expected_windows import expected_windows
+from calib.measure.centroiding.registry import get_centroider
 from calib.records import NoiseModel
 from render.detector.noise import PixelNoise
 from render.detector.spec import load_detector

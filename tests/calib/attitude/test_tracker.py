@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.tracker import StarTracker, guide_catalogue, sky_coverage, unlike_stars
 from calib.cameras import BrownConrady, SensorGeometry
+from calib.measure.centroiding.gaussian import draw_gaussian
 from calib.measure.find import find_stars
-from calib.measure.gaussian import draw_gaussian
 from optics.attitude import attitude_error_arcsec, attitude_from_angles
 from optics.errors import DomainError
 from optics.stellar_aberration import aberrated

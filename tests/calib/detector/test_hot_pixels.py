@@ -7,8 +7,8 @@ import pytest
 
 from calib.detector.hot_pixels import find_hot_pixels, without_pixels
 from calib.flags import StarFlag, has_flag
-from calib.measure.detection import detect, detection_noise
-from calib.measure.image import read_images, sensor_image
+from calib.measure.detection.matched_filter import detect, detection_noise
+from calib.measure.images.sensor_image import read_images, sensor_image
 from optics.errors import DomainError
 
 SIDE = 256

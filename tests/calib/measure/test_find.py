@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from calib.flags import StarFlag, has_flag
-from calib.measure.detection import detect
+from calib.measure.detection.matched_filter import detect
 from calib.measure.find import find_stamps, find_stars
-from calib.measure.image import sensor_image
+from calib.measure.images.sensor_image import sensor_image
 from calib.records import NoiseModel
 from optics.errors import ConfigError, DomainError
 from render.records import Frame

@@ -9,9 +9,9 @@ import pytest
 from scipy.stats import norm
 
 from calib.measure import reduced_frame
-from calib.measure.reduced_frame import Reduction, measure_frame
+from calib.measure.reduced_frame import FrameReduction, measure_frame
 from calib.measure.reduced_windows import ring_subtracted
-from calib.measure.target_points import common_shift, match_points, search_radius_px
+from calib.measure.targets.target_points import common_shift, match_points, search_radius_px
 from calib.records import NoiseModel
 from optics.errors import DomainError
 
@@ -48,7 +48,7 @@ def test_a_frame_is_measured_in_the_window_that_was_asked_for(window_px, monkeyp
     monkeypatch.setattr(reduced_frame, "find_stamps", lambda *a, **k: seen.append(k["size_px"]) or real(*a, **k))
     noise = NoiseModel(read_noise_e=5.0)
     dn = (1e4 * spot(30.3, 25.8, 1.0, 60, 64) + np.random.default_rng(4).normal(0.0, 5.0, (60, 64))) + 100.0
-    made = Reduction(
+    made = FrameReduction(
         dark_dn=np.full((60, 64), 100.0),
         noise=noise,
         centroid="gaussian",

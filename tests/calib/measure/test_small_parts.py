@@ -9,10 +9,10 @@ import pytest
 from calib.attitude.association import _chance
 from calib.flags import StarFlag
 from calib.measure.background import _clipped_statistics
-from calib.measure.centroid_prediction import CentroidErrors
-from calib.measure.circle_fit import _circles, _spread
-from calib.measure.detection import _flag_maxima
-from calib.measure.epsf_build import _Grid
+from calib.measure.centroid_error.prediction import CentroidErrors
+from calib.measure.detection.matched_filter import _flag_maxima
+from calib.measure.epsf.build import _Grid
+from calib.measure.targets.circle_fit import _circles, _spread
 from calib.records import NoiseModel, SensorImage
 
 

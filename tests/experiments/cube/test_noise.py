@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.calibration.table_axes import TableAxes
-from calib.measure.moments import centre_of_light
-from calib.measure.screen_circles import fit_aperture, fit_hole, fit_spot, measure_offset
+from calib.measure.centroiding.moments import centre_of_light
+from calib.measure.targets.screen_circles import fit_aperture, fit_hole, fit_spot, measure_offset
 from experiments.cube import bench as cube_bench
 from experiments.cube.bench import NOMINAL_CUBE, SQUARE, Case, build_table, draw_truths
 from experiments.cube.budget import DETECTOR_RELATIVE, reading_term

@@ -7,8 +7,8 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
-from calib.measure.detection_score import flux_snr
-from calib.measure.footprints import footprint_px
+from calib.measure.centroid_error.cramer_rao_bound import flux_snr
+from calib.measure.detection.footprints import footprint_px
 from experiments.dataset.frame import FrameMaker
 from experiments.dataset.job import _record
 from experiments.dataset.scene import build_scene, stars_of

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from calib.measure import centroid
-from calib.measure.centroid import register_centroider
+from calib.measure.centroiding import registry
+from calib.measure.centroiding.registry import register_centroider
 from experiments.harness.config import load_config
 from experiments.laboratory.bench.centroid_methods import (
     CentroiderName,
@@ -51,7 +51,7 @@ class Template:
 
 @pytest.fixture
 def template(monkeypatch):
-    monkeypatch.setattr(centroid, "_REGISTRY", dict(centroid._REGISTRY))
+    monkeypatch.setattr(registry, "_REGISTRY", dict(registry._REGISTRY))
     return register_centroider(Template)
 
 

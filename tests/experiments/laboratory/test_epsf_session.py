@@ -6,14 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.measure.centroid import get_centroider
-from calib.measure.expected_windows import noiseless_positions
-from experiments.laboratory.bench.epsf_session import (
-    _pixels,
-    epsf_session,
-    measured_epsf,
-    predicted_epsfs,
-)
+from calib.measure.centroid_error.expected_windows import noiseless_positions
+from calib.measure.centroiding.registry import get_centroider
+from experiments.laboratory.bench.epsf_session import _pixels, epsf_session, measured_epsf, predicted_epsfs
 from experiments.laboratory.bench.point_bench import one_filter
 from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.bench.ray_prediction import target_windows

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.measure.detection_score import flux_snr
+from calib.measure.centroid_error.cramer_rao_bound import flux_snr
 from experiments.dataset import truth as dataset_truth
 from experiments.laboratory.bench.points import point_scene
 from experiments.laboratory.bench.readout.frames import empty_frame, true_noise
@@ -120,7 +120,7 @@ def test_signal_to_noise_ratio_of_the_truth(dataset, monkeypatch):
 
 def test_bound_of_the_dataset(dataset, engine):
     """The bound of a faint star is that of a background with the measured variance of a pixel."""
-    from calib.measure.centroid_prediction import centroid_bound
+    from calib.measure.centroid_error.prediction import centroid_bound
     from calib.records import NoiseModel
     from experiments.dataset.detection import dataset_bound
     from render.psf_lattice import render_psf_grid

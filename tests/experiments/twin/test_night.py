@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.identify_unknown_scale import BlindIdentifier
-from calib.measure.image import sensor_image
+from calib.measure.images.sensor_image import sensor_image
 from calib.photometry.atmosphere import airmass, refracted, zenith_directions
 from experiments.harness.progress import Progress
 from experiments.harness.run import run_experiment

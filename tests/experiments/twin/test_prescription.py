@@ -10,7 +10,7 @@ import pytest
 
 from calib.calibration.camera_order import as_calibrated
 from calib.cameras.fit import camera_model
-from calib.psf.detector_pose import gaussian_widths
+from calib.psf.focus_tilt import gaussian_widths
 from experiments.harness.summary import Measured
 from experiments.twin.prescription import LensPose, fit_lens_pose, write_prescription
 from experiments.twin.settings import Config

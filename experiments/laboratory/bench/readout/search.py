@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.background import estimate_background
-from calib.measure.detection import detect
-from calib.measure.image import sensor_image
+from calib.measure.detection.matched_filter import detect
+from calib.measure.images.sensor_image import sensor_image
 from calib.measure.stamps import coarse_position
-from calib.measure.target_points import SEARCH_MARGIN_PX, match_points, search_radius_px
+from calib.measure.targets.target_points import SEARCH_MARGIN_PX, match_points, search_radius_px
 from experiments.laboratory.bench.readout.windows import WindowReader, cut_windows
 from optics.arrays import FloatArray
 from optics.errors import DomainError

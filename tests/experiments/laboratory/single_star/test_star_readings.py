@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.calibration.star_bench import StarBench
-from calib.measure.epsf import smeared_epsfs
+from calib.measure.epsf.bspline import smeared_epsfs
 from experiments.laboratory.devices.turntable import build_turntable
 from experiments.laboratory.single_star.acquisition import Motion, acquire, visit_once
 from experiments.laboratory.single_star.measure import measure, traced_map

@@ -1,0 +1,1 @@
+"""Effective PSFs: B-splines between their samples, construction from stars, interpolation over the field."""

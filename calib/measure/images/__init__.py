@@ -1,0 +1,1 @@
+"""Images as input: frames, arrays, files of other programs; steps and saturation of their converters."""

@@ -1,0 +1,124 @@
+"""Noise of cameras that nobody designed for stars: as many false detections as are stated."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import convolve
+
+from calib.detector.hot_pixels import find_hot_pixels, without_pixels
+from calib.measure.detection.matched_filter import detect, detection_noise
+from calib.measure.images.sensor_image import sensor_image
+from optics.errors import DomainError
+
+COLOUR = np.array([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]) / 4.0
+GREEN = np.array([[0.0, 1.0, 0.0], [1.0, 4.0, 1.0], [0.0, 1.0, 0.0]]) / 4.0
+
+
+def colour_camera(rng, light=0.0, *, shape=(700, 700), jpeg=None):
+    """Mean of the colours of a camera at high gain: a sky of 2 DN, read noise 4 DN, a black level that cuts half of the
+    pixels off, bilinear interpolation of the Bayer pattern, 8 bit, JPEG."""
+    raw = rng.normal(2.0 - 4.0, 4.0, shape) + light
+    row, column = np.indices(shape)
+    masks = ((row % 2 == 0) & (column % 2 == 0), (row + column) % 2 == 1, (row % 2 == 1) & (column % 2 == 1))
+    planes = [convolve(raw * mask, GREEN if k == 1 else COLOUR) for k, mask in enumerate(masks)]
+    image = np.clip(np.rint(np.stack(planes, axis=-1)), 0, 255).astype(np.uint8)
+    if jpeg:
+        packed = io.BytesIO()
+        Image.fromarray(image).save(packed, "JPEG", quality=jpeg)
+        image = np.asarray(Image.open(packed))
+    return image.mean(axis=2)
+
+
+@pytest.mark.parametrize("jpeg", [pytest.param(None, marks=pytest.mark.slow), 90])
+def test_false_detections_are_as_many_as_stated(jpeg):
+    """At 4 sigma, where they can be counted: half of the number to 1.3 times; white noise would call these 7 sigma."""
+    rng = np.random.default_rng(7)
+    found, stated, white = 0, 0.0, 0
+    for _ in range(3):
+        image = sensor_image(colour_camera(rng, jpeg=jpeg))
+        noise = detection_noise(image)
+        assert min(noise.pixel_correlation) > 0.2
+        found += len(detect(image, threshold_sigma=4.0, noise=noise))
+        stated += float(noise.false_alarms(4.0))
+        white += int(noise.limit(4.0) > 7.0)
+    assert 0.45 * stated - 3.0 * np.sqrt(stated) < found < 1.3 * stated + 3.0 * np.sqrt(stated)
+    assert white == 3
+
+
+def test_stars_in_such_noise_are_found(sky):
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(20, 680, (2, 60))
+    light = sum(500.0 * sky.gaussian([a], [b], 1.0, 700, 700)[0] for a, b in zip(x, y, strict=True))
+    stars = detect(sensor_image(colour_camera(rng, light)), threshold_sigma=5.0)
+    nearest = np.hypot(stars.x_px - x[:, None], stars.y_px - y[:, None]).min(axis=1)
+    assert (nearest < 1.0).sum() >= 57
+    assert len(stars) <= 62
+
+
+def test_white_noise_stays_white(sky):
+    """Nothing measured, nothing changed: the limit is the threshold, with stars in the frame too."""
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(10, 502, (2, 80))
+    light = sum(2000.0 * sky.gaussian([a], [b], 0.8, 512, 512)[0] for a, b in zip(x, y, strict=True))
+    noise = detection_noise(sensor_image(rng.normal(100.0, 5.0, (512, 512)) + light))
+    assert noise.white
+    assert float(noise.limit(5.0)) == 5.0
+    assert "white" in str(noise)
+    limit = noise.threshold(0.2)
+    assert float(noise.false_alarms(limit)) == pytest.approx(0.2)
+    with pytest.raises(DomainError, match="false detections"):
+        noise.threshold(1e9)
+
+
+def test_correlated_normal_noise_is_measured():
+    """Neighbours averaged 3 x 3: the filter leaves more of it; the ratio is that of sums over both kernels."""
+    rng = np.random.default_rng(5)
+    box = np.ones((3, 3)) / 3.0
+    smooth = convolve(rng.normal(0.0, 10.0, (700, 700)), box) + 500.0
+    noise = detection_noise(sensor_image(smooth))
+    kernel = np.exp(-0.5 * (np.arange(-6, 7) / (2.0 / 2.3548)) ** 2)
+    kernel = np.outer(kernel, kernel)
+    expected = np.sqrt((convolve(kernel, box, mode="constant") ** 2).sum() / (kernel**2).sum())
+    assert noise.scale == pytest.approx(expected, rel=0.02)
+    assert noise.pixel_correlation == pytest.approx((2 / 3, 2 / 3), abs=0.02)
+
+
+def degraded(rng, kind, shape=(512, 512)):
+    """A sky of 2000 DN without stars, as cameras and places spoil it."""
+    row, column = np.indices(shape)
+    level = np.full(shape, 2000.0)
+    if kind == "twilight":  # 1 to 4 times the level: 8 times the noise within a cell of the background
+        level = 2000.0 * (1.0 + 3.0 * column / shape[1]) * (1.0 + 0.5 * row / shape[0])
+    if kind == "trees":  # a dark silhouette with a rough edge over a quarter of the frame
+        level = np.where(row > 384 + 10.0 * np.sin(column / 9.0), 60.0, level)
+    dn = rng.poisson(level).astype(float)
+    if kind == "8 bit":
+        dn = np.clip(np.rint((dn - 2000.0) / 30.0), 0, 255)
+    return dn
+
+
+@pytest.mark.parametrize("kind", ["twilight", "trees", "8 bit", "hot pixels"])
+def test_spoilt_frames_have_as_many_false_detections_as_stated(kind):
+    """Poisson errors of 4 frames, and a sixth for what quantiles tell; at 3.7 sigma, where there are enough of them.
+
+    Along the edge of a silhouette there are as many again, which nothing states: trees count 50 px away from it.
+    """
+    rng = np.random.default_rng(11)
+    hot = rng.integers(0, 512, (2, 60))
+    images = []
+    for _ in range(4):
+        dn = degraded(rng, kind)
+        if kind == "hot pixels":
+            dn[hot[0], hot[1]] += 900.0
+        images.append(sensor_image(dn, saturation_dn=65535.0))
+    if kind == "hot pixels":
+        mask = find_hot_pixels(images).mask
+        assert mask[hot[0], hot[1]].mean() > 0.95
+        images = [without_pixels(one, mask) for one in images]
+    noises = [detection_noise(one) for one in images]
+    tables = [detect(one, threshold_sigma=3.7, noise=noise) for one, noise in zip(images, noises, strict=True)]
+    found = sum(int(((np.abs(one.y_px - 384) > 50.0) | (kind != "trees")).sum()) for one in tables)
+    stated = sum(float(noise.false_alarms(3.7)) for noise in noises) * (1.0 if kind != "trees" else 1.0 - 100.0 / 512.0)
+    assert abs(found - stated) < 4.0 * np.sqrt(stated) + stated / 6.0

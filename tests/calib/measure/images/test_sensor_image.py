@@ -1,0 +1,186 @@
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from calib.measure.background import estimate_background
+from calib.measure.centroiding.registry import get_centroider
+from calib.measure.detection.matched_filter import detect
+from calib.measure.images.sensor_image import image_from_frame, read_image, sensor_image, subtract_dark
+from calib.measure.stamps import extract_stamps
+from optics.errors import ConfigError, DomainError
+from render.records import Frame
+
+
+@pytest.fixture
+def sky_dn(sky):
+    """A star field in DN: offset 500, 0.8 DN/e-, and where the stars are."""
+    rng = np.random.default_rng(9)
+    x, y = np.array([40.3, 120.8, 77.1]), np.array([30.2, 60.6, 99.9])
+    electrons = np.full((128, 160), 30.0)
+    for one_x, one_y in zip(x, y, strict=True):
+        electrons += 2e4 * sky.gaussian([one_x], [one_y], 0.8, 128, 160)[0]
+    return 500.0 + 0.8 * sky.noisy(electrons, 6.0, rng), x, y
+
+
+def find(image):
+    """Everything from image to positions, sorted by column."""
+    background = estimate_background(image)
+    stars = detect(image, background)
+    stamps = extract_stamps(image, stars.x_px, stars.y_px, background=background, flags=stars.flags)
+    table = get_centroider("gaussian").measure(stamps, image.noise)
+    return table.select(np.argsort(table.x_px))
+
+
+def write_odd(path, data, **header):
+    """A file as other people's cameras write them: empty primary, keywords of other habits, comments, blanks."""
+    hdu = fits.ImageHDU(data)
+    hdu.header["GAIN"] = (120, "camera gain setting")
+    hdu.header["OBJECT"] = "  lab target No. 5 "
+    hdu.header["RDNOISE"] = "unknown"
+    hdu.header["HIERARCH some.vendor Key Word"] = 1.5
+    hdu.header["COMMENT"] = "nobody here made this"
+    hdu.header[""] = "blank card"
+    for key, value in header.items():
+        hdu.header[key] = value
+    fits.HDUList([fits.PrimaryHDU(), hdu]).writeto(path)
+
+
+@pytest.mark.parametrize("kind", ["uint16", "int16", "float32", "compressed"])
+def test_foreign_files_give_the_stars(tmp_path, sky_dn, kind):
+    """uint16 is stored as int16 with BZERO = 32768; everything else unknown is taken from the image."""
+    dn, x, y = sky_dn
+    path = tmp_path / "odd.fits"
+    if kind == "float32":
+        data = dn.astype(np.float32)
+        data[5:9, 5:9] = np.nan
+        data[60, 119] = np.inf
+        write_odd(path, data)
+    elif kind == "compressed":
+        fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(np.rint(dn).astype(np.int32))]).writeto(path)
+    else:
+        write_odd(path, np.rint(dn).astype(kind))
+    image = read_image(path)
+    assert set(image.assumed) == {"gain_dn_per_e", "offset_dn", "read_noise_e"}
+    assert image.noise.quantised == (kind != "float32")
+    table = find(image)
+    assert len(table) == 3
+    order = np.argsort(x)
+    assert table.x_px == pytest.approx(x[order], abs=0.05)
+    assert table.y_px == pytest.approx(y[order], abs=0.05)
+    if kind == "float32":
+        assert (~image.valid).sum() == 17
+
+
+def test_bzero_is_really_in_the_file(tmp_path, sky_dn):
+    path = tmp_path / "u.fits"
+    write_odd(path, np.rint(sky_dn[0]).astype(np.uint16))
+    raw = fits.getheader(path, 1)
+    assert raw["BITPIX"] == 16
+    assert raw["BZERO"] == 32768
+    assert read_image(path).dn.min() > 400
+
+
+def test_keywords_and_arguments(tmp_path, sky_dn):
+    path = tmp_path / "known.fits"
+    header = fits.Header([("EGAIN", 1.25, "e-/ADU"), ("RDNOISE", 6.0), ("SATURATE", 9000.0), ("EXPTIME", 0.2)])
+    fits.PrimaryHDU(np.rint(sky_dn[0]).astype(np.uint16), header=header).writeto(path)
+    image = read_image(path, offset_dn=500.0)
+    assert image.noise.gain_dn_per_e == pytest.approx(0.8)
+    assert image.noise.read_noise_e == 6.0
+    assert image.noise.offset_dn == 500.0
+    assert image.assumed == ()
+    assert image.exposure_s == 0.2
+    assert read_image(path, saturation_dn=1000.0).saturated.sum() > 5
+    assert read_image(path, read_noise_e=3.0).noise.read_noise_e == 3.0
+
+
+def test_gain_keyword_only_where_it_speaks_of_electrons(tmp_path):
+    data = np.random.default_rng(1).normal(100, 5, (32, 32)).astype(np.float32)
+    for comment, assumed in (("[e-/ADU] conversion", False), ("setting of the amplifier", True)):
+        path = tmp_path / f"{assumed}.fits"
+        header = fits.Header([("GAIN", 2.0, comment)])
+        fits.PrimaryHDU(data, header=header).writeto(path)
+        assert ("gain_dn_per_e" in read_image(path).assumed) == assumed
+
+
+def test_unknown_noise_is_taken_from_the_background(sky_dn):
+    """Background noise 0.8 sqrt(30 + 36) DN; with the offset known, shot noise of 30 e- is taken off."""
+    dn, *_ = sky_dn
+    blind = sensor_image(dn)
+    assert blind.noise.read_noise_e == pytest.approx(0.8 * np.sqrt(66.0), rel=0.03)
+    knowing = sensor_image(dn, gain_dn_per_e=0.8, offset_dn=500.0)
+    assert knowing.noise.read_noise_e == pytest.approx(6.0, rel=0.05)
+    no_offset = sensor_image(dn, gain_dn_per_e=0.8, read_noise_e=6.0)
+    assert no_offset.noise.offset_dn == pytest.approx(500.0, abs=0.8 * 66.0 * 0.06)
+
+
+def test_cubes_need_a_plane(tmp_path):
+    path = tmp_path / "cube.fits"
+    fits.PrimaryHDU(np.arange(3 * 20 * 30, dtype=np.float32).reshape(3, 20, 30)).writeto(path)
+    with pytest.raises(ConfigError, match="cube of 3 images"):
+        read_image(path)
+    with pytest.raises(ConfigError, match="plane 3 of 3"):
+        read_image(path, plane=3)
+    assert read_image(path, plane=1).dn[0, 0] == 600.0
+
+
+def broken_files(folder):
+    """Files that cannot be read, by what is wrong with them."""
+    good = folder / "good.fits"
+    fits.PrimaryHDU(np.zeros((200, 200), np.float32)).writeto(good)
+    (folder / "cut.fits").write_bytes(good.read_bytes()[:6000])
+    (folder / "text.fits").write_text("not a FITS file\n")
+    (folder / "nothing.fits").write_bytes(b"")
+    fits.PrimaryHDU().writeto(folder / "empty.fits")
+    columns = [fits.Column(name="a", format="E", array=np.ones(3))]
+    fits.HDUList([fits.PrimaryHDU(), fits.BinTableHDU.from_columns(columns)]).writeto(folder / "table.fits")
+    fits.PrimaryHDU(np.zeros(100, np.float32)).writeto(folder / "line.fits")
+    return ["missing.fits", "cut.fits", "text.fits", "nothing.fits", "empty.fits", "table.fits", "line.fits"]
+
+
+def test_missing_broken_and_empty_files_are_one_line(tmp_path):
+    for name in broken_files(tmp_path):
+        with pytest.raises(ConfigError) as caught:
+            read_image(tmp_path / name)
+        message = str(caught.value)
+        assert name in message
+        assert "\n" not in message
+    with pytest.raises(ConfigError, match="has no extension 7"):
+        read_image(tmp_path / "good.fits", hdu=7)
+
+
+def test_arrays_without_a_number():
+    with pytest.raises(DomainError, match="no finite number"):
+        sensor_image(np.full((10, 10), np.nan))
+    with pytest.raises(DomainError, match="shape"):
+        sensor_image(np.zeros(10))
+    with pytest.raises(DomainError, match="read_noise_e = -2"):
+        sensor_image(np.zeros((10, 10)), read_noise_e=-2.0)
+    with pytest.raises(DomainError, match="defect has shape"):
+        sensor_image(np.zeros((10, 10)), defect=np.zeros((3, 3), bool))
+
+
+def test_our_own_frame(sky_dn):
+    dn, x, _ = sky_dn
+    defect = np.zeros(dn.shape, bool)
+    defect[10, 10] = True
+    frame = Frame(
+        dn=np.rint(dn).astype(np.uint16),
+        saturated=np.zeros(dn.shape, bool),
+        defect=defect,
+        gain_dn_per_e=0.8,
+        offset_dn=500.0,
+        read_noise_e=6.0,
+        exposure_s=0.1,
+        band="V",
+        index=3,
+    )
+    pattern = np.random.default_rng(2).normal(500.0, 9.0, dn.shape)
+    dark = subtract_dark(frame, pattern)  # as bright above the nominal offset as above its own
+    np.testing.assert_allclose(dark.dn - 500.0, frame.dn - pattern, rtol=0, atol=1e-9)
+    image = image_from_frame(frame)
+    assert image.assumed == ()
+    assert (~image.valid).sum() == 1
+    table = find(image)
+    assert table.x_px == pytest.approx(np.sort(x), abs=0.05)
+    assert table.flux_e == pytest.approx([2e4] * 3, rel=0.03)
