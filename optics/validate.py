@@ -6,7 +6,7 @@ import difflib
 import re
 import tomllib
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,6 +23,11 @@ MOST_LEVELS = 16
 """How deep tables and lists of a file may stand within one another."""
 MOST_DOTS = 100
 _LONG_KEY = re.compile(rf"(?:[\w\"'-]++\s*+\.\s*+){{{MOST_DOTS},}}")
+_UNQUOTED = re.compile(
+    r"^[ \t]*([\w.-]+)[ \t]*=[ \t]*(?!(?:true|false|inf|nan)[ \t]*(?:#|$))([a-z_~./\\][^\"'#=\[\]{}\n]*?)[ \t]*(?:#|$)",
+    re.IGNORECASE | re.MULTILINE,
+)
+"""A key whose value is text without quotation marks."""
 MOST_MISSING = 3
 """Of more missing keys the names are said, not what each is."""
 _NEEDED = {
@@ -41,8 +46,10 @@ _OUT_OF_BOUNDS = frozenset(("greater_than", "greater_than_equal", "less_than", "
 _BOUNDS = (("gt", "above {}"), ("ge", "at least {}"), ("lt", "below {}"), ("le", "at most {}"))
 
 
-def parse_model(model_class: type[Model], mapping: Mapping[str, Any], where: str) -> Model:
-    """Validate a mapping."""
+def parse_model(
+    model_class: type[Model], mapping: Mapping[str, Any], where: str | Callable[[list[int | str]], str]
+) -> Model:
+    """Validate a mapping; ``where``: its source, or the source of the value at a location."""
     if not isinstance(mapping, Mapping):
         raise ConfigError(f"{where}: a table of keys is needed, got {_shown(mapping)}")
     try:
@@ -102,7 +109,13 @@ def _type_at(model_class: type[BaseModel], location: Location) -> int | None:
     return None
 
 
-def _refusal(model_class: type[BaseModel], faults: list[dict[str, Any]], where: str) -> ConfigError:
+def _refusal(
+    model_class: type[BaseModel], faults: list[dict[str, Any]], where: str | Callable[[list[int | str]], str]
+) -> ConfigError:
+    if not isinstance(where, str):
+        sources = [where(_without_tags(model_class, fault["loc"])) for fault in faults]
+        lines = [f"{source}: {_sentence(model_class, fault)}" for source, fault in zip(sources, faults, strict=True)]
+        return ConfigError("\n".join(dict.fromkeys(lines)))
     sentences = [_sentence(model_class, fault) for fault in faults]
     missing = [fault for fault in faults if fault["type"] == "missing"]
     if len(missing) > MOST_MISSING:
@@ -120,7 +133,9 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # a number of thousands of digits, a thousand brackets
-        raise ConfigError(f"{path}: not valid TOML ({' '.join(str(error).split())[:200]})") from None
+        unquoted = _UNQUOTED.search(text)
+        advice = f'; text needs quotation marks, quote it: {unquoted[1]} = "{unquoted[2]}"' if unquoted else ""
+        raise ConfigError(f"{path}: not valid TOML ({' '.join(str(error).split())[:200]}){advice}") from None
     if _deeper(table, MOST_LEVELS):
         raise ConfigError(f"{path}: tables and lists are nested too deeply; {MOST_LEVELS} levels are allowed")
     return table

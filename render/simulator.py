@@ -7,6 +7,7 @@ the read-out alone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, reduce
@@ -22,6 +23,7 @@ from optics.errors import ConfigError
 from optics.lens.heated_lens import Housing, ThermalState, heated_lens
 from optics.light.band import Band
 from optics.light.pst import PointSourceTransmittance
+from optics.rays.paraxial import axial_paraxial
 from render.bodies.ghost_sources import GhostSources
 from render.bodies.solar_system import SolarSystem, hiding_spheres, joined, planet_field, solar_system
 from render.bodies.stray_light import StrayLight, band_light
@@ -43,6 +45,7 @@ from render.sky.star_light import star_light
 from render.tracing.convergence import MOTION_TOLERANCE, TOLERANCE
 from render.tracing.ghosts import DETECTOR_REFLECTANCE, Ghosting, GhostLight, GhostTruth
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
+from render.tracing.waves.far import BEYOND
 
 if TYPE_CHECKING:
     from render.bodies.body_image import BodyRenderer
@@ -50,6 +53,9 @@ if TYPE_CHECKING:
 NODES = 6
 MARGIN_PX = 16.0
 """Distance from the detector within which stars are rendered too: their spots reach onto it."""
+WING_LAMBDA_N = 2.0 / (math.pi**2 * BEYOND)
+"""Radius [lambda N] beyond which an Airy pattern has the part `BEYOND` of its light, the wings of a saturated planet:
+1 - EE(r) = 2 / (pi^2 r) (Born and Wolf, Principles of Optics, sec. 8.5.2)."""
 
 
 class SkySimulator:
@@ -191,6 +197,7 @@ class SkySimulator:
             large = known.angular_diameter_rad > disks_above_px * np.radians(sensor.pixel_arcsec / 3600.0)
             points = known.select(~large & np.isfinite(known.magnitude_v))
             self.disks, self._points = known.select(large), (points, planet_field(points, [self.band], nodes=nodes))
+        self._planet_margin_px = max(self.view.margin_px, _wing_px(sensor.camera))
         self._motion_tolerance = MOTION_TOLERANCE if tolerance is None else tolerance
         self._rendering: dict[str, Any] = {
             "exposure_s": self.exposure_s,
@@ -565,13 +572,12 @@ class SkySimulator:
         return self._renderers[key]
 
     def _with_planets(self, stars: StarField, attitude: Rotation) -> tuple[SolarSystem, StarField]:
-        """Point-like planets in the field, and the sources with them."""
+        """Point-like planets whose wings reach the detector, and the sources with them."""
         assert self._points is not None
         system, light = self._points
-        pixel = self.view.pixel_of(system.direction @ attitude.as_matrix().T)
-        rows = np.flatnonzero(self.view.on_detector(pixel))
-        if not len(rows):
-            return system.select(rows), stars
+        v_cam = system.direction @ attitude.as_matrix().T
+        rows = np.flatnonzero(v_cam[:, 2] > 0.0)
+        rows = rows[self.view.on_detector(self.pixel_px(v_cam[rows]), self._planet_margin_px)]
         return system.select(rows), joined(
             stars, replace(light, direction=light.direction[rows], photon_rate=light.photon_rate[rows])
         )
@@ -632,6 +638,14 @@ class SkySimulator:
         )
         self._still_disks = key, disks
         return disks
+
+
+def _wing_px(camera: Camera) -> float:
+    """Radius [px] of the diffraction image of a saturated star."""
+    if camera.far is None or camera.diffraction == "rays":
+        return 0.0
+    f_number = axial_paraxial(camera.lens, camera.lens.design_wavelength_nm).f_number
+    return WING_LAMBDA_N * camera.lens.design_wavelength_nm * 1e-6 * f_number / camera.pixel_pitch_mm
 
 
 def _relensed(sensor: StarSensor, lens: Any) -> Camera:

@@ -131,8 +131,12 @@ class FlightCamera:
 
     def false_stars(self, light: SkyLight, number: int, label: str) -> int:
         """Planets in the field and tracks of cosmic rays of a readout."""
-        hits = self.simulator.hits(number, label)
-        return (0 if light.planets is None else len(light.planets)) + (0 if hits is None else len(hits))
+        hits, planets = self.simulator.hits(number, label), 0
+        if light.planets is not None:
+            rows = slice(len(light.sources) - len(light.planets), None)
+            position_px = np.column_stack([light.truth.photon_x_px[rows, 0], light.truth.photon_y_px[rows, 0]])
+            planets = int(self.simulator.view.on_detector(position_px, 0.0).sum())
+        return planets + (0 if hits is None else len(hits))
 
 
 def psf_grid(budget: Budget) -> PsfGrid | None:

@@ -91,9 +91,8 @@ def load_config(
     if file is not None:
         tables[str(file)] = read_settings(model_class, file)
     given = [*(("--set", one) for one in settings), *((f"--{name}", one) for name, one in (options or {}).items())]
-    names = [f"--set {one}" if name == "--set" and len(given) == 1 else name for name, one in given]
     if seed is not None:
-        given, names = [*given, ("--seed", f"seed={seed}")], [*names, "--seed"]
+        given.append(("--seed", f"seed={seed}"))
 
     def overlaid(below: dict[str, Any]) -> dict[str, Any]:
         for table in tables.values():
@@ -107,8 +106,30 @@ def load_config(
     values = overlaid(base)
     if issubclass(model_class, ExperimentConfig) and (implied := model_class.implied(values)):
         values = overlaid(_laid(model_class, base, implied))
+
+    def source(location: Sequence[int | str]) -> str:
+        """The last layer that holds a value, or part of a table."""
+        path = [str(step) for step in location]
+        for option, setting in reversed(given):
+            key = setting.partition("=")[0].strip().split(".")
+            if all(one == other for one, other in zip(key, path, strict=False)):
+                return f"--set {setting}" if option == "--set" else option
+        return next((name for name in reversed(tables) if _holds(tables[name], path)), "configuration")
+
     # One look at the whole: two settings may be valid only together.
-    return parse_model(model_class, values, ", ".join([*tables, *dict.fromkeys(names)]) or "configuration")
+    return parse_model(model_class, values, source)
+
+
+def _holds(table: Any, path: Sequence[str]) -> bool:
+    """Whether nested tables and lists have an entry at a path."""
+    for step in path:
+        if isinstance(table, Mapping) and step in table:
+            table = table[step]
+        elif isinstance(table, list | tuple) and step.isdigit() and int(step) < len(table):
+            table = table[int(step)]
+        else:
+            return False
+    return True
 
 
 def _as_experiment(model_class: type[BaseModel]) -> type[ExperimentConfig]:

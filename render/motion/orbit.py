@@ -122,7 +122,7 @@ def sgp4_orbit(first: str, second: str) -> Orbit:
         io.verify_checksum(first, second)
         satellite = Satrec.twoline2rv(first, second)
     except ValueError as error:
-        raise DomainError(f"two-line elements: {error}") from None
+        raise DomainError(f"two-line elements: {' '.join(str(error).split())}") from None
     days = satellite.jdsatepoch, satellite.jdsatepochF
     # true equator and mean equinox of date, which SGP4 uses, to icrs; it turns by 0.01 arcsec in an orbit
     equinox = Rotation.from_euler("z", erfa.eqeq94(*days)).as_matrix()

@@ -7,9 +7,9 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from optics.errors import StarbenchError
+from optics.errors import ConfigError, StarbenchError
 from optics.settings import StrictModel, read_settings
-from optics.validate import parse_model
+from optics.validate import parse_model, read_toml
 from render.sensor_file.lens_defaults import lens_defaults
 from render.sensor_file.requirements import RequirementsConfig
 from render.sensor_file.stray import BaffleConfig, ContaminationConfig, ScatterConfig
@@ -148,8 +148,16 @@ def read_sensor(file: str | Path, model: type[SensorFile] = SensorFile) -> dict[
     ConfigError
         Naming the key, its value and the allowed range.
     """
+    from optics.files.read import FOREIGN
+
+    path, lens = str(file), Path(file).name
+    table = read_toml(file) if path.lower().endswith(".toml") else {}
+    if path.lower().endswith(FOREIGN) or "surface" in table or table.get("kind") == "measured":
+        raise ConfigError(
+            f'{path} is a lens file where a sensor file is needed; name it in one: [instrument] lens = "{lens}"'
+        )
     given = read_settings(model, file)
-    parse_model(model, given, str(file))
+    parse_model(model, given, path)
     return given
 
 

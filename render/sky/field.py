@@ -75,10 +75,10 @@ class FieldOfView:
         pixel[inside] = _polynomial(x / z / self.half_width[0], y / z / self.half_width[1], self.coefficient)
         return pixel
 
-    def on_detector(self, pixel_px: FloatArray) -> NDArray[np.bool_]:
-        """Whether pixels (n, 2) lie on the detector or its margin."""
+    def on_detector(self, pixel_px: FloatArray, margin_px: float | None = None) -> NDArray[np.bool_]:
+        """Whether pixels (n, 2) lie on the detector or a margin around it, by default the view's own."""
         x, y = pixel_px.T
-        low = -0.5 - self.margin_px
+        low = -0.5 - (self.margin_px if margin_px is None else margin_px)
         return (x >= low) & (y >= low) & (x <= self.width_px - 1 - low) & (y <= self.height_px - 1 - low)
 
 

@@ -318,3 +318,22 @@ def test_cosmic_rays_and_lag(small, deep):
     strong = (first.charge_e > 1e3) & (first.charge_e < 5e3)
     if strong.any():
         assert np.median((kept - lag)[first.row[strong], first.column[strong]]) > 100.0
+
+
+def test_the_wings_of_a_planet_beside_the_detector_are_in_the_frame(small):
+    """Jupiter 24 px from the edge, farther than the stars that are rendered: brightest in the nearest column."""
+    sky = load_sky(faintest_mag=1.0, epoch_year=2024.3, observer="earth")
+    planets = solar_system(2024.3, observer=sky.observer, bodies=["jupiter"])
+    direction = planets.direction[0]
+    ra_deg, dec_deg = np.degrees(np.arctan2(direction[1], direction[0])), np.degrees(np.arcsin(direction[2]))
+    turn = Rotation.from_rotvec([0.0, np.radians(88.0 * small.pixel_arcsec / 3600.0), 0.0])
+    by_waves = replace(small, camera=replace(small.camera, diffraction="waves"))
+    simulator = SkySimulator(by_waves, sky, exposure_s=0.2, nodes=2, bodies=planets, disks_above_px=np.inf)
+    light = simulator.expected(turn * attitude_from_angles(ra_deg, dec_deg))
+    assert light.planets.name == ("jupiter",)
+    assert light.truth.photon_x_px[-1, 0] == pytest.approx(151.5, abs=2.0)
+    columns = light.electrons.sum(0)
+    assert columns.sum() > 100.0
+    assert columns.argmax() == 127
+    behind = simulator.expected(attitude_from_angles(ra_deg + 180.0, -dec_deg))
+    assert len(behind.planets) == 0

@@ -11,8 +11,7 @@ from pydantic import Field, PrivateAttr, model_validator
 from experiments.harness.config import ExperimentConfig
 from experiments.laboratory.bench.centroid_methods import CentroiderName
 from optics.errors import ConfigError, StarbenchError
-from optics.settings import read_settings
-from optics.validate import parse_model
+from optics.validate import parse_model, read_toml
 from render.sensor_file.file import SensorFile, in_best_focus, read_sensor, whole_sensor
 from render.sensor_file.lens_defaults import lens_defaults, lens_remarks
 from render.sensor_file.tables import InstrumentConfig, PassbandConfig
@@ -36,7 +35,7 @@ class SensorExperimentConfig(ExperimentConfig):
         The tables of the file are whole: a key that is left out in them has the default of `SensorConfig`, the same in
         every experiment. Settings of the processing that the file lacks are the experiment's defaults.
         """
-        for key in read_settings(SensorConfig, file):
+        for key in read_toml(file) if file.suffix == ".toml" else ():
             if key in cls.model_fields and key not in SensorConfig.model_fields:
                 raise ConfigError(f"{file.name}: {key} is a setting of a run: give it by --set or --config")
         return {key: value for key, value in whole_sensor(file, SensorConfig).items() if key in cls.model_fields}

@@ -115,6 +115,22 @@ def test_bad_setting_is_one_line(setting, expected):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("content", "settings", "source"),
+    [
+        ("", ["seed=2", "frames=0", "label=a"], "--set frames=0: frames = 0"),
+        ("[lens]\ntilt_deg = [1.0, 2.0]\ndefocus_mm = 3\n", ["frames=2"], "run.toml: unknown key 'lens.defocus_mm'"),
+        ("frames = 3\n", ["filters.1.naem=b", "seed=2"], "--set filters.1.naem=b: unknown key 'filters.1.naem'"),
+    ],
+)
+def test_the_source_of_a_wrong_value_is_named_alone(tmp_path, content, settings, source):
+    file = tmp_path / "run.toml"
+    file.write_text(content)
+    message = refuses(ConfigError, ".", load_config, Config, file=file, settings=settings, options={"label": "label=x"})
+    assert message.removeprefix(f"{tmp_path}/").startswith(source)
+    assert "--label" not in message
+
+
 class Range(ExperimentConfig):
     first_nm: float = 400.0
     last_nm: float = 500.0
