@@ -118,7 +118,7 @@ def test_bad_setting_is_one_line(setting, expected):
 @pytest.mark.parametrize(
     ("content", "settings", "source"),
     [
-        ("", ["seed=2", "frames=0", "label=a"], "--set frames=0: frames = 0"),
+        ("frames = 3\n", ["seed=2", "frames=0", "label=a"], "--set frames=0: frames = 0"),
         ("[lens]\ntilt_deg = [1.0, 2.0]\ndefocus_mm = 3\n", ["frames=2"], "run.toml: unknown key 'lens.defocus_mm'"),
         ("frames = 3\n", ["filters.1.naem=b", "seed=2"], "--set filters.1.naem=b: unknown key 'filters.1.naem'"),
     ],
