@@ -18,9 +18,9 @@ from optics.light.band import Band, BandNodes, band_nodes
 from optics.light.magnitudes import band_integral
 from optics.records import freeze
 from render.bodies.earth_air import rayleigh_thickness
-from render.bodies.pixel_maps import PixelMaps
+from render.bodies.ray_maps import RayMaps
 from render.bodies.solar_system import SolarSystem
-from render.bodies.sphere_image import Cover, Exposed, Light, Sphere, sphere_image
+from render.bodies.sphere_image import BodyExposure, Cover, DirectionalLight, SunlitSphere, sphere_image
 from render.bodies.sunlit_body import SunlitBody, planet_body
 from render.camera import Camera
 from render.detector.diffusion import diffuse
@@ -72,7 +72,7 @@ class BodyRenderer:
         self.camera, self.bands = camera, tuple(bands)
         self.rule = band_nodes(self.bands, nodes)
         self.view = field_of_view(camera, margin_px=MARGIN_PX) if view is None else view
-        self._maps = PixelMaps(camera, self.rule.wavelength_nm.ravel())
+        self._maps = RayMaps(camera, self.rule.wavelength_nm.ravel())
 
     def render(
         self,
@@ -103,7 +103,7 @@ class BodyRenderer:
         share = 0.0
         if window is not None:
             columns, rows = window
-            exposed = Exposed(
+            exposed = BodyExposure(
                 _quaternions(attitudes), exposure_s, duration_s, line_time_s, self._path_px(body, attitudes)
             )
             quiet: dict[str, Any] = {"noise_share": noise_share, "ceiling_e": ceiling_e}
@@ -149,7 +149,7 @@ class BodyRenderer:
         self,
         body: SunlitBody,
         attitudes: FloatArray,
-        exposed: Exposed,
+        exposed: BodyExposure,
         light: FloatArray,
         window: tuple[slice, slice],
         quiet: dict[str, Any],
@@ -195,9 +195,9 @@ def _check(exposure_s: float, line_time_s: float, noise_share: float, in_front: 
         raise ConfigError("a body in front is a mesh; only spheres can hide other bodies")
 
 
-def _sphere(body: SunlitBody, in_front: Sequence[SunlitBody], rule: BandNodes) -> Sphere:
-    lights = [Light(body.to_sun)] + ([] if body.second_light is None else [body.second_light])
-    return Sphere(
+def _sphere(body: SunlitBody, in_front: Sequence[SunlitBody], rule: BandNodes) -> SunlitSphere:
+    lights = [DirectionalLight(body.to_sun)] + ([] if body.second_light is None else [body.second_light])
+    return SunlitSphere(
         direction=body.direction,
         sine=body.radius_km / body.distance_km,
         law=body.law,

@@ -1,6 +1,6 @@
 r"""Image of a sphere in sunlight by quadrature, without random numbers.
 
-A pixel collects, of every ray n of the beams at every wavelength (`render.bodies.pixel_maps`),
+A pixel collects, of every ray n of the beams at every wavelength (`render.bodies.ray_maps`),
 
 .. math:: N = \sum_n \int L(v_n(x, y))\, E_n(x, y)\, dx\, dy\, dt
 
@@ -27,7 +27,7 @@ from scipy.ndimage import maximum_filter
 from optics.arrays import FloatArray
 from render.bodies.disk_edge import Edge, apart
 from render.bodies.earth_air import Air
-from render.bodies.pixel_maps import PixelMaps, TileMap, powers
+from render.bodies.ray_maps import RayMaps, TileMap, powers
 from render.engine import Engine
 from render.engine.jit import dr
 from render.engine.upload import uploaded
@@ -43,7 +43,7 @@ GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Light:
+class DirectionalLight:
     """Light that falls on a sphere: unit vector to its source, irradiance over that of the Sun."""
 
     towards: FloatArray
@@ -59,13 +59,13 @@ class Cover:
 
 
 @dataclass(frozen=True, slots=True)
-class Sphere:
+class SunlitSphere:
     """A sphere seen along a direction; vectors along icrs."""
 
     direction: FloatArray  # (3,) Unit vector to the centre
     sine: float  # Of the angular radius
     law: str  # "lambert" or "lunar"
-    lights: tuple[Light, ...]  # What shines on it
+    lights: tuple[DirectionalLight, ...]  # What shines on it
     # Factor on the albedo: rows from south to north, columns from -180 deg of longitude on, centres of cells
     albedo_map: NDArray[np.float32] | None
     rotation_icrs_from_body: FloatArray  # (3, 3) Attitude of the map
@@ -77,7 +77,7 @@ class Sphere:
 
 
 @dataclass(frozen=True, slots=True)
-class Exposed:
+class BodyExposure:
     """Times and attitudes of the camera."""
 
     # (m, 4) Quaternions cam from icrs at equal steps, neighbours on the same side; one for a camera at rest
@@ -90,9 +90,9 @@ class Exposed:
 
 
 def sphere_image(
-    maps: PixelMaps,
-    sphere: Sphere,
-    exposed: Exposed,
+    maps: RayMaps,
+    sphere: SunlitSphere,
+    exposed: BodyExposure,
     light_e: FloatArray,
     window: tuple[slice, slice],
     *,
@@ -117,7 +117,7 @@ def sphere_image(
         place = column + columns.start, row + rows.start
         for band, light in enumerate(light_e):
             nodes = slice(band * len(light), (band + 1) * len(light))
-            rays = _Rays(tile_map, nodes, light * exposed.exposure_s, sphere)
+            rays = _BandRays(tile_map, nodes, light * exposed.exposure_s, sphere)
             if rays.count:
                 kernel = _Kernel(rays, sphere, exposed)
                 start = _first(sphere, kernel)
@@ -125,16 +125,16 @@ def sphere_image(
     return image, error
 
 
-def _first(sphere: Sphere, kernel: _Kernel) -> int:
+def _first(sphere: SunlitSphere, kernel: _Kernel) -> int:
     """Number in `CELLS` to begin with."""
     needed = ACROSS * kernel.pixel_rad / sphere.sine
     return int(np.clip(np.searchsorted(CELLS, needed), 0, len(CELLS) - 2))
 
 
-class _Rays:
+class _BandRays:
     """Polynomials of the rays of one band in one tile that carry light, with the light in the third."""
 
-    def __init__(self, tile_map: TileMap, nodes: slice, light: FloatArray, sphere: Sphere) -> None:
+    def __init__(self, tile_map: TileMap, nodes: slice, light: FloatArray, sphere: SunlitSphere) -> None:
         coefficient = tile_map.coefficient[nodes].copy()
         coefficient[:, :, 2] *= light[:, None, None]
         flat = coefficient.reshape(-1, *coefficient.shape[2:])
@@ -177,7 +177,7 @@ def _converged(
 class _Kernel:
     """The sum over rays, times and cells, pixels side by side; numbers are read, not compiled in."""
 
-    def __init__(self, rays: _Rays, sphere: Sphere, exposed: Exposed) -> None:
+    def __init__(self, rays: _BandRays, sphere: SunlitSphere, exposed: BodyExposure) -> None:
         types = Engine.active().types
         self.F, self.U, self.B = types.Float64, types.UInt32, types.Bool
         self.rays, self.sphere, self.exposed = rays, sphere, exposed

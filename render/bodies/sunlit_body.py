@@ -26,7 +26,7 @@ from render.bodies.lunar_irradiance import KNOWN_DEG, moon_reflectance
 from render.bodies.lunar_map import HIGHLAND, MARE, lunar_map, moon_rotation
 from render.bodies.planet_magnitudes import ALBEDO, ALBEDO_NM, planet_spectrum, planet_v
 from render.bodies.solar_system import SolarSystem
-from render.bodies.sphere_image import Light
+from render.bodies.sphere_image import DirectionalLight
 from render.plugins.lunar_surface import lommel_seeliger_phase
 from render.sky.sunlight import sun_spectrum, sunlight
 
@@ -56,7 +56,7 @@ class SunlitBody:
     # (rows, columns) Factor on the albedo of a sphere: latitudes from south to north, longitudes from -180 to 180 deg
     # east, values at the centres of the cells
     albedo_map: NDArray[np.float32] | None = None
-    second_light: Light | None = None  # Another light far away: the Earth's on the Moon
+    second_light: DirectionalLight | None = None  # Another light far away: the Earth's on the Moon
     air: Air | None = None  # Lit air around a sphere (`render.bodies.earth_air`)
     name: str = ""  # What it is called; part of the key of its random numbers
 
@@ -225,7 +225,7 @@ def _lunar_albedo(body: SunlitBody, wavelength_nm: ArrayLike, epoch_year: float)
     return np.asarray(measured / _disk_factor(body))
 
 
-def _earthlight(moon: SolarSystem, body: SunlitBody) -> Light | None:
+def _earthlight(moon: SolarSystem, body: SunlitBody) -> DirectionalLight | None:
     """Light of the Earth on the Moon, in units of sunlight there; None where the Earth shows it its night side.
 
     A surface is brighter the smaller the angle between its light and the observer: the albedo at the Sun's phase angle
@@ -243,7 +243,7 @@ def _earthlight(moon: SolarSystem, body: SunlitBody) -> Light | None:
     share *= float(moon.sun_distance_au[0]) ** 2
     towards = to_earth / np.linalg.norm(to_earth)
     lit_so = _lunar_albedo(replace(body, to_sun=towards), at, moon.epoch_year)
-    return Light(towards, share * float((lit_so / body.albedo_at(at))[0]))
+    return DirectionalLight(towards, share * float((lit_so / body.albedo_at(at))[0]))
 
 
 def covers(body: SunlitBody, direction: ArrayLike) -> NDArray[np.bool_]:

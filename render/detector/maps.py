@@ -20,7 +20,6 @@ from render.engine import Engine
 from render.engine.random import Streams
 from render.engine.upload import uploaded
 
-DISPLACEMENTS = tuple((dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dx or dy)
 _WHOLE = ("width_px", "height_px", "chip_width_px", "gap_px")
 
 
@@ -51,15 +50,6 @@ class PixelMaps(NamedTuple):
     offset: Any
     defect: Any
     pixel: Any  # index in the whole detector, the counter of all streams
-
-
-class _Layout(NamedTuple):
-    """Borders between chips."""
-
-    chip_width_px: int
-    gap_px: int
-    chips: int
-    height_px: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,17 +108,6 @@ def window_maps(detector: Detector, types: Any, column: NDArray[np.int64], row: 
     shape = (len(column), row.shape[1], column.shape[1])
     columns, rows = (np.broadcast_to(part, shape).ravel() for part in (column[:, None, :], row[:, :, None]))
     return _maps(_recipe(detector), types, uploaded(types.UInt32, columns), uploaded(types.UInt32, rows))
-
-
-def neighbour_bits(detector: Detector, column: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """Bit i is set where the neighbour at ``DISPLACEMENTS[i]`` is in the window and on the same chip."""
-    # column (n, w), row (n, h) -> (n, h, w)
-    return _neighbour_bits(_layout(detector), column, row)
-
-
-def full_neighbours(detector: Detector, types: Any) -> Any:
-    """`neighbour_bits` of the whole detector on the backend, flat; made once."""
-    return _full_neighbours(_layout(detector), types)
 
 
 def _recipe(detector: Detector) -> _Recipe:
@@ -207,29 +186,3 @@ def _damage(types: Any, p: SimpleNamespace, pixel: Any, centres_key: tuple[Any, 
         label="damage",
     )
     return p.damage_dark_e_per_s * total
-
-
-@lru_cache(maxsize=2)
-def _full_neighbours(layout: _Layout, types: Any) -> Any:
-    width = layout.chips * layout.chip_width_px + (layout.chips - 1) * layout.gap_px
-    bits = _neighbour_bits(layout, np.arange(width)[None], np.arange(layout.height_px)[None])
-    return uploaded(types.UInt32, bits)
-
-
-def _layout(detector: Detector) -> _Layout:
-    return _Layout(*(getattr(detector, name) for name in _Layout._fields))
-
-
-def _neighbour_bits(layout: _Layout, column: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.uint32]:
-    period = layout.chip_width_px + layout.gap_px
-    chip = np.floor_divide(column, period)
-    on_chip = (column - chip * period < layout.chip_width_px) & (chip >= 0) & (chip < layout.chips)
-    on_array = (row >= 0) & (row < layout.height_px)
-    chip = np.where(on_chip[:, None, :] & on_array[:, :, None], chip[:, None, :], -1).astype(np.int8)
-    padded = np.pad(chip, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
-    height, width = chip.shape[1:]
-    bits = np.zeros(chip.shape, np.uint32)
-    for bit, (dx, dy) in enumerate(DISPLACEMENTS):
-        other = padded[:, 1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
-        bits |= ((other == chip) & (chip >= 0)).astype(np.uint32) << np.uint32(bit)
-    return bits

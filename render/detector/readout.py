@@ -3,15 +3,15 @@
 The order of effects, each from the EMVA 1288 description in `render.detector.spec`:
 
 1. charge diffusion on the expectation (only where the renderer has not applied it; `render.detector.diffusion`);
-   then smear, lag and blooming, where the detector has them (`render.detector.strong_light`);
+   then smear, lag and blooming, where the detector has them (`render.detector.smear_lag`, `render.detector.full_well`);
 2. response non-uniformity (PRNU) on all light, signal and background;
 3. Poisson variate of (signal + background + dark current); the dark current has its own map (spread, hot pixels) and
    doubles with every ``dark_doubling_c``; then the charge of cosmic rays (`render.detector.cosmic_rays`), where any is
    given;
-4. full well: charge beyond it is lost, the pixel is flagged;
-5. crosstalk: 3 x 3, each pair of neighbours on a chip exchanges a fixed share of its difference;
+4. full well: charge beyond it is lost, the pixel is flagged (`render.detector.full_well`);
+5. crosstalk (`render.detector.crosstalk`);
 6. read noise, Gaussian, with its own standard deviation per pixel;
-7. gain and non-linearity, DN = K x (1 + sum_i c_i (x / full_well)^i);
+7. gain and non-linearity (`render.detector.nonlinearity`);
 8. offset with pixel (DSNU) and column pattern;
 9. round to the nearest whole number;
 10. converter: clip to 0 ... 2^bits - 1; the upper end is flagged.
@@ -34,10 +34,12 @@ from numpy.typing import ArrayLike, NDArray
 from optics.errors import ConfigError, DomainError, unknown_name
 from render.detector.cosmic_ray_charge import frame_deposit, window_deposit
 from render.detector.cosmic_rays import CosmicRayHits
+from render.detector.crosstalk import frame_neighbours, window_neighbours
 from render.detector.diffusion import diffuse
-from render.detector.maps import full_maps, full_neighbours, neighbour_bits, window_maps
+from render.detector.full_well import bloomed
+from render.detector.maps import full_maps, window_maps
+from render.detector.smear_lag import with_lag, with_smear
 from render.detector.spec import Detector
-from render.detector.strong_light import bloomed, column_effects, with_lag, with_smear
 from render.engine import Engine
 from render.engine.random import Streams
 from render.engine.upload import uploaded
@@ -106,7 +108,7 @@ def expose(
             f"expected image of shape {electrons.shape} on detector {detector.name!r} of shape {detector.shape}; "
             "they must agree"
         )
-    if column_effects(detector) or before is not None:
+    if detector.has_column_effects or before is not None:
         background_e = background_e_per_s * exposure_s
         light = with_smear(electrons.astype(float) * factor + background_e, detector, exposure_s)
         if before is not None:
@@ -117,13 +119,8 @@ def expose(
                 light, detector, with_smear(earlier.astype(float) * share + background_e, detector, exposure_s)
             )
         electrons, factor, background_e_per_s = bloomed(light, detector).astype(np.float32), 1.0, 0.0
-    from render.detector.chain import Neighbours, digitise
-
     maps = full_maps(detector, types)
-    neighbours = None
-    if _has_crosstalk(detector):
-        neighbours = Neighbours(full_neighbours(detector, types), detector.width_px)
-    exposure = _exposure(
+    conditions = _conditions(
         detector,
         streams.child("readout", band),
         frames=(frame, 1),
@@ -133,10 +130,16 @@ def expose(
         factor=factor,
         electrons=electrons,
     )
-    deposit = None if hits is None else frame_deposit(types, hits, detector)
-    flat = uploaded(types.Float32, electrons)
+    from render.detector.chain import digitise
+
     packed = digitise(
-        types, flat, maps=maps, neighbours=neighbours, detector=detector, exposure=exposure, deposit=deposit
+        types,
+        uploaded(types.Float32, electrons),
+        maps=maps,
+        neighbours=frame_neighbours(detector, types),
+        detector=detector,
+        conditions=conditions,
+        deposit=None if hits is None else frame_deposit(types, hits, detector),
     )
     dn, saturated = _unpack(packed.reshape(detector.shape))
     return Frame(
@@ -205,7 +208,7 @@ def expose_windows(
     DomainError, BackendError
         As in `expose`; also windows not inside the detector, zero frames, or sets of hits that are not as many.
     """
-    if column_effects(detector):
+    if detector.has_column_effects:
         raise ConfigError(
             f"detector {detector.name!r} has smear or blooming, which run along whole columns; read whole frames"
         )
@@ -216,7 +219,7 @@ def expose_windows(
         raise DomainError(f"frames = {frames!r}; at least 1 frame is needed")
     if hits is not None and len(hits) != frames:
         raise DomainError(f"{len(hits)} sets of cosmic-ray hits for {frames} frames; one for each is needed")
-    exposure = _exposure(
+    conditions = _conditions(
         detector,
         streams.child("readout", band),
         frames=(first_frame, int(frames)),
@@ -227,18 +230,19 @@ def expose_windows(
     )
     count, height, width = electrons.shape
     inner = (slice(margin_px, height - margin_px), slice(margin_px, width - margin_px))
-    from render.detector.chain import Neighbours, digitise
-
     if electrons.size:
+        from render.detector.chain import digitise
+
         column, row = corner[:, :1] + np.arange(width), corner[:, 1:] + np.arange(height)
         maps = window_maps(detector, types, column, row)
-        neighbours = None
-        if _has_crosstalk(detector):
-            neighbours = Neighbours(uploaded(types.UInt32, neighbour_bits(detector, column, row)), width)
-        deposit = None if hits is None else window_deposit(types, hits, detector, column, row)
-        flat = uploaded(types.Float32, electrons)
         packed = digitise(
-            types, flat, maps=maps, neighbours=neighbours, detector=detector, exposure=exposure, deposit=deposit
+            types,
+            uploaded(types.Float32, electrons),
+            maps=maps,
+            neighbours=window_neighbours(detector, types, column, row),
+            detector=detector,
+            conditions=conditions,
+            deposit=None if hits is None else window_deposit(types, hits, detector, column, row),
         )
         defect = np.array(maps.defect)
     else:  # no stars is a result too
@@ -320,7 +324,7 @@ def _checked_corners(
     return corner
 
 
-def _exposure(
+def _conditions(
     detector: Detector,
     streams: Streams,
     *,
@@ -331,14 +335,14 @@ def _exposure(
     electrons: NDArray[np.float32],
     factor: float = 1.0,
 ) -> Any:
-    from render.detector.chain import Exposure
+    from render.detector.chain import ReadoutConditions
 
     exposure_s = checked_exposure(exposure_s)
     if not 0.0 <= background_e_per_s < np.inf:
         raise DomainError(f"background_e_per_s = {background_e_per_s:g} e-/s; it must be finite and not negative")
     temperature_c = detector.dark_reference_c if temperature_c is None else temperature_c
     some = electrons[..., ::_EVERY, ::_EVERY]
-    return Exposure(
+    return ReadoutConditions(
         signal_factor=factor,
         background_e=background_e_per_s * exposure_s,
         dark_factor_s=detector.dark_factor(temperature_c) * exposure_s,
@@ -347,10 +351,6 @@ def _exposure(
         frames=frames[1],
         typical_e=factor * float(np.median(some)) if some.size else 0.0,
     )
-
-
-def _has_crosstalk(detector: Detector) -> bool:
-    return bool(detector.crosstalk_horizontal or detector.crosstalk_vertical or detector.crosstalk_diagonal)
 
 
 def _unpack(packed: NDArray[np.uint32]) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:

@@ -24,6 +24,7 @@ from optics.textfile import read_text, two_columns
 from optics.units import UM_MM
 from optics.validate import MOST_MISSING, parse_model, read_toml
 from render.detector.dark_current import dark_current_ratio, tabulated_dark_current
+from render.detector.nonlinearity import falling_from
 
 _DATA = Path(__file__).parents[1] / "data" / "detectors"
 _HIGHEST = 1e7
@@ -215,11 +216,11 @@ class Detector:
                 "at most 0.5 is allowed"
             )
 
-        folds = _fold(self.nonlinearity)
-        if folds is not None:
+        fraction = falling_from(self.nonlinearity)
+        if fraction is not None:
             raise DomainError(
-                f"Detector.nonlinearity = {tuple(self.nonlinearity)}: output falls again from {folds:.3g} of the full "
-                f"well ({folds * self.full_well_e:.4g} e-) on; it must rise up to the full well"
+                f"Detector.nonlinearity = {tuple(self.nonlinearity)}: output falls again from {fraction:.3g} of the "
+                f"full well ({fraction * self.full_well_e:.4g} e-) on; it must rise up to the full well"
             )
 
     @property
@@ -249,6 +250,11 @@ class Detector:
     def diffusion_sigma_px(self) -> float:
         """Charge diffusion [px]."""
         return self.diffusion_sigma_mm / self.pixel_pitch_mm
+
+    @property
+    def has_column_effects(self) -> bool:
+        """Whether light in one row changes others, by blooming or smear."""
+        return bool(self.blooming or self.transfer_line_us)
 
     @property
     def largest_dn(self) -> int:
@@ -303,14 +309,6 @@ class Detector:
             current = tabulated_dark_current(self.dark_curve_c, self.dark_curve_e_per_s, temperature_c)
             return current / self.dark_current_e_per_s
         return dark_current_ratio(temperature_c, reference_c=self.dark_reference_c, doubling_c=self.dark_doubling_c)
-
-
-def _fold(nonlinearity: tuple[float, ...]) -> float | None:
-    """Share of the full well from which on u (1 + sum_i c_i u^i) falls; None if it rises up to 1."""
-    share = np.linspace(0.0, 1.0, 1001)
-    slope = np.polynomial.polynomial.polyval(share, [1.0, *((i + 2) * c for i, c in enumerate(nonlinearity))])
-    falling = share[slope < 0.0]
-    return float(falling[0]) if len(falling) else None
 
 
 def _in_range(key: str, text: str, **options: Any) -> Any:

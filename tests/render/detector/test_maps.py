@@ -4,7 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from render.detector.maps import DISPLACEMENTS, full_maps, neighbour_bits, sensor_maps, window_maps
+from render.detector.crosstalk import DISPLACEMENTS, neighbour_bits
+from render.detector.maps import full_maps, sensor_maps, window_maps
 from render.detector.spec import Detector, load_detector
 from render.engine import Engine
 

@@ -95,7 +95,7 @@ def _slopes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.stack(by_x, axis=-1), np.stack(by_y, axis=-1)
 
 
-class PixelMaps:
+class RayMaps:
     """Maps of one camera at given wavelengths; computed tile by tile on request, and kept."""
 
     def __init__(self, camera: Camera, wavelength_nm: FloatArray) -> None:

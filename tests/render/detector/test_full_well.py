@@ -7,9 +7,9 @@ import pytest
 from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
+from render.detector.full_well import bloomed
 from render.detector.readout import expose, expose_windows
 from render.detector.spec import load_detector
-from render.detector.strong_light import bloomed
 from render.engine.random import Streams
 
 PLAIN = dataclasses.replace(
