@@ -8,23 +8,22 @@ left out: a wrong match costs a calibration more than a missing one.
 camera equals the angle in the catalogue propose an attitude (Fischler and Bolles 1981, Commun. ACM 24, 381; all pairs
 or an even selection of them, no random draw), and the attitude that explains most detections is taken. `associate` and
 Wahba's problem are then iterated until the matches are stable. The result is accepted if the number of matches is
-improbable by chance: with p the probability that a detection falls within the tolerance of some catalogue star, the
-binomial probability of the matches beyond the two that fixed the attitude, times the number of proposals. Otherwise the
-flipped image is tried, to distinguish a mirrored sky from an empty one.
+improbable by chance (`calib.attitude.false_match_probability`). Otherwise the flipped image is tried, to distinguish a
+mirrored sky from an empty one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from scipy.special import bdtrc
 
 from calib.attitude.attitude_solution import AttitudeSolution, solve_wahba, solve_wahba_many
+from calib.attitude.false_match_probability import false_match_probability
 from calib.cameras.base import CameraModel
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
@@ -32,7 +31,7 @@ from optics.records import freeze, freeze_all
 
 MAX_CANDIDATES = 600  # candidates from which proposals are made
 MAX_PROPOSALS = 2000  # attitudes that are tried
-CHANCE_LIMIT = 1e-6  # probability of as many matches by chance above which nothing is claimed
+LARGEST_FALSE_MATCH_PROBABILITY = 1e-6  # above it no match is claimed
 MAX_ROUNDS = 20
 
 
@@ -69,7 +68,7 @@ class StarMatch:
     association: Association  # The matches; empty unless matched
     # Attitude from the matches (all weighing the same, sigma estimated); None unless matched
     attitude: AttitudeSolution | None
-    chance: float  # Probability of as many matches by chance
+    false_match_probability: float  # Of as many matches by chance
 
     @property
     def ok(self) -> bool:
@@ -173,26 +172,22 @@ def match_stars(
         raise DomainError(
             f"tolerance_px = {tolerance_px} px; it must be positive and at most radius_px = {radius_px} px"
         )
-    found = _match(pixel, direction, attitude, model, radius_px, tolerance_px, band)
-    if found.status != "no_match":
-        return found
+    match = _match(pixel, direction, attitude, model, radius_px, tolerance_px, band)
+    if match.status != "no_match":
+        return match
     width, height = model.geometry.width_px, model.geometry.height_px
     flips = {
         "columns run backwards": np.column_stack([width - 1 - pixel[:, 0], pixel[:, 1]]),
         "rows run backwards": np.column_stack([pixel[:, 0], height - 1 - pixel[:, 1]]),
         "columns and rows are exchanged": pixel[:, ::-1],
     }
-    for what, flipped in flips.items():
-        other = _match(flipped, direction, attitude, model, radius_px, tolerance_px, band)
-        if other.ok:
-            return StarMatch(
-                status="mirrored",
-                message=f"mirrored sky: {len(other.association)} stars match if {what}; correct the axes of the image",
-                association=found.association,
-                attitude=None,
-                chance=found.chance,
-            )
-    return found
+    for flip, flipped in flips.items():
+        mirrored = _match(flipped, direction, attitude, model, radius_px, tolerance_px, band)
+        if mirrored.ok:
+            count = len(mirrored.association)
+            message = f"mirrored sky: {count} stars match if {flip}; correct the axes of the image"
+            return replace(match, status="mirrored", message=message)
+    return match
 
 
 def _checked(
@@ -214,42 +209,35 @@ def _checked(
     return pixel, direction
 
 
-def pixel_angle_rad(model: CameraModel) -> float:
-    """Angle of a pixel in the middle of the detector [rad]."""
-    middle = model.geometry.centre_px
-    ray = model.unproject(middle + np.array([[-0.5, 0.0], [0.5, 0.0]]))
-    return float(np.linalg.norm(ray[1] - ray[0]))
-
-
 def _pairs_within(
     pixel: FloatArray, direction: FloatArray, attitude: Rotation, model: CameraModel, radius_px: float, band: int
 ) -> _Pairs:
     corners = model.unproject(model.geometry.corners_px)
     axis_cosine = np.nanmin(np.append(corners[:, 2], 1.0))
     # A little more than the field, so that the exact question is asked of few stars only.
-    reach = 1.2 * np.arccos(np.clip(axis_cosine, -1.0, 1.0)) + radius_px * pixel_angle_rad(model)
+    reach = 1.2 * np.arccos(np.clip(axis_cosine, -1.0, 1.0)) + radius_px * model.pixel_angle_rad
     boresight = attitude.inv().apply([0.0, 0.0, 1.0])
     near = np.flatnonzero(direction @ boresight >= np.cos(min(reach, np.pi)))
     v_cam = attitude.apply(direction[near]) if len(near) else np.empty((0, 3))
-    kept = model.visible(v_cam, band, margin_px=radius_px)
-    near, place = near[kept], model.project(v_cam[kept], band)
-    on_detector = int(np.count_nonzero(model.geometry.contains(place)))
+    visible = model.visible(v_cam, band, margin_px=radius_px)
+    near, star_px = near[visible], model.project(v_cam[visible], band)
+    on_detector = int(np.count_nonzero(model.geometry.contains(star_px)))
     usable = np.flatnonzero(np.isfinite(pixel).all(axis=1))
     if not len(near) or not len(usable):
         return _Pairs(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), on_detector)
-    close = cKDTree(pixel[usable]).sparse_distance_matrix(cKDTree(place), radius_px, output_type="ndarray")
+    close = cKDTree(pixel[usable]).sparse_distance_matrix(cKDTree(star_px), radius_px, output_type="ndarray")
     order = np.lexsort((close["j"], close["i"]))
     return _Pairs(usable[close["i"][order]], near[close["j"][order]], close["v"][order], on_detector)
 
 
 def _one_to_one(pairs: _Pairs, detections: int, stars: int) -> Association:
-    alone = np.bincount(pairs.detected, minlength=detections)[pairs.detected] == 1
-    alone &= np.bincount(pairs.catalogue, minlength=stars)[pairs.catalogue] == 1
+    single = np.bincount(pairs.detected, minlength=detections)[pairs.detected] == 1
+    single &= np.bincount(pairs.catalogue, minlength=stars)[pairs.catalogue] == 1
     return Association(
-        detected=pairs.detected[alone],
-        catalogue=pairs.catalogue[alone],
-        distance_px=pairs.distance_px[alone],
-        ambiguous=np.unique(pairs.detected[~alone]),
+        detected=pairs.detected[single],
+        catalogue=pairs.catalogue[single],
+        distance_px=pairs.distance_px[single],
+        ambiguous=np.unique(pairs.detected[~single]),
         in_field=pairs.in_field,
     )
 
@@ -264,8 +252,8 @@ def _match(
     band: int,
 ) -> StarMatch:
     v_cam = _unprojected(pixel, model, band)
-    known = np.asarray(np.isfinite(v_cam).all(axis=1))
-    pixel, usable = np.where(known[:, None], pixel, np.nan), int(np.count_nonzero(known))
+    with_direction = np.asarray(np.isfinite(v_cam).all(axis=1))
+    pixel, usable = np.where(with_direction[:, None], pixel, np.nan), int(np.count_nonzero(with_direction))
     pairs = _pairs_within(pixel, direction, attitude, model, radius_px, band)
     stars = len(np.unique(pairs.catalogue))
     if usable < 3 or min(stars, len(np.unique(pairs.detected))) < 3:
@@ -274,18 +262,23 @@ def _match(
             f"{usable} usable detections and {stars} catalogue stars within {radius_px:g} px of one of them: at least "
             "3 of both are needed",
         )
-    tolerance_rad = tolerance_px * pixel_angle_rad(model)
-    best, tried = _best_proposal(v_cam[pairs.detected], direction[pairs.catalogue], pairs, tolerance_rad)
+    tolerance_rad = tolerance_px * model.pixel_angle_rad
+    best, proposals = _best_proposal(v_cam[pairs.detected], direction[pairs.catalogue], pairs, tolerance_rad)
     association, solution = _refined(pixel, v_cam, direction, best, model, tolerance_px, band)
-    area = model.geometry.width_px * model.geometry.height_px
-    chance_each = min(1.0, association.in_field * np.pi * tolerance_px**2 / area)
-    chance = _chance(len(association), usable, chance_each, tried)
-    if solution is None or chance > CHANCE_LIMIT or solution.status == "degenerate":
+    probability = false_match_probability(
+        len(association),
+        usable,
+        proposals,
+        stars=association.in_field,
+        radius_px=tolerance_px,
+        area_px2=model.geometry.width_px * model.geometry.height_px,
+    )
+    if solution is None or probability > LARGEST_FALSE_MATCH_PROBABILITY or solution.status == "degenerate":
         return _unmatched(
             "no_match",
             f"no attitude near the given one explains the {usable} detections: {len(association)} match, which chance "
-            f"gives with probability {chance:.2g}; a wider radius_px, a better camera model or attitude is needed",
-            chance,
+            f"gives with probability {probability:.2g}; a wider radius_px, a better camera model or attitude is needed",
+            probability,
         )
     return StarMatch(
         status="matched",
@@ -293,11 +286,11 @@ def _match(
         f"their places, {len(association.ambiguous)} ambiguous",
         association=association,
         attitude=solution,
-        chance=chance,
+        false_match_probability=probability,
     )
 
 
-_NOTHING = Association(
+_NO_MATCHES = Association(
     detected=np.empty(0, np.int64),
     catalogue=np.empty(0, np.int64),
     distance_px=np.empty(0),
@@ -306,8 +299,14 @@ _NOTHING = Association(
 )
 
 
-def _unmatched(status: str, message: str, chance: float = 1.0) -> StarMatch:
-    return StarMatch(status=status, message=message, association=_NOTHING, attitude=None, chance=chance)
+def _unmatched(status: str, message: str, probability: float = 1.0) -> StarMatch:
+    return StarMatch(
+        status=status,
+        message=message,
+        association=_NO_MATCHES,
+        attitude=None,
+        false_match_probability=probability,
+    )
 
 
 def _unprojected(pixel: FloatArray, model: CameraModel, band: int) -> FloatArray:
@@ -328,7 +327,7 @@ def _refined(
     band: int,
 ) -> tuple[Association, AttitudeSolution | None]:
     """Association and attitude in turn, until the matches stay; no attitude from fewer than three."""
-    association: Association = _NOTHING
+    association: Association = _NO_MATCHES
     solution: AttitudeSolution | None = None
     for _ in range(MAX_ROUNDS if attitude is not None else 0):
         assert attitude is not None
@@ -345,20 +344,12 @@ def _refined(
     return association, solution
 
 
-def _chance(matches: int, detections: int, each: float, tried: int) -> float:
-    """Probability of as many chance matches beyond the two that fix the attitude, in as many trials."""
-    if matches < 3:
-        return 1.0
-    return float(min(1.0, max(tried, 1) * bdtrc(matches - 3, detections - 2, each)))
-
-
 def _best_proposal(
     v_cam: FloatArray, v_ref: FloatArray, pairs: _Pairs, tolerance_rad: float
 ) -> tuple[Rotation | None, int]:
     """The attitude, proposed by two of the candidates (c, 3), that explains most detections, and their number."""
-    some = _evenly(len(v_cam), MAX_CANDIDATES)
-    first, second = np.triu_indices(len(some), 1)
-    first, second = some[first], some[second]
+    candidates = _evenly(len(v_cam), MAX_CANDIDATES)
+    first, second = (candidates[index] for index in np.triu_indices(len(candidates), 1))
     different = (pairs.detected[first] != pairs.detected[second]) & (pairs.catalogue[first] != pairs.catalogue[second])
     first, second = first[different], second[different]
     in_camera = np.linalg.norm(v_cam[first] - v_cam[second], axis=1)
@@ -374,9 +365,9 @@ def _best_proposal(
     matrix = solved.rotation.as_matrix()
     # |v_cam - R v_ref|^2 = 2 - 2 v_cam . R v_ref, as one product of (proposals, 9) and (9, candidates).
     outer = (v_cam[:, :, None] * v_ref[:, None, :]).reshape(-1, 9)
-    miss2 = np.maximum(2.0 - 2.0 * matrix.reshape(-1, 9) @ outer.T, 0.0)
+    distance2 = np.maximum(2.0 - 2.0 * matrix.reshape(-1, 9) @ outer.T, 0.0)
     # Twice the tolerance: the two stars that made a proposal carry their own errors across the field.
-    score = np.maximum(1.0 - miss2 / (2 * tolerance_rad) ** 2, 0.0)
+    score = np.maximum(1.0 - distance2 / (2 * tolerance_rad) ** 2, 0.0)
     starts = np.flatnonzero(np.diff(pairs.detected, prepend=-1))
     total = np.maximum.reduceat(score, starts, axis=1).sum(axis=1)
     return Rotation.from_matrix(matrix[int(np.argmax(total))]), len(chosen)

@@ -63,8 +63,8 @@ class Identification:
         Gaia DR3 source identifiers; negative ones are Hipparcos numbers.
     direction : (k, 3)
         Unit vectors of these stars in icrs; from the database, single precision, where no catalogue was handed in.
-    chance : float
-        Probability of a false identification as tetra3rs states it; NaN if there is none.
+    false_match_probability : float
+        As tetra3rs states it; NaN if there is none.
     scale : float
         Focal length implied by the stars / focal length of the camera model.
     residual_px : (k, 2) or None
@@ -81,7 +81,7 @@ class Identification:
     detected: NDArray[np.int64]
     catalogue_id: NDArray[np.int64]
     direction: FloatArray
-    chance: float = float("nan")
+    false_match_probability: float = float("nan")
     scale: float = float("nan")
     residual_px: FloatArray | None = None
     beyond: NDArray[np.bool_] | None = None
@@ -294,7 +294,7 @@ def _accepted(
         detected=rows[matched],
         catalogue_id=identifier,
         direction=direction,
-        chance=float(found.probability),
+        false_match_probability=float(found.probability),
         scale=float(found.camera_model.focal_length_px / focal_px),
     )
 

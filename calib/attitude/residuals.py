@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.association import pixel_angle_rad
 from calib.attitude.attitude_solution import solve_wahba
 from calib.attitude.wahba import rotations_of_groups
 from calib.cameras.base import CameraModel
@@ -25,7 +24,7 @@ BEYOND_SIGMA = 5.0  # of both axes together; one star of 270 000 lies there by c
 ROUNDS = 10
 
 
-class Residuals(NamedTuple):
+class StarResiduals(NamedTuple):
     """Residuals (k, 2) [px], measured minus catalogue; which lie beyond their noise (k,); chi-square; one line."""
 
     residual_px: FloatArray
@@ -41,7 +40,7 @@ def star_residuals(
     *,
     sigma_px: ArrayLike | None = None,
     model_error_px: float = 0.0,
-) -> Residuals:
+) -> StarResiduals:
     """Residuals of identified stars after the best rotation.
 
     Shapes: ``pixel_px`` (k, 2), ``v_ref`` (k, 2), ``sigma_px`` (k,).
@@ -53,7 +52,7 @@ def star_residuals(
     rotation, kept = Rotation.from_matrix(start), np.ones(count, bool)
     if sigma_px is None:
         residual = _residual(pixel_px, v_ref, model, rotation)
-        return Residuals(residual, np.zeros(count, bool), UNTESTED, _size(residual))
+        return StarResiduals(residual, np.zeros(count, bool), UNTESTED, _size(residual))
     error = np.hypot(np.broadcast_to(np.asarray(sigma_px, float), (count,)), model_error_px)
     if not np.all(error > 0):
         raise DomainError("sigma_px of an identified star is not positive; leave it out, or state a model_error_px")
@@ -61,7 +60,7 @@ def star_residuals(
     for _ in range(ROUNDS):
         if np.count_nonzero(kept) < max(3, (1.0 - LARGEST_WRONG_PART) * count):
             kept = np.ones(count, bool)  # no minority: it is the model or the noise
-        turn = solve_wahba(v_cam[kept], v_ref[kept], sigma_rad=error[kept] * pixel_angle_rad(model))
+        turn = solve_wahba(v_cam[kept], v_ref[kept], sigma_rad=error[kept] * model.pixel_angle_rad)
         rotation = turn.rotation
         before, kept = kept, _within(_residual(pixel_px, v_ref, model, rotation), error)
         if np.array_equal(before, kept) or np.count_nonzero(kept) < 3:
@@ -72,7 +71,7 @@ def star_residuals(
     misfit = ChiSquare(value=float(pull2[judged].sum()), degrees_of_freedom=max(2 * int(judged.sum()) - 3, 0))
     beyond = ~_within(residual, error)
     text = f"{np.count_nonzero(beyond)} of {count} stars lie beyond {BEYOND_SIGMA:g} sigma of noise and model error"
-    return Residuals(residual, beyond, misfit, joined(_size(residual), text if beyond.any() else "", misfit.note))
+    return StarResiduals(residual, beyond, misfit, joined(_size(residual), text if beyond.any() else "", misfit.note))
 
 
 def _residual(pixel: FloatArray, v_ref: FloatArray, model: CameraModel, rotation: Rotation) -> FloatArray:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.association import associate, match_stars, pixel_angle_rad
+from calib.attitude.association import associate, match_stars
 from calib.attitude.attitude_solution import AttitudeSolution, solve_wahba
 from calib.attitude.identify import Identification, identify, with_residuals
 from calib.attitude.pattern_cache import kept_database
@@ -216,7 +216,7 @@ def solve_attitude(
     covariance = stars.covariance[fit[pairs.detected]]
     variance = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2.0
     v_cam, v_ref = model.unproject(pixel[pairs.detected]), known.direction[pairs.catalogue]
-    solution, kept, common_px = balanced_attitude(v_cam, v_ref, variance, pixel_angle_rad(model))
+    solution, kept, common_px = balanced_attitude(v_cam, v_ref, variance, model.pixel_angle_rad)
     place = model.project(solution.rotation.apply(v_ref))
     return StarAttitude(
         solution=solution,
@@ -286,7 +286,7 @@ def _near(
         detected=rows[found.association.detected],
         catalogue_id=np.asarray(known.id)[found.association.catalogue],
         direction=known.direction[found.association.catalogue],
-        chance=found.chance,
+        false_match_probability=found.false_match_probability,
     )
 
 

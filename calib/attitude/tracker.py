@@ -22,7 +22,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.association import pixel_angle_rad
 from calib.attitude.attitude_solution import AttitudeSolution, solve_wahba
 from calib.attitude.star_attitude import identify_stars
 from calib.cameras.base import CameraModel
@@ -289,7 +288,7 @@ class StarTracker:
         self._scale_error = scale_error
         self._database = database
         self._margin = window_px // 2 + 1.0
-        self._pixel_rad = pixel_angle_rad(model)
+        self._pixel_rad = model.pixel_angle_rad
         self.reset()
 
     def reset(self) -> None:

@@ -37,7 +37,7 @@ from optics.errors import DomainError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class FamilyFit:
     """Result of the fit of a family of attitudes."""
 
     state: Any  # State of its problem
@@ -105,7 +105,7 @@ class AttitudeFamily(ABC):
     @abstractmethod
     def fit(
         self, stars: Observations, model: CameraModel, free: BoolArray, start: Any, *, two_step: bool, loss: Loss
-    ) -> Outcome:
+    ) -> FamilyFit:
         """Fit and judge."""
 
     @abstractmethod
@@ -148,7 +148,7 @@ class RotationFamily(AttitudeFamily, FrameRotations):
 
     def fit(
         self, stars: Observations, model: CameraModel, free: BoolArray, start: Any, *, two_step: bool, loss: Loss
-    ) -> Outcome:
+    ) -> FamilyFit:
         """Stages, robust scale, and the judgement of the residuals."""
         stages = free_stages(model, free, two_step=two_step)
 
@@ -185,7 +185,7 @@ class RotationFamily(AttitudeFamily, FrameRotations):
         objection = "" if status == "refused" else self.objection(start.pose, fit.state.pose)
         if objection:
             status, message = "refused", objection
-        return Outcome(state=fit.state, solution=replace(solution, status=status, message=message), kept=kept)
+        return FamilyFit(state=fit.state, solution=replace(solution, status=status, message=message), kept=kept)
 
     def attitudes(self, state: Any, stars: Observations, camera: CameraModel) -> tuple[FloatArray, Rotation | None]:
         """Attitudes of the state."""

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.calibration.attitude_family import AttitudeFamily, Outcome
+from calib.calibration.attitude_family import AttitudeFamily, FamilyFit
 from calib.calibration.observations import Observations
 from calib.calibration.record import Calibration
 from calib.calibration.selection import Selection, select_stars
@@ -113,7 +113,7 @@ def calibrate(
     return _calibration(attitude_family, outcome, selection, model, mask)
 
 
-def _not_begun(start: Any, names: tuple[str, ...], message: str, stars: int, degrees_of_freedom: int) -> Outcome:
+def _not_begun(start: Any, names: tuple[str, ...], message: str, stars: int, degrees_of_freedom: int) -> FamilyFit:
     """Outcome of a fit that was not begun: no values, infinite variances."""
     solution = Solution(
         value=np.full(len(names), np.nan),
@@ -128,11 +128,11 @@ def _not_begun(start: Any, names: tuple[str, ...], message: str, stars: int, deg
         residual_pulls=np.full(2 * stars, np.nan),
         robust_weight=np.ones(stars),
     )
-    return Outcome(state=start, solution=solution, kept=np.ones(stars, dtype=np.bool_))
+    return FamilyFit(state=start, solution=solution, kept=np.ones(stars, dtype=np.bool_))
 
 
 def _calibration(
-    family: AttitudeFamily, outcome: Outcome, selection: Selection, model: CameraModel, mask: BoolArray
+    family: AttitudeFamily, outcome: FamilyFit, selection: Selection, model: CameraModel, mask: BoolArray
 ) -> Calibration:
     """Record of an outcome."""
     solution, count = outcome.solution, int(mask.sum())

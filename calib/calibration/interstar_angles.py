@@ -33,7 +33,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.calibration.attitude_family import AttitudeFamily, Outcome, frames_with_stars
+from calib.calibration.attitude_family import AttitudeFamily, FamilyFit, frames_with_stars
 from calib.calibration.free_attitudes import FreeAttitudes, frame_parity, start_attitudes
 from calib.calibration.interstar_pairs import (
     PairProblem,
@@ -113,7 +113,7 @@ class NoAttitude(AttitudeFamily):
 
     def fit(
         self, stars: Observations, model: CameraModel, free: BoolArray, start: Any, *, two_step: bool, loss: Loss
-    ) -> Outcome:
+    ) -> FamilyFit:
         """Pairs with equal weights, then with full ones if wanted; the judgement of the residuals and of the parity."""
         kept, state, steps = np.ones(len(stars), bool), np.array(model.parameters), 0
         stages = free_stages(model, free, two_step=two_step)
@@ -142,7 +142,7 @@ class NoAttitude(AttitudeFamily):
         parity = frame_parity(fitted, model.with_parameters(fit.state))
         if parity:
             status, message = "refused", f"{parity}; {message}"
-        return Outcome(state=fit.state, solution=replace(solution, status=status, message=message), kept=kept)
+        return FamilyFit(state=fit.state, solution=replace(solution, status=status, message=message), kept=kept)
 
     def attitudes(self, state: Any, stars: Observations, camera: CameraModel) -> tuple[FloatArray, Rotation | None]:
         """Wahba's for each frame with the camera found; no installation."""
@@ -168,7 +168,7 @@ class NoAttitude(AttitudeFamily):
         return replace(fit, evaluation=evaluation, solution=solution)
 
 
-def _right_stars(stars: Observations, model: CameraModel, free: BoolArray, two_step: bool) -> Outcome:
+def _right_stars(stars: Observations, model: CameraModel, free: BoolArray, two_step: bool) -> FamilyFit:
     """Camera parameters of a robust fit with free attitudes, and the stars (n,) that fit, two or more per frame."""
     family, loss = FreeAttitudes(), get_loss("tukey")
     start = family.start(stars, model, robust=True)

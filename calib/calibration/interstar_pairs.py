@@ -35,7 +35,7 @@ import numpy as np
 from calib.calibration.observations import Observations
 from calib.calibration.stages import free_names
 from calib.cameras.base import CameraModel, unproject_jacobian
-from calib.fitting.block_arrow import ArrowSystem, Step
+from calib.fitting.block_arrow import ArrowSystem, GaussNewtonStep
 from calib.fitting.least_squares import covariance_of
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.errors import DomainError
@@ -207,7 +207,7 @@ class _CameraProblem:
         """Directions by the camera of a state; None where it is not finite or a pixel has no direction."""
         return self.stars.directions(self.model.with_parameters(state), self.free) if np.isfinite(state).all() else None
 
-    def move(self, state: FloatArray, step: Step) -> FloatArray:
+    def move(self, state: FloatArray, step: GaussNewtonStep) -> FloatArray:
         """Parameters after a step."""
         out = state.copy()
         out[self.free] += step.common

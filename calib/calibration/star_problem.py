@@ -23,7 +23,7 @@ import numpy as np
 from calib.calibration.observations import Observations
 from calib.calibration.stages import free_names
 from calib.cameras.base import CameraModel
-from calib.fitting.block_arrow import ArrowSystem, Step
+from calib.fitting.block_arrow import ArrowSystem, GaussNewtonStep
 from optics.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -212,7 +212,7 @@ class StarProblem:
             coupling=None if prior is None else prior.coupling,
         )
 
-    def move(self, state: StarState, step: Step) -> StarState:
+    def move(self, state: StarState, step: GaussNewtonStep) -> StarState:
         """State after a step."""
         q = int(self.free.sum())
         camera = state.camera.copy()

@@ -196,6 +196,12 @@ class CameraModel(ABC):
             On NaN or infinite pixels, a wrong shape, a band the model does not have.
         """
 
+    @property
+    def pixel_angle_rad(self) -> float:
+        """Angle of a pixel in the middle of the detector [rad]."""
+        ray = self.unproject(self.geometry.centre_px + np.array([[-0.5, 0.0], [0.5, 0.0]]))
+        return float(np.linalg.norm(ray[1] - ray[0]))
+
     def with_parameters(self, parameters: ArrayLike) -> Self:
         """The same camera with other parameters (p,).
 

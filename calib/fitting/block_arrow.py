@@ -27,7 +27,7 @@ NULL_PART = 1e-13
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class GaussNewtonStep:
     """A damped Gauss-Newton step."""
 
     common: FloatArray  # (p,) Change of the common unknowns
@@ -62,7 +62,7 @@ class ArrowSystem:
         block = None if self.block is None else np.einsum("fii->fi", self.block)
         return np.diagonal(self.common), block
 
-    def step(self, damping: float, common_scale: FloatArray, block_scale: FloatArray | None) -> Step:
+    def step(self, damping: float, common_scale: FloatArray, block_scale: FloatArray | None) -> GaussNewtonStep:
         """Solve (H + damping diag(scale)) step = -gradient.
 
         Shapes: ``common_scale`` (p,), ``block_scale`` (p,).
@@ -90,7 +90,9 @@ class ArrowSystem:
             size += damping * float(np.sum(block_scale * block**2))
         # H step = -g - damping D step: step^T H step = -slope - size, the model falls by -2 slope - step^T H step
         curvature = max(-slope - size, 0.0)
-        return Step(common=common, block=block, decrease=-2.0 * slope - curvature, length=float(np.sqrt(curvature)))
+        return GaussNewtonStep(
+            common=common, block=block, decrease=-2.0 * slope - curvature, length=float(np.sqrt(curvature))
+        )
 
     def reduce(self, *, with_blocks: bool = False) -> Reduced:
         """Eliminate the frames, undamped; ``with_blocks`` also inverts their blocks."""

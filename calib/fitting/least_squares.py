@@ -26,7 +26,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.fitting.block_arrow import ArrowSystem, Reduced, Step, spectrum
+from calib.fitting.block_arrow import ArrowSystem, GaussNewtonStep, Reduced, spectrum
 from calib.fitting.determined import Determined, covariance_of_spectrum, transformed_covariance
 from calib.fitting.misfit import joined
 from calib.fitting.robust_loss import Loss, get_loss
@@ -79,7 +79,7 @@ class Problem(Protocol):
         """Normal equations with weights (n,) of the groups."""
         ...
 
-    def move(self, state: Any, step: Step) -> Any:
+    def move(self, state: Any, step: GaussNewtonStep) -> Any:
         """The state moved by a step."""
         ...
 
@@ -281,7 +281,7 @@ class DenseProblem:
         weighted = jacobian * weight[:, None]
         return ArrowSystem(common=jacobian.T @ weighted, gradient=weighted.T @ evaluation.residual[:, 0])
 
-    def move(self, state: FloatArray, step: Step) -> FloatArray:
+    def move(self, state: FloatArray, step: GaussNewtonStep) -> FloatArray:
         """Parameters after a step."""
         out = state.copy()
         out[self._free] += step.common

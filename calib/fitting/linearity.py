@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.fitting.block_arrow import Step, spectrum
+from calib.fitting.block_arrow import GaussNewtonStep, spectrum
 from calib.fitting.least_squares import Problem
 from optics.arrays import FloatArray
 
@@ -55,7 +55,9 @@ def chi_square_rise(problem: Problem, state: Any, weight: FloatArray) -> tuple[f
     rises = []
     for common in (sigma, -sigma):
         block = None if reduced.border is None else -np.einsum("fbp,p->fb", reduced.border, common)
-        moved = problem.evaluate(problem.move(state, Step(common=common, block=block, decrease=0.0, length=1.0)))
+        moved = problem.evaluate(
+            problem.move(state, GaussNewtonStep(common=common, block=block, decrease=0.0, length=1.0))
+        )
         rises.append(chi_square(moved) - chi_square(evaluation))
     rise = float(np.mean(rises))
     names = [name for name, part in zip(problem.names, vector[:, 0] ** 2, strict=True) if part > NAMED_PART]

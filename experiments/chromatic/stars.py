@@ -13,8 +13,7 @@ from experiments.laboratory.settings.tables import StarsConfig
 from optics.arrays import FloatArray
 from optics.frames import field_angles_deg
 from optics.light.band import Band, band_nodes
-from optics.light.spectrum import Blackbody
-from optics.rays.photocentre import photocentre
+from optics.rays.stellar_chromatic_shift import stellar_chromatic_shift_mm
 from render.sensor_file.instrument import Instrument
 
 NODES = 48
@@ -33,11 +32,16 @@ def stellar_shift(config: StarsConfig, band: Band, instrument: Instrument) -> tu
     nodes = band_nodes([band], NODES)
     wavelength_nm = nodes.wavelength_nm[0]
     response = nodes.weight_nm[0] * nodes.transmission[0] * camera.response_at(wavelength_nm)
-    stars = [Blackbody(temperature_k=kelvin) for kelvin in (*config.temperatures_k, config.reference_k)]
-    spectrum = np.stack([response * star.photon_density(wavelength_nm) for star in stars])
-    light = photocentre(camera.focused_lens, *field_angles_deg(direction), wavelength_nm, spectrum, order=ORDER)
-    position = np.moveaxis(np.stack(camera.to_pixel(light.x_mm, light.y_mm), axis=-1), 1, 0)
-    return direction, position[:-1] - position[-1]
+    shift_mm = stellar_chromatic_shift_mm(
+        camera.focused_lens,
+        *field_angles_deg(direction),
+        wavelength_nm=wavelength_nm,
+        response=response,
+        temperature_k=config.temperatures_k,
+        reference_k=config.reference_k,
+        order=ORDER,
+    )
+    return direction, shift_mm * [1.0, -1.0] / camera.pixel_pitch_mm
 
 
 def most_different_px(shift_px: FloatArray) -> float:

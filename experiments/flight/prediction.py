@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from calib.accuracy.attitude_terms import AttitudeErrors
 from calib.accuracy.star_errors import colour_distance
-from calib.attitude.association import pixel_angle_rad
 from calib.attitude.attitude_covariance import attitude_of_shifts, attitude_of_velocity, covariance_of_noise
 from calib.attitude.tracker import GuideCatalogue, expected_guides
 from calib.cameras.base import CameraModel
@@ -86,7 +85,7 @@ class Budget:
         self.instrument: Any = state.sensor
         self._map = self.instrument.pixel_map(state.band, temperature_k=config.star_temperature_k)
         self.model: CameraModel = fit_camera(self._map).camera
-        self.pixel_rad = pixel_angle_rad(self.model)
+        self.pixel_rad = self.model.pixel_angle_rad
         self.pixel_arcsec = self.pixel_rad * RAD_ARCSEC
         residual = self._map.pixel_px - self.model.project(self._map.direction)
         self._residual = fit_field_map(self._map.direction, residual)

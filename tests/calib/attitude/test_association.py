@@ -1,10 +1,13 @@
 """Association: one to one, ambiguous ones left out; robust against false detections, wrong attitudes, flipped skies."""
 
+from math import comb
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.association import associate, match_stars
+from calib.attitude.false_match_probability import false_match_probability
 from calib.cameras import BrownConrady, SensorGeometry
 from optics.attitude import attitude_error_arcsec
 from optics.errors import DomainError
@@ -92,7 +95,7 @@ def test_rough_attitude_is_refined(catalogue, seed):
     assert len(found.association) > 0.8 * (truth >= 0).sum()
     error = attitude_error_arcsec(found.attitude.rotation, attitude)
     assert (np.abs(error) < 5 * found.attitude.sigma_arcsec).all()
-    assert found.chance < 1e-12
+    assert found.false_match_probability < 1e-12
 
 
 @pytest.mark.parametrize("seed", range(40, 43))
@@ -112,7 +115,7 @@ def test_noise_is_refused(catalogue, seed):
     pixel = rng.uniform(0, (1023, 767), (40, 2))
     found = match_stars(pixel, catalogue, Rotation.random(rng=rng), CAMERA, radius_px=40.0)
     assert not found.ok
-    assert found.chance > 1e-6
+    assert found.false_match_probability > 1e-6
 
 
 @pytest.mark.parametrize(
@@ -174,3 +177,13 @@ def test_bad_input_is_one_clear_line(change, line):
     }
     with pytest.raises(DomainError, match=line):
         match_stars(model=CAMERA, **given)
+
+
+@pytest.mark.parametrize("matches", [3, 4, 6])
+def test_false_match_probability_is_a_binomial_tail_over_all_proposals(matches):
+    """Ten detections, eight of them free; 20 stars of 1 px radius on 100 pi px^2 hold a fifth of the detector."""
+    field = {"stars": 20, "radius_px": 1.0, "area_px2": 100.0 * np.pi}
+    tail = sum(comb(8, k) * 0.2**k * 0.8 ** (8 - k) for k in range(matches - 2, 9))
+    assert false_match_probability(matches, 10, 1, **field) == pytest.approx(tail, rel=1e-9)
+    assert false_match_probability(matches, 10, 40, **field) == pytest.approx(min(1.0, 40 * tail), rel=1e-9)
+    assert false_match_probability(2, 10, 5, **field) == 1.0

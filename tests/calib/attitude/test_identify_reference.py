@@ -59,7 +59,7 @@ def test_attitude_and_stars(database, stars, seed):
     apart = np.linalg.norm(stars[1][truth[found.detected]] - found.direction, axis=1)
     assert (apart[truth[found.detected] >= 0] < np.radians(12 / 1024)).all()
     assert found.scale == pytest.approx(1, abs=1e-3)
-    assert found.chance < 1e-5
+    assert found.false_match_probability < 1e-5
 
 
 @pytest.mark.parametrize("seed", range(100, 104))

@@ -1,12 +1,8 @@
 """Parts of the measuring room that larger tests use without noticing their numbers."""
 
-from itertools import pairwise
-from math import comb
-
 import numpy as np
 import pytest
 
-from calib.attitude.association import _chance
 from calib.flags import StarFlag
 from calib.measure.background import _clipped_statistics
 from calib.measure.centroid_error.prediction import CentroidErrors
@@ -90,15 +86,3 @@ def test_a_defect_beside_a_star_on_the_border_is_flagged(at):
         )
         assert bool(flags[0] & int(StarFlag.DEFECT)) is flagged
         assert flags[0] & int(StarFlag.EDGE)
-
-
-def test_chance_of_matches_is_a_binomial_tail_over_all_trials():
-    assert _chance(2, 10, 1e-3, 5) == 1.0
-    each, others = 0.02, 8
-    tails = [
-        sum(comb(others, k) * each**k * (1 - each) ** (others - k) for k in range(n - 2, others + 1)) for n in (3, 4, 6)
-    ]
-    for matches, tail in zip((3, 4, 6), tails, strict=True):
-        assert _chance(matches, 10, each, 1) == pytest.approx(tail, rel=1e-9)
-        assert _chance(matches, 10, each, 40) == pytest.approx(min(1.0, 40 * tail), rel=1e-9)
-    assert all(a > b for a, b in pairwise(tails))
