@@ -33,8 +33,9 @@ from optics.lens.perturb import decentre
 from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, LensSystem
 from optics.lens_file import load_lens
+from optics.rays.entrance_pupil import entrance_pupil, star_rays
 from optics.rays.program import compile_lens
-from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
+from optics.rays.pupil_sampling import sobol_disk
 from optics.rays.trace import Rays, trace
 from render.engine import Engine
 

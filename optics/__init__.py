@@ -24,10 +24,14 @@ optics.glass.catalogue              `get_glass`, `list_glasses`, `Glass`
 optics.glass.coating                `Stack` of `Film`, `QuarterWave`, `TabulatedCoating`: R, T of s and p light
 optics.glass.absolute_index         `Environment`, `CATALOGUE_AIR`, `VACUUM`
 optics.rays.paraxial                `paraxial`, `axial_colour_mm`
-optics.rays.chief                   `chief_ray_points`, `plate_scale_mm`, `distortion_map`
-optics.rays.spots                   `spot_moments`, `trace_spots`, `lateral_colour`, `vignetting`, `collecting_area_mm2`
+optics.rays.chief_ray               `chief_ray_points`
+optics.rays.distortion              `distortion_map`, `plate_scale_mm`
+optics.rays.spots                   `spot_moments`, `trace_spots`
+optics.rays.lateral_colour          `lateral_colour`
+optics.rays.vignetting              `vignetting`, `collecting_area_mm2`
 optics.rays.best_focus              `best_focus_shift_mm`, `white_focus`: spots through focus
-optics.rays.pupil                   `entrance_pupil`, `star_rays`, `gauss_disk`, `sobol_disk`
+optics.rays.entrance_pupil          `entrance_pupil`, `star_rays`
+optics.rays.pupil_sampling          `gauss_disk`, `sobol_disk`
 optics.rays.trace                   `Rays`, `trace`, `trace_program`
 optics.rays.thermal_sensitivity     `thermal_sensitivity`, `athermal_spacer`
 optics.rays.program                 `compile_lens`

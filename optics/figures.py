@@ -19,8 +19,9 @@ from optics.arrays import NUMPY, FloatArray
 from optics.frames import field_direction, light_direction
 from optics.lens.apertures import Spider
 from optics.lens.system import AMBIENT, LensSystem, Surface
-from optics.rays.chief import distortion_map
-from optics.rays.pupil import PupilSamples, entrance_pupil, gauss_disk
+from optics.rays.distortion import distortion_map
+from optics.rays.entrance_pupil import entrance_pupil
+from optics.rays.pupil_sampling import PupilSamples, gauss_disk
 from optics.rays.spots import trace_spots
 from optics.rays.trace import Rays, trace_path
 

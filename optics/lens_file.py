@@ -29,11 +29,11 @@ from optics.lens.measured import measured_from_table
 from optics.lens.prescription import lens_from_table, rims_mm
 from optics.lens.system import LensSystem
 from optics.lens.tables import BREAK
-from optics.rays.beam_widths import BeamWidths, beam_widths
+from optics.rays.marginal_rays import SemiDiameters, beam_semi_diameters
 from optics.validate import read_toml
 
 MARGIN = 1.002
-"""Of a clear aperture that is found over the marginal rays that find it, which are some of all (`BeamWidths`)."""
+"""Of a clear aperture that is found over the marginal rays that find it, which are some of all (`SemiDiameters`)."""
 TOML_FIELDS = (0.0, 0.7, 1.0)
 TOML_WAVES = (0.85, 1.0, 1.2)
 """Shares of the half field, and of the design wavelength, whose light has to pass where a TOML file states no rim."""
@@ -184,7 +184,7 @@ def _of_toml(path: Path, where: str, environment: Environment | None) -> LensFil
         shares = [(0.0, 0.0), *((c * f, s * f) for f in TOML_FIELDS[1:] for c, s in ((0, 1), (1, 0), (0, -1), (-1, 0)))]
         waves = np.clip(np.array(TOML_WAVES) * lens.design_wavelength_nm, *lens.wavelength_range_nm)
         try:
-            found = beam_widths(lens, np.array(shares) * lens.max_field_deg, waves)
+            found = beam_semi_diameters(lens, np.array(shares) * lens.max_field_deg, waves)
             lens, tables = _closed(lens, tables, found)
         except StarbenchError:
             pass  # no light to go by: they stay open
@@ -221,7 +221,7 @@ def _with_rims(
 
 
 def _closed(
-    lens: LensSystem, tables: Mapping[str, Any], found: BeamWidths, surfaces: Sequence[int] | None = None
+    lens: LensSystem, tables: Mapping[str, Any], found: SemiDiameters, surfaces: Sequence[int] | None = None
 ) -> tuple[LensSystem, dict[str, Any]]:
     """Lens and prescription with the clear apertures that light needs, of those surfaces that have none if left out."""
     radius = {}
@@ -318,17 +318,17 @@ def _as_drawn(
     return _with_rims(lens, tables, drawn)
 
 
-def _found(lens: LensSystem, defaults: FileDefaults) -> BeamWidths:
+def _found(lens: LensSystem, defaults: FileDefaults) -> SemiDiameters:
     """Widths of the file's own light: its fields with their vignetting factors, its wavelengths from first to last."""
     fields = defaults.field_deg if len(defaults.field_deg) else np.zeros((1, 2))
     factors = defaults.vignetting if len(defaults.vignetting) else None
     low, high = lens.wavelength_range_nm
     waves = defaults.wavelength_nm[(defaults.wavelength_nm >= low) & (defaults.wavelength_nm <= high)]
-    return beam_widths(lens, fields, np.unique([*waves, lens.design_wavelength_nm])[[0, -1]], factors)
+    return beam_semi_diameters(lens, fields, np.unique([*waves, lens.design_wavelength_nm])[[0, -1]], factors)
 
 
 def _told(
-    lens: LensSystem, needs: Sequence[int], mine: Mapping[int, SurfaceRow], found: BeamWidths
+    lens: LensSystem, needs: Sequence[int], mine: Mapping[int, SurfaceRow], found: SemiDiameters
 ) -> list[ReportLine]:
     """Report on computed clear apertures, clear apertures of the file's program, and lost light."""
     if not needs:
@@ -357,7 +357,11 @@ def _told(
 
 
 def _uncrossed(
-    lens: LensSystem, tables: dict[str, Any], mine: Mapping[int, SurfaceRow], found: BeamWidths, notes: list[ReportLine]
+    lens: LensSystem,
+    tables: dict[str, Any],
+    mine: Mapping[int, SurfaceRow],
+    found: SemiDiameters,
+    notes: list[ReportLine],
 ) -> tuple[LensSystem, dict[str, Any]]:
     """Clear apertures closed to what light needs where surfaces meet beyond it only; told in ``notes``."""
     for crossing in crossings(lens):

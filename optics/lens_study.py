@@ -13,7 +13,7 @@ from optics.errors import DomainError, StarbenchError
 from optics.lens.system import LensSystem
 from optics.lens_file import LensFile
 from optics.rays.best_focus import focus_by_axis, white_focus
-from optics.rays.chief import chief_ray_points
+from optics.rays.chief_ray import chief_ray_points
 from optics.rays.paraxial import ParaxialLens, axial_paraxial
 from optics.rays.performance import LensPerformance, lens_performance
 from optics.rays.spots import Spots, trace_spots

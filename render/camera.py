@@ -14,11 +14,11 @@ from optics.errors import DomainError, unknown_name
 from optics.frames import field_angles_deg
 from optics.glass.coating import Coating
 from optics.lens.system import LensSystem
-from optics.light.scatter import ABg, HarveyShack, Particles, Together
+from optics.light.bsdf import ABg, HarveyShack, Particles, Together
 from optics.light.transmission import lens_transmission
-from optics.rays.chief import chief_ray_points
+from optics.rays.chief_ray import chief_ray_points
+from optics.rays.entrance_pupil import EntrancePupil, entrance_pupil
 from optics.rays.paraxial import axial_paraxial
-from optics.rays.pupil import EntrancePupil, entrance_pupil
 from optics.records import freeze
 from optics.response import Response
 from optics.units import UM_MM

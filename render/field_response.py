@@ -16,10 +16,9 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.interpolation import bilinear
 from optics.light.band import Band
-from optics.rays.field_images import FieldImages
 from optics.rays.performance import LensPerformance, lens_performance
-from optics.rays.photocentre import spectral_mean
-from optics.rays.spots import Spots, trace_spots
+from optics.rays.polychromatic_spots import PolychromaticSpots
+from optics.rays.spots import Spots, trace_spots, weighted_mean
 from render.camera import Camera
 from render.records import EffectivePsf
 from render.sensor import FIELD_FRACTIONS, StarSensor
@@ -93,7 +92,7 @@ class FieldResponse:
         cold, hot = (int(np.abs(np.log(self.temperatures_k / kelvin)).argmin()) for kelvin in (COLD_K, HOT_K))
         return float(np.abs(self.colour_px[hot] - self.colour_px[cold]).max())
 
-    def blurred_psfs(self, images: FieldImages, points: Sequence[int]) -> tuple[EffectivePsf, ...]:
+    def blurred_psfs(self, images: PolychromaticSpots, points: Sequence[int]) -> tuple[EffectivePsf, ...]:
         """PSFs of images by rays at some of their field points; diffraction blurs as a Gaussian."""
         camera, pitch = self.sensor.camera, self.sensor.camera.pixel_pitch_mm
         blur_px = float(np.hypot(camera.blur_px, _airy_px(camera, self.performance)))
@@ -169,7 +168,7 @@ def field_response(
     kelvin = np.exp(light.log_temperature[4:-4:4])
     fractions = np.stack([_fraction(light, response, float(t)) for t in kelvin])
     area = np.nan_to_num(performance.area_mm2)
-    means = spectral_mean(performance.bundle_mm, fractions[:, None] * area)
+    means = weighted_mean(performance.bundle_mm, fractions[:, None] * area)
     return FieldResponse(
         sensor=sensor,
         band=band,

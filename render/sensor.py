@@ -18,9 +18,10 @@ from optics.lens_file import load_lens
 from optics.light.band import Band, TopHat, band_nodes
 from optics.light.spectrum import Blackbody
 from optics.rays.best_focus import FocusCurve, white_focus
-from optics.rays.chief import plate_scale_mm
+from optics.rays.distortion import plate_scale_mm
+from optics.rays.entrance_pupil import launch_disks
 from optics.rays.ghosts import GhostPath
-from optics.rays.pupil import gauss_disk, launch_disks
+from optics.rays.pupil_sampling import gauss_disk
 from optics.rays.spots import spot_moments, trace_spots
 from optics.rays.trace import Rays
 from render.camera import Camera, Diffraction, build_camera
@@ -57,8 +58,8 @@ class StarSensor:
         Noise and conversion.
     focal_length_mm : float
         Scale of the image: displacement of chief rays at the detector per tangent of the field angle, about the axis,
-        at the design wavelength (`optics.rays.chief.plate_scale_mm`). Where the detector is not in the paraxial focus,
-        the paraxial focal length is another one.
+        at the design wavelength (`optics.rays.distortion.plate_scale_mm`). Where the detector is not in the paraxial
+        focus, the paraxial focal length is another one.
     exposure_s : float
         Exposure time of frames that state none.
     temperature_c : float or None

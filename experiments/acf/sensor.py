@@ -11,7 +11,7 @@ from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.fit import fit_to_map
 from optics.distortion_polynomial import COEFFICIENTS
 from optics.frames import field_angles_deg
-from optics.rays.chief import chief_ray_points
+from optics.rays.chief_ray import chief_ray_points
 from render.sensor_file.instrument import build_instrument
 from render.sensor_file.tables import InstrumentConfig
 

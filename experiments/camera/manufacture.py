@@ -31,7 +31,7 @@ from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_angles_deg
 from optics.lens.system import LensSystem
 from optics.lens.tolerances import Tolerances, draw_amounts, perturbations, perturbed
-from optics.rays.field_images import FieldImages, field_images
+from optics.rays.polychromatic_spots import PolychromaticSpots, polychromatic_spots
 from optics.units import UM_MM
 from render.engine.random import Streams
 from render.sensor_file.file import ManufactureConfig
@@ -101,14 +101,14 @@ class _Probe:
         self.field_deg = field_angles_deg(state.sensor.direction_at(*(place_px + camera.centre_px).T))
         self.nominal = self.trace(camera.focused_lens, refocused=False)
 
-    def trace(self, lens: LensSystem, *, refocused: bool | None = None, shift_mm: float = 0.0) -> FieldImages:
+    def trace(self, lens: LensSystem, *, refocused: bool | None = None, shift_mm: float = 0.0) -> PolychromaticSpots:
         """One lens, in its best focus if that is set again, and off it."""
         state, again = self.prediction.state, self.refocused if refocused is None else refocused
-        return field_images(
+        return polychromatic_spots(
             lens, *self.field_deg, state.light.wavelength_nm[0], state.fraction, refocused=again, shift_mm=shift_mm
         )
 
-    def nea_px(self, images: FieldImages) -> float:
+    def nea_px(self, images: PolychromaticSpots) -> float:
         """Noise of the quoted star's centroid."""
         prediction, frame = self.prediction, self.prediction.processing.frame
         light = images.light_mm2.mean() / self.nominal.light_mm2.mean()
@@ -123,16 +123,16 @@ class _Probe:
         )
         return float(np.sqrt((errors.noise_px**2).mean()))
 
-    def map_change(self, images: FieldImages, reference: FieldImages) -> float:
+    def map_change(self, images: PolychromaticSpots, reference: PolychromaticSpots) -> float:
         """Distortion against another lens after shift, roll and, where the focus was set again, scale [arcsec]."""
         change_px = (images.position_mm - reference.position_mm) / self.pitch_mm
         return self.pixel_arcsec * map_change_px(self.place_px, change_px * [1.0, -1.0], scaled=self.refocused)
 
-    def calibrated(self, images: FieldImages) -> float:
+    def calibrated(self, images: PolychromaticSpots) -> float:
         """Distortion that a cubic polynomial leaves [arcsec]."""
         return self.pixel_arcsec * polynomial_rms_px(self.position / REACH, images.position_mm / self.pitch_mm)
 
-    def spot_px(self, images: FieldImages) -> float:
+    def spot_px(self, images: PolychromaticSpots) -> float:
         """Largest RMS radius of a spot."""
         return float(np.sqrt(images.square_mm2.max())) / self.pitch_mm
 
@@ -164,7 +164,7 @@ def manufactured(
     lens.check_surfaces()
     probe, moves = _Probe(prediction, refocused=setting.refocused), perturbations(lens, tolerances_of(setting))
     rng = Streams(config.seed).generator("manufacture")
-    traced: list[tuple[LensSystem, FieldImages]] = []
+    traced: list[tuple[LensSystem, PolychromaticSpots]] = []
     for amounts in draw_amounts(rng, setting.lenses, len(moves) + 1, uniform=setting.distribution == "uniform"):
         try:
             made = perturbed(lens, moves, amounts[:-1])
@@ -227,7 +227,7 @@ def yield_line(found: Manufactured) -> str:
     return f"{'Yield':<19} {words}; NEA of 95 %: {nea_arcsec:.3g}\u2033"
 
 
-def _at_detector(lens: LensSystem, images: FieldImages) -> LensSystem:
+def _at_detector(lens: LensSystem, images: PolychromaticSpots) -> LensSystem:
     return replace(lens, image_position_mm=lens.image_position_mm + images.shift_mm * lens.image_rotation[:, 2])
 
 

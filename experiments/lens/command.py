@@ -142,7 +142,7 @@ def ghosts(
 ) -> None:
     from optics.frames import field_direction
     from optics.glass.coating import QuarterWave
-    from optics.light.scatter import area_coverage, lens_scatter
+    from optics.light.bsdf import area_coverage, lens_scatter
     from optics.rays.ghosts import find_ghosts, ghost_pairs, with_cover_glass
 
     if not pixel_um > 0.0:
@@ -167,7 +167,7 @@ def ghosts(
         )
         click.echo(f"\nstar at {angle:g} deg, image at ({found.image_x_mm:.3f}, {found.image_y_mm:.3f}) mm")
         click.echo("  back forward  magnitude     x [mm]     y [mm]  RMS radius [mm]  mag of its brightest pixel")
-        peak = -2.5 * np.log10(found.pixel_share(1e-3 * pixel_um))
+        peak = -2.5 * np.log10(found.brightest_pixel(1e-3 * pixel_um))
         for k in range(min(rows, len(found.flux))):
             click.echo(
                 f"  {found.back[k]:4d} {found.forward[k]:7d} {found.magnitude[k]:+10.2f} {found.x_mm[k]:10.3f} "

@@ -15,7 +15,7 @@ from experiments.skycal.settings import CameraConfig, Config, MotionConfig, SkyC
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import DomainError, StarbenchError
-from optics.rays.spots import collecting_area_mm2
+from optics.rays.vignetting import collecting_area_mm2
 from optics.units import ARCSEC_RAD, DEG_RAD
 from render.engine.random import Streams
 from render.motion.gyro import Gyro, simulate_gyro

@@ -11,7 +11,7 @@ from optics.errors import DomainError
 from optics.glass.coating import QuarterWave
 from optics.lens.system import LensSystem
 from optics.rays.ghosts import entrance_radius_mm
-from optics.rays.stray import ScatterLaw, scattering_surfaces
+from optics.rays.surface_scatter import ScatterLaw, scattering_surfaces
 from render.baffle.configured import configured_baffle, configured_coating
 from render.baffle.geometry import VanedBaffle
 from render.baffle.light import BaffleScene

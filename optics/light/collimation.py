@@ -63,7 +63,7 @@ def air_deviation_rad(path_m: float, wavelength_nm: FloatArray, environment: Env
     return np.asarray(path_m * (cold - warm) / (2.0 * AIR_STEP_K))
 
 
-def bent_light(light: tuple[Any, Any, Any], x_mm: Any, y_mm: Any, error: tuple[Any, Any, Any], sqrt: Any) -> Any:
+def decollimated(light: tuple[Any, Any, Any], x_mm: Any, y_mm: Any, error: tuple[Any, Any, Any], sqrt: Any) -> Any:
     """Unit vectors of rays through points of the launch disk for imperfectly collimated light.
 
     Exact for a point source at a finite distance; written once for NumPy and Dr.Jit.

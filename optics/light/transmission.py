@@ -43,7 +43,7 @@ class Layout:
         return ((glass, float(thickness)) for glass, thickness in pairs if glass is not None)
 
 
-def layout_of(lens: Any) -> Layout:
+def axial_layout(lens: Any) -> Layout:
     """Axial layout of a `optics.lens.system.LensSystem`: distances between vertices, media by name."""
     try:
         vertices = np.array([surface.position_mm for surface in lens.surfaces] + [lens.image_position_mm])
@@ -90,7 +90,7 @@ def lens_transmission(
     throughput: Response | None = getattr(lens, "throughput", None)
     if throughput is not None:
         return throughput.interpolate(wavelength_nm)
-    layout = lens if isinstance(lens, Layout) else layout_of(lens)
+    layout = lens if isinstance(lens, Layout) else axial_layout(lens)
     wave = np.asarray(wavelength_nm, dtype=np.float64)
     through = np.ones_like(wave)
     before: Glass | None = None

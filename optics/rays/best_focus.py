@@ -49,13 +49,13 @@ class FocusCurve:
 
     @property
     def best_mm(self) -> FloatArray:
-        """Shift of the image plane with the smallest spot [mm]; 0 where slopes are not known (a measured lens)."""
-        known = ~(self.slope <= NO_SLOPE)
-        return np.asarray(np.where(known, -self.cross_mm / np.where(known, self.slope, 1.0), 0.0))
+        """Shift of the image plane with the smallest spot [mm]; 0 where rays have no slopes (a measured lens)."""
+        sloped = ~(self.slope <= NO_SLOPE)
+        return np.asarray(np.where(sloped, -self.cross_mm / np.where(sloped, self.slope, 1.0), 0.0))
 
     @property
     def mean(self) -> FocusCurve:
-        """Curve of the mean square over all fields, alike."""
+        """Curve of the mean square over all fields, with equal weights."""
         return FocusCurve(square_mm2=self.square_mm2.mean(), cross_mm=self.cross_mm.mean(), slope=self.slope.mean())
 
 
@@ -92,17 +92,13 @@ def best_focus_shift_mm(
 ) -> float:
     """Shift of the image plane [mm] that minimises the polychromatic spots.
 
-    Minimises the mean over fields of the mean square distance from the spot's mean over all wavelengths, fields and
-    wavelengths alike. Apply it with `optics.lens.perturb.refocus`. Errors as `optics.rays.spots.trace_spots`.
+    Minimises the mean over fields of the mean square distance from the spot's mean over all wavelengths, with equal
+    weights of fields and wavelengths. Apply it with `optics.lens.perturb.refocus`.
 
     Parameters
     ----------
-    lens : LensSystem
-        The lens.
-    field_x_deg, field_y_deg : (f,)
-        Field angles [deg].
-    wavelength_nm : (w,)
-        Wavelengths [nm].
+    lens, field_x_deg, field_y_deg, wavelength_nm
+        As of `optics.rays.spots.trace_spots`, whose errors are raised.
 
     Returns
     -------

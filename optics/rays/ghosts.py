@@ -19,15 +19,16 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optics.arrays import FloatArray, IntArray
+from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.errors import DomainError
 from optics.frames import light_direction
 from optics.glass.catalogue import get_glass
 from optics.glass.coating import BARE, Coating
 from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, HALF_TURN, LensSystem, Surface
-from optics.rays.pupil import EntrancePupil, PupilSamples, entrance_pupil, gauss_disk, launch_disks, star_rays
-from optics.rays.trace import OK, TOTAL_REFLECTION, Rays, trace
+from optics.rays.entrance_pupil import EntrancePupil, entrance_pupil, launch_disks, star_rays
+from optics.rays.pupil_sampling import PupilSamples, gauss_disk
+from optics.rays.trace import OK, TOTAL_REFLECTION, Rays, surface_normal, trace
 
 RINGS, ARMS = 24, 48
 """Points of the beam, and as many of the rest of the first surface."""
@@ -39,7 +40,7 @@ SHARP_MM = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FluxLedger:
-    """Balance of the entering light as shares; they sum to 1."""
+    """Balance of the entering light as fractions; they sum to 1."""
 
     image: float
     """Absorbed by the detector without a reflection before."""
@@ -59,32 +60,34 @@ class FluxLedger:
     @property
     def total(self) -> float:
         """Sum of all; 1 but for rounding."""
-        return sum(getattr(self, one.name) for one in fields(self))
+        return sum(getattr(self, part.name) for part in fields(self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GhostRays:
-    """Rays at the end of one path; ``weight`` are shares of what entered, 0 for rays that are lost."""
+    """Rays at the end of a path, and their fractions of the entering light."""
 
     rays: Rays
-    weight: FloatArray  # (n,) What reaches the plane at the end
-    lost: dict[str, float]  # What is lost behind the last reflection: rims, glass, coatings, reflected
+    weight: FloatArray  # (n,) Light that reaches the plane at the end, 0 for lost rays
+    lost: dict[str, float]  # Light lost behind the last reflection: rims, glass, coatings, reflected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ghosts:
-    """Ghosts of one source, g of them, brightest first; places in the frame of the image plane."""
+    """Ghosts of one source, g of them, brightest first; positions in the frame of the image plane."""
 
-    back: IntArray  # (g,) Surfaces that turn the light back, then forward again; ``len(lens.surfaces)`` is the detector
+    # (g,) Surfaces of the first reflection (away from the detector) and of the second; ``len(lens.surfaces)`` is the
+    # detector
+    back: IntArray
     forward: IntArray
-    flux: FloatArray  # (g,) Light on the detector plane as a share of the source's image
+    flux: FloatArray  # (g,) Light on the detector plane over that of the image of the source
     x_mm: FloatArray  # (g,) Centroids
     y_mm: FloatArray
     rms_mm: FloatArray  # (g,) Root mean square and largest distance of rays from the centroid
     radius_mm: FloatArray
     image_x_mm: float  # Centroid of the image of the source
     image_y_mm: float
-    ledger: FluxLedger  # Where the light goes that enters the front of the lens
+    ledger: FluxLedger  # Balance of the light that enters the front of the lens
 
     @property
     def magnitude(self) -> FloatArray:
@@ -92,12 +95,12 @@ class Ghosts:
         return np.asarray(-2.5 * np.log10(self.flux))
 
     @property
-    def sharp(self) -> np.typing.NDArray[np.bool_]:
+    def sharp(self) -> BoolArray:
         """Whether it is small enough to be taken for a star."""
         return self.rms_mm < SHARP_MM
 
-    def pixel_share(self, pixel_mm: float) -> FloatArray:
-        """Light in the brightest pixel as a share of the source's image: that of a uniform disk of the same RMS radius.
+    def brightest_pixel(self, pixel_mm: float) -> FloatArray:
+        """Light in the brightest pixel over that of the image: of a uniform disk of the same RMS radius.
 
         A disk of radius a has an RMS radius of a / sqrt(2); one smaller than a pixel is taken to lie in it.
         """
@@ -119,7 +122,7 @@ def with_cover_glass(lens: LensSystem, glass: str, thickness_mm: float, gap_mm: 
     Returns
     -------
     LensSystem
-        The lens with its two more surfaces.
+        The lens with two more surfaces.
 
     Raises
     ------
@@ -128,29 +131,21 @@ def with_cover_glass(lens: LensSystem, glass: str, thickness_mm: float, gap_mm: 
     """
     if not (thickness_mm > 0.0 and gap_mm > 0.0):
         raise DomainError(f"cover glass of {thickness_mm:g} mm, {gap_mm:g} mm away; both must be positive")
-    axes = _right_handed(lens.image_rotation)
-    last = lens.surfaces[-1]
-    with_glass = {**lens.glasses, glass: get_glass(glass)}
-    plate = replace(
-        lens, glasses=with_glass, surfaces=(*lens.surfaces, replace(last, medium=glass, mirror=False, is_stop=False))
-    )
-    index = plate.indices(lens.design_wavelength_nm)[-1] / plate.indices(lens.design_wavelength_nm)[0]
-    image = lens.image_position_mm + axes[:, 2] * thickness_mm * (1.0 - 1.0 / index)
-    faces = [image - axes[:, 2] * distance for distance in (gap_mm + thickness_mm, gap_mm)]
-    if (faces[0] - last.position_mm) @ axes[:, 2] <= 0.0:
+    axes, last = _right_handed(lens.image_rotation), lens.surfaces[-1]
+    glasses = {**lens.glasses, glass: get_glass(glass)}
+    in_glass = replace(last, medium=glass, mirror=False, is_stop=False)
+    indices = replace(lens, glasses=glasses, surfaces=(*lens.surfaces, in_glass)).indices(lens.design_wavelength_nm)
+    image = lens.image_position_mm + axes[:, 2] * thickness_mm * (1.0 - 1.0 / (indices[-1] / indices[0]))
+    front, back = (
+        Surface(
+            shape=Plane(), position_mm=image - axes[:, 2] * distance, rotation=axes, medium=medium,
+            label=f"cover glass, {side}",
+        )
+        for side, medium, distance in (("front", glass, gap_mm + thickness_mm), ("back", AMBIENT, gap_mm))
+    )  # fmt: skip
+    if (front.position_mm - last.position_mm) @ axes[:, 2] <= 0.0:
         raise DomainError(f"no room for a cover glass of {thickness_mm:g} mm, {gap_mm:g} mm from the image plane")
-    return replace(
-        lens,
-        glasses=with_glass,
-        surfaces=(
-            *lens.surfaces,
-            *(
-                Surface(shape=Plane(), position_mm=face, rotation=axes, medium=medium, label=f"cover glass, {side}")
-                for face, medium, side in zip(faces, (glass, AMBIENT), ("front", "back"), strict=True)
-            ),
-        ),
-        image_position_mm=image,
-    )
+    return replace(lens, glasses=glasses, surfaces=(*lens.surfaces, front, back), image_position_mm=image)
 
 
 def _right_handed(axes: FloatArray) -> FloatArray:
@@ -158,7 +153,7 @@ def _right_handed(axes: FloatArray) -> FloatArray:
 
 
 def reflects(lens: LensSystem, number: int) -> bool:
-    """Whether a surface is one between two media; the detector counts."""
+    """Whether a surface is between two media; the detector counts."""
     if number == len(lens.surfaces):
         return True
     surface = lens.surfaces[number]
@@ -172,11 +167,11 @@ def ghost_pairs(lens: LensSystem) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Meeting:
-    """Passage of a path through one surface."""
+class _Crossing:
+    """Passage of a path through a surface."""
 
     surface: int
-    turns: bool  # Whether the path is the reflected light of a surface that lets light pass
+    reflected: bool  # Whether the path is the reflected light of a surface that lets light pass
     beyond: int  # Number of the medium on its other side
 
 
@@ -197,132 +192,121 @@ class GhostPath:
     ) -> None:
         self.lens, self.default, self.absorption = lens, coating, absorption
         end = len(lens.surfaces)
-        self.meetings: list[_Meeting] = []
-        self.surfaces: list[Surface] = []
+        self.crossings: list[_Crossing] = []
+        surfaces: list[Surface] = []
+
+        def cross(number: int, *, away: bool, reflected: bool = False) -> None:
+            """Add a surface in its orientation to the light, which travels away from the object or towards it."""
+            if number == end:
+                axes = _right_handed(lens.image_rotation)
+                surface = Surface(
+                    shape=Plane(), position_mm=lens.image_position_mm, rotation=axes, label="the detector"
+                )
+            else:
+                surface = lens.surfaces[number]
+            if not away and not surface.mirror:  # light meets a mirror from the same side both ways
+                surface = surface.from_behind()
+            name, offset = lens.media[number + (away != reflected)]
+            surface = replace(surface, medium=name, index_offset=offset)
+            surfaces.append(replace(surface, mirror=True, coating=None) if reflected else surface)
+            self.crossings.append(_Crossing(number, reflected, number + away))
+
         for number in range(end if back is None else back):
-            self._pass(number, away=True)
+            cross(number, away=True)
         if back is not None:
-            self._turn(back, away=True)
+            cross(back, away=True, reflected=True)
             for number in range(back - 1, -1 if forward is None else forward, -1):
-                self._pass(number, away=False)
+                cross(number, away=False)
         if forward is not None:
-            self._turn(forward, away=False)
+            cross(forward, away=False, reflected=True)
             for number in range(forward + 1, end):
-                self._pass(number, away=True)
-        self.last_turn = max((at for at, one in enumerate(self.meetings) if one.turns), default=-1)
-        self.surfaces = [replace(one, is_stop=at == 0) for at, one in enumerate(self.surfaces)]
+                cross(number, away=True)
+        self.last_reflection = max((at for at, crossing in enumerate(self.crossings) if crossing.reflected), default=-1)
         position, rotation = lens.image_position_mm, lens.image_rotation
         if back is not None and forward is None:
-            last = self.surfaces[-1]
+            last = surfaces[-1]
             position, rotation = last.position_mm, last.rotation @ (HALF_TURN if last.mirror else np.eye(3))
+        ordered = tuple(replace(surface, is_stop=at == 0) for at, surface in enumerate(surfaces))
         self.folded = (
-            replace(lens, surfaces=tuple(self.surfaces), image_position_mm=position, image_rotation=rotation)
-            if self.surfaces
-            else lens
+            replace(lens, surfaces=ordered, image_position_mm=position, image_rotation=rotation) if ordered else lens
         )
-
-    def _pass(self, number: int, *, away: bool) -> None:
-        surface, (name, offset) = self.lens.surfaces[number], self.lens.media[number + 1 if away else number]
-        if not away and not surface.mirror:  # light meets a mirror from the same side both ways
-            surface = surface.from_behind()
-        self.surfaces.append(replace(surface, medium=name, index_offset=offset))
-        self.meetings.append(_Meeting(number, False, number + 1 if away else number))
-
-    def _turn(self, number: int, *, away: bool) -> None:
-        lens = self.lens
-        name, offset = lens.media[number if away else number + 1]
-        if number == len(lens.surfaces):
-            axes = _right_handed(lens.image_rotation)
-            surface = Surface(shape=Plane(), position_mm=lens.image_position_mm, rotation=axes, label="the detector")
-        else:
-            surface = lens.surfaces[number]
-        surface = surface if away else surface.from_behind()
-        self.surfaces.append(replace(surface, medium=name, index_offset=offset, mirror=True, coating=None))
-        self.meetings.append(_Meeting(number, True, number + 1 if away else number))
 
     def trace(
         self,
         rays: Rays,
         weight: FloatArray,
         detector: float = 0.0,
-        seen: Callable[[int, Rays, FloatArray, FloatArray, FloatArray], None] | None = None,
+        visit: Callable[[int, Rays, FloatArray, FloatArray, FloatArray], None] | None = None,
     ) -> GhostRays:
         """Follow n rays of one wavelength in the lens frame, and the light (n,) that each carries.
 
-        ``seen`` gets the number of every meeting, the rays there, directions (3, n) before and after it, and what is
-        left of their light behind it.
+        ``visit`` gets the number of every crossing, the rays there, directions (3, n) before and after it, and their
+        light behind it.
         """
-        rays = replace(rays, **{one.name: np.ravel(getattr(rays, one.name)) for one in fields(rays)})
+        rays = replace(rays, **{field.name: np.ravel(getattr(rays, field.name)) for field in fields(rays)})
         lens, wave = self.lens, rays.wavelength_nm.flat[0]
         index = lens.indices(wave)
         relative = index / index[0]
-        before, status = 0, rays.status
+        medium, status, path_mm = 0, rays.status, rays.opl_mm
         direction = np.stack([rays.dx, rays.dy, rays.dz])
-        path, share = rays.opl_mm, np.where(rays.status == OK, weight, 0.0)
+        light = np.where(rays.status == OK, weight, 0.0)
         lost = dict.fromkeys(("rims", "glass", "coatings", "reflected"), 0.0)
 
-        def visit(number: int, now: Rays) -> None:
-            nonlocal before, status, direction, path, share
-            if number >= len(self.meetings):
-                gone = (status == OK) & (now.status != OK)
-                lost["rims"] += float(share[gone].sum())
-                share = np.where(gone, 0.0, share)
+        def on_surface(number: int, now: Rays) -> None:
+            nonlocal medium, status, direction, path_mm, light
+            if number >= len(self.crossings):  # the image plane
+                failed = (status == OK) & (now.status != OK)
+                lost["rims"] += float(light[failed].sum())
+                light = np.where(failed, 0.0, light)
                 return
-            one, counted = self.meetings[number], number > self.last_turn
-            turned = self.folded.poses[number][1] @ np.stack([now.dx, now.dy, now.dz])
-            glass = lens.glasses.get(lens.media[before][0])
+            crossing, counted = self.crossings[number], number > self.last_reflection
+            leaving = self.folded.poses[number][1] @ np.stack([now.dx, now.dy, now.dz])
+            glass = lens.glasses.get(lens.media[medium][0])
             if glass is not None and self.absorption:
-                length = np.where(share > 0.0, (now.opl_mm - path) / index[before], 0.0)
-                left = share * glass.internal_transmittance(wave, np.maximum(length, 0.0))
-                lost["glass"] += float((share - left).sum()) if counted else 0.0
-                share = left
-            gone = (status == OK) & (now.status != OK) & (now.status != TOTAL_REFLECTION)
-            lost["rims"] += float(share[gone].sum()) if counted else 0.0
-            share = np.where(gone, 0.0, share)
-            on = share > 0.0
-            kept, other = self._shares(one, before, relative, direction, turned, on, wave, detector)
+                length = np.where(light > 0.0, (now.opl_mm - path_mm) / index[medium], 0.0)
+                transmitted = light * glass.internal_transmittance(wave, np.maximum(length, 0.0))
+                lost["glass"] += float((light - transmitted).sum()) if counted else 0.0
+                light = transmitted
+            failed = (status == OK) & (now.status != OK) & (now.status != TOTAL_REFLECTION)
+            lost["rims"] += float(light[failed].sum()) if counted else 0.0
+            light = np.where(failed, 0.0, light)
+            followed, other = self._split(crossing, medium, relative, direction, leaving, light > 0.0, wave, detector)
             if counted:
-                lost["reflected"] += float((share * other).sum())
-                lost["coatings"] += float((share * (1.0 - kept - other)).sum())
-            share = np.where(now.status == OK, share * kept, 0.0)
-            if seen is not None:
-                seen(number, now, direction, turned, share)
-            if not one.turns:
-                before = one.beyond if not lens.surfaces[one.surface].mirror else before
-            status, direction, path = now.status, turned, now.opl_mm
+                lost["reflected"] += float((light * other).sum())
+                lost["coatings"] += float((light * (1.0 - followed - other)).sum())
+            light = np.where(now.status == OK, light * followed, 0.0)
+            if visit is not None:
+                visit(number, now, direction, leaving, light)
+            if not (crossing.reflected or lens.surfaces[crossing.surface].mirror):
+                medium = crossing.beyond
+            status, direction, path_mm = now.status, leaving, now.opl_mm
 
-        arrived = trace(self.folded, rays, visit)
-        return GhostRays(rays=arrived, weight=share, lost=lost)
+        arrived = trace(self.folded, rays, on_surface)
+        return GhostRays(rays=arrived, weight=light, lost=lost)
 
-    def _shares(
-        self, one: _Meeting, before: int, relative: FloatArray, arriving: FloatArray, leaving: FloatArray,
-        on: np.typing.NDArray[np.bool_], wave: float, detector: float,
+    def _split(
+        self, crossing: _Crossing, medium: int, relative: FloatArray, arriving: FloatArray, leaving: FloatArray,
+        lit: BoolArray, wave: float, detector: float,
     ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-        """Share of the light that goes on along the path, and that a surface sends the other way."""
-        nothing = np.zeros(on.shape)
-        if one.surface == len(self.lens.surfaces):
-            return nothing + detector, nothing
-        surface = self.lens.surfaces[one.surface]
-        ends = [self.lens.media[one.surface], self.lens.media[one.surface + 1]]
-        coating = surface.coating
-        if coating is None and AMBIENT in (name for name, _ in ends):
-            coating = self.default
+        """Fractions of the light that follow the path, and that a surface sends the other way."""
+        zero = np.zeros(lit.shape)
+        if crossing.surface == len(self.lens.surfaces):
+            return zero + detector, zero
+        surface = self.lens.surfaces[crossing.surface]
+        if not (surface.mirror or reflects(self.lens, crossing.surface)):
+            return zero + 1.0, zero
+        n1, n2 = relative[medium], relative[medium if surface.mirror else crossing.beyond]
+        n_leaving = n1 if crossing.reflected or surface.mirror else n2
+        cosine = np.abs((surface_normal(n1, arriving, n_leaving, leaving) * arriving).sum(axis=0))
         if surface.mirror:
-            mirror = nothing + 1.0
-            if surface.coating is not None:
-                cosine = 0.5 * np.linalg.norm(leaving - arriving, axis=0)
-                mirror = surface.coating.split(wave, relative[before], relative[before], cosine).reflectance
-            return np.where(on, mirror, 0.0), nothing
-        if not reflects(self.lens, one.surface):
-            return nothing + 1.0, nothing
-        # Snell's law in vector form: n2 d2 - n1 d1 lies along the normal
-        n1, n2 = relative[before], relative[one.beyond]
-        across = (n1 if one.turns else n2) * leaving - n1 * arriving
-        length = np.linalg.norm(across, axis=0)
-        cosine = np.abs((across * arriving).sum(axis=0)) / np.where(length > 0.0, length, 1.0)
-        split = (coating or BARE).split(wave, n1, n2, np.where(on, cosine, 1.0))
+            reflectance = 1.0 if surface.coating is None else surface.coating.split(wave, n1, n2, cosine).reflectance
+            return np.where(lit, reflectance, 0.0), zero
+        coating, (front, behind) = surface.coating, self.lens.media[crossing.surface : crossing.surface + 2]
+        if coating is None and AMBIENT in (front[0], behind[0]):
+            coating = self.default
+        split = (coating or BARE).split(wave, n1, n2, np.where(lit, cosine, 1.0))
         passed, reflected = split.transmittance, split.reflectance
-        return (reflected, passed) if one.turns else (passed, reflected)
+        return (reflected, passed) if crossing.reflected else (passed, reflected)
 
 
 def trace_ghost(
@@ -335,7 +319,7 @@ def trace_ghost(
     detector_reflectance: float = 0.0,
     absorption: bool = True,
 ) -> GhostRays:
-    """Rays of one ghost with their shares of the light, on the image plane; None: of the image (`GhostPath.trace`)."""
+    """Rays of a ghost on the image plane with their fractions of the light (`GhostPath.trace`); None: of the image."""
     back, forward = (None, None) if pair is None else pair
     return GhostPath(lens, back, forward, coating, absorption).trace(rays, weight, detector_reflectance)
 
@@ -346,6 +330,12 @@ def entrance_radius_mm(lens: LensSystem) -> float:
     return float(rim) if np.isfinite(rim) else SLACK * entrance_pupil(lens).radius_mm
 
 
+def entrance_depth_mm(lens: LensSystem) -> float:
+    """Largest sag of the first surface within `entrance_radius_mm`, either way."""
+    rim = np.array([0.0, entrance_radius_mm(lens)])
+    return float(np.nanmax(np.abs(np.nan_to_num(lens.surfaces[0].shape.sag(rim, 0.0 * rim)))))
+
+
 def entering_rays(
     lens: LensSystem, star: FloatArray, wave: float, order: tuple[int, int] = (RINGS, ARMS)
 ) -> tuple[Rays, FloatArray]:
@@ -353,26 +343,20 @@ def entering_rays(
 
     Where the first surface has no rim they fill half as much again as the beam.
     """
-    count, arms = order
     disks, first, direction = launch_disks(lens, star[None, :], [wave]), lens.surfaces[0], light_direction(star)
-    inner = float(disks.radius_mm.item())
-    centre = np.array([disks.x_mm.item(), disks.y_mm.item()])
-    outer = 1.5 * inner
+    x, y, beam = (float(v.item()) for v in (disks.x_mm, disks.y_mm, disks.radius_mm))
+    outer = 1.5 * beam
     if np.isfinite(first.semi_diameter_mm):
-        drift = direction[:2] / direction[2] * (float(disks.z_mm) - first.position_mm[2])
-        away = float(np.linalg.norm(first.position_mm[:2] + drift - centre))
-        outer = max(inner, away + first.semi_diameter_mm)
-    core, share = gauss_disk(count, arms), (inner / outer) ** 2
-    node, weight = np.polynomial.legendre.leggauss(count)
-    r, phi = np.sqrt(share + (1.0 - share) * 0.5 * (1.0 + node)), 2.0 * np.pi * (np.arange(arms) + 0.5) / arms
+        drift = direction[:2] / direction[2] * (disks.z_mm - first.position_mm[2])
+        outer = max(beam, float(np.linalg.norm(first.position_mm[:2] + drift - [x, y])) + first.semi_diameter_mm)
+    ratio = beam / outer
+    core, rest = gauss_disk(*order), gauss_disk(*order, inner=ratio)
     points = PupilSamples(
-        x=np.concatenate([core.x * inner / outer, np.outer(r, np.cos(phi)).ravel()]),
-        y=np.concatenate([core.y * inner / outer, np.outer(r, np.sin(phi)).ravel()]),
-        weight=np.concatenate([core.weight * share, np.repeat(0.5 * weight / arms, arms) * (1.0 - share)]),
+        x=np.concatenate([core.x * beam / outer, rest.x]),
+        y=np.concatenate([core.y * beam / outer, rest.y]),
+        weight=np.concatenate([core.weight * ratio**2, rest.weight * (1.0 - ratio**2)]),
     )
-    disk = EntrancePupil(
-        x_mm=float(centre[0]), y_mm=float(centre[1]), z_mm=float(disks.z_mm), radius_mm=outer, exact=False
-    )
+    disk = EntrancePupil(x_mm=x, y_mm=y, z_mm=float(disks.z_mm), radius_mm=outer, exact=False)
     return star_rays(disk, points, star, wave, ambient_index=lens.indices(wave)[0]), points.weight
 
 
@@ -381,15 +365,22 @@ def front_rays(lens: LensSystem, v_source: ArrayLike, wave: float, order: tuple[
     source = np.asarray(v_source, dtype=np.float64)
     if not source[2] > 0.0:
         raise DomainError("a source at 90 deg or more from the boresight does not shine into the lens")
-    direction, first, radius = light_direction(source), lens.surfaces[0], entrance_radius_mm(lens)
-    rim = np.array([0.0, radius])
-    sag = float(np.nanmax(np.abs(np.nan_to_num(first.shape.sag(rim, 0.0 * rim)))))
-    wide = radius + sag * float(np.hypot(*direction[:2]) / direction[2])
-    samples, (x, y, z) = gauss_disk(*order), first.position_mm - direction / direction[2] * (sag + 1.0)
+    direction, sag = light_direction(source), entrance_depth_mm(lens)
+    radius = entrance_radius_mm(lens) + sag * float(np.hypot(*direction[:2]) / direction[2])
+    samples = gauss_disk(*order)
+    x, y, z = lens.surfaces[0].position_mm - direction / direction[2] * (sag + 1.0)
     rays = Rays.create(
-        x_mm=x + wide * samples.x, y_mm=y + wide * samples.y, z_mm=z, direction=direction, wavelength_nm=wave
+        x_mm=x + radius * samples.x, y_mm=y + radius * samples.y, z_mm=z, direction=direction, wavelength_nm=wave
     )
-    return rays, samples.weight * np.pi * wide**2 * source[2]
+    return rays, samples.weight * np.pi * radius**2 * source[2]
+
+
+def _check_source(lens: LensSystem, wavelength_nm: float | None, detector_reflectance: float) -> float:
+    """Wavelength [nm] of a calculation that the lens and the detector allow."""
+    lens.check_surfaces()
+    if not 0.0 <= detector_reflectance <= 1.0:
+        raise DomainError(f"detector_reflectance = {detector_reflectance:g}; it must lie in 0 ... 1")
+    return lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
 
 
 def find_ghosts(
@@ -415,7 +406,7 @@ def find_ghosts(
     coating : Coating, optional
         On surfaces between air and glass for which the lens states none; bare glass if left out.
     detector_reflectance : float
-        Share of the light that the detector reflects like a mirror; silicon 0.1 to 0.3.
+        Fraction of the light that the detector reflects like a mirror; silicon 0.1 to 0.3.
     absorption : bool
         Whether glass absorbs; needs internal transmittances.
     order : (int, int)
@@ -429,15 +420,11 @@ def find_ghosts(
     Raises
     ------
     DomainError
-        A detector reflectance outside 0 ... 1, a wavelength that a glass or coating is not known at, a measured lens,
+        A detector reflectance outside 0 ... 1, a wavelength outside the range of a glass or coating, a measured lens,
         a source that the lens does not image.
     """
-    lens.check_surfaces()
-    if not 0.0 <= detector_reflectance <= 1.0:
-        raise DomainError(f"detector_reflectance = {detector_reflectance:g}; it must lie in 0 ... 1")
-    wave = lens.design_wavelength_nm if wavelength_nm is None else float(wavelength_nm)
-    star = np.asarray(v_cam, dtype=np.float64)
-    rays, entering = entering_rays(lens, star, wave, order)
+    wave = _check_source(lens, wavelength_nm, detector_reflectance)
+    rays, entering = entering_rays(lens, np.asarray(v_cam, dtype=np.float64), wave, order)
 
     def follow(back: int | None, forward: int | None) -> GhostRays:
         return GhostPath(lens, back, forward, coating, absorption).trace(rays, entering, detector_reflectance)
@@ -448,42 +435,66 @@ def find_ghosts(
         raise DomainError(f"lens {lens.name!r}: no light of this source reaches the image plane")
     once = [follow(back, None) for back in range(len(lens.surfaces) + 1) if reflects(lens, back)]
     twice = [follow(*pair) for pair in pairs]
-    light = [float(one.weight.sum()) for one in twice]
-    rows = [
-        (*pair, flux / direct, *_blur(one)) for pair, flux, one in zip(pairs, light, twice, strict=True) if flux > 0.0
-    ]
+    light = [float(ghost.weight.sum()) for ghost in twice]
+    rows = [(*pair, flux / direct, *_blur(g)) for pair, flux, g in zip(pairs, light, twice, strict=True) if flux > 0.0]
     rows.sort(key=lambda row: -row[2])
-    table = np.array(rows, dtype=np.float64).reshape(-1, 7).T
-    absorbed = 1.0 - detector_reflectance
-    x, y, _, _ = _blur(image)
-    flows = [image, *once, *twice]
+    back, forward, flux, x, y, rms, radius = np.array(rows, dtype=np.float64).reshape(-1, 7).T
+    image_x, image_y, _, _ = _blur(image)
+    absorbed, paths = 1.0 - detector_reflectance, [image, *once, *twice]
     return Ghosts(
-        back=table[0].astype(int),
-        forward=table[1].astype(int),
-        flux=table[2],
-        x_mm=table[3],
-        y_mm=table[4],
-        rms_mm=table[5],
-        radius_mm=table[6],
-        image_x_mm=x,
-        image_y_mm=y,
+        back=back.astype(int),
+        forward=forward.astype(int),
+        flux=flux,
+        x_mm=x,
+        y_mm=y,
+        rms_mm=rms,
+        radius_mm=radius,
+        image_x_mm=image_x,
+        image_y_mm=image_y,
         ledger=FluxLedger(
             image=absorbed * direct,
             ghosts=absorbed * sum(light),
-            coatings=sum(one.lost["coatings"] for one in flows),
-            glass=sum(one.lost["glass"] for one in flows),
-            rims=sum(one.lost["rims"] for one in flows),
-            front=sum(float(one.weight.sum()) for one in once),
-            more=sum(one.lost["reflected"] for one in twice) + detector_reflectance * sum(light),
+            **{loss: sum(path.lost[loss] for path in paths) for loss in ("coatings", "glass", "rims")},
+            front=sum(float(path.weight.sum()) for path in once),
+            more=sum(path.lost["reflected"] for path in twice) + detector_reflectance * sum(light),
         ),
     )
 
 
-def _blur(one: GhostRays) -> tuple[float, float, float, float]:
+def _blur(ghost: GhostRays) -> tuple[float, float, float, float]:
     """Centroid, RMS and largest distance from it of the rays that arrived [mm]."""
-    lit = one.weight > 0.0
-    weight = one.weight[lit] / one.weight[lit].sum()
-    x, y = one.rays.x[lit], one.rays.y[lit]
-    middle_x, middle_y = float(weight @ x), float(weight @ y)
-    distance = np.hypot(x - middle_x, y - middle_y)
-    return middle_x, middle_y, float(np.sqrt(weight @ distance**2)), float(distance.max())
+    lit = ghost.weight > 0.0
+    weight = ghost.weight[lit] / ghost.weight[lit].sum()
+    x, y = ghost.rays.x[lit], ghost.rays.y[lit]
+    mean_x, mean_y = float(weight @ x), float(weight @ y)
+    distance = np.hypot(x - mean_x, y - mean_y)
+    return mean_x, mean_y, float(np.sqrt(weight @ distance**2)), float(distance.max())
+
+
+def ghost_irradiance(
+    lens: LensSystem,
+    v_source: ArrayLike,
+    half_mm: Sequence[float],
+    *,
+    wavelength_nm: float | None = None,
+    coating: Coating | None = None,
+    detector_reflectance: float = 0.2,
+    absorption: bool = True,
+    rings: int = 20,
+    arms: int = 48,
+) -> dict[tuple[int, int], tuple[float, float]]:
+    """Mean irradiance of all ghosts on a detector of half sizes ``half_mm``, source anywhere in front.
+
+    Pair -> irradiance over that of the source through a plane that faces it, and its error as if rays were random.
+    Parameters and errors as of `find_ghosts`; ``rings`` x ``arms`` rays fill the first surface.
+    """
+    wave = _check_source(lens, wavelength_nm, detector_reflectance)
+    rays, area = front_rays(lens, v_source, wave, (rings, arms))
+    weight = area / (4.0 * half_mm[0] * half_mm[1])
+    irradiance = {}
+    for pair in ghost_pairs(lens):
+        ghost = GhostPath(lens, *pair, coating, absorption).trace(rays, weight, detector_reflectance)
+        inside = (np.abs(ghost.rays.x) <= half_mm[0]) & (np.abs(ghost.rays.y) <= half_mm[1])
+        light = ghost.weight[(ghost.weight > 0.0) & inside]
+        irradiance[pair] = float(light.sum()), float(np.sqrt((light**2).sum()))
+    return irradiance

@@ -15,10 +15,10 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.system import LensSystem
 from optics.rays.best_focus import FocusCurve, focus_by_axis, white_focus
-from optics.rays.chief import chief_ray_points, plate_scale_mm
+from optics.rays.chief_ray import chief_ray_points
+from optics.rays.distortion import plate_scale_mm
 from optics.rays.paraxial import axial_paraxial
-from optics.rays.photocentre import spectral_mean
-from optics.rays.spots import Spots, trace_spots
+from optics.rays.spots import Spots, trace_spots, weighted_mean
 from optics.records import freeze
 from optics.units import DEG_RAD
 
@@ -32,7 +32,7 @@ class LensPerformance:
     share: FloatArray  # (w,)
     focal_length_mm: float  # Paraxial, at the design wavelength
     f_number: float
-    # Focal length as the image shows it about the axis (`optics.rays.chief.plate_scale_mm`), design wavelength
+    # Focal length as the image shows it about the axis (`optics.rays.distortion.plate_scale_mm`), design wavelength
     plate_scale_mm: float
     chief_mm: FloatArray  # (f,) Chief-ray height from that of field 0, design wavelength
     bundle_mm: FloatArray  # (f, w) Mean of the ray bundle
@@ -59,7 +59,7 @@ class LensPerformance:
     @property
     def white_mm(self) -> FloatArray:
         """Mean of all light, (f,) [mm]."""
-        return spectral_mean(self.bundle_mm, self.share * np.nan_to_num(self.area_mm2))
+        return weighted_mean(self.bundle_mm, self.share * np.nan_to_num(self.area_mm2))
 
     @property
     def lateral_colour_mm(self) -> FloatArray:

@@ -2,8 +2,8 @@
 
 With the bundle means r(w) of rays at the wavelengths w, the area A(w) of the beam that arrives and the spectrum s(w) of
 the detected light (source, filter, response), the photocentre is ``sum s A r / sum s A``. The shift of a star with its
-colour is the difference of two photocentres. Rays of a bundle count by their area in the pupil; the losses of their own
-paths in coatings and glass, which change the colour shift of a coated lens by some 0.2 %, are left out.
+colour is the difference of two photocentres. Rays are weighted by their area in the pupil; losses on their paths in
+coatings and glass, which change the colour shift of a coated lens by some 0.2 %, are left out.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.system import LensSystem
-from optics.rays.spots import QUADRATURE, SpotMoments, spot_moments
-from optics.records import freeze
+from optics.rays.spots import QUADRATURE, SpotMoments, spot_moments, weighted_mean
+from optics.records import freeze_all
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,16 +31,7 @@ class Photocentres:
     area_mm2: FloatArray
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        for name in ("x_mm", "y_mm", "rms_radius_mm", "area_mm2"):
-            freeze(self, name, shape=("f", "s"), finite=False, sizes=sizes)
-
-
-def spectral_mean(value: FloatArray, light: FloatArray) -> FloatArray:
-    """Mean over the last axis, weighted by the light of each wavelength; NaN where there is none."""
-    total = light.sum(-1)
-    weighted = np.where(light > 0.0, value, 0.0) * light
-    return np.divide(weighted.sum(-1), total, out=np.full(total.shape, np.nan), where=total > 0.0)
+        freeze_all(self, finite=False, **dict.fromkeys(self.__dataclass_fields__, ("f", "s")))
 
 
 def photocentres_of(spots: SpotMoments, spectrum: ArrayLike) -> Photocentres:
@@ -68,10 +59,10 @@ def photocentres_of(spots: SpotMoments, spectrum: ArrayLike) -> Photocentres:
         v[:, None] for v in (spots.x_mm, spots.y_mm, spots.xx_mm2 + spots.yy_mm2, spots.transmitted_mm2)
     )
     light = weight * area
-    mean_x, mean_y = spectral_mean(x, light), spectral_mean(y, light)
+    mean_x, mean_y = weighted_mean(x, light), weighted_mean(y, light)
     spread = second + (x - mean_x[..., None]) ** 2 + (y - mean_y[..., None]) ** 2
     return Photocentres(
-        x_mm=mean_x, y_mm=mean_y, rms_radius_mm=np.sqrt(spectral_mean(spread, light)), area_mm2=light.sum(-1)
+        x_mm=mean_x, y_mm=mean_y, rms_radius_mm=np.sqrt(weighted_mean(spread, light)), area_mm2=light.sum(-1)
     )
 
 
@@ -89,16 +80,10 @@ def photocentre(
 
     Parameters
     ----------
-    lens : LensSystem
-        The lens.
-    field_x_deg, field_y_deg : (f,)
-        Field angles [deg].
-    wavelength_nm : (w,)
-        Wavelengths [nm].
+    lens, field_x_deg, field_y_deg, wavelength_nm, order, collimation
+        As in `optics.rays.spots.trace_spots`, whose errors are raised.
     spectrum : (s, w)
         As in `photocentres_of`.
-    order, collimation : optional
-        As in `optics.rays.spots.trace_spots`, whose errors are raised.
 
     Returns
     -------

@@ -14,7 +14,7 @@ from optics.arrays import FloatArray
 from optics.errors import ConvergenceError, DomainError
 from optics.lens.heated_lens import COMPONENTS, DETECTOR, STOP, Housing, ThermalState, heated_lens, with_spacers
 from optics.lens.system import AMBIENT, LensSystem
-from optics.rays.chief import plate_scale_mm
+from optics.rays.distortion import plate_scale_mm
 from optics.rays.paraxial import axial_paraxial, focus_behind_mm, image_scale_mm
 from optics.rays.spots import Spots, trace_spots
 from optics.records import freeze, freeze_all

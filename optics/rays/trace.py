@@ -282,6 +282,16 @@ def trace(lens: LensSystem, rays: Rays, visit: Visitor | None = None) -> Rays:
     return _trace_on_numpy(lens, rays, visit)
 
 
+def surface_normal(n1: Any, before: NDArray[Any], n2: Any, after: NDArray[Any]) -> NDArray[np.float64]:
+    """Unit normals (3, n) of a surface from the directions (3, n) of traced rays before and behind it.
+
+    Snell's law in vector form: n2 d2 - n1 d1 is a multiple of the normal; 0 where the ray goes on undeflected.
+    """
+    difference = n2 * after - n1 * before
+    length = np.linalg.norm(difference, axis=0)
+    return np.asarray(difference / np.where(length > 0.0, length, 1.0))
+
+
 def trace_path(lens: LensSystem, rays: Rays) -> NDArray[np.float64]:
     """Points where NumPy rays meet every surface and the image plane, in the lens frame; for drawings."""
     points = [np.stack([rays.x, rays.y, rays.z], axis=-1)]

@@ -11,8 +11,8 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize
 
 from optics.arrays import FloatArray
-from optics.waves.even_pupil import even_pupil, waves_at_image
 from optics.waves.pupil_field import ComplexArray, PupilField
+from optics.waves.pupil_grid import plane_waves, pupil_grid
 
 
 def peak(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> tuple[float, float, float]:
@@ -60,7 +60,7 @@ def strehl(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> float:
 
 def perfect_peak(field: PupilField, *, at: tuple[int, int] = (0, 0)) -> float:
     """Intensity [share of the light per mm^2] of the brightest point for the same pupil without phase errors."""
-    amplitude = waves_at_image(field, at)[0]
+    amplitude = plane_waves(field, at)[0]
     scale = (float(field.index[at[1]]) / (float(field.wavelength_nm[at[1]]) * 1e-6)) ** 2
     return scale * float(amplitude.sum()) ** 2 / float(field.area_mm2[at].sum())
 
@@ -110,7 +110,7 @@ def transfer_function(
     (f,) complex array
         1 at frequency 0.
     """
-    even = even_pupil(field, at, size=size)
+    even = pupil_grid(field, at, size=size)
     pupil = np.zeros((2 * size, 2 * size), complex)
     pupil[:size, :size] = even.field
     reach = 0.5 * size * float(even.frequency_x[1] - even.frequency_x[0])
@@ -150,7 +150,7 @@ def encircled_energy(
     (r,) array
         Shares, 0 to 1.
     """
-    amplitude, fx, fy, phase = waves_at_image(field, at)
+    amplitude, fx, fy, phase = plane_waves(field, at)
     mean_x, mean_y = (float(v[at]) for v in field.mean_mm)
     dx, dy = (0.0, 0.0) if centre_mm is None else (centre_mm[0] - mean_x, centre_mm[1] - mean_y)
     highest = float(np.hypot(fx, fy).max())

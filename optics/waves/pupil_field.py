@@ -25,9 +25,10 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.frames import field_direction, light_direction
 from optics.lens.system import LensSystem
-from optics.rays.beam import Beams, find_beams
-from optics.rays.pupil import gauss_disk, stop_in_front
+from optics.rays.entrance_pupil import stop_in_front
+from optics.rays.pupil_sampling import gauss_disk
 from optics.rays.trace import Rays, trace
+from optics.rays.vignetted_pupil import VignettedPupils, vignetted_pupils
 from optics.records import freeze
 
 LARGEST_APERTURE = 0.6
@@ -273,10 +274,12 @@ def _points(
         )
         ring = np.sqrt(0.5 * (1.0 + np.polynomial.legendre.leggauss(order[0])[0]))
         return x, y, float(stop.position_mm[2]), area, ring
-    return _inside_outlines(find_beams(lens, stars, waves, rings=2, arms=order[1]), order[0])
+    return _inside_outlines(vignetted_pupils(lens, stars, waves, rings=2, arms=order[1]), order[0])
 
 
-def _inside_outlines(beams: Beams, rings: int) -> tuple[FloatArray, FloatArray, float, FloatArray, FloatArray]:
+def _inside_outlines(
+    beams: VignettedPupils, rings: int
+) -> tuple[FloatArray, FloatArray, float, FloatArray, FloatArray]:
     """The same inside beams of any outline, known by two of their rings.
 
     Gauss nodes in the radius itself, not in its square: about a point that is not a centre of symmetry odd powers of

@@ -26,7 +26,7 @@ from scipy.stats import qmc
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.frames import perpendicular
-from optics.rays.pupil import gauss_disk
+from optics.rays.pupil_sampling import gauss_disk
 from render.baffle.geometry import BlackCoating, Mesh, VanedBaffle, check_closed, read_glb, vaned_mesh
 from render.engine import Engine
 from render.engine.upload import uploaded

@@ -18,8 +18,8 @@ from scipy.interpolate import RectBivariateSpline
 from optics.arrays import FloatArray
 from optics.frames import polar_direction
 from optics.light.pst import FLOOR, PointSourceTransmittance
-from optics.rays.ghosts import entrance_radius_mm
-from optics.rays.stray import ScatterLaw, ghost_light, imaging_rays, lens_scatter_light
+from optics.rays.ghosts import entrance_radius_mm, ghost_irradiance
+from optics.rays.surface_scatter import ScatterLaw, imaging_rays, scattered_irradiance
 from render.baffle.light import BaffleScene, LensWeight, lens_weight
 from render.camera import Camera
 
@@ -72,7 +72,7 @@ def lens_transmittance(
     camera, focal_length_mm
         Focused lens and detector; the focal length gives the directions of its points.
     laws : mapping
-        Cause -> number of a surface -> BSDF, as of `optics.rays.stray.lens_scatter_light`.
+        Cause -> number of a surface -> BSDF, as of `optics.rays.surface_scatter.scattered_irradiance`.
     angle_deg, azimuth_deg : (a,), (z,)
         Of the source from the boresight; none of the light of sources at 90 deg arrives.
     points : int
@@ -84,7 +84,7 @@ def lens_transmittance(
     advance : callable
         Called after each direction.
     **glass
-        ``coating``, ``absorption``: as of `optics.rays.stray.imaging_rays`.
+        ``coating``, ``absorption``: as of `optics.rays.surface_scatter.imaging_rays`.
     """
     lens, half = camera.focused_lens, 0.5 * np.array([camera.width_px, camera.height_px])
     across = (np.arange(points) + 0.5) / points * 2.0 - 1.0
@@ -99,14 +99,14 @@ def lens_transmittance(
     def fill(at: tuple[int, ...]) -> None:
         if angle[at[1]] < 90.0 and (at[0] == 0 or angle[at[1]] < shade_deg):
             source = polar_direction(angle[at[1]], azimuth[at[0]])
-            for cause, light in lens_scatter_light(imaging, source, laws).items():
+            for cause, light in scattered_irradiance(imaging, source, laws).items():
                 scatter[cause][at] = light.sum(axis=1).reshape(points, points)
             rays: dict[str, Any] = {
                 "rings": ghost_rays[0],
                 "arms": ghost_rays[1],
                 "detector_reflectance": detector_reflectance,
             }
-            value, error = np.array(list(ghost_light(lens, source, half_mm, **rays, **glass).values())).T
+            value, error = np.array(list(ghost_irradiance(lens, source, half_mm, **rays, **glass).values())).T
             ghosts[at], ghosts_error[at] = value.sum(), np.sqrt((error**2).sum())
         advance()
 

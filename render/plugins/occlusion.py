@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from optics.arrays import BoolArray, FloatArray
-from optics.rays.pupil import EntrancePupil
+from optics.rays.entrance_pupil import EntrancePupil
 from optics.rays.trace import Rays
 from render.engine import Engine
 from render.engine.jit import dr

@@ -15,10 +15,10 @@ from optics.lens.sag_map import read_map
 from optics.lens.system import LensSystem
 from optics.lens_file import load_lens
 from optics.light.band_file import load_band
-from optics.rays.chief import plate_scale_mm
+from optics.rays.distortion import plate_scale_mm
 from optics.rays.paraxial import stopped_down
 from optics.response import Response
-from optics.waves.measured import with_wavefront
+from optics.waves.measured_wavefront import with_wavefront
 from optics.waves.wavefront import PathMap, zernike_map
 from render.detector.spec import Detector, load_detector
 from render.sensor import StarSensor, build_star_sensor

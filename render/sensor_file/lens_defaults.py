@@ -46,7 +46,7 @@ def _range_nm(file: LensFile) -> tuple[float, float] | None:
 
 def _window_px(file: LensFile, detector: Any) -> tuple[int, int] | None:
     """Window that sees the fields of the file, where a chip sees more; None where it does not, or for several chips."""
-    from optics.rays.chief import chief_ray_points
+    from optics.rays.chief_ray import chief_ray_points
     from render.detector.spec import load_detector
 
     lens = file.lens

@@ -20,8 +20,9 @@ from scipy.ndimage import gaussian_filter
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from optics.frames import light_direction
+from optics.rays.entrance_pupil import entrance_pupil
 from optics.rays.ghosts import SHARP_MM, GhostPath, entering_rays, entrance_radius_mm, front_rays, ghost_pairs
-from optics.rays.pupil import entrance_pupil, gauss_disk
+from optics.rays.pupil_sampling import gauss_disk
 from optics.rays.trace import OK, Rays
 from optics.records import freeze
 from render.camera import Camera, PathLosses

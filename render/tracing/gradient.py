@@ -24,9 +24,9 @@ import numpy as np
 
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.errors import ConfigError
-from optics.rays.aim import front_of, without_apertures
+from optics.rays.entrance_pupil import EntrancePupil
 from optics.rays.program import LensProgram, compile_lens
-from optics.rays.pupil import EntrancePupil
+from optics.rays.ray_aiming import up_to_surface, without_apertures
 from optics.rays.trace import Rays, trace_program
 from render.camera import Camera
 from render.engine.arrays import DrJitArrays
@@ -73,7 +73,7 @@ def lens_numbers(camera: Camera, pupil: EntrancePupil) -> LensNumbers:
     disk = [pupil.x_mm, pupil.y_mm, pupil.z_mm, pupil.radius_mm]
     if pupil.exact:
         disk = [*stop.position_mm.tolist(), stop.semi_diameter_mm]
-    front = front_of(without_apertures(program), lens.stop_index)
+    front = up_to_surface(without_apertures(program), lens.stop_index)
     return LensNumbers(program, front, lens.stop_index, np.concatenate([theta, disk, [stop.semi_diameter_mm]]))
 
 

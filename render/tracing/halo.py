@@ -1,6 +1,6 @@
 """The halo of light scattered by the surfaces of a lens around each star: removed from its core, added around it.
 
-One law for all surfaces (`optics.light.scatter`) gives the radiance against differences of sines from the star. A pixel
+One law for all surfaces (`optics.light.bsdf`) gives the radiance against differences of sines from the star. A pixel
 receives BSDF times its solid angle, (pitch / focal length)^2, times the light that passes the lens; near the star the
 law is averaged over pixels. The halo ends where a pixel receives ``Camera.far.ends_e`` (`LEAST_E` without), but the
 whole TIS is removed from the core and counted in ``Truth.electrons_scattered``.

@@ -18,8 +18,8 @@ from scipy.special import erf, j1
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.system import LensSystem
-from optics.waves.even_pupil import even_pupil
 from optics.waves.pupil_field import PupilField, trace_pupil
+from optics.waves.pupil_grid import pupil_grid
 from render.camera import Camera
 from render.records import EffectivePsf, StarField
 from render.tracing.measured.images import pixel_shares
@@ -256,7 +256,7 @@ def wave_images(
     light = np.empty((*mean_px.shape[:2], count, count), np.float32)
     for at in np.ndindex(*mean_px.shape[:2]):
         if clear:
-            image = even_pupil(rays, at, size=size).intensity(offset * pitch_mm, offset * pitch_mm)
+            image = pupil_grid(rays, at, size=size).intensity(offset * pitch_mm, offset * pitch_mm)
         else:
             x, y = (m + offset * pitch_mm for m in np.stack(rays.mean_mm, axis=-1)[at])
             image = rays.intensity(x, y, at=at, dtype=np.complex64)

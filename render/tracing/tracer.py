@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from optics.errors import ConfigError, ConvergenceError, DomainError
 from optics.frames import field_angles_deg
-from optics.rays.photocentre import spectral_mean
-from optics.rays.pupil import EntrancePupil
-from optics.rays.spots import spot_moments
+from optics.rays.entrance_pupil import EntrancePupil
+from optics.rays.spots import spot_moments, weighted_mean
 from render.camera import Camera
 from render.records import StarField, Truth
 from render.tracing.convergence import TOLERANCE
@@ -224,7 +223,7 @@ class Tracer:
         except ConvergenceError:
             return np.full((*share.shape[:2], 2), np.nan)
         x, y, area = (v.reshape(share.shape) for v in (spots.x_mm, spots.y_mm, spots.transmitted_mm2))
-        return np.stack(self.camera.to_pixel(*(spectral_mean(v, share * area) for v in (x, y))), axis=-1)
+        return np.stack(self.camera.to_pixel(*(weighted_mean(v, share * area) for v in (x, y))), axis=-1)
 
     def centred_cells(self, stars: StarField, *, half_size_px: int, cells_per_px: int) -> FloatArray:
         """Light of every star and band on a fine grid around its bundle mean: share of the collected light per cell.

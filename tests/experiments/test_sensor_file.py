@@ -91,7 +91,7 @@ def test_acf_takes_a_camera_that_images_as_the_lens_does():
     from optics.frames import field_direction
     from optics.lens.perturb import refocus
     from optics.lens_file import load_lens
-    from optics.rays.chief import chief_ray_points
+    from optics.rays.chief_ray import chief_ray_points
 
     model = build_camera(load_config(Config, sensor=EXAMPLE))
     field = np.array([[0.3, 0.2], [3.1, -2.2], [-5.0, 5.0], [6.2, 0.0]])

@@ -7,7 +7,7 @@ from refusals import refuses
 from optics.errors import DomainError
 from optics.frames import field_angles_deg
 from optics.lens_file import load_lens
-from optics.rays.chief import chief_ray_points
+from optics.rays.chief_ray import chief_ray_points
 from render.detector.spec import load_detector
 from render.sensor_file.load import load_star_sensor
 from render.sky.star_light import star_light

@@ -18,7 +18,7 @@ from optics.frame_html import Marks
 from optics.lens.heated_lens import Housing, ThermalState, heated_lens
 from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody
-from optics.rays.spots import collecting_area_mm2
+from optics.rays.vignetting import collecting_area_mm2
 from render.bodies.solar_system import solar_system
 from render.bodies.sunlit_body import planet_body, sphere_photons
 from render.sensor_file.load import load_star_sensor

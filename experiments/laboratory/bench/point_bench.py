@@ -18,7 +18,7 @@ from optics.errors import DomainError
 from optics.light.band import band_nodes
 from optics.light.collimation import Collimation
 from optics.light.spectrum import Sed
-from optics.rays.spots import collecting_area_mm2
+from optics.rays.vignetting import collecting_area_mm2
 from render.records import EffectivePsf, StarField
 from render.sensor_file.filters import Filter
 from render.sensor_file.instrument import Instrument

@@ -11,7 +11,7 @@ from optics.errors import DomainError
 from optics.light.band import Band, band_nodes
 from optics.light.magnitudes import photon_rate
 from optics.light.spectrum import Blackbody
-from optics.rays.spots import collecting_area_mm2
+from optics.rays.vignetting import collecting_area_mm2
 from render.sensor_file.instrument import Instrument
 
 NODES = 48

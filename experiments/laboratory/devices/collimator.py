@@ -27,7 +27,7 @@ from optics.errors import DomainError
 from optics.glass.absolute_index import Environment
 from optics.glass.catalogue import get_glass
 from optics.light.collimation import Collimation, air_deviation_rad, wedge_deviation_rad
-from optics.rays.pupil import gauss_disk
+from optics.rays.pupil_sampling import gauss_disk
 from optics.units import ARCSEC_RAD, DEG_RAD, UM_MM
 from render.engine.random import Streams
 from render.motion.jitter import JitterSpectrum, jittered

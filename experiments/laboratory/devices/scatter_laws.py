@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from optics.lens.system import AMBIENT, LensSystem
-from optics.light.scatter import HarveyShack, Particles, Together, polished, roughness_tis
-from optics.rays.stray import scattering_surfaces
+from optics.light.bsdf import HarveyShack, Particles, Together, polished, roughness_tis
+from optics.rays.surface_scatter import scattering_surfaces
 from render.camera import Camera
 from render.sensor_file.stray import ContaminationConfig, ScatterConfig
 

@@ -11,7 +11,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.light.band import Band, band_nodes
 from optics.light.spectrum import Sed
-from optics.rays.spots import collecting_area_mm2
+from optics.rays.vignetting import collecting_area_mm2
 from render.records import StarField
 from render.sensor_file.instrument import Instrument
 

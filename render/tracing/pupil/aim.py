@@ -19,8 +19,8 @@ from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.frames import light_direction
 from optics.lens.apertures import Circle
 from optics.lens.system import LensSystem, Surface
-from optics.rays.aim import aim_at_stop, front_of, without_apertures, without_holes
 from optics.rays.program import LensProgram
+from optics.rays.ray_aiming import aim_at_stop, up_to_surface, without_apertures, without_obscurations
 from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
 from render.engine import Engine
 from render.engine.jit import dr
@@ -30,7 +30,7 @@ from render.tracing.rays.kernel import StarKernel
 AIM_STEPS, AIM_TOLERANCE, AIM_DIFFERENCE = 6, 1e-11, 1e-5
 """Newton steps, residual and difference of the slopes, both in radii of the launch disk."""
 WIDE_RAD = np.radians(15.0)
-"""Field angle beyond which chief rays are aimed on NumPy, from the axis outwards (`optics.rays.aim`)."""
+"""Field angle beyond which chief rays are aimed on NumPy, from the axis outwards (`optics.rays.ray_aiming`)."""
 RIM_STEPS, RIM_TOLERANCE = 14, 1e-12
 """Secant steps and residual in units of the aperture's radius."""
 INSIDE = 1e-7
@@ -93,7 +93,7 @@ def aimed_lens(lens: LensSystem, program: LensProgram, theta: FloatArray) -> Aim
     holes = [(i, hole) for i, surface in enumerate(lens.surfaces) if (hole := _hole_mm(surface)) > 0.0]
     if not all(np.isfinite(hole) for _, hole in holes):
         limits, holes = [], []
-    front = front_of(without_apertures(program), lens.stop_index)
+    front = up_to_surface(without_apertures(program), lens.stop_index)
     numbers = Engine.active().arrays.parameters(theta.tolist())
     return AimedLens(lens, front, program, numbers, lens.stop_index, tuple(limits), tuple(holes))
 
@@ -112,7 +112,8 @@ def find_chiefs(
 ) -> Chiefs:
     """Aim at the stop's centre: Newton's method in two unknowns with slopes from differences.
 
-    Rays far from the axis, and those for which that does not end soon, are aimed by `optics.rays.aim.aim_at_stop`.
+    Rays far from the axis, and those for which that does not end soon, are aimed by
+    `optics.rays.ray_aiming.aim_at_stop`.
     """
     # wavelength_nm (b,), points (n, b, 2)
     F, shape = kernel.F, (kernel.count, len(wavelength_nm))
@@ -123,7 +124,7 @@ def find_chiefs(
         points = _aimed(lens, kernel, wavelength_nm)
     px, py = (uploaded(F, points[..., axis]) for axis in (0, 1))
     x, y, free = kernel.launch(star, px, py, wavelength, error, without_apertures(lens.full))
-    status = kernel.launch(star, px, py, wavelength, error, without_holes(lens.full))[2]
+    status = kernel.launch(star, px, py, wavelength, error, without_obscurations(lens.full))[2]
     dr.eval(x, y, free, status)
     arrived, stopped = (v.numpy().reshape(shape) for v in (free, status))
     through = np.isfinite(points).all(-1) & (arrived == OK)
@@ -179,7 +180,7 @@ def _aimed_outwards(
     x0, y0, _ = kernel.geometry.pupil_mm
     rays = aim_at_stop(lens.system, light_direction(kernel.direction[stars, 0]), wavelength_nm[bands])
     points = np.stack([rays.x_mm - x0, rays.y_mm - y0], axis=-1) / kernel.geometry.pupil_radius_mm
-    return np.where(rays.found[:, None], points, np.nan)
+    return np.where(rays.converged[:, None], points, np.nan)
 
 
 class Beams:

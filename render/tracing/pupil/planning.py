@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from optics.arrays import BoolArray, FloatArray, IntArray
 from optics.lens.system import LensSystem
 from optics.light.collimation import Collimation
-from optics.rays.aim import aim_frame
-from optics.rays.axial_beam import check_axial_beam
-from optics.rays.beam import inner_points
+from optics.rays.entrance_pupil import EntrancePupil, entrance_pupil, launch_disks, stop_in_front
+from optics.rays.marginal_rays import check_axial_rays
 from optics.rays.program import compile_lens
-from optics.rays.pupil import EntrancePupil, entrance_pupil, launch_disks, stop_in_front
+from optics.rays.ray_aiming import aim_frame
+from optics.rays.vignetted_pupil import inner_points
 from render.camera import Camera, launch_disk
 from render.tracing.convergence import HIGHEST_FREQUENCY, MOTION_TOLERANCE, TOLERANCE
 from render.tracing.motion.exposure import IdealLens
@@ -221,7 +221,7 @@ class PupilPlanner:
         self.camera, self.tolerance = camera, tolerance
         self.sobol_log2_rays, self.sobol_seed = sobol_log2_rays, sobol_seed
         lens = camera.focused_lens
-        check_axial_beam(lens)
+        check_axial_rays(lens)
         self.pupil = unit_disk(lens)
         if not self.pupil.exact:
             launch_disk(camera)  # refuses a lens that lets no light through

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
-from optics.rays.pupil import gauss_disk
+from optics.rays.pupil_sampling import gauss_disk
 from render.tracing.convergence import damped_frequencies, transfer
 from render.tracing.pupil.outlines import node_turns
 from render.tracing.pupil.points import SobolPoints, TablePoints

@@ -24,8 +24,9 @@ import numpy as np
 
 from optics.arrays import FloatArray, IntArray
 from optics.frames import light_direction
+from optics.rays.entrance_pupil import EntrancePupil, launch_disks
 from optics.rays.ghosts import trace_ghost
-from optics.rays.pupil import EntrancePupil, gauss_disk, launch_disks
+from optics.rays.pupil_sampling import gauss_disk
 from optics.rays.trace import OK, Rays
 from render.camera import Camera
 

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from optics.arrays import FloatArray
 from optics.frames import light_direction
-from optics.light.collimation import Collimation, bent_light
+from optics.light.collimation import Collimation, decollimated
+from optics.rays.entrance_pupil import EntrancePupil
 from optics.rays.program import LensProgram
-from optics.rays.pupil import EntrancePupil
 from optics.rays.trace import OK, Rays, trace_program
 from render.engine import Engine
 from render.engine.jit import dr
@@ -173,11 +173,11 @@ class StarKernel:
             self.shear = [uploaded(self.F, shear[..., i]) for i in range(3)]
 
     def rays(self, star: Any, px: Any, py: Any, wavelength_nm: Any, error: Any = None) -> Rays:
-        """Rays of stars through points of the launch disk; ``error`` as `optics.light.collimation.bent_light`."""
+        """Rays of stars through points of the launch disk; ``error`` as `optics.light.collimation.decollimated`."""
         x0, y0, z0, radius = self.disk
         dx, dy, dz = (dr.gather(self.F, component, star) for component in self.light)
         if error is not None:
-            dx, dy, dz = bent_light((dx, dy, dz), px * radius, py * radius, error, dr.sqrt)
+            dx, dy, dz = decollimated((dx, dy, dz), px * radius, py * radius, error, dr.sqrt)
         zero = dr.zeros(self.I, 1)
         return Rays(
             x=x0 + px * radius,

@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 
 from optics.arrays import FloatArray, IntArray
 from optics.light.collimation import Collimation
-from optics.rays.pupil import gauss_disk
+from optics.rays.pupil_sampling import gauss_disk
 from render.camera import Camera
 from render.engine.jit import dr
 from render.tracing.motion.exposure import IdealLens

@@ -39,7 +39,7 @@ def test_override_reaches_camera_and_readout():
 
 def test_moved_element_shifts_the_image_as_its_power_says(star_camera):
     """A decentre towards increasing row moves the image along the row axis only, the same way from both sides."""
-    from optics.rays.chief import chief_ray_points
+    from optics.rays.chief_ray import chief_ray_points
 
     lens = load_lens("star_camera_206mm")
     assert moved_lens(lens, MovedConfig()) is lens

@@ -23,7 +23,7 @@ from experiments.dataset.settings import (
 from experiments.dataset.truth import FLAGS, record_from_text
 from optics.errors import DomainError, StarbenchError
 from optics.frames import field_angles_deg
-from optics.rays.chief import chief_ray_points
+from optics.rays.chief_ray import chief_ray_points
 from render.forward import StarRenderer
 from render.sensor_file.tables import CatalogueConfig, InstrumentConfig, PassbandConfig
 

@@ -8,7 +8,7 @@ from refusals import refuses
 from optics import load_lens, paraxial, read_lens_file
 from optics.errors import ConfigError, DomainError
 from optics.export.write import write_lens
-from optics.rays.axial_beam import check_axial_beam
+from optics.rays.marginal_rays import check_axial_rays
 
 STOP = """[[surface]]
 stop = true
@@ -145,8 +145,8 @@ def test_glasses_of_files(tmp_path):
 def test_an_asphere_beyond_its_range_is_refused_where_light_is_traced(tmp_path):
     shape = 'kind = "even_asphere"\nradius_mm = -18.4\nconic = 0.0\nasphere = [0.0, 0.0, 3e-5]'
     lens = loaded(tmp_path, TRIPLET.replace("radius_mm = -18.4", shape))
-    refuses(DomainError, r"rays on the axis from .* mm on are lost at surface 6 \(missed|total", check_axial_beam, lens)
-    check_axial_beam(loaded(tmp_path, TRIPLET))
+    refuses(DomainError, r"rays on the axis from .* mm on are lost at surface 6 \(missed|total", check_axial_rays, lens)
+    check_axial_rays(loaded(tmp_path, TRIPLET))
 
 
 def test_files_that_are_none(tmp_path):

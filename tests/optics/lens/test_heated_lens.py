@@ -12,7 +12,8 @@ from optics.errors import ConfigError, DomainError
 from optics.glass.thermal_index import ThermalDispersion
 from optics.lens.heated_lens import COMPONENTS, Housing, Mount, ThermalState, heated_lens, with_spacers
 from optics.lens.system import HALF_TURN, Surface
-from optics.rays.chief import chief_ray_points, plate_scale_mm
+from optics.rays.chief_ray import chief_ray_points
+from optics.rays.distortion import plate_scale_mm
 
 LENS = load_lens("star_camera_206mm")
 ALUMINIUM = 23.6e-6

@@ -9,9 +9,12 @@ from refusals import refuses
 from optics import Environment, EvenAsphere, field_direction, list_lenses, load_lens, paraxial
 from optics.errors import ConfigError, DomainError
 from optics.lens.system import AMBIENT
-from optics.rays.chief import chief_ray_points, distortion_map, plate_scale_mm
-from optics.rays.pupil import PupilSamples, entrance_pupil, star_rays
-from optics.rays.spots import lateral_colour, spot_moments
+from optics.rays.chief_ray import chief_ray_points
+from optics.rays.distortion import distortion_map, plate_scale_mm
+from optics.rays.entrance_pupil import entrance_pupil, star_rays
+from optics.rays.lateral_colour import lateral_colour
+from optics.rays.pupil_sampling import PupilSamples
+from optics.rays.spots import spot_moments
 from optics.rays.trace import trace_path
 
 PIXEL_MM = 5.5e-3

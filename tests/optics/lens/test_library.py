@@ -5,7 +5,7 @@ import pytest
 
 from optics import list_lenses, load_lens, paraxial, spot_moments
 from optics.lens.geometry import geometry_faults
-from optics.rays.axial_beam import check_axial_beam
+from optics.rays.marginal_rays import check_axial_rays
 
 # name: scale to the source's own units; printed focal length, back focus, F-number; how far they may be off (the last
 # printed digit, or what the source says of its own precision)
@@ -35,7 +35,7 @@ def test_first_order_data_are_those_of_the_source(name):
 def test_every_lens_can_be_and_images_its_field(name):
     lens = load_lens(name)
     assert geometry_faults(lens) == ()
-    check_axial_beam(lens)
+    check_axial_rays(lens)
     field = lens.max_field_deg * np.array([0.0, 0.7, 1.0])
     spots = spot_moments(lens, field, np.zeros(3), lens.design_wavelength_nm)
     assert (spots.transmitted_mm2 > 0.1 * spots.transmitted_mm2[0]).all()

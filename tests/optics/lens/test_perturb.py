@@ -24,8 +24,10 @@ from optics.lens.perturb import (
     tilt,
     tilt_image,
 )
-from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
-from optics.rays.spots import lateral_colour, spot_moments
+from optics.rays.entrance_pupil import entrance_pupil, star_rays
+from optics.rays.lateral_colour import lateral_colour
+from optics.rays.pupil_sampling import sobol_disk
+from optics.rays.spots import spot_moments
 
 LENS = load_lens("star_tracker_26mm")
 

@@ -9,7 +9,7 @@ from refusals import refuses
 
 from optics import Glass, QuarterWave, Response, get_glass
 from optics.errors import ConfigError, DomainError
-from optics.light.transmission import Layout, layout_of, lens_transmission
+from optics.light.transmission import Layout, axial_layout, lens_transmission
 
 LINES = np.array([450.0, 550.0, 650.0])
 
@@ -55,7 +55,7 @@ def test_a_stop_in_air_costs_nothing_and_a_lens_is_read_along_its_vertices() -> 
         glasses={"N-SF6": glass},
         image_position_mm=np.array([0.0, 0.0, 100.0]),
     )
-    layout = layout_of(lens)
+    layout = axial_layout(lens)
     assert layout.media == (None, glass, None)
     assert layout.thickness_mm == pytest.approx([2.0, 12.5, 85.5])
     assert lens_transmission(lens, LINES) == pytest.approx(lens_transmission(plate(glass, 12.5), LINES), rel=1e-14)

@@ -10,8 +10,9 @@ from refusals import refuses
 from optics import LensSystem, QuarterWave, field_direction, load_lens
 from optics.errors import DomainError
 from optics.lens.prescription import lens_from_table
+from optics.rays.entrance_pupil import launch_disks, star_rays
 from optics.rays.ghosts import find_ghosts, ghost_pairs, trace_ghost, with_cover_glass
-from optics.rays.pupil import launch_disks, sobol_disk, star_rays
+from optics.rays.pupil_sampling import sobol_disk
 
 DETECTOR = 2e-3
 
@@ -151,7 +152,7 @@ def test_no_light_is_lost_from_the_books() -> None:
     assert parts.total == pytest.approx(1.0, abs=1e-9)
     assert min(parts.image, parts.ghosts, parts.coatings, parts.glass, parts.rims, parts.front, parts.more) > 1e-4
     assert (np.diff(found.flux) <= 0.0).all()
-    assert found.pixel_share(0.0055) == pytest.approx(
+    assert found.brightest_pixel(0.0055) == pytest.approx(
         found.flux * np.minimum(1.0, 0.0055**2 / (2.0 * np.pi * found.rms_mm**2)), rel=1e-12
     )
 

@@ -9,7 +9,8 @@ from refusals import refuses
 
 from optics import VACUUM, Plane, Rays, Sphere, decentre, load_lens, tilt, trace
 from optics.errors import DomainError
-from optics.rays.chief import chief_ray_points, plate_scale_mm
+from optics.rays.chief_ray import chief_ray_points
+from optics.rays.distortion import plate_scale_mm
 from optics.rays.paraxial import (
     axial_colour_mm,
     chief_ray,

@@ -8,7 +8,9 @@ from refusals import refuses
 
 from optics import chief_ray_points, decentre, distortion_map, gauss_disk, load_lens, refocus, sobol_disk
 from optics.errors import ConvergenceError, DomainError
-from optics.rays.spots import lateral_colour, spot_moments, vignetting
+from optics.rays.lateral_colour import lateral_colour
+from optics.rays.spots import spot_moments
+from optics.rays.vignetting import vignetting
 
 CAMERA, TRACKER = load_lens("star_camera_206mm"), load_lens("star_tracker_26mm")
 

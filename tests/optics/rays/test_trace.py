@@ -11,7 +11,8 @@ from optics import Conic, LensSystem, Plane, Sphere, compile_lens, field_directi
 from optics.arrays import NUMPY
 from optics.errors import DomainError
 from optics.lens.perturb import change_shape, decentre, tilt
-from optics.rays.pupil import entrance_pupil, sobol_disk, star_rays
+from optics.rays.entrance_pupil import entrance_pupil, star_rays
+from optics.rays.pupil_sampling import sobol_disk
 from optics.rays.trace import MISSED, OK, TOTAL_REFLECTION, VIGNETTED, Rays, trace, trace_program
 
 

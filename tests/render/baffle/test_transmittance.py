@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from optics.lens.prescription import lens_from_table
-from optics.light.scatter import polished
-from optics.rays.stray import ghost_light
+from optics.light.bsdf import polished
+from optics.rays.ghosts import ghost_irradiance
 from render.baffle.light import BaffleLight
 from render.baffle.transmittance import CAUSES, lens_transmittance, sensor_transmittance
 from render.camera import Camera
@@ -65,7 +65,7 @@ def test_scatter_is_in_proportion_to_its_law_and_ghosts_are_those_of_all_pairs(l
     assert (lens.value["polish"][:, 0] > lens.value["polish"][:, 1]).all()
     np.testing.assert_allclose(lens.points["polish"].mean(axis=(2, 3)), lens.value["polish"])
     source = np.array([np.sin(np.radians(20.0)), 0.0, np.cos(np.radians(20.0))])
-    pairs = ghost_light(SINGLET, source, (4.0, 3.2), rings=4, arms=8, absorption=False)
+    pairs = ghost_irradiance(SINGLET, source, (4.0, 3.2), rings=4, arms=8, absorption=False)
     assert lens.value["ghosts"][0, 1] == pytest.approx(sum(value for value, _ in pairs.values()))
     assert lens.ghosts_error[0, 1] == pytest.approx(np.sqrt(sum(error**2 for _, error in pairs.values())))
 

@@ -16,7 +16,7 @@ from optics.errors import ConvergenceError, DomainError
 from optics.frames import field_angles_deg
 from optics.lens.perturb import tilt
 from optics.lens_file import load_lens
-from optics.rays.chief import chief_ray_points
+from optics.rays.chief_ray import chief_ray_points
 from render.camera import Camera
 from render.fits.files import write_frame
 from render.fits.wcs import lens_wcs

@@ -8,8 +8,8 @@ from refusals import refuses
 
 from optics.errors import ConfigError, DomainError
 from optics.lens.perturb import decentre
+from optics.rays.entrance_pupil import entrance_pupil
 from optics.rays.paraxial import axial_paraxial
-from optics.rays.pupil import entrance_pupil
 from optics.rays.spots import spot_moments
 from optics.units import ARCSEC_RAD
 from optics.validate import parse_model

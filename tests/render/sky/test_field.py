@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from optics.errors import ConfigError, DomainError
 from optics.frames import field_angles_deg
 from optics.light.band import TopHat
-from optics.rays.chief import chief_ray_points
+from optics.rays.chief_ray import chief_ray_points
 from render.catalogue.index import build_index
 from render.catalogue.motion import Observer, directions_at
 from render.catalogue.record import MAS_RAD, direction_from_angles

@@ -8,7 +8,7 @@ from refusals import refuses
 
 from optics.errors import DomainError
 from optics.light.collimation import Collimation
-from optics.rays.pupil import gauss_disk
+from optics.rays.pupil_sampling import gauss_disk
 from optics.rays.trace import Rays, trace
 from render.camera import launch_disk
 from render.forward import StarRenderer

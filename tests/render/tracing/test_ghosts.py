@@ -15,7 +15,7 @@ from optics.glass.coating import QuarterWave
 from optics.lens.ideal_lens import ideal_lens
 from optics.lens_file import load_lens
 from optics.rays.ghosts import find_ghosts, with_cover_glass
-from optics.rays.pupil import gauss_disk
+from optics.rays.pupil_sampling import gauss_disk
 from render.camera import Camera, PathLosses
 from render.forward import StarRenderer
 from render.records import StarField, Truth

@@ -12,7 +12,7 @@ from refusals import refuses
 from optics.errors import DomainError
 from optics.frames import field_direction
 from optics.lens.ideal_lens import ideal_lens
-from optics.light.scatter import ABg, HarveyShack, polished
+from optics.light.bsdf import ABg, HarveyShack, polished
 from render.camera import Camera, FarLight
 from render.tracing.tracer import TracedStars, Tracer
 

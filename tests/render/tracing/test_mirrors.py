@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from optics.lens.prescription import lens_from_table
-from optics.rays.chief import chief_ray_points
+from optics.rays.chief_ray import chief_ray_points
 from render.camera import Camera
 from render.plugins.camera_properties import lens_camera_properties
 from render.tracing.tracer import Tracer

@@ -10,7 +10,7 @@ from optics.errors import DomainError
 from optics.frames import field_angles_deg
 from optics.lens.perturb import decentre
 from optics.lens_file import load_lens
-from optics.rays.chief import chief_ray_points
+from optics.rays.chief_ray import chief_ray_points
 from render.records import StarField
 from render.tracing.convergence import TOLERANCE
 from render.tracing.tracer import Tracer

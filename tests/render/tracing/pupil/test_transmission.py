@@ -11,8 +11,9 @@ from fields import star_field
 from optics.frames import field_direction
 from optics.glass.coating import Film, QuarterWave, Stack
 from optics.lens_file import load_lens
+from optics.rays.entrance_pupil import launch_disks, star_rays
 from optics.rays.ghosts import trace_ghost
-from optics.rays.pupil import gauss_disk, launch_disks, star_rays
+from optics.rays.pupil_sampling import gauss_disk
 from optics.rays.trace import OK
 from render.camera import Camera, PathLosses
 from render.records import StarField

@@ -6,7 +6,8 @@ from refusals import refuses
 
 from optics import decentre, field_direction, load_lens, tilt, trace
 from optics.errors import ConvergenceError, DomainError
-from optics.rays.pupil import EntrancePupil, disk_from_square, entrance_pupil, gauss_disk, sobol_disk, star_rays
+from optics.rays.entrance_pupil import EntrancePupil, entrance_pupil, star_rays
+from optics.rays.pupil_sampling import disk_from_square, gauss_disk, sobol_disk
 
 
 def disk_moment(a: int, b: int) -> float:

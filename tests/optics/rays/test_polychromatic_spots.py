@@ -5,14 +5,14 @@ import pytest
 
 from optics import best_focus_shift_mm, load_lens, refocus, spot_moments
 from optics.errors import ConvergenceError
-from optics.rays.field_images import field_images
+from optics.rays.polychromatic_spots import polychromatic_spots
 
 LENS, WAVES = load_lens("star_camera_206mm"), [500.0, 600.0, 800.0]
 
 
 def test_position_size_and_focus():
     field = [0.0, 1.5, 3.0], [0.0, 0.5, 0.0]
-    made = field_images(LENS, *field, WAVES, np.ones(3), refocused=True, shift_mm=0.02, order=(12, 24))
+    made = polychromatic_spots(LENS, *field, WAVES, np.ones(3), refocused=True, shift_mm=0.02, order=(12, 24))
     assert made.shift_mm == pytest.approx(best_focus_shift_mm(LENS, *field, WAVES) + 0.02, abs=1e-4)
     moments = spot_moments(refocus(LENS, made.shift_mm), *field, WAVES)
     light = moments.transmitted_mm2 / moments.transmitted_mm2.sum(1, keepdims=True)
@@ -26,4 +26,4 @@ def test_position_size_and_focus():
 
 def test_a_field_without_light_is_an_error():
     with pytest.raises(ConvergenceError, match="no light"):
-        field_images(load_lens("double_gauss_50mm"), [0.0, 40.0], [0.0, 0.0], [600.0], [1.0])
+        polychromatic_spots(load_lens("double_gauss_50mm"), [0.0, 40.0], [0.0, 0.0], [600.0], [1.0])

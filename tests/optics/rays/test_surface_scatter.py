@@ -11,10 +11,10 @@ from optics import load_lens
 from optics.errors import DomainError
 from optics.frames import field_direction, light_direction, polar_direction
 from optics.lens.prescription import lens_from_table
-from optics.light.scatter import polished
-from optics.rays.ghosts import entrance_radius_mm
-from optics.rays.pupil import launch_disks
-from optics.rays.stray import ghost_light, imaging_rays, lens_scatter_light, scattering_surfaces
+from optics.light.bsdf import polished
+from optics.rays.entrance_pupil import launch_disks
+from optics.rays.ghosts import entrance_radius_mm, ghost_irradiance
+from optics.rays.surface_scatter import imaging_rays, scattered_irradiance, scattering_surfaces
 from optics.rays.trace import OK, Rays, trace
 
 TRACKER = load_lens("star_tracker_26mm")
@@ -40,7 +40,7 @@ def test_narrow_scatter_ends_on_the_detector_whole() -> None:
     field = np.degrees(np.arctan(np.geomspace(3e-4, 0.18, 60)))
     imaging = imaging_rays(lens, field_direction(field, 0.0 * field), absorption=False, rings=4, arms=8)
     numbers = scattering_surfaces(lens)
-    found = lens_scatter_light(imaging, polar_direction(0.0), {"rough": dict.fromkeys(numbers, law.bsdf)})
+    found = scattered_irradiance(imaging, polar_direction(0.0), {"rough": dict.fromkeys(numbers, law.bsdf)})
     radius = np.concatenate([[0.0], imaging.x_mm])
     light = np.concatenate([found["rough"][:1], found["rough"]])
     flux = np.trapezoid(2.0 * np.pi * radius[:, None] * light, radius, axis=0)
@@ -71,7 +71,7 @@ def test_a_monte_carlo_that_goes_forward_finds_the_same() -> None:
         lens, field_direction(np.degrees(np.arctan(scale * x.ravel())), np.degrees(np.arctan(scale * y.ravel()))),
         absorption=False, rings=6, arms=16,
     )  # fmt: skip
-    light = lens_scatter_light(imaging, source, {"rough": {number: law.bsdf}})["rough"].sum(axis=1)
+    light = scattered_irradiance(imaging, source, {"rough": {number: law.bsdf}})["rough"].sum(axis=1)
     expected = float(light @ np.outer(weight, weight).ravel() / 4.0)
 
     rng = np.random.default_rng(5)
@@ -139,7 +139,7 @@ def test_the_ghost_of_a_plane_plate_is_r2_t2() -> None:
 
     def ghost(pair: tuple[int, int], detector: float) -> tuple[float, float]:
         settings = {"detector_reflectance": detector, "absorption": False, "rings": 60, "arms": 240}
-        return ghost_light(lens, polar_direction(0.0), (2.0, 2.0), **settings)[pair]
+        return ghost_irradiance(lens, polar_direction(0.0), (2.0, 2.0), **settings)[pair]
 
     value, error = ghost((2, 1), 0.0)
     assert value == pytest.approx(reflectance**2 * through, abs=2.0 * error)
@@ -155,7 +155,7 @@ def test_scatter_grows_with_the_law_and_falls_with_the_angle() -> None:
 
     def light(angle_deg: float, tis: float) -> np.ndarray:
         law = polished(tis, 0.01, -2.0)
-        return lens_scatter_light(imaging, polar_direction(angle_deg), {"rough": dict.fromkeys(numbers, law.bsdf)})[
+        return scattered_irradiance(imaging, polar_direction(angle_deg), {"rough": dict.fromkeys(numbers, law.bsdf)})[
             "rough"
         ].sum(axis=1)
 
@@ -169,6 +169,8 @@ def test_scatter_grows_with_the_law_and_falls_with_the_angle() -> None:
 
 def test_sources_behind_the_lens_and_lenses_without_surfaces_are_refused() -> None:
     imaging = imaging_rays(TRACKER, field_direction([0.0], [0.0]))
-    refuses(DomainError, "90 deg", lens_scatter_light, imaging, [0.0, 0.0, -1.0], {})
-    refuses(DomainError, "90 deg", ghost_light, TRACKER, [1.0, 0.0, 0.0], (5.0, 5.0))
-    refuses(DomainError, "surface 5", lambda: lens_scatter_light(imaging, [0.0, 0.0, 1.0], {"dust": {5: lambda q: q}}))
+    refuses(DomainError, "90 deg", scattered_irradiance, imaging, [0.0, 0.0, -1.0], {})
+    refuses(DomainError, "90 deg", ghost_irradiance, TRACKER, [1.0, 0.0, 0.0], (5.0, 5.0))
+    refuses(
+        DomainError, "surface 5", lambda: scattered_irradiance(imaging, [0.0, 0.0, 1.0], {"dust": {5: lambda q: q}})
+    )

@@ -26,7 +26,7 @@ PER_CELL = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EvenPupil:
+class PupilGrid:
     """Field over the pupil of one star and wavelength."""
 
     frequency_x: FloatArray  # (n,) Direction cosines times index over wavelength [cycles/mm], even steps
@@ -65,7 +65,7 @@ def _turned(turns: FloatArray) -> NDArray[np.complex64]:
     return result
 
 
-def waves_at_image(field: PupilField, at: tuple[int, int]) -> tuple[FloatArray, ...]:
+def plane_waves(field: PupilField, at: tuple[int, int]) -> tuple[FloatArray, ...]:
     """Amplitude, direction cosines times index over wavelength [1/mm], phase [turns] about the mean landing point."""
     lit = field.area_mm2[at] > 0.0
     if not lit.any():
@@ -79,12 +79,12 @@ def waves_at_image(field: PupilField, at: tuple[int, int]) -> tuple[FloatArray, 
     return amplitude, l * scale, m * scale, phase - phase.mean()
 
 
-def even_pupil(field: PupilField, at: tuple[int, int] = (0, 0), *, size: int = 256) -> EvenPupil:
+def pupil_grid(field: PupilField, at: tuple[int, int] = (0, 0), *, size: int = 256) -> PupilGrid:
     """Pupil of one field and wavelength on a grid.
 
     Shapes: ``at`` (int, int).
     """
-    _, fx, fy, phase = waves_at_image(field, at)
+    _, fx, fy, phase = plane_waves(field, at)
     lit = field.area_mm2[at] > 0.0
     if not lit.all():
         raise DomainError(
@@ -108,7 +108,7 @@ def even_pupil(field: PupilField, at: tuple[int, int] = (0, 0), *, size: int = 2
     turns, amplitude = along @ coefficients.transpose(0, 2, 1) @ along.T
     inside = _inside(rim / reach, side)
     light = float((inside * amplitude**2).sum()) * (2.0 * reach / size) ** 2
-    return EvenPupil(
+    return PupilGrid(
         frequency_x=centre[0] + reach * side,
         frequency_y=centre[1] + reach * side,
         field=_turned(turns) * (inside * amplitude / math.sqrt(light)).astype(np.float32),

@@ -15,7 +15,7 @@ from optics.rays.spots import trace_spots
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FieldImages:
+class PolychromaticSpots:
     """Images at g field points."""
 
     position_mm: FloatArray  # (g, 2) Mean of all light
@@ -27,7 +27,7 @@ class FieldImages:
     weight: FloatArray  # (g, w, n) Fraction of the light of the field point
 
 
-def field_images(
+def polychromatic_spots(
     lens: LensSystem,
     field_x_deg: ArrayLike,
     field_y_deg: ArrayLike,
@@ -37,7 +37,7 @@ def field_images(
     refocused: bool = False,
     shift_mm: float = 0.0,
     order: tuple[int, int] = (6, 16),
-) -> FieldImages:
+) -> PolychromaticSpots:
     """Trace a lens at field points.
 
     Parameters
@@ -74,7 +74,7 @@ def field_images(
         height = np.where(lit, position + shift_mm * component / np.where(lit, rays.dz, 1.0), 0.0)
         means.append((weight * height).sum((1, 2)))
         rest.append(height - means[-1][:, None, None])
-    return FieldImages(
+    return PolychromaticSpots(
         position_mm=np.stack(means, axis=-1),
         square_mm2=(weight * (rest[0] ** 2 + rest[1] ** 2)).sum((1, 2)),
         light_mm2=light,

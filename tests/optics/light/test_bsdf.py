@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from optics.errors import DomainError
 from optics.glass.catalogue import get_glass
 from optics.lens.prescription import lens_from_table
-from optics.light.scatter import (
+from optics.light.bsdf import (
     ABg,
     HarveyShack,
     Particles,

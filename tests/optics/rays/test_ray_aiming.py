@@ -12,8 +12,9 @@ from optics import Plane, Sphere, chief_ray_points, load_lens, spot_moments
 from optics.errors import ConvergenceError
 from optics.frames import field_direction, light_direction
 from optics.lens.perturb import decentre
-from optics.rays.aim import aim_at_stop
-from optics.rays.pupil import launch_disks, sobol_disk, star_rays
+from optics.rays.entrance_pupil import launch_disks, star_rays
+from optics.rays.pupil_sampling import sobol_disk
+from optics.rays.ray_aiming import aim_at_stop
 from optics.rays.trace import Rays, trace, trace_path
 
 CROWN, STOP = 1.52, 6

@@ -8,9 +8,9 @@ import pytest
 
 from optics import Plane, Surface, collecting_area_mm2, decentre, field_direction, load_lens, sobol_disk, spot_moments
 from optics.errors import ConvergenceError
-from optics.rays.beam import find_beams
-from optics.rays.beam_widths import beam_widths
+from optics.rays.marginal_rays import beam_semi_diameters
 from optics.rays.trace import OK, Rays, trace
+from optics.rays.vignetted_pupil import vignetted_pupils
 
 CAMERA, GAUSS = load_lens("star_camera_206mm"), load_lens("double_gauss_50mm")
 
@@ -49,7 +49,9 @@ def overlap_mm2(a, b, apart):
 def test_a_beam_cut_by_a_hood_is_the_overlap_of_two_circles(hood_mm, field_deg):
     distance, stop = 400.0, CAMERA.surfaces[0].semi_diameter_mm
     expected = overlap_mm2(hood_mm, stop, distance * math.tan(math.radians(field_deg)))
-    beams = find_beams(with_hood(hood_mm, distance), field_direction([field_deg], [0.0]), [600.0], rings=5, arms=12)
+    beams = vignetted_pupils(
+        with_hood(hood_mm, distance), field_direction([field_deg], [0.0]), [600.0], rings=5, arms=12
+    )
     assert float(beams.area_mm2.sum()) == pytest.approx(expected, rel=2e-5)
     spot = spot_moments(with_hood(hood_mm, distance), field_deg, 0.0, 600.0)
     assert float(spot.transmitted_mm2[0, 0]) == pytest.approx(expected, rel=2e-5)
@@ -59,7 +61,7 @@ def test_a_beam_whose_chief_ray_is_blocked_is_found_all_the_same():
     distance, field = 1200.0, 2.6
     apart = distance * math.tan(math.radians(field))
     assert apart > 35.0 + 10.0  # neither circle holds the other's centre
-    beams = find_beams(with_hood(30.0, distance), field_direction([field], [0.0]), [600.0], rings=5, arms=12)
+    beams = vignetted_pupils(with_hood(30.0, distance), field_direction([field], [0.0]), [600.0], rings=5, arms=12)
     assert float(beams.area_mm2.sum()) == pytest.approx(overlap_mm2(30.0, 35.0, apart), rel=1e-3)
 
 
@@ -82,19 +84,21 @@ def test_area_on_the_axis():
 
 
 def test_a_field_without_light_has_no_area_and_a_lens_without_edge_no_beam():
-    beams = find_beams(GAUSS, field_direction([0.0, 40.0], [0.0, 0.0]), [600.0], rings=3, arms=8)
+    beams = vignetted_pupils(GAUSS, field_direction([0.0, 40.0], [0.0, 0.0]), [600.0], rings=3, arms=8)
     assert beams.area_mm2[1].sum() == 0.0
     assert beams.area_mm2[0].sum() > 0.0
     boundless = replace(CAMERA, surfaces=tuple(replace(s, semi_diameter_mm=math.inf) for s in CAMERA.surfaces))
     with pytest.raises(ConvergenceError, match=r"no ray|no aperture"):
-        find_beams(boundless, field_direction([0.0], [0.0]), [600.0], rings=3, arms=8)
+        vignetted_pupils(boundless, field_direction([0.0], [0.0]), [600.0], rings=3, arms=8)
 
 
 @pytest.mark.parametrize("factors", [None, (0.1, -0.2, 0.3, 0.05, 25.0), (0.0, 0.15, 0.4, 0.0, -60.0)])
 def test_vignetting_factors_move_narrow_and_turn_the_beam(factors):
     """On a plane in front of the stop the beam is an ellipse about the chief ray: decentred, cut to 1 - VC, turned."""
     distance, field = 400.0, np.array([2.0, 1.0])
-    widths = beam_widths(with_hood(500.0, distance), field[None], [600.0], None if factors is None else [factors])
+    widths = beam_semi_diameters(
+        with_hood(500.0, distance), field[None], [600.0], None if factors is None else [factors]
+    )
     angle, radius = np.linspace(0.0, 2.0 * np.pi, 2000), CAMERA.surfaces[0].semi_diameter_mm
     dx, dy, cut_x, cut_y, turn = factors or (0.0,) * 5
     edge = radius * np.array([dx + (1.0 - cut_x) * np.cos(angle), dy + (1.0 - cut_y) * np.sin(angle)])
@@ -119,6 +123,6 @@ def test_rays_that_come_back_into_the_stop_do_not_belong_to_the_beam(tmp_path):
     passes = trace(opened, rays).status == OK
     first = float(height[np.argmin(passes)])
     assert passes[height > 19.0].any()
-    widest = beam_widths(opened, [[0.0, 0.0]], [587.6]).semi_diameter_mm
+    widest = beam_semi_diameters(opened, [[0.0, 0.0]], [587.6]).semi_diameter_mm
     assert widest[0] == pytest.approx(first, abs=0.01)
     assert lens.surfaces[0].semi_diameter_mm < 1.2 * first  # found with the field of the file
