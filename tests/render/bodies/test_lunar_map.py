@@ -48,7 +48,6 @@ def test_libration_over_years():
     assert np.abs(seen).max(0) == pytest.approx([7.9, 6.8], abs=0.25)
 
 
-@pytest.mark.slow
 def test_maria_cover_what_is_published():
     """31 % of the near side, 2.6 % of the far side; the seas are where they are."""
     albedo = lunar_map()
@@ -67,7 +66,6 @@ def test_maria_cover_what_is_published():
     assert min(at(0.0, -60.0), at(20.0, -35.0), at(150.0, 0.0)) > 0.11  # the southern highlands, the far side
 
 
-@pytest.mark.slow
 def test_earthshine_of_the_whole_disk():
     """At new Moon, where the Earth is full: 12 to 17 mag per square arcsecond.
 
