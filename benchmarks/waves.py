@@ -1,9 +1,11 @@
 """Diffraction: its effect on a star of the 206 mm lens, and its cost, compared with other codes in the same run.
 
-python benchmarks/waves.py             # tables of docs/diffraction.md python benchmarks/waves.py --cost      # measured
-and estimated cost of images and grids python benchmarks/waves.py --gradient  # cost of a gradient in forward renders
-python benchmarks/waves.py --speed     # frames per second, terms per second, compared with batoid, optiland, prysm and
-GalSim
+    python benchmarks/waves.py               # tables of docs/diffraction.md
+    python benchmarks/waves.py --operations  # time of the operations of an image
+    python benchmarks/waves.py --cost        # measured and estimated cost of images and grids
+    python benchmarks/waves.py --gradient    # cost of a gradient in forward renders
+    python benchmarks/waves.py --transform   # sum of plane waves, compared with FINUFFT
+    python benchmarks/waves.py --speed       # frames and terms per second, beside batoid, optiland, prysm, GalSim
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy.optimize import nnls
+from threadpoolctl import threadpool_limits
 
 from optics.frames import field_direction
 from optics.lens.perturb import decentre
@@ -25,11 +29,12 @@ from render.camera import Camera
 from render.records import StarField
 from render.tracing.motion.paths import at_rest
 from render.tracing.psf import render_epsf
-from render.tracing.pupil.sampling import staggered
+from render.tracing.pupil.quadrature_order import staggered
 from render.tracing.tracer import Tracer
-from render.tracing.waves.grid import build_grid, plan_grid
+from render.tracing.waves.field_grid_build import build_grid, plan_grid
+from render.tracing.waves.frequency_grid import IMAGE_PRODUCTS, PRODUCT_S, RAY_PRODUCTS, image_products, window_light
+from render.tracing.waves.pixel_kernel import FieldSampling, window_samples
 from render.tracing.waves.plane_waves import trace_waves
-from render.tracing.waves.windows import FieldSampling, window_light, window_samples
 
 LENS, PITCH_MM, SIGMA_PX = "star_camera_206mm", 5.5e-3, 0.18
 FOCAL_MM = 206.237
@@ -269,8 +274,38 @@ def costs():
         build_grid(tracer.planner, wave)
         grid_s = time.process_time() - before
         pays = next((n for n in range(2, 1000) if plan.pays(n)), "-")
-        cells = lens, f"{pitch_um:g}", f"{1e3 * image_s:.1f}", f"{1e3 * plan.image_s:.1f}"
-        print("| " + " | ".join((*cells, f"{grid_s:.1f}", f"{plan.grid_s:.1f}", str(pays))) + " |")
+        cells = lens, f"{pitch_um:g}", f"{1e3 * image_s:.1f}", f"{1e3 * plan.image_products * PRODUCT_S:.1f}"
+        print("| " + " | ".join((*cells, f"{grid_s:.1f}", f"{plan.grid_products * PRODUCT_S:.1f}", str(pays))) + " |")
+
+
+def _random_waves(rng, waves, highest, window_px):
+    """Plane waves of random directions, and the sampling of their window."""
+    field = FieldSampling(highest)
+    pad = field.pixel(1.0, SIGMA_PX).reach_px
+    f = rng.uniform(-0.35 * highest, 0.35 * highest, (2, waves))
+    landing, turns, amplitude = rng.uniform(0.0, 1.0, (3, waves))
+    return (landing, landing, *f, turns, amplitude), field, pad
+
+
+def operations():
+    """Time of a product, and products as long as a ray and as an image: a fit to images of many sizes, one thread.
+
+    The constants of `render.tracing.waves.frequency_grid`; rays are spread here, and not interpolated first.
+    """
+    rng, design, seconds = np.random.default_rng(1), [], []
+    for waves in (200, 2000, 8000, 20000):
+        for window_px, highest in ((9, 1.0), (19, 3.85), (41, 3.85), (61, 6.0), (101, 6.0)):
+            rays, field, pad = _random_waves(rng, waves, highest, window_px)
+            products = image_products(0.0, field, window_px, pad) - IMAGE_PRODUCTS
+            design.append([1.0, waves, products])
+            with threadpool_limits(1, "blas"):
+                seconds.append(timed(lambda r=rays, s=field, w=window_px, p=pad: window_light(
+                    lambda _: r, np.ones(1), np.zeros(2), w, s, pad_px=p), 5)[1])  # fmt: skip
+    weight = 1.0 / np.array(seconds)
+    (image_s, ray_s, product_s), _ = nnls(np.array(design) * weight[:, None], np.ones(len(weight)))
+    print(f"product of complex numbers {product_s:.2e} s (code: {PRODUCT_S:.2e} s)")
+    print(f"ray {ray_s / product_s:.0f} products (code: {RAY_PRODUCTS:.0f})")
+    print(f"image {image_s / product_s:.2e} products (code: {IMAGE_PRODUCTS:.2e})")
 
 
 def gradients():
@@ -312,12 +347,9 @@ def transforms():
     print("| waves | samples | sum here [ms] | FINUFFT, 1e-6 | ratio |")
     print("|---|---|---|---|---|")
     for waves, window_px, highest in ((400, 13, 1.0), (1500, 21, 1.2), (4000, 31, 2.0), (12000, 61, 2.0)):
-        field = FieldSampling(highest)
-        pad = field.pixel(1.0, SIGMA_PX).reach_px
+        rays, field, pad = _random_waves(rng, waves, highest, window_px)
         count, sample = len(window_samples(field, window_px, pad)), field.light_step
-        f = rng.uniform(-0.35 * highest, 0.35 * highest, (2, waves))
-        landing, turns, amplitude = rng.uniform(0.0, 1.0, (3, waves))
-        rays = landing, landing, *f, turns, amplitude
+        f, turns, amplitude = np.stack(rays[2:4]), *rays[4:]
 
         def here(rays=rays, field=field, window_px=window_px, pad=pad):
             return window_light(lambda _: rays, np.ones(1), np.zeros(2), window_px, field, pad_px=pad)
@@ -335,11 +367,14 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--speed", action="store_true", help="time it instead")
     parser.add_argument("--cost", action="store_true", help="measure the cost of images and grids")
+    parser.add_argument("--operations", action="store_true", help="measure the operations of an image")
     parser.add_argument("--gradient", action="store_true", help="measure the cost of a gradient")
     parser.add_argument("--transform", action="store_true", help="measure the sum of plane waves beside FINUFFT")
     arguments = parser.parse_args()
     if arguments.transform:
         transforms()
+    elif arguments.operations:
+        operations()
     elif arguments.gradient:
         gradients()
     elif arguments.cost:

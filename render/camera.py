@@ -48,7 +48,7 @@ FAR_NOISE = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FarLight:
-    """Extent of diffraction images of bright stars (`render.tracing.waves.far`); fainter ones end at stamps."""
+    """Extent of images of bright stars (`render.tracing.waves.diffraction_spikes`); fainter ones end at stamps."""
 
     ends_e: float  # Electrons of a pixel at which an image ends
     saturated_e: float  # Of a star's brightest pixel, the full well, above which at most 1e-3 of its light lie beyond

@@ -36,7 +36,7 @@ from optics.lens.system import LensSystem
 from render.engine.random import Streams
 from render.motion.trajectory import ConstantRate, rate_of_trail
 from render.observation import SkyLight
-from render.psf_lattice import render_psf_grid
+from render.psf_lattice import inset_axes, render_psf_grid
 from render.records import Frame, StarField
 from render.sensor_file.instrument import build_instrument
 from render.simulator import SkySimulator
@@ -99,7 +99,7 @@ class _Bench:
                 temperature_k=kelvin,
                 window_px=config.window_px,
                 trail_px=prediction.state.trail_px,
-                long_side=long_side,
+                axes=inset_axes(sensor.camera, long_side),
             )
         self.match_px = max(MATCH_PX, MATCH_WIDTHS * processing.fwhm_px)
         if dark_dn is None:

@@ -31,11 +31,12 @@ from optics.units import ARCSEC_RAD
 from render.bodies.solar_system import BODIES, solar_system
 from render.engine.random import Streams
 from render.observation import SkyLight
-from render.psf_lattice import refined, render_psf_grid
+from render.psf_lattice import inset_axes, refined, render_psf_grid
 from render.records import Frame, PsfGrid
 from render.sensor_file.detector import overridden
 from render.sensor_file.instrument import build_instrument, configured_detector, housing_of
 from render.simulator import SkySimulator
+from render.tracing.psf import epsf_tracer
 
 MARGIN_PX = 32.0
 """Strip around the detector whose stars are rendered: their light may reach it."""
@@ -152,8 +153,8 @@ def psf_grid(budget: Budget) -> PsfGrid | None:
         temperature_k=config.star_temperature_k,
         window_px=config.window_px,
         trail_px=camera.state.trail_px,
-        long_side=config.frames.psf_grid,
-        by_grid=True,
+        axes=inset_axes(budget.instrument.camera, config.frames.psf_grid),
+        tracer=epsf_tracer(budget.instrument.camera, by_grid=True),
     )
     return refined(coarse, BLENDED)
 

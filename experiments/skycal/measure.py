@@ -24,8 +24,9 @@ from optics.arrays import FloatArray
 from optics.records import concatenated, freeze
 from render.engine.random import Streams
 from render.observation import SkyLight
-from render.psf_lattice import PsfLattice
+from render.psf_lattice import edge_axes, render_psf_grid
 from render.records import Frame
+from render.tracing.psf import epsf_tracer
 
 BACKGROUND_BOX_PX = 256
 BACKGROUND_STEP_PX = 4
@@ -36,8 +37,6 @@ AHEAD = 2
 """Frames that may wait for their reduction while the next ones are rendered."""
 FWHM_PX = 1.8
 NO_PIXELS = np.zeros((0, 0), np.float32)
-OVERSAMPLING = 4
-"""Of the PSFs; against twice as many samples it moves a fit by some 1e-3 px where spots are sharpest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,23 +149,25 @@ class BankRenderer:
     """Renders PSF banks of one camera; the tracer is prepared once."""
 
     def __init__(self, scene: Scene, config: Config) -> None:
-        spacing_px = scene.config.psf_spacing_px
-        self._lattice = PsfLattice(
-            scene.instrument,
-            scene.simulator.light,
-            spacing_px=spacing_px,
-            half_size_px=config.window_px // 2 + 1,
-            oversampling=OVERSAMPLING,
-            sobol_log2_rays=scene.config.sobol_log2_rays,
-        )
+        self._scene, self._window_px = scene, config.window_px
+        self._spacing_px = scene.config.psf_spacing_px
+        self._tracer = epsf_tracer(scene.instrument.camera, sobol_log2_rays=scene.config.sobol_log2_rays)
         for _ in range(FINER if scene.name == "own" else 0):
             if self.render(config.sky.reference_k).error_px() <= BANK_ERROR_PX:
                 break
-            spacing_px /= 2.0
-            self._lattice.lay_out(spacing_px)
+            self._spacing_px /= 2.0
 
     def render(self, temperature_k: float) -> PsfBank:
         """PSFs of one colour, each centred on the mean of the rays of that colour."""
-        lattice = self._lattice
-        psfs = lattice.render(float(np.clip(temperature_k, *TEMPERATURE_RANGE_K)))
-        return PsfBank(psfs, lattice.columns, lattice.rows, lattice.size_px)
+        sensor = self._scene.instrument
+        columns, rows = axes = edge_axes(sensor.camera, self._spacing_px)
+        grid = render_psf_grid(
+            sensor,
+            self._scene.simulator.light,
+            temperature_k=float(np.clip(temperature_k, *TEMPERATURE_RANGE_K)),
+            window_px=self._window_px,
+            axes=axes,
+            margin_px=1,
+            tracer=self._tracer,
+        )
+        return PsfBank(grid.psfs, len(columns), len(rows), (sensor.camera.width_px, sensor.camera.height_px))

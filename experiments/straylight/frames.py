@@ -26,7 +26,7 @@ from optics.arrays import FloatArray
 from optics.attitude import attitude_error_arcsec
 from render.engine.random import Streams
 from render.observation import SkyLight
-from render.psf_lattice import render_psf_grid
+from render.psf_lattice import inset_axes, render_psf_grid
 from render.sensor_file.catalogue import load_catalogue
 from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument
@@ -77,7 +77,11 @@ class SunFields:
         psfs = None
         if needs_epsf(config.centroid):
             psfs = render_psf_grid(
-                instrument, self.simulator.light, temperature_k=TYPICAL_K, window_px=config.window_px, long_side=7
+                instrument,
+                self.simulator.light,
+                temperature_k=TYPICAL_K,
+                window_px=config.window_px,
+                axes=inset_axes(instrument.camera, 7),
             )
         self.reduction = FrameReduction(
             dark_dn=mean_dark_frame(instrument, config.dark_frames, streams=streams, label="dark"),

@@ -27,7 +27,7 @@ from optics.export.write import toml_lens
 from optics.lens.perturb import tilt_image
 from optics.lens_file import read_lens_file
 from optics.rays.paraxial import axial_paraxial
-from render.psf_lattice import render_psf_grid
+from render.psf_lattice import inset_axes, render_psf_grid
 from render.sensor_file.instrument import Instrument, build_instrument, configured_lens
 from render.sky.star_light import star_light
 
@@ -111,7 +111,8 @@ def pose_of_widths(stated: Instrument, position_px: FloatArray, width_px: FloatA
     for step in shift:
         focus = float(stated.config.defocus_mm) + float(step)
         moved = build_instrument(stated.config.model_copy(update={"defocus_mm": focus, "diffraction": "rays"}))
-        grids.append(render_psf_grid(moved, light, temperature_k=STAR_K, window_px=2 * WINDOW_PX, long_side=LONG_SIDE))
+        axes = inset_axes(moved.camera, LONG_SIDE)
+        grids.append(render_psf_grid(moved, light, temperature_k=STAR_K, window_px=2 * WINDOW_PX, axes=axes))
     return fit_detector_pose(
         position_px,
         width_px,

@@ -78,10 +78,10 @@ from render.camera import Camera, launch_disk
 from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
 from render.engine.upload import uploaded
-from render.plugins.camera_numbers import ALUMINIUM_PER_K, CameraNumbers
+from render.plugins.camera_parameters import ALUMINIUM_PER_K, CameraParameters
 from render.plugins.camera_properties import camera_of, exposure_motion_of, motion_of, moved
 from render.tracing.motion.exposure import ExposureMotion
-from render.tracing.pupil.sampling import probe_fields
+from render.tracing.pupil.quadrature_order import probe_fields
 
 EXIT_PUPIL_MARGIN = 1.03
 """The disk that backward rays aim at, in radii of what forward rays fill: room for what lies between those."""
@@ -164,7 +164,7 @@ def define(mi: Any) -> type:
             optics = camera_of(props, int(size.x), int(size.y))
             # out of sight of Dr.Jit: records that are attributes it walks through at every mi.render, 1 ms for a lens
             self._kept = SimpleNamespace(optics=optics, camera=optics)
-            self.numbers = CameraNumbers(mi, self.optics, float(props.get("housing_cte_per_k", ALUMINIUM_PER_K)))
+            self.numbers = CameraParameters(mi, self.optics, float(props.get("housing_cte_per_k", ALUMINIUM_PER_K)))
             self.m_needs_sample_3 = True
             self.scene_unit_mm = float(props.get("scene_unit_mm", 1.0))
             self.wavelength_nm = float(props.get("wavelength_nm", self.camera.lens.design_wavelength_nm))

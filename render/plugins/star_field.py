@@ -123,7 +123,7 @@ def _cells(wavelength_nm: FloatArray) -> FloatArray:
     return np.stack([np.take_along_axis(edges, order + side, 1) for side in (0, 1)], axis=-1)
 
 
-class _Light:
+class _DirectionalLight:
     """What stock integrators ask for; rays and spectra are Mitsuba's own float32."""
 
     def __init__(self, mi: Any, stars: StarField, rotation: FloatArray | None) -> None:
@@ -180,7 +180,7 @@ def define(mi: Any) -> type:
             self._said = False
             self._moved = False
             self._stars: StarField | None = None
-            self._light: _Light | None = None
+            self._light: _DirectionalLight | None = None
             self.m_needs_sample_3 = True
             self.m_flags = mi.EmitterFlags.DeltaDirection | mi.EmitterFlags.Infinite
             _ = self.stars  # refuses what is wrong now
@@ -222,9 +222,9 @@ def define(mi: Any) -> type:
                 self._names = ()
             self._stars = self._light = None
 
-        def _as_light(self) -> _Light:
+        def _as_light(self) -> _DirectionalLight:
             if self._light is None:
-                self._light = _Light(mi, self.stars, self.world_from_stars)
+                self._light = _DirectionalLight(mi, self.stars, self.world_from_stars)
             return self._light
 
         def eval(self, si: Any, active: Any = True) -> Any:

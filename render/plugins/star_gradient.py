@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from optics.arrays import FloatArray
 from render.engine.jit import dr
 from render.engine.upload import uploaded
-from render.plugins.camera_numbers import plain
+from render.plugins.camera_parameters import plain
 from render.tracing.gradient import AttachedPaths, lens_numbers, star_image
 from render.tracing.motion.paths import at_rest, star_paths
 from render.tracing.tracer import Tracer

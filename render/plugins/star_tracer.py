@@ -5,7 +5,7 @@ Properties
 sobol_log2_rays : int, default 16
     Logarithm of the rays per star and band where the pupil is not round and clear.
 tolerance : float, default 3e-5
-    Of the quadrature of the pupil (`render.tracing.pupil.sampling`).
+    Of the quadrature of the pupil (`render.tracing.pupil.quadrature_order`).
 by_grid : bool, default false
     By waves: few stars too are taken from a grid of images over the field, which pays where many fields follow.
 bodies : integrator, optional

@@ -33,17 +33,17 @@ from render.engine.arrays import DrJitArrays
 from render.engine.jit import dr
 from render.engine.upload import uploaded
 from render.records import StarField
-from render.tracing.motion.paths import Light, StarPaths, at_rest, pick_times
+from render.tracing.motion.paths import NodeLight, StarPaths, at_rest, pick_times
 from render.tracing.pupil.outlines import ARMS, Arcs, Outlines, outline_series
 from render.tracing.pupil.planning import Group
 from render.tracing.pupil.points import OutlinePoints, PupilPoints, TablePoints
 from render.tracing.rays.kernel import PIXEL_REACH, StarKernel, gaussian_shares
 from render.tracing.tracer import Tracer
 from render.tracing.waves.adjoint import WaveLanes, Window, summed_waves
+from render.tracing.waves.direct_sums import DirectSums, Probe
 from render.tracing.waves.images import WaveImages
+from render.tracing.waves.pixel_kernel import FieldSampling
 from render.tracing.waves.plane_waves import DIFFERENCE
-from render.tracing.waves.summed import Probe, SummedImages
-from render.tracing.waves.windows import FieldSampling
 
 AIM, RIM = 1e-4, 1e-5
 """Differences by which the slopes of Newton's last step are taken, in radii of the launch disk."""
@@ -87,13 +87,13 @@ class AttachedPaths:
     length_px: float = 0.0  # Length of the paths
 
 
-class _Numbers:
+class _LaneParameters:
     """One array, element by element, as wide as the rays: derivatives of all of them are then one vector.
 
     Elements that nothing moves are single numbers.
     """
 
-    def __init__(self, scene: Scene, width: int, start: int = 0) -> None:
+    def __init__(self, scene: AttachedTrace, width: int, start: int = 0) -> None:
         self.scene, self.start = scene, start
         self.base = dr.arange(scene.U, width) * dr.opaque(scene.U, 0)
 
@@ -108,14 +108,14 @@ class _Numbers:
 
 @dataclass(frozen=True, slots=True)
 class _Bundle:
-    """Input of one bundle of lanes; see `Scene.bundle`."""
+    """Input of one bundle of lanes; see `AttachedTrace.bundle`."""
 
-    theta: _Numbers
+    theta: _LaneParameters
     disk: list[Any]
     stop: Any
 
 
-class Scene:
+class AttachedTrace:
     """Arrays with derivatives that all passes share."""
 
     def __init__(
@@ -131,8 +131,8 @@ class Scene:
 
     def bundle(self, width: int) -> _Bundle:
         """Numbers of the lens for a number of lanes."""
-        tail = _Numbers(self, width, self.numbers.program.size)
-        return _Bundle(_Numbers(self, width), tail[0:4], tail[4])
+        tail = _LaneParameters(self, width, self.numbers.program.size)
+        return _Bundle(_LaneParameters(self, width), tail[0:4], tail[4])
 
     def trace(
         self, bundle: _Bundle, light: list[Any], star: Any, px: Any, py: Any, wave: Any, *, to_stop: bool = False
@@ -157,7 +157,7 @@ class Scene:
         return found[0]
 
 
-def _picked(scene: Scene, plain: StarPaths) -> tuple[list[Any], list[Any]]:
+def _picked(scene: AttachedTrace, plain: StarPaths) -> tuple[list[Any], list[Any]]:
     """What `render.tracing.motion.paths.pick_times` picks, with derivatives: light of (n p,) rays, p factors (n t,)."""
     F, U, times = scene.F, scene.U, scene.times
     count = pick_times(plain)[1].shape[2]
@@ -198,19 +198,19 @@ def star_image(
         raise ConfigError("derivatives of halos are not available; leave Camera.scatter out")
     if stars.collimation is not None:
         raise ConfigError("derivatives of stars behind a collimator are not available; leave collimation out")
-    scene_of = partial(Scene, mi, tracer, numbers, vector, moves)
+    trace_of = partial(AttachedTrace, mi, tracer, numbers, vector, moves)
     image_of = _ray_image if tracer.camera.diffraction == "rays" else _wave_image
-    return image_of(scene_of, tracer, stars, paths, exposure_s, rate)
+    return image_of(trace_of, tracer, stars, paths, exposure_s, rate)
 
 
-SceneOf = Callable[[AttachedPaths], Scene]
+TraceOf = Callable[[AttachedPaths], AttachedTrace]
 
 
 def _ray_image(
-    scene_of: SceneOf, tracer: Tracer, stars: StarField, paths: AttachedPaths, exposure_s: float, rate: Any
+    trace_of: TraceOf, tracer: Tracer, stars: StarField, paths: AttachedPaths, exposure_s: float, rate: Any
 ) -> Any:
     """The image by rays."""
-    scene = scene_of(paths)
+    scene = trace_of(paths)
     F, camera, planner = scene.F, tracer.camera, tracer.planner
     exposure = planner.exposure(paths.plain, stars.wavelength_nm, paths.length_px)
     response = uploaded(F, camera.response_at(stars.wavelength_nm))
@@ -245,7 +245,11 @@ Sample = Callable[[Any, Any, Any], tuple[Any, Any, Any]]
 
 
 def _sample(
-    scene: Scene, outlines: Outlines | None, part: IntArray, points: PupilPoints, wavelength_nm: FloatArray
+    scene: AttachedTrace,
+    outlines: Outlines | None,
+    part: IntArray,
+    points: PupilPoints,
+    wavelength_nm: FloatArray,
 ) -> Sample:
     """Points inside outlines, which move with lens and direction, or of a table, which nothing moves."""
     if isinstance(points, OutlinePoints):
@@ -275,7 +279,7 @@ def _through(
 
 
 def _outline_points(
-    scene: Scene, outlines: Outlines, part: IntArray, points: OutlinePoints, wavelength_nm: FloatArray
+    scene: AttachedTrace, outlines: Outlines, part: IntArray, points: OutlinePoints, wavelength_nm: FloatArray
 ) -> Sample:
     """Points inside outlines that move with lens and direction."""
     F, U = scene.F, scene.U
@@ -299,7 +303,7 @@ def _outline_points(
                 radius = radius + seen * colour * factor * dr.gather(F, few, at)
     along = [uploaded(F, v) for v in (np.cos(points.azimuth), np.sin(points.azimuth))]
     weight = F(points.ring_weight)
-    part_of_turn = float((points.share / points.radius**2).flat[0])  # the same for every azimuth
+    part_of_turn = float((points.area / points.radius**2).flat[0])  # the same for every azimuth
     ring, which = F(points.ring), U(points.arm)
 
     def sample(slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
@@ -312,7 +316,7 @@ def _outline_points(
     return sample
 
 
-def _attached_chiefs(scene: Scene, chief: FloatArray, part: IntArray, wavelength_nm: FloatArray) -> list[Any]:
+def _attached_chiefs(scene: AttachedTrace, chief: FloatArray, part: IntArray, wavelength_nm: FloatArray) -> list[Any]:
     """Launch points of chief rays (s b,), in radii of the launch disk, with derivatives."""
     F, U = scene.F, scene.U
     bands = len(wavelength_nm)
@@ -340,7 +344,7 @@ def _attached_chiefs(scene: Scene, chief: FloatArray, part: IntArray, wavelength
     return centre
 
 
-def _rims(scene: Scene, outlines: Outlines, part: IntArray, centre: list[Any]) -> Any:
+def _rims(scene: AttachedTrace, outlines: Outlines, part: IntArray, centre: list[Any]) -> Any:
     """Radii of outlines (s b picked `ARMS`,), at few times and wavelengths, with derivatives."""
     F, U = scene.F, scene.U
     picks = outlines.picks
@@ -367,7 +371,7 @@ def _rims(scene: Scene, outlines: Outlines, part: IntArray, centre: list[Any]) -
 
 
 def _splat(
-    scene: Scene,
+    scene: AttachedTrace,
     image: Any,
     part: IntArray,
     count: int,
@@ -412,18 +416,18 @@ def _splat(
 
 
 def _wave_image(
-    scene_of: SceneOf, tracer: Tracer, stars: StarField, paths: AttachedPaths, exposure_s: float, rate: Any
+    trace_of: TraceOf, tracer: Tracer, stars: StarField, paths: AttachedPaths, exposure_s: float, rate: Any
 ) -> Any:
     """The image by sums of plane waves."""
     camera, planner, waves = tracer.camera, tracer.planner, WaveImages(tracer.planner)
     light = tracer.light(stars, paths.plain, exposure_s)
     exposure = planner.exposure(paths.plain, stars.wavelength_nm, paths.length_px)
-    few, images = waves.summed(light, exposure)
-    scene = scene_of(AttachedPaths(at_rest(paths.plain.mid), paths.middle, paths.middle))
-    moving = scene_of(paths) if images.trail is not None else scene
+    few, images = waves.direct_sums(light, exposure)
+    scene = trace_of(AttachedPaths(at_rest(paths.plain.mid), paths.middle, paths.middle))
+    moving = trace_of(paths) if images.trail is not None else scene
     (bands, colours), mean_nm = stars.wavelength_nm.shape, stars.wavelength_nm.mean(1)
     each = np.broadcast_to(np.eye(colours)[:, None], (colours, bands, colours))
-    mixed = waves.condensed(Light(stars.wavelength_nm, each, light.electrons), exposure).share  # (k, b, q)
+    mixed = waves.condensed(NodeLight(stars.wavelength_nm, each, light.electrons), exposure).weight  # (k, b, q)
     response = camera.response_at(stars.wavelength_nm) * (math.pi * exposure_s)
     F = scene.F
     image = dr.zeros(F, camera.height_px * camera.width_px * bands)
@@ -447,7 +451,7 @@ def _wave_image(
 
 
 def _alike(
-    images: SummedImages, probe: Probe
+    images: DirectSums, probe: Probe
 ) -> list[tuple[IntArray, float, tuple[FieldSampling, ...], tuple[int, int]]]:
     """Stars of a probe with the same window and the same rays, not too many of them at a time."""
     radius, highest, order = images.needs(probe)
@@ -462,7 +466,7 @@ def _alike(
 
 
 def _windows(
-    images: SummedImages, probe: Probe, part: IntArray, radius: float, fields: tuple[FieldSampling, ...]
+    images: DirectSums, probe: Probe, part: IntArray, radius: float, fields: tuple[FieldSampling, ...]
 ) -> list[Window]:
     """Windows of some stars of a probe, band by band."""
     mean, _ = images.means(part, probe.waves.take(np.searchsorted(probe.stars, part)))
@@ -477,7 +481,7 @@ def _windows(
     ]
 
 
-def _energy(scene: Scene, part: IntArray, rate: Any, mixed: FloatArray) -> Any:
+def _energy(scene: AttachedTrace, part: IntArray, rate: Any, mixed: FloatArray) -> Any:
     """Light (s b q,) of the wavelengths that have images [e-], but for the slant of the launch disk.
 
     ``mixed`` (b, k, q) leads from photon rates to it, for a disk of radius 1 / sqrt(pi).
@@ -494,7 +498,7 @@ def _energy(scene: Scene, part: IntArray, rate: Any, mixed: FloatArray) -> Any:
 
 
 def _motion(
-    scene: Scene, part: IntArray, wavelength_nm: FloatArray, chief: list[Any], images: SummedImages
+    scene: AttachedTrace, part: IntArray, wavelength_nm: FloatArray, chief: list[Any], images: DirectSums
 ) -> tuple[tuple[Any, Any], Any]:
     """Offsets of images [px] and parts of the light, at all times (s b t,)."""
     F, U, bands, times = scene.F, scene.U, len(wavelength_nm), scene.times
@@ -516,7 +520,12 @@ def _motion(
 
 
 def _plane_waves(
-    scene: Scene, part: IntArray, wavelength_nm: FloatArray, points: PupilPoints, sample: Sample, windows: list[Window]
+    scene: AttachedTrace,
+    part: IntArray,
+    wavelength_nm: FloatArray,
+    points: PupilPoints,
+    sample: Sample,
+    windows: list[Window],
 ) -> WaveLanes:
     """Plane waves of some stars, as `render.tracing.waves.plane_waves.trace_waves` traces them."""
     F, U, program = scene.F, scene.U, scene.numbers.program
@@ -560,7 +569,7 @@ def _plane_waves(
     return WaveLanes(path * (1e6 / wave) - fx * x - fy * y, fx, fy, share * dr.sqrt(jacobian) * per_px)
 
 
-def _add(scene: Scene, image: Any, windows: list[Window], stamps: Any, bands: int) -> None:
+def _add(scene: AttachedTrace, image: Any, windows: list[Window], stamps: Any, bands: int) -> None:
     """Add stamps to the image."""
     F, integer, U, camera, size = scene.F, scene.I, scene.U, scene.camera, windows[0].stamp_px
     lane = dr.arange(U, len(windows) * size**2)

@@ -29,9 +29,9 @@ TOLERANCE = 2e-4
 """Of the pupil quadrature: an error of this size at half a cycle per pixel and beyond moves a fit by some 1e-5 px."""
 
 
-def epsf_tracer(camera: Camera, *, by_grid: bool = False) -> Tracer:
-    """Tracer for `render_epsf`; hand it on when one camera needs PSFs at many places, so that it is prepared once."""
-    return Tracer(camera, tolerance=TOLERANCE, by_grid=by_grid)
+def epsf_tracer(camera: Camera, *, by_grid: bool = False, sobol_log2_rays: int = 16) -> Tracer:
+    """Tracer for `render_epsf`; one serves all PSFs of a camera, so that it is prepared once."""
+    return Tracer(camera, tolerance=TOLERANCE, by_grid=by_grid, sobol_log2_rays=sobol_log2_rays)
 
 
 def render_epsf(
@@ -179,7 +179,7 @@ ROOM = 1.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WaveImages:
+class MonochromaticImages:
     """Diffraction images of f fields at w wavelengths on a fine grid, each about the mean of its light."""
 
     offset_px: FloatArray  # (n,) Rows and columns of the grid
@@ -227,7 +227,7 @@ def wave_images(
     azimuth_deg: float = 0.0,
     oversampling: int = 8,
     half_size_px: int = 7,
-) -> WaveImages:
+) -> MonochromaticImages:
     """Diffraction images of stars along the x axis of the field, turned about the axis of the lens."""
     # field_x_deg (f,), wavelength_nm (w,)
     _check_even("wave_images", oversampling)
@@ -261,7 +261,7 @@ def wave_images(
             x, y = (m + offset * pitch_mm for m in np.stack(rays.mean_mm, axis=-1)[at])
             image = rays.intensity(x, y, at=at, dtype=np.complex64)
         light[at] = image * pitch_mm**2
-    return WaveImages(
+    return MonochromaticImages(
         offset_px=offset,
         light=light,
         mean_px=mean_px,

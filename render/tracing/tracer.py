@@ -26,11 +26,12 @@ from render.tracing.convergence import TOLERANCE
 from render.tracing.halo import add_halos, with_scattered
 from render.tracing.measured.images import MeasuredImages, MeasuredPlanner
 from render.tracing.motion.exposure import ExposureMotion, IdealLens
-from render.tracing.motion.paths import Light, StarPaths, at_rest, pick_times, star_paths
+from render.tracing.motion.paths import NodeLight, StarPaths, at_rest, pick_times, star_paths
+from render.tracing.motion.rolling_shutter import rolling_paths
 from render.tracing.pupil.outlines import ARC_LADDER
-from render.tracing.pupil.planning import Exposure, PupilPlanner
+from render.tracing.pupil.planning import PlannedExposure, PupilPlanner
 from render.tracing.pupil.points import PupilPoints
-from render.tracing.pupil.sampling import whole_disk
+from render.tracing.pupil.quadrature_order import whole_disk
 from render.tracing.rays.images import RayImages
 from render.tracing.rays.kernel import Shade, StarKernel
 from render.tracing.truth import Sampling, TruthSums
@@ -59,13 +60,13 @@ class TracedStars:
 class ImageMaker(Protocol):
     """Makes images of the stars of one camera."""
 
-    def add(self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
+    def add(self, light: NodeLight, exposure: PlannedExposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
         """Add stars to the image (h, w, b) and what is known of them to the sums; how they were sampled.
 
         An image without pixels: the truth of rays alone.
         """
 
-    def cells(self, light: Light, exposure: Exposure, half_size_px: int, cells_per_px: int) -> FloatArray:
+    def cells(self, light: NodeLight, exposure: PlannedExposure, half_size_px: int, cells_per_px: int) -> FloatArray:
         """Light per cell (n, b, m, m) of squares about the mean of all light, in shares of what arrives."""
 
 
@@ -82,7 +83,7 @@ class Tracer:
         Rays per star and band where quadrature does not serve, and their scrambling; four times as many are taken where
         no charge diffusion softens the edges of the pixels.
     tolerance : float
-        Of the quadrature, see `render.tracing.pupil.sampling`.
+        Of the quadrature, see `render.tracing.pupil.quadrature_order`.
     general : bool
         Compile the lens with general poses, so that all perturbed copies of it share their kernels.
     by_grid : bool
@@ -159,7 +160,7 @@ class Tracer:
 
     def _add(
         self,
-        light: Light,
+        light: NodeLight,
         paths: StarPaths,
         image: NDArray[np.float32],
         length_px: float = 0.0,
@@ -170,7 +171,7 @@ class Tracer:
         if not len(paths.mid):
             return sums, {}
         exposure = self.planner.exposure(paths, light.wavelength_nm, length_px, shade=shade)
-        sums.chief[...] = np.where(exposure.chiefs.blocked[..., None], np.nan, exposure.chiefs.place_px)
+        sums.chief[...] = np.where(exposure.chiefs.blocked[..., None], np.nan, exposure.chiefs.position_px)
         return sums, self.images.add(light, exposure, image, sums)
 
     def bundle_means(self, stars: StarField, *, rings: int = 6, arms: int = 14) -> FloatArray:
@@ -183,7 +184,7 @@ class Tracer:
         exposure = self.planner.exposure(paths, light.wavelength_nm)
         if isinstance(self.images, MeasuredImages):
             return self.images.means(light, exposure)
-        means = np.full((len(paths.mid), len(light.share[0]), 2), np.nan)
+        means = np.full((len(paths.mid), len(light.weight[0]), 2), np.nan)
         if self.pupil.exact:
             every = np.arange(len(means))
             means, clear = self._means(
@@ -198,17 +199,17 @@ class Tracer:
                 means[members], _ = self._means(exposure.mid, light, members, group.of(members, order))
                 left = np.setdiff1d(left, members)
         if len(left):  # beams that the kernel finds no outline of
-            means[left] = self._beam_means(paths.mid[left], light.wavelength_nm, light.share[left], (rings, arms))
+            means[left] = self._beam_means(paths.mid[left], light.wavelength_nm, light.weight[left], (rings, arms))
         return means
 
     @staticmethod
     def _means(
-        kernel: StarKernel, light: Light, stars: IntArray, pupil: PupilPoints
+        kernel: StarKernel, light: NodeLight, stars: IntArray, pupil: PupilPoints
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Mean landing points (s, b, 2) of some stars, and whether all rays arrive (s,)."""
         x, y, ok = kernel.land(pupil, light.wavelength_nm, stars.astype(np.uint32))
         passed = kernel.transmitted(pupil, light.wavelength_nm, stars.astype(np.uint32))
-        weight = light.share[stars][..., None] * pupil.weight * (ok * passed)
+        weight = light.weight[stars][..., None] * pupil.weight * (ok * passed)
         with np.errstate(invalid="ignore"):
             mean = np.stack([(weight * v).sum((2, 3)) / weight.sum((2, 3)) for v in (x, y)], axis=-1)
         return mean, np.asarray(ok.all((1, 2, 3)))
@@ -248,12 +249,13 @@ class Tracer:
         self.camera.lens.check_wavelength(stars.wavelength_nm)
         if not math.isclose(exposure_s, motion.exposure_s, rel_tol=1e-9):
             raise DomainError(f"exposure of {exposure_s:g} s with a motion of {motion.exposure_s:g} s; give the same")
-        paths = star_paths(motion, stars.direction, self.camera)
+        of_motion = star_paths if motion.path is None else rolling_paths
+        paths = of_motion(motion, stars.direction, self.camera)
         _check_in_front(paths.mid)
         if motion.path is not None and len(stars):  # the time of a row needs the row of the chief ray
             for _ in range(2):
                 row, scale = self._traced_paths(paths, stars.wavelength_nm)
-                paths = star_paths(motion, stars.direction, self.camera, row, scale)
+                paths = rolling_paths(motion, stars.direction, self.camera, row, scale)
         _check_in_front(paths.nodes.reshape(-1, 3), paths.nodes.shape[1])
         return replace(paths, collimation=stars.collimation)
 
@@ -268,7 +270,7 @@ class Tracer:
         moves = np.abs(ideal_way) > SHORTEST_PX
         return y[0], np.where(moves, way / np.where(moves, ideal_way, 1.0), 1.0)
 
-    def light(self, stars: StarField, paths: StarPaths, exposure_s: float) -> Light:
+    def light(self, stars: StarField, paths: StarPaths, exposure_s: float) -> NodeLight:
         """Light of stars, distributed over the nodes of an exposure."""
         rate = stars.photon_rate * self.camera.response_at(stars.wavelength_nm)
         received = (self.planner.received(paths.nodes) * paths.weight)[:, None, :, None]
@@ -276,7 +278,7 @@ class Tracer:
         per_node = per_node.reshape(*rate.shape[:2], paths.nodes.shape[1] * rate.shape[2])
         electrons = per_node.sum(2)
         share = np.where(electrons[..., None] > 0, per_node, 1.0)
-        return Light(stars.wavelength_nm, share / share.sum(2, keepdims=True), electrons)
+        return NodeLight(stars.wavelength_nm, share / share.sum(2, keepdims=True), electrons)
 
 
 def _check_in_front(direction: FloatArray, times: int = 1) -> None:

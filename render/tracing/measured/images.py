@@ -1,6 +1,6 @@
 r"""Images of stars through a measured lens (`optics.lens.measured`): Gaussians, integrated over pixels.
 
-At every time and wavelength node of a star its place follows from the camera model and its image is a mixture of
+At every time and wavelength node of a star its position follows from the camera model and its image is a mixture of
 Gaussians, :math:`\Sigma` each. The part of their covariance that makes ellipses oblique is a line,
 
 .. math:: \Sigma = \mathrm{diag}(\sigma_x^2 (1-|\rho|), \sigma_y^2 (1-|\rho|)) + v v^T,
@@ -10,7 +10,7 @@ along which Gauss-Hermite nodes stand for it: an oblique Gaussian is a sum of up
 are products of error functions. Light, mean and covariance are exact, values to `LINE_ERROR` of the peak. Light beyond
 `REACH` standard deviations of the widest Gaussian is not on the stamp (1e-10 of its light) and is accounted for. Charge
 diffusion adds to every covariance. Under a rolling shutter Gaussians are sheared as spots are
-(`render.tracing.motion.paths`).
+(`render.tracing.motion.rolling_shutter`).
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ from optics.errors import DomainError
 from optics.lens.measured import MeasuredLens
 from render.camera import Camera
 from render.records import EffectivePsf
-from render.tracing.motion.paths import Light
-from render.tracing.pupil.aim import Chiefs
-from render.tracing.pupil.planning import SHADE_LOG2_RAYS, Exposure, PupilPlanner
+from render.tracing.motion.paths import NodeLight
+from render.tracing.motion.rolling_shutter import recorded_gaussians
+from render.tracing.pupil.planning import SHADE_LOG2_RAYS, PlannedExposure, PupilPlanner
 from render.tracing.pupil.points import DiskPoints, SobolPoints
+from render.tracing.pupil.ray_aiming import Chiefs
 from render.tracing.rays.kernel import StarKernel
 from render.tracing.truth import Sampling, TruthSums, add_stamps, check_lit
 
@@ -62,17 +63,17 @@ class MeasuredPlanner(PupilPlanner):
         ideal = replace(camera, lens=replace(camera.lens, measured=None), defocus_mm=0.0)
         super().__init__(ideal, sobol_log2_rays=SHADE_LOG2_RAYS, sobol_seed=sobol_seed, tolerance=1.0, general=False)
 
-    def place_px(self, direction: FloatArray, wavelength_nm: FloatArray) -> FloatArray:
+    def position_px(self, direction: FloatArray, wavelength_nm: FloatArray) -> FloatArray:
         """Columns and rows (..., 2) of stars, broadcast; NaN where they have none."""
-        place = self.lens.place_mm(direction, wavelength_nm)
-        return np.asarray(self.whole.centre_px + place / self.whole.pixel_pitch_mm)
+        position = self.lens.place_mm(direction, wavelength_nm)
+        return np.asarray(self.whole.centre_px + position / self.whole.pixel_pitch_mm)
 
     def chiefs(self, kernel: StarKernel, wavelength_nm: FloatArray) -> Chiefs:
         """Places of the stars of a kernel at the mean of each band's nodes (b, k)."""
         direction = kernel.direction[:, :1]
-        place = self.place_px(direction, wavelength_nm.mean(1))
-        x, y = place[..., 0], place[..., 1]
-        return Chiefs(np.zeros(place.shape), x, y, np.isnan(x))
+        position = self.position_px(direction, wavelength_nm.mean(1))
+        x, y = position[..., 0], position[..., 1]
+        return Chiefs(np.zeros(position.shape), x, y, np.isnan(x))
 
     def received(self, nodes: FloatArray) -> FloatArray:
         """Light (n, t) of stars in directions (n, t, 3), relative to the axis."""
@@ -87,7 +88,7 @@ class MeasuredImages:
         variance_mm2 = float(planner.lens.psf.covariance_mm2[..., :2].max())
         self._widest_px = float(np.hypot(np.sqrt(variance_mm2) / self.camera.pixel_pitch_mm, self.camera.blur_px))
 
-    def add(self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
+    def add(self, light: NodeLight, exposure: PlannedExposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
         """Add stars to the image and what is known of them to the sums; how they were sampled."""
         hidden, electrons = self._hidden(exposure), light.electrons
         paths, size = exposure.paths, np.array([self.camera.width_px, self.camera.height_px])
@@ -115,14 +116,14 @@ class MeasuredImages:
             gaussians = max(gaussians, nodes.share.shape[2])
         return {"measured": (len(lit), gaussians)} if len(lit) else {}
 
-    def means(self, light: Light, exposure: Exposure) -> FloatArray:
+    def means(self, light: NodeLight, exposure: PlannedExposure) -> FloatArray:
         """Centroids (n, b, 2) [px]; NaN where no light arrives."""
         found = np.full((*light.electrons.shape, 2), np.nan)
         for stars in self._passes(light, exposure, self._lit(exposure)):
             found[stars] = self._nodes(light, exposure, stars).mean_px()
         return found
 
-    def cells(self, light: Light, exposure: Exposure, half_size_px: int, cells_per_px: int) -> FloatArray:
+    def cells(self, light: NodeLight, exposure: PlannedExposure, half_size_px: int, cells_per_px: int) -> FloatArray:
         """Light per cell (n, b, m, m) of squares about the centroids, in shares of what arrives."""
         stamp_px = 2 * half_size_px + 1
         centre = self.means(light, exposure)
@@ -133,11 +134,11 @@ class MeasuredImages:
             found[stars] = self._nodes(light, exposure, stars).on_pixels(corner[stars], side, cells_per_px)
         return found
 
-    def _lit(self, exposure: Exposure) -> IntArray:
-        """Stars that have a place all the time."""
+    def _lit(self, exposure: PlannedExposure) -> IntArray:
+        """Stars that have a position all the time."""
         return np.flatnonzero((self.planner.received(exposure.paths.nodes) > 0.0).all(1))
 
-    def _hidden(self, exposure: Exposure) -> FloatArray:
+    def _hidden(self, exposure: PlannedExposure) -> FloatArray:
         """Share (n, b) of the light that bodies in front of the lens keep away."""
         count, bands = exposure.mid.count, len(exposure.wavelength_nm)
         hidden = np.zeros((count, bands))
@@ -150,12 +151,14 @@ class MeasuredImages:
             hidden[star] = exposure.mid.hidden_share(exposure.shade, disk, one.astype(np.uint32))
         return hidden
 
-    def _passes(self, light: Light, exposure: Exposure, stars: IntArray, side: int = 0) -> Iterator[IntArray]:
+    def _passes(
+        self, light: NodeLight, exposure: PlannedExposure, stars: IntArray, side: int = 0
+    ) -> Iterator[IntArray]:
         """Stars whose stamps are nearly of one size, as many as are held at a time."""
         paths, psf = exposure.paths, self.planner.lens.psf
         moved = np.diff(paths.shift_px[stars], axis=1).max((1, 2)) if len(stars) else np.empty(0)
         size = np.maximum(moved + 2.0 * REACH * self._widest_px + 2.0, side)
-        each = light.share[0].size * psf.share.shape[-1] * LINE_NODES if len(stars) else 1
+        each = light.weight[0].size * psf.share.shape[-1] * LINE_NODES if len(stars) else 1
         order, start = np.argsort(size, kind="stable"), 0
         while start < len(order):
             ahead = size[order[start:]]
@@ -175,32 +178,32 @@ class MeasuredImages:
             )
         return corner, int(width.max())
 
-    def _nodes(self, light: Light, exposure: Exposure, stars: IntArray) -> _Gaussians:
+    def _nodes(self, light: NodeLight, exposure: PlannedExposure, stars: IntArray) -> _Gaussians:
         """Gaussians of some stars."""
         paths, waves = exposure.paths, exposure.wavelength_nm
         if paths.collimation is not None:  # changes the focus, of which nothing was measured
             self.camera.lens.check_surfaces()
-        place = self.planner.place_px(paths.nodes[stars][:, None, :, None], waves[:, None])  # (s, b, t, k, 2)
+        position = self.planner.position_px(paths.nodes[stars][:, None, :, None], waves[:, None])  # (s, b, t, k, 2)
         shear = None if paths.shear is None else paths.shear[stars][:, None, :, None, None]
-        share = light.share[stars].reshape(place.shape[:-1])
-        return _gaussians(self.camera, self.planner.lens, place, waves[:, None], share, shear)
+        share = light.weight[stars].reshape(position.shape[:-1])
+        return _gaussians(self.camera, self.planner.lens, position, waves[:, None], share, shear)
 
 
 def _gaussians(
     camera: Camera,
     lens: MeasuredLens,
-    place_px: FloatArray,
+    position_px: FloatArray,
     wavelength_nm: FloatArray,
     share: FloatArray,
     shear: FloatArray | None = None,
 ) -> _Gaussians:
     """Gaussians of light at places (s, b, t, k, 2) with their shares (s, b, t, k)."""
-    at_mm = (place_px - camera.centre_px) * camera.pixel_pitch_mm
+    at_mm = (position_px - camera.centre_px) * camera.pixel_pitch_mm
     part, offset, covariance = lens.psf.at(at_mm[..., 0], at_mm[..., 1], wavelength_nm)
-    mean = place_px[..., None, :] + offset / camera.pixel_pitch_mm
+    mean = position_px[..., None, :] + offset / camera.pixel_pitch_mm
     covariance = covariance / camera.pixel_pitch_mm**2
     if shear is not None:
-        mean, covariance = _sheared(mean, covariance, shear)
+        mean, covariance = recorded_gaussians(mean, covariance, shear)
     covariance = covariance + camera.blur_px**2 * np.array([1.0, 1.0, 0.0])
     flat = (*share.shape[:2], -1)
     return _Gaussians((share[..., None] * part).reshape(flat), mean.reshape(*flat, 2), covariance.reshape(*flat, 3))
@@ -228,23 +231,12 @@ def measured_psfs(
     """Effective PSFs of stars in directions (f, 3), about their centroids; wavelengths (w,) with their shares."""
     lens = camera.lens.measured
     assert lens is not None
-    place = camera.centre_px + lens.place_mm(direction[:, None], wavelength_nm) / camera.pixel_pitch_mm
-    shares = np.broadcast_to(share, place.shape[:2])[:, None, None]
-    made = _gaussians(camera, lens, place[:, None, None], wavelength_nm, shares)
+    position = camera.centre_px + lens.place_mm(direction[:, None], wavelength_nm) / camera.pixel_pitch_mm
+    shares = np.broadcast_to(share, position.shape[:2])[:, None, None]
+    made = _gaussians(camera, lens, position[:, None, None], wavelength_nm, shares)
     side = 2 * half_size_px + 1
     cells = made.on_pixels(made.mean_px() - 0.5 * side, side * oversampling, oversampling)
     return tuple(EffectivePsf(values=one, oversampling=oversampling) for one in pixel_shares(cells[:, 0], oversampling))
-
-
-def _sheared(mean: FloatArray, covariance: FloatArray, shear: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gaussians (..., 2), (..., 3) as a rolling shutter records them; shear (..., 3)."""
-    row, along_x, along_y = np.moveaxis(shear, -1, 0)
-    gain = 1.0 / (1.0 - along_y)
-    below = (mean[..., 1] - row) * gain
-    xx, yy, xy = np.moveaxis(covariance, -1, 0)
-    slope = along_x * gain
-    turned = [xx + slope * (2.0 * xy + slope * yy), gain**2 * yy, gain * (xy + slope * yy)]
-    return np.stack([mean[..., 0] + along_x * below, row + below], axis=-1), np.stack(turned, axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,11 +283,11 @@ class _Gaussians:
         parts = []
         for step in np.unique(steps):  # each Gaussian with as many nodes as it needs
             some = np.flatnonzero(steps == step)
-            place, weight = line_nodes(int(step))
+            position, weight = line_nodes(int(step))
             rho = correlation[:, :, some, None]
             along = np.sqrt(np.abs(rho) * variance[:, :, some])
             along[..., 1] *= np.sign(rho[..., 0])
-            centre = self.centre_px[:, :, some, None] + place[:, None] * along[..., None, :]
+            centre = self.centre_px[:, :, some, None] + position[:, None] * along[..., None, :]
             sigma = np.sqrt(variance[:, :, some] * (1.0 - np.abs(rho)))[..., None, :]
             parts.append((self.share[:, :, some, None] * weight, centre, np.broadcast_to(sigma, centre.shape)))
         flat = (*self.share.shape[:2], -1)

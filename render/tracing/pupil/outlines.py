@@ -1,4 +1,4 @@
-"""Quadrature inside the outlines of beams (`render.tracing.pupil.aim`).
+"""Quadrature inside the outlines of beams (`render.tracing.pupil.ray_aiming`).
 
 A point is launched at ``centre + rho B(azimuth) (cos, sin)``, with Gauss-Legendre nodes in rho^2 (Peirce 1957, J. Soc.
 Indust. Appl. Math. 5, 66) and weight B^2 d(azimuth) / 2. Where the stop alone limits the beam, B is smooth: it is found
@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy.special import roots_legendre
 
 from optics.arrays import FloatArray, IntArray
-from render.tracing.pupil.aim import AimedLens, Beams, Chiefs, Rims
 from render.tracing.pupil.points import OutlinePoints, bounding_outline
+from render.tracing.pupil.ray_aiming import AimedLens, Chiefs, OutlineSearch, Rims
 from render.tracing.rays.kernel import StarKernel
 
 GOLDEN = 0.6180339887498949
@@ -163,7 +163,7 @@ class Outlines:
             centre=self.chief[stars],
             azimuth=azimuth,
             radius=radius,
-            share=(radius**2 if shadow is None else radius**2 - shadow**2) / arms,
+            area=(radius**2 if shadow is None else radius**2 - shadow**2) / arms,
             arm=arm.ravel().astype(np.uint32),
             ring=np.repeat(ring, arms),
             ring_weight=np.repeat(weight, arms),
@@ -199,7 +199,7 @@ def find_outlines(lens: AimedLens, picks: NodePicks, chiefs: Chiefs) -> Outlines
     aimed = np.asarray(np.isfinite(chiefs.points).all((1, 2)))
     centre = np.where(aimed[:, None, None], chiefs.points, 0.0)
     azimuth = np.tile(2.0 * np.pi * np.arange(ARMS) / ARMS, (picks.count, 1))
-    beams = Beams(lens, picks.kernel, centre, picks.wavelength_nm, azimuth)
+    beams = OutlineSearch(lens, picks.kernel, centre, picks.wavelength_nm, azimuth)
     rims = beams.stop_rims()
     clear, shadow = aimed & _only_the_stop(rims), None
     if lens.holes:
@@ -255,7 +255,7 @@ class Arcs:
         at = np.searchsorted(self.stars, stars)
         picks = self.picks
         azimuth, share = _rule(self.start[at], self.length[at], order[1], alike=not picks.every)
-        beams = Beams(self.lens, picks.kernel, self.centre[at], picks.wavelength_nm, azimuth, stars)
+        beams = OutlineSearch(self.lens, picks.kernel, self.centre[at], picks.wavelength_nm, azimuth, stars)
         rims = beams.rims()
         found = np.where(rims.good, rims.radius, np.nan)  # its rays are lost, and with them the star is found out
         shadow = None
@@ -270,7 +270,7 @@ class Arcs:
             centre=self.centre[at],
             azimuth=azimuth,
             radius=radius,
-            share=np.nan_to_num(lit) * share,
+            area=np.nan_to_num(lit) * share,
             arm=np.tile(np.arange(order[1], dtype=np.uint32), order[0]),
             ring=np.repeat(ring, order[1]),
             ring_weight=np.repeat(weight, order[1]),
@@ -415,11 +415,11 @@ def find_arcs(lens: AimedLens, picks: NodePicks, centre: FloatArray, stars: IntA
     """
     # centre (n, b, 2), stars (s,)
     azimuth = np.tile(_coarse_azimuth(), (picks.count, 1))
-    rims = Beams(lens, picks.kernel, centre[stars], picks.wavelength_nm, azimuth, stars).rims()
+    rims = OutlineSearch(lens, picks.kernel, centre[stars], picks.wavelength_nm, azimuth, stars).rims()
     kinks, good = _coarse_kinks(rims.height)
     for _ in range(NARROWINGS):
         narrower = kinks.azimuth()
-        again = Beams(lens, picks.kernel, centre[stars], picks.wavelength_nm, narrower, stars).rims()
+        again = OutlineSearch(lens, picks.kernel, centre[stars], picks.wavelength_nm, narrower, stars).rims()
         kinks = kinks.narrowed(narrower, again.height)
     start, length = _between(kinks)
     if not picks.every:

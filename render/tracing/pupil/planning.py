@@ -23,7 +23,6 @@ from render.camera import Camera, launch_disk
 from render.tracing.convergence import HIGHEST_FREQUENCY, MOTION_TOLERANCE, TOLERANCE
 from render.tracing.motion.exposure import IdealLens
 from render.tracing.motion.paths import StarPaths, at_rest, pick_times, uniform_paths
-from render.tracing.pupil.aim import Chiefs, aimed_lens, find_chiefs
 from render.tracing.pupil.outlines import (
     ARC_LADDER,
     Arcs,
@@ -36,7 +35,7 @@ from render.tracing.pupil.outlines import (
     node_turns,
 )
 from render.tracing.pupil.points import DiskPoints, PupilPoints, SobolPoints
-from render.tracing.pupil.sampling import (
+from render.tracing.pupil.quadrature_order import (
     LADDER,
     OUTLINE_LADDER,
     Landed,
@@ -49,6 +48,7 @@ from render.tracing.pupil.sampling import (
     sobol_points,
     staggered,
 )
+from render.tracing.pupil.ray_aiming import Chiefs, aimed_lens, find_chiefs
 from render.tracing.pupil.transmission import PupilTransmission, fit_transmission
 from render.tracing.rays.kernel import Geometry, Shade, StarKernel, reach_px
 
@@ -85,7 +85,7 @@ SHORTEST_PX = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Exposure:
+class PlannedExposure:
     """Stars of an exposure; made by `PupilPlanner.exposure`."""
 
     planner: PupilPlanner
@@ -268,7 +268,7 @@ class PupilPlanner:
         *,
         shade: Shade | None = None,
         chiefs: Chiefs | None = None,
-    ) -> Exposure:
+    ) -> PlannedExposure:
         """Plan of an exposure; chief rays are aimed where they are not yet known."""
         mid = nodes = self.kernel(paths.mid, collimation=paths.collimation)
         if paths.nodes.shape[1] == 1 and paths.shear is None:
@@ -277,10 +277,10 @@ class PupilPlanner:
             picked, times = pick_times(paths)
             picks = node_picks(self.kernel(picked), wavelength_nm, times)
             nodes = self.kernel(paths.nodes, paths.shear, paths.collimation)
-        exposure = Exposure(self, mid, nodes, picks, paths, length_px, wavelength_nm, shade, None, chiefs)
+        exposure = PlannedExposure(self, mid, nodes, picks, paths, length_px, wavelength_nm, shade, None, chiefs)
         return exposure if shade is None else replace(exposure, shaded=self._shaded(exposure, shade))
 
-    def still(self, exposure: Exposure, wavelength_nm: FloatArray) -> Exposure:
+    def still(self, exposure: PlannedExposure, wavelength_nm: FloatArray) -> PlannedExposure:
         """The same stars in the middle of the exposure, at wavelengths (b, k) that tell the image."""
         if exposure.nodes is exposure.mid and wavelength_nm is exposure.wavelength_nm:
             return exposure
@@ -289,7 +289,7 @@ class PupilPlanner:
             self.exposure(rest, wavelength_nm, chiefs=exposure.chiefs), shade=exposure.shade, shaded=exposure.shaded
         )
 
-    def _shaded(self, exposure: Exposure, shade: Shade) -> BoolArray:
+    def _shaded(self, exposure: PlannedExposure, shade: Shade) -> BoolArray:
         """Stars (n,) with an obstacle in their beam or in the disk around it."""
         shaded = np.zeros(exposure.mid.count, np.bool_)
         near = np.flatnonzero(shade.near(launch_disk(self.camera)))
@@ -305,7 +305,7 @@ class PupilPlanner:
         centre = np.zeros((kernel.count, len(mean), 2)) if self.pupil.exact else None
         return find_chiefs(self._aim, kernel, mean, centre)
 
-    def _outlined(self, exposure: Exposure, cut: IntArray | None = None) -> tuple[list[Group], Outlines | None]:
+    def _outlined(self, exposure: PlannedExposure, cut: IntArray | None = None) -> tuple[list[Group], Outlines | None]:
         """Groups of stars whose beams have outlines, and outlines by the stop alone.
 
         Where the launch disk is the stop itself it is the outline of all but the stars that are ``cut``.
@@ -338,7 +338,7 @@ class PupilPlanner:
                 left = np.setdiff1d(left, arcs.stars)
         return groups, outlines
 
-    def sampled(self, exposure: Exposure, stars: IntArray, *, shapes: bool = True) -> Sampled:
+    def sampled(self, exposure: PlannedExposure, stars: IntArray, *, shapes: bool = True) -> Sampled:
         """Groups of some stars whose beams have outlines; not of those in whose beam something stands."""
         bands, colours = exposure.wavelength_nm.shape
         bounds, groups, cut = Bounds.empty(exposure.mid.count, bands), [], None
@@ -358,7 +358,7 @@ class PupilPlanner:
             groups += [replace(group, members=np.intersect1d(group.members, open_)) for group in found]
         return Sampled(groups, bounds, outlines, (exposure.mid.count, bands, colours * exposure.nodes.times))
 
-    def sampled_by_rays(self, exposure: Exposure) -> Sampled:
+    def sampled_by_rays(self, exposure: PlannedExposure) -> Sampled:
         """Sampling of all stars by rays: stars without a converged quadrature are in the last group, of Sobol
         points."""
         everyone = np.arange(exposure.mid.count)
@@ -387,7 +387,7 @@ class PupilPlanner:
 
         return replace(sampled, groups=[*groups, Group("sobol", left, moved, order=(sobol.count, 1))], bounds=bounds)
 
-    def sampled_by_waves(self, exposure: Exposure, stars: IntArray) -> Sampled:
+    def sampled_by_waves(self, exposure: PlannedExposure, stars: IntArray) -> Sampled:
         """Sampling of stars at rest for sums of plane waves: stars without an outline by cells."""
         sampled, left = self.sampled(exposure, stars), stars
         for group in sampled.groups:
@@ -395,7 +395,7 @@ class PupilPlanner:
         groups = [*sampled.groups, Group("cells", left, None)]
         return replace(sampled, groups=[group for group in groups if len(group.members)])
 
-    def _find_bounds(self, bounds: Bounds, exposure: Exposure, stars: IntArray) -> None:
+    def _find_bounds(self, bounds: Bounds, exposure: PlannedExposure, stars: IntArray) -> None:
         """Bounds of stars by points of the disks that hold their beams."""
 
         def points(part: IntArray) -> DiskPoints:
@@ -403,7 +403,7 @@ class PupilPlanner:
 
         bounds.find(exposure.mid, stars, exposure.ends_nm, points)
 
-    def _inside(self, exposure: Exposure, stars: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    def _inside(self, exposure: PlannedExposure, stars: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """A point (n, b, 2) inside the beam of some of the stars, 0 for others, and for which there is one."""
         middle = np.median(exposure.wavelength_nm, 1)
         found, lit = inner_points(self.camera.focused_lens, exposure.paths.mid[stars], middle)
@@ -411,7 +411,9 @@ class PupilPlanner:
         centre[stars] = (found - [self.pupil.x_mm, self.pupil.y_mm]) / self.pupil.radius_mm
         return centre, np.asarray(lit.all(1))
 
-    def disks(self, exposure: Exposure, wavelength_nm: FloatArray, stars: IntArray) -> tuple[FloatArray, FloatArray]:
+    def disks(
+        self, exposure: PlannedExposure, wavelength_nm: FloatArray, stars: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Disks that hold the beams of some stars: centres (s, b, 2) and radii (s, b), in radii of the launch disk."""
         shape = (len(stars), len(wavelength_nm))
         if self.pupil.exact or not len(stars):
@@ -426,7 +428,7 @@ class PupilPlanner:
         unit = self.pupil.radius_mm
         return np.broadcast_to(centre / unit, (*shape, 2)), np.broadcast_to(reach[:, None] / unit, shape)
 
-    def plan(self, mode: str, exposure: Exposure, members: IntArray) -> tuple[Order, float] | None:
+    def plan(self, mode: str, exposure: PlannedExposure, members: IntArray) -> tuple[Order, float] | None:
         """Order and error of a quadrature for some of the stars, which have to be clear; None if none is fit.
 
         It is found by trial on a field of the stars' extent, under a uniform motion of as many time nodes and at most
@@ -495,7 +497,9 @@ class PupilPlanner:
         fewer = tuple(one for one in ladder if math.prod(one) * wavelength_nm.shape[1] <= MOST_RAYS)
         return self._converged(exposure, group, fewer)
 
-    def _converged(self, exposure: Exposure, group: Group, ladder: tuple[Order, ...]) -> tuple[Order, float] | None:
+    def _converged(
+        self, exposure: PlannedExposure, group: Group, ladder: tuple[Order, ...]
+    ) -> tuple[Order, float] | None:
         """Lowest order that is converged for probe stars at rest, on stamps that hold their light."""
         if not (ladder and self._blurred):
             return None
@@ -523,7 +527,7 @@ class PupilPlanner:
                 stars=stars,
                 pupil=group.of(probes, order),
                 wavelength_nm=wavelength_nm,
-                node_share=share,
+                node_weight=share,
                 corner_px=corner,
                 stamp_px=size,
                 cells_per_px=2,

@@ -71,7 +71,7 @@ class OutlinePoints:
     centre: FloatArray  # (s, b, 2) Where the azimuths are counted about
     azimuth: FloatArray  # (..., k, a) Azimuths of every node, or of every node of every star
     radius: FloatArray  # (s, b, k, a) The outline there
-    share: FloatArray  # (s, b, k, a) Share of the disk's area in the sector of every azimuth
+    area: FloatArray  # (s, b, k, a) Area of the sector of every azimuth, as a fraction of the disk's
     # arm, ring, ring_weight: (p,) Azimuth of every point, its part of the radius, and its weight in the sector, sum 1
     # over the rings of an arm
     arm: NDArray[np.uint32]
@@ -87,12 +87,12 @@ class OutlinePoints:
     @property
     def weight(self) -> FloatArray:
         """Weights (s, b, k, count)."""
-        return np.asarray(self.share[..., self.arm] * self.ring_weight)
+        return np.asarray(self.area[..., self.arm] * self.ring_weight)
 
     @property
     def inside(self) -> FloatArray:
         """Share of the disk that lies inside the outline (s, b, k): the sum of the weights."""
-        return np.asarray(self.share @ np.bincount(self.arm, self.ring_weight, self.share.shape[-1]))
+        return np.asarray(self.area @ np.bincount(self.arm, self.ring_weight, self.area.shape[-1]))
 
     def sample(self, types: Any, slot: Any, node: Any, point: Any) -> tuple[Any, Any, Any]:
         """Compute the point."""
@@ -111,7 +111,7 @@ class OutlinePoints:
             dr.gather(F, uploaded(F, self.centre[..., axis]), slot) + ring * dr.gather(F, uploaded(F, along[axis]), at)
             for axis in (0, 1)
         )
-        return px, py, dr.gather(F, uploaded(F, self.share), at) * dr.gather(F, F(self.ring_weight), point)
+        return px, py, dr.gather(F, uploaded(F, self.area), at) * dr.gather(F, F(self.ring_weight), point)
 
 
 def bounding_outline(

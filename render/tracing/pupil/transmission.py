@@ -143,10 +143,10 @@ def fit_transmission(camera: Camera, pupil: EntrancePupil, wavelength_nm: FloatA
     if camera.losses is None:
         return None
     key = pickle.dumps((camera.focused_lens, camera.losses, pupil, camera.field_reach_rad))
-    return _fitted(_Key(camera, pupil, key), wavelength_nm.tobytes())
+    return _fitted(_CameraKey(camera, pupil, key), wavelength_nm.tobytes())
 
 
-class _Key:
+class _CameraKey:
     """A camera, compared by what its transmission depends on."""
 
     def __init__(self, camera: Camera, pupil: EntrancePupil, key: bytes) -> None:
@@ -156,11 +156,11 @@ class _Key:
         return hash(self.key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and self.key == other.key
+        return isinstance(other, _CameraKey) and self.key == other.key
 
 
 @lru_cache(maxsize=32)
-def _fitted(key: _Key, wavelengths: bytes) -> PupilTransmission | None:
+def _fitted(key: _CameraKey, wavelengths: bytes) -> PupilTransmission | None:
     wave = np.unique(np.frombuffer(wavelengths))
     back = np.searchsorted(wave, np.frombuffer(wavelengths))
     found = _Fit(key, wave).best()
@@ -170,7 +170,7 @@ def _fitted(key: _Key, wavelengths: bytes) -> PupilTransmission | None:
 class _Fit:
     """Rays of a camera at some wavelengths."""
 
-    def __init__(self, key: _Key, wave: FloatArray) -> None:
+    def __init__(self, key: _CameraKey, wave: FloatArray) -> None:
         losses = key.camera.losses
         assert losses is not None
         self.lens, self.pupil, self.losses, self.wave = key.camera.focused_lens, key.pupil, losses, wave

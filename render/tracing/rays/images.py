@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray, IntArray
 from optics.errors import DomainError
 from render.camera import Camera
-from render.tracing.motion.paths import Light
-from render.tracing.pupil.planning import Bounds, Exposure, Group, PupilPlanner, Sampled
+from render.tracing.motion.paths import NodeLight
+from render.tracing.pupil.planning import Bounds, Group, PlannedExposure, PupilPlanner, Sampled
 from render.tracing.pupil.points import PupilPoints, TablePoints
 from render.tracing.rays.kernel import (
     ARRIVED,
@@ -44,16 +44,16 @@ class RayImages:
     def __init__(self, planner: PupilPlanner) -> None:
         self.planner, self.camera = planner, planner.camera
 
-    def add(self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
+    def add(self, light: NodeLight, exposure: PlannedExposure, image: NDArray[np.float32], sums: TruthSums) -> Sampling:
         """Add stars to the image and what is known of them to the sums; how they were sampled."""
         return self.traced(light, exposure, image, sums)[1]
 
     def traced(
-        self, light: Light, exposure: Exposure, image: NDArray[np.float32], sums: TruthSums
+        self, light: NodeLight, exposure: PlannedExposure, image: NDArray[np.float32], sums: TruthSums
     ) -> tuple[Sampled, Sampling]:
         """The same, with the planner's results for the stars."""
         sampled, sampling = self.planner.sampled_by_rays(exposure), Sampling()
-        entering = (light.share * sampled.entrance).sum(2)
+        entering = (light.weight * sampled.entrance).sum(2)
         passes = _Passes(self.camera, exposure.nodes, light, sampled.bounds, image, sums, entering, exposure.shade)
         lost = np.empty(0, np.int64)  # only the last group knows the pupils of stars that are not its own
         for group in sampled.groups:
@@ -63,10 +63,10 @@ class RayImages:
             left = passes.trace(replace(group, members=members)) if len(members) else members
             lost = np.concatenate([lost, left])
             if len(members) > len(left):
-                sampling[group.mode] = (len(members) - len(left), group.rays * light.share.shape[2])
+                sampling[group.mode] = (len(members) - len(left), group.rays * light.weight.shape[2])
         return sampled, sampling
 
-    def cells(self, light: Light, exposure: Exposure, half_size_px: int, cells_per_px: int) -> FloatArray:
+    def cells(self, light: NodeLight, exposure: PlannedExposure, half_size_px: int, cells_per_px: int) -> FloatArray:
         """Light per cell (n, b, m, m) of squares about the bundle means, in shares of what arrives."""
         nothing, sums = np.zeros((0, 0, light.electrons.shape[1]), np.float32), TruthSums.empty(*light.electrons.shape)
         sampled, _ = self.traced(light, exposure, nothing, sums)
@@ -91,7 +91,7 @@ class _Passes:
 
     camera: Camera
     kernel: StarKernel
-    light: Light
+    light: NodeLight
     bounds: Bounds
     image: NDArray[np.float32]  # (h, w, b) What light is added to
     sums: TruthSums  # Where the truth is kept
@@ -160,7 +160,7 @@ class _Passes:
             stars=stars.astype(np.uint32),
             pupil=pupil,
             wavelength_nm=self.light.wavelength_nm,
-            node_share=np.ascontiguousarray(self.light.share[stars]),
+            node_weight=np.ascontiguousarray(self.light.weight[stars]),
             corner_px=corner_px,
             stamp_px=stamp_px,
             cells_per_px=cells_per_px,
@@ -173,8 +173,8 @@ class _Passes:
         order = np.argsort(size, kind="stable")
         per_pixel = 16 * len(self.light.wavelength_nm)
         strips = 2 * strips_per_pixel(self.camera.blur_px)
-        rays = self.light.share[0].size * group.rays
-        azimuths = 2 * self.light.share[0].size * group.order[1]
+        rays = self.light.weight[0].size * group.rays
+        azimuths = 2 * self.light.weight[0].size * group.order[1]
         passes, start = [], 0
         while start < len(order):
             ahead = size[order[start:]]

@@ -30,6 +30,7 @@ from optics.rays.trace import OK, Rays, trace_program
 from render.engine import Engine
 from render.engine.jit import dr
 from render.engine.upload import uploaded
+from render.tracing.motion.rolling_shutter import recorded
 from render.tracing.pupil.points import OutlinePoints, PupilPoints
 from render.tracing.pupil.transmission import PupilTransmission
 
@@ -200,9 +201,7 @@ class StarKernel:
         out = trace_program(program or self.program, self.theta, self.rays(star, px, py, wavelength_nm, error), self.xp)
         x, y = cx + out.x / pitch, cy - out.y / pitch
         if self.shear is not None:
-            row, along_x, along_y = (dr.gather(self.F, values, star) for values in self.shear)
-            below = (y - row) / (1.0 - along_y)
-            x, y = x + along_x * below, row + below
+            x, y = recorded(x, y, *(dr.gather(self.F, values, star) for values in self.shear))
         return x, y, out.status
 
     def numbered(self, total: int, *sizes: int) -> list[Any]:
@@ -329,19 +328,19 @@ class StarKernel:
         stars: NDArray[np.uint32],
         pupil: PupilPoints,
         wavelength_nm: FloatArray,
-        node_share: FloatArray,
+        node_weight: FloatArray,
         corner_px: FloatArray,
         stamp_px: int,
         cells_per_px: int = 1,
         shade: Shade | None = None,
     ) -> StampSums:
         """Stamps and moments of some of the stars; of cells in place of pixels there are no strips."""
-        # stars (s,), wavelength_nm (b, k), node_share (s, b, t k), corner_px (s, b, 2)
+        # stars (s,), wavelength_nm (b, k), node_weight (s, b, t k), corner_px (s, b, 2)
         F, U = self.F, self.U
         bands, nodes = len(wavelength_nm), wavelength_nm.shape[1] * self.times
         point, node, slot = self.numbered(len(stars) * bands * nodes * pupil.count, nodes, pupil.count)
         px, py, weight = pupil.sample(self.types, slot, node, point)
-        weight = weight * dr.gather(F, uploaded(F, node_share), slot * dr.opaque(U, nodes) + node) * _SCALE
+        weight = weight * dr.gather(F, uploaded(F, node_weight), slot * dr.opaque(U, nodes) + node) * _SCALE
         through = self.through(px, py, slot, node, wavelength_nm, stars)
         star, wavelength = self.light_of(slot, node, wavelength_nm, stars)
         error = self.error_of(slot, node, wavelength_nm)

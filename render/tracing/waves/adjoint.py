@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from optics.arrays import FloatArray
 from render.engine.jit import dr
 from render.engine.upload import uploaded
-from render.tracing.waves.windows import BandLimited, FieldSampling, window_samples
+from render.tracing.waves.pixel_kernel import BandLimited, FieldSampling, window_samples
 
 SETTINGS: dict[str, Any] = {"eps": 1e-9, "nthreads": 1}
 ComplexArray = NDArray[np.complex128]
@@ -73,7 +73,7 @@ class Window:
         return kernel(distance) * step, -kernel.slope(distance) * step
 
 
-class _Rays:
+class _WindowSum:
     """Waves of one star, band and wavelength over the samples of a window; frequencies count from a middle one."""
 
     def __init__(
@@ -176,11 +176,11 @@ class _Stamps:
         self.rays = [a.reshape(count, self.colours, -1) for a in arrays[:4]]
         self.energy, *self.moves = (a.reshape(count, -1) for a in arrays[4:])
 
-    def _fields(self, slot: int) -> Iterator[tuple[int, _Rays, NDArray[np.complex128]]]:
+    def _fields(self, slot: int) -> Iterator[tuple[int, _WindowSum, NDArray[np.complex128]]]:
         samples = self.windows[slot].samples
         for k in range(self.colours):
             phase, fx, fy, amplitude = (a[slot, k] for a in self.rays)
-            rays = _Rays(phase, fx, fy, amplitude, samples)
+            rays = _WindowSum(phase, fx, fy, amplitude, samples)
             yield k, rays, rays.field()
 
     def _light(self, slot: int) -> FloatArray:

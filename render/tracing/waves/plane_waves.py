@@ -75,14 +75,14 @@ class PlaneWaves:
     @property
     def highest(self) -> FloatArray:
         """Highest spatial frequency (s, b) along an axis of the images' intensity [cycles/px]."""
-        return self._spans().max(2)
+        return self.spans().max(2)
 
     @property
     def lowest_cutoff(self) -> FloatArray:
         """The same of the longest wavelength (s,), which makes the widest image."""
-        return self._spans().min((1, 2))
+        return self.spans().min((1, 2))
 
-    def _spans(self) -> FloatArray:
+    def spans(self) -> FloatArray:
         lit = self.weight > 0.0
         spans = [np.where(lit, f, -np.inf).max(-1) - np.where(lit, f, np.inf).min(-1) for f in (self.fx, self.fy)]
         return np.asarray(np.where(lit.any(-1), np.maximum(*spans), 1.0))

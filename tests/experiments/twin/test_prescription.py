@@ -72,7 +72,7 @@ def test_pose_from_the_widths_of_a_camera(start):
     """A finer grid of positions than the fit's own, each width 4 % off: within 4 of the stated standard deviations."""
     moved = build_instrument(CONFIG, lens=moved_lens())
     light = star_light([moved.passband()], nodes=4, magnitude_system="G")
-    grid = render_psf_grid(moved, light, temperature_k=5000.0, window_px=22, long_side=9)
+    grid = render_psf_grid(moved, light, temperature_k=5000.0, window_px=22)
     rng = np.random.default_rng(4)
     position, width = np.repeat(grid.place_px, 3, axis=0), np.repeat(gaussian_widths(grid.psfs), 3)
     camera = as_calibrated(camera_model(moved), "radial_1", focal_length_mm=moved.focal_length_mm)

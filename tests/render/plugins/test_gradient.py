@@ -12,8 +12,8 @@ from optics.lens_file import load_lens
 from render.camera import Camera
 from render.forward import star_scene
 from render.records import StarField
-from render.tracing.waves.summed import SummedImages
-from render.tracing.waves.windows import FieldSampling, window_samples
+from render.tracing.waves.direct_sums import DirectSums
+from render.tracing.waves.pixel_kernel import FieldSampling, window_samples
 
 WEIGHTS = {-3: -1 / 60, -2: 9 / 60, -1: -45 / 60, 1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
 """Sixth-order central difference (Fornberg 1988, Math. Comp. 51, 699)."""
@@ -41,7 +41,7 @@ def scene_of(mi, lens, stars=2, colours=3, bench=None, **camera):
 
 
 def direct_sum(rays, shares, corner_px, window_px, field, *, pad_px):
-    """Light of plane waves in a window, in double precision, for `render.tracing.waves.windows.window_light`."""
+    """Light of plane waves in a window, in double precision, for `render.tracing.waves.frequency_grid.window_light`."""
     at = window_samples(field, window_px, pad_px)
     light = np.zeros((len(at), len(at)))
     for colour, share in enumerate(shares):
@@ -83,10 +83,10 @@ def by_direct_sums(monkeypatch):
     on samples 3 px farther away: where the kernel of a pixel ends images that move would make steps too.
     """
     monkeypatch.setattr(FieldSampling, "pixel", farther(FieldSampling.pixel))
-    monkeypatch.setattr("render.tracing.waves.summed.window_light", direct_sum)
+    monkeypatch.setattr("render.tracing.waves.direct_sums.window_light", direct_sum)
     monkeypatch.setattr("render.tracing.waves.plane_waves.TAIL", 0.0)
     for name in ("needs", "means"):
-        monkeypatch.setattr(SummedImages, name, held(getattr(SummedImages, name)))
+        monkeypatch.setattr(DirectSums, name, held(getattr(DirectSums, name)))
 
 
 def exact_image(scene):
@@ -301,7 +301,7 @@ def test_trails(mi):
 
 @pytest.mark.slow
 def test_what_has_no_derivative_is_refused(mi):
-    """Beams by Sobol points (no diffusion, a stop inside), and bodies in the same image."""
+    """OutlineSearch by Sobol points (no diffusion, a stop inside), and bodies in the same image."""
     import drjit as dr
 
     scene = scene_of(mi, "star_tracker_26mm", charge_diffusion_px=0.0)

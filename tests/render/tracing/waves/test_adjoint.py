@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from render.tracing.waves.adjoint import WaveLanes, Window, summed_waves
-from render.tracing.waves.windows import FieldSampling, window_light, window_samples
+from render.tracing.waves.frequency_grid import window_light
+from render.tracing.waves.pixel_kernel import FieldSampling, window_samples
 
 STEP = 1e-5
 FIELD = FieldSampling(0.5)

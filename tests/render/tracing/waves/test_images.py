@@ -22,7 +22,7 @@ from render.motion.trajectory import ConstantRate
 from render.tracing.motion.exposure import exposure_motion
 from render.tracing.psf import render_epsf
 from render.tracing.tracer import Tracer
-from render.tracing.waves.grid import plan_grid
+from render.tracing.waves.field_grid_build import plan_grid
 
 SIGMA_PX, PITCH_MM = 0.18, 5.5e-3
 
@@ -288,7 +288,7 @@ def test_grid_is_made_where_it_pays():
         for size_px, pitch_mm in (((4096, 2048), PITCH_MM), ((512, 256), 44e-3))
     )
     assert (usual.pays(3), usual.pays(10), coarse.pays(10), coarse.pays(40)) == (False, True, False, True)
-    assert 10.0 < coarse.image_s / usual.image_s < 50.0  # 61 and 2.9 ms were measured
+    assert 10.0 < coarse.image_products / usual.image_products < 50.0  # 61 and 2.9 ms were measured
 
 
 @pytest.mark.parametrize("angle_deg", [45.0, 12.3])

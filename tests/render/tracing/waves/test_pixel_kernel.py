@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from render.tracing.waves.windows import FieldSampling, window_samples
+from render.tracing.waves.pixel_kernel import FieldSampling, window_samples
 
 SIGMA_PX = 0.18
 

@@ -66,7 +66,7 @@ class Chiefs:
     blocked: BoolArray  # (n, b) Whether the rim of an aperture stops them
 
     @property
-    def place_px(self) -> FloatArray:
+    def position_px(self) -> FloatArray:
         """Columns and rows (n, b, 2) where they land."""
         return np.stack([self.x_px, self.y_px], axis=-1)
 
@@ -183,7 +183,7 @@ def _aimed_outwards(
     return np.where(rays.converged[:, None], points, np.nan)
 
 
-class Beams:
+class OutlineSearch:
     """Rays along azimuths about launch points, one lane per star, band, wavelength and azimuth; outlines of beams.
 
     The k nodes of the azimuths are c wavelengths at every time of the kernel, which holds the stars.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from optics.arrays import FloatArray, IntArray
-from render.tracing.waves.windows import BandLimited, FieldSampling
+from render.tracing.waves.pixel_kernel import BandLimited, FieldSampling
 
 FINER = 2
 """How much finer than the samples those are between which points of rings are interpolated."""
@@ -35,17 +35,17 @@ TAPS = 6
 
 
 @dataclass(frozen=True, slots=True)
-class TurningShapes:
+class AzimuthalModes:
     """Components of n images."""
 
     order: IntArray  # (c,) Azimuthal order m of each
-    value: NDArray[np.float32]  # (n, c) What of them makes the images
+    coefficient: NDArray[np.float32]  # (n, c) Of every image
     shape: NDArray[np.float32]  # (2, c, i, i) Components on samples, for cos(m phi) and for sin(m phi)
 
 
-def turning_shapes(
+def azimuthal_modes(
     images: NDArray[np.float32], samples_px: FloatArray, field: FieldSampling, blur_px: float, limit: float
-) -> TurningShapes:
+) -> AzimuthalModes:
     """Components of images that are symmetric about the column axis."""
     # images (n, i, i), samples_px (i,)
     reach = float(samples_px[-1]) - TAPS * field.light_step
@@ -78,7 +78,7 @@ def turning_shapes(
     value = (part[:, j, m] / np.linalg.norm(part[:, j, m], axis=0)).astype(np.float32)
     m = orders[m]
     radial = np.concatenate([series[:, order] @ value[:, m == order] for order in np.unique(m)], axis=1)
-    return TurningShapes(m, value, _on_samples(samples_px, reach, node, radial, m))
+    return AzimuthalModes(m, value, _on_samples(samples_px, reach, node, radial, m))
 
 
 def _to_rings(

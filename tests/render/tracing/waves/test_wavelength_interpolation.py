@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from render.tracing.waves.spectrum import condensed_light
+from render.tracing.waves.wavelength_interpolation import condensed_light
 
 
 def test_few_wavelengths_sum_smooth_functions_as_all_of_them_do():

@@ -14,7 +14,7 @@ from optics.lens_file import load_lens
 from render.tracing.convergence import TOLERANCE
 from render.tracing.pupil import points as pupil_points
 from render.tracing.pupil.points import SobolPoints
-from render.tracing.pupil.sampling import LADDER, bounding_disk, probe_fields, sobol_points, staggered
+from render.tracing.pupil.quadrature_order import LADDER, bounding_disk, probe_fields, sobol_points, staggered
 from render.tracing.tracer import Tracer
 
 
@@ -75,7 +75,7 @@ def stamps(tracer, stars, pupil, size=14):
         stars=np.arange(len(stars), dtype=np.uint32),
         pupil=pupil,
         wavelength_nm=light.wavelength_nm,
-        node_share=light.share,
+        node_weight=light.weight,
         corner_px=corner,
         stamp_px=size,
     )

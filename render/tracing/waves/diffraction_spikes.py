@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from scipy.fft import rfft2
 
 from optics.arrays import FloatArray
-from render.tracing.motion.paths import Light, at_rest
+from render.tracing.motion.paths import NodeLight, at_rest
 from render.tracing.pupil.planning import PupilPlanner
 from render.tracing.pupil.points import TablePoints
 from render.tracing.truth import TruthSums, WaveStamps
+from render.tracing.waves.direct_sums import Trail
 from render.tracing.waves.plane_waves import trace_waves
-from render.tracing.waves.summed import Trail
 
 CELLS = (1024, 1536)
 """Across the aperture; the second where spikes hold more than `BEYOND` of the light beyond the reach of the first."""
@@ -199,7 +199,7 @@ def add_far_images(
     planner: PupilPlanner,
     stamps: WaveStamps,
     radius_px: float,
-    light: Light,
+    light: NodeLight,
     image: NDArray[np.float32],
     sums: TruthSums,
     trail: Trail | None = None,
@@ -211,7 +211,7 @@ def add_far_images(
         return
     stars, bands = stamps.stars, light.wavelength_nm.shape[0]
     electrons = light.electrons[stars] * stamps.light
-    share = light.share[stars].reshape(len(stars), bands, -1, light.wavelength_nm.shape[1]).sum(2)
+    share = light.weight[stars].reshape(len(stars), bands, -1, light.wavelength_nm.shape[1]).sum(2)
     for s, b in np.argwhere(electrons > far.least_e).tolist():
         wave = light.wavelength_nm[b]
         known = far_image(planner, float(wave.mean()))

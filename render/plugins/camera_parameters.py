@@ -28,7 +28,7 @@ _WEIGHTS = ((-2, 1.0 / 12.0), (-1, -2.0 / 3.0), (1, 2.0 / 3.0), (2, -1.0 / 12.0)
 """Fourth-order central difference."""
 
 
-class CameraNumbers:
+class CameraParameters:
     """Tensors of a camera: ``rotation``, ``attitude_rad``, ``rate_rad_per_s``, ``defocus_mm``, and the lens's own.
 
     The last are what `optics.lens.parameters.lens_parameters` names.

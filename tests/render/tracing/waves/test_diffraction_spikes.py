@@ -15,8 +15,8 @@ from optics.lens.ideal_lens import ideal_lens
 from optics.lens.system import LensSystem
 from render.camera import Camera, FarLight
 from render.tracing.tracer import TracedStars, Tracer
-from render.tracing.waves import summed
-from render.tracing.waves.far import FarImage, far_image
+from render.tracing.waves import direct_sums
+from render.tracing.waves.diffraction_spikes import FarImage, far_image
 
 FOCAL_MM, F_NUMBER, PITCH_MM, WAVE_NM = 100.0, 4.0, 0.005, 600.0
 UNIT_PX = WAVE_NM * 1e-6 * F_NUMBER / PITCH_MM
@@ -117,12 +117,12 @@ def test_far_image_continues_the_sum_of_plane_waves() -> None:
     camera = camera_of(FarLight(ends_e=0.05, saturated_e=1e9))
     got = star(camera, 1e6).electrons[..., 0]
 
-    before = summed.WING
+    before = direct_sums.WING
     try:
-        summed.WING = 2e-5 / 27.0
+        direct_sums.WING = 2e-5 / 27.0
         exact = star(replace(camera, far=None), 1e6).electrons[..., 0]
     finally:
-        summed.WING = before
+        direct_sums.WING = before
     y, x = np.indices(got.shape)
     middle = [float((v * exact).sum() / exact.sum()) for v in (x, y)]
     distance, angle = np.hypot(x - middle[0], y - middle[1]), np.arctan2(y - middle[1], x - middle[0])

@@ -10,8 +10,8 @@ from optics.lens.shapes.plane import Plane
 from optics.lens.system import LensSystem, Surface
 from optics.rays.program import compile_lens
 from optics.rays.trace import OK, VIGNETTED, Rays, trace, trace_path
-from render.tracing.pupil.aim import Beams, aimed_lens, find_chiefs
 from render.tracing.pupil.outlines import find_arcs, find_outlines, node_picks, outline_series
+from render.tracing.pupil.ray_aiming import OutlineSearch, aimed_lens, find_chiefs
 from render.tracing.rays.kernel import Geometry, StarKernel
 from render.tracing.tracer import Tracer
 
@@ -55,8 +55,8 @@ def test_rays_inside_the_outline_pass_and_those_outside_do_not(engine, bench, na
     assert (outlines.cut == np.array(cut, bool)).all()
     assert (outlines.clear != outlines.cut).all()
     azimuth = np.tile(np.linspace(0.0, 6.0, 40), (3, 1))
-    rims = Beams(planner._aim, exposure.mid, chiefs.points, WAVELENGTH_NM, azimuth).rims()
-    alone = Beams(planner._aim, exposure.mid, chiefs.points, WAVELENGTH_NM, azimuth).stop_rims()
+    rims = OutlineSearch(planner._aim, exposure.mid, chiefs.points, WAVELENGTH_NM, azimuth).rims()
+    alone = OutlineSearch(planner._aim, exposure.mid, chiefs.points, WAVELENGTH_NM, azimuth).stop_rims()
     assert rims.good.all()
     along = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
     found = outlines._at(outline_series(azimuth), outlines.radius, np.arange(3))
@@ -110,7 +110,7 @@ def test_a_stop_that_is_the_only_aperture(engine):
     aim = aimed_lens(lens, program, theta)
     chiefs = find_chiefs(aim, kernel, WAVELENGTH_NM.mean(1))
     azimuth = np.tile(np.linspace(0.0, 6.0, 8), (3, 1))
-    rims = Beams(aim, kernel, chiefs.points, WAVELENGTH_NM, azimuth).stop_rims()
+    rims = OutlineSearch(aim, kernel, chiefs.points, WAVELENGTH_NM, azimuth).stop_rims()
     assert rims.good.all()
     assert rims.radius == pytest.approx(0.6, rel=1e-6)
     assert (rims.height == 0.0).all()
