@@ -1,11 +1,11 @@
 """Diffraction: its effect on a star of the 206 mm lens, and its cost, compared with other codes in the same run.
 
-    python benchmarks/waves.py               # tables of docs/diffraction.md
-    python benchmarks/waves.py --operations  # time of the operations of an image
-    python benchmarks/waves.py --cost        # measured and estimated cost of images and grids
-    python benchmarks/waves.py --gradient    # cost of a gradient in forward renders
-    python benchmarks/waves.py --transform   # sum of plane waves, compared with FINUFFT
-    python benchmarks/waves.py --speed       # frames and terms per second, beside batoid, optiland, prysm, GalSim
+python benchmarks/waves.py               # tables of docs/diffraction.md
+python benchmarks/waves.py --operations  # time of the operations of an image
+python benchmarks/waves.py --cost        # measured and estimated cost of images and grids
+python benchmarks/waves.py --gradient    # cost of a gradient in forward renders
+python benchmarks/waves.py --transform   # sum of plane waves, compared with FINUFFT
+python benchmarks/waves.py --speed       # frames and terms per second, beside batoid, optiland, prysm, GalSim
 """
 
 from __future__ import annotations
