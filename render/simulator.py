@@ -45,7 +45,7 @@ from render.sky.star_light import star_light
 from render.tracing.convergence import MOTION_TOLERANCE, TOLERANCE
 from render.tracing.ghosts import DETECTOR_REFLECTANCE, Ghosting, GhostLight, GhostTruth
 from render.tracing.motion.exposure import ExposureMotion, exposure_motion
-from render.tracing.waves.far import BEYOND
+from render.tracing.waves.diffraction_spikes import BEYOND
 
 if TYPE_CHECKING:
     from render.bodies.body_image import BodyRenderer
