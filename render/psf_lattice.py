@@ -44,6 +44,11 @@ def edge_axes(camera: Camera, spacing_px: float) -> Axes:
     return x, y
 
 
+def psf_tracer(sensor: StarSensor, *, by_grid: bool = False, sobol_log2_rays: int = 16) -> Tracer:
+    """Tracer for several grids of one sensor, or (``by_grid``) for many PSFs by waves."""
+    return epsf_tracer(sensor.camera, by_grid=by_grid, sobol_log2_rays=sobol_log2_rays)
+
+
 def render_psf_grid(
     sensor: StarSensor,
     light: StarLight,
@@ -70,7 +75,7 @@ def render_psf_grid(
     trail_px : (2,), optional
         Uniform trail of the stars.
     tracer : Tracer, optional
-        `render.tracing.psf.epsf_tracer` of the camera, for several grids or (``by_grid``) many PSFs by waves.
+        `psf_tracer` of the sensor.
     """
     columns, rows = axes or inset_axes(sensor.camera)
     position_px = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
@@ -78,7 +83,7 @@ def render_psf_grid(
     reach_px = window_px // 2 + margin_px
     if trail_px is not None:
         reach_px += math.ceil(0.5 * float(np.abs(trail_px).max()))
-    tracer = tracer or epsf_tracer(sensor.camera)
+    tracer = tracer or psf_tracer(sensor)
     psfs = [psf for (psf,) in render_epsf(tracer, stars, oversampling=GRID_OVERSAMPLING, half_size_px=reach_px)]
     if trail_px is not None and trail_px.any():
         psfs = [trailed(psf, trail_px) for psf in psfs]

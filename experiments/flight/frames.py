@@ -31,12 +31,11 @@ from optics.units import ARCSEC_RAD
 from render.bodies.solar_system import BODIES, solar_system
 from render.engine.random import Streams
 from render.observation import SkyLight
-from render.psf_lattice import inset_axes, refined, render_psf_grid
+from render.psf_lattice import inset_axes, psf_tracer, refined, render_psf_grid
 from render.records import Frame, PsfGrid
 from render.sensor_file.detector import overridden
 from render.sensor_file.instrument import build_instrument, configured_detector, housing_of
 from render.simulator import SkySimulator
-from render.tracing.psf import epsf_tracer
 
 MARGIN_PX = 32.0
 """Strip around the detector whose stars are rendered: their light may reach it."""
@@ -154,7 +153,7 @@ def psf_grid(budget: Budget) -> PsfGrid | None:
         window_px=config.window_px,
         trail_px=camera.state.trail_px,
         axes=inset_axes(budget.instrument.camera, config.frames.psf_grid),
-        tracer=epsf_tracer(budget.instrument.camera, by_grid=True),
+        tracer=psf_tracer(budget.instrument, by_grid=True),
     )
     return refined(coarse, BLENDED)
 

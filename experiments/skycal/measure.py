@@ -24,9 +24,8 @@ from optics.arrays import FloatArray
 from optics.records import concatenated, freeze
 from render.engine.random import Streams
 from render.observation import SkyLight
-from render.psf_lattice import edge_axes, render_psf_grid
+from render.psf_lattice import edge_axes, psf_tracer, render_psf_grid
 from render.records import Frame
-from render.tracing.psf import epsf_tracer
 
 BACKGROUND_BOX_PX = 256
 BACKGROUND_STEP_PX = 4
@@ -151,7 +150,7 @@ class BankRenderer:
     def __init__(self, scene: Scene, config: Config) -> None:
         self._scene, self._window_px = scene, config.window_px
         self._spacing_px = scene.config.psf_spacing_px
-        self._tracer = epsf_tracer(scene.instrument.camera, sobol_log2_rays=scene.config.sobol_log2_rays)
+        self._tracer = psf_tracer(scene.instrument, sobol_log2_rays=scene.config.sobol_log2_rays)
         for _ in range(FINER if scene.name == "own" else 0):
             if self.render(config.sky.reference_k).error_px() <= BANK_ERROR_PX:
                 break
