@@ -97,3 +97,10 @@ def freeze_all(
     table = {} if sizes is None else sizes
     for name, shape in shapes.items():
         freeze(record, name, shape=shape, dtype=dtype, finite=finite, sizes=table)
+
+
+def freeze_alike(record: Any, *names: str, shape: tuple[int | str, ...], finite: bool = True) -> None:
+    """`freeze` of fields of one shape; a name in it stands for the same size in all of them."""
+    sizes: dict[str, int] = {}
+    for name in names:
+        freeze(record, name, shape=shape, finite=finite, sizes=sizes)

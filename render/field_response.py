@@ -237,7 +237,7 @@ def _psf_maker(camera: Camera, spots: Spots, performance: LensPerformance) -> tu
 
 def _airy_px(camera: Camera, performance: LensPerformance) -> float:
     """Standard deviation of the Gaussian nearest to the Airy pattern; 0 for stars rendered as ray densities."""
-    wave_mm = 1e-6 * float(performance.share @ performance.wavelength_nm)
+    wave_mm = 1e-6 * float(performance.spectrum @ performance.wavelength_nm)
     return (camera.diffraction != "rays") * AIRY_SIGMA * wave_mm * performance.f_number / camera.pixel_pitch_mm
 
 

@@ -26,9 +26,9 @@ ALLOWED = {"calib": {"render.records"}}
 # Rooms of a package, lowest first: a module imports from its own room and from rooms to the left of a "<" before it.
 # Rooms between two "<" know nothing of each other. A new room (or module at the top) has to be put in its place here.
 ORDER = {
-    "optics": "arrays errors forbes units < attitude distortion_polynomial fits frames interpolation record_files"
-    " records stellar_aberration textfile < validate < response settings < glass < files < lens light < rays"
-    " < lens_file < export waves < figures frame_html lens_study",
+    "optics": "arrays errors forbes units < attitude distortion_polynomial field_map fits frames interpolation"
+    " record_files records stellar_aberration textfile < validate < response settings < glass < files < lens light"
+    " < rays < lens_file < export waves < figures frame_html lens_study",
     "render": "engine records < catalogue detector motion < camera < fits sensor sky tracing"
     " < field_response plugins sensor_file < baffle bench bodies forward psf_lattice < observation < simulator",
     "calib": "directional fitting flags < photometry records < cameras measure < attitude detector psf"

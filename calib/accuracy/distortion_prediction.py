@@ -31,8 +31,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.accuracy.distortion import Reference
-from calib.cameras.field_map import polynomial_basis
 from optics.arrays import FloatArray
+from optics.field_map import polynomial_basis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,7 +20,6 @@ from calib.accuracy.star_errors import colour_distance
 from calib.attitude.attitude_covariance import attitude_of_shifts, attitude_of_velocity, covariance_of_noise
 from calib.attitude.tracker import GuideCatalogue, expected_guides
 from calib.cameras.base import CameraModel
-from calib.cameras.field_map import FieldMap, fit_field_map, fit_similarity
 from calib.cameras.fit import fit_camera
 from calib.measure.centroid_error.prediction import fit_bias
 from calib.measure.centroiding.registry import centroider_class
@@ -30,6 +29,7 @@ from experiments.laboratory.sensor_prediction import CameraPrediction, detector_
 from experiments.laboratory.settings.prediction import PredictedSensorConfig, SlewConfig, aged_config
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.field_map import FieldMap, fit_field_map, fit_similarity
 from optics.lens.heated_lens import COMPONENTS, ThermalState, heated_lens
 from optics.lens.system import LensSystem
 from optics.units import RAD_ARCSEC

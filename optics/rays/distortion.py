@@ -10,7 +10,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.system import LensSystem
 from optics.rays.chief_ray import chief_ray_points
-from optics.records import freeze
+from optics.records import freeze_alike
 from optics.units import DEG_RAD
 
 
@@ -27,8 +27,7 @@ class DistortionMap:
     focal_length_mm: float  # f of the ideal positions
 
     def __post_init__(self) -> None:
-        for name in ("field_x_deg", "field_y_deg", "ideal_x_mm", "ideal_y_mm", "x_mm", "y_mm"):
-            freeze(self, name, shape=("n", "m"))
+        freeze_alike(self, "field_x_deg", "field_y_deg", "ideal_x_mm", "ideal_y_mm", "x_mm", "y_mm", shape=("n", "m"))
 
     @property
     def relative(self) -> FloatArray:

@@ -18,7 +18,7 @@ from optics.rays.program import compile_lens
 from optics.rays.pupil_sampling import PupilSamples
 from optics.rays.trace import Rays, trace
 from optics.rays.vignetted_pupil import pupil_outlines
-from optics.records import freeze_all
+from optics.records import freeze_alike
 
 ARMS = 24
 """Number of azimuths of outlines."""
@@ -56,7 +56,7 @@ class LaunchDisks:
     radius_mm: FloatArray  # (f, 1, 1)
 
     def __post_init__(self) -> None:
-        freeze_all(self, **dict.fromkeys(("x_mm", "y_mm", "radius_mm"), ("f", 1, 1)))
+        freeze_alike(self, "x_mm", "y_mm", "radius_mm", shape=("f", 1, 1))
 
     @property
     def area_mm2(self) -> FloatArray:

@@ -28,6 +28,7 @@ from optics.lens.shapes.plane import Plane
 from optics.lens.system import AMBIENT, HALF_TURN, LensSystem, Surface
 from optics.rays.entrance_pupil import EntrancePupil, entrance_pupil, launch_disks, star_rays
 from optics.rays.pupil_sampling import PupilSamples, gauss_disk
+from optics.rays.reverse import right_handed
 from optics.rays.trace import OK, TOTAL_REFLECTION, Rays, surface_normal, trace
 
 RINGS, ARMS = 24, 48
@@ -131,7 +132,7 @@ def with_cover_glass(lens: LensSystem, glass: str, thickness_mm: float, gap_mm: 
     """
     if not (thickness_mm > 0.0 and gap_mm > 0.0):
         raise DomainError(f"cover glass of {thickness_mm:g} mm, {gap_mm:g} mm away; both must be positive")
-    axes, last = _right_handed(lens.image_rotation), lens.surfaces[-1]
+    axes, last = right_handed(lens.image_rotation), lens.surfaces[-1]
     glasses = {**lens.glasses, glass: get_glass(glass)}
     in_glass = replace(last, medium=glass, mirror=False, is_stop=False)
     indices = replace(lens, glasses=glasses, surfaces=(*lens.surfaces, in_glass)).indices(lens.design_wavelength_nm)
@@ -146,10 +147,6 @@ def with_cover_glass(lens: LensSystem, glass: str, thickness_mm: float, gap_mm: 
     if (front.position_mm - last.position_mm) @ axes[:, 2] <= 0.0:
         raise DomainError(f"no room for a cover glass of {thickness_mm:g} mm, {gap_mm:g} mm from the image plane")
     return replace(lens, glasses=glasses, surfaces=(*lens.surfaces, front, back), image_position_mm=image)
-
-
-def _right_handed(axes: FloatArray) -> FloatArray:
-    return np.asarray(axes * [np.sign(np.linalg.det(axes)), 1.0, 1.0])
 
 
 def reflects(lens: LensSystem, number: int) -> bool:
@@ -198,7 +195,7 @@ class GhostPath:
         def cross(number: int, *, away: bool, reflected: bool = False) -> None:
             """Add a surface in its orientation to the light, which travels away from the object or towards it."""
             if number == end:
-                axes = _right_handed(lens.image_rotation)
+                axes = right_handed(lens.image_rotation)
                 surface = Surface(
                     shape=Plane(), position_mm=lens.image_position_mm, rotation=axes, label="the detector"
                 )

@@ -87,10 +87,10 @@ def _through(
 
 def _refracting(lens: LensSystem, n: FloatArray) -> tuple[int, int]:
     """First and last surface that refract or reflect."""
-    found = [i for i, s in enumerate(lens.surfaces) if n[i] != n[i + 1] or s.mirror or s.shape.redirects]
-    if not found:
+    powered = [i for i, s in enumerate(lens.surfaces) if n[i] != n[i + 1] or s.mirror or s.shape.redirects]
+    if not powered:
         raise DomainError(f"lens {lens.name!r} has no refracting or reflecting surface; it has no focal length")
-    return found[0], found[-1]
+    return powered[0], powered[-1]
 
 
 def axial_paraxial(lens: LensSystem, wavelength_nm: float) -> ParaxialLens:
@@ -168,10 +168,7 @@ def image_of(lens: LensSystem, object_z_mm: float, wavelength_nm: float | None =
 
 
 def chief_ray(lens: LensSystem, field_deg: float, wavelength_nm: float | None = None) -> tuple[FloatArray, FloatArray]:
-    """Paraxial chief ray of a star at ``field_deg``, in the meridional plane.
-
-    Shapes: returns (surfaces + 1,).
-    """
+    """Heights [mm] and slopes (surfaces + 1,) of the paraxial chief ray of a star, in the meridional plane."""
     p = paraxial(lens, wavelength_nm)
     n = lens.indices(p.wavelength_nm)
     slope = float(np.tan(field_deg * DEG_RAD))
@@ -223,18 +220,16 @@ def axial_colour_mm(lens: LensSystem, wavelength_nm: ArrayLike, reference_nm: fl
     array
         Shifts, of the shape of the wavelengths [mm].
     """
-    reference = paraxial(lens, reference_nm).rear_focus_z_mm
-    values = np.asarray(wavelength_nm, float)
-    return np.array([paraxial(lens, w).rear_focus_z_mm - reference for w in values.ravel()]).reshape(values.shape)
+    focus = np.vectorize(lambda wave: paraxial(lens, wave).rear_focus_z_mm, otypes=[float])
+    return np.asarray(focus(wavelength_nm) - paraxial(lens, reference_nm).rear_focus_z_mm)
 
 
 def lateral_colour_mm(
     lens: LensSystem, field_deg: float, wavelength_nm: ArrayLike, reference_nm: float | None = None
 ) -> FloatArray:
     """Chief-ray height in the image plane [mm] against that of the reference wavelength."""
-    reference = chief_ray(lens, field_deg, reference_nm)[0][-1]
-    values = np.asarray(wavelength_nm, float)
-    return np.array([chief_ray(lens, field_deg, w)[0][-1] - reference for w in values.ravel()]).reshape(values.shape)
+    height = np.vectorize(lambda wave: chief_ray(lens, field_deg, wave)[0][-1], otypes=[float])
+    return np.asarray(height(wavelength_nm) - chief_ray(lens, field_deg, reference_nm)[0][-1])
 
 
 def refocused(lens: LensSystem, wavelength_nm: float | None = None) -> LensSystem:
@@ -249,18 +244,18 @@ F_ROUNDING = 0.005
 def stopped_down(lens: LensSystem, f_number: float) -> LensSystem:
     """Copy of a lens whose stop is closed to an F-number at the design wavelength.
 
-    The paraxial entrance pupil is the image of the stop, so its diameter goes with the stop's. The lens's own F-number
-    as it is printed, to `F_ROUNDING`, leaves it open.
+    The paraxial entrance pupil is the image of the stop, so its diameter is proportional to that of the stop.
+    The F-number of the open lens as it is printed, to `F_ROUNDING`, leaves it open.
     """
     lens.check_surfaces()
-    own = axial_paraxial(lens, lens.design_wavelength_nm).f_number
+    open_f = axial_paraxial(lens, lens.design_wavelength_nm).f_number
     stop = lens.surfaces[lens.stop_index]
-    darkest = own * stop.semi_diameter_mm / stop.inner_semi_diameter_mm if stop.inner_semi_diameter_mm else np.inf
-    if not own - F_ROUNDING <= f_number < darkest:
+    darkest = open_f * stop.semi_diameter_mm / stop.inner_semi_diameter_mm if stop.inner_semi_diameter_mm else np.inf
+    if not open_f - F_ROUNDING <= f_number < darkest:
         limit = f" and below F/{darkest:.3g}, its obscuration" if np.isfinite(darkest) else ""
         raise DomainError(
-            f"f_number = {f_number:g}; lens {lens.name!r} is F/{own:.4g} fully open: at least F/{own:.4g}{limit} is "
-            "possible"
+            f"f_number = {f_number:g}; lens {lens.name!r} is F/{open_f:.4g} fully open: at least F/{open_f:.4g}{limit} "
+            "is possible"
         )
-    closed = replace(stop, semi_diameter_mm=stop.semi_diameter_mm * min(own / f_number, 1.0))
+    closed = replace(stop, semi_diameter_mm=stop.semi_diameter_mm * min(open_f / f_number, 1.0))
     return lens.with_surfaces({lens.stop_index: closed})

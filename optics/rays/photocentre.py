@@ -17,7 +17,7 @@ from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.lens.system import LensSystem
 from optics.rays.spots import QUADRATURE, SpotMoments, spot_moments, weighted_mean
-from optics.records import freeze_all
+from optics.records import freeze_alike
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +31,7 @@ class Photocentres:
     area_mm2: FloatArray
 
     def __post_init__(self) -> None:
-        freeze_all(self, finite=False, **dict.fromkeys(self.__dataclass_fields__, ("f", "s")))
+        freeze_alike(self, *self.__dataclass_fields__, shape=("f", "s"), finite=False)
 
 
 def photocentres_of(spots: SpotMoments, spectrum: ArrayLike) -> Photocentres:

@@ -1,4 +1,4 @@
-"""Images of a lens at field points: positions, sizes and rays, in the best focus of all or where the detector is."""
+"""Polychromatic spots at field points: positions, sizes and rays, in best focus or at a shift of the image plane."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class PolychromaticSpots:
     position_mm: FloatArray  # (g, 2) Mean of all light
     square_mm2: FloatArray  # (g,) Mean square distance from it
     light_mm2: FloatArray  # (g,) Collecting area, weighted over the wavelengths
-    shift_mm: float  # Of the image plane, from where the lens has it
+    shift_mm: float  # Of the image plane, from its position in the lens
     x_mm: FloatArray  # (g, w, n) Rays from the mean
     y_mm: FloatArray
     weight: FloatArray  # (g, w, n) Fraction of the light of the field point
@@ -40,25 +40,9 @@ def polychromatic_spots(
 ) -> PolychromaticSpots:
     """Trace a lens at field points.
 
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens.
-    field_x_deg, field_y_deg : (g,)
-        Field angles [deg].
-    wavelength_nm, fraction : (w,)
-        Wavelengths [nm], and the light at each, relative.
-    refocused : bool
-        Whether the image plane is set to the least mean square of all spots first.
-    shift_mm : float
-        Shift of the image plane from there, or from where the lens has it.
-    order : (int, int)
-        Rings and azimuths of the pupil.
-
-    Raises
-    ------
-    ConvergenceError
-        No light at a field point.
+    Fields, wavelengths and ``order`` as of `optics.rays.spots.trace_spots`; ``fraction`` (w,) of the light at each
+    wavelength, in any unit. The image plane is shifted by ``shift_mm`` along the light from its position in the lens,
+    or if ``refocused`` from the least mean square of all spots. `ConvergenceError` if a field point has no light.
     """
     spots = trace_spots(lens, field_x_deg, field_y_deg, wavelength_nm, order=order)
     weight = spots.area_mm2 * np.asarray(fraction, np.float64)[:, None]
@@ -69,17 +53,18 @@ def polychromatic_spots(
     rays, lit = spots.rays, weight > 0.0
     if refocused:
         shift_mm = shift_mm + float(white_focus(spots, fraction).mean.best_mm)
-    means, rest = [], []
+    means, distances = [], []
     for position, component in ((rays.x, rays.dx), (rays.y, rays.dy)):
         height = np.where(lit, position + shift_mm * component / np.where(lit, rays.dz, 1.0), 0.0)
         means.append((weight * height).sum((1, 2)))
-        rest.append(height - means[-1][:, None, None])
+        distances.append(height - means[-1][:, None, None])
+    x, y = distances
     return PolychromaticSpots(
         position_mm=np.stack(means, axis=-1),
-        square_mm2=(weight * (rest[0] ** 2 + rest[1] ** 2)).sum((1, 2)),
+        square_mm2=(weight * (x**2 + y**2)).sum((1, 2)),
         light_mm2=light,
         shift_mm=shift_mm,
-        x_mm=rest[0],
-        y_mm=rest[1],
+        x_mm=x,
+        y_mm=y,
         weight=weight,
     )

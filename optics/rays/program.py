@@ -22,19 +22,19 @@ from optics.records import locked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class SurfaceStep:
     """One surface in the trace; ``*_at`` are offsets into the parameter vector."""
 
     shape: type[Shape]  # Shape class whose ``intersect`` is called
     shape_at: int  # Its parameters
     shape_size: int
-    shift_at: int  # Three numbers: the previous vertex seen from this one, added after the rotation
+    shift_at: int  # Three numbers: the previous vertex in this frame, added after the rotation
     lateral: bool  # Whether the shift has x and y components
     # Nine numbers (row-major) that turn the previous frame into this one; -1 when the axes are parallel
     rotation_at: int
     aperture_at: int  # Squared outer and inner radius; -1 without a clear aperture
-    annular: bool  # Whether the inner radius counts
-    before: int  # Media; equal for a surface that does not refract
+    annular: bool  # Whether there is an inner radius
+    before: int  # Numbers of the media; equal for a surface that does not refract
     after: int
     mirror: bool = False  # Whether it reflects
     # (type, int, int, bool) Class of every further aperture, its parameters (offset, number), and whether it obscures
@@ -46,7 +46,7 @@ class Step:
 class LensProgram:
     """Structure of a compiled lens; hashable, so that kernels can be cached by it."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[SurfaceStep, ...]
     media: tuple[IndexFormula, ...]
     size: int
 
@@ -58,35 +58,36 @@ class _Vector:
         self.values: list[float] = []
 
     def add(self, numbers: Iterable[float]) -> int:
-        at = len(self.values)
+        """Append numbers; returns the offset of the first."""
+        offset = len(self.values)
         self.values.extend(float(number) for number in numbers)
-        return at
+        return offset
 
 
 def _media(lens: LensSystem, vector: _Vector, general: bool) -> tuple[list[IndexFormula], list[int]]:
     """Index formulas of the media (one for each distinct medium, or in general for the glass behind every surface), and
     for each surface the number of the medium that follows it."""
     formulas: list[IndexFormula] = []
-    number: list[int] = []
-    known: dict[object, int] = {}
+    medium_of: list[int] = []
+    numbers: dict[object, int] = {}
     for i, (name, offset) in enumerate(lens.media):
         glass = None if name == AMBIENT else lens.glasses[name]
         if general and i and lens.surfaces[i - 1].mirror:
-            number.append(number[-1])
+            medium_of.append(medium_of[-1])
             continue
         key = (name, offset, i if general and glass is not None else 0)
-        if key not in known:
-            numbers, form, thermal = index_parameters(glass, lens.environment, offset)
-            known[key] = len(formulas)
-            formulas.append(IndexFormula(at=vector.add(numbers), form=form, thermal=thermal))
-        number.append(known[key])
-    return formulas, number
+        if key not in numbers:
+            parameters, form, thermal = index_parameters(glass, lens.environment, offset)
+            numbers[key] = len(formulas)
+            formulas.append(IndexFormula(at=vector.add(parameters), form=form, thermal=thermal))
+        medium_of.append(numbers[key])
+    return formulas, medium_of
 
 
 def _outline(aperture: Aperture, vector: _Vector) -> tuple[type[Aperture], int, int, bool]:
-    """An aperture as `Step.outlines` holds it."""
-    numbers = aperture.parameters()
-    return type(aperture), vector.add(numbers), len(numbers), aperture.obscures
+    """An aperture as `SurfaceStep.outlines` holds it."""
+    parameters = aperture.parameters()
+    return type(aperture), vector.add(parameters), len(parameters), aperture.obscures
 
 
 def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgram, FloatArray]:
@@ -97,8 +98,8 @@ def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgra
     lens : LensSystem
         The lens.
     general : bool
-        Keep every pose general even if it is centred, and the glass behind every surface by itself, so that all
-        perturbations of the lens share one structure.
+        Keep every pose general even if it is centred, and one glass per surface, so that all perturbations of the lens
+        have the same structure.
 
     Returns
     -------
@@ -114,19 +115,18 @@ def compile_lens(lens: LensSystem, *, general: bool = False) -> tuple[LensProgra
     position, rotation = np.zeros(3), np.eye(3)
     for i, (new_position, new_rotation) in enumerate(lens.poses):
         surface = lens.surfaces[i] if i < len(lens.surfaces) else None
-        turn = new_rotation.T @ rotation
         shift = new_rotation.T @ (position - new_position)
-        turned = general or not np.array_equal(new_rotation, rotation)
+        rotated = general or not np.array_equal(new_rotation, rotation)
         shape: Shape = Plane() if surface is None else surface.shape
         limited = surface is not None and (np.isfinite(surface.semi_diameter_mm) or surface.inner_semi_diameter_mm > 0)
         steps.append(
-            Step(
+            SurfaceStep(
                 shape=type(shape),
                 shape_at=vector.add(shape.parameters()),
                 shape_size=len(shape.parameters()),
                 shift_at=vector.add(shift),
                 lateral=general or bool(np.any(shift[:2] != 0.0)),
-                rotation_at=vector.add(turn.ravel()) if turned else -1,
+                rotation_at=vector.add((new_rotation.T @ rotation).ravel()) if rotated else -1,
                 aperture_at=vector.add([surface.semi_diameter_mm**2, surface.inner_semi_diameter_mm**2])
                 if limited and surface is not None
                 else -1,

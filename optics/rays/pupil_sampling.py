@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze_all
+from optics.records import freeze_alike
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,7 +21,7 @@ class PupilSamples:
     weight: FloatArray  # (n,) Equal for Sobol points
 
     def __post_init__(self) -> None:
-        freeze_all(self, x=("n",), y=("n",), weight=("n",))
+        freeze_alike(self, "x", "y", "weight", shape=("n",))
 
 
 def gauss_disk(rings: int, arms: int, *, inner: float = 0.0) -> PupilSamples:

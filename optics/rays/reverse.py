@@ -18,13 +18,16 @@ from optics.lens.system import HALF_TURN, LensSystem
 from optics.rays.trace import OK, Rays
 
 
+def right_handed(axes: FloatArray) -> FloatArray:
+    """Axes (3, 3) of an image plane with the first reversed if they are left-handed, as behind a mirror."""
+    return np.asarray(axes * [np.sign(np.linalg.det(axes)), 1.0, 1.0])
+
+
 def reversed_turn(lens: LensSystem) -> FloatArray:
     """Rotation (3, 3) from the lens frame to that of the reversed lens."""
     if not any(surface.mirror for surface in lens.surfaces):
         return HALF_TURN
-    axes = lens.image_rotation
-    right_handed = axes * [np.sign(np.linalg.det(axes)), 1.0, 1.0]
-    return np.asarray(HALF_TURN @ right_handed.T)
+    return np.asarray(HALF_TURN @ right_handed(lens.image_rotation).T)
 
 
 def reverse(lens: LensSystem) -> LensSystem:

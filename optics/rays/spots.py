@@ -21,7 +21,7 @@ from optics.rays.entrance_pupil import entrance_pupil, launch_disks, star_rays, 
 from optics.rays.pupil_sampling import PupilSamples, gauss_disk, sobol_disk
 from optics.rays.trace import VIGNETTED, Rays, trace
 from optics.rays.vignetted_pupil import vignetted_pupils
-from optics.records import freeze, freeze_all
+from optics.records import freeze, freeze_alike
 
 QUADRATURE = (12, 32)
 """Rings and azimuths."""
@@ -42,7 +42,7 @@ class SpotMoments:
     transmitted_mm2: FloatArray
 
     def __post_init__(self) -> None:
-        freeze_all(self, finite=False, **dict.fromkeys(self.__dataclass_fields__, ("f", "w")))
+        freeze_alike(self, *self.__dataclass_fields__, shape=("f", "w"), finite=False)
 
     @property
     def rms_radius_mm(self) -> FloatArray:
@@ -67,7 +67,7 @@ def weighted_mean(value: FloatArray, weight: FloatArray) -> FloatArray:
     """Mean over the last axis, by weights that are not negative; NaN where all of them are 0."""
     total = weight.sum(-1)
     weighted = np.where(weight > 0.0, value, 0.0) * weight
-    return np.divide(weighted.sum(-1), total, out=np.full(total.shape, np.nan), where=total > 0.0)
+    return np.divide(weighted.sum(-1), total, out=np.full(weighted.shape[:-1], np.nan), where=total > 0.0)
 
 
 def trace_spots(
@@ -143,7 +143,8 @@ def _measured_spots(
     (Gauss-Laguerre nodes in half the square of the distance, equidistant azimuths)."""
     lens.check_wavelength(waves)
     position = measured.place_mm(stars[:, None, :], waves)
-    fraction, offset, covariance = measured.psf.at(*np.moveaxis(position, -1, 0), waves)
+    x, y = np.moveaxis(position, -1, 0)
+    fraction, offset, covariance = measured.psf.at(x, y, waves)
     half_square, weight = np.polynomial.laguerre.laggauss(order[0])
     azimuth = 2.0 * np.pi * (np.arange(order[1]) + 0.5) / order[1]
     unit_x, unit_y = (np.outer(np.sqrt(2.0 * half_square), f(azimuth)).ravel() for f in (np.cos, np.sin))

@@ -5,7 +5,7 @@ law or reflection in vector form. Points are relative to the current vertex, so 
 length of lens. Light travels towards +z in every vertex frame (`optics.lens.system`), so that path lengths are positive
 on both sides of a mirror.
 
-Failed rays are carried on with meaningless numbers; ``status`` and ``failed_at`` state the first failure in the order
+Failed rays continue with meaningless numbers; ``status`` and ``failed_at`` state the first failure in the order
 intersection, clear aperture, refraction.
 """
 
@@ -23,7 +23,7 @@ from optics.errors import DomainError
 from optics.lens.sag_map import SagMap
 from optics.lens.shapes.base import Hit, Shape
 from optics.lens.system import LensSystem
-from optics.rays.program import LensProgram, Step, compile_lens
+from optics.rays.program import LensProgram, SurfaceStep, compile_lens
 
 OK, MISSED, TOTAL_REFLECTION, VIGNETTED = 0, 1, 2, 3
 MEASURED_STEPS, MEASURED_RESIDUAL_MM = 5, 1e-10
@@ -87,9 +87,7 @@ class Rays:
             raise DomainError(f"ray direction has shape {d.shape}; (..., 3) is needed")
         x, y, z, dx, dy, dz, wavelength = np.broadcast_arrays(
             *(np.asarray(v, float) for v in (x_mm, y_mm, z_mm)),
-            d[..., 0],
-            d[..., 1],
-            d[..., 2],
+            *np.moveaxis(d, -1, 0),
             np.asarray(wavelength_nm, float),
         )
         norm = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -120,7 +118,7 @@ Visitor = Callable[[int, Rays], None]
 """What `trace_program` calls with the number of every surface and the rays on it, in its vertex frame."""
 
 
-def _into_frame(step: Step, theta: Any, p: tuple[Any, Any, Any], d: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+def _into_frame(step: SurfaceStep, theta: Any, p: tuple[Any, Any, Any], d: tuple[Any, Any, Any]) -> tuple[Any, Any]:
     """Point and direction in the step's vertex frame."""
     x, y, z = p
     dx, dy, dz = d
@@ -150,27 +148,27 @@ def _on_measured(
     A ray meets the sag z(x, y) + e(x, y) where the same ray, shifted by -e along z, meets z(x, y); e is that of the
     last point. Every step leaves the slope of e times that of the ray, some 1e-4, of the change before it.
     """
-    lift, change = 0.0 * start[0], 0.0 * start[0]
+    sag_error, change = 0.0 * start[0], 0.0 * start[0]
     for _ in range(MEASURED_STEPS):
-        along = lift / d[2]
+        along = sag_error / d[2]
         hit = shape.intersect(numbers, start[0] + along * d[0], start[1] + along * d[1], d, xp)
         height, slope_x, slope_y, reached = error.at(hit.x, hit.y, xp)
-        change, lift = height - lift, height
+        change, sag_error = height - sag_error, height
     nx, ny = hit.nx / hit.nz - slope_x, hit.ny / hit.nz - slope_y
     scale = 1.0 / xp.sqrt(nx * nx + ny * ny + 1.0)
     cos_i = (nx * d[0] + ny * d[1] + d[2]) * scale
     valid = reached & (change * change < MEASURED_RESIDUAL_MM**2) & (cos_i > 0.0)
     valid = valid if hit.valid is None else hit.valid & valid
-    return Hit(along + hit.path, hit.x, hit.y, hit.z + lift, nx * scale, ny * scale, scale, cos_i, valid)
+    return Hit(along + hit.path, hit.x, hit.y, hit.z + sag_error, nx * scale, ny * scale, scale, cos_i, valid)
 
 
 def _lost(outside: Any, number: int, status: Any, failed_at: Any, xp: ArrayNamespace) -> tuple[Any, Any]:
-    """Status and place of loss where rays meet something dark."""
+    """Status and surface of loss where rays meet something dark."""
     lost = (status == OK) & outside
     return xp.where(lost, VIGNETTED, status), xp.where(lost, number, failed_at)
 
 
-def _cross(number: int, step: Step, theta: Any, index: Sequence[Any], rays: Rays, xp: ArrayNamespace) -> Rays:
+def _cross(number: int, step: SurfaceStep, theta: Any, index: Sequence[Any], rays: Rays, xp: ArrayNamespace) -> Rays:
     """Rays at the next surface, in its vertex frame, after refraction or reflection."""
     (x, y, z), d = _into_frame(step, theta, (rays.x, rays.y, rays.z), (rays.dx, rays.dy, rays.dz))
     status, failed_at = rays.status, rays.failed_at
@@ -197,19 +195,19 @@ def _cross(number: int, step: Step, theta: Any, index: Sequence[Any], rays: Rays
         inside = kind.inside(theta[at : at + size], hit.x, hit.y, xp)
         status, failed_at = _lost(inside if obscures else ~inside, number, status, failed_at, xp)
     if step.mirror:
-        bend = -2.0 * hit.cos_i
-        d = (d[0] + bend * hit.nx, d[1] + bend * hit.ny, d[2] + bend * hit.nz)
+        normal = -2.0 * hit.cos_i
+        d = (d[0] + normal * hit.nx, d[1] + normal * hit.ny, d[2] + normal * hit.nz)
     elif step.shape.redirects:
         d, path = step.shape.redirect(numbers, hit, d, (n1, index[step.after], index[0]), xp)
         opl = opl + path
-    elif step.before != step.after:
+    elif step.before != step.after:  # Snell's law in vector form: d' = eta d + (cos i' - eta cos i) N
         eta = n1 / index[step.after]
-        k = 1.0 - eta * eta * (1.0 - hit.cos_i * hit.cos_i)
-        reflected = (status == OK) & (k < 0.0)
+        cos2 = 1.0 - eta * eta * (1.0 - hit.cos_i * hit.cos_i)
+        reflected = (status == OK) & (cos2 < 0.0)
         status = xp.where(reflected, TOTAL_REFLECTION, status)
         failed_at = xp.where(reflected, number, failed_at)
-        bend = xp.sqrt(xp.maximum(k, 0.0)) - eta * hit.cos_i
-        d = (eta * d[0] + bend * hit.nx, eta * d[1] + bend * hit.ny, eta * d[2] + bend * hit.nz)
+        normal = xp.sqrt(xp.maximum(cos2, 0.0)) - eta * hit.cos_i
+        d = (eta * d[0] + normal * hit.nx, eta * d[1] + normal * hit.ny, eta * d[2] + normal * hit.nz)
     return Rays(
         x=hit.x, y=hit.y, z=hit.z, dx=d[0], dy=d[1], dz=d[2],
         wavelength_nm=rays.wavelength_nm, opl_mm=opl, status=status, failed_at=failed_at,
@@ -246,15 +244,8 @@ def trace_program(
         rays = _cross(number, step, theta, index, rays, xp)
         if visit is not None:
             visit(number, rays)
-    # the image plane is flat, so that z is the plain number 0; adding 0 x makes it an array of the rays' own library
+    # the image plane is flat, so that z is the plain number 0; adding 0 x makes it an array of the library of the rays
     return replace(rays, z=rays.z + 0.0 * rays.x)
-
-
-def _trace_on_numpy(lens: LensSystem, rays: Rays, visit: Visitor | None = None) -> Rays:
-    lens.check_wavelength(rays.wavelength_nm)
-    program, theta = compile_lens(lens)
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        return trace_program(program, NUMPY.parameters(theta), rays, NUMPY, visit)
 
 
 def trace(lens: LensSystem, rays: Rays, visit: Visitor | None = None) -> Rays:
@@ -279,7 +270,10 @@ def trace(lens: LensSystem, rays: Rays, visit: Visitor | None = None) -> Rays:
     DomainError
         If a wavelength is outside the range of one of the glasses.
     """
-    return _trace_on_numpy(lens, rays, visit)
+    lens.check_wavelength(rays.wavelength_nm)
+    program, theta = compile_lens(lens)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        return trace_program(program, NUMPY.parameters(theta), rays, NUMPY, visit)
 
 
 def surface_normal(n1: Any, before: NDArray[Any], n2: Any, after: NDArray[Any]) -> NDArray[np.float64]:
@@ -296,10 +290,10 @@ def trace_path(lens: LensSystem, rays: Rays) -> NDArray[np.float64]:
     """Points where NumPy rays meet every surface and the image plane, in the lens frame; for drawings."""
     points = [np.stack([rays.x, rays.y, rays.z], axis=-1)]
 
-    def keep(number: int, rays: Rays) -> None:
+    def visit(number: int, rays: Rays) -> None:
         position, rotation = lens.poses[number]
         local = np.stack(np.broadcast_arrays(rays.x, rays.y, rays.z), axis=-1)
         points.append(np.where((rays.status == OK)[..., None], local @ rotation.T + position, np.nan))
 
-    _trace_on_numpy(lens, rays, keep)
+    trace(lens, rays, visit)
     return np.stack(points)

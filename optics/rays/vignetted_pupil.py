@@ -22,7 +22,7 @@ from optics.lens.system import LensSystem
 from optics.rays.program import compile_lens
 from optics.rays.ray_aiming import aim_at_stop, aim_frame
 from optics.rays.trace import OK, VIGNETTED, Rays, trace_program
-from optics.records import freeze_all
+from optics.records import freeze_alike
 
 RIM_STEPS, RIM_TOLERANCE = 60, 1e-8
 """Steps of false position; residual in radii of the aperture."""
@@ -53,7 +53,7 @@ class VignettedPupils:
     area_mm2: FloatArray
 
     def __post_init__(self) -> None:
-        freeze_all(self, **dict.fromkeys(("x_mm", "y_mm", "area_mm2"), ("f", "w", "n")))
+        freeze_alike(self, "x_mm", "y_mm", "area_mm2", shape=("f", "w", "n"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,12 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from calib.attitude.attitude_covariance import attitude_of_shifts
 from calib.attitude.attitude_solution import solve_wahba
-from calib.cameras.field_map import fit_field_map
 from experiments.flight.loop import by_budget
 from experiments.flight.prediction import Budget, build_budget
 from experiments.flight.scenario import build_flight
 from experiments.flight.settings import Config
 from optics.attitude import attitude_error_arcsec
+from optics.field_map import fit_field_map
 from optics.stellar_aberration import aberrated
 from optics.units import RAD_ARCSEC
 
