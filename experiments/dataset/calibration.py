@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from astropy.io import fits
 from astropy.io.fits.verify import VerifyWarning
-from numpy.typing import NDArray
 
 from calib.detector.mean_frame import MeanFrame, mean_frame
 from calib.detector.photon_transfer import block_gain
@@ -32,9 +31,9 @@ if TYPE_CHECKING:
 FOLDER = "calibration"
 SHORTEST_S = 1e-6
 FLAT_FRACTION = 0.5
-"""Of the range to saturation."""
+"""Level of the flat over the saturation."""
 BLOCK_PX = 32
-"""A pixel's own gain from 20 frames would be known to a third; that of a block of this side [px] to 1 %."""
+"""Side of a gain block: from 20 frames, the gain of a block has an error of 1 %, that of a pixel of a third."""
 
 
 def write_calibration(scene: DatasetScene, folder: Path, frames: int, done: Callable[[], None]) -> str:
@@ -47,15 +46,14 @@ def write_calibration(scene: DatasetScene, folder: Path, frames: int, done: Call
         root.mkdir(exist_ok=True)
     except OSError as error:
         raise storage_error(root, error) from None
-    span_e = chip.saturation_e
     bias = _master(scene, "bias", frames, 0.0, SHORTEST_S)
     done()
     dark = _master(scene, "dark", frames, 0.0, config.exposure_s)
     done()
-    light = _master(scene, "flat", frames, FLAT_FRACTION * span_e, config.exposure_s)
-    signal, signal_error = light.mean_dn - dark.mean_dn, np.hypot(light.error_dn, dark.error_dn)
+    flat = _master(scene, "flat", frames, FLAT_FRACTION * chip.saturation_e, config.exposure_s)
+    signal, signal_error = flat.mean_dn - dark.mean_dn, np.hypot(flat.error_dn, dark.error_dn)
     level = float(np.median(signal))
-    gain, gain_error = block_gain(light, dark, block_px=BLOCK_PX)
+    gain, gain_error = block_gain(flat, dark, block_px=BLOCK_PX)
     for name, image, noise, unit in (
         ("bias", bias.mean_dn, bias.error_dn, "adu"),
         ("dark", dark.mean_dn, dark.error_dn, "adu"),
@@ -65,9 +63,12 @@ def write_calibration(scene: DatasetScene, folder: Path, frames: int, done: Call
         seconds = SHORTEST_S if name == "bias" else config.exposure_s
         cards = [("IMAGETYP", name, "calibration product"), ("NCOMBINE", frames, "frames"), ("BUNIT", unit, "")]
         header = fits.Header([*cards, ("EXPTIME", seconds, "[s]"), *instrument_cards(scene.instrument)])
-        _write(root / f"{name}.fits", header, image.astype(np.float32), noise.astype(np.float32))
+        extension = fits.Header([("EXTNAME", "ERR", "standard error"), ("BUNIT", unit, "")])
+        units = [fits.PrimaryHDU(image.astype(np.float32), header), fits.ImageHDU(noise.astype(np.float32), extension)]
+        write_whole(root / f"{name}.fits", fits_bytes(units))
     cards = [("IMAGETYP", "defect_map", "1: hot, dead, or in a gap"), *instrument_cards(scene.instrument)]
-    _write(root / "defect_map.fits", fits.Header(cards), sensor_maps(chip).defect.astype(np.uint8), None)
+    defect = fits.PrimaryHDU(sensor_maps(chip).defect.astype(np.uint8), fits.Header(cards))
+    write_whole(root / "defect_map.fits", fits_bytes([defect]))
     done()
     return f"bias, dark, flat, gain map and defect map of {frames} frames each, with their standard errors"
 
@@ -80,21 +81,13 @@ def _master(scene: DatasetScene, name: str, frames: int, electrons: float, expos
     )
 
 
-def _write(path: Path, header: fits.Header, image: NDArray[Any], error: NDArray[Any] | None) -> None:
-    units = [fits.PrimaryHDU(image, header)]
-    if error is not None:
-        beside = fits.Header([("EXTNAME", "ERR", "standard error"), ("BUNIT", header["BUNIT"], "")])
-        units.append(fits.ImageHDU(error, beside))
-    write_whole(path, fits_bytes(units))
-
-
 def fits_bytes(units: list[Any]) -> bytes:
     """FITS file of header units, with checksums; the same input gives the same bytes."""
-    content, held = fits.HDUList(units), io.BytesIO()
+    content, stream = fits.HDUList(units), io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", VerifyWarning)  # comments behind long names are cut off
         content.update_extend()
-        for one in content:
-            one.add_checksum(when=" ")  # no time in it: the same dataset has the same bytes
-        content.writeto(held)
-    return held.getvalue()
+        for unit in content:
+            unit.add_checksum(when=" ")  # without a time, which would change the bytes
+        content.writeto(stream)
+    return stream.getvalue()

@@ -46,8 +46,8 @@ def write_closing_files(
         (folder / "index.ecsv").write_bytes(index_bytes(records, "ecsv", truth))
     (folder / "index.parquet").write_bytes(index_bytes(records, "parquet", truth))
     for split in PARTS:
-        if some := [record for record in records if record.split == split]:
-            (folder / f"index_{split}.parquet").write_bytes(index_bytes(some, "parquet", truth))
+        if members := [record for record in records if record.split == split]:
+            (folder / f"index_{split}.parquet").write_bytes(index_bytes(members, "parquet", truth))
     (folder / "croissant.json").write_text(croissant(scene, records, folder), encoding="utf-8")
     card = data_card(scene, records, exports=exports, baseline=baseline, page=example is not None)
     (folder / "README.md").write_text(card, encoding="utf-8")
@@ -70,9 +70,6 @@ def about(config: DatasetConfig, catalogue: StarCatalog) -> dict[str, str]:
     return {name: " ".join(text.split()) for name, text in texts.items()}
 
 
-# --- Data card: the README.md of a dataset; its words stand in ``data_card.md``
-
-
 def data_card(
     scene: DatasetScene,
     records: Sequence[FrameRecord],
@@ -81,7 +78,7 @@ def data_card(
     baseline: Mapping[str, str],
     page: bool,
 ) -> str:
-    """Markdown; the text depends on the dataset alone, not on its makers or the time."""
+    """README.md of a dataset, from ``data_card.md``; the text depends on the dataset alone."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(
@@ -109,7 +106,7 @@ def data_card(
         fastest_deg_per_s=max(math.hypot(*record.rate_deg_per_s) for record in records),
         splits=PARTS,
         gaps=sum(record.split == GAP for record in records),
-        leaks=leakage(boresights, scene.diagonal_deg),
+        leaks=leakage(boresights, scene.instrument.diagonal_deg),
         identity_file=IDENTITY,
         truth_columns=COLUMNS,
         index_columns=INDEX_COLUMNS,
@@ -121,14 +118,14 @@ def data_card(
 
 
 def plain_text(value: object) -> str:
-    """Text of users and files for a Markdown table: on one line, nothing in it is markup."""
+    """Text of users and files for a Markdown table: on one line, markup escaped."""
     line = " ".join("".join(c if c.isprintable() else " " for c in str(value)).split())
     return re.sub(r"([\\|`*\[\]<>&#])", lambda match: f"&#{ord(match[1])};", line)
 
 
 # --- Croissant 1.0: JSON-LD for dataset catalogues (https://docs.mlcommons.org/croissant/docs/croissant-spec.html)
 
-_OWN_WORDS = (
+_CROISSANT_TERMS = (
     "citeAs column equivalentProperty extract field fileObject fileProperty fileSet format includes isLiveDataset "
     "jsonPath key md5 parentField path recordSet references regex repeated replace samplingRate separator source "
     "subField transform"
@@ -144,15 +141,15 @@ _CONTEXT: dict[str, Any] = {
     "data": {"@id": "cr:data", "@type": "@json"},
     "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
     "examples": {"@id": "cr:examples", "@type": "@json"},
-    **{word: f"cr:{word}" for word in _OWN_WORDS.split()},
+    **{word: f"cr:{word}" for word in _CROISSANT_TERMS.split()},
 }
 _TYPES = {"str": "sc:Text", "int32": "cr:Int32", "int64": "cr:Int64", "float64": "cr:Float64"}
 _PARQUET = "application/x-parquet"
 
 
 def croissant(scene: DatasetScene, records: Sequence[FrameRecord], folder: Path) -> str:
-    """JSON-LD text of what a dataset holds; ``folder`` holds the index."""
-    words = about(scene.config, scene.catalogue)
+    """JSON-LD text of the content of a dataset; ``folder`` holds the index."""
+    texts = about(scene.config, scene.catalogue)
     truth = scene.config.files.truth
     files = [
         {
@@ -173,11 +170,11 @@ def croissant(scene: DatasetScene, records: Sequence[FrameRecord], folder: Path)
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.0",
-        "name": words["title"],
+        "name": texts["title"],
         "description": f"{len(records)} synthetic frames of a star sensor, each with the truth of every star",
-        "version": words["version"],
-        "license": words["licence_url"] or words["licence"],
-        "citeAs": words["citation"],
+        "version": texts["version"],
+        "license": texts["licence_url"] or texts["licence"],
+        "citeAs": texts["citation"],
         "distribution": files,
         "recordSet": sets,
     }
@@ -185,8 +182,8 @@ def croissant(scene: DatasetScene, records: Sequence[FrameRecord], folder: Path)
 
 
 def _file_set(name: str, glob: str, kind: str, text: str) -> dict[str, Any]:
-    head = {"@type": "cr:FileSet", "@id": name, "name": name, "description": text}
-    return head | {"includes": glob, "encodingFormat": kind}
+    entry = {"@type": "cr:FileSet", "@id": name, "name": name, "description": text}
+    return entry | {"includes": glob, "encodingFormat": kind}
 
 
 def _record_set(name: str, text: str, columns: Sequence[FileColumn], source: dict[str, Any]) -> dict[str, Any]:
@@ -204,13 +201,13 @@ def _record_set(name: str, text: str, columns: Sequence[FileColumn], source: dic
     return {"@type": "cr:RecordSet", "@id": name, "name": name, "description": text, "field": fields}
 
 
-# --- Contact sheet: small pictures of frames, side by side
+# --- Contact sheet
 
 ROWS, COLUMNS_OF_SHEET = 4, 6
 TITLE_IN = 0.15
 
 
-def chosen(records: Sequence[FrameRecord]) -> list[FrameRecord]:
+def sheet_records(records: Sequence[FrameRecord]) -> list[FrameRecord]:
     """Frames for the sheet, spread evenly over the dataset."""
     count = min(ROWS * COLUMNS_OF_SHEET, len(records))
     return [records[i] for i in np.unique(np.linspace(0, len(records) - 1, count).round().astype(int))]
@@ -221,30 +218,30 @@ def contact_sheet(folder: Path, records: Sequence[FrameRecord]) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    shown = chosen(records)
+    shown = sheet_records(records)
     columns = min(COLUMNS_OF_SHEET, len(shown))
     rows = -(-len(shown) // columns)
     pictures = [preview(read_frame(folder / record.file)) for record in shown]
     height, width = pictures[0].shape
-    tall = 2.0 * height / width
-    inches = (2.0 * columns, (tall + TITLE_IN) * rows)
+    panel_in = 2.0 * height / width
+    inches = (2.0 * columns, (panel_in + TITLE_IN) * rows)
     figure = Figure(figsize=inches, dpi=150, facecolor="#111418")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     figure.subplots_adjust(left=0.004, right=0.996, bottom=0.004, top=1.0 - TITLE_IN / inches[1])
-    figure.subplots_adjust(wspace=0.02, hspace=TITLE_IN / tall)
-    for place in axes:
-        place.set_axis_off()
-    for place, record, picture in zip(axes, shown, pictures, strict=False):
-        place.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    figure.subplots_adjust(wspace=0.02, hspace=TITLE_IN / panel_in)
+    for panel in axes:
+        panel.set_axis_off()
+    for panel, record, picture in zip(axes, shown, pictures, strict=False):
+        panel.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
         title = f"{record.frame}   {record.ra_deg:.1f}° {record.dec_deg:+.1f}°   {record.stars} stars"
-        place.set_title(title, color="#d7dbe0", fontsize=6.5, pad=2.0)
+        panel.set_title(title, color="#d7dbe0", fontsize=6.5, pad=2.0)
     buffer = io.BytesIO()
     FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
 
 
 def _write_frame_page(source: Path, records: Sequence[FrameRecord], example: Example, folder: Path) -> None:
-    """``frame.html``: the frame that the report shows, to zoom into."""
+    """``frame.html``: the frame of the report, zoomable."""
     from calib.figures import star_marks
     from experiments.laboratory.bench.truth_marks import truth_marks
     from optics.fits import image_header

@@ -37,30 +37,27 @@ if TYPE_CHECKING:
     from render.records import PsfGrid
 
 
-# --- Which star a detection belongs to
-
 MATCH_PX = 2.0
-"""A detection this near to the light of a star is that star; both must be each other's nearest. Saturated stars:
-`NEAR_PX`."""
+"""Largest distance of a detection from its star, if each is the nearest of the other; `NEAR_PX` for saturated stars."""
 NEAR_PX = 4.0
 """A detection farther than this from every rendered star is false."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FoundStars:
+class MatchedStars:
     """Stars of one or more frames, and their detections."""
 
-    magnitude: FloatArray  # (n,) Of every star of which light reaches the detector
+    magnitude: FloatArray  # (n,) Of every star with light on the detector
     snr: FloatArray  # (n,)
     electrons: FloatArray  # (n,)
     flags: NDArray[np.int32]  # (n,) Of the truth (`experiments.dataset.truth.FLAGS`)
-    matched: NDArray[np.bool_]  # (n,) Whether a detection belongs to it
-    fit: NDArray[np.bool_]  # (n,) Whether that detection has no flag of the measurement
-    blend_seen: NDArray[np.bool_]  # (n,) Whether that detection is flagged ``BLEND``
-    error_px: FloatArray  # (n, 2) Centroid minus mean of all light of the star; NaN where there is no centroid
+    matched: NDArray[np.bool_]  # (n,) Whether it is detected
+    fit: NDArray[np.bool_]  # (n,) Whether its detection has no flag
+    blend_flagged: NDArray[np.bool_]  # (n,) Whether its detection is flagged ``BLEND``
+    error_px: FloatArray  # (n, 2) Centroid minus mean of all light of the star; NaN without a centroid
     smear_px: FloatArray  # (n,) Length of its trail
     position_px: FloatArray  # (n, 2) Mean of all its light
-    radius_px: FloatArray  # (n,) Distance from the middle of the detector
+    radius_px: FloatArray  # (n,) Distance from the centre of the detector
     false: NDArray[np.int64]  # (f,) Frames of detections without a star
     false_spike: NDArray[np.bool_]  # (f,) Whether these are flagged as sharper than a star or as defective
     frames: int  # Number of frames
@@ -69,7 +66,7 @@ class FoundStars:
         sizes: dict[str, int] = {}
         for name in ("magnitude", "snr", "electrons", "smear_px", "radius_px"):
             freeze(self, name, shape=("n",), sizes=sizes)
-        for name, kind in (("flags", np.int32), ("matched", np.bool_), ("fit", np.bool_), ("blend_seen", np.bool_)):
+        for name, kind in (("flags", np.int32), ("matched", np.bool_), ("fit", np.bool_), ("blend_flagged", np.bool_)):
             freeze(self, name, shape=("n",), dtype=kind, sizes=sizes)
         for name in ("error_px", "position_px"):
             freeze(self, name, shape=("n", 2), finite=False, sizes=sizes)
@@ -82,61 +79,58 @@ class FoundStars:
 
     @property
     def clean(self) -> NDArray[np.bool_]:
-        """Stars at rest that nothing disturbs: no flag of the truth but a vignetted pupil."""
+        """Undisturbed stars at rest: no flag of the truth except for a vignetted pupil."""
         return np.asarray(((self.flags & ~np.int32(FLAGS["vignetted"][0])) == 0) & (self.smear_px <= SMEAR_PX))
 
 
 def compare_frame(
     frame: int, measured: MeasuredFrame, truth: dict[str, Any], *, width_px: int, height_px: int
-) -> FoundStars:
+) -> MatchedStars:
     """Match the detections of a frame to its truth."""
-    lit = (np.asarray(truth["flags"]) & FLAGS["no_light"][0]) == 0
-    star = np.column_stack([truth["photon_x_px"], truth["photon_y_px"]])[lit]
-    detected = measured.detected_px
-    n = len(star)
-    smear = np.nan_to_num(np.hypot(truth["smear_x_px"], truth["smear_y_px"]))[lit]
-    burnt = (np.asarray(truth["flags"])[lit] & FLAGS["saturated"][0]) != 0  # the top of a plateau is anywhere on it
-    pairs = nearest_pairs(star, detected, np.where(burnt, NEAR_PX, MATCH_PX))
-    partner, lonely = pairs.detection, np.ones(len(detected), bool)
-    if n and len(detected):
-        lonely = pairs.distance_px > NEAR_PX + smear[pairs.star] / 2.0  # a faint trail may break up
-    matched = partner >= 0
-    error = np.full((n, 2), np.nan)
-    error[matched] = measured.stars.pixel_px[partner[matched]] - star[matched]
-    flags = np.zeros(n, np.uint32)
-    flags[matched] = measured.stars.flags[partner[matched]]
-    middle = np.array([(width_px - 1) / 2, (height_px - 1) / 2])
-    return FoundStars(
-        magnitude=np.asarray(truth["magnitude"])[lit],
-        snr=np.asarray(truth["snr"])[lit],
-        electrons=np.asarray(truth["electrons"])[lit],
-        flags=np.asarray(truth["flags"], np.int32)[lit],
+    lit = (truth["flags"] & FLAGS["no_light"][0]) == 0
+    position_px = np.column_stack([truth["photon_x_px"], truth["photon_y_px"]])[lit]
+    true_flags, detected_px = truth["flags"][lit], measured.detected_px
+    n = len(position_px)
+    smear_px = np.nan_to_num(np.hypot(truth["smear_x_px"], truth["smear_y_px"]))[lit]
+    saturated = (true_flags & FLAGS["saturated"][0]) != 0  # detected anywhere on its plateau
+    pairs = nearest_pairs(position_px, detected_px, np.where(saturated, NEAR_PX, MATCH_PX))
+    detection, false = pairs.detection, np.ones(len(detected_px), bool)
+    if n and len(detected_px):
+        false = pairs.distance_px > NEAR_PX + smear_px[pairs.star] / 2.0  # a faint trail may break up
+    matched = detection >= 0
+    error_px, flags = np.full((n, 2), np.nan), np.zeros(n, np.uint32)
+    error_px[matched] = measured.stars.pixel_px[detection[matched]] - position_px[matched]
+    flags[matched] = measured.stars.flags[detection[matched]]
+    centre_px = np.array([(width_px - 1) / 2, (height_px - 1) / 2])
+    return MatchedStars(
+        magnitude=truth["magnitude"][lit],
+        snr=truth["snr"][lit],
+        electrons=truth["electrons"][lit],
+        flags=true_flags,
         matched=matched,
         fit=matched & ~has_flag(flags, UNFIT),
-        blend_seen=has_flag(flags, StarFlag.BLEND),
-        error_px=error,
-        smear_px=smear,
-        position_px=star,
-        radius_px=np.hypot(*(star - middle).T) if n else np.zeros(0),
-        false=np.full(np.count_nonzero(lonely), frame),
-        false_spike=measured.stars.sharp[lonely],
+        blend_flagged=has_flag(flags, StarFlag.BLEND),
+        error_px=error_px,
+        smear_px=smear_px,
+        position_px=position_px,
+        radius_px=np.hypot(*(position_px - centre_px).T),
+        false=np.full(np.count_nonzero(false), frame),
+        false_spike=measured.stars.sharp[false],
         frames=1,
     )
 
 
-def joined(parts: list[FoundStars]) -> FoundStars:
-    """Stars of several frames as one record."""
+def joined(parts: list[MatchedStars]) -> MatchedStars:
+    """Stars of several frames in a single record."""
     return concatenated(parts, frames=sum(part.frames for part in parts))
 
 
-# --- Cramer-Rao bound of centroids
-
 BOUND_RADII = (0.0, 0.5, 0.9)
-"""Where PSFs for the bound are taken: parts of the largest distance of a PSF from the middle."""
+"""Positions of the PSFs for the bound: fractions of the largest distance of a PSF from the centre."""
 
 
 def dataset_bound(scene: DatasetScene, psfs: PsfGrid, sky_e: float) -> CentroidBound:
-    """Bound with the PSFs of the lens on an even sky; dark charge and the noise of the mean dark count."""
+    """Bound with the PSFs of the lens on a uniform sky, dark charge and noise of the mean dark frame included."""
     distance = np.hypot(*(psfs.place_px - scene.instrument.camera.centre_px).T)
     chosen = [int(np.abs(distance - part * distance.max()).argmin()) for part in BOUND_RADII]
     return centroid_bound(
@@ -149,9 +143,6 @@ def dataset_bound(scene: DatasetScene, psfs: PsfGrid, sky_e: float) -> CentroidB
     )
 
 
-# --- World coordinates
-
-
 def wcs_misses_px(path: str | Path, truth: dict[str, Any], *, width_px: int, height_px: int) -> FloatArray:
     """Distances (n,) [px] of star positions by astropy's WCS of a file from their chief rays."""
     from astropy.io import fits
@@ -161,32 +152,32 @@ def wcs_misses_px(path: str | Path, truth: dict[str, Any], *, width_px: int, hei
         warnings.simplefilter("ignore", FITSFixedWarning)
         image = next(hdu for hdu in content if hdu.header.get("NAXIS", 0) == 2 or hdu.header.get("ZNAXIS", 0) == 2)
         wcs = WCS(image.header)
-        x, y = np.asarray(truth["chief_x_px"]), np.asarray(truth["chief_y_px"])
+        x, y = truth["chief_x_px"], truth["chief_y_px"]
         inside = (x >= -0.5) & (x <= width_px - 0.5) & (y >= -0.5) & (y <= height_px - 0.5)
-        inside &= (np.asarray(truth["flags"]) & FLAGS["no_light"][0]) == 0
+        inside &= (truth["flags"] & FLAGS["no_light"][0]) == 0
         if not inside.any():
             return np.zeros(0)
-        ra, dec = np.asarray(truth["ra_deg"])[inside], np.asarray(truth["dec_deg"])[inside]
-        at = np.column_stack(pixel_from_fits(*wcs.all_world2pix(ra, dec, 1, tolerance=1e-6)))
-    return np.asarray(np.hypot(at[:, 0] - x[inside], at[:, 1] - y[inside]))
+        sky_deg = truth["ra_deg"][inside], truth["dec_deg"][inside]
+        wcs_x, wcs_y = pixel_from_fits(*wcs.all_world2pix(*sky_deg, 1, tolerance=1e-6))
+    return np.asarray(np.hypot(wcs_x - x[inside], wcs_y - y[inside]))
 
 
-# --- What the sections hold
+# --- Sections
 
 BRIGHT_SNR = 10.0
-"""From here on a star that nothing disturbs is detected."""
+"""From here on an undisturbed star is detected."""
 BOUND_SNR = (8.0, 25.0)
-"""Between these noise alone decides: below, only stars that the noise helped are seen; above, colours and response."""
+"""Range dominated by noise: below, detected stars are biased by their noise; above, colours and response dominate."""
 FEWEST_IN_BIN = 8
-"""Stars in a bin for a centroid error, and for a share of detected stars to count."""
+"""Fewest stars in a bin for a centroid error."""
 BOUND_STARS = 300
-"""Fewer tell the ratio to worse than 5 %: an excess of 25 % would pass."""
+"""Fewer give the ratio to worse than 5 %: an excess of 25 % would pass."""
 BOUND_MARGIN = 1.05
-"""Ratio that interpolation of PSFs and sharp spots explain."""
-MISSED_SHARE = 0.01
-"""Of bright stars that nothing disturbs, not detected."""
+"""Ratio due to interpolation of PSFs and sharp spots."""
+MISSED_FRACTION = 0.01
+"""Of bright undisturbed stars."""
 FALSE_ALARM = 1e-3
-"""Probability that a limit is passed by chance."""
+"""Probability that a limit is exceeded by chance."""
 BINS_PER_DECADE = 6
 MAGNITUDE_STEP = 0.25
 SNR_BINS, LEAST_SNR = 23, 0.5
@@ -194,12 +185,12 @@ SNR_BINS, LEAST_SNR = 23, 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Example:
-    """A frame to be shown."""
+    """Frame of the report."""
 
-    frame: int  # Its number
+    frame: int
     electrons: NDArray[np.float32]  # (h, w) Above the dark
-    measured: MeasuredFrame  # What was detected
-    truth: dict[str, Any]  # Columns of its truth
+    measured: MeasuredFrame
+    truth: dict[str, Any]  # Columns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -269,7 +260,7 @@ class CentroidBin:
 
 
 def detection(
-    stars: FoundStars,
+    stars: MatchedStars,
     bound: CentroidBound,
     *,
     empty_frames: int,
@@ -279,59 +270,60 @@ def detection(
     example: Example | None,
 ) -> dict[str, Any]:
     """Sections of the stars of all frames; ``empty_*``: frames without stars, and unflagged detections in them."""
-    lonely = int((~stars.false_spike).sum())
-    bright = shares(stars, stars.snr, np.array([BRIGHT_SNR, np.inf]))
-    even = stars.clean & (stars.snr >= BRIGHT_SNR)
-    undisturbed = mean_of(stars.matched, even)
-    fine = shares(stars, stars.magnitude, even_edges(stars.magnitude, MAGNITUDE_STEP))
+    unflagged = int((~stars.false_spike).sum())
+    bright = completeness(stars, stars.snr, np.array([BRIGHT_SNR, np.inf]))
+    undisturbed = stars.clean & (stars.snr >= BRIGHT_SNR)
+    detected_fraction = mean_of(stars.matched, undisturbed)
+    curve = completeness(stars, stars.magnitude, even_edges(stars.magnitude, MAGNITUDE_STEP))
     bins = centroid_bins(stars, bound)
-    miss = float(wcs_misses.max()) if len(wcs_misses) else float("nan")
-    some, (ratio, count) = len(stars.magnitude) > 0, mean_ratio(bins)
+    wcs_error_px = float(wcs_misses.max()) if len(wcs_misses) else float("nan")
+    any_star, (ratio, count) = len(stars.magnitude) > 0, mean_ratio(bins)
     spread, limit = robust_ratio_limit(count, BOUND_MARGIN, FALSE_ALARM)
-    excess = rate_excess_sigma(lonely, stars.frames, empty_detections, empty_frames)
+    excess = rate_excess_sigma(unflagged, stars.frames, empty_detections, empty_frames)
     return {
         "detection": Detection(
             frames_looked_at=stars.frames,
             bright_stars=bright[0].stars if bright else 0,
             bright_share=bright[0].share_found.value if bright else float("nan"),
-            bright_undisturbed=undisturbed,
-            bright_missed=1.0 - undisturbed if np.isfinite(undisturbed) else None,
-            bright_missed_limit=missed_limit(int(even.sum()), MISSED_SHARE, FALSE_ALARM),
+            bright_undisturbed=detected_fraction,
+            bright_missed=1.0 - detected_fraction if np.isfinite(detected_fraction) else None,
+            bright_missed_limit=missed_limit(int(undisturbed.sum()), MISSED_FRACTION, FALSE_ALARM),
             magnitude_of_half=limiting_magnitude(stars.magnitude[stars.clean], stars.matched[stars.clean]),
             false_all=len(stars.false) / stars.frames,
-            false_not_flagged=lonely / stars.frames,
+            false_not_flagged=unflagged / stars.frames,
             false_in_empty_frames=empty_detections / empty_frames,
-            false_excess=excess if some and not cosmic_rays else None,  # a track looks like a star to the detection
+            false_excess=excess if any_star and not cosmic_rays else None,  # tracks are detected as stars
             bound_ratio=Measured(value=ratio, uncertainty=spread, n=count) if count >= BOUND_STARS else None,
             bound_limit=limit,
-            wcs_max_error_px=miss,
-            wcs_judged_px=miss if len(wcs_misses) and some else None,
+            wcs_max_error_px=wcs_error_px,
+            wcs_judged_px=wcs_error_px if len(wcs_misses) and any_star else None,
             example=example,
         ),
-        "magnitudes": shares(stars, stars.magnitude, even_edges(stars.magnitude, 1.0), "{low:g} … {high:g}") or None,
-        "magnitude_curve": fine or None,
-        "snr_curve": shares(stars, stars.snr, snr_edges(stars.snr)) or None,
+        "magnitudes": completeness(stars, stars.magnitude, even_edges(stars.magnitude, 1.0), "{low:g} … {high:g}")
+        or None,
+        "magnitude_curve": curve or None,
+        "snr_curve": completeness(stars, stars.snr, snr_edges(stars.snr)) or None,
         "flags": flag_groups(stars),
         "centroids": bins or None,
     }
 
 
-def shares(stars: FoundStars, value: FloatArray, edges: FloatArray, name: str = "") -> list[CompletenessBin]:
-    """Fraction of detected stars in non-empty bins of a value per star; Wilson intervals."""
+def completeness(stars: MatchedStars, value: FloatArray, edges: FloatArray, name: str = "") -> list[CompletenessBin]:
+    """Fraction of detected stars in non-empty bins of a value per star, with Wilson intervals."""
     inside = ~stars.has("off_edge")
     total, _ = np.histogram(value[inside], edges)
     detected, _ = np.histogram(value[inside & stars.matched], edges)
     bins = []
     for k in np.flatnonzero(total):
         low, high = (float(v) for v in binom_conf_interval(detected[k], total[k], interval="wilson"))
-        share = Measured(value=float(detected[k] / total[k]), uncertainty=(high - low) / 2, n=int(total[k]))
+        fraction = Measured(value=float(detected[k] / total[k]), uncertainty=(high - low) / 2, n=int(total[k]))
         bin_ = name.format(low=edges[k], high=edges[k + 1]) if name else float((edges[k] + edges[k + 1]) / 2)
-        bins.append(CompletenessBin(bin=bin_, stars=int(total[k]), share_found=share, low=low, high=high))
+        bins.append(CompletenessBin(bin=bin_, stars=int(total[k]), share_found=fraction, low=low, high=high))
     return bins
 
 
 def even_edges(values: FloatArray, step: float) -> FloatArray:
-    """Edges of bins of equal width from the whole number below the smallest value; two of them hold no values."""
+    """Edges of bins of equal width from the integer below the smallest value; two without values."""
     if not len(values):
         return np.array([0.0, step])
     return np.arange(np.floor(values.min()), values.max() + step, step)
@@ -344,12 +336,12 @@ def snr_edges(snr: FloatArray) -> FloatArray:
     return np.geomspace(max(LEAST_SNR, positive.min()), positive.max() * 1.001, SNR_BINS + 1)
 
 
-def mean_of(values: NDArray[np.bool_], which: NDArray[np.bool_]) -> float:
-    """Share of the chosen stars for which something holds; NaN where none is chosen."""
-    return float(values[which].mean()) if which.any() else float("nan")
+def mean_of(values: NDArray[np.bool_], selected: NDArray[np.bool_]) -> float:
+    """Fraction of the selected stars with a property; NaN without selected stars."""
+    return float(values[selected].mean()) if selected.any() else float("nan")
 
 
-def flag_groups(stars: FoundStars) -> list[FlagGroup]:
+def flag_groups(stars: MatchedStars) -> list[FlagGroup]:
     """Detection of the flagged stars, by flag."""
     groups = {name: (about, stars.has(name)) for name, (_, about) in FLAGS.items()}
     groups = {name: group for name, group in groups.items() if group[1].any()} | {"none": ("undisturbed", stars.clean)}
@@ -357,43 +349,43 @@ def flag_groups(stars: FoundStars) -> list[FlagGroup]:
         FlagGroup(
             flag=name,
             meaning=about,
-            stars=int(mine.sum()),
-            share_found=mean_of(stars.matched, mine),
-            share_fit=mean_of(stars.fit, mine),
-            share_blend=mean_of(stars.blend_seen, mine & stars.matched),
+            stars=int(members.sum()),
+            share_found=mean_of(stars.matched, members),
+            share_fit=mean_of(stars.fit, members),
+            share_blend=mean_of(stars.blend_flagged, members & stars.matched),
         )
-        for name, (about, mine) in groups.items()
+        for name, (about, members) in groups.items()
     ]
 
 
-def centroid_bins(stars: FoundStars, bound: CentroidBound) -> list[CentroidBin]:
-    """Errors of the stars that no flag, of truth or measurement, speaks against."""
+def centroid_bins(stars: MatchedStars, bound: CentroidBound) -> list[CentroidBin]:
+    """Errors of undisturbed stars whose detection has no flag."""
     good = stars.clean & stars.fit & np.isfinite(stars.error_px).all(axis=1) & (stars.snr > 0)
     snr, error = stars.snr[good], stars.error_px[good]
     limit = bound.at(stars.electrons[good], stars.position_px[good], stars.radius_px[good])
     number = np.floor(np.log10(snr) * BINS_PER_DECADE).astype(int)
     bins = []
     for k in np.unique(number):
-        mine = number == k
-        count = int(mine.sum())
+        members = number == k
+        count = int(members.sum())
         if count < FEWEST_IN_BIN:
             continue
-        spread, uncertainty = robust_scatter(error[mine])
-        off = error[mine] - np.median(error[mine], axis=0)
+        spread, uncertainty = robust_scatter(error[members])
+        deviation = error[members] - np.median(error[members], axis=0)
         bins.append(
             CentroidBin(
-                snr=float(np.median(snr[mine])),
+                snr=float(np.median(snr[members])),
                 stars=count,
                 error_px=Measured(value=spread, uncertainty=uncertainty),
-                bound_px=float(np.median(limit[mine])),
-                ratio=robust_rms(off / limit[mine]),
+                bound_px=float(np.median(limit[members])),
+                ratio=robust_rms(deviation / limit[members]),
             )
         )
     return bins
 
 
 def mean_ratio(bins: Sequence[CentroidBin]) -> tuple[float, int]:
-    """Mean ratio of error and bound where noise alone decides (`BOUND_SNR`), NaN for none, and its stars."""
+    """Mean ratio of error and bound within `BOUND_SNR`, NaN for none, and its number of stars."""
     inside = [bin_ for bin_ in bins if BOUND_SNR[0] <= bin_.snr <= BOUND_SNR[1]]
     count = sum(bin_.stars for bin_ in inside)
     return (sum(bin_.ratio * bin_.stars for bin_ in inside) / count if count else float("nan")), count
@@ -408,9 +400,9 @@ def example_frame(outcome: Outcome) -> Figure:
     height, width = example.electrons.shape
     figure, axis = new_figure(aspect_ratio=min(0.75, 0.08 + 0.92 * height / width))
     draw_image(example.electrons, axis)
-    place, fit = example.measured.detected_px, example.measured.fit
-    axis.scatter(*place[fit].T, s=26, facecolors="none", edgecolors=PALETTE[5], linewidths=0.8)
-    axis.scatter(*place[~fit].T, s=26, marker="s", facecolors="none", edgecolors=PALETTE[4], linewidths=0.8)
+    position_px, fit = example.measured.detected_px, example.measured.fit
+    axis.scatter(*position_px[fit].T, s=26, facecolors="none", edgecolors=PALETTE[5], linewidths=0.8)
+    axis.scatter(*position_px[~fit].T, s=26, marker="s", facecolors="none", edgecolors=PALETTE[4], linewidths=0.8)
     return figure
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from calib.cameras.fit import fit_camera
 from calib.measure.reduced_frame import FrameReduction, measure_frame
 from experiments.dataset import detection, solve
 from experiments.dataset.calibration import write_calibration
-from experiments.dataset.card import about, chosen, write_closing_files
+from experiments.dataset.card import about, sheet_records, write_closing_files
 from experiments.dataset.detection import Example, compare_frame, dataset_bound, joined, wcs_misses_px
 from experiments.dataset.exports import COCO, WEBDATASET, check_webdataset, export_coco, export_shards
 from experiments.dataset.folder import DatasetFolder, StorageError, for_workers, frame_files, in_words, software
@@ -42,13 +42,12 @@ from render.psf_lattice import render_psf_grid
 from render.sensor_file.filters import open_band
 
 EXPORTS = (COCO, WEBDATASET)
-"""Exports; names as of their folders."""
 EMPTY = "empty"
 """Random streams of frames without stars."""
-SMALLEST_SHARE = {"none": 1.0, "rice": 0.1, "gzip": 0.1}
-"""No frame with noise is packed smaller than this."""
-FAINTEST_SHARE = 0.5
-"""Least size of a packed frame over that of the first, which may hold the Moon, or a mask that the others lack."""
+SMALLEST_FRACTION = {"none": 1.0, "rice": 0.1, "gzip": 0.1}
+"""Lower bound of the compressed size of a frame with noise."""
+FAINTEST_FRACTION = 0.5
+"""Lower bound of the size of a packed frame over that of the first, which may hold the Moon or a mask."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,23 +61,20 @@ class CompleteDataset:
     workers: int = col("Processes")
     stars: int = col("Star images")
     frames_without_stars: int = col("Frames without stars")
-    damaged: tuple[int, ...]  # Frames that were there and damaged; they were made again
-    folder: Path  # Where the dataset is
-    scene: DatasetScene  # What the frames have in common
-    records: tuple[FrameRecord, ...]  # One per frame, in their order
-    exports: Mapping[str, str]  # Name of an export -> what was written, in words
+    damaged: tuple[int, ...]  # Existing frames that were damaged and rendered again
+    folder: Path
+    scene: DatasetScene
+    records: tuple[FrameRecord, ...]  # By frame number
+    exports: Mapping[str, str]  # Name of an export -> its content, in words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solver:
-    """What frames are solved with."""
+    """Camera model and mode of the attitude solution."""
 
     camera_model_max_px: float = col("Camera model, largest misfit", "px", ".1e")
-    temperature_k: float  # Colour of the stars that the camera is calibrated for: the median
+    temperature_k: float  # Median star temperature, for which the camera is calibrated
     blind: bool  # Whether stars were identified without a rough attitude
-
-
-# --- Make what is missing
 
 
 def run(config: DatasetConfig, *, progress: Progress, output: DatasetFolder) -> dict[str, Any]:
@@ -87,36 +83,31 @@ def run(config: DatasetConfig, *, progress: Progress, output: DatasetFolder) -> 
         if "webdataset" in config.exports:
             check_webdataset()
         scene = build_scene(config)
-        _check_window(config, scene)
+        camera = scene.instrument.camera
+        if config.verify.frames and min(camera.width_px, camera.height_px) < config.window_px:
+            raise ConfigError(
+                f"window_px = {config.window_px} px; the window does not fit the detector of "
+                f"{camera.width_px} x {camera.height_px} px: take a larger instrument.height_px or width_px, or set "
+                "verify.frames = 0"
+            )
     if remark := focus_remark(scene.instrument, scene.light.wavelength_nm.ravel()):
         progress.note(remark)
     backend = Engine.active().backend
     job = Job(config=for_workers(config).model_dump_json(), folder=str(output.path), backend=backend, url=output.url)
     output.open(software(backend))
     try:
-        made = _complete(scene, output, job, progress)
-        output.fetch(_needed(config, output, made["records"]))
-        exports = _export(scene, output.path, made["records"], progress)
-        frames = CompleteDataset(**made, folder=output.path, scene=scene, exports=exports)
-        return (
-            dict.fromkeys(SECTIONS)
-            | {"frames": frames}
-            | _look_at(scene, output.path, made["records"][: config.verify.frames], progress)
-        )
+        completed = _complete(scene, output, job, progress)
+        records = completed["records"]
+        evaluated = records[: config.verify.frames]
+        exported = bool(config.exports) or any((output.path / name).is_dir() for name in EXPORTS)
+        needed = records if exported else (*evaluated, *sheet_records(records))
+        output.fetch(dict.fromkeys([*(record.truth for record in records), *(record.file for record in needed)]))
+        exports = _export(scene, output.path, records, progress)
+        frames = CompleteDataset(**completed, folder=output.path, scene=scene, exports=exports)
+        return dict.fromkeys(SECTIONS) | {"frames": frames} | evaluate(output.path, scene, evaluated, progress)
     except BaseException:
         output.close()
         raise
-
-
-def _check_window(config: DatasetConfig, scene: DatasetScene) -> None:
-    """Refuse a detector too small for the evaluation, before rendering."""
-    camera = scene.instrument.camera
-    if config.verify.frames and min(camera.width_px, camera.height_px) < config.window_px:
-        raise ConfigError(
-            f"window_px = {config.window_px} px; the window does not fit the detector of "
-            f"{camera.width_px} x {camera.height_px} px: take a larger instrument.height_px or width_px, or set "
-            "verify.frames = 0"
-        )
 
 
 def _complete(scene: DatasetScene, output: DatasetFolder, job: Job, progress: Progress) -> dict[str, Any]:
@@ -124,14 +115,14 @@ def _complete(scene: DatasetScene, output: DatasetFolder, job: Job, progress: Pr
     config, camera = scene.config, scene.instrument.camera
     if output.repaired:
         progress.note(f"{output.shown}: {output.repaired}")
-    there = output.numbers()
+    existing = output.numbers()
     with prompt_pool() as pool:
-        checked = progress.track(pool.map(output.checked, there), "check existing frames", total=len(there))
+        checked = progress.track(pool.map(output.checked, existing), "check existing frames", total=len(existing))
         records = {record.frame: record for record in checked if record is not None}
-    damaged = tuple(frame for frame in there if frame not in records)
+    damaged = tuple(frame for frame in existing if frame not in records)
     missing = [frame for frame in range(config.frames) if frame not in records]
     if missing:
-        bytes_each = 2 * camera.width_px * camera.height_px * SMALLEST_SHARE[config.files.compression]
+        bytes_each = 2 * camera.width_px * camera.height_px * SMALLEST_FRACTION[config.files.compression]
         if config.files.layers and config.files.compression == "none":  # stars and dark at least
             bytes_each += 8 * camera.width_px * camera.height_px
         output.check_room(len(missing) * bytes_each)
@@ -140,8 +131,8 @@ def _complete(scene: DatasetScene, output: DatasetFolder, job: Job, progress: Pr
 
         def done(batch: Sequence[FrameRecord]) -> None:
             records.update({record.frame: record for record in batch})
-            if not times and config.files.compression != "none":  # by now it is known how well frames are packed
-                output.check_room((len(missing) - len(batch)) * batch[0].frame_bytes * FAINTEST_SHARE)
+            if not times and config.files.compression != "none":  # the first batch shows the compression
+                output.check_room((len(missing) - len(batch)) * batch[0].frame_bytes * FAINTEST_FRACTION)
             times.append((time.perf_counter(), len(batch)))
             stage.advance(len(batch))
 
@@ -157,9 +148,10 @@ def _complete(scene: DatasetScene, output: DatasetFolder, job: Job, progress: Pr
     if len(times) > 1:
         rate = sum(count for _, count in times[1:]) / (times[-1][0] - times[0][0])
     ordered = tuple(records[frame] for frame in range(config.frames))
-    output.digests |= {record.file: record.sha256 for record in ordered}
-    apart = {frame_files(one.frame, config.files.truth)[2]: one.layers_sha256 for one in ordered if one.layers_sha256}
-    output.digests |= apart
+    for record in ordered:
+        output.digests[record.file] = record.sha256
+        if record.layers_sha256:
+            output.digests[frame_files(record.frame, config.files.truth)[2]] = record.layers_sha256
     if damaged:
         progress.note(f"{output.shown}: damaged frames are rendered again: {in_words(damaged)}")
     stars = [record.stars for record in ordered]
@@ -175,19 +167,11 @@ def _complete(scene: DatasetScene, output: DatasetFolder, job: Job, progress: Pr
     }
 
 
-def _needed(config: DatasetConfig, output: DatasetFolder, records: Sequence[FrameRecord]) -> list[str]:
-    """Files needed on this machine: every truth, and frames for exports, report and contact sheet."""
-    exported = bool(config.exports) or any((output.path / name).is_dir() for name in EXPORTS)
-    some = records if exported else (*records[: config.verify.frames], *chosen(records))
-    return list(dict.fromkeys([*(record.truth for record in records), *(record.file for record in some)]))
-
-
 def _export(scene: DatasetScene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, str]:
-    """The exports wanted; name -> what was written, in words."""
+    """Requested exports, and existing ones updated; name -> content, in words."""
     config = scene.config
     written: dict[str, str] = {}
-    there = {name for name in EXPORTS if (folder / name).is_dir()}  # what was exported once is kept up to date
-    for name in sorted({*config.exports, *there}):
+    for name in sorted({*config.exports, *(name for name in EXPORTS if (folder / name).is_dir())}):
         with progress.stage(f"export {name}", total=len(records)) as stage:
             if name == WEBDATASET:
                 written[name] = export_shards(folder, records, done=stage.advance)
@@ -207,61 +191,47 @@ def _export(scene: DatasetScene, folder: Path, records: Sequence[FrameRecord], p
     return written
 
 
-# --- Look at the first frames as others will: read back from the files, stars measured, attitudes solved blind
-
-
-def _look_at(scene: DatasetScene, folder: Path, records: Sequence[FrameRecord], progress: Progress) -> dict[str, Any]:
+def evaluate(folder: Path, scene: DatasetScene, records: Sequence[FrameRecord], progress: Progress) -> dict[str, Any]:
+    """Sections of detection and attitude solution, from the files of frames."""
     if not records:
         return {}
-    with progress.stage("star patterns of the sky (computed once, then kept on disk)"):
-        patterns = star_patterns(scene)
-    with progress.stage("evaluate frames", total=len(records)) as stage:
-        return evaluate(folder, scene, records, patterns=patterns, advance=stage.advance)
-
-
-def evaluate(
-    folder: Path, scene: DatasetScene, records: Sequence[FrameRecord], *, patterns: Any, advance: Callable[[], None]
-) -> dict[str, Any]:
-    """Sections of detection and solution of the frames of a dataset."""
     config, camera, instrument = scene.config, scene.instrument.camera, scene.instrument
     streams, dark_frames = scene.plan.streams.child("verify"), config.verify.dark_frames
-    dark = mean_dark_frame(instrument, dark_frames, streams=streams, label=EMPTY)
-    temperature_k = float(np.median(scene.sky.temperature_k))
-    psfs = render_psf_grid(instrument, scene.light, temperature_k=temperature_k, window_px=config.window_px)
-    reduction = FrameReduction(
-        dark_dn=dark,
-        noise=true_noise(instrument, dark_frames=dark_frames),
-        centroid=config.centroid,
-        window_px=config.window_px,
-        threshold_sigma=config.threshold_sigma,
-        psfs=psfs if needs_epsf(config.centroid) else None,
-    )
-    known = instrument.pixel_map(open_band(config.passband, instrument), temperature_k=temperature_k)
-    calibration = fit_camera(known)
-    solver = BlindSolver(scene, calibration, patterns)
+    with progress.stage("prepare the evaluation (star patterns are computed once, then kept on disk)"):
+        dark = mean_dark_frame(instrument, dark_frames, streams=streams, label=EMPTY)
+        temperature_k = float(np.median(scene.sky.temperature_k))
+        psfs = render_psf_grid(instrument, scene.light, temperature_k=temperature_k, window_px=config.window_px)
+        reduction = FrameReduction(
+            dark_dn=dark,
+            noise=true_noise(instrument, dark_frames=dark_frames),
+            centroid=config.centroid,
+            window_px=config.window_px,
+            threshold_sigma=config.threshold_sigma,
+            psfs=psfs if needs_epsf(config.centroid) else None,
+        )
+        band = open_band(config.passband, instrument)
+        calibration = fit_camera(instrument.pixel_map(band, temperature_k=temperature_k))
+        solver = BlindSolver(scene, calibration, star_patterns(scene))
     size = {"width_px": camera.width_px, "height_px": camera.height_px}
     stars, solved, misses = [], [], [np.zeros(0)]
     example: Example | None = None
-    for record in records:
+    for record in progress.track(records, "evaluate frames", total=len(records)):
         frame, table = read_frame(folder / record.file), read_table(folder / record.truth)
         truth = {name: np.asarray(table[name]) for name in table.colnames}
         smear = np.hypot(truth["smear_x_px"], truth["smear_y_px"])
         measured = measure_frame(frame, reduction, smear_px=float(np.nanmax(smear, initial=0.0)))
         stars.append(compare_frame(record.frame, measured, truth, **size))
-        if not (config.instrument.line_time_us and any(record.rate_deg_per_s)):  # rows with attitudes of their own
+        if not (config.instrument.line_time_us and any(record.rate_deg_per_s)):  # else the attitude differs by row
             misses.append(wcs_misses_px(folder / record.file, truth, **size))
         if not solver.missing:
             solved.append(solver.solve(record, measured.at_once(solver.turned(record, measured))))
         if example is None and record.stars:
             light = (frame.dn - dark) / np.float32(frame.gain_dn_per_e)
             example = Example(frame=record.frame, electrons=light, measured=measured, truth=truth)
-        advance()
     sky_e = float(np.mean([record.background_e for record in records]))
     empty = streams.child("empty")
-    unflagged = [
-        np.count_nonzero(~measure_frame(one, reduction).stars.sharp)
-        for one in (empty_frame(instrument, k, sky_e=sky_e, streams=empty, label=EMPTY) for k in range(dark_frames))
-    ]
+    empty_frames = (empty_frame(instrument, k, sky_e=sky_e, streams=empty, label=EMPTY) for k in range(dark_frames))
+    unflagged = [np.count_nonzero(~measure_frame(frame, reduction).stars.sharp) for frame in empty_frames]
     return detection.detection(
         joined(stars),
         dataset_bound(scene, psfs, sky_e),
@@ -278,9 +248,6 @@ def evaluate(
     }
 
 
-# --- What is written and shown
-
-
 def extra(result: Mapping[str, Any]) -> dict[str, Any]:
     """Texts of ``summary.json``."""
     return {"exports": dict(result["frames"].exports)}
@@ -288,7 +255,7 @@ def extra(result: Mapping[str, Any]) -> dict[str, Any]:
 
 def files(result: Mapping[str, Any], folder: Path) -> None:
     """Index, data card and contact sheet, in addition to the files of every run."""
-    frames, seen = result["frames"], result.get("detection")
+    frames, detected = result["frames"], result.get("detection")
     write_closing_files(
         frames.scene,
         frames.folder,
@@ -296,21 +263,21 @@ def files(result: Mapping[str, Any], folder: Path) -> None:
         folder,
         exports=frames.exports,
         baseline=_baseline(frames.scene.config, result),
-        example=None if seen is None else seen.example,
+        example=None if detected is None else detected.example,
     )
 
 
 def _baseline(config: DatasetConfig, result: Mapping[str, Any]) -> dict[str, str]:
     """Baseline results of simple methods on the frames."""
-    seen, solved, bins = (result.get(name) for name in ("detection", "attitudes", "centroids"))
-    if seen is None or not seen.bright_stars:
+    detected, solved, bins = (result.get(name) for name in ("detection", "attitudes", "centroids"))
+    if detected is None or not detected.bright_stars:
         return {}
-    half = seen.magnitude_of_half
+    half = detected.magnitude_of_half
     faint = f", half of the stars of {half:.2f} mag" if math.isfinite(half) else ""
     texts = {
-        f"detection at {config.threshold_sigma:g} sigma, first {seen.frames_looked_at} frames": (
-            f"{100 * seen.bright_undisturbed:.2f} % of undisturbed stars of SNR 10 and more{faint}; "
-            f"{seen.false_not_flagged:.2f} false detections per frame"
+        f"detection at {config.threshold_sigma:g} sigma, first {detected.frames_looked_at} frames": (
+            f"{100 * detected.bright_undisturbed:.2f} % of undisturbed stars of SNR 10 and more{faint}; "
+            f"{detected.false_not_flagged:.2f} false detections per frame"
         )
     }
     if bins and math.isfinite(ratio := detection.mean_ratio(bins)[0]):
@@ -330,13 +297,15 @@ def sky_coverage(outcome: Outcome) -> Figure:
     figure, axis = new_figure(aspect_ratio=0.52, subplot_kw={"projection": "mollweide"})
     records, solved = outcome.result["frames"].records, outcome.result.get("solved_frames") or ()
     ra, dec = (np.radians([getattr(record, f"{name}_deg") for record in records]) for name in ("ra", "dec"))
-    left = -((ra + np.pi) % (2 * np.pi) - np.pi)  # right ascension grows to the left, 0h in the middle
+    longitude = -((ra + np.pi) % (2 * np.pi) - np.pi)  # right ascension grows to the left, 0h in the middle
     stars = np.array([record.stars for record in records], float)
-    shown = axis.scatter(left, dec, c=stars, s=np.clip(2000 / max(len(ra), 1), 4, 30), cmap="viridis", linewidths=0)
+    shown = axis.scatter(
+        longitude, dec, c=stars, s=np.clip(2000 / max(len(ra), 1), 4, 30), cmap="viridis", linewidths=0
+    )
     figure.colorbar(shown, ax=axis, shrink=0.7, label="stars", pad=0.03)
-    lost = [frame.frame for frame in solved if not frame.solved]  # frames are looked at from the first one on
-    if lost:
-        axis.scatter(left[lost], dec[lost], s=60, marker="x", color=PALETTE[1], label="not solved")
+    unsolved = [frame.frame for frame in solved if not frame.solved]  # evaluated frames are the first ones
+    if unsolved:
+        axis.scatter(longitude[unsolved], dec[unsolved], s=60, marker="x", color=PALETTE[1], label="not solved")
         axis.legend(loc="lower right")
     axis.set_xticks(np.radians(np.arange(-120, 121, 60)), ["8h", "4h", "0h", "20h", "16h"])
     axis.tick_params(labelsize=7)

@@ -6,9 +6,9 @@ COCO counts from the outer corner of the first pixel, whose centre therefore is 
 ellipse of a star's footprint, the disk of a body, the pixels of detector faults.
 
 WebDataset: samples of image, truth, record and FITS file, one series of shards per split, for streaming. The image is a
-NumPy array, key ``npy``, which webdataset, datasets and torch read alike: 16 bits, first row first. Through PIL they
-would flip FITS, ignore BZERO, and reduce 16-bit PNG to 8 bits; the FITS file therefore has the key ``fts``, the
-standard's third suffix, which they pass on as bytes.
+NumPy array (key ``npy``), which webdataset, datasets and torch read as 16 bits, first row first. Through PIL they would
+flip FITS, ignore BZERO, and reduce 16-bit PNG to 8 bits; the FITS file therefore has the key ``fts``, another suffix of
+the standard, which they pass on as bytes.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from render.sky.partition import GAP, PARTS
 
 COCO, WEBDATASET = "coco", "webdataset"
 FRAMES_PER_SHARD = 1000
-"""Numbers of frames, over all splits, in the shards of one number: more frames leave whole shards as they are."""
+"""Frame numbers per shard number, over all splits: an extended dataset leaves complete shards unchanged."""
 _IDS = {name: number for number, name in enumerate(CLASSES, start=1)}
 _CATEGORIES = [
     {
@@ -94,7 +94,7 @@ def export_coco(
 
 
 def _image(folder: Path, root: Path, record: FrameRecord, bits: int) -> dict[str, Any]:
-    """The image's entry; the picture is written."""
+    """Write the PNG file; its entry among the images."""
     from PIL import Image
 
     name = f"frame_{record.frame:06d}.png"
@@ -140,12 +140,12 @@ def _stars(truth: Any, image: dict[str, Any], diffusion_px: float) -> Iterator[d
 
 
 def _label(label: Label, image: dict[str, Any]) -> dict[str, Any]:
-    """Annotation of what is no star."""
+    """Annotation of an object other than a star."""
     x, y = pixel_to_mitsuba(np.array([label.x_px]), np.array([label.y_px]))
-    more: dict[str, Any] = {"name": label.name} if label.name else {}
+    attributes: dict[str, Any] = {"name": label.name} if label.name else {}
     if np.isfinite(label.electrons):
-        more["electrons"] = label.electrons
-    return _annotation(image, label.kind, label.box_px, label.pixels, x[0], y[0]) | more
+        attributes["electrons"] = label.electrons
+    return _annotation(image, label.kind, label.box_px, label.pixels, x[0], y[0]) | attributes
 
 
 def _annotation(
@@ -165,10 +165,10 @@ def _annotation(
 
 def _run_lengths(pixels: NDArray[np.int64], height: int, width: int) -> dict[str, Any]:
     """Mask of rows and columns (2, n) as COCO's run lengths: outside, inside, outside ..., column after column."""
-    place = np.sort(pixels[1] * height + pixels[0])
-    first = np.flatnonzero(np.diff(place, prepend=-2) > 1)
-    ends = np.append(first[1:], len(place)) - 1 if len(place) else first
-    edges = np.stack([place[first], place[ends] + 1], axis=1).ravel()
+    index = np.sort(pixels[1] * height + pixels[0])
+    starts = index[np.diff(index, prepend=-2) > 1]
+    ends = index[np.diff(index, append=height * width + 1) > 1] + 1
+    edges = np.stack([starts, ends], axis=1).ravel()
     return {"size": [height, width], "counts": np.diff(edges, prepend=0, append=height * width).tolist()}
 
 
@@ -192,8 +192,8 @@ def export_shards(folder: Path, records: Sequence[FrameRecord], *, done: Callabl
         shards.setdefault(f"{record.split}-{record.frame // FRAMES_PER_SHARD:06d}.tar", []).append(record)
     try:
         root.mkdir(exist_ok=True)
-        for left in root.glob(".*.tar.*.partial"):  # by a run that was killed
-            left.unlink()
+        for partial in root.glob(".*.tar.*.partial"):  # of a killed run
+            partial.unlink()
         for name, members in shards.items():
             _shard(webdataset, folder, root / name, members, done)
     except OSError as error:
@@ -202,9 +202,9 @@ def export_shards(folder: Path, records: Sequence[FrameRecord], *, done: Callabl
 
 
 def _shard(webdataset: Any, folder: Path, path: Path, members: Sequence[FrameRecord], done: Callable[[], None]) -> None:
-    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        with beside.open("wb") as stream:
+        with temporary.open("wb") as stream:
             writer = webdataset.TarWriter(stream, user="", group="", mtime=0.0, encoder=False)
             for record in members:
                 array = io.BytesIO()
@@ -219,7 +219,7 @@ def _shard(webdataset: Any, folder: Path, path: Path, members: Sequence[FrameRec
                 writer.write(sample)
                 done()
             writer.close()
-        os.replace(beside, path)
+        os.replace(temporary, path)
     finally:
         with suppress(OSError):
-            beside.unlink()
+            temporary.unlink()

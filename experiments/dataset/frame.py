@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from datetime import datetime, timedelta
-from functools import lru_cache
-from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -14,6 +12,8 @@ from numpy.typing import NDArray
 from experiments.dataset.plan import FramePlan, plan_frame
 from experiments.dataset.scene import PLANET_IDS, DatasetScene
 from experiments.dataset.truth import FLAGS, FrameGhost, PointSources, pixel_flags, star_rows
+from experiments.harness.outputs import PROGRAM
+from experiments.harness.registry import version_of
 from optics.arrays import FloatArray
 from optics.attitude import angles_from_attitude, quat_xyzw
 from optics.units import RAD_DEG
@@ -35,18 +35,17 @@ LAYER_WORDS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MadeFrame:
+class RenderedFrame:
     """A frame before writing."""
 
-    plan: FramePlan  # Attitude, motion, split
-    frame: Frame  # Digital numbers
+    plan: FramePlan
+    frame: Frame
     truth: dict[str, Any]  # Columns of the truth (`experiments.dataset.truth.COLUMNS`)
     background_e: float  # Mean expected electrons per pixel of sky light
-    saturated_px: int  # Pixels that are saturated
-    disks: tuple[BodyDisk, ...] = ()  # Bodies that are larger than a pixel
-    # (h, w) Pixels in which cosmic rays left at least an electron; None where none are asked for
-    struck: NDArray[np.bool_] | None = None
-    layers: dict[str, NDArray[np.float32]] | None = None  # Expected electrons of every source, where asked for
+    saturated_px: int  # Number of saturated pixels
+    disks: tuple[BodyDisk, ...] = ()  # Bodies larger than a pixel
+    cosmic_rays: NDArray[np.bool_] | None = None  # (h, w) Pixels with at least an electron of cosmic rays
+    layers: dict[str, NDArray[np.float32]] | None = None  # Expected electrons by source
     ghosts: tuple[FrameGhost, ...] = ()
 
     @property
@@ -61,25 +60,25 @@ class MadeFrame:
 
 
 class FrameMaker:
-    """Makes frames of one dataset; a frame depends on the scene and the frame number alone."""
+    """Renders frames of a dataset; a frame depends on the scene and the frame number alone."""
 
     def __init__(self, scene: DatasetScene) -> None:
         self.scene = scene
         self._lags = scene.instrument.detector.lag > 0.0 and scene.plan.path is not None
         self._last: tuple[int, SkyLight] | None = None
 
-    def make(self, frame: int) -> MadeFrame:
+    def make(self, frame: int) -> RenderedFrame:
         """Frame number ``frame``, up to 2^40 and more."""
         scene, simulator = self.scene, self.scene.simulator
-        before = self._before(frame)
+        before = self._previous_light(frame)
         plan = plan_frame(scene.plan, frame)
         light = self._light(plan)
         if self._lags:
             self._last = frame, light
         hits = simulator.hits(frame)
-        struck = None if hits is None else hits.struck
+        cosmic_rays = None if hits is None else hits.struck
         read = simulator.read(light, frame=frame, before=before)
-        sources = point_sources(scene, light)
+        sources = _point_sources(scene, light)
         sky_e = simulator.background_e_per_s * light.exposure_s + sum(
             float(light.layers[name].mean()) for name in ("sky", "stray") if name in light.layers
         )
@@ -90,18 +89,18 @@ class FrameMaker:
             band=light.band,
             blur_px=scene.instrument.camera.blur_px,
             empty_e2=float(scene.instrument.pixel_noise().temporal_e2(sky_e)),
-            bits=pixel_flags(read.saturated, read.defect, struck),
+            bits=pixel_flags(read.saturated, read.defect, cosmic_rays),
             smear_px=self._smear_px(sources, plan, light),
             axial_transmission=simulator.axial_transmission,
         )
-        return MadeFrame(
+        return RenderedFrame(
             plan=plan,
             frame=read,
             truth=truth,
             background_e=sky_e,
             saturated_px=int(np.count_nonzero(read.saturated)),
             disks=light.disks,
-            struck=struck,
+            cosmic_rays=cosmic_rays,
             layers=light.layers | {"dark": simulator.dark_electrons()} if scene.config.files.layers else None,
             ghosts=_named_ghosts(light),
         )
@@ -112,8 +111,8 @@ class FrameMaker:
             return self.scene.simulator.expected(plan.attitude, label=label)
         return self.scene.simulator.expected(plan.trajectory, start_s=plan.start_s, label=label)
 
-    def _before(self, frame: int) -> SkyLight | None:
-        """Light of the frame before, of which a detector with lag keeps a part; None without one."""
+    def _previous_light(self, frame: int) -> SkyLight | None:
+        """Light of the preceding frame, for a detector with lag; None without one."""
         if not self._lags or frame == 0:
             return None
         if self._last is not None and self._last[0] == frame - 1:
@@ -128,7 +127,7 @@ class FrameMaker:
         )
 
 
-def point_sources(scene: DatasetScene, light: SkyLight) -> PointSources:
+def _point_sources(scene: DatasetScene, light: SkyLight) -> PointSources:
     """Names and catalogue values of the sources of a frame."""
     field, planets = light.field, light.planets
     assert field is not None
@@ -143,41 +142,37 @@ def point_sources(scene: DatasetScene, light: SkyLight) -> PointSources:
 
 
 def _named_ghosts(light: SkyLight) -> tuple[FrameGhost, ...]:
-    """Ghosts as the record of a frame lists them."""
+    """Ghosts in the record of a frame."""
     ghosts, field = light.ghosts, light.field
     if ghosts is None or field is None:
         return ()
     names = [*map(str, field.stars.id.tolist()), *light.beside]
-    columns = {
-        field.name: getattr(ghosts, field.name).tolist() for field in fields(FrameGhost) if field.name != "source"
-    }
-    return tuple(
-        FrameGhost(source=names[star], **dict(zip(columns, row, strict=True)))
-        for star, *row in zip(ghosts.star.tolist(), *columns.values(), strict=True)
-    )
+    columns = [field.name for field in fields(FrameGhost) if field.name != "source"]
+    rows = zip(ghosts.star.tolist(), *(getattr(ghosts, name).tolist() for name in columns), strict=True)
+    return tuple(FrameGhost(source=names[star], **dict(zip(columns, row, strict=True))) for star, *row in rows)
 
 
 _J2000 = datetime(2000, 1, 1, 12)
 _MJD_J2000, _YEAR_DAYS, _DAY_S = 51544.5, 365.25, 86400.0
 
 
-# --- Cards of the header: time, instrument, attitude, rate, light, world coordinates
-
-
-def header_cards(scene: DatasetScene, made: MadeFrame) -> list[Card]:
-    """Cards (keyword, value, comment) for ``write_frame(..., cards=...)``; nothing of the machine or its clock."""
-    config, attitude = scene.config, made.plan.attitude
+def header_cards(scene: DatasetScene, rendered: RenderedFrame) -> list[Card]:
+    """Header cards: time, instrument, attitude, rate, light, world coordinates; nothing of the machine or its clock."""
+    config, plan, path = scene.config, rendered.plan, scene.plan.path
+    attitude = plan.attitude
     ra, dec, roll = angles_from_attitude(attitude)
     quaternion = zip("XYZW", quat_xyzw(attitude).tolist(), strict=True)
-    rate = zip("XYZ", (made.plan.rate_rad_per_s * RAD_DEG).tolist(), strict=True)
-    days = (config.catalogue.epoch_year - 2000.0) * _YEAR_DAYS + _since_epoch_s(scene, made) / _DAY_S
+    rate = zip("XYZ", (plan.rate_rad_per_s * RAD_DEG).tolist(), strict=True)
+    # the epoch is the start of a scan, and the middle of any other exposure
+    start_s = -0.5 * scene.plan.duration_s if path is None else plan.start_s - path.start_s
+    days = (config.catalogue.epoch_year - 2000.0) * _YEAR_DAYS + start_s / _DAY_S
     return [
         ("TIMESYS", "TDB", "time scale of the dates"),
         ("DATE-OBS", (_J2000 + timedelta(days=days)).isoformat(timespec="milliseconds"), "start of the exposure"),
         ("MJD-OBS", _MJD_J2000 + days, "[d] start of the exposure"),
         *instrument_cards(scene.instrument),
         ("SEED", config.seed, "seed of the dataset"),
-        ("SPLIT", made.plan.split, "part of the dataset"),
+        ("SPLIT", plan.split, "part of the dataset"),
         ("RA_BORE", ra, "[deg] boresight, middle of the exposure"),
         ("DEC_BORE", dec, "[deg] boresight, middle of the exposure"),
         ("ROLL", roll, "[deg] position angle of up (smaller rows)"),
@@ -186,21 +181,17 @@ def header_cards(scene: DatasetScene, made: MadeFrame) -> list[Card]:
         ("JYEAR", config.catalogue.epoch_year, "[yr] Julian year of the exposure"),
         ("OBSERVER", config.catalogue.observer, "earth: with parallax and aberration"),
         ("MAGLIMIT", scene.faintest_mag, "[mag] faintest stars rendered"),
-        ("SKYLIGHT", made.background_e, "[e-] mean expected sky light per pixel"),
+        ("SKYLIGHT", rendered.background_e, "[e-] mean expected sky light per pixel"),
         *scene.wcs.header(attitude.as_matrix()),
     ]
 
 
-def _since_epoch_s(scene: DatasetScene, made: MadeFrame) -> float:
-    """Start of an exposure after the epoch: frames of a scan follow each other, the middle of any other is at it."""
-    path = scene.plan.path
-    return made.plan.start_s - path.start_s if path is not None else -0.5 * scene.plan.duration_s
-
-
 def instrument_cards(instrument: Instrument) -> list[Card]:
-    """What made the image."""
+    """Header cards of lens and detector."""
     camera, chip, config = instrument.camera, instrument.detector, instrument.config
     pitch_um = 1e3 * camera.pixel_pitch_mm
+    curve = 1.0 + sum(chip.nonlinearity)  # at the full well
+    saturation_dn = min(chip.largest_dn, int(chip.offset_dn + chip.gain_dn_per_e * chip.full_well_e * curve))
     return [
         ("INSTRUME", _ascii(f"{camera.lens.name} + {chip.name}"), "lens and detector"),
         ("LENS", _ascii(camera.lens.name), "lens prescription"),
@@ -209,23 +200,9 @@ def instrument_cards(instrument: Instrument) -> list[Card]:
         ("XPIXSZ", pitch_um, "[um] pixel pitch along columns"),
         ("YPIXSZ", pitch_um, "[um] pixel pitch along rows"),
         ("CCD-TEMP", config.chip_temperature_c, "[C] temperature of the chip"),
-        ("SATURATE", _saturation_dn(instrument), "[DN] full well or end of the converter"),
-        ("CREATOR", _creator(), "program"),
+        ("SATURATE", saturation_dn, "[DN] full well or end of the converter"),
+        ("CREATOR", " ".join(filter(None, (PROGRAM, version_of(PROGRAM)))), "program"),
     ]
-
-
-def _saturation_dn(instrument: Instrument) -> int:
-    chip = instrument.detector
-    curve = 1.0 + sum(chip.nonlinearity)  # at the full well
-    return min(chip.largest_dn, int(chip.offset_dn + chip.gain_dn_per_e * chip.full_well_e * curve))
-
-
-@lru_cache(maxsize=1)
-def _creator() -> str:
-    try:
-        return f"starbench {metadata.version('starbench')}"
-    except metadata.PackageNotFoundError:
-        return "starbench"
 
 
 def _ascii(text: str) -> str:

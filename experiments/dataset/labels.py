@@ -15,7 +15,7 @@ from experiments.dataset.scene import PLANET_IDS, DatasetScene
 from experiments.dataset.truth import DiskTruth
 from optics.frames import equatorial_deg
 from optics.units import ARCSEC_RAD
-from render.detector.cosmic_ray_clusters import ChargeCluster, charge_clusters
+from render.detector.cosmic_ray_clusters import charge_clusters
 from render.detector.maps import sensor_maps
 from render.observation import BodyDisk
 
@@ -34,16 +34,15 @@ HOT_SIGMA = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Label:
-    """One thing in one frame."""
+    """An object in a frame."""
 
     kind: Class  # One of `CLASSES`
-    name: str = ""  # Of a body of the solar system; otherwise empty
-    x_px: float  # Its middle: column and row, the centre of the first pixel being 0
+    name: str = ""  # Of a body of the solar system
+    x_px: float  # Centre (column, row), 0 at the centre of the first pixel
     y_px: float
-    # (4,) First column, first row, width and height that it covers, from the outer corner of the first pixel [px]
-    box_px: tuple[float, float, float, float]
-    pixels: IntArray  # (2, n) Rows and columns of the pixels that it covers
-    electrons: float = float("nan")  # Charge of a hot pixel (dark charge, mean) or a track; NaN for a body
+    box_px: tuple[float, float, float, float]  # Left, top, width, height, from the outer corner of the first pixel
+    pixels: IntArray  # (2, n) Rows and columns of its pixels
+    electrons: float = float("nan")  # Mean dark charge of a hot pixel, charge of a track; NaN for a body
 
 
 def pixels_of_ellipse(x: float, y: float, half_x: float, half_y: float, shape: tuple[int, int]) -> IntArray:
@@ -63,10 +62,22 @@ class LabelMaker:
         self._hot = self._hot_pixels()
 
     def labels(self, frame: int) -> list[Label]:
-        """Labels of a frame but its stars and point-like planets, which have rows in its truth."""
+        """Labels of a frame without its stars and point-like planets, which have rows in its truth."""
         hits = self.scene.simulator.hits(frame)
-        bodies = body_labels(self.scene, plan_frame(self.scene.plan, frame))
-        return [*bodies, *self._hot, *(() if hits is None else map(_track, charge_clusters(hits)))]
+        labels = [*body_labels(self.scene, plan_frame(self.scene.plan, frame)), *self._hot]
+        for cluster in [] if hits is None else charge_clusters(hits):
+            left, top, width, height = map(float, cluster.box_px)
+            labels.append(
+                Label(
+                    kind="cosmic_ray",
+                    x_px=cluster.x_px,
+                    y_px=cluster.y_px,
+                    box_px=(left, top, width, height),
+                    pixels=cluster.pixels,
+                    electrons=cluster.charge_e,
+                )
+            )
+        return labels
 
     def _hot_pixels(self) -> list[Label]:
         instrument = self.scene.instrument
@@ -89,61 +100,37 @@ class LabelMaker:
 
 
 def body_labels(scene: DatasetScene, plan: FramePlan) -> list[Label]:
-    """Labels of the disks that a frame shows."""
+    """Labels of the disks in a frame."""
     disks = scene.simulator.disks
     if disks is None or not len(disks):
         return []
     camera = scene.instrument.camera
     v_cam = disks.direction @ plan.attitude.as_matrix().T
     ahead = np.flatnonzero(v_cam[:, 2] > 0.0)
-    place = scene.simulator.pixel_px(v_cam[ahead])
-    radius = 0.5 * disks.angular_diameter_rad[ahead] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)
+    centre_px = scene.simulator.pixel_px(v_cam[ahead]).tolist()
+    radius_px = 0.5 * disks.angular_diameter_rad[ahead] / (scene.instrument.pixel_arcsec * ARCSEC_RAD)
     labels = []
-    for body, (x, y), r in zip(ahead, place, radius, strict=True):
-        box = _clipped(x + 0.5 - r, y + 0.5 - r, x + 0.5 + r, y + 0.5 + r, camera.width_px, camera.height_px)
-        if np.isfinite(x + y) and box is not None:
-            name = str(disks.name[body])
+    for name, (x, y), r in zip(np.asarray(disks.name)[ahead].tolist(), centre_px, radius_px.tolist(), strict=True):
+        left, right = np.clip([x + 0.5 - r, x + 0.5 + r], 0.0, camera.width_px).tolist()
+        top, bottom = np.clip([y + 0.5 - r, y + 0.5 + r], 0.0, camera.height_px).tolist()
+        if right > left and bottom > top:  # not for NaN
+            box_px = left, top, right - left, bottom - top
             kind: Class = "moon" if name == "moon" else "planet"
-            pixels = pixels_of_ellipse(float(x), float(y), float(r), float(r), (camera.height_px, camera.width_px))
-            labels.append(Label(kind=kind, name=name, x_px=float(x), y_px=float(y), box_px=box, pixels=pixels))
+            pixels = pixels_of_ellipse(x, y, r, r, (camera.height_px, camera.width_px))
+            labels.append(Label(kind=kind, name=name, x_px=x, y_px=y, box_px=box_px, pixels=pixels))
     return labels
 
 
-def _clipped(
-    left: float, top: float, right: float, bottom: float, width: int, height: int
-) -> tuple[float, float, float, float] | None:
-    """The part of a box that lies in the image; None for none."""
-    left, right = max(left, 0.0), min(right, float(width))
-    top, bottom = max(top, 0.0), min(bottom, float(height))
-    if right <= left or bottom <= top:
-        return None
-    return float(left), float(top), float(right - left), float(bottom - top)
-
-
-def _track(cluster: ChargeCluster) -> Label:
-    return Label(
-        kind="cosmic_ray",
-        x_px=cluster.x_px,
-        y_px=cluster.y_px,
-        box_px=tuple(float(v) for v in cluster.box_px),  # type: ignore[arg-type]  # four of them
-        pixels=cluster.pixels,
-        electrons=cluster.charge_e,
-    )
-
-
-# --- What is true of the bodies that a frame shows as disks
-
-
 def disk_truth(scene: DatasetScene, plan: FramePlan, disks: Sequence[BodyDisk]) -> tuple[DiskTruth, ...]:
-    """Truth of those disks of a frame whose light reaches the detector."""
+    """Truth of the disks of a frame with light on the detector."""
     lit = [disk for disk in disks if disk.image.electrons[0] > 0.0]
     if scene.simulator.disks is None or not lit:
         return ()
-    bodies, turn = scene.simulator.disks.select([disk.row for disk in lit]), plan.attitude.as_matrix()
-    place, (ra, dec) = scene.simulator.pixel_px(bodies.direction @ turn.T), equatorial_deg(bodies.direction)
-    sun_angle, pixel_rad = np.degrees(bodies.sun_angle_rad(turn)), scene.instrument.pixel_arcsec * ARCSEC_RAD
+    bodies, rotation = scene.simulator.disks.select([disk.row for disk in lit]), plan.attitude.as_matrix()
+    centre_px, (ra, dec) = scene.simulator.pixel_px(bodies.direction @ rotation.T), equatorial_deg(bodies.direction)
+    sun_angle, pixel_rad = np.degrees(bodies.sun_angle_rad(rotation)), scene.instrument.pixel_arcsec * ARCSEC_RAD
     truths = []
-    for k, (disk, (x, y)) in enumerate(zip(lit, place, strict=True)):
+    for k, (disk, (x, y)) in enumerate(zip(lit, centre_px, strict=True)):
         magnitude = float(bodies.magnitude_v[k])
         truths.append(
             DiskTruth(

@@ -37,24 +37,24 @@ RATE_SAMPLES = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """All frames of a dataset; made by `build_plan`."""
+    """All frames of a dataset; from `build_plan`."""
 
-    config: DatasetConfig  # The configuration
-    streams: Streams  # Root of the randomness of this dataset
+    config: DatasetConfig
+    streams: Streams  # Root of the random streams of the dataset
     duration_s: float  # From the start of the exposure of the first row to the end of that of the last
     attitudes: Rotation | None  # Of a list
-    aim: SkyPointing | ConePointing | None  # Where attitudes are drawn; a cone about the body that is asked for
-    path: Trajectory | None  # Of a scan
-    to_sun: FloatArray | None  # (3,) Towards the Sun along icrs, where attitudes have to keep away from it
-    jitter: JitterSpectrum | None  # Random motion on top; the path of a scan has it already
-    splits: Splits  # How the frames are shared out
+    region: SkyPointing | ConePointing | None  # Where attitudes are drawn; of a body, the cone about it
+    path: Trajectory | None  # Of a scan, jitter included
+    to_sun: FloatArray | None  # (3,) Direction of the Sun in icrs, if attitudes avoid it
+    jitter: JitterSpectrum | None
+    splits: Splits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FramePlan:
     """One frame."""
 
-    frame: int  # Its number
+    frame: int
     split: str  # train, validation, test, or gap (`experiments.dataset.splits`)
     attitude: Rotation  # cam from icrs in the middle of the exposure
     rate_rad_per_s: FloatArray  # (3,) Angular velocity in camera axes at that time
@@ -71,7 +71,7 @@ def build_plan(config: DatasetConfig, height_px: int | None = None, diagonal_deg
     attitudes: Rotation | None = None
     path: Trajectory | None = None
     if isinstance(pointing, ListPointing):
-        attitudes = read_attitudes(pointing.file, "pointing.file")
+        attitudes = read_attitudes(pointing.file)
         if len(attitudes) < config.frames:
             raise ConfigError(
                 f"pointing.file: {pointing.file} holds {len(attitudes)} attitudes, {config.frames} frames were "
@@ -83,12 +83,12 @@ def build_plan(config: DatasetConfig, height_px: int | None = None, diagonal_deg
         path = _scan(pointing, config, duration_s)
         if jitter is not None:
             path = jittered(path, jitter, streams=streams)  # one motion for all frames
-    aim: SkyPointing | ConePointing | None = None
+    region: SkyPointing | ConePointing | None = None
     if isinstance(pointing, BodyPointing):
-        aim = _cone_about(pointing, config)
+        region = _cone_about(pointing, config)
     to_sun = None
     if isinstance(pointing, SkyPointing | ConePointing):
-        aim = pointing
+        region = pointing
         if pointing.sun_exclusion_deg > 0:
             to_sun = earth_observer(config.catalogue.epoch_year).to_sun
             if isinstance(pointing, ConePointing):
@@ -98,7 +98,7 @@ def build_plan(config: DatasetConfig, height_px: int | None = None, diagonal_deg
         streams=streams,
         duration_s=duration_s,
         attitudes=attitudes,
-        aim=aim,
+        region=region,
         path=path,
         to_sun=to_sun,
         jitter=jitter,
@@ -119,23 +119,22 @@ def _spectrum(config: JitterSpectrumConfig) -> JitterSpectrum | None:
 
 
 def observer_of(config: DatasetConfig) -> Observer | None:
-    """The centre of the Earth, or a place from which the Earth is seen where the settings say; None for no place."""
+    """Observer at the centre of the Earth, or where the Earth has the set direction and distance; None for none."""
     if config.catalogue.observer != "earth":
         return None
     observer, background = earth_observer(config.catalogue.epoch_year), config.background
     if background.earth_distance_km is None:
         return observer
-    away = attitude_from_angles(*background.earth_direction_deg).as_matrix()[2] * -background.earth_distance_km
-    return observer.moved(position_km=away, velocity_km_per_s=np.zeros(3))
+    position_km = attitude_from_angles(*background.earth_direction_deg).as_matrix()[2] * -background.earth_distance_km
+    return observer.moved(position_km=position_km, velocity_km_per_s=np.zeros(3))
 
 
 def _cone_about(pointing: BodyPointing, config: DatasetConfig) -> ConePointing:
-    """The cone of boresights that have a body in their field, as the observer sees it."""
+    """The cone of boresights about the apparent direction of a body."""
     from render.bodies.solar_system import solar_system
 
-    x, y, z = solar_system(
-        config.catalogue.epoch_year, observer=observer_of(config), bodies=(pointing.body,)
-    ).direction[0]
+    bodies = solar_system(config.catalogue.epoch_year, observer=observer_of(config), bodies=(pointing.body,))
+    x, y, z = bodies.direction[0]
     return ConePointing(
         ra_deg=float(np.degrees(np.arctan2(y, x)) % 360.0),
         dec_deg=float(np.degrees(np.arcsin(z))),
@@ -145,7 +144,7 @@ def _cone_about(pointing: BodyPointing, config: DatasetConfig) -> ConePointing:
 
 
 def _check_cone(pointing: ConePointing, to_sun: FloatArray) -> None:
-    """Refuse a cone of which nothing is left."""
+    """Refuse a cone within the exclusion angle of the Sun."""
     centre = attitude_from_angles(pointing.ra_deg, pointing.dec_deg, 0.0).as_matrix()[2]
     farthest = float(np.degrees(np.arccos(np.clip(centre @ to_sun, -1.0, 1.0)))) + pointing.radius_deg
     if farthest <= pointing.sun_exclusion_deg:
@@ -158,7 +157,7 @@ def _check_cone(pointing: ConePointing, to_sun: FloatArray) -> None:
 def _scan(pointing: ScanPointing, config: DatasetConfig, duration_s: float) -> Trajectory:
     last_s = (config.frames - 1) / pointing.frame_rate_hz + duration_s
     if pointing.file:
-        times, attitudes = read_motion(pointing.file, "pointing.file")
+        times, attitudes = read_motion(pointing.file)
         path = SampledAttitude(samples_s=times, attitudes=attitudes)
         if path.end_s - path.start_s < last_s:
             most = int((path.end_s - path.start_s - duration_s) * pointing.frame_rate_hz) + 1
@@ -170,7 +169,7 @@ def _scan(pointing: ScanPointing, config: DatasetConfig, duration_s: float) -> T
     return ConstantRate(
         initial=attitude_from_angles(pointing.ra_deg, pointing.dec_deg, pointing.roll_deg),
         rate_rad_per_s=np.array(pointing.rate_deg_per_s) * DEG_RAD,
-        end_s=1e7 / pointing.frame_rate_hz + duration_s,  # more than the most frames there can be
+        end_s=1e7 / pointing.frame_rate_hz + duration_s,  # the largest allowed number of frames
     )
 
 
@@ -209,21 +208,18 @@ def _split(plan: Plan, frame: int, attitude: Rotation) -> str:
 def _attitude(plan: Plan, frame: int) -> Rotation:
     if plan.attitudes is not None:
         return plan.attitudes[frame]
-    pointing = plan.aim
+    pointing = plan.region
     assert pointing is not None
     rng = plan.streams.generator("attitude", frame)
     nearest = np.cos(pointing.sun_exclusion_deg * DEG_RAD)
     while True:
-        attitude = _drawn(pointing, rng)
+        if isinstance(pointing, SkyPointing):
+            attitude = random_attitude(rng)
+        else:
+            cone = pointing.model_dump(include={"ra_deg", "dec_deg", "radius_deg", "roll_deg"})
+            attitude = random_attitude_in_cone(rng, **cone)
         if plan.to_sun is None or attitude.as_matrix()[2] @ plan.to_sun < nearest:
             return attitude
-
-
-def _drawn(pointing: SkyPointing | ConePointing, rng: np.random.Generator) -> Rotation:
-    if isinstance(pointing, SkyPointing):
-        return random_attitude(rng)
-    cone = {"ra_deg": pointing.ra_deg, "dec_deg": pointing.dec_deg, "radius_deg": pointing.radius_deg}
-    return random_attitude_in_cone(rng, **cone, roll_deg=pointing.roll_deg)
 
 
 def _rate(plan: Plan, frame: int) -> FloatArray:
@@ -252,19 +248,20 @@ def fastest_rad_per_s(plan: Plan) -> tuple[float, float]:
 # --- Attitudes from files: lists and motions
 
 NORM_TOLERANCE = 1e-6
-"""A quaternion written with seven digits is this near to unit length; farther off it is something else."""
+"""Error of the length of a quaternion written with seven digits."""
 _FEWEST_TO_JUDGE = 20
+"""Rows from which angles without a unit, all below 2 pi, are taken for radians."""
 _QUATERNION = ("quat_x", "quat_y", "quat_z", "quat_w")
 
 
-def read_attitudes(name: str, key: str) -> Rotation:
+def read_attitudes(name: str) -> Rotation:
     """Attitudes of a file, cam from icrs."""
-    return _attitudes(_table(name, key), name)
+    return _attitudes(_table(name), name)
 
 
-def read_motion(name: str, key: str) -> tuple[FloatArray, Rotation]:
+def read_motion(name: str) -> tuple[FloatArray, Rotation]:
     """Times [s] and attitudes of a file with a column ``time_s``; errors as `read_attitudes`."""
-    table = _table(name, key)
+    table = _table(name)
     time_s = _column(table, "time_s", "s", name)
     late = np.flatnonzero(np.diff(time_s) <= 0)
     if len(late):
@@ -273,9 +270,10 @@ def read_motion(name: str, key: str) -> tuple[FloatArray, Rotation]:
     return time_s, _attitudes(table, name)
 
 
-def _table(name: str, key: str) -> Any:
+def _table(name: str) -> Any:
     from astropy.table import Table
 
+    key = "pointing.file"
     if not name:
         raise ConfigError(f"{key} is empty; name a CSV or ECSV file with attitudes")
     path = Path(name)
@@ -304,15 +302,10 @@ def _attitudes(table: Any, name: str) -> Rotation:
     stated = any(table[column].unit is not None or str(column).endswith("_deg") for column in columns)
     if not stated and len(ra) >= _FEWEST_TO_JUDGE and max(np.ptp(ra), 2 * np.abs(dec).max()) <= 2 * np.pi:
         raise DomainError(f"{name}: no angle is above 2 pi; are they radians? State the unit or name the columns _deg")
-    beyond = np.flatnonzero(np.abs(dec) > 90.0)
-    if len(beyond):
-        raise DomainError(f"{name}: declination of row {beyond[0]} is {dec[beyond[0]]:g} deg; -90 to 90 deg is allowed")
-    for label, angle in (("right ascension", ra), ("roll", roll)):
-        beyond = np.flatnonzero(np.abs(angle) > 360.0)
-        if len(beyond):
-            raise DomainError(
-                f"{name}: {label} of row {beyond[0]} is {angle[beyond[0]]:g} deg; -360 to 360 deg is allowed"
-            )
+    for label, angle, limit in (("declination", dec, 90), ("right ascension", ra, 360), ("roll", roll, 360)):
+        row = int(np.argmax(np.abs(angle) > limit))
+        if abs(angle[row]) > limit:
+            raise DomainError(f"{name}: {label} of row {row} is {angle[row]:g} deg; -{limit} to {limit} deg is allowed")
     return attitude_from_angles(ra, dec, roll)
 
 
@@ -335,12 +328,12 @@ def _column(table: Any, column: str, unit: str, name: str) -> FloatArray:
     if column not in table.colnames:
         raise ConfigError(f"{name}: column {column} is missing; it has {', '.join(table.colnames)}")
     try:
-        held = table[column]
-        factor = 1.0 if held.unit is None else units.Unit(held.unit).to(units.Unit(unit))
-        values = np.ma.filled(np.ma.asarray(held, float), np.nan) * factor
+        factor = 1.0 if table[column].unit is None else units.Unit(table[column].unit).to(units.Unit(unit))
+        values = np.ma.filled(np.ma.asarray(table[column], float), np.nan) * factor
     except units.UnitConversionError:
-        wanted = unit or "none"
-        raise ConfigError(f"{name}: column {column} is in {table[column].unit}; its unit must be {wanted}") from None
+        raise ConfigError(
+            f"{name}: column {column} is in {table[column].unit}; its unit must be {unit or 'none'}"
+        ) from None
     except (TypeError, ValueError):
         raise ConfigError(f"{name}: column {column} holds a value that is not a number") from None
     if not np.isfinite(values).all():

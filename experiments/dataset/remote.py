@@ -46,18 +46,18 @@ BUCKETS = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "os
 
 
 def dataset_at(path: str, config: DatasetConfig) -> DatasetFolder:
-    """The folder of a dataset, new or begun, or a URL."""
-    wanted: dict[str, Any] = {"config": identity(config), "frames": config.frames, "truth": config.files.truth}
+    """A dataset, new or begun, in a folder or at a URL."""
+    settings: dict[str, Any] = {"config": identity(config), "frames": config.frames, "truth": config.files.truth}
     if "://" not in path:
-        return DatasetFolder(path, **wanted)
-    remote = RemoteDataset(path, **wanted)
+        return DatasetFolder(path, **settings)
+    remote = RemoteDataset(path, **settings)
     if remote.only_here and (config.workers > 1 or config.scheduler):
         raise ConfigError(f"{path}: is visible to this process only; set workers = 1 and no scheduler")
     return remote
 
 
 def check_at(path: str) -> Checked:
-    """State of a dataset in a folder or at a URL, every file of which is read."""
+    """State of a dataset in a folder or at a URL, from every file."""
     with working_copy(path) if "://" in path else contextlib.nullcontext(Path(path)) as folder:
         return check(folder, terminal_progress())
 
@@ -75,31 +75,26 @@ class Store:
             raise ConfigError(f"{url}: {_text(error)}") from None
         self._root = str(root).rstrip("/")
 
-    @property
-    def of_this_process(self) -> bool:
-        """Whether no other process sees what is written."""
-        return self.url.startswith("memory:")
-
     def names(self) -> set[str]:
         """Names of all objects, relative."""
         self._system.invalidate_cache()
-        with self._in_one_line(self.url):
+        with self._one_line_errors(self.url):
             try:
                 paths = self._system.find(self._root)
             except FileNotFoundError:
                 return set()
             names = {str(path)[len(self._root) :].lstrip("/") for path in paths} - {""}
-            return {name for name in names if ".." not in name.split("/")}  # such names would leave a folder
+            return {name for name in names if ".." not in name.split("/")}  # a local copy must not leave its folder
 
     def read(self, name: str) -> bytes:
-        """Content of an object, which a worker may have written since the others were listed."""
+        """Content of an object, also of one written since the last listing."""
         self._system.invalidate_cache()
-        with self._in_one_line(f"{self.url}/{name}"):
+        with self._one_line_errors(f"{self.url}/{name}"):
             return bytes(self._system.cat_file(f"{self._root}/{name}"))
 
     def write(self, name: str, content: bytes) -> None:
-        """Write an object, whole."""
-        with self._in_one_line(f"{self.url}/{name}"):
+        """Write an object in one piece."""
+        with self._one_line_errors(f"{self.url}/{name}"):
             path = f"{self._root}/{name}"
             if self.url.partition(":")[0] not in BUCKETS:
                 self._system.makedirs(path.rpartition("/")[0], exist_ok=True)
@@ -107,16 +102,16 @@ class Store:
 
     def remove(self, name: str) -> None:
         """Remove an object."""
-        with self._in_one_line(f"{self.url}/{name}"):
+        with self._one_line_errors(f"{self.url}/{name}"):
             self._system.rm_file(f"{self._root}/{name}")
 
     @contextlib.contextmanager
-    def _in_one_line(self, what: str) -> Iterator[None]:
-        """Whatever a store raises, in one line."""
+    def _one_line_errors(self, name: str) -> Iterator[None]:
+        """Any error of a store, in one line."""
         try:
             yield
-        except Exception as error:  # every store has kinds of its own
-            raise StorageError(f"{what}: {_text(error)}") from None
+        except Exception as error:  # every store has classes of its own
+            raise StorageError(f"{name}: {_text(error)}") from None
 
 
 def _text(error: BaseException) -> str:
@@ -127,9 +122,9 @@ def _fetch(store: Store, names: Iterable[str], folder: Path) -> None:
     """Copies of objects in a folder."""
 
     def copy(name: str) -> None:
-        place = folder / name
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_bytes(store.read(name))
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(store.read(name))
 
     with ThreadPoolExecutor(AT_ONCE) as pool:
         list(pool.map(copy, names))
@@ -152,22 +147,23 @@ class RemoteDataset(DatasetFolder):
 
     def __init__(self, url: str, *, config: Mapping[str, Any], frames: int, truth: str) -> None:
         self.store = Store(url)
-        self._there = self.store.names()
-        foreign = {name for name in self._there if name.partition("/")[0] not in (*OWN_FOLDERS, IDENTITY)}
-        if foreign and IDENTITY not in self._there and not numbers(self._there):
+        self._initial = self.store.names()
+        foreign = {name for name in self._initial if name.partition("/")[0] not in (*OWN_FOLDERS, IDENTITY)}
+        if foreign and IDENTITY not in self._initial and not numbers(self._initial):
             raise ConfigError(
                 f"{url}: holds {min(foreign)} but no {IDENTITY}, so it is no dataset; name another place or empty it"
             )
         folder = Path(tempfile.mkdtemp(prefix="starbench-"))
         self._clean_up = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        parts = (f"{FRAMES}/", f"{LAYERS}/", SUMS)  # frames are large, and looked at only where they are needed
-        _fetch(self.store, (name for name in self._there if not name.startswith(parts)), folder)
+        parts = (f"{FRAMES}/", f"{LAYERS}/", SUMS)  # images are large, and copied only if needed
+        _fetch(self.store, (name for name in self._initial if not name.startswith(parts)), folder)
         super().__init__(folder, config=config, frames=frames, truth=truth, shown=url)
         self._stale: set[str] = set()
-        self.url, self.only_here = self.store.url, self.store.of_this_process
+        self.url = self.store.url
+        self.only_here = self.url.startswith("memory:")
 
     def count(self) -> int:
-        """Frames there are, as their truth files say; they are not looked into."""
+        """Number of frames with a truth file, which is not read."""
         try:
             return len(numbers(self.store.names()))
         except StorageError:
@@ -180,7 +176,7 @@ class RemoteDataset(DatasetFolder):
 
     def close(self) -> None:
         """Remove the folder if no frame was made."""
-        if not self._there and not self.count():
+        if not self._initial and not self.count():
             with contextlib.suppress(StorageError):
                 self.store.remove(IDENTITY)
         super().close()
@@ -189,28 +185,27 @@ class RemoteDataset(DatasetFolder):
         """No check: the capacity of a store is unknown."""
 
     def checked(self, frame: int) -> FrameRecord | None:
-        """Record of a frame if it is there and whole, otherwise None; the frame is read, and not kept."""
+        """Record of a frame if it is complete and intact, otherwise None; its images are read, and not stored."""
         record = checked_frame(self.path, frame, self.truth, self.store.read)
         if record is None:
-            self._stale |= set(frame_files(frame, self.truth))  # it will be made again
+            self._stale |= set(frame_files(frame, self.truth))  # it will be rendered again
         return record
 
     def fetch(self, names: Iterable[str]) -> None:
-        """Copies of files of the dataset, where they are not in the folder yet."""
-        wanted = [name for name in names if name in self._stale or not (self.path / name).is_file()]
-        _fetch(self.store, wanted, self.path)
-        self._stale -= set(wanted)
+        """Copy files of the dataset that are missing or outdated in the folder."""
+        needed = [name for name in names if name in self._stale or not (self.path / name).is_file()]
+        _fetch(self.store, needed, self.path)
+        self._stale -= set(needed)
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[Path]:
-        """As `DatasetFolder.writing`; at the end all that is not frame or truth goes to the URL, the digests last."""
+        """As `DatasetFolder.writing`; files other than frames and truth are then written to the URL, digests last."""
         with super().writing() as staging:
             yield staging
         files = [file.relative_to(self.path).as_posix() for file in self.path.rglob("*") if file.is_file()]
-        made = tuple(f"{folder}/" for folder in (FRAMES, LAYERS, TRUTH))
-        mine = [name for name in files if not name.startswith((*made, ".")) and name != SUMS]
+        excluded = (*(f"{folder}/" for folder in (FRAMES, LAYERS, TRUTH)), ".", SUMS)
         with ThreadPoolExecutor(AT_ONCE) as pool:
-            list(pool.map(self._push, mine))
+            list(pool.map(self._push, [name for name in files if not name.startswith(excluded)]))
         self._push(SUMS)
         self._clean_up()
 

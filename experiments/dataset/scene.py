@@ -7,16 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.dataset.plan import (
-    Plan,
-    build_plan,
-    fastest_rad_per_s,
-    observer_of,
-    plan_frame,
-)
+from experiments.dataset.plan import Plan, build_plan, fastest_rad_per_s, observer_of, plan_frame
 from experiments.dataset.settings import DatasetConfig, SkyPointing
 from experiments.laboratory.devices.scatter_laws import with_halos
-from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD, RAD_DEG
 from render.bodies.solar_system import BODIES
@@ -30,7 +23,7 @@ from render.sensor_file.filters import open_band
 from render.sensor_file.instrument import Instrument, build_instrument
 from render.sensor_file.tables import CatalogueConfig
 from render.simulator import MARGIN_PX, SkySimulator
-from render.sky.field import FieldOfView, SkyField
+from render.sky.field import SkyField
 from render.sky.sky import Sky, load_sky
 from render.sky.star_light import StarLight
 from render.sky.zodiacal import CLOSEST_DEG
@@ -38,7 +31,7 @@ from render.sky.zodiacal import CLOSEST_DEG
 SEARCHED_FRAMES = 10_000
 JITTER_SIGMA = 5.0
 LONGEST_ANNEALED_S = 5e6
-"""A dose that comes over years has annealed all along: the end of the published curve
+"""Annealing time of a dose accumulated over years: the end of the published curve
 (`render.detector.displacement_damage`)."""
 SUN_MARGIN_DEG = 0.5
 PLANET_IDS = {
@@ -58,29 +51,24 @@ LAST_PLANET_ID = max(PLANET_IDS.values())
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DatasetScene:
-    """Common data of the frames of a dataset; made by `build_scene`."""
+    """Common data of the frames of a dataset; from `build_scene`."""
 
-    config: DatasetConfig  # The configuration
+    config: DatasetConfig
     instrument: Instrument  # Camera and detector, cut to the window
-    simulator: SkySimulator  # Stars that are bright enough, bodies, diffuse light; what the camera sees of them
-    row: NDArray[np.int64]  # (n,) Rows of its stars in the whole catalogue
-    plan: Plan  # Attitudes and motions
+    simulator: SkySimulator  # Stars to the magnitude limit, bodies, diffuse light
+    row: NDArray[np.int64]  # (n,) Rows of its stars in the full catalogue
+    plan: Plan
     wcs: LensWcs  # World coordinates, fitted to chief rays at the mean of the wavelength nodes
 
     @property
     def sky(self) -> Sky:
-        """The stars."""
+        """Stars at the epoch of the frames."""
         return self.simulator.sky
 
     @property
     def catalogue(self) -> StarCatalog:
-        """The same at the epoch of their catalogue."""
+        """Stars at the epoch of their catalogue."""
         return self.sky.catalog
-
-    @property
-    def view(self) -> FieldOfView:
-        """What the camera sees."""
-        return self.simulator.view
 
     @property
     def light(self) -> StarLight:
@@ -94,11 +82,6 @@ class DatasetScene:
         return min(self.config.catalogue.faintest_mag, faintest)
 
     @property
-    def diagonal_deg(self) -> float:
-        """Diagonal of the field of view."""
-        return self.instrument.diagonal_deg
-
-    @property
     def field_deg(self) -> tuple[float, float]:
         """Field of view along columns and rows, at the scale of the boresight."""
         camera = self.instrument.camera
@@ -106,7 +89,7 @@ class DatasetScene:
 
 
 def build_scene(config: DatasetConfig) -> DatasetScene:
-    """Read and prepare everything, and refuse what cannot become a dataset."""
+    """Read all input files, and refuse settings that cannot be rendered."""
     instrument = build_instrument(config.instrument)
     try:
         instrument.check_field()
@@ -115,16 +98,15 @@ def build_scene(config: DatasetConfig) -> DatasetScene:
     instrument = _aged(instrument, config)
     instrument = replace(instrument, camera=with_halos(instrument.camera, config.scatter, config.contamination))
     plan = build_plan(config, instrument.detector.height_px, instrument.diagonal_deg)
-    whole = load_catalogue(config.catalogue)
-    bright = np.flatnonzero(whole.magnitude <= config.catalogue.faintest_mag)
-    if not len(bright):
-        raise DomainError(_no_star(whole, config.catalogue))
-    observer = observer_of(config)
+    catalogue = load_catalogue(config.catalogue)
+    rows = np.flatnonzero(catalogue.magnitude <= config.catalogue.faintest_mag)
+    if not len(rows):
+        raise DomainError(_no_star(catalogue, config.catalogue))
     sky = load_sky(
-        whole,
+        catalogue,
         faintest_mag=config.catalogue.faintest_mag,
         epoch_year=config.catalogue.epoch_year,
-        observer=observer,
+        observer=observer_of(config),
         temperature=config.catalogue.temperature,
     )
     simulator = _simulator(config, instrument, sky, plan)
@@ -132,23 +114,21 @@ def build_scene(config: DatasetConfig) -> DatasetScene:
         config=config,
         instrument=instrument,
         simulator=simulator,
-        row=bright,
+        row=rows,
         plan=plan,
         wcs=lens_wcs(instrument.camera, wavelength_nm=float(simulator.light.wavelength_nm.mean())),
     )
     _check_light(scene)
     _check_stars(scene)
     if config.background.zodiacal:
-        check_sun(
-            plan, earth_observer(config.catalogue.epoch_year).to_sun, scene.view, min(config.frames, SEARCHED_FRAMES)
-        )
+        _check_sun(scene)
     return scene
 
 
 def _simulator(config: DatasetConfig, instrument: Instrument, sky: Sky, plan: Plan) -> SkySimulator:
     background, radiation = config.background, config.radiation
-    for key, wanted in (("moon_planets", background.moon_planets), ("stray_light", background.stray_light)):
-        if wanted and sky.observer is None:
+    for key in ("moon_planets", "stray_light"):
+        if getattr(background, key) and sky.observer is None:
             raise ConfigError(f"background.{key} needs an observer; set catalogue.observer = earth")
     bodies = BODIES if background.earth_distance_km is None else (*BODIES, "earth")
     return SkySimulator(
@@ -176,7 +156,7 @@ def _simulator(config: DatasetConfig, instrument: Instrument, sky: Sky, plan: Pl
 
 
 def _aged(instrument: Instrument, config: DatasetConfig) -> Instrument:
-    """The instrument with what radiation has done to its detector."""
+    """The instrument with the displacement damage of its detector."""
     radiation = config.radiation
     if not radiation.displacement_dose_tev_per_g:
         return instrument
@@ -191,90 +171,89 @@ def _aged(instrument: Instrument, config: DatasetConfig) -> Instrument:
 
 
 def stars_of(scene: DatasetScene, frame: int) -> SkyField:
-    """Stars that a frame sees in the middle of its exposure; `SkyField.row` counts in ``scene.sky``."""
-    return scene.sky.field(scene.view, plan_frame(scene.plan, frame).attitude)
+    """Stars in the field in the middle of an exposure; `SkyField.row` counts in ``scene.sky``."""
+    return scene.sky.field(scene.simulator.view, plan_frame(scene.plan, frame).attitude)
 
 
 def _no_star(catalogue: StarCatalog, config: CatalogueConfig) -> str:
-    known = catalogue.magnitude[np.isfinite(catalogue.magnitude)]
-    if not len(known):
+    magnitude = catalogue.magnitude[np.isfinite(catalogue.magnitude)]
+    if not len(magnitude):
         return f"catalogue {catalogue.name} has no magnitude for any of its {len(catalogue)} stars; name another column"
     return (
         f"catalogue.faintest_mag = {config.faintest_mag:g}: the brightest star of catalogue {catalogue.name} has "
-        f"{known.min():.2f} mag; raise it"
+        f"{magnitude.min():.2f} mag; raise it"
     )
 
 
 def _check_light(scene: DatasetScene) -> None:
-    """Refuse stars that cannot be rendered now, not in the middle of the work."""
-    coldest, hottest = np.argmin(scene.sky.temperature_k), np.argmax(scene.sky.temperature_k)
-    for at in (coldest, hottest):
+    """Refuse stars too cold or too hot for the pass band, before rendering."""
+    catalogue, temperature_k = scene.catalogue, scene.sky.temperature_k
+    for star in (np.argmin(temperature_k), np.argmax(temperature_k)):
         try:
-            scene.light.photon_rate(scene.catalogue.magnitude[[at]], scene.sky.temperature_k[[at]])
+            scene.light.photon_rate(catalogue.magnitude[[star]], temperature_k[[star]])
         except DomainError as error:
-            number = scene.catalogue.id[at]
-            raise DomainError(f"catalogue {scene.catalogue.name}, star {number}: {error}") from None
+            raise DomainError(f"catalogue {catalogue.name}, star {catalogue.id[star]}: {error}") from None
 
 
 def _reach_px(plan: Plan, instrument: Instrument) -> float:
-    """Largest distance of a star from its place in the middle of the exposure; refuses images that leave the frame."""
+    """Largest displacement of a star from the middle of the exposure; refuses images that leave the frame."""
     across, about = fastest_rad_per_s(plan)
     camera, config = instrument.camera, plan.config.instrument
     jitter = np.zeros(3) if plan.jitter is None else plan.jitter.rms_arcsec * ARCSEC_RAD * JITTER_SIGMA
-    size_px = camera.width_px, camera.height_px
-    moved = image_motion(
+    motion = image_motion(
         across_rad_per_s=across,
         about_rad_per_s=about,
         jitter_rad=jitter,
         exposure_s=config.exposure_s,
         duration_s=plan.duration_s,
         pixel_rad=instrument.pixel_arcsec * ARCSEC_RAD,
-        size_px=size_px,
+        size_px=(camera.width_px, camera.height_px),
     )
-    if moved.trail_px > moved.most_px:
+    if motion.trail_px > motion.most_px:
         raise DomainError(
-            f"at {across * RAD_DEG:g} deg/s stars move by {moved.trail_px:.0f} px in "
+            f"at {across * RAD_DEG:g} deg/s stars move by {motion.trail_px:.0f} px in "
             f"instrument.exposure_s = {config.exposure_s:g} s and leave the frame of {camera.width_px} x "
-            f"{camera.height_px} px; at most {across * RAD_DEG * moved.most_px / moved.trail_px:.3g} deg/s is possible"
+            f"{camera.height_px} px; at most {across * RAD_DEG * motion.most_px / motion.trail_px:.3g} deg/s is "
+            "possible"
         )
-    if moved.drift_px > moved.corner_px:
+    if motion.drift_px > motion.corner_px:
         raise DomainError(
-            f"at {across * RAD_DEG:g} deg/s stars move by {2 * moved.drift_px:.0f} px while rows are read "
+            f"at {across * RAD_DEG:g} deg/s stars move by {2 * motion.drift_px:.0f} px while rows are read "
             f"(instrument.line_time_us = {config.line_time_us:g} us), more than the diagonal of "
-            f"{2 * moved.corner_px:.0f} px; take a lower rate or line time"
+            f"{2 * motion.corner_px:.0f} px; take a lower rate or line time"
         )
-    if moved.jitter_px > moved.most_px:
+    if motion.jitter_px > motion.most_px:
         raise DomainError(
-            f"jitter of {moved.jitter_px / JITTER_SIGMA:.4g} px RMS across the boresight moves stars out of the frame "
+            f"jitter of {motion.jitter_px / JITTER_SIGMA:.4g} px RMS across the boresight moves stars out of the frame "
             f"of {camera.width_px} x {camera.height_px} px; lower jitter.psd_x_arcsec2_per_hz, psd_y_arcsec2_per_hz"
         )
-    return moved.reach_px
+    return motion.reach_px
 
 
 def _check_stars(scene: DatasetScene) -> None:
-    """Refuse a dataset of which no frame sees a star; single empty frames are frames of an empty sky."""
+    """Refuse a dataset without a star in any frame; single frames may be empty."""
     if isinstance(scene.config.pointing, SkyPointing) or scene.config.background.moon_planets:
-        return  # some frame of a random sky may always see one; planets are points of light too
-    for frame in range(min(scene.config.frames, SEARCHED_FRAMES)):
-        if len(stars_of(scene, frame)):
-            return
+        return  # random attitudes over the sky may always contain a star, and planets are point sources too
+    if any(len(stars_of(scene, frame)) for frame in range(min(scene.config.frames, SEARCHED_FRAMES))):
+        return
     raise DomainError(
         f"no frame contains a star to catalogue.faintest_mag = {scene.config.catalogue.faintest_mag:g} mag; raise it "
         "or point elsewhere"
     )
 
 
-def check_sun(plan: Plan, to_sun: FloatArray, view: FieldOfView, frames: int) -> None:
-    """Refuse zodiacal light for attitudes so near the Sun that it is not known there."""
-    needed = CLOSEST_DEG + float(np.degrees(view.radius_rad)) + SUN_MARGIN_DEG
-    pointing = plan.config.pointing
+def _check_sun(scene: DatasetScene) -> None:
+    """Refuse zodiacal light for attitudes nearer to the Sun than its tables reach."""
+    to_sun = earth_observer(scene.config.catalogue.epoch_year).to_sun
+    needed = CLOSEST_DEG + float(np.degrees(scene.simulator.view.radius_rad)) + SUN_MARGIN_DEG
+    pointing = scene.config.pointing
     reason = f"background.zodiacal: the light within {CLOSEST_DEG:g} deg of the Sun is not known"
     if isinstance(pointing, SkyPointing):
         if pointing.sun_exclusion_deg < needed:
             raise DomainError(f"{reason}; set pointing.sun_exclusion_deg to at least {np.ceil(needed):g}")
         return
-    for frame in range(frames):
-        boresight = plan_frame(plan, frame).attitude.as_matrix()[2]
+    for frame in range(min(scene.config.frames, SEARCHED_FRAMES)):
+        boresight = plan_frame(scene.plan, frame).attitude.as_matrix()[2]
         angle = float(np.degrees(np.arccos(np.clip(boresight @ to_sun, -1.0, 1.0))))
         if angle < needed:
             raise DomainError(

@@ -23,16 +23,24 @@ DeclinationDeg = Annotated[float, Field(ge=-90, le=90)]
 RateDegPerS = Annotated[float, Field(ge=-360, le=360)]
 SpectralDensity = Annotated[float, Field(ge=0, le=1e12)]
 Vector = tuple[RateDegPerS, RateDegPerS, RateDegPerS]
-
-
-SUN_EXCLUSION = "smallest angle between boresight and Sun as seen from the Earth; attitudes nearer are drawn anew"
+SunExclusionDeg = Annotated[
+    float,
+    Field(
+        ge=0,
+        le=120,
+        description="smallest angle between boresight and Sun as seen from the Earth; attitudes nearer are drawn anew",
+    ),
+]
+RandomRollDeg = Annotated[
+    float | None, Field(ge=-360, le=360, description="position angle of up in the image; default: random")
+]
 
 
 class SkyPointing(StrictModel):
     """Attitudes uniform over all rotations."""
 
     kind: Literal["sky"] = "sky"
-    sun_exclusion_deg: float = Field(default=0.0, ge=0, le=120, description=SUN_EXCLUSION)
+    sun_exclusion_deg: SunExclusionDeg = 0.0
 
 
 class ConePointing(StrictModel):
@@ -42,10 +50,8 @@ class ConePointing(StrictModel):
     ra_deg: float = Field(default=83.8, ge=0, le=360, description="right ascension of the cone's axis")
     dec_deg: float = Field(default=0.0, ge=-90, le=90, description="declination of the axis")
     radius_deg: float = Field(default=10.0, ge=0, le=180, description="half angle of the cone")
-    roll_deg: float | None = Field(
-        default=None, ge=-360, le=360, description="position angle of up in the image; default: random"
-    )
-    sun_exclusion_deg: float = Field(default=0.0, ge=0, le=120, description=SUN_EXCLUSION)
+    roll_deg: RandomRollDeg = None
+    sun_exclusion_deg: SunExclusionDeg = 0.0
 
 
 class BodyPointing(StrictModel):
@@ -56,9 +62,7 @@ class BodyPointing(StrictModel):
         default="moon", description="name of the body"
     )
     offset_deg: float = Field(default=2.0, ge=0, le=60, description="largest angle between body and boresight")
-    roll_deg: float | None = Field(
-        default=None, ge=-360, le=360, description="position angle of up in the image; default: random"
-    )
+    roll_deg: RandomRollDeg = None
 
 
 class ListPointing(StrictModel):
@@ -168,8 +172,7 @@ class BackgroundConfig(StrictModel):
     ghosts: bool = Field(
         default=False,
         description="ghosts of stars inside and outside the frame, of Moon and planets, and of Sun and Moon by a "
-        "table of "
-        "stray_light with the cause ghosts",
+        "table of stray_light with the cause ghosts",
     )
     earth_direction_deg: tuple[AngleDeg, DeclinationDeg] = Field(
         default=(0.0, 0.0), description="right ascension and declination of the Earth's centre"
@@ -312,17 +315,17 @@ class DatasetConfig(SensorExperimentConfig):
     @model_validator(mode="before")
     @classmethod
     def _seen_from_the_earth(cls, values: Any) -> Any:
-        """A field with a body has the body in it, where the Earth sees it."""
+        """Settings that a body in the field implies: an observer on the Earth, and its light."""
         pointing = values.get("pointing") if isinstance(values, Mapping) else None
         kind = pointing.get("kind") if isinstance(pointing, Mapping) else getattr(pointing, "kind", None)
         if kind != "body":
             return values
         implied: dict[str, dict[str, Any]] = {"catalogue": {"observer": "earth"}, "background": {"moon_planets": True}}
         tables: dict[str, Any] = {}
-        for name, more in implied.items():
-            old = values.get(name, {})
-            table = old.model_dump() if isinstance(old, StrictModel) else old
-            tables[name] = {**table, **more} if isinstance(table, Mapping) else table  # no table: said by the field
+        for name, settings in implied.items():
+            given = values.get(name, {})
+            table = given.model_dump() if isinstance(given, StrictModel) else given
+            tables[name] = {**table, **settings} if isinstance(table, Mapping) else table  # refused by the field
         return {**values, **tables}
 
     @field_validator("window_px")
@@ -338,9 +341,6 @@ class DatasetConfig(SensorExperimentConfig):
         if len(set(values)) != len(values):
             raise ValueError("an export is named twice")
         return values
-
-
-# --- The commands
 
 
 experiment = Experiment(

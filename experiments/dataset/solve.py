@@ -1,12 +1,11 @@
 """Blind solution of the frames: tetra3rs identifies the stars, attitudes are solved and compared with the truth.
 
-tetra3rs gets centroids and a calibrated camera, no attitude, and the whole sky. Two attitudes follow from its matches:
-one with equal weights, and one from all detections near a catalogue star, weighted by their own covariance and an
-unmodelled common error (undersampling, colour), chosen such that the residuals match their expectation, after R. C.
-Paule and J. Mandel, J. Res. NBS 87, 377 (1982), here by their median. Neither uses the truth. Fields below
-`NARROWEST_BLIND_DEG` contain too few stars known to tetra3rs (to G = 10) for patterns of four, and their patterns take
-minutes: there stars are identified from an approximate attitude, the written one turned by `PRIOR_OFF_PX` pixels, and
-reports state this.
+tetra3rs gets centroids, a calibrated camera and the full sky, no attitude. Two attitudes follow from its matches: with
+equal weights, and from all detections near a catalogue star, weighted by their covariance and an unmodelled common
+error (undersampling, colour) for which the residuals match their expectation, after R. C. Paule and J. Mandel, J. Res.
+NBS 87, 377 (1982), here by their median. Neither uses the truth. Fields below `NARROWEST_BLIND_DEG` contain too few
+stars of tetra3rs (to G = 10) for patterns of four, which would take minutes: there stars are identified from an
+approximate attitude, `PRIOR_OFF_PX` pixels from the truth, and reports state this.
 """
 
 from __future__ import annotations
@@ -49,16 +48,15 @@ PRIOR_OFF_PX = 20.0
 GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))
 
 FIELD_MARGIN = 0.06
-"""The database of patterns is made for fields this much narrower and wider than the camera's."""
+"""Relative range of the fields of the pattern database about that of the camera."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SkyMap:
-    """Catalogue that attitudes are computed with, as the camera sees it."""
+    """Apparent directions of the catalogue, for attitudes."""
 
     direction: FloatArray  # (n, 3) Unit vectors in icrs, aberration included if the frames have it
-    # Identifier -> direction; None where identifiers are not those of tetra3rs, whose own directions then serve
-    by_id: Mapping[int, FloatArray] | None
+    by_id: Mapping[int, FloatArray] | None  # By identifier of tetra3rs; None for its own directions
     id: NDArray[np.int64]  # (n,) Identifiers
 
     def __post_init__(self) -> None:
@@ -72,7 +70,7 @@ class SolvedFrame:
     """Result of a frame; errors are rotation vectors in cam: across the boresight x, y, and roll z."""
 
     frame: int = col("Frame", json="")
-    # Of `calib.attitude.identify.identify`; "wrong" for an attitude that is off by more than a pixel
+    # Of `calib.attitude.identify.identify`; "wrong" for an error of more than a pixel
     status: str = col("Status", json="")
     detected: int = col("Detected", json="")
     fit: int = col("Without a flag", json="")
@@ -82,7 +80,7 @@ class SolvedFrame:
     sigma_arcsec: FloatArray = col("σ", "arcsec", dims="axis", key="sigma_{axis}_arcsec", json="")
     message: str = col("Message", json="")
     equal_error_arcsec: FloatArray  # (3,) With equal weights, of the stars that tetra3rs matched
-    common_px: float  # Common centroid error that the residuals ask for
+    common_px: float  # Common centroid error estimated from the residuals
 
     def __post_init__(self) -> None:
         for name in ("error_arcsec", "sigma_arcsec", "equal_error_arcsec"):
@@ -107,13 +105,13 @@ def solve_frame(
     near: Rotation | None = None,
 ) -> SolvedFrame:
     """Solve one frame blind, or near a rough attitude, and compare with the truth."""
-    # patterns are made of the brightest stars: those that are saturated or blended must not be missing from them
+    # patterns consist of the brightest stars, saturated and blended ones included
     stars = measured.stars
-    seen = np.isfinite(stars.pixel_px).all(axis=1) & np.isfinite(stars.flux_e) & ~stars.sharp
+    usable = np.isfinite(stars.pixel_px).all(axis=1) & np.isfinite(stars.flux_e) & ~stars.sharp
     if near is not None:
         match = identify_stars(stars, model, sky, near=near)
     else:
-        match = identify(stars.pixel_px[seen], model, database, flux=stars.flux_e[seen], catalogue=sky.by_id)
+        match = identify(stars.pixel_px[usable], model, database, flux=stars.flux_e[usable], catalogue=sky.by_id)
     pixel = stars.pixel_px[measured.fit]
     common: dict[str, Any] = {
         "frame": frame,
@@ -121,26 +119,22 @@ def solve_frame(
         "fit": len(pixel),
         "identified": len(match.detected),
     }
-    nothing = np.full(3, np.nan)
     if not match.ok or match.attitude is None:
+        errors: dict[str, Any] = dict.fromkeys(
+            ("error_arcsec", "sigma_arcsec", "equal_error_arcsec"), np.full(3, np.nan)
+        )
         return SolvedFrame(
-            **common,
-            status=match.status,
-            message=match.message,
-            used=0,
-            error_arcsec=nothing,
-            sigma_arcsec=nothing,
-            equal_error_arcsec=nothing,
-            common_px=float("nan"),
+            **common, **errors, status=match.status, message=match.message, used=0, common_px=float("nan")
         )
     equal = attitude_error_arcsec(model_turn.inv() * match.attitude.rotation, truth)
     weighted, used, common_px = _weighted(measured, pixel, model, match, sky, pixel_arcsec)
     error = attitude_error_arcsec(model_turn.inv() * weighted.rotation, truth)
-    wrong = not np.hypot(error[0], error[1]) < pixel_arcsec
+    cross_arcsec = np.hypot(error[0], error[1])
+    wrong = not cross_arcsec < pixel_arcsec
     return SolvedFrame(
         **common,
         status="wrong" if wrong else "identified",
-        message=f"off by {np.hypot(error[0], error[1]):.3g} arcsec" if wrong else match.message,
+        message=f"off by {cross_arcsec:.3g} arcsec" if wrong else match.message,
         used=used,
         error_arcsec=error,
         sigma_arcsec=np.sqrt(np.diagonal(weighted.covariance_rad2)) * RAD_ARCSEC,
@@ -165,8 +159,8 @@ def _weighted(
     covariance = measured.stars.covariance[measured.fit][pairs.detected]
     variance = (covariance[:, 0, 0] + covariance[:, 1, 1]) / 2.0
     v_cam, v_ref = model.unproject(pixel[pairs.detected]), sky.direction[pairs.catalogue]
-    solution, kept, common_px = balanced_attitude(v_cam, v_ref, variance, pixel_arcsec / RAD_ARCSEC)
-    return solution, int(kept.sum()), common_px
+    solution, used, common_px = balanced_attitude(v_cam, v_ref, variance, pixel_arcsec / RAD_ARCSEC)
+    return solution, int(used.sum()), common_px
 
 
 def _field_deg(scene: DatasetScene) -> float:
@@ -189,38 +183,37 @@ class BlindSolver:
 
     def __init__(self, scene: DatasetScene, calibration: MapFit, patterns: Any) -> None:
         self.scene, self.calibration, self.database = scene, calibration, patterns
-        self.blind = _field_deg(scene) >= NARROWEST_BLIND_DEG  # nothing but the camera is known before
-        # why no frame can be solved; "" if they can
+        self.blind = _field_deg(scene) >= NARROWEST_BLIND_DEG
+        # Reason for no solution; "" for none
         self.missing = "" if patterns or not self.blind else "tetra3rs is not installed: pip install '.[solve]'"
         catalogue, direction = scene.catalogue, scene.sky.direction
-        known = scene.config.catalogue.source == "gaia"  # the identifiers of tetra3rs are Gaia's
-        self.sky = SkyMap(
-            direction=direction,
-            by_id=dict(zip(catalogue.id.tolist(), direction, strict=True)) if known else None,
-            id=catalogue.id,
-        )
+        by_id = None
+        if scene.config.catalogue.source == "gaia":  # the identifiers of tetra3rs
+            by_id = dict(zip(catalogue.id.tolist(), direction, strict=True))
+        self.sky = SkyMap(direction=direction, by_id=by_id, id=catalogue.id)
 
     def turned(self, record: FrameRecord, measured: MeasuredFrame) -> FloatArray:
-        """Centroids (n, 2) carried to the middle of the exposure of the middle row, by the rate that a gyro tells."""
+        """Centroids (n, 2) propagated to the middle of the exposure of the middle row, by the rate of a gyro."""
         camera, model, pixel = self.scene.config.instrument, self.calibration.model, measured.stars.pixel_px
         if not (camera.line_time_us and any(record.rate_deg_per_s)):
             return pixel
         middle = (self.scene.instrument.camera.height_px - 1) / 2.0
-        later_s = (np.nan_to_num(pixel[:, 1], nan=middle) - middle) * camera.line_time_us * 1e-6
+        delay_s = (np.nan_to_num(pixel[:, 1], nan=middle) - middle) * camera.line_time_us * 1e-6
         rate = self.calibration.rotation.apply(np.radians(record.rate_deg_per_s))
-        # R(t + dt) = exp(-rate dt) R(t): what is seen later is turned back
-        turn = Rotation.from_rotvec(later_s[:, None] * rate)
-        known = np.isfinite(pixel).all(axis=1)
-        carried = np.full_like(pixel, np.nan)
-        carried[known] = model.project(turn[known].apply(model.unproject(pixel[known])))
-        return carried
+        # R(t + dt) = exp(-rate dt) R(t), inverted
+        rotation = Rotation.from_rotvec(delay_s[:, None] * rate)
+        finite = np.isfinite(pixel).all(axis=1)
+        propagated = np.full_like(pixel, np.nan)
+        propagated[finite] = model.project(rotation[finite].apply(model.unproject(pixel[finite])))
+        return propagated
 
     def solve(self, record: FrameRecord, measured: MeasuredFrame) -> SolvedFrame:
         """Solve the attitude of one frame."""
         truth = Rotation.from_quat(record.quat_xyzw)
         angle = PRIOR_OFF_PX * self.scene.instrument.pixel_arcsec / RAD_ARCSEC
-        way = record.frame * GOLDEN_RAD
-        off = self.calibration.rotation * Rotation.from_rotvec([angle * np.cos(way), angle * np.sin(way), 0.0])
+        azimuth = record.frame * GOLDEN_RAD
+        axis = [np.cos(azimuth), np.sin(azimuth), 0.0]
+        offset = self.calibration.rotation * Rotation.from_rotvec(angle * np.array(axis))
         return solve_frame(
             record.frame,
             measured,
@@ -230,19 +223,19 @@ class BlindSolver:
             sky=self.sky,
             truth=truth,
             pixel_arcsec=self.scene.instrument.pixel_arcsec,
-            near=None if self.blind else off * truth,
+            near=None if self.blind else offset * truth,
         )
 
 
-# --- What the sections hold
+# --- Sections
 
-UNSOLVED_SHARE = 0.005
-"""One frame may fail anyway."""
+UNSOLVED_FRACTION = 0.005
+"""Of the frames; a single failure is always allowed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeStatistics:
-    """Attitudes of all frames against the truth; mirrored and wrong frames are not solved."""
+    """Attitudes of all frames against the truth; mirrored and wrong solutions are failures."""
 
     attempted: int = col("Frames tried", shown=False)
     solved: int = col("Frames solved")
@@ -264,46 +257,44 @@ class AttitudeStatistics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unsolved:
-    """Why no frame was tried."""
+    """Reason for no attempt."""
 
     without_solver: str = col("Reason for no attempt", json="why")
 
 
 def attitudes(frames: Sequence[SolvedFrame]) -> AttitudeStatistics:
     """Statistics of solved frames; NaN where none was solved."""
-    good = [frame for frame in frames if frame.solved]
+    solved = [frame for frame in frames if frame.solved]
     error, sigma, equal = (
-        np.array([getattr(frame, f"{name}_arcsec") for frame in good]).reshape(-1, 3)
+        np.array([getattr(frame, f"{name}_arcsec") for frame in solved]).reshape(-1, 3)
         for name in ("error", "sigma", "equal_error")
     )
-    off = np.hypot(error[:, 0], error[:, 1]) if good else np.full(1, np.nan)
-    equal_off = np.hypot(equal[:, 0], equal[:, 1]) if good else off
-    common = [f.common_px for f in frames if np.isfinite(f.common_px)]
-    (median, spread), pulls = robust_median(off), error / sigma
+    cross = np.hypot(error[:, 0], error[:, 1]) if solved else np.full(1, np.nan)
+    equal_cross = np.hypot(equal[:, 0], equal[:, 1]) if solved else cross
+    common = [frame.common_px for frame in frames if np.isfinite(frame.common_px)]
+    (median, spread), pulls = robust_median(cross), error / sigma
+    pull = None
+    if len(solved) > 1:  # frames scatter more than axes, which share the common error estimated from few stars
+        rms, uncertainty = rms_pull(pulls)
+        pull = Measured(value=rms, uncertainty=uncertainty, n=len(pulls))
     return AttitudeStatistics(
         attempted=len(frames),
-        solved=len(good),
+        solved=len(solved),
         mirrored=sum(frame.status == "mirrored" for frame in frames),
         wrong=sum(frame.status == "wrong" for frame in frames),
-        unsolved=len(frames) - len(good),
-        unsolved_limit=max(1, math.floor(UNSOLVED_SHARE * len(frames))),
-        median_arcsec=Measured(value=median, uncertainty=spread, n=len(good)),
-        p95_arcsec=float(np.quantile(off, 0.95)),
-        largest_arcsec=float(off.max()),
-        equal_weights_median_arcsec=float(np.median(equal_off)),
-        roll_median_arcsec=float(np.median(np.abs(error[:, 2]))) if good else math.nan,
+        unsolved=len(frames) - len(solved),
+        unsolved_limit=max(1, math.floor(UNSOLVED_FRACTION * len(frames))),
+        median_arcsec=Measured(value=median, uncertainty=spread, n=len(solved)),
+        p95_arcsec=float(np.quantile(cross, 0.95)),
+        largest_arcsec=float(cross.max()),
+        equal_weights_median_arcsec=float(np.median(equal_cross)),
+        roll_median_arcsec=float(np.median(np.abs(error[:, 2]))) if solved else math.nan,
         circles_arcsec=np.full(2, median),
-        pull_rms=np.sqrt(np.mean(pulls**2, axis=0)) if good else np.full(3, np.nan),
-        pull=_pull(pulls) if len(good) > 1 else None,
+        pull_rms=np.sqrt(np.mean(pulls**2, axis=0)) if solved else np.full(3, np.nan),
+        pull=pull,
         common_px=float(np.median(common)) if common else math.nan,
         boresight_arcsec=error[:, :2],
     )
-
-
-def _pull(pulls: FloatArray) -> Measured:
-    """RMS of pulls (n, 3); axes of a frame share the common error that its few stars tell, so frames scatter more."""
-    rms, uncertainty = rms_pull(pulls)
-    return Measured(value=rms, uncertainty=uncertainty, n=len(pulls))
 
 
 def _axes(q: Quantities, frames: Sequence[SolvedFrame]) -> None:

@@ -11,8 +11,7 @@ the leakage is reported (`leakage`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
@@ -23,7 +22,7 @@ from experiments.dataset.settings import ConePointing, DatasetConfig, ScanPointi
 from optics.arrays import FloatArray
 from optics.attitude import attitude_from_angles
 from optics.errors import DomainError
-from optics.units import DEG_RAD, RAD_DEG
+from optics.units import DEG_RAD
 from render.engine.random import Streams
 from render.sky.partition import PARTS, PartOf, cone_directions, parts_by_arcs, parts_by_caps, parts_by_latitude
 
@@ -34,7 +33,7 @@ BLOCK = 100
 class Splits:
     """Split of the frames of a dataset."""
 
-    by: Literal["sky", "arc", "frame"]  # "sky", "arc" or "frame"
+    by: Literal["sky", "arc", "frame"]
     gap_deg: float  # Least angle between boresights of two splits; 0 by frame
     of: Callable[[int, FloatArray], str]  # ``of(frame, boresight)``: name of the split, `GAP` for none
 
@@ -42,51 +41,36 @@ class Splits:
 def build_splits(
     config: DatasetConfig, streams: Streams, diagonal_deg: float, listed: FloatArray | None = None
 ) -> Splits:
-    """The splits of a dataset; which one a frame is in follows from configuration, number and boresight."""
+    """The splits of a dataset; that of a frame follows from configuration, number and boresight."""
     splits = config.splits
     gap_deg = diagonal_deg if splits.gap_deg is None else splits.gap_deg
-    circle, boresights = _circle(config), listed if listed is not None else _cone(config)
-    with _named():
-        if splits.by == "auto":
-            with suppress(DomainError):  # a field too wide, a scan about the boresight
-                if circle is not None:
-                    return _spatial("arc", gap_deg, parts_by_arcs(_fractions(splits), *circle, gap_deg * DEG_RAD))
-                if boresights is not None or isinstance(config.pointing, SkyPointing):
-                    return _by_sky(splits, streams, gap_deg, boresights)
-        if splits.by == "sky":
-            return _by_sky(splits, streams, gap_deg, boresights)
-        if splits.by == "arc":
+    gap_rad, circle, boresights = gap_deg * DEG_RAD, _circle(config), _cone(config) if listed is None else listed
+    by = splits.by
+    if by == "auto":
+        on_sky = boresights is not None or isinstance(config.pointing, SkyPointing)
+        by = "arc" if circle is not None else "sky" if on_sky else "frame"
+    fractions = dict(zip(PARTS, (splits.train_fraction, splits.validation_fraction, splits.test_fraction), strict=True))
+    try:
+        if by == "sky":
+            part_of = _by_sky(fractions, streams, gap_rad, boresights)
+            return Splits(by=by, gap_deg=gap_deg, of=lambda _, boresight: part_of(boresight))
+        if by == "arc":
             if circle is None:
                 raise DomainError("by = arc needs a scan at a constant rate across the sky; take sky or frame")
-            return _spatial("arc", gap_deg, parts_by_arcs(_fractions(splits), *circle, gap_deg * DEG_RAD))
+            part_of = parts_by_arcs(fractions, *circle, gap_rad)
+            return Splits(by=by, gap_deg=gap_deg, of=lambda _, boresight: part_of(boresight))
+    except DomainError as error:  # a field too wide, a scan about the boresight
+        if splits.by != "auto":
+            raise DomainError(f"splits.{error}") from None
     return Splits(by="frame", gap_deg=0.0, of=lambda frame, _: _of_block(splits, streams, frame))
 
 
-@contextmanager
-def _named() -> Iterator[None]:
-    """Messages that begin with a key of the table ``splits``."""
-    try:
-        yield
-    except DomainError as error:
-        raise DomainError(f"splits.{error}") from None
-
-
-def _fractions(splits: SplitsConfig) -> dict[str, float]:
-    return dict(zip(PARTS, (splits.train_fraction, splits.validation_fraction, splits.test_fraction), strict=True))
-
-
-def _spatial(by: Literal["sky", "arc"], gap_deg: float, part_of: PartOf) -> Splits:
-    return Splits(by=by, gap_deg=gap_deg * DEG_RAD * RAD_DEG, of=lambda _, boresight: part_of(boresight))
-
-
-def _by_sky(splits: SplitsConfig, streams: Streams, gap_deg: float, boresights: FloatArray | None) -> Splits:
-    """Regions of all the sky, or of the part that boresights (n, 3) fill."""
+def _by_sky(fractions: dict[str, float], streams: Streams, gap_rad: float, boresights: FloatArray | None) -> PartOf:
+    """Regions of the whole sky, or of the part that boresights (n, 3) fill."""
     normal = streams.generator("split pole", 0).standard_normal(3)
-    gap_rad = gap_deg * DEG_RAD
     if boresights is None:
-        pole = normal / math.hypot(*normal)
-        return _spatial("sky", gap_deg, parts_by_caps(_fractions(splits), pole, gap_rad))
-    return _spatial("sky", gap_deg, parts_by_latitude(_fractions(splits), boresights, gap_rad, normal))
+        return parts_by_caps(fractions, normal / math.hypot(*normal), gap_rad)
+    return parts_by_latitude(fractions, boresights, gap_rad, normal)
 
 
 def _cone(config: DatasetConfig) -> FloatArray | None:
@@ -109,12 +93,12 @@ def _circle(config: DatasetConfig) -> tuple[FloatArray, FloatArray] | None:
 
 
 def _of_block(splits: SplitsConfig, streams: Streams, frame: int) -> str:
-    """Every block of 100 frames is shared out as exactly as whole frames allow."""
-    block, place = divmod(frame, BLOCK)
-    position = (_order(streams, block)[place] + 0.5) / BLOCK
-    if position < splits.train_fraction:
+    """Frames of every block of 100 are assigned in random order, with fractions exact to half a frame."""
+    block, number = divmod(frame, BLOCK)
+    quantile = (_order(streams, block)[number] + 0.5) / BLOCK
+    if quantile < splits.train_fraction:
         return PARTS[0]
-    return PARTS[1] if position < splits.train_fraction + splits.validation_fraction else PARTS[2]
+    return PARTS[1] if quantile < splits.train_fraction + splits.validation_fraction else PARTS[2]
 
 
 @lru_cache(maxsize=64)

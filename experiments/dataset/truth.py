@@ -77,16 +77,17 @@ FLAGS = {
 }
 """Name -> (bit, meaning); footprints: `calib.measure.detection.footprints`."""
 
-SHARE_LOST = 1e-3
-VIGNETTED_SHARE = 0.01
-BLEND_SHARE = 0.01
-DARK_SHARE = 1e-6
-BESIDE_PX = 16.0
+LOST_FRACTION = 1e-3
+VIGNETTED_FRACTION = 0.01
+BLEND_FRACTION = 0.01
+DARK_FRACTION = 1e-6
+MARGIN_PX = 16.0
+"""Stars whose chief ray passes farther from the detector have no row without light on it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PointSources:
-    """n point sources as the truth lists them: stars in the order of the catalogue, planets behind them."""
+    """n point sources of the truth: stars in the order of the catalogue, then planets."""
 
     direction: FloatArray  # (n, 3) Unit vectors along icrs
     star_id: NDArray[np.int64]  # (n,)
@@ -147,53 +148,50 @@ def star_rows(
         "flags": _flags(values, footprint_px(*rays, blur_px), bits, axial_transmission),
         **{name: value for name, value in values.items() if name != "electrons_image"},
     }
-    kept = _worth_a_row(values, bits.shape)
+    listed = electrons > DARK_FRACTION * values["electrons_in"]
+    chief_px = np.stack([values["chief_x_px"], values["chief_y_px"]])
+    low, high = -0.5 - MARGIN_PX, np.array(bits.shape[::-1])[:, None] - 0.5 + MARGIN_PX
+    listed |= ((chief_px >= low) & (chief_px <= high)).all(0)
     return {
-        column.name: columns[column.name] if column.type == "str" else np.asarray(columns[column.name])[kept]
+        column.name: columns[column.name] if column.type == "str" else np.asarray(columns[column.name])[listed]
         for column in COLUMNS
     }
-
-
-def _worth_a_row(values: dict[str, FloatArray], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Stars (n,) with light on the detector or near it: without stars whose chief ray passes far outside."""
-    x, y = values["chief_x_px"], values["chief_y_px"]
-    near = (x >= -0.5 - BESIDE_PX) & (x <= shape[1] - 0.5 + BESIDE_PX)
-    near &= (y >= -0.5 - BESIDE_PX) & (y <= shape[0] - 0.5 + BESIDE_PX)
-    return near | (values["electrons_image"] > DARK_SHARE * values["electrons_in"])
 
 
 def _flags(
     values: dict[str, FloatArray], half: FloatArray, bits: NDArray[np.uint8], axial_transmission: float
 ) -> NDArray[np.int32]:
-    sent, arrived = values["electrons_in"], values["electrons_image"]
-    lost = values["electrons_off_edge"] + arrived
-    flags = np.zeros(len(sent), np.int32)
-    flags[values["electrons_off_edge"] > SHARE_LOST * lost] |= FLAGS["off_edge"][0]
-    through = sent - values["electrons_vignetted"]
-    flags[through < (1.0 - VIGNETTED_SHARE) * axial_transmission * sent] |= FLAGS["vignetted"][0]
-    flags[values["electrons_hidden"] > SHARE_LOST * sent] |= FLAGS["hidden"][0]
-    dark = ~(arrived > DARK_SHARE * sent)
-    flags[dark] |= FLAGS["no_light"][0]
+    entering, detected, off_edge = (values[f"electrons_{name}"] for name in ("in", "image", "off_edge"))
+    transmitted = entering - values["electrons_vignetted"]
+    dark = ~(detected > DARK_FRACTION * entering)
+    flags = np.zeros(len(entering), np.int32)
+    for name, flagged in (
+        ("off_edge", off_edge > LOST_FRACTION * (off_edge + detected)),
+        ("vignetted", transmitted < (1.0 - VIGNETTED_FRACTION) * axial_transmission * entering),
+        ("hidden", values["electrons_hidden"] > LOST_FRACTION * entering),
+        ("no_light", dark),
+    ):
+        flags[flagged] |= FLAGS[name][0]
     centre = np.stack([values["photon_x_px"], values["photon_y_px"]])
     lit = np.flatnonzero(~dark & np.isfinite(centre).all(0))
     flags[lit] |= footprint_bits(centre[:, lit], half[:, lit], bits)
-    flags[lit[overlapping(centre[:, lit], half[:, lit], arrived[lit], BLEND_SHARE)]] |= FLAGS["blended"][0]
+    flags[lit[overlapping(centre[:, lit], half[:, lit], detected[lit], BLEND_FRACTION)]] |= FLAGS["blended"][0]
     return flags
 
 
-# --- Record of a frame: what its truth file says of it and the index lists
+# --- Record of a frame, in its truth file and in the index
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiskTruth:
     """The Moon or a planet that is larger than a pixel."""
 
-    name: str  # Which; ``moon`` or ``planet``, as in the labels
-    kind: str
-    star_id: int  # As that of planets among the stars (-10^6 - NAIF number)
-    ra_deg: float  # Direction in which its middle is seen, icrs
+    name: str
+    kind: str  # ``moon`` or ``planet``, as in the labels
+    star_id: int  # -10^6 - NAIF number
+    ra_deg: float  # Apparent direction of its centre, icrs
     dec_deg: float
-    x_px: float  # Its middle (column, row) and size
+    x_px: float  # Centre (column, row) and size
     y_px: float
     diameter_px: float
     phase_deg: float  # Angle Sun - body - observer; direction of the Sun in the image, from +column towards +row
@@ -210,39 +208,38 @@ class FrameGhost:
     """A ghost: light of a source that two surfaces reflect, the number of surfaces being the detector."""
 
     source: str  # Identifier of a star, or name of a body
-    back: int  # Surfaces that turn the light back, and forward again
+    back: int  # Surface that reflects the light backward, and the one that reflects it forward
     forward: int
-    x_px: float  # Its centroid, on the detector or beside it, and the radius of an even disk of its RMS radius
+    x_px: float  # Centroid, on the detector or outside, and radius of a uniform disk with the RMS radius of the ghost
     y_px: float
     radius_px: float
-    electrons: float  # All of its light; in the brightest pixel
+    electrons: float  # Total, and in the brightest pixel
     peak_e: float
-    sharp: bool  # Small enough to be taken for a star
+    sharp: bool  # Small enough to be detected as a star
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameRecord:
     """One frame, in the units and conventions of files."""
 
-    frame: int  # Number of the frame
-    split: str  # train, validation or test
+    frame: int
+    split: str  # train, validation, test or gap
     file: str  # Frame and truth, relative to the dataset's folder
     truth: str
     ra_deg: float  # Boresight and position angle of up, in the middle of the exposure
     dec_deg: float
     roll_deg: float
-    # The same attitude as a quaternion cam from icrs, scalar last and not negative
-    quat_xyzw: tuple[float, float, float, float]
+    quat_xyzw: tuple[float, float, float, float]  # The same attitude, cam from icrs, scalar last and not negative
     rate_deg_per_s: tuple[float, float, float]  # Angular velocity in camera axes at that time
     epoch_year: float  # Julian year
-    exposure_s: float  # Exposure time
+    exposure_s: float
     stars: int  # Stars of which light reaches the detector, and those of them with a saturated pixel
     saturated: int
-    saturated_px: int  # Saturated pixels
+    saturated_px: int
     background_e: float  # Mean expected electrons per pixel of sky light
-    frame_bytes: int  # Size of the frame's file
-    sha256: str  # Its digest
-    # What the text leaves out where there is nothing: bodies that are disks, ghosts, digest of the layers' file
+    frame_bytes: int  # Size and digest of the frame's file
+    sha256: str
+    # Left out of the text if empty
     disks: tuple[DiskTruth, ...] = ()
     ghosts: tuple[FrameGhost, ...] = ()
     layers_sha256: str = ""

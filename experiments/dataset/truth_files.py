@@ -27,6 +27,7 @@ Format = Literal["parquet", "ecsv"]
 
 RECORD, ORIGIN, DIGEST = "starbench_frame", "starbench_dataset", "starbench_sha256"
 _BLANK = "0" * 64
+_FLAG_TEXTS = {name: f"{bit}: {about}" for name, (bit, about) in FLAGS.items()}
 _SEAL = re.compile(DIGEST.encode() + rb"[^0-9a-f]{1,6}([0-9a-f]{64})", re.DOTALL)
 
 INDEX_COLUMNS = (
@@ -52,26 +53,19 @@ INDEX_COLUMNS = (
 
 def truth_bytes(rows: Mapping[str, Any], record: FrameRecord, form: Format, origin: str) -> bytes:
     """File of the truth of a frame; the same input gives the same bytes."""
-    written = {RECORD: record.to_text()}, {ORIGIN: origin, DIGEST: _BLANK}
-    content = _parquet(COLUMNS, rows, *written) if form == "parquet" else _ecsv(COLUMNS, rows, *written)
-    at = _seal(content)
-    assert at is not None
-    return content[: at[0]] + hashlib.sha256(content).hexdigest().encode() + content[at[1] :]
+    content = _WRITERS[form](COLUMNS, rows, {RECORD: record.to_text()}, {ORIGIN: origin, DIGEST: _BLANK})
+    seal = _SEAL.search(content)
+    assert seal is not None
+    return content[: seal.start(1)] + hashlib.sha256(content).hexdigest().encode() + content[seal.end(1) :]
 
 
-def _seal(content: bytes) -> tuple[int, int] | None:
-    """Place of the digest in a truth file."""
-    match = _SEAL.search(content)
-    return None if match is None else match.span(1)
-
-
-def _unsealed(path: Path, content: bytes) -> None:
-    """Refuse a truth file that is not as it was written."""
-    at = _seal(content)
-    if at is None:
+def _check_digest(path: Path, content: bytes) -> None:
+    """Refuse a truth file whose content does not match its digest."""
+    seal = _SEAL.search(content)
+    if seal is None:
         raise ConfigError(f"{path}: is not a truth file of a dataset, or is damaged")
-    blank = content[: at[0]] + _BLANK.encode() + content[at[1] :]
-    if hashlib.sha256(blank).hexdigest().encode() != content[at[0] : at[1]]:
+    blank = content[: seal.start(1)] + _BLANK.encode() + content[seal.end(1) :]
+    if hashlib.sha256(blank).hexdigest().encode() != seal[1]:
         raise ConfigError(f"{path}: is damaged: its digest does not match")
 
 
@@ -81,19 +75,18 @@ def index_bytes(records: Sequence[FrameRecord], form: Format, truth_digest: Mapp
     for column in INDEX_COLUMNS:
         name = column.name
         if name.startswith("quat_"):
-            rows[name] = [one.quat_xyzw["xyzw".index(name[-1])] for one in records]
+            rows[name] = [record.quat_xyzw["xyzw".index(name[-1])] for record in records]
         elif name.startswith("rate_"):
-            rows[name] = [one.rate_deg_per_s["xyz".index(name[5])] for one in records]
+            rows[name] = [record.rate_deg_per_s["xyz".index(name[5])] for record in records]
         elif name == "truth_sha256":
-            rows[name] = [truth_digest[one.truth] for one in records]
+            rows[name] = [truth_digest[record.truth] for record in records]
         else:
-            rows[name] = [getattr(one, name) for one in records]
-    metadata: tuple[dict[str, str], dict[str, str]] = {"starbench_index": "1"}, {}
-    return _parquet(INDEX_COLUMNS, rows, *metadata) if form == "parquet" else _ecsv(INDEX_COLUMNS, rows, *metadata)
+            rows[name] = [getattr(record, name) for record in records]
+    return _WRITERS[form](INDEX_COLUMNS, rows, {"starbench_index": "1"}, {})
 
 
 def read_record(path: Path) -> FrameRecord:
-    """Record of the frame in a truth file, all of which is read."""
+    """Record of the frame in a truth file, which is read completely."""
     table, metadata = _read(path, sealed=True)
     try:
         names, rows = [column.name for column in COLUMNS], int(metadata.get("rows", len(table)))
@@ -127,7 +120,7 @@ def _read(path: Path, *, sealed: bool) -> tuple[Any, Mapping[str, Any]]:
     try:
         content = path.read_bytes()
         if sealed:
-            _unsealed(path, content)
+            _check_digest(path, content)
         if path.suffix == ".parquet":
             import pyarrow as pa
             import pyarrow.parquet as pq
@@ -142,7 +135,7 @@ def _read(path: Path, *, sealed: bool) -> tuple[Any, Mapping[str, Any]]:
         return Table({name: np.asarray(read[name]) for name in read.colnames}), read.meta
     except ConfigError:
         raise
-    except Exception as error:  # pyarrow and astropy raise what their readers happen to raise
+    except Exception as error:  # pyarrow and astropy raise errors of many classes
         raise ConfigError(f"{path}: cannot be read ({' '.join(str(error).split())[:160]})") from None
 
 
@@ -150,58 +143,54 @@ def _read(path: Path, *, sealed: bool) -> tuple[Any, Mapping[str, Any]]:
 def _schema(columns: tuple[FileColumn, ...]) -> Any:
     import pyarrow as pa
 
-    types = {"str": pa.string(), "int32": pa.int32(), "int64": pa.int64(), "float64": pa.float64()}
-    return pa.schema(
-        [
-            pa.field(c.name, types[c.type], nullable=False, metadata={"unit": c.unit, "description": c.about})
-            for c in columns
-        ]
-    )
+    def field(c: FileColumn) -> Any:
+        kind = pa.string() if c.type == "str" else getattr(pa, c.type)()
+        return pa.field(c.name, kind, nullable=False, metadata={"unit": c.unit, "description": c.about})
+
+    return pa.schema(map(field, columns))
 
 
 def _parquet(
-    columns: tuple[FileColumn, ...], rows: Mapping[str, Any], metadata: Mapping[str, str], beside: Mapping[str, str]
+    columns: tuple[FileColumn, ...], rows: Mapping[str, Any], metadata: Mapping[str, str], footer: Mapping[str, str]
 ) -> bytes:
-    """``metadata`` goes into the schema, which Arrow keeps twice; ``beside`` is written once."""
+    """``metadata`` goes into the schema, which Arrow keeps twice; ``footer`` is written once."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     schema = _schema(columns)
-    size = next(len(value) for value in rows.values() if not isinstance(value, str))
     arrays = [
-        pa.repeat(pa.scalar(rows[field.name]), size)
+        pa.repeat(pa.scalar(rows[field.name]), len(rows["frame"]))
         if isinstance(rows[field.name], str)
         else pa.array(rows[field.name], field.type)
         for field in schema
     ]
-    flags = {f"flag_{name}": f"{bit}: {about}" for name, (bit, about) in FLAGS.items()} if "flags" in rows else {}
+    flags = {f"flag_{name}": text for name, text in _FLAG_TEXTS.items()} if "flags" in rows else {}
     table = pa.Table.from_arrays(arrays, schema=schema.with_metadata({**metadata, **flags}))
     text = [column.name for column in columns if column.type == "str"]
     sink = pa.BufferOutputStream()
     options = {"use_dictionary": text, "write_statistics": False, "write_page_checksum": True}
     with pq.ParquetWriter(sink, table.schema, compression="none", **options) as writer:
         writer.write_table(table)
-        writer.add_key_value_metadata(dict(beside))
+        writer.add_key_value_metadata(dict(footer))
     return bytes(sink.getvalue())
 
 
 def _ecsv(
-    columns: tuple[FileColumn, ...], rows: Mapping[str, Any], metadata: Mapping[str, str], beside: Mapping[str, str]
+    columns: tuple[FileColumn, ...], rows: Mapping[str, Any], metadata: Mapping[str, str], footer: Mapping[str, str]
 ) -> bytes:
     from astropy.table import Column as TableColumn
     from astropy.table import Table
 
-    size = next(len(value) for value in rows.values() if not isinstance(value, str))
-    table = Table()
+    size, table = len(rows["frame"]), Table()
     for c in columns:
-        value = rows[c.name]
-        kind = None if c.type == "str" else c.type
+        value, kind = rows[c.name], None if c.type == "str" else c.type
         data = np.full(size, value) if isinstance(value, str) else np.asarray(value, kind)
         table[c.name] = TableColumn(data, unit=c.unit or None, description=c.about)
-    table.meta = {**metadata, **beside, "rows": size}
-    if "flags" in rows:
-        table.meta["flags"] = {name: f"{bit}: {about}" for name, (bit, about) in FLAGS.items()}
+    table.meta = {**metadata, **footer, "rows": size} | ({"flags": _FLAG_TEXTS} if "flags" in rows else {})
     text = io.StringIO()
-    with np.printoptions(legacy=False):  # a style of the user's program may cut digits off
+    with np.printoptions(legacy=False):  # print options of the user's program may cut digits off
         table.write(text, format="ascii.ecsv", delimiter=",")
     return text.getvalue().encode()
+
+
+_WRITERS = {"parquet": _parquet, "ecsv": _ecsv}

@@ -62,7 +62,7 @@ def test_a_dataset_with_everything(engine, tmp_path, direction_deg, count, diges
     scene = dataset_scene.build_scene(DatasetConfig(**SCAN, pointing=pointing, instrument=SMALL | chip))
     made = dataset_frame.FrameMaker(scene).make(1)
     assert "cosmic_ray" in {label.kind for label in LabelMaker(scene).labels(1)}
-    assert (len(made.truth["star_id"]), np.count_nonzero(made.struck)) == count
+    assert (len(made.truth["star_id"]), np.count_nonzero(made.cosmic_rays)) == count
     assert set(made.layers) == {"stars", "sky", "bodies", "dark"}
     assert digest(made.frame.dn) == digests[0]
     assert digest(*(made.truth[name] for name in TRUTH)) == digests[1]

@@ -220,11 +220,11 @@ def catalogue_of(path):
 
 
 def attitudes_of(path):
-    assert np.isfinite(read_attitudes(str(path), "pointing.file").as_quat()).all()
+    assert np.isfinite(read_attitudes(str(path)).as_quat()).all()
 
 
 def motion_of(path):
-    times, turns = read_motion(str(path), "pointing.file")
+    times, turns = read_motion(str(path))
     assert (np.diff(times) > 0).all()
     assert len(turns) == len(times)
 

@@ -151,7 +151,7 @@ def test_attitudes_from_files(tmp_path):
     }
     for name, table in tables.items():
         table.write(tmp_path / name)
-        read = read_attitudes(str(tmp_path / name), "pointing.file")
+        read = read_attitudes(str(tmp_path / name))
         assert (read * rotation.inv()).magnitude().max() < 1e-9, name
 
 

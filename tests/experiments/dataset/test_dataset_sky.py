@@ -12,7 +12,7 @@ from astropy.time import Time
 from scipy import ndimage
 
 from experiments.dataset.frame import FrameMaker
-from experiments.dataset.job import _record, pixel_marks
+from experiments.dataset.job import frame_record, pixel_marks
 from experiments.dataset.labels import LabelMaker, body_labels, disk_truth
 from experiments.dataset.plan import build_plan, plan_frame
 from experiments.dataset.scene import build_scene
@@ -174,7 +174,7 @@ def hold_disk_to_astropy(disk, made, scene, label):
     assert shift @ [np.cos(towards), np.sin(towards)] > 0.02 * disk.diameter_px
     assert disk.electrons > 1e3
     assert disk.noise_share < 0.03
-    record = _record(made, scene, "frame.fits", "truth.parquet", 0, "0" * 64)
+    record = frame_record(made, scene, "frame.fits", "truth.parquet", 0, "0" * 64)
     assert record.disks == (disk,)
     assert record_from_text(record.to_text()) == record
 

@@ -10,7 +10,7 @@ from astropy.table import Table
 from calib.measure.centroid_error.cramer_rao_bound import flux_snr
 from calib.measure.detection.footprints import footprint_px
 from experiments.dataset.frame import FrameMaker
-from experiments.dataset.job import _record
+from experiments.dataset.job import frame_record
 from experiments.dataset.scene import build_scene, stars_of
 from experiments.dataset.settings import (
     BackgroundConfig,
@@ -120,7 +120,7 @@ def test_snr_is_that_of_optimal_weights_on_the_stars_own_pixels(maker):
 
 
 def test_a_record_says_the_same_in_text_and_in_angles(maker, made):
-    record = _record(made, maker.scene, "frames/a.fits", "truth/a.parquet", 7, "0" * 64)
+    record = frame_record(made, maker.scene, "frames/a.fits", "truth/a.parquet", 7, "0" * 64)
     assert record_from_text(record.to_text()) == record
     x, y, z, w = record.quat_xyzw
     assert w >= 0

@@ -8,7 +8,7 @@ import pytest
 from calib.flags import StarFlag
 from calib.measure.reduced_frame import MeasuredFrame
 from calib.records import StarTable
-from experiments.dataset.detection import FoundStars, compare_frame, detection, joined
+from experiments.dataset.detection import MatchedStars, compare_frame, detection, joined
 from experiments.dataset.truth import FLAGS
 
 
@@ -53,7 +53,7 @@ def test_stars_and_detections_are_paired_one_to_one():
     one = compare_frame(7, found, stars, width_px=101, height_px=101)
     assert one.matched.tolist() == [True, False, True, False]
     assert one.fit.tolist() == [True, False, False, False]
-    assert one.blend_seen.tolist() == [False, False, True, False]
+    assert one.blend_flagged.tolist() == [False, False, True, False]
     np.testing.assert_allclose(one.error_px[0], [0.4, -0.2])
     assert np.isnan(one.error_px[1]).all()
     assert one.false.tolist() == [7, 7]
@@ -82,14 +82,14 @@ def drawn_stars(rng, *, worse=1.0, frames=100):
     flags = np.zeros(COUNT, np.int32)
     flags[:300] = FLAGS["blended"][0]
     flags[300:310] = FLAGS["off_edge"][0]
-    return FoundStars(
+    return MatchedStars(
         magnitude=magnitude,
         snr=snr,
         electrons=np.full(COUNT, 1e3),
         flags=flags,
         matched=found,
         fit=found & (np.arange(COUNT) % 10 > 0),
-        blend_seen=found & (np.arange(COUNT) < 150),
+        blend_flagged=found & (np.arange(COUNT) < 150),
         error_px=worse * 0.01 * rng.standard_normal((COUNT, 2)) + [0.5, -0.5],
         smear_px=np.zeros(COUNT),
         position_px=rng.uniform(0.0, 1000.0, (COUNT, 2)),

@@ -23,12 +23,12 @@ def cluster(monkeypatch):
 
 
 def test_workers_that_are_gone(cluster, capsys):
-    watch = workers._Watch(cluster, "scheduler tcp://head:8786")
+    monitor = workers._Monitor(cluster, "scheduler tcp://head:8786")
     cluster.workers = {}
     told = {}
     for second in range(1, 300):
         cluster.now = 100.0 + second
-        watch.look()
+        monitor.update()
         if line := capsys.readouterr().err:
             told[second] = line
     assert list(told.values()) == ["scheduler tcp://head:8786: no workers for 10 s; waiting for some\n"]
@@ -37,34 +37,34 @@ def test_workers_that_are_gone(cluster, capsys):
     with pytest.raises(
         BackendError, match="no workers for 300 s; finished frames are kept; run the same command again"
     ):
-        watch.look()
+        monitor.update()
 
 
 def test_workers_that_come_and_go(cluster, capsys):
     """Adaptive scaling: more frames are handed out ahead to more workers."""
-    watch = workers._Watch(cluster, "scheduler")
-    assert watch.slots == 1
+    monitor = workers._Monitor(cluster, "scheduler")
+    assert monitor.slots == 1
     for second, count in ((110, 0), (115, 3), (130, 2), (140, 0), (145, 1)):
         cluster.now = float(second)
         cluster.workers = {f"w{k}": {"nthreads": 2} for k in range(count)}
-        watch.look()
-        assert watch.slots == (2 * count or watch.slots)
-    assert watch.most == 3
+        monitor.update()
+        assert monitor.slots == (2 * count or monitor.slots)
+    assert monitor.most_workers == 3
     assert capsys.readouterr().err == ""
 
 
 def test_a_scheduler_that_is_gone(cluster):
-    watch = workers._Watch(cluster, "scheduler tcp://head:8786")
+    monitor = workers._Monitor(cluster, "scheduler tcp://head:8786")
     cluster.status, cluster.now = "closed", 200.0
     with pytest.raises(BackendError, match=r"^scheduler tcp://head:8786 is gone; finished frames are kept"):
-        watch.look()
+        monitor.update()
 
 
 def test_a_cluster_that_starts_no_worker_though_there_is_work():
     future = SimpleNamespace(result=lambda timeout: (_ for _ in ()).throw(TimeoutError))
     client = SimpleNamespace(submit=lambda work, pure: future)
     with pytest.raises(ConfigError, match=r"^scheduler tcp://head:8786 has no workers, and started none within 10 s"):
-        workers._try_worker(client, None, "tcp://head:8786")
+        workers._check_cluster(client, None, "tcp://head:8786")
 
 
 def job(folder, **software):
@@ -73,7 +73,7 @@ def job(folder, **software):
 
 def test_a_worker_that_sees_another_folder_or_has_other_software(tmp_path, monkeypatch):
     """Every worker checks itself before its first frame, also one that comes late."""
-    monkeypatch.setattr(making, "_address", lambda: "tcp://node7:1234")
+    monkeypatch.setattr("distributed.get_worker", lambda: SimpleNamespace(address="tcp://node7:1234"))
     with pytest.raises(ConfigError, match=r"^worker tcp://node7:1234 does not see the folder of the dataset; it must"):
         making.make_frame(job(tmp_path), 0)
     (tmp_path / "token").touch()
