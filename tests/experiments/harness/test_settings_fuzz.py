@@ -125,7 +125,7 @@ READERS = {
     "lens": load_lens,
     "detector": load_detector,
     "catalogue": lambda name: read_catalog(name, "plain"),
-    "attitudes": lambda name: read_attitudes(name),
+    "attitudes": read_attitudes,
     "settings": lambda name: load_config(SensorConfig, file=name),
     "sensor": partial(read_sensor, model=SensorConfig),
     "own frames": lambda name: read_settings(Path(name)),
