@@ -13,9 +13,9 @@ import numpy as np
 from optics.arrays import FloatArray
 from optics.errors import ConfigError
 from optics.files.first_order import FirstOrder, first_order
-from optics.files.glasses import Found, GlassFinder
+from optics.files.glasses import AssignedGlass, GlassFinder
 from optics.files.parsed_file import ParsedFile, SurfaceRow
-from optics.files.report import FirstOrderComparison, ImportReport
+from optics.files.report import FirstOrderComparison, GlassChoice, ImportReport
 from optics.glass.absolute_index import CATALOGUE_AIR, Environment
 from optics.glass.catalogue import Glass, get_glass, list_glasses
 from optics.records import locked
@@ -65,16 +65,14 @@ def assemble(parsed: ParsedFile, catalogues: Sequence[Path], glasses: Mapping[st
     _checked_rows(parsed)
     _checked_wavelengths(parsed)
     finder = GlassFinder(parsed, catalogues, glasses)
-    found = {id(row): finder.find(row.glass) for row in parsed.rows if row.glass is not None}
-    after = [found[id(row)].glass if id(row) in found else None for row in parsed.rows]
-    media = _through_mirrors(parsed.rows, after)
-    wave = parsed.wavelengths[parsed.primary][0]
-    data = first_order(parsed.rows, media, wave, _environment(parsed))
-    choices = [_told(parsed, row, found[id(row)], media, data, wave) for row in parsed.rows if id(row) in found]
+    assigned = {row.number: finder.find(row.glass) for row in parsed.rows if row.glass is not None}
+    media = _media(parsed.rows, assigned)
+    data = _first_order(parsed, media)
+    choices = [_choice(parsed, row, assigned[row.number], media, data) for row in parsed.rows if row.number in assigned]
     pupil_mm = _stop(parsed, data)
-    angles = _field_angles(parsed, data, pupil_mm)
+    angles = _field_angles(parsed, data)
     comparisons = _comparisons(parsed, data, pupil_mm)
-    tables = _tables(parsed, found, angles)
+    tables = _tables(parsed, assigned, angles)
     _remarks(parsed)
     unique = {(c.asked, c.taken, c.where): c for c in choices}
     return Imported(
@@ -120,25 +118,30 @@ def _checked_wavelengths(parsed: ParsedFile) -> None:
         parsed.primary = 0
 
 
-def _through_mirrors(rows: Sequence[SurfaceRow], after: list[Glass | None]) -> list[Glass | None]:
-    """What light runs through behind every row: behind mirrors and breaks what was before."""
+def _media(rows: Sequence[SurfaceRow], assigned: Mapping[int, AssignedGlass]) -> list[Glass | None]:
+    """Medium behind every row, None for air; behind mirrors and breaks that in front of them."""
     media: list[Glass | None] = []
-    current: Glass | None = None
-    for row, glass in zip(rows, after, strict=True):
-        current = current if row.mirror or row.is_break else glass
-        media.append(current)
+    for row in rows:
+        if row.mirror or row.is_break:
+            media.append(media[-1] if media else None)
+        else:
+            media.append(assigned[row.number].glass if row.number in assigned else None)
     return media
 
 
-def _told(
-    parsed: ParsedFile, row: SurfaceRow, found: Found, media: list[Glass | None], data: FirstOrder, wave: float
-) -> Any:
-    """The choice of a glass with the change of focal length it makes, and its line of the report."""
-    choice, asked = found.choice, row.glass
+def _first_order(parsed: ParsedFile, media: list[Glass | None]) -> FirstOrder:
+    return first_order(parsed.rows, media, parsed.wavelengths[parsed.primary][0], _environment(parsed))
+
+
+def _choice(
+    parsed: ParsedFile, row: SurfaceRow, assigned: AssignedGlass, media: list[Glass | None], data: FirstOrder
+) -> GlassChoice:
+    """The choice of a glass with the change of focal length that it makes; its line of the report is written."""
+    choice, asked = assigned.choice, row.glass
     assert asked is not None
-    if found.meant is not None:
-        meant = [found.meant if glass is found.glass else glass for glass in media]
-        other = first_order(parsed.rows, meant, wave, _environment(parsed))
+    if assigned.intended is not None:
+        intended = [assigned.intended if glass is assigned.glass else glass for glass in media]
+        other = _first_order(parsed, intended)
         choice = replace(choice, efl_mm=data.efl_mm - other.efl_mm, bfl_mm=data.bfl_mm - other.bfl_mm)
     if choice.status == "taken":
         parsed.report.taken(asked.line, asked.command, f"{choice.taken}: {choice.where}", row.number)
@@ -151,22 +154,20 @@ def _told(
 def _stop(parsed: ParsedFile, data: FirstOrder) -> float:
     """Give the stop its semi-diameter [mm] from the aperture that the file states; the entrance pupil's diameter."""
     row = next(row for row in parsed.rows if row.stop)
-    aperture, share = parsed.aperture, abs(data.stop_share)
-    own = row.clear_mm or row.drawn_mm
+    aperture, stop_height = parsed.aperture, abs(data.stop_height)
+    own_mm = row.clear_mm or row.drawn_mm
     if aperture is None or aperture.kind == "STOP":
-        if not own:
+        if not own_mm:
             what = "no aperture is stated" if aperture is None else "the aperture floats by the stop"
             raise parsed.fail(row.line, f"{what}, and the stop (surface {row.number}) has no semi-diameter")
         if aperture is None:
-            parsed.report.assumed("aperture", f"none is stated; the stop's own semi-diameter {own:g} mm is taken")
-        row.clear_mm = own
-        return 2.0 * own / share if share else math.inf
-    where = f"line {aperture.line}: the aperture"
-    if aperture.kind in ("FNO", "NA"):
-        half_cone = (
-            2.0 * aperture.value if aperture.kind == "FNO" else 1.0 / math.tan(math.asin(min(aperture.value, 1)))
-        )
-        pupil = abs(data.efl_mm) / (aperture.value if aperture.kind == "FNO" else half_cone / 2.0)
+            parsed.report.assumed("aperture", f"none is stated; the stop's own semi-diameter {own_mm:g} mm is taken")
+        row.clear_mm = own_mm
+        return 2.0 * own_mm / stop_height if stop_height else math.inf
+    if aperture.kind == "FNO":
+        pupil_mm = abs(data.efl_mm) / aperture.value
+    elif aperture.kind == "NA":
+        pupil_mm = abs(data.efl_mm) / (1.0 / math.tan(math.asin(min(aperture.value, 1))) / 2.0)
     elif aperture.kind == "NAO":
         if math.isinf(parsed.object_mm) or not 0.0 < aperture.value < 1.0:
             raise parsed.fail(
@@ -174,47 +175,41 @@ def _stop(parsed: ParsedFile, data: FirstOrder) -> float:
                 f"object-side NA {aperture.value:g}, object at {parsed.object_mm:g} mm; an NA "
                 "between 0 and 1 and a finite distance are needed",
             )
-        pupil = 2.0 * math.tan(math.asin(aperture.value)) * abs(parsed.object_mm + data.pupil_mm)
+        pupil_mm = 2.0 * math.tan(math.asin(aperture.value)) * abs(parsed.object_mm + data.pupil_mm)
     else:
-        pupil = aperture.value
-    semi = 0.5 * pupil * share
-    if not 0.0 < semi < 1e7:
-        raise ConfigError(
-            f"{parsed.report.file}: {where} gives the stop a semi-diameter of {semi:g} mm; it must be "
-            "positive and below 1e7 mm"
-        )
-    if row.clear_mm is not None and row.clear_mm < semi * (1.0 - 1e-6):
-        parsed.report.approximated(
+        pupil_mm = aperture.value
+    semi_mm = 0.5 * pupil_mm * stop_height
+    if not 0.0 < semi_mm < 1e7:
+        raise parsed.fail(
             aperture.line,
-            "aperture",
-            f"it makes the stop {semi:.6g} mm; the smaller clear aperture of the stop, {row.clear_mm:.6g} mm, is used",
-            row.number,
+            f"the aperture gives the stop a semi-diameter of {semi_mm:g} mm; it must be positive and below 1e7 mm",
         )
-        semi = row.clear_mm
-        pupil = 2.0 * semi / share
-    row.clear_mm = semi
-    return pupil
+    if row.clear_mm is not None and row.clear_mm < semi_mm * (1.0 - 1e-6):
+        message = f"the stop is then {semi_mm:.6g} mm; its smaller clear aperture, {row.clear_mm:.6g} mm, is used"
+        parsed.report.approximated(aperture.line, "aperture", message, row.number)
+        semi_mm = row.clear_mm
+        pupil_mm = 2.0 * semi_mm / stop_height
+    row.clear_mm = semi_mm
+    return pupil_mm
 
 
-def _field_angles(parsed: ParsedFile, data: FirstOrder, pupil_mm: float) -> list[tuple[float, float]]:
+def _field_angles(parsed: ParsedFile, data: FirstOrder) -> list[tuple[float, float]]:
     """Fields as angles along x and y [deg]."""
     angles = []
     for point in parsed.fields:
-        if not (math.isfinite(point.x) and math.isfinite(point.y)):
+        largest = max(abs(point.x), abs(point.y))
+        if not math.isfinite(point.x + point.y):
             raise parsed.fail(parsed.fields_line, "a field is not finite")
         if parsed.field_kind == "angle":
-            if max(abs(point.x), abs(point.y)) >= 90.0:
-                raise parsed.fail(
-                    parsed.fields_line, f"a field of {max(abs(point.x), abs(point.y)):g} deg; it must be below 90 deg"
-                )
+            if largest >= 90.0:
+                raise parsed.fail(parsed.fields_line, f"a field of {largest:g} deg; it must be below 90 deg")
             angles.append((point.x, point.y))
             continue
-        base = data.efl_mm if parsed.field_kind != "object" else parsed.object_mm + data.pupil_mm
-        if not math.isfinite(base) or base == 0.0:
-            raise parsed.fail(
-                parsed.fields_line, "fields are heights, but object or focus is at infinity; give field angles"
-            )
-        angles.append((math.degrees(math.atan(point.x / base)), math.degrees(math.atan(point.y / base))))
+        base_mm = data.efl_mm if parsed.field_kind != "object" else parsed.object_mm + data.pupil_mm
+        if not math.isfinite(base_mm) or base_mm == 0.0:
+            message = "fields are heights, but object or focus is at infinity; give field angles"
+            raise parsed.fail(parsed.fields_line, message)
+        angles.append((math.degrees(math.atan(point.x / base_mm)), math.degrees(math.atan(point.y / base_mm))))
     return angles
 
 
@@ -242,7 +237,9 @@ def _comparisons(parsed: ParsedFile, data: FirstOrder, pupil_mm: float) -> list[
     ]
 
 
-def _tables(parsed: ParsedFile, found: dict[int, Found], angles: list[tuple[float, float]]) -> dict[str, Any]:
+def _tables(
+    parsed: ParsedFile, assigned: dict[int, AssignedGlass], angles: list[tuple[float, float]]
+) -> dict[str, Any]:
     """The prescription."""
     built_in = {*list_glasses(), *list_glasses(obsolete=True)}
     own: dict[str, Any] = {}
@@ -255,8 +252,8 @@ def _tables(parsed: ParsedFile, found: dict[int, Found], angles: list[tuple[floa
             continue
         if not row.mirror:
             medium = AIR
-            if id(row) in found:
-                glass = found[id(row)].glass
+            if row.number in assigned:
+                glass = assigned[row.number].glass
                 medium = names.setdefault((glass.name, glass.maker), _free_name(glass, built_in, own))
                 if medium not in built_in:
                     own[medium] = glass_table(glass)

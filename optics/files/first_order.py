@@ -24,13 +24,13 @@ from optics.glass.catalogue import Glass
 class FirstOrder:
     """Focal length, back focus (from the last surface along the light), and the image of the stop.
 
-    ``stop_share`` is the height in the stop of a parallel ray of height 1; ``pupil_mm`` the distance of the entrance
+    ``stop_height`` is the height in the stop of a parallel ray of height 1; ``pupil_mm`` the distance of the entrance
     pupil from the first surface; ``image_mm`` the distance of the image plane from the last surface along the light.
     """
 
     efl_mm: float
     bfl_mm: float
-    stop_share: float
+    stop_height: float
     pupil_mm: float
     image_mm: float
 

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from optics.errors import ConfigError
+from optics.errors import ConfigError, StarbenchError
 from optics.files.report import ReportBuilder
 from optics.glass.catalogue import Glass
+from optics.textfile import TextFile
 
 LARGEST = 1e15
 """Numbers above stand for infinity."""
 FAR_MM = 1e9
 """An object at this distance or further is at infinity."""
+MOST_SURFACES = 1000
 
 
 @dataclass(slots=True)
@@ -28,7 +32,6 @@ class GlassName:
     vd: float | None = None
     partial: float = 0.0
     model: bool = False
-    catalogue: str = ""
     offset: tuple[float, float] = (0.0, 0.0)
 
 
@@ -37,12 +40,16 @@ class SurfaceRow:
     """A surface, or a coordinate break.
 
     ``shape`` and ``moved`` are keys of a surface table (`optics.lens.tables`); ``clear_mm`` is a clear aperture,
-    ``drawn_mm`` the semi-diameter that the program found for its drawing.
+    ``drawn_mm`` the semi-diameter that the program computed for its drawing. Each file format has a subclass that its
+    commands fill (``take``) and that then sets these fields (``finish``).
     """
 
     number: int
     line: int
+    shape_line: int = 0
     shape: dict[str, Any] = field(default_factory=lambda: {"kind": "sphere", "radius_mm": math.inf})
+    curvature: float = 0.0
+    conic: float = 0.0
     thickness_mm: float = 0.0
     glass: GlassName | None = None
     mirror: bool = False
@@ -51,14 +58,46 @@ class SurfaceRow:
     inner_mm: float = 0.0
     drawn_mm: float | None = None
     apertures: list[dict[str, Any]] = field(default_factory=list)
+    centre_mm: list[float] = field(default_factory=lambda: [0.0, 0.0])
     moved: dict[str, Any] = field(default_factory=dict)
-    comment: str = ""
     coating: str = ""
 
     @property
     def is_break(self) -> bool:
         """Whether it only moves the frame."""
         return bool(self.shape.get("kind") == "coordinate_break")
+
+    @property
+    def radius_mm(self) -> float:
+        """Radius of curvature; infinite for a plane."""
+        return 1.0 / self.curvature if self.curvature else math.inf
+
+    @property
+    def base(self) -> dict[str, float]:
+        """Keys of the conic that an asphere departs from."""
+        return {"radius_mm": self.radius_mm, "conic": self.conic}
+
+    def conic_shape(self) -> dict[str, Any]:
+        """Plane, sphere or conic."""
+        if not self.curvature:
+            return {"kind": "plane"}
+        return {"kind": "conic", **self.base} if self.conic else {"kind": "sphere", "radius_mm": self.radius_mm}
+
+    @property
+    def title(self) -> str:
+        """Name in messages."""
+        return f"surface {self.number}"
+
+    def finish(self, unit: float) -> None:
+        """Set shape and apertures from the commands; ValueError for contents that are not supported."""
+
+    def move_apertures(self) -> None:
+        """Shift all outlines to ``centre_mm``; a round clear aperture becomes one of them."""
+        if any(self.centre_mm):
+            if self.clear_mm is not None:
+                self.apertures.append({"kind": "circle", "radius_mm": self.clear_mm})
+                self.clear_mm = None
+            self.apertures = [{**outline, "centre_mm": list(self.centre_mm)} for outline in self.apertures]
 
 
 @dataclass(slots=True)
@@ -77,7 +116,7 @@ class StatedField:
     x: float = 0.0
     y: float = 0.0
     weight: float = 1.0
-    vignetting: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    vignetting: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(slots=True)
@@ -116,6 +155,53 @@ class ParsedFile:
         """An error at a line of the file, to be raised."""
         return ConfigError(f"{self.report.file}: line {line}: {message}")
 
+    def add_fields(self, count: int, *columns: list[float]) -> None:
+        """Fields of columns x, y, weight and five vignetting factors; short columns end in defaults."""
+        scale = 1.0 if self.field_kind == "angle" else self.unit_mm
+        for i in range(count):
+            x, y, weight, *factors = (
+                column[i] if i < len(column) else float(k == 2) for k, column in enumerate(columns)
+            )
+            self.fields.append(StatedField(scale * x, scale * y, weight, tuple(factors)))
+
+
+class LensReader:
+    """State and steps that readers of all formats share."""
+
+    def __init__(self, path: Path, text: TextFile, kind: str, configuration: int | None) -> None:
+        self.report = ReportBuilder(path.name, kind, text.encoding)
+        self.parsed = ParsedFile(path, self.report)
+        self.lines, self.configuration = text.lines, configuration
+        self.surfaces: list[Any] = []
+
+    @contextmanager
+    def located(self, line: int, text: str) -> Iterator[None]:
+        """Turn a fault of a command into an error that names its line."""
+        try:
+            yield
+        except StarbenchError as error:
+            raise self.parsed.fail(line, str(error)) from None
+        except (ValueError, IndexError, KeyError, OverflowError) as error:
+            reason = "a value is missing" if isinstance(error, IndexError) else error
+            raise self.parsed.fail(line, f"{text[:60]!r}: {reason}") from None
+
+    def choose_configuration(self, active: int) -> int:
+        """The requested configuration, or the active one; ConfigError if there is none of this number."""
+        chosen, count = active if self.configuration is None else self.configuration, self.parsed.configurations
+        if not 1 <= chosen <= count:
+            raise ConfigError(f"{self.report.file}: configuration {chosen} does not exist; it has {count}")
+        return chosen
+
+    def finish_surfaces(self) -> None:
+        """Object distance, surfaces and image of the parsed file."""
+        for surface in self.surfaces[1:]:
+            try:
+                surface.finish(self.parsed.unit_mm)
+            except (ValueError, KeyError, OverflowError) as error:
+                raise self.parsed.fail(surface.shape_line or surface.line, f"{surface.title}: {error}") from None
+        first, *self.parsed.rows, self.parsed.image = self.surfaces
+        self.parsed.object_mm = first.thickness_mm if abs(first.thickness_mm) < FAR_MM else math.inf
+
 
 def number(words: list[str], at: int, default: float | None = None, *, what: str = "a number") -> float:
     """A number of a command; Fortran exponents and INFINITY are read as design programs write them."""
@@ -135,8 +221,8 @@ def number(words: list[str], at: int, default: float | None = None, *, what: str
     return value if abs(value) < LARGEST else math.copysign(math.inf, value)
 
 
-def whole(words: list[str], at: int, default: int | None = None) -> int:
-    """A whole number among the words of a command; ValueError as `number`."""
+def integer(words: list[str], at: int, default: int | None = None) -> int:
+    """An integer of a command; ValueError as `number`."""
     value = number(words, at, default)
     if not math.isfinite(value) or value != int(value):
         raise ValueError(f"{words[at][:40]!r} is not a whole number")
