@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optics.arrays import FloatArray
+from optics.arrays import FloatArray, IntArray
+
+
+def bracket(nodes: FloatArray, at: FloatArray) -> list[tuple[IntArray, FloatArray]]:
+    """Indices of the nodes around positions, and their linear weights; the outermost nodes hold beyond."""
+    if len(nodes) == 1:
+        return [(np.zeros(at.shape, np.int64), np.ones(at.shape))]
+    low = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)
+    fraction = np.clip((at - nodes[low]) / (nodes[low + 1] - nodes[low]), 0.0, 1.0)
+    return [(low, 1.0 - fraction), (low + 1, fraction)]
 
 
 def bilinear(

@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 from optics.errors import ConfigError
-from optics.export.sequence import Break, Element, Sequence, safe_name
-from optics.lens.system import AMBIENT, LensSystem
+from optics.export.sequence import Break, Element, Sequence, design_data, safe_name
+from optics.lens.system import AMBIENT
 from optics.lens.tables import MIRROR, SurfaceTable
 from optics.lens_file import LensFile
 
@@ -43,17 +43,17 @@ def _aperture(table: SurfaceTable) -> list[str]:
         lines.append(f"CIR HOL {table.inner_semi_diameter_mm!r}")
     centres = set()
     for outline in table.aperture:
-        made: Any = outline.aperture()
-        centres.add(tuple(made.centre_mm))
-        if made.kind == "circle" and made.obscures:
-            lines.append(f"CIR OBS {made.radius_mm!r}")
-        elif made.kind in ("rectangle", "ellipse") and not made.obscures and not made.angle_deg:
-            x, y = ("REX", "REY") if made.kind == "rectangle" else ("ELX", "ELY")
-            lines += [f"{x} {made.half_width_mm[0]!r}", f"{y} {made.half_width_mm[1]!r}"]
-        elif made.kind == "circle" and not math.isfinite(table.semi_diameter_mm):
-            lines.append(f"CIR {made.radius_mm!r}")
+        shape: Any = outline.aperture()
+        centres.add(tuple(shape.centre_mm))
+        if shape.kind == "circle" and shape.obscures:
+            lines.append(f"CIR OBS {shape.radius_mm!r}")
+        elif shape.kind in ("rectangle", "ellipse") and not shape.obscures and not shape.angle_deg:
+            x, y = ("REX", "REY") if shape.kind == "rectangle" else ("ELX", "ELY")
+            lines += [f"{x} {shape.half_width_mm[0]!r}", f"{y} {shape.half_width_mm[1]!r}"]
+        elif shape.kind == "circle" and not math.isfinite(table.semi_diameter_mm):
+            lines.append(f"CIR {shape.radius_mm!r}")
         else:
-            raise ConfigError(f"an aperture of kind {made.kind!r} cannot be written as .seq")
+            raise ConfigError(f"an aperture of kind {shape.kind!r} cannot be written as .seq")
     if len(centres) > 1 or (any(any(c) for c in centres) and math.isfinite(table.semi_diameter_mm)):
         raise ConfigError(".seq allows a single centre for the apertures of a surface")
     for x, y in centres:
@@ -61,15 +61,10 @@ def _aperture(table: SurfaceTable) -> list[str]:
     return lines
 
 
-def seq_text(file: LensFile, made: Sequence, catalogue: str, entrance_pupil_mm: float) -> str:
+def seq_text(file: LensFile, sequence: Sequence, catalogue: str, entrance_pupil_mm: float) -> str:
     """A lens as a .seq file."""
-    lens, defaults = file.lens, file.defaults
-    waves, weights, reference = [lens.design_wavelength_nm], [1.0], 1
-    fields = [(0.0, part * lens.max_field_deg) for part in (0.0, 0.7, 1.0)]
-    if defaults is not None:
-        waves, weights = list(map(float, defaults.wavelength_nm)), list(map(float, defaults.wavelength_weight))
-        reference = 1 + min(range(len(waves)), key=lambda i: abs(waves[i] - lens.design_wavelength_nm))
-        fields = [(float(f[0]), float(f[1])) for f in defaults.field_deg] or fields
+    lens = file.lens
+    waves, weights, reference, fields = design_data(file)
     lines = [
         'RDM;LEN "lens"',
         f"TITLE '{lens.name.replace(chr(39), ' ')}'",
@@ -84,20 +79,17 @@ def seq_text(file: LensFile, made: Sequence, catalogue: str, entrance_pupil_mm: 
         "SO 0.0 0.1e14",
     ]
     medium = ""
-    for item in made.items:
+    for item in sequence.items:
         if isinstance(item, Break):
             lines.extend(_break(item, medium))
-            continue
-        medium = medium if item.table.medium == MIRROR else _medium(item.table.medium, made, lens, catalogue)
-        lines.extend(_surface(item, " REFL" if item.table.medium == MIRROR else medium))
+        elif item.table.medium == MIRROR:
+            lines.extend(_surface(item, " REFL"))
+        else:
+            name = item.table.medium
+            maker = catalogue if name in sequence.file_glasses else lens.glasses[name].maker if name != AMBIENT else ""
+            medium = f" {safe_name(name)}_{maker}" if name != AMBIENT else ""
+            lines.extend(_surface(item, medium))
     return "\n".join([*lines, "SI 0.0 0.0", "GO"]) + "\n"
-
-
-def _medium(name: str, made: Sequence, lens: LensSystem, catalogue: str) -> str:
-    if name == AMBIENT:
-        return ""
-    home = catalogue if name in made.own else lens.glasses[name].maker
-    return f" {safe_name(name)}_{home}"
 
 
 def _surface(item: Element, medium: str) -> list[str]:

@@ -45,7 +45,7 @@ class Sequence:
     """Surfaces and breaks in the order of the light, and glasses missing in makers' catalogues."""
 
     items: tuple[Break | Element, ...]
-    own: dict[str, Glass]
+    file_glasses: dict[str, Glass]
     catalogues: tuple[str, ...]
 
 
@@ -83,8 +83,8 @@ def _items(file: Prescription) -> list[Break | Element]:
     items: list[Break | Element] = []
     for table in file.surface:
         if isinstance(table, BreakTable):
-            made = _break(table, table.thickness_mm)
-            items.extend([made] if made else [])
+            moved = _break(table, table.thickness_mm)
+            items.extend([moved] if moved else [])
             continue
         before = _break(table, 0.0)
         if before is None:
@@ -104,7 +104,7 @@ def _items(file: Prescription) -> list[Break | Element]:
 
 
 def _with_stop(file: Prescription, items: list[Break | Element]) -> list[Break | Element]:
-    """The stop that stands alone, put between the surfaces."""
+    """The items with a stop that is no surface of the file's list."""
     if file.stop is None:
         return items
     stop = {"kind": "plane", "thickness_mm": 0.0, "medium": "air", "stop": True}
@@ -132,20 +132,31 @@ def _with_stop(file: Prescription, items: list[Break | Element]) -> list[Break |
 def sequence(file: LensFile) -> Sequence:
     """The surfaces of a lens in the order of the light."""
     prescription = Prescription.model_validate(file.tables)
-    wide = {"semi_diameter_mm": file.lens.surfaces[file.lens.stop_index].semi_diameter_mm}  # [pupil] may have said it
-    items = [
-        Element(one.table.model_copy(update=wide), one.thickness_mm)
-        if isinstance(one, Element) and one.table.stop
-        else one
-        for one in _with_stop(prescription, _items(prescription))
-    ]
-    for item in items:
-        if isinstance(item, Element) and item.table.error is not None:
+    items = _with_stop(prescription, _items(prescription))
+    for i, item in enumerate(items):
+        if isinstance(item, Break):
+            continue
+        if item.table.error is not None:
             raise ConfigError("a measured surface error cannot be written into this format")
+        if item.table.stop:  # its radius may follow from [pupil]
+            radius = {"semi_diameter_mm": file.lens.surfaces[file.lens.stop_index].semi_diameter_mm}
+            items[i] = Element(item.table.model_copy(update=radius), item.thickness_mm)
     glasses = glasses_of(prescription)
-    own = {name: glass for name, glass in glasses.items() if not _everywhere(name, glass)}
-    makers = {glass.maker for name, glass in glasses.items() if name not in own}
-    return Sequence(tuple(items), own, tuple(m for m in MAKERS if m in makers))
+    file_glasses = {name: glass for name, glass in glasses.items() if not _everywhere(name, glass)}
+    makers = {glass.maker for name, glass in glasses.items() if name not in file_glasses}
+    return Sequence(tuple(items), file_glasses, tuple(m for m in MAKERS if m in makers))
+
+
+def design_data(file: LensFile) -> tuple[list[float], list[float], int, list[tuple[float, float, float]]]:
+    """Wavelengths [nm], their weights, number of the reference wavelength, and fields (x, y [deg], weight)."""
+    lens, defaults = file.lens, file.defaults
+    fields = [(0.0, fraction * lens.max_field_deg, 1.0) for fraction in (0.0, 0.7, 1.0)]
+    if defaults is None:
+        return [lens.design_wavelength_nm], [1.0], 1, fields
+    waves, weights = defaults.wavelength_nm.tolist(), defaults.wavelength_weight.tolist()
+    reference = 1 + min(range(len(waves)), key=lambda i: abs(waves[i] - lens.design_wavelength_nm))
+    points = zip(defaults.field_deg.tolist(), defaults.field_weight.tolist(), strict=True)
+    return waves, weights, reference, [(x, y, weight) for (x, y), weight in points] or fields
 
 
 def _everywhere(name: str, glass: Glass) -> bool:
@@ -155,8 +166,8 @@ def _everywhere(name: str, glass: Glass) -> bool:
         return False
 
 
-def _agf_dispersion(dispersion: Dispersion) -> tuple[int, list[float]] | None:
-    """Number and coefficients of the same formula in AGF files; None if they have none."""
+def _agf_dispersion(glass: str, dispersion: Dispersion) -> tuple[int, list[float]]:
+    """Number and coefficients of the same formula in AGF files."""
     formula, c = dispersion.formula, list(dispersion.coefficients)
     if formula == "shifted_sellmeier" and c[0] == 0.0:
         formula, c = "sellmeier", c[1:]
@@ -170,17 +181,14 @@ def _agf_dispersion(dispersion: Dispersion) -> tuple[int, list[float]] | None:
     for number, (name, count) in AGF_FORMULAS.items():
         if name == formula and len(c) <= count:
             return number, [*c, *[0.0] * (count - len(c))]
-    return None
+    raise DomainError(f"glass {glass}: its formula {dispersion.formula!r} is not an AGF formula")
 
 
 def agf_text(glasses: Mapping[str, Glass], title: str) -> str:
     """Glasses as an AGF catalogue."""
     lines = [f"CC {title}"]
     for name, glass in glasses.items():
-        found = _agf_dispersion(glass.dispersion)
-        if found is None:
-            raise DomainError(f"glass {name}: its formula {glass.dispersion.formula!r} is not an AGF formula")
-        number, coefficients = found
+        number, coefficients = _agf_dispersion(name, glass.dispersion)
         nd, vd = glass.nd or 0.0, glass.vd or 0.0
         lines.append(f"NM {safe_name(name)} {number} 0 {nd!r} {vd!r} 0 0")
         lines.append(f"ED {1e6 * (glass.cte_per_k or 0.0):.10g} 0 {glass.density_g_cm3 or 0.0:.10g} 0 0")

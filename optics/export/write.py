@@ -20,22 +20,24 @@ from optics.textfile import toml_key, toml_value, write_text
 
 def write_lens(file: LensFile, path: str | Path) -> tuple[Path, ...]:
     """Write a lens file; read again it gives the same rays."""
-    place = Path(path)
-    suffix = place.suffix.lower()
+    path = Path(path)
+    suffix = path.suffix.lower()
     texts: dict[Path, str] = {}
     if suffix == ".toml":
         for fault in geometry_faults(file.lens):
             raise ConfigError(f"{path}: {fault} (allowed in .zmx and .seq, not in .toml: write one of these)")
-        texts[place] = toml_lens(file.tables)
+        texts[path] = toml_lens(file.tables)
     elif suffix in (".zmx", ".seq"):
-        made = sequence(file)
-        catalogue = "".join(c if c.isalnum() else "_" for c in place.stem).upper()
-        if made.own:
-            texts[place.with_name(f"{catalogue}.AGF")] = agf_text(made.own, f"glasses of {place.name}")
+        sequenced = sequence(file)
+        catalogue = "".join(c if c.isalnum() else "_" for c in path.stem).upper()
+        if sequenced.file_glasses:
+            texts[path.with_name(f"{catalogue}.AGF")] = agf_text(sequenced.file_glasses, f"glasses of {path.name}")
         if suffix == ".zmx":
-            texts[place] = zmx_text(file, made, (*([catalogue] if made.own else []), *made.catalogues))
+            texts[path] = zmx_text(
+                file, sequenced, (*([catalogue] if sequenced.file_glasses else []), *sequenced.catalogues)
+            )
         else:
-            texts[place] = seq_text(file, made, catalogue, _entrance_pupil(file))
+            texts[path] = seq_text(file, sequenced, catalogue, _entrance_pupil(file))
     else:
         raise ConfigError(f"{path}: lenses are written as .toml, .zmx or .seq")
     return tuple(write_text(target, text) for target, text in texts.items())
@@ -60,19 +62,18 @@ def _entrance_pupil(file: LensFile) -> float:
 
 def toml_lens(tables: Mapping[str, Any]) -> str:
     """A prescription as TOML text."""
-    plain = {k: v for k, v in tables.items() if not _is_tables(v)}
-    lines = [f"{toml_key(key)} = {toml_value(value)}" for key, value in plain.items()]
+    lines = [f"{toml_key(key)} = {toml_value(value)}" for key, value in tables.items() if not _is_tables(value)]
     for key, value in tables.items():
-        if isinstance(value, Mapping):
-            inner = {k: v for k, v in value.items() if isinstance(v, Mapping)}
-            if inner and len(inner) == len(value):
-                for name, table in inner.items():
-                    lines += ["", f"[{toml_key(key)}.{toml_key(name)}]", *_lines(table)]
-            else:
-                lines += ["", f"[{toml_key(key)}]", *_lines(value)]
-        elif _is_tables(value):
-            for table in value:
-                lines += ["", f"[[{toml_key(key)}]]", *_lines(table)]
+        if not _is_tables(value):
+            continue
+        if not isinstance(value, Mapping):
+            blocks = [(f"[[{toml_key(key)}]]", table) for table in value]
+        elif value and all(isinstance(table, Mapping) for table in value.values()):
+            blocks = [(f"[{toml_key(key)}.{toml_key(name)}]", table) for name, table in value.items()]
+        else:
+            blocks = [(f"[{toml_key(key)}]", value)]
+        for head, table in blocks:
+            lines += ["", head, *(f"{toml_key(k)} = {toml_value(v)}" for k, v in table.items() if v is not None)]
     return "\n".join(lines) + "\n"
 
 
@@ -80,7 +81,3 @@ def _is_tables(value: Any) -> bool:
     return isinstance(value, Mapping) or (
         isinstance(value, list | tuple) and bool(value) and all(isinstance(v, Mapping) for v in value)
     )
-
-
-def _lines(table: Mapping[str, Any]) -> list[str]:
-    return [f"{toml_key(key)} = {toml_value(value)}" for key, value in table.items() if value is not None]

@@ -7,82 +7,59 @@ from collections.abc import Callable
 from typing import Any
 
 from optics.errors import ConfigError
-from optics.export.sequence import Break, Element, Sequence, safe_name
+from optics.export.sequence import Break, Element, Sequence, design_data, safe_name
 from optics.lens.tables import MIRROR, SurfaceTable
 from optics.lens_file import LensFile
 
-Made = tuple[str, float, float, dict[int, float], dict[int, float]]
+ZmxShape = tuple[str, float, float, dict[int, float], dict[int, float]]
 """Kind, curvature, conic constant, parameters, extra data."""
 
 
-def _curvature(table: Any, key: str = "radius_mm") -> float:
-    return 1.0 / getattr(table, key)
+def _conic(table: Any, kind: str, parm: dict[int, float] | None = None, extra: list[float] | None = None) -> ZmxShape:
+    """A conic with parameters and extra data; a plane where there is no radius, a sphere without conic constant."""
+    curvature = 1.0 / table.radius_mm if hasattr(table, "radius_mm") else 0.0
+    return kind, curvature, getattr(table, "conic", 0.0), parm or {}, dict(enumerate(extra or [], 1))
 
 
-def _even(table: Any) -> Made:
+def _even(table: Any) -> ZmxShape:
     terms = [0.0, *table.asphere]
     if len(terms) <= 8:
-        return "EVENASPH", _curvature(table), table.conic, dict(enumerate(terms, 1)), {}
-    return "XASPHERE", _curvature(table), table.conic, {}, {1: len(terms), 2: 1.0, **dict(enumerate(terms, 3))}
+        return _conic(table, "EVENASPH", dict(enumerate(terms, 1)))
+    return _conic(table, "XASPHERE", extra=[len(terms), 1.0, *terms])
 
 
-def _odd(table: Any) -> Made:
-    extra = {1: float(len(table.terms)), 2: 1.0, **dict(enumerate(table.terms, 3))}
-    return "XOSPHERE", _curvature(table), table.conic, {}, extra
+def _expansion(table: Any, kind: str) -> ZmxShape:
+    values = table.coefficients_mm
+    return _conic(table, kind, extra=[float(len(values)), table.norm_radius_mm, *values])
 
 
-def _expansion(kind: str) -> Callable[[Any], Made]:
-    def make(table: Any) -> Made:
-        values = table.coefficients_mm
-        extra = {1: float(len(values)), 2: table.norm_radius_mm, **dict(enumerate(values, 3))}
-        return kind, _curvature(table), table.conic, {}, extra
-
-    return make
+def _forbes(table: Any) -> ZmxShape:
+    extra = [float(table.kind == "qcon"), float(len(table.q_mm)), table.norm_radius_mm, *table.q_mm]
+    return _conic(table, "QED_TYPE", extra=extra)
 
 
-def _forbes(table: Any) -> Made:
-    extra = {
-        1: float(table.kind == "qcon"),
-        2: float(len(table.q_mm)),
-        3: table.norm_radius_mm,
-        **dict(enumerate(table.q_mm, 4)),
-    }
-    return "QED_TYPE", _curvature(table), table.conic, {}, extra
+def _finite(radius_mm: float) -> float:
+    """A radius as the format writes it: 0 for infinity."""
+    return 0.0 if math.isinf(radius_mm) else radius_mm
 
 
-def _toroid(table: Any) -> Made:
-    rotation = 0.0 if math.isinf(table.rotation_radius_mm) else table.rotation_radius_mm
-    return "TOROIDAL", _curvature(table), table.conic, {1: rotation, **dict(enumerate(table.terms, 2))}, {}
+def _biconic(table: Any) -> ZmxShape:
+    parm = {1: _finite(table.radius_x_mm), 2: table.conic_x}
+    return "BICONICX", 1.0 / table.radius_y_mm, table.conic_y, parm, {}
 
 
-def _biconic(table: Any) -> Made:
-    across = 0.0 if math.isinf(table.radius_x_mm) else table.radius_x_mm
-    return "BICONICX", _curvature(table, "radius_y_mm"), table.conic_y, {1: across, 2: table.conic_x}, {}
-
-
-_KINDS: dict[str, Callable[[Any], Made]] = {
-    "plane": lambda t: ("STANDARD", 0.0, 0.0, {}, {}),
-    "sphere": lambda t: ("STANDARD", _curvature(t), 0.0, {}, {}),
-    "conic": lambda t: ("STANDARD", _curvature(t), t.conic, {}, {}),
+_KINDS: dict[str, Callable[[Any], ZmxShape]] = {
+    **dict.fromkeys(("plane", "sphere", "conic"), lambda t: _conic(t, "STANDARD")),
     "even_asphere": _even,
-    "odd_asphere": _odd,
-    "qbfs": _forbes,
-    "qcon": _forbes,
-    "polynomial": _expansion("XPOLYNOM"),
-    "cylinder": lambda t: ("TOROIDAL", _curvature(t), t.conic, {}, {}),
-    "toroid": _toroid,
+    "odd_asphere": lambda t: _conic(t, "XOSPHERE", extra=[float(len(t.terms)), 1.0, *t.terms]),
+    **dict.fromkeys(("qbfs", "qcon"), _forbes),
+    "polynomial": lambda t: _expansion(t, "XPOLYNOM"),
+    "zernike": lambda t: _expansion(t, "SZERNSAG" if t.ordering == "noll" else "FZERNSAG"),
+    "cylinder": lambda t: _conic(t, "TOROIDAL"),
+    "toroid": lambda t: _conic(t, "TOROIDAL", {1: _finite(t.rotation_radius_mm), **dict(enumerate(t.terms, 2))}),
     "biconic": _biconic,
-    "paraxial": lambda t: ("PARAXIAL", 0.0, 0.0, {1: t.focal_length_mm}, {}),
+    "paraxial": lambda t: _conic(t, "PARAXIAL", {1: t.focal_length_mm}),
 }
-
-
-def _shape(table: SurfaceTable) -> Made:
-    if table.kind == "zernike":
-        ordering = "SZERNSAG" if table.ordering == "noll" else "FZERNSAG"  # type: ignore[attr-defined]
-        return _expansion(ordering)(table)
-    if table.kind not in _KINDS:
-        raise ConfigError(f"a surface of kind {table.kind!r} cannot be written as .zmx")
-    return _KINDS[table.kind](table)
 
 
 def _aperture(table: SurfaceTable) -> list[str]:
@@ -95,27 +72,29 @@ def _aperture(table: SurfaceTable) -> list[str]:
     if len(table.aperture) + bool(table.inner_semi_diameter_mm) > 1:
         raise ConfigError(".zmx allows a single aperture per surface; this lens has a surface with several")
     for outline in table.aperture:
-        made: Any = outline.aperture()
-        if made.angle_deg:
+        shape: Any = outline.aperture()
+        if shape.angle_deg:
             raise ConfigError("a rotated aperture cannot be written as .zmx")
-        letter = "OB" if made.obscures else "AP"
-        if made.kind == "circle":
-            lines.append(f"  OBSC 0 {made.radius_mm!r} 0" if made.obscures else f"  CLAP 0 {made.radius_mm!r} 0")
-        elif made.kind in ("rectangle", "ellipse"):
-            name = ("SQ" if made.kind == "rectangle" else "EL") + letter
-            lines.append(f"  {name} {made.half_width_mm[0]!r} {made.half_width_mm[1]!r} 0")
-        elif made.kind == "spider":
-            lines.append(f"  SPID {made.width_mm!r} {made.arms} 0")
+        letter = "OB" if shape.obscures else "AP"
+        if shape.kind == "circle":
+            lines.append(f"  OBSC 0 {shape.radius_mm!r} 0" if shape.obscures else f"  CLAP 0 {shape.radius_mm!r} 0")
+        elif shape.kind in ("rectangle", "ellipse"):
+            name = ("SQ" if shape.kind == "rectangle" else "EL") + letter
+            lines.append(f"  {name} {shape.half_width_mm[0]!r} {shape.half_width_mm[1]!r} 0")
+        elif shape.kind == "spider":
+            lines.append(f"  SPID {shape.width_mm!r} {shape.arms} 0")
         else:
-            raise ConfigError(f"an aperture of kind {made.kind!r} cannot be written as .zmx")
-        if any(made.centre_mm):
-            lines.append(f"  OBDC {made.centre_mm[0]!r} {made.centre_mm[1]!r}")
+            raise ConfigError(f"an aperture of kind {shape.kind!r} cannot be written as .zmx")
+        if any(shape.centre_mm):
+            lines.append(f"  OBDC {shape.centre_mm[0]!r} {shape.centre_mm[1]!r}")
     return lines
 
 
 def _surface(item: Element) -> list[str]:
     table = item.table
-    kind, curvature, conic, parm, extra = _shape(table)
+    if table.kind not in _KINDS:
+        raise ConfigError(f"a surface of kind {table.kind!r} cannot be written as .zmx")
+    kind, curvature, conic, parm, extra = _KINDS[table.kind](table)
     lines = ["  STOP"] if table.stop else []
     lines += [f"  TYPE {kind}", f'  CURV {curvature!r} 0 0 0 0 ""']
     lines += [f"  PARM {i} {v!r}" for i, v in parm.items()]
@@ -140,18 +119,10 @@ def _break(item: Break) -> list[list[str]]:
     return [*first, [*lines, f"  DISZ {item.thickness_mm!r}"]]
 
 
-def zmx_text(file: LensFile, made: Sequence, catalogues: tuple[str, ...]) -> str:
+def zmx_text(file: LensFile, sequence: Sequence, catalogues: tuple[str, ...]) -> str:
     """A lens as a .zmx file."""
-    lens, defaults = file.lens, file.defaults
-    waves = [(lens.design_wavelength_nm, 1.0)]
-    fields = [(0.0, part * lens.max_field_deg, 1.0) for part in (0.0, 0.7, 1.0)]
-    primary = 1
-    if defaults is not None:
-        waves = list(zip(defaults.wavelength_nm, defaults.wavelength_weight, strict=True))
-        primary = 1 + min(range(len(waves)), key=lambda i: abs(waves[i][0] - lens.design_wavelength_nm))
-        points = zip(defaults.field_deg, defaults.field_weight, strict=True)
-        fields = [(float(f[0]), float(f[1]), float(w)) for f, w in points] or fields
-    environment = lens.environment
+    lens, environment = file.lens, file.lens.environment
+    waves, weights, primary, fields = design_data(file)
     head = [
         "VERS 190513 80 123457 L123457",
         "MODE SEQ",
@@ -163,11 +134,11 @@ def zmx_text(file: LensFile, made: Sequence, catalogues: tuple[str, ...]) -> str
         f"GCAT {' '.join(catalogues)}".rstrip(),
         f"FTYP 0 0 {len(fields)} {len(waves)} 0 0 0",
         *(f"{key} {' '.join(repr(f[i]) for f in fields)}" for i, key in enumerate(("XFLN", "YFLN", "FWGN"))),
-        *(f"WAVM {i} {1e-3 * float(w)!r} {float(weight)!r}" for i, (w, weight) in enumerate(waves, 1)),
+        *(f"WAVM {i + 1} {1e-3 * waves[i]!r} {weights[i]!r}" for i in range(len(waves))),
         f"PWAV {primary}",
     ]
     blocks = [["  TYPE STANDARD", "  CURV 0.0", "  DISZ INFINITY"]]
-    for item in made.items:
+    for item in sequence.items:
         blocks.extend(_break(item) if isinstance(item, Break) else [_surface(item)])
     blocks.append(["  TYPE STANDARD", "  CURV 0.0", "  DISZ 0"])
     for number, block in enumerate(blocks):

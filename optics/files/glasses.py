@@ -17,7 +17,7 @@ from optics.files.report import GlassChoice, Status
 from optics.glass.agf import AgfCatalogue, read_agf
 from optics.glass.catalogue import Glass, get_glass, list_glasses
 from optics.glass.index_database import read_material
-from optics.glass.model_glass import D_NM, MODEL_ERROR, model_glass, six_digits
+from optics.glass.model_glass import D_NM, MODEL_ERROR, glass_code, model_glass
 
 BUILT_IN = {
     "SCHOTT": ("SCHOTT",),
@@ -101,7 +101,7 @@ class GlassFinder:
         exact = self._by_name(asked, name)
         if exact is not None:
             return self._checked(asked, name, *exact, intended)
-        code = _code(name)
+        code = glass_code(name)
         if code is not None:
             return self._model(asked, name, *code)
         return self._another(asked, name, intended)
@@ -211,7 +211,7 @@ class GlassFinder:
                 return model_glass(name, asked.nd, asked.vd or 0.0, partial=asked.partial)
             except StarbenchError:
                 return None
-        code = _code(name)
+        code = glass_code(name)
         return model_glass(name, *code) if code else None
 
     def _model(self, asked: GlassName, name: str, nd: float, vd: float) -> AssignedGlass:
@@ -221,7 +221,7 @@ class GlassFinder:
             glass = model_glass(shown, nd, vd, partial=asked.partial)
         except StarbenchError as error:
             raise self.parsed.fail(asked.line, str(error)) from None
-        namesake = self._by_name(asked, name) if name and not _code(name) else None
+        namesake = self._by_name(asked, name) if name and not glass_code(name) else None
         remark = ""
         if namesake is not None:
             change = float(glass.index(D_NM)) - float(namesake[0].dispersion.index(D_NM))
@@ -277,21 +277,6 @@ class GlassFinder:
             change=change,
         )
         return AssignedGlass(glass=glass, choice=choice, intended=None if exact else intended)
-
-
-def _code(name: str) -> tuple[float, float] | None:
-    """n_d and v_d of ``517642``, ``517.642``, ``620410.603236``, ``1.5168:64.17``."""
-    head, colon, tail = name.partition(":")
-    if colon:
-        try:
-            nd, vd = float(head), float(tail)
-        except ValueError:
-            return None
-        return (nd, vd) if 1.0 < nd < 4.5 and 9.0 <= vd <= 120.0 else None
-    head, dot, tail = name.partition(".")
-    if dot and 3 <= len(head) <= 6 and 3 <= len(tail) <= 6 and (head + tail).isdigit():
-        return 1.0 + int(head) / 10 ** len(head), int(tail) / 10 ** (len(tail) - 2)
-    return six_digits(name)
 
 
 @cache

@@ -1,10 +1,11 @@
-r"""Refractive index along the ray path, on any array library.
+r"""Absolute refractive index along the ray path, on any array library.
 
-Catalogue indices are relative to air at the maker's reference temperature and 1013.25 hPa. A ray sees absolute ones:
+Catalogue indices are relative to air at the maker's reference temperature and 1013.25 hPa. Rays need absolute ones:
 
 .. math:: n_{abs}(\lambda, T) = n_{rel}(\lambda) \, n_{air}(\lambda, T_0) + \Delta n_{abs}(\lambda, T - T_0) + \delta
 
-with the formulas of `optics.glass.catalogue` and `optics.glass.air`, and :math:`\delta` a perturbation (melt
+with :math:`n_{rel}` of `optics.glass.dispersion`, :math:`n_{air}` of `optics.glass.air`, :math:`\Delta n_{abs}` of
+`optics.glass.thermal_index`, and :math:`\delta` a perturbation (melt
 tolerance).
 """
 
@@ -17,7 +18,7 @@ from typing import Any
 
 from optics.arrays import ArrayNamespace
 from optics.errors import DomainError
-from optics.glass.air import STANDARD_PRESSURE_HPA, kohlrausch_density, kohlrausch_refractivity
+from optics.glass.air import STANDARD_PRESSURE_HPA, TEMPERATURE_RANGE_C, kohlrausch_density, kohlrausch_refractivity
 from optics.glass.catalogue import Glass
 from optics.glass.dispersion import Form
 from optics.glass.thermal_index import thermal_change
@@ -42,9 +43,10 @@ class Environment:
     pressure_hpa: float = STANDARD_PRESSURE_HPA
 
     def __post_init__(self) -> None:
-        if not -100.0 <= self.temperature_c <= 140.0:
+        low, high = TEMPERATURE_RANGE_C
+        if not low <= self.temperature_c <= high:
             raise DomainError(
-                f"temperature {self.temperature_c} C is outside -100 ... 140 C, the range of the catalogues' dn/dT"
+                f"temperature {self.temperature_c} C is outside {low:g} ... {high:g} C, the dn/dT range of catalogues"
             )
         if not 0.0 <= self.pressure_hpa <= 2000.0:
             raise DomainError(f"air pressure {self.pressure_hpa} hPa is outside 0 ... 2000 hPa")

@@ -16,12 +16,13 @@ import numpy as np
 from optics.errors import ConfigError, DomainError, StarbenchError, unknown_name
 from optics.glass.catalogue import Glass
 from optics.glass.dispersion import AGF_FORMULAS, Dispersion
+from optics.glass.model_glass import D_NM
 from optics.glass.thermal_index import ThermalDispersion
 from optics.response import Response
 from optics.textfile import read_text
 
 _STATED_ND = 0.05
-"""How far the printed n_d may be from the formula's: further away the coefficients are no glass at all."""
+"""Largest difference of the printed n_d from that of the formula; beyond it the coefficients are no glass."""
 
 
 @dataclass(slots=True)
@@ -50,16 +51,6 @@ class AgfCatalogue:
     def __contains__(self, name: str) -> bool:
         return name.upper() in self._records
 
-    def codes(self) -> dict[str, str]:
-        """Six-digit code of n_d and v_d, as the file prints them -> name of the first glass that has it."""
-        found: dict[str, str] = {}
-        for record in self._records.values():
-            nd, vd = (_number(record.name, i, 0.0) for i in (3, 4))
-            if 1.0 < nd < 2.0 and vd > 0.0:
-                code = f"{round((nd - 1.0) * 1e3):03d}{round(vd * 10):03d}"
-                found.setdefault(code, record.name[0])
-        return found
-
     def glass(self, name: str) -> Glass:
         """The glass of a name."""
         record = self._records.get(name.upper())
@@ -87,7 +78,7 @@ def read_agf(path: str | Path) -> AgfCatalogue:
         if kind == "NM":
             current = _Record(number, words[1:])
             if current.name:
-                records.setdefault(current.name[0].upper(), current)  # a second one of the same name never counts
+                records.setdefault(current.name[0].upper(), current)  # a second record of the same name is ignored
             words = []
         elif current is not None and kind == "IT":
             words = words[1:]
@@ -121,14 +112,12 @@ def _glass(record: _Record, catalogue: str, file: str) -> Glass:
         raise ConfigError(f"dispersion formula {number} is not one of the thirteen AGF formulas")
     formula, count = AGF_FORMULAS[number]
     words = record.data.get("CD", [])[:count]
-    coefficients = [float("nan") if i >= len(words) else _number(words, i, math.nan) for i in range(count)]
-    given = [c for c in coefficients if not math.isnan(c)]
-    if len(given) < min(len(words), count) or not any(given):
+    given = [_number(words, i, math.nan) for i in range(len(words))]
+    if not any(given) or any(map(math.isnan, given)):
         raise ConfigError("its coefficients (line CD) are missing, not numbers, or all zero")
     padded = [*given, *[0.0] * (count - len(given))]
     if formula == "sellmeier":
-        pairs = [(b, c) for b, c in zip(padded[::2], padded[1::2], strict=True) if b or c]
-        padded = [x for pair in pairs for x in pair]
+        padded = [x for pair in zip(padded[::2], padded[1::2], strict=True) if any(pair) for x in pair]
     nd, vd = _number(record.name, 3, 0.0), _number(record.name, 4, 0.0)
     temperature = _number(record.data.get("TD", []), 6, 20.0)
     expansion, density = (_number(record.data.get("ED", []), i, 0.0) for i in (0, 2))
@@ -152,10 +141,10 @@ def _glass(record: _Record, catalogue: str, file: str) -> Glass:
         transmittance=curve,
         transmittance_mm=thickness,
     )
-    if nd > 1.0 and low <= 587.5618 <= high:
-        real = float(dispersion.index(587.5618))
-        if abs(real - nd) > _STATED_ND:
-            raise DomainError(f"its coefficients give n_d = {real:.5f}, the catalogue states {nd:.5f}")
+    if nd > 1.0 and low <= D_NM <= high:
+        computed = float(dispersion.index(D_NM))
+        if abs(computed - nd) > _STATED_ND:
+            raise DomainError(f"its coefficients give n_d = {computed:.5f}, the catalogue states {nd:.5f}")
     return glass
 
 

@@ -5,11 +5,7 @@ maker (20 C; OHARA 25 C) and 1013.25 hPa:
 
 .. math:: n_{rel}^2(\lambda) = 1 + \sum_j \frac{B_j \lambda^2}{\lambda^2 - C_j}
 
-Against vacuum and at another temperature (SCHOTT TIE-19, *Temperature coefficient of the refractive index*):
-
-.. math:: n_{abs}(\lambda, T) = n_{rel}(\lambda)\, n_{air}(\lambda, T_0) + \frac{n_{rel}^2 - 1}{2 n_{rel}}
-          \left(D_0 \Delta T + D_1 \Delta T^2 + D_2 \Delta T^3
-          + \frac{E_0 \Delta T + E_1 \Delta T^2}{\lambda^2 - \lambda_{TK}^2}\right)
+The index against vacuum and at another temperature follows from `optics.glass.thermal_index`.
 """
 
 from __future__ import annotations
@@ -104,7 +100,7 @@ class Glass:
                     f"its range {low:g} ... {high:g} nm"
                 )
         what = "n^2" if self.dispersion.form.squared else "n"
-        with np.errstate(all="ignore"):  # powers of the wavelength may overflow or divide by zero: said below
+        with np.errstate(all="ignore"):  # powers of the wavelength may overflow or divide by zero: refused below
             total = self.dispersion.total(np.geomspace(low, high, 64))
         if not (total < _LARGEST_INDEX ** (2 if self.dispersion.form.squared else 1)).all():  # or not a number
             raise DomainError(
@@ -152,21 +148,14 @@ class Glass:
         temperature_c: float | None = None,
         air_formula: AirFormula = "kohlrausch",
     ) -> FloatArray:
-        """Index against vacuum.
+        """Index against vacuum (`optics.glass.thermal_index`); other parameters and result as in `index`.
 
         Parameters
         ----------
-        wavelength_nm : array_like
-            Wavelengths [nm], any shape.
         temperature_c : float, optional
             Temperature of the glass [C]; the reference temperature if left out.
         air_formula : {"kohlrausch", "ciddor"}
             Air of the catalogue measurement.
-
-        Returns
-        -------
-        numpy.ndarray
-            Index, the same shape.
 
         Raises
         ------
@@ -198,26 +187,19 @@ class Glass:
         medium: Literal["air", "vacuum"] = "air",
         air_formula: AirFormula = "kohlrausch",
     ) -> FloatArray:
-        """Index relative to the surroundings, which have the temperature of the glass.
+        """Index relative to surroundings at the temperature of the glass; other parameters as in `absolute_index`.
 
         Parameters
         ----------
-        wavelength_nm, temperature_c, air_formula
-            As in `absolute_index`.
         pressure_hpa : float
             Pressure of the air [hPa].
         medium : {"air", "vacuum"}
             The surroundings.
 
-        Returns
-        -------
-        numpy.ndarray
-            Index, the shape of ``wavelength_nm``.
-
         Raises
         ------
         DomainError
-            As in `absolute_index`, or a pressure outside its range.
+            As `absolute_index`, or a pressure outside its range.
         ConfigError
             Unknown medium.
         """
@@ -275,41 +257,23 @@ _LEAST_INDEX = 0.999
 _LARGEST_INDEX = 10.0
 """Highest refractive index of a glass; lead telluride, the highest of transparent materials, has 6."""
 
-_KEYS = (
-    "B",
-    "C",
-    "formula",
-    "coefficients",
-    "range_nm",
-    "nd",
-    "vd",
-    "dndt",
-    "dndt_range_c",
-    "cte_per_k",
-    "density_g_cm3",
-    "reference_temperature_c",
-    "reference_pressure_hpa",
-    "maker",
-    "source",
-    "transmittance_mm",
-    "transmittance_nm",
-    "transmittance",
-)
+_SCALARS = ("nd", "vd", "cte_per_k", "density_g_cm3", "reference_temperature_c", "reference_pressure_hpa")
+_TRANSMITTANCE = ("transmittance_mm", "transmittance_nm", "transmittance")
+_FORMULA = ("B", "C", "formula", "coefficients", "range_nm", "dndt", "dndt_range_c")
+_KEYS = ("maker", "source", *_FORMULA, *_SCALARS, *_TRANSMITTANCE)
 
 
-def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -> Glass:
+def glass_from_table(name: str, table: Mapping[str, Any]) -> Glass:
     """Glass from a table of keys, as in ``[glass.NAME]`` of a lens file."""
     if not isinstance(table, Mapping):
         raise ConfigError(f"glass {name}: a table with B and C is needed, got {table!r}")
     for key in table:
         if key not in _KEYS:
             raise unknown_name(f"key of glass {name}:", key, _KEYS)
-    source = str(table.get("source", source))
-    dispersion = _dispersion(name, table)
+    source, dispersion = str(table.get("source", "")), _dispersion(name, table)
     if "range_nm" not in table:
         raise ConfigError(f"glass {name}: key 'range_nm' is missing; say for which wavelengths the formula holds")
     curve, thickness = _transmittance(name, table, source)
-    scalars = ("nd", "vd", "cte_per_k", "density_g_cm3", "reference_temperature_c", "reference_pressure_hpa")
     return Glass(
         name=name,
         maker=str(table.get("maker", "generic")),
@@ -319,7 +283,7 @@ def glass_from_table(name: str, table: Mapping[str, Any], *, source: str = "") -
         dndt=_thermal(name, table),
         transmittance=curve,
         transmittance_mm=thickness,
-        **{key: _floats([table[key]], f"glass {name}: {key}")[0] for key in scalars if key in table},
+        **{key: _floats([table[key]], f"glass {name}: {key}")[0] for key in _SCALARS if key in table},
     )
 
 
@@ -363,22 +327,21 @@ def _thermal(name: str, table: Mapping[str, Any]) -> ThermalDispersion | None:
 
 
 def _transmittance(name: str, table: Mapping[str, Any], source: str) -> tuple[Response | None, float | None]:
-    present = [key for key in ("transmittance_mm", "transmittance_nm", "transmittance") if key in table]
-    if not present:
+    given = [table[key] for key in _TRANSMITTANCE if key in table]
+    if not given:
         return None, None
-    if len(present) < 3:
+    if len(given) < len(_TRANSMITTANCE):
         raise ConfigError(f"glass {name}: give transmittance_mm, transmittance_nm and transmittance together, or none")
-    curve = Response(
-        name=f"internal transmittance of {name}",
-        source=source,
-        wavelength_nm=table["transmittance_nm"],
-        value=table["transmittance"],
-    )
-    return curve, float(table["transmittance_mm"])
+    thickness_mm, wavelength_nm, value = given
+    title = f"internal transmittance of {name}"
+    return Response(name=title, source=source, wavelength_nm=wavelength_nm, value=value), float(thickness_mm)
+
+
+_CURRENT, _OBSOLETE = "glasses.toml", "glasses_obsolete.toml"
 
 
 @cache
-def _catalogue(file: str = "glasses.toml") -> dict[str, Any]:
+def _catalogue(file: str) -> dict[str, Any]:
     return tomllib.loads(files("optics").joinpath("data", file).read_text(encoding="utf-8"))
 
 
@@ -397,15 +360,12 @@ def list_glasses(maker: str | None = None, *, obsolete: bool = False) -> tuple[s
     tuple of str
         Names for `get_glass`.
     """
-    catalogue = _catalogue(_OBSOLETE) if obsolete else _catalogue()
+    catalogue = _catalogue(_OBSOLETE if obsolete else _CURRENT)
     makers = {source["maker"] for source in catalogue["source"].values()}
     if maker is not None and maker not in makers:
         raise unknown_name("glass maker", maker, makers)
-    found = (n for n, g in catalogue["glass"].items() if maker in (None, catalogue["source"][g["source"]]["maker"]))
-    return tuple(sorted(found))
-
-
-_OBSOLETE = "glasses_obsolete.toml"
+    sources, glasses = catalogue["source"], catalogue["glass"]
+    return tuple(sorted(n for n, g in glasses.items() if maker in (None, sources[g["source"]]["maker"])))
 
 
 @cache
@@ -427,16 +387,13 @@ def get_glass(name: str) -> Glass:
     ConfigError
         Unknown name, with the nearest ones.
     """
-    catalogue = _catalogue()
-    if name not in catalogue["glass"]:
-        names = list(catalogue["glass"])
-        catalogue = _catalogue(_OBSOLETE)
-        if name not in catalogue["glass"]:
-            raise unknown_name("glass", name, [*names, *catalogue["glass"]])
+    catalogues = [_catalogue(file) for file in (_CURRENT, _OBSOLETE)]
+    catalogue = next((c for c in catalogues if name in c["glass"]), None)
+    if catalogue is None:
+        raise unknown_name("glass", name, [known for c in catalogues for known in c["glass"]])
     entry = dict(catalogue["glass"][name])
     origin = catalogue["source"][entry.pop("source")]
-    entry["maker"] = origin["maker"]
-    entry["source"] = origin["text"]
+    entry |= {"maker": origin["maker"], "source": origin["text"]}
     entry["reference_temperature_c"] = origin["reference_temperature_c"]
     if "dndt" in entry:
         entry["dndt_range_c"] = origin["dndt_range_c"]

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.glass.catalogue import Glass, get_glass
+from optics.interpolation import bracket
 from optics.records import freeze
 from optics.response import checked_wavelength
 
@@ -35,7 +36,7 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Split:
-    """Shares of the light that a surface reflects and transmits, for s and p light; arrays of one shape."""
+    """Reflectance and transmittance of a surface for s and p light; arrays of one shape."""
 
     reflectance_s: FloatArray
     reflectance_p: FloatArray
@@ -129,8 +130,7 @@ class Stack(Coating):
         sine2 = first**2 * (1.0 - np.minimum(np.asarray(cos_incidence, dtype=np.float64), 1.0) ** 2)
         films = self.films if np.mean(first) <= np.mean(last) else self.films[::-1]
         layers = [(film.complex_index(wave), film.thickness_nm) for film in films]
-        found = [_matrix_product(wave, layers, first, last, sine2, p) for p in (False, True)]
-        (rs, ts), (rp, tp) = found
+        (rs, ts), (rp, tp) = (_matrix_product(wave, layers, first, last, sine2, p) for p in (False, True))
         return Split(reflectance_s=rs, reflectance_p=rp, transmittance_s=ts, transmittance_p=tp)
 
 
@@ -149,18 +149,18 @@ def _matrix_product(
         return np.asarray(index**2 / normal if p else normal)
 
     normal = along(last + 0.0 * wave)
-    out = admittance(last, normal)
-    field_b: Any = np.ones_like(normal)
-    field_c: Any = out
+    eta_m = admittance(last, normal)
+    b: Any = np.ones_like(normal)
+    c: Any = eta_m
     for index, thickness in reversed(layers):
         normal = along(index)
-        phase, own = 2.0 * np.pi * thickness * normal / wave, admittance(index, normal)
-        cosine, sine = np.cos(phase), 1j * np.sin(phase)
-        field_b, field_c = cosine * field_b + sine / own * field_c, own * sine * field_b + cosine * field_c
-    into = admittance(first, along(first)).real
-    below = np.abs(into * field_b + field_c) ** 2
-    reflected = np.abs(into * field_b - field_c) ** 2 / below
-    return np.asarray(reflected), np.asarray(4.0 * into * out.real / below)
+        delta, eta = 2.0 * np.pi * thickness * normal / wave, admittance(index, normal)
+        cosine, sine = np.cos(delta), 1j * np.sin(delta)
+        b, c = cosine * b + sine / eta * c, eta * sine * b + cosine * c
+    eta_0 = admittance(first, along(first)).real
+    denominator = np.abs(eta_0 * b + c) ** 2
+    reflectance = np.abs(eta_0 * b - c) ** 2 / denominator
+    return np.asarray(reflectance), np.asarray(4.0 * eta_0 * eta_m.real / denominator)
 
 
 BARE = Stack()
@@ -218,14 +218,14 @@ class TabulatedCoating(Coating):
     angle_deg : (a,)
         Increasing angles of incidence; one alone: values for all angles.
     reflectance_s, reflectance_p : (a, w)
-        Shares of s and p light.
+        Fractions of s and p light.
     transmittance_s, transmittance_p : (a, w), optional
-        Left out: all that is not reflected.
+        Left out: all light that is not reflected.
 
     Raises
     ------
     DomainError
-        Wavelengths or angles that do not increase, a negative share, R + T above 1.
+        Wavelengths or angles that do not increase, a negative fraction, R + T above 1.
     """
 
     source: str
@@ -273,15 +273,12 @@ class TabulatedCoating(Coating):
         inside = first * np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
         angle = np.degrees(np.arcsin(np.minimum(inside / np.minimum(first, last), 1.0)))
         wave, angle, total = np.broadcast_arrays(wave, angle, inside > last)
-        row, above = _place(self.angle_deg, angle)
-        column, right = _place(self.wavelength_nm, wave)
+        rows, columns = bracket(self.angle_deg, angle), bracket(self.wavelength_nm, wave)
 
         def at(table: FloatArray | None, beyond: float) -> FloatArray:
             assert table is not None
-            next_row, next_column = np.minimum(row + 1, len(table) - 1), column + 1
-            lower = (1.0 - right) * table[row, column] + right * table[row, next_column]
-            upper = (1.0 - right) * table[next_row, column] + right * table[next_row, next_column]
-            return np.asarray(np.where(total, beyond, (1.0 - above) * lower + above * upper))
+            inside = sum(weight * sum(part * table[row, column] for column, part in columns) for row, weight in rows)
+            return np.asarray(np.where(total, beyond, inside))
 
         return Split(
             reflectance_s=at(self.reflectance_s, 1.0),
@@ -289,11 +286,3 @@ class TabulatedCoating(Coating):
             transmittance_s=at(self.transmittance_s, 0.0),
             transmittance_p=at(self.transmittance_p, 0.0),
         )
-
-
-def _place(nodes: FloatArray, at: FloatArray) -> tuple[np.typing.NDArray[np.intp], FloatArray]:
-    """Number of the node below and the share of the one above; held at the ends."""
-    if len(nodes) == 1:
-        return np.zeros(at.shape, dtype=np.intp), np.zeros(at.shape)
-    row = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)
-    return row, np.clip((at - nodes[row]) / (nodes[row + 1] - nodes[row]), 0.0, 1.0)

@@ -40,9 +40,19 @@ def model_glass(name: str, nd: float, vd: float, *, partial: float = 0.0) -> Gla
     return Glass(name=name, source=text, dispersion=dispersion, range_nm=wide, maker="model", nd=nd, vd=vd or None)
 
 
-def six_digits(text: str) -> tuple[float, float] | None:
-    """n_d and v_d of a code such as ``517642`` or ``517.642``; None if the text is none."""
-    digits = text.replace(".", "", 1)
-    if len(digits) != 6 or not digits.isascii() or not digits.isdigit():
-        return None
-    return 1.0 + int(digits[:3]) / 1e3, int(digits[3:]) / 10.0
+def glass_code(name: str) -> tuple[float, float] | None:
+    """n_d and v_d of a code: ``517642``, ``517.642``, ``620410.603236``, ``1.5168:64.17``; None if it is none."""
+    head, colon, tail = name.partition(":")
+    if colon:
+        try:
+            nd, vd = float(head), float(tail)
+        except ValueError:
+            return None
+        return (nd, vd) if 1.0 < nd < 4.5 and 9.0 <= vd <= 120.0 else None
+    head, dot, tail = name.partition(".")
+    if not dot and len(name) == 6:
+        head, tail = name[:3], name[3:]
+    digits = head + tail
+    if 3 <= len(head) <= 6 and 3 <= len(tail) <= 6 and digits.isascii() and digits.isdigit():
+        return 1.0 + int(head) / 10 ** len(head), int(tail) / 10 ** (len(tail) - 2)
+    return None

@@ -56,6 +56,7 @@ from scipy.interpolate import PchipInterpolator
 from optics.arrays import FloatArray
 from optics.distortion_polynomial import COEFFICIENTS, distort, one_to_one_radius_mm
 from optics.errors import DomainError
+from optics.interpolation import bracket
 from optics.lens.tables import StrictTable
 from optics.records import freeze, freeze_all, locked
 from optics.response import Response
@@ -116,7 +117,7 @@ class GaussianMixture:
         at = np.broadcast_arrays(wavelength_nm, y_mm, x_mm)
         found = np.zeros((*at[0].shape, *table.shape[3:]))
         brackets = [
-            _bracket(nodes, where) for nodes, where in zip((self.wavelength_nm, self.y_mm, self.x_mm), at, strict=True)
+            bracket(nodes, where) for nodes, where in zip((self.wavelength_nm, self.y_mm, self.x_mm), at, strict=True)
         ]
         for corner in np.ndindex(*(len(one) for one in brackets)):
             index, weight = zip(*(one[i] for one, i in zip(brackets, corner, strict=True)), strict=True)
@@ -130,15 +131,6 @@ class GaussianMixture:
         away = offset - mean[..., None, :]
         products = np.stack([away[..., 0] ** 2, away[..., 1] ** 2, away[..., 0] * away[..., 1]], axis=-1)
         return mean, np.asarray((share[..., None] * (covariance + products)).sum(-2))
-
-
-def _bracket(nodes: FloatArray, at: FloatArray) -> list[tuple[Any, FloatArray]]:
-    """Indices of the nodes around places, and their linear weights; the outermost hold beyond."""
-    if len(nodes) == 1:
-        return [(np.zeros(at.shape, np.int64), np.ones(at.shape))]
-    low = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)
-    part = np.clip((at - nodes[low]) / (nodes[low + 1] - nodes[low]), 0.0, 1.0)
-    return [(low, 1.0 - part), (low + 1, part)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -196,7 +188,7 @@ class MeasuredLens:
         inside = np.hypot(x, y) <= self.reach_mm
         x, y = distort(x, y, self.distortion)
         if len(self.colour_nm):
-            brackets = _bracket(self.colour_nm, wave)
+            brackets = bracket(self.colour_nm, wave)
             scale = sum(weight * self.colour_scale[at] for at, weight in brackets)
             shift = sum(weight[..., None] * self.colour_shift_mm[at] for at, weight in brackets)
             x, y = scale * x + shift[..., 0], scale * y + shift[..., 1]

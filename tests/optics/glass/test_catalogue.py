@@ -180,7 +180,7 @@ def test_internal_transmittance_multiplies_along_the_path() -> None:
 
 def test_inline_glass_is_a_glass_like_any_other() -> None:
     table = {"B": [1.35055424, 0.197575506, 1.09962992], "C": [0.0087628207, 0.0371767201, 90.3866994]}
-    glass = glass_from_table("mine", table | {"range_nm": [400, 900]}, source="my own melt")
+    glass = glass_from_table("mine", table | {"range_nm": [400, 900], "source": "my own melt"})
     assert glass.index(600.0) == pytest.approx(float(get_glass("N-KZFS4").index(600.0)), abs=0.0)
     assert glass.source == "my own melt"
 
@@ -252,8 +252,8 @@ def test_tables_that_make_no_glass(change: dict[str, object], kind: type[ValueEr
 
 
 def test_missing_coefficients_and_paths() -> None:
-    refuses(ConfigError, "'C' is missing", glass_from_table, "mine", {"B": [1.0]}, source="test")
-    refuses(ConfigError, "a table with B and C", glass_from_table, "mine", 3, source="test")
+    refuses(ConfigError, "'C' is missing", glass_from_table, "mine", {"B": [1.0]})
+    refuses(ConfigError, "a table with B and C", glass_from_table, "mine", 3)
     refuses(DomainError, r"path -1 mm", lambda: get_glass("N-BK7").internal_transmittance(500.0, -1.0))
     refuses(DomainError, "no internal transmittance", lambda: get_glass("MgF2").internal_transmittance(500.0, 1.0))
     with pytest.raises(DomainError, match="not finite"):
