@@ -48,44 +48,23 @@ class ArrayNamespace(Protocol):
 class NumpyArrays:
     """NumPy float64; parameters stay Python floats."""
 
-    @staticmethod
-    def sqrt(value: Any) -> Any:
-        """Elementwise square root."""
-        return np.sqrt(value)
-
-    @staticmethod
-    def where(mask: Any, if_true: Any, if_false: Any) -> Any:
-        """Elementwise selection."""
-        return np.where(mask, if_true, if_false)
-
-    @staticmethod
-    def maximum(value: Any, other: Any) -> Any:
-        """Elementwise maximum."""
-        return np.maximum(value, other)
-
-    @staticmethod
-    def minimum(value: Any, other: Any) -> Any:
-        """Elementwise minimum."""
-        return np.minimum(value, other)
+    sqrt, where = staticmethod(np.sqrt), staticmethod(np.where)
+    maximum, minimum = staticmethod(np.maximum), staticmethod(np.minimum)
 
     @staticmethod
     def whole(value: Any) -> Any:
-        """Elementwise floor, as integers."""
         return np.floor(value).astype(np.int64)
 
     @staticmethod
     def table(values: FloatArray) -> Any:
-        """The constants, flat."""
         return values.ravel()
 
     @staticmethod
     def take(table: Any, index: Any) -> Any:
-        """Elements of the table."""
         return table[index]
 
     @staticmethod
     def parameters(theta: Iterable[float]) -> Sequence[Any]:
-        """Lens parameters as Python floats."""
         return [float(value) for value in theta]
 
 

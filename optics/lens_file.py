@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -33,11 +34,11 @@ from optics.rays.marginal_rays import SemiDiameters, beam_semi_diameters
 from optics.validate import read_toml
 
 MARGIN = 1.002
-"""Of a clear aperture that is found over the marginal rays that find it, which are some of all (`SemiDiameters`)."""
+"""Ratio of a computed clear aperture to the heights of the marginal rays that were traced (`SemiDiameters`)."""
 TOML_FIELDS = (0.0, 0.7, 1.0)
 TOML_WAVES = (0.85, 1.0, 1.2)
-"""Shares of the half field, and of the design wavelength, whose light has to pass where a TOML file states no rim."""
-DRAWN_APART = 0.02
+"""Fractions of half field and design wavelength whose light has to pass where a TOML file states no rim."""
+DRAWN_DIFFERENCE = 0.02
 """Relative difference up to which clear apertures agree with the file's program."""
 
 
@@ -173,109 +174,175 @@ def read_lens_file(
 
 
 def _of_toml(path: Path, where: str, environment: Environment | None) -> LensFile:
-    """A file of our own format."""
+    """A TOML file."""
     tables = read_toml(path)
     if tables.get("kind") == "measured":
         return LensFile(lens=measured_lens(measured_from_table(tables, where)), tables=tables)
     _check_glasses(tables, where)
     tables = _with_glass_files(tables, path.parent, where)
     lens = lens_from_table(tables, where=where, folder=path.parent, environment=environment or CATALOGUE_AIR)
-    if _open(lens):
-        shares = [(0.0, 0.0), *((c * f, s * f) for f in TOML_FIELDS[1:] for c, s in ((0, 1), (1, 0), (0, -1), (-1, 0)))]
+    prescription = _Prescription(lens, tables)
+    if prescription.open():
+        azimuths = [(f * c, f * s) for f in TOML_FIELDS[1:] for c, s in ((0, 1), (1, 0), (0, -1), (-1, 0))]
         waves = np.clip(np.array(TOML_WAVES) * lens.design_wavelength_nm, *lens.wavelength_range_nm)
-        try:
-            found = beam_semi_diameters(lens, np.array(shares) * lens.max_field_deg, waves)
-            lens, tables = _closed(lens, tables, found)
-        except StarbenchError:
-            pass  # no light to go by: they stay open
-    faults = geometry_faults(lens)
+        with suppress(StarbenchError):  # where no light passes, they stay open
+            prescription.close(beam_semi_diameters(lens, np.array([(0.0, 0.0), *azimuths]) * lens.max_field_deg, waves))
+    _refuse(geometry_faults(prescription.lens), where)
+    return LensFile(lens=prescription.lens, tables=prescription.tables)
+
+
+def _refuse(faults: Sequence[str], where: str) -> None:
     if faults:
         raise ConfigError("\n".join(f"{where}: {fault}" for fault in faults))
-    return LensFile(lens=lens, tables=tables)
 
 
-def _open(lens: LensSystem) -> list[int]:
-    """Surfaces of glass and mirrors without any clear aperture; planes that only help to count have no rim."""
-    return [
-        i for i, s in enumerate(lens.surfaces) if np.isinf(s.semi_diameter_mm) and not s.apertures and acts(lens, i)
-    ]
+@dataclass(slots=True)
+class _Prescription:
+    """A lens and its tables while clear apertures missing in its file are computed; ``notes`` for the report.
 
+    ``rows`` are the surfaces of the file of a design program by their number in the lens.
+    """
 
-def _places(lens: LensSystem, tables: Mapping[str, Any]) -> list[int]:
-    """Number of the lens's surface that each table of a surface makes, -1 for a coordinate break."""
-    alone = lens.stop_index if tables.get("stop") else len(lens.surfaces)
-    free = iter(i for i in range(len(lens.surfaces)) if i != alone)
-    return [-1 if table.get("kind") == BREAK else next(free) for table in tables["surface"]]
+    lens: LensSystem
+    tables: dict[str, Any]
+    rows: dict[int, SurfaceRow] = field(default_factory=dict)
+    notes: list[ReportLine] = field(default_factory=list)
 
+    def note(self, command: str, message: str, surface: int | None = None) -> None:
+        """A line of the report about a surface, or about what the file does not state."""
+        row = None if surface is None else self.rows[surface]
+        self.notes.append(_note(command, message, row))
 
-def _with_rims(
-    lens: LensSystem, tables: Mapping[str, Any], radius_mm: Mapping[int, float]
-) -> tuple[LensSystem, dict[str, Any]]:
-    """Lens and prescription with other clear apertures of some surfaces."""
-    surfaces = {i: replace(lens.surfaces[i], semi_diameter_mm=radius) for i, radius in radius_mm.items()}
-    rows = [
-        {**table, "semi_diameter_mm": radius_mm[i]} if i in radius_mm else table
-        for i, table in zip(_places(lens, tables), tables["surface"], strict=True)
-    ]
-    return lens.with_surfaces(surfaces), {**tables, "surface": rows}
+    def numbers(self) -> list[int]:
+        """Number in the lens of the surface that each table makes, -1 for a coordinate break."""
+        alone = self.lens.stop_index if self.tables.get("stop") else len(self.lens.surfaces)
+        free = iter(i for i in range(len(self.lens.surfaces)) if i != alone)
+        return [-1 if table.get("kind") == BREAK else next(free) for table in self.tables["surface"]]
 
+    def open(self) -> list[int]:
+        """Surfaces of glass and mirrors without any clear aperture; planes that only help to count have no rim."""
+        return [
+            i
+            for i, surface in enumerate(self.lens.surfaces)
+            if np.isinf(surface.semi_diameter_mm) and not surface.apertures and acts(self.lens, i)
+        ]
 
-def _closed(
-    lens: LensSystem, tables: Mapping[str, Any], found: SemiDiameters, surfaces: Sequence[int] | None = None
-) -> tuple[LensSystem, dict[str, Any]]:
-    """Lens and prescription with the clear apertures that light needs, of those surfaces that have none if left out."""
-    radius = {}
-    for i in _open(lens) if surfaces is None else surfaces:
-        surface, widest = lens.surfaces[i], float(found.semi_diameter_mm[i])
-        if widest > surface.inner_semi_diameter_mm:
-            radius[i] = min(MARGIN * widest, 0.5 * (widest + surface.shape.rim_mm))
-    return _with_rims(lens, tables, radius)
+    def set_rims(self, radius_mm: Mapping[int, float]) -> None:
+        """Replace clear apertures of surfaces."""
+        surfaces = {i: replace(self.lens.surfaces[i], semi_diameter_mm=radius) for i, radius in radius_mm.items()}
+        tables = [
+            {**table, "semi_diameter_mm": radius_mm[i]} if i in radius_mm else table
+            for i, table in zip(self.numbers(), self.tables["surface"], strict=True)
+        ]
+        self.lens, self.tables = self.lens.with_surfaces(surfaces), {**self.tables, "surface": tables}
+
+    def close(self, widths: SemiDiameters, surfaces: Sequence[int] | None = None) -> None:
+        """Give surfaces the clear apertures that light needs, if left out the ones that have none."""
+        radius_mm = {}
+        for i in self.open() if surfaces is None else surfaces:
+            surface, widest = self.lens.surfaces[i], float(widths.semi_diameter_mm[i])
+            if widest > surface.inner_semi_diameter_mm:
+                radius_mm[i] = min(MARGIN * widest, 0.5 * (widest + surface.shape.rim_mm))
+        self.set_rims(radius_mm)
+
+    def take_drawn(self) -> None:
+        """Clear apertures of a lens with a near object: as its program computed them for light from there."""
+        drawn = {}
+        for i in self.open():
+            surface, radius = self.lens.surfaces[i], self.rows[i].drawn_mm or 0.0
+            if surface.inner_semi_diameter_mm < radius < surface.shape.rim_mm:
+                drawn[i] = radius
+        if drawn:
+            text = ", ".join(f"{self.rows[i].number}: {radius:.5g}" for i, radius in drawn.items())
+            message = f"not stated, as the file's program drew them for its near object [mm]: {text}"
+            self.note("clear apertures", message)
+        others = ", ".join(str(self.rows[i].number) for i in self.open() if i not in drawn)
+        if others:
+            self.note("clear apertures", f"surfaces without any, for a near object: {others}: left open")
+        self.set_rims(drawn)
+
+    def take_needed(self, defaults: FileDefaults) -> None:
+        """Clear apertures as wide as the light of the file's fields and wavelengths needs."""
+        try:
+            widths = _file_widths(self.lens, defaults)
+        except StarbenchError as error:
+            self.note("clear apertures", f"left open where the file states none: {error}")
+            return
+        missing = self.open()
+        self.close(widths)
+        if missing:
+            self._report_needed(missing, widths)
+        self._uncross(widths)
+
+    def _report_needed(self, surfaces: Sequence[int], widths: SemiDiameters) -> None:
+        """Computed clear apertures, compared with those that the file's program drew, and lost light."""
+        rows = self.rows
+        text = ", ".join(f"{rows[i].number}: {self.lens.surfaces[i].semi_diameter_mm:.5g}" for i in surfaces)
+        drawn = {i: radius for i in surfaces if (radius := rows[i].drawn_mm)}
+        difference = {i: float(widths.semi_diameter_mm[i]) / radius - 1.0 for i, radius in drawn.items()}
+        comparison = ""
+        if difference:
+            worst = max(difference, key=lambda i: abs(difference[i]) if np.isfinite(difference[i]) else np.inf)
+            percent = max(100 * abs(difference[worst]), 1e-6)
+            comparison = f"; within {percent:.2g} % of what the file's program drew"
+            if not abs(difference[worst]) < DRAWN_DIFFERENCE:
+                drawn_text = f"surface {rows[worst].number}: {drawn[worst]:.5g} mm"
+                comparison = f"; the file's program shows other values: {drawn_text}"
+        message = f"not stated, as wide as the light of the file's fields needs [mm]: {text}{comparison}"
+        self.note("clear apertures", message)
+        if widths.lost or widths.dark:
+            fields = ", ".join(str(i + 1) for i in widths.dark)
+            dark = f"no light of field {fields} passes the stop; " if widths.dark else ""
+            lost = f"{widths.lost} of {widths.rays} marginal rays miss a surface or are totally reflected"
+            self.note("fields", dark + lost)
+
+    def _uncross(self, widths: SemiDiameters) -> None:
+        """Close clear apertures to what light needs where surfaces meet outside the light."""
+        for crossing in crossings(self.lens):
+            needed = {i: float(widths.semi_diameter_mm[i]) for i in crossing.surfaces}
+            if not min(needed.values()) < crossing.from_mm:
+                continue
+            rims = {i: self.lens.surfaces[i].semi_diameter_mm for i in needed if i != self.lens.stop_index}
+            wide = {i: radius for i, radius in rims.items() if radius > MARGIN * needed[i]}
+            self.close(widths, list(wide))
+            for i, radius in wide.items():
+                closed_mm = self.lens.surfaces[i].semi_diameter_mm
+                closed = f"closed to {closed_mm:.6g} mm, which the light of the file's fields needs"
+                self.note("clear aperture", f"{radius:.6g} mm, where it would cross the adjacent surface; {closed}", i)
 
 
 def _of_program(imported: Imported, path: Path, environment: Environment | None, strict: bool) -> LensFile:
-    """A file of another program, with what it leaves to be found."""
-    where, rows, defaults = str(path), imported.rows, imported.defaults
-    tables = imported.tables
+    """A file of a design program; clear apertures that it leaves out are computed."""
+    where, rows, defaults, tables = str(path), imported.rows, imported.defaults, imported.tables
     notes: list[ReportLine] = []
     labels = tuple(f"surface {row.number} (line {row.line})" for row in rows)
     if not strict:
         tables, notes = _within_surfaces(tables, rows, labels, where)
     lens = lens_from_table(
-        tables,
-        where=where,
-        folder=path.parent,
-        environment=environment or defaults.environment,
-        labels=labels,
+        tables, where=where, folder=path.parent, environment=environment or defaults.environment, labels=labels
     )
-    mine = {i: row for i, row in zip(_places(lens, tables), rows, strict=True) if i >= 0}
+    prescription = _Prescription(lens, tables, notes=notes)
+    prescription.rows = {i: row for i, row in zip(prescription.numbers(), rows, strict=True) if i >= 0}
     near = not strict and bool(np.isfinite(defaults.object_mm))
     if near:
-        lens, tables = _as_drawn(lens, tables, mine, notes)
+        prescription.take_drawn()
     elif not strict:
-        try:
-            found = _found(lens, defaults)
-        except StarbenchError as error:
-            notes.append(_note(0, "clear apertures", f"left open where the file states none: {error}"))
-        else:
-            needs = _open(lens)
-            lens, tables = _closed(lens, tables, found)
-            notes += _told(lens, needs, mine, found)
-            lens, tables = _uncrossed(lens, tables, mine, found, notes)
-    told = idle_stop(lens)
-    notes += [_note(mine[lens.stop_index].line, "stop", line, mine[lens.stop_index].number) for line in told]
+        prescription.take_needed(defaults)
+    lens = prescription.lens
+    accepted = idle_stop(lens)
+    for fault in accepted:
+        prescription.note("stop", fault, lens.stop_index)
     for crossing in crossings(lens) if near else ():
-        told.append(crossing.words)
-        at = mine[crossing.surfaces[0]]
-        notes.append(_note(at.line, "clear aperture", f"{crossing.words}; kept, as the object is near", at.number))
-    faults = [fault for fault in geometry_faults(lens) if strict or fault not in told]
-    if faults:
-        raise ConfigError("\n".join(f"{where}: {fault}" for fault in faults))
-    lines = sorted((*imported.report.lines, *notes), key=lambda line: line.line)
+        accepted.append(crossing.message)
+        prescription.note("clear aperture", f"{crossing.message}; kept, as the object is near", crossing.surfaces[0])
+    _refuse([fault for fault in geometry_faults(lens) if strict or fault not in accepted], where)
+    lines = sorted((*imported.report.lines, *prescription.notes), key=lambda line: line.line)
     report = replace(imported.report, lines=tuple(lines))
-    return LensFile(lens=lens, tables=tables, report=report, defaults=defaults, labels=labels)
+    return LensFile(lens=lens, tables=prescription.tables, report=report, defaults=defaults, labels=labels)
 
 
-def _note(line: int, command: str, message: str, surface: int | None = None) -> ReportLine:
+def _note(command: str, message: str, row: SurfaceRow | None) -> ReportLine:
+    line, surface = (0, None) if row is None else (row.line, row.number)
     return ReportLine(line, command, surface, Status.APPROXIMATED, message, harmless=False)
 
 
@@ -287,38 +354,14 @@ def _within_surfaces(
     for table, row, rim in zip(tables["surface"], rows, rims, strict=True):
         radius = table.get("semi_diameter_mm", 0.0)
         if radius >= rim and not row.stop:
-            said = (
-                f"{radius:.6g} mm reaches beyond the rim where the surface ends, {rim:.6g} mm: replaced by the "
-                "radius that light needs"
-            )
-            notes.append(_note(row.line, "clear aperture", said, row.number))
-            surfaces.append({k: v for k, v in table.items() if k != "semi_diameter_mm"})
-        else:
-            surfaces.append(table)
+            reach = f"{radius:.6g} mm reaches beyond the rim where the surface ends, {rim:.6g} mm"
+            notes.append(_note("clear aperture", f"{reach}: replaced by the radius that light needs", row))
+            table = {k: v for k, v in table.items() if k != "semi_diameter_mm"}  # noqa: PLW2901
+        surfaces.append(table)
     return {**tables, "surface": surfaces}, notes
 
 
-def _as_drawn(
-    lens: LensSystem, tables: dict[str, Any], mine: Mapping[int, SurfaceRow], notes: list[ReportLine]
-) -> tuple[LensSystem, dict[str, Any]]:
-    """Clear apertures of a lens whose file has a near object: as its program computed them for light from there."""
-    drawn = {i: mine[i].drawn_mm or 0.0 for i in _open(lens)}
-    drawn = {
-        i: r for i, r in drawn.items() if lens.surfaces[i].inner_semi_diameter_mm < r < lens.surfaces[i].shape.rim_mm
-    }
-    if drawn:
-        text = ", ".join(f"{mine[i].number}: {radius:.5g}" for i, radius in drawn.items())
-        said = f"not stated, as the file's program drew them for its near object [mm]: {text}"
-        notes.append(_note(0, "clear apertures", said))
-    left = [str(mine[i].number) for i in _open(lens) if i not in drawn]
-    if left:
-        notes.append(
-            _note(0, "clear apertures", f"surfaces without any, for a near object: {', '.join(left)}: left open")
-        )
-    return _with_rims(lens, tables, drawn)
-
-
-def _found(lens: LensSystem, defaults: FileDefaults) -> SemiDiameters:
+def _file_widths(lens: LensSystem, defaults: FileDefaults) -> SemiDiameters:
     """Widths of the file's own light: its fields with their vignetting factors, its wavelengths from first to last."""
     fields = defaults.field_deg if len(defaults.field_deg) else np.zeros((1, 2))
     factors = defaults.vignetting if len(defaults.vignetting) else None
@@ -327,64 +370,13 @@ def _found(lens: LensSystem, defaults: FileDefaults) -> SemiDiameters:
     return beam_semi_diameters(lens, fields, np.unique([*waves, lens.design_wavelength_nm])[[0, -1]], factors)
 
 
-def _told(
-    lens: LensSystem, needs: Sequence[int], mine: Mapping[int, SurfaceRow], found: SemiDiameters
-) -> list[ReportLine]:
-    """Report on computed clear apertures, clear apertures of the file's program, and lost light."""
-    if not needs:
-        return []
-    text = ", ".join(f"{mine[i].number}: {lens.surfaces[i].semi_diameter_mm:.5g}" for i in needs)
-    drawn = {i: mine[i].drawn_mm for i in needs if mine[i].drawn_mm}
-    apart = {i: float(found.semi_diameter_mm[i]) / d - 1.0 for i, d in drawn.items() if d}
-    said = ""
-    if apart:
-        worst = max(apart, key=lambda i: abs(apart[i]) if np.isfinite(apart[i]) else np.inf)
-        within = max(100 * abs(apart[worst]), 1e-6)
-        said = f"; within {within:.2g} % of what the file's program drew"
-        if not abs(apart[worst]) < DRAWN_APART:
-            said = f"; the file's program shows other values: surface {mine[worst].number}: {drawn[worst]:.5g} mm"
-    notes = [
-        _note(0, "clear apertures", f"not stated, as wide as the light of the file's fields needs [mm]: {text}{said}")
-    ]
-    if found.lost or found.dark:
-        dark = f"no light of field {', '.join(str(i + 1) for i in found.dark)} passes the stop; " if found.dark else ""
-        notes.append(
-            _note(
-                0, "fields", f"{dark}{found.lost} of {found.rays} marginal rays miss a surface or are totally reflected"
-            )
-        )
-    return notes
-
-
-def _uncrossed(
-    lens: LensSystem,
-    tables: dict[str, Any],
-    mine: Mapping[int, SurfaceRow],
-    found: SemiDiameters,
-    notes: list[ReportLine],
-) -> tuple[LensSystem, dict[str, Any]]:
-    """Clear apertures closed to what light needs where surfaces meet beyond it only; told in ``notes``."""
-    for crossing in crossings(lens):
-        used = [float(found.semi_diameter_mm[i]) for i in crossing.surfaces]
-        if not min(used) < crossing.from_mm:
-            continue
-        before = {i: lens.surfaces[i].semi_diameter_mm for i in crossing.surfaces if i != lens.stop_index}
-        stated = {i: before[i] for i, u in zip(crossing.surfaces, used, strict=True) if before.get(i, 0.0) > MARGIN * u}
-        lens, tables = _closed(lens, tables, found, list(stated))
-        for i, radius in stated.items():
-            closed = f"closed to {lens.surfaces[i].semi_diameter_mm:.6g} mm, which the light of the file's fields needs"
-            said = f"{radius:.6g} mm, where it would cross the adjacent surface; {closed}"
-            notes.append(_note(mine[i].line, "clear aperture", said, mine[i].number))
-    return lens, tables
-
-
 def _with_glass_files(tables: dict[str, Any], folder: Path, where: str) -> dict[str, Any]:
     """The prescription with the numbers of the glasses that name a file: an AGF catalogue or refractiveindex.info's."""
-    own = tables.get("glass")
-    if not isinstance(own, Mapping):
-        return tables  # said elsewhere
-    found = {}
-    for name, table in own.items():
+    glasses = tables.get("glass")
+    if not isinstance(glasses, Mapping):
+        return tables  # refused by the prescription
+    read = {}
+    for name, table in glasses.items():
         if not isinstance(table, Mapping) or "file" not in table:
             continue
         for key, value in table.items():
@@ -393,19 +385,19 @@ def _with_glass_files(tables: dict[str, Any], folder: Path, where: str) -> dict[
             if not isinstance(value, str):
                 raise ConfigError(f"{where}: glass.{name}.{key} = {value!r}: text is needed, in quotation marks")
         try:
-            found[name] = glass_table(read_glass(folder / table["file"], table.get("name", name)))
+            read[name] = glass_table(read_glass(folder / table["file"], table.get("name", name)))
         except StarbenchError as error:
             raise ConfigError(f"{where}: glass.{name}.file: {error}") from None
-    return {**tables, "glass": {**own, **found}} if found else tables
+    return {**tables, "glass": {**glasses, **read}} if read else tables
 
 
 def _check_glasses(tables: Mapping[str, Any], where: str) -> None:
-    """Refuse tables of glasses that no surface names, and such that hide a glass of the catalogue."""
-    own, surfaces = tables.get("glass", {}), tables.get("surface", [])
-    if not (isinstance(own, Mapping) and isinstance(surfaces, list)):
-        return  # said elsewhere
+    """Refuse tables of glasses that no surface names or that hide a glass of the catalogue."""
+    glasses, surfaces = tables.get("glass", {}), tables.get("surface", [])
+    if not (isinstance(glasses, Mapping) and isinstance(surfaces, list)):
+        return  # refused by the prescription
     named = {s.get("medium") for s in surfaces if isinstance(s, Mapping)}
-    for name in own:
+    for name in glasses:
         if name not in named:
             raise ConfigError(f"{where}: no surface is of glass.{name}; leave the table out or name it as a medium")
         if name in list_glasses():

@@ -31,11 +31,11 @@ class Aperture(ABC):
 
     obscures: bool = False  # False: light passes inside; True: light is blocked inside
     centre_mm: Point = (0.0, 0.0)  # (x, y) Centre
-    angle_deg: FiniteFloat = 0.0  # Turn about its own centre, from x towards y
+    angle_deg: FiniteFloat = 0.0  # Rotation about its centre, from x towards y
     kind: ClassVar[str]
 
     def parameters(self) -> tuple[float, ...]:
-        """Numbers that `inside` reads: centre, cosine and sine of the turn, then the outline's own."""
+        """Numbers that `inside` reads: centre, cosine and sine of the rotation, then `outline_parameters`."""
         turn = math.radians(self.angle_deg)
         return (*self.centre_mm, math.cos(turn), math.sin(turn), *self.outline_parameters())
 
@@ -46,7 +46,7 @@ class Aperture(ABC):
     @staticmethod
     @abstractmethod
     def within(p: Sequence[Any], u: Any, v: Any, xp: ArrayNamespace) -> Any:
-        """Mask of the points (u, v) inside, in the outline's own frame; p are its `outline_parameters`."""
+        """Mask of the points (u, v) inside, in the frame of the outline; p are its `outline_parameters`."""
 
     @classmethod
     def inside(cls, p: Sequence[Any], x: Any, y: Any, xp: ArrayNamespace) -> Any:
@@ -55,27 +55,27 @@ class Aperture(ABC):
         return cls.within(p[4:], p[2] * u + p[3] * v, p[2] * v - p[3] * u, xp)
 
     @abstractmethod
-    def own_outlines(self) -> list[FloatArray]:
-        """Closed polygons (n, 2) [mm] that draw it, in its own frame."""
+    def local_outlines(self) -> list[FloatArray]:
+        """Closed polygons (n, 2) [mm] that draw it, in the frame of the outline."""
 
     def outlines(self) -> list[FloatArray]:
         """Closed polygons (n, 2) [mm] that draw it, in x and y of the surface."""
         turn = math.radians(self.angle_deg)
         rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-        return [points @ rotation.T + self.centre_mm for points in self.own_outlines()]
+        return [points @ rotation.T + self.centre_mm for points in self.local_outlines()]
 
     def flipped(self) -> Self:
         """The outline seen from behind: x -> -x."""
         return replace(self, centre_mm=(-self.centre_mm[0], self.centre_mm[1]), angle_deg=-self.angle_deg)
 
     @abstractmethod
-    def own_scaled(self, factor: float) -> Self:
+    def local_scaled(self, factor: float) -> Self:
         """The outline expanded about its centre."""
 
     def scaled(self, factor: float) -> Self:
         """The outline expanded about the vertex."""
         x, y = self.centre_mm
-        return replace(self.own_scaled(factor), centre_mm=(factor * x, factor * y))
+        return replace(self.local_scaled(factor), centre_mm=(factor * x, factor * y))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,15 +91,12 @@ class Circle(Aperture):
 
     @staticmethod
     def within(p: Sequence[Any], u: Any, v: Any, xp: ArrayNamespace) -> Any:
-        """Mask of the points inside."""
         return u * u + v * v <= p[0]
 
-    def own_outlines(self) -> list[FloatArray]:
-        """The circle as a polygon."""
+    def local_outlines(self) -> list[FloatArray]:
         return [self.radius_mm * _circle()]
 
-    def own_scaled(self, factor: float) -> Self:
-        """The larger disk."""
+    def local_scaled(self, factor: float) -> Self:
         return replace(self, radius_mm=factor * self.radius_mm)
 
 
@@ -116,15 +113,12 @@ class Ellipse(Aperture):
 
     @staticmethod
     def within(p: Sequence[Any], u: Any, v: Any, xp: ArrayNamespace) -> Any:
-        """Mask of the points inside."""
         return p[0] * u * u + p[1] * v * v <= 1.0
 
-    def own_outlines(self) -> list[FloatArray]:
-        """The ellipse as a polygon."""
+    def local_outlines(self) -> list[FloatArray]:
         return [_circle() * self.half_width_mm]
 
-    def own_scaled(self, factor: float) -> Self:
-        """The larger ellipse."""
+    def local_scaled(self, factor: float) -> Self:
         return replace(self, half_width_mm=(factor * self.half_width_mm[0], factor * self.half_width_mm[1]))
 
 
@@ -141,16 +135,13 @@ class Rectangle(Aperture):
 
     @staticmethod
     def within(p: Sequence[Any], u: Any, v: Any, xp: ArrayNamespace) -> Any:
-        """Mask of the points inside."""
         return (u * u <= p[0]) & (v * v <= p[1])
 
-    def own_outlines(self) -> list[FloatArray]:
-        """Outline of the rectangle."""
+    def local_outlines(self) -> list[FloatArray]:
         corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
         return [corners * self.half_width_mm]
 
-    def own_scaled(self, factor: float) -> Self:
-        """The larger rectangle."""
+    def local_scaled(self, factor: float) -> Self:
         return replace(self, half_width_mm=(factor * self.half_width_mm[0], factor * self.half_width_mm[1]))
 
 
@@ -182,16 +173,13 @@ class Polygon(Aperture):
             crossed.append(between & xor(side > 0.0, rise > 0.0))
         return reduce(xor, crossed)
 
-    def own_outlines(self) -> list[FloatArray]:
-        """Outline of the polygon."""
+    def local_outlines(self) -> list[FloatArray]:
         return [np.array([*self.points_mm, self.points_mm[0]], float)]
 
     def flipped(self) -> Self:
-        """The polygon seen from behind."""
         return replace(Aperture.flipped(self), points_mm=tuple((-x, y) for x, y in self.points_mm))
 
-    def own_scaled(self, factor: float) -> Self:
-        """The larger polygon."""
+    def local_scaled(self, factor: float) -> Self:
         return replace(self, points_mm=tuple((factor * x, factor * y) for x, y in self.points_mm))
 
 
@@ -215,15 +203,14 @@ class Spider(Aperture):
 
     @staticmethod
     def within(p: Sequence[Any], u: Any, v: Any, xp: ArrayNamespace) -> Any:
-        """Mask of the points on a vane."""
         half, on_arm = p[0], []
         for i in range(1, len(p), 2):
             along, across = p[i] * u + p[i + 1] * v, p[i] * v - p[i + 1] * u
             on_arm.append((along >= 0.0) & (across <= half) & (across >= -half))
         return reduce(or_, on_arm)
 
-    def own_outlines(self) -> list[FloatArray]:
-        """Centre lines of the vanes, without an end of their own: of length one."""
+    def local_outlines(self) -> list[FloatArray]:
+        """Centre lines of the vanes, drawn with unit length."""
         turns = 2.0 * np.pi * np.arange(self.arms) / self.arms
         return [np.array([[0.0, 0.0], [math.cos(t), math.sin(t)]]) for t in turns.tolist()]
 
@@ -231,8 +218,7 @@ class Spider(Aperture):
         """The vanes seen from behind: an arm along +x then points along -x."""
         return replace(Aperture.flipped(self), angle_deg=180.0 - self.angle_deg)
 
-    def own_scaled(self, factor: float) -> Self:
-        """The wider vanes."""
+    def local_scaled(self, factor: float) -> Self:
         return replace(self, width_mm=factor * self.width_mm)
 
 

@@ -28,12 +28,12 @@ class SurfaceCrossing:
 
     surfaces: tuple[int, int]
     from_mm: float
-    words: str
+    message: str
 
 
 def geometry_faults(lens: LensSystem) -> tuple[str, ...]:
     """Faults of a lens geometry, one line each; empty for a possible lens."""
-    return (*_image_plane(lens), *(one.words for one in crossings(lens)), *idle_stop(lens))
+    return (*_image_plane(lens), *(crossing.message for crossing in crossings(lens)), *idle_stop(lens))
 
 
 def acts(lens: LensSystem, number: int) -> bool:
@@ -95,25 +95,25 @@ def crossings(lens: LensSystem) -> list[SurfaceCrossing]:
         with np.errstate(all="ignore"):  # powers of an absurd asphere
             gap = distance + other.shape.sag(height, 0.0 * height) - one.shape.sag(height, 0.0 * height)
         if not np.isfinite(gap).all():
-            words = f"{lens.label(i)} or {lens.label(j)} does not reach its rim at {radius:g} mm"
+            message = f"{lens.label(i)} or {lens.label(j)} does not reach its rim at {radius:g} mm"
         elif gap.min() < -TOUCHING_MM:
             what = f"{one.medium} between them would be" if one.medium != "air" else "they would overlap by"
             at = height[int(np.argmin(gap))]
             amount = f"{gap.min():.4g}" if one.medium != "air" else f"{-gap.min():.4g}"
-            words = (
+            message = (
                 f"{lens.label(i)} and {lens.label(j)} cross: at {at:.4g} mm from the axis {what} {amount} mm; at least "
                 "0 mm is needed: check radii, thickness_mm and semi_diameter_mm"
             )
         elif distance < TOUCHING_MM and one.medium not in ("air", "vacuum") and not one.mirror and not other.mirror:
-            words = (
+            message = (
                 f"{one.medium} between {lens.label(i)} and {lens.label(j)} has no thickness on the axis; it must be "
             )
-            words += "more than 0 mm: check thickness_mm"
+            message += "more than 0 mm: check thickness_mm"
             gap[0] = -math.inf  # from the axis on
         else:
             continue
         first = float(height[int(np.argmax(~(gap >= -TOUCHING_MM)))])
-        found.append(SurfaceCrossing(surfaces=(i, j), from_mm=first, words=words))
+        found.append(SurfaceCrossing(surfaces=(i, j), from_mm=first, message=message))
     return found
 
 

@@ -136,15 +136,20 @@ class Shape(ABC):
         return replace(self, **{name: getattr(self, name) + by})
 
 
-def require_finite(shape: Shape, **values: float) -> None:
-    """Raise DomainError unless every value is a finite number."""
-    for name, value in values.items():
-        if not math.isfinite(value):
-            raise DomainError(f"{type(shape).__name__}.{name} = {value}; a finite number is needed")
+def require_finite(shape: Shape, *names: str) -> None:
+    """Raise DomainError unless the fields, numbers or tuples of numbers, are finite."""
+    for name in names:
+        value = getattr(shape, name)
+        items = (
+            {f"{name}[{i}]": number for i, number in enumerate(value)} if isinstance(value, tuple) else {name: value}
+        )
+        for label, number in items.items():
+            if not math.isfinite(number):
+                raise DomainError(f"{type(shape).__name__}.{label} = {number}; a finite number is needed")
 
 
-def require_positive(shape: Shape, **values: float) -> None:
-    """Raise DomainError unless every value is a positive finite number."""
-    for name, value in values.items():
-        if not 0.0 < value < math.inf:
-            raise DomainError(f"{type(shape).__name__}.{name} = {value}; a positive number is needed")
+def require_positive(shape: Shape, *names: str) -> None:
+    """Raise DomainError unless the fields are positive finite numbers."""
+    for name in names:
+        if not 0.0 < getattr(shape, name) < math.inf:
+            raise DomainError(f"{type(shape).__name__}.{name} = {getattr(shape, name)}; a positive number is needed")

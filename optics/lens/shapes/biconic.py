@@ -27,7 +27,7 @@ class Biconic(Freeform):
     kind: ClassVar[str] = "biconic"
 
     def __post_init__(self) -> None:
-        require_finite(self, conic_x=self.conic_x, conic_y=self.conic_y)
+        require_finite(self, "conic_x", "conic_y")
         for name in ("radius_x_mm", "radius_y_mm"):
             radius = getattr(self, name)
             if radius == 0.0 or math.isnan(radius):

@@ -29,12 +29,11 @@ class Conic(Curved):
     kind: ClassVar[str] = "conic"
 
     def __post_init__(self) -> None:
-        require_finite(self, radius_mm=self.radius_mm, conic=self.conic)
+        require_finite(self, "radius_mm", "conic")
         Curved.__post_init__(self)
 
     @property
     def rim_mm(self) -> float:
-        """Half width of the ellipsoid [mm]; infinite for paraboloid and hyperboloid."""
         return conic_rim_mm(self.radius_mm, self.conic)
 
     def parameters(self) -> tuple[float, ...]:

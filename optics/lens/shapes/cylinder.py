@@ -22,7 +22,7 @@ class Cylinder(Freeform, Curved):
     kind: ClassVar[str] = "cylinder"
 
     def __post_init__(self) -> None:
-        require_finite(self, radius_mm=self.radius_mm, conic=self.conic)
+        require_finite(self, "radius_mm", "conic")
         Curved.__post_init__(self)
 
     @property
@@ -31,7 +31,6 @@ class Cylinder(Freeform, Curved):
 
     @property
     def rim_mm(self) -> float:
-        """Distance at which it ends along y [mm]."""
         return conic_rim_mm(self.radius_mm, self.conic)
 
     def parameters(self) -> tuple[float, ...]:

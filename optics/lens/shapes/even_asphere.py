@@ -35,7 +35,7 @@ class EvenAsphere(Asphere):
     kind: ClassVar[str] = "even_asphere"
 
     def __post_init__(self) -> None:
-        require_finite(self, **{f"asphere[{i}]": a for i, a in enumerate(self.asphere)})
+        require_finite(self, "asphere")
         Asphere.__post_init__(self)
 
     def parameters(self) -> tuple[float, ...]:

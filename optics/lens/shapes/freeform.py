@@ -6,13 +6,13 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import FiniteFloat
+from pydantic import Field, FiniteFloat
 
 from optics.arrays import NUMPY, ArrayNamespace, FloatArray
-from optics.lens.shapes.base import Hit, Shape, require_finite
+from optics.lens.shapes.base import Hit, Shape, require_finite, require_positive
 from optics.lens.shapes.revolution import Curved, conic_path, conic_profile, conic_rim_mm
 
 NEWTON_STEPS, NEWTON_RESIDUAL_MM = 8, 1e-10
@@ -65,22 +65,20 @@ class Freeform(Shape):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PolynomialFreeform(Freeform, Curved):
-    """A conic plus a polynomial in x and y over a normalisation radius; ``radius_mm`` may be infinite.
+    """A conic plus functions of x and y over ``norm_radius_mm`` with coefficients; ``radius_mm`` may be infinite.
 
-    A kind says the coefficients of x^i y^j [mm] (`monomials_mm`).
+    A kind states the coefficients of x^i y^j [mm] (`monomials_mm`).
     """
 
     radius_mm: float = math.inf
     conic: FiniteFloat = 0.0
+    norm_radius_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    coefficients_mm: tuple[FiniteFloat, ...] = ()
 
     def __post_init__(self) -> None:
-        require_finite(self, conic=self.conic)
+        require_finite(self, "conic", "coefficients_mm")
+        require_positive(self, "norm_radius_mm")
         Curved.__post_init__(self)
-
-    @property
-    @abstractmethod
-    def norm_mm(self) -> float:
-        """Normalisation radius [mm]."""
 
     @abstractmethod
     def monomials_mm(self) -> FloatArray:
@@ -88,20 +86,19 @@ class PolynomialFreeform(Freeform, Curved):
 
     @property
     def rim_mm(self) -> float:
-        """Radius at which the conic ends [mm]."""
         return conic_rim_mm(self.radius_mm, self.conic)
 
     @property
     def curvature(self) -> float:
         c = self.monomials_mm()
         second = float(c[2, 0] + c[0, 2]) if len(c) > 2 else 0.0
-        return 1.0 / self.radius_mm + second / self.norm_mm**2
+        return 1.0 / self.radius_mm + second / self.norm_radius_mm**2
 
     def parameters(self) -> tuple[float, ...]:
         """Curvature [1/mm], conic constant, reciprocal normalisation radius, coefficients by powers of y, then x."""
         c = self.monomials_mm()
         flat = (float(c[i, j]) for j in range(len(c)) for i in range(len(c) - j))
-        return (1.0 / self.radius_mm, self.conic, 1.0 / self.norm_mm, *flat)
+        return (1.0 / self.radius_mm, self.conic, 1.0 / self.norm_radius_mm, *flat)
 
     @classmethod
     def surface(cls, p: Sequence[Any], x: Any, y: Any, xp: ArrayNamespace) -> tuple[Any, Any, Any, Any]:

@@ -22,7 +22,7 @@ class OddAsphere(Asphere):
     kind: ClassVar[str] = "odd_asphere"
 
     def __post_init__(self) -> None:
-        require_finite(self, **{f"terms[{i}]": a for i, a in enumerate(self.terms)})
+        require_finite(self, "terms")
         if self.terms and self.terms[0] != 0.0:
             raise DomainError(f"OddAsphere.terms[0] = {self.terms[0]}: a cone (axicon) has no vertex; it has to be 0")
         Asphere.__post_init__(self)

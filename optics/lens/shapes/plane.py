@@ -23,7 +23,6 @@ class Plane(Shape):
         return 0.0
 
     def parameters(self) -> tuple[float, ...]:
-        """Numbers the trace needs: none."""
         return ()
 
     @staticmethod
@@ -34,7 +33,6 @@ class Plane(Shape):
         return np.zeros(np.broadcast_shapes(np.shape(x_mm), np.shape(y_mm)))
 
     def flipped(self) -> Self:
-        """The plane itself."""
         return self
 
     def scaled(self, factor: float) -> Self:

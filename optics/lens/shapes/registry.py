@@ -7,10 +7,9 @@ from optics.lens.shapes.biconic import Biconic
 from optics.lens.shapes.conic import Conic
 from optics.lens.shapes.cylinder import Cylinder
 from optics.lens.shapes.even_asphere import EvenAsphere
+from optics.lens.shapes.forbes_asphere import Qbfs, Qcon
 from optics.lens.shapes.odd_asphere import OddAsphere
 from optics.lens.shapes.plane import Plane
-from optics.lens.shapes.qbfs import Qbfs
-from optics.lens.shapes.qcon import Qcon
 from optics.lens.shapes.sphere import Sphere
 from optics.lens.shapes.thin_lens import ThinLens
 from optics.lens.shapes.toroid import Toroid

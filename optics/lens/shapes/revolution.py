@@ -47,7 +47,6 @@ class Curved(Shape):
         return 1.0 / self.radius_mm
 
     def flipped(self) -> Self:
-        """The surface seen from behind."""
         return replace(self, radius_mm=-self.radius_mm)
 
     def scaled(self, factor: float) -> Self:
@@ -134,12 +133,11 @@ class Asphere(Curved):
     conic: FiniteFloat = 0.0
 
     def __post_init__(self) -> None:
-        require_finite(self, conic=self.conic)
+        require_finite(self, "conic")
         Curved.__post_init__(self)
 
     @property
     def rim_mm(self) -> float:
-        """Radius at which the conic ends [mm]."""
         return conic_rim_mm(self.radius_mm, self.conic)
 
     @classmethod

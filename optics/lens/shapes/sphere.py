@@ -25,12 +25,11 @@ class Sphere(Curved):
     kind: ClassVar[str] = "sphere"
 
     def __post_init__(self) -> None:
-        require_finite(self, radius_mm=self.radius_mm)
+        require_finite(self, "radius_mm")
         Curved.__post_init__(self)
 
     @property
     def rim_mm(self) -> float:
-        """Radius of the sphere [mm]."""
         return abs(self.radius_mm)
 
     def parameters(self) -> tuple[float, ...]:
@@ -39,7 +38,6 @@ class Sphere(Curved):
 
     @staticmethod
     def intersect(p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
-        """Intersect rays that stand on the vertex plane; parameter: c."""
         c = p[0]
         dx, dy, dz = d
         f = c * (x * x + y * y)
@@ -52,7 +50,6 @@ class Sphere(Curved):
         return Hit(s, x, y, z, -(c * x), -(c * y), nz, cos_i, (disc > 0.0) & (g > 0.0) & (nz > 0.0))
 
     def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Sag [mm]; NaN beyond the rim."""
         return profile_sag(lambda r2: conic_profile(self.curvature, 0.0, r2, NUMPY), x_mm, y_mm)
 
     def changed(self, name: str, by: float) -> Shape:

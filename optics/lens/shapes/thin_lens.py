@@ -43,11 +43,9 @@ class ThinLens(Shape):
 
     @property
     def curvature(self) -> float:
-        """That of the plane, 0."""
         return 0.0
 
     def power(self, before: float, after: float, ambient: float) -> float:
-        """Power [1/mm]."""
         return ambient / self.focal_length_mm
 
     def parameters(self) -> tuple[float, ...]:
@@ -56,14 +54,12 @@ class ThinLens(Shape):
 
     @staticmethod
     def intersect(p: Sequence[Any], x: Any, y: Any, d: Sequence[Any], xp: ArrayNamespace) -> Hit:
-        """Intersect rays that stand on the vertex plane."""
         return Hit(0.0, x, y, 0.0, 0.0, 0.0, 1.0, d[2], None)
 
     @staticmethod
     def redirect(
         p: Sequence[Any], hit: Hit, d: Sequence[Any], index: tuple[Any, Any, Any], xp: ArrayNamespace
     ) -> tuple[tuple[Any, Any, Any], Any]:
-        """Direction behind the lens, and what it adds to the optical path [mm]."""
         n, m, ambient = index
         focal, before = p[0] / ambient, p[1]
         tx, ty = d[0] / d[2], d[1] / d[2]
@@ -78,13 +74,10 @@ class ThinLens(Shape):
         return (ux / long_out, uy / long_out, 1.0 / long_out), before * from_wave + (1.0 - before) * to_wave
 
     def sag(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Sag [mm]: zero."""
         return np.zeros(np.broadcast_shapes(np.shape(x_mm), np.shape(y_mm)))
 
     def flipped(self) -> Self:
-        """The lens for light that goes the other way."""
         return replace(self, collimated="after" if self.collimated == "before" else "before")
 
     def scaled(self, factor: float) -> Self:
-        """The lens expanded uniformly."""
         return replace(self, focal_length_mm=self.focal_length_mm * factor)

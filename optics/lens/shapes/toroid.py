@@ -27,7 +27,7 @@ class Toroid(Freeform, Curved):
     kind: ClassVar[str] = "toroid"
 
     def __post_init__(self) -> None:
-        require_finite(self, conic=self.conic, **{f"terms[{i}]": a for i, a in enumerate(self.terms)})
+        require_finite(self, "conic", "terms")
         if self.rotation_radius_mm == 0.0 or math.isnan(self.rotation_radius_mm):
             raise DomainError(
                 f"Toroid.rotation_radius_mm = {self.rotation_radius_mm}: a number other than zero is needed "

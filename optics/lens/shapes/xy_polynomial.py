@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Self
 
 import numpy as np
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
 from optics.arrays import FloatArray
-from optics.lens.shapes.base import require_finite, require_positive
 from optics.lens.shapes.freeform import PolynomialFreeform
 
 
@@ -18,18 +17,7 @@ class XYPolynomial(PolynomialFreeform):
     """Conic plus ``coefficients_mm`` of x, y, x^2, x y, y^2, x^3, x^2 y, ..., x and y over ``norm_radius_mm``."""
 
     norm_radius_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
-    coefficients_mm: tuple[FiniteFloat, ...] = ()
     kind: ClassVar[str] = "polynomial"
-
-    def __post_init__(self) -> None:
-        require_finite(self, **{f"coefficients_mm[{i}]": a for i, a in enumerate(self.coefficients_mm)})
-        require_positive(self, norm_radius_mm=self.norm_radius_mm)
-        PolynomialFreeform.__post_init__(self)
-
-    @property
-    def norm_mm(self) -> float:
-        """Normalisation radius [mm]."""
-        return self.norm_radius_mm
 
     def _powers(self) -> list[tuple[int, int]]:
         """Powers of x and y of every coefficient."""
@@ -44,12 +32,11 @@ class XYPolynomial(PolynomialFreeform):
         """Coefficients of x^i y^j [mm]."""
         powers = self._powers()
         size = max((i + j for i, j in powers), default=0) + 1
-        found = np.zeros((size, size))
+        monomials = np.zeros((size, size))
         for (i, j), a in zip(powers, self.coefficients_mm, strict=True):
-            found[i, j] = a
-        return found
+            monomials[i, j] = a
+        return monomials
 
     def flipped(self) -> Self:
-        """The surface seen from behind."""
-        kept = tuple(a if i % 2 else -a for (i, _), a in zip(self._powers(), self.coefficients_mm, strict=True))
-        return replace(self, radius_mm=-self.radius_mm, coefficients_mm=kept)
+        coefficients = tuple(a if i % 2 else -a for (i, _), a in zip(self._powers(), self.coefficients_mm, strict=True))
+        return replace(self, radius_mm=-self.radius_mm, coefficients_mm=coefficients)

@@ -6,14 +6,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Annotated, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, FiniteFloat
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.lens.shapes.base import require_finite, require_positive
 from optics.lens.shapes.freeform import PolynomialFreeform
 
 MOST_TERMS = {"noll": 231, "fringe": 37}
@@ -29,14 +27,10 @@ class Zernike(PolynomialFreeform):
     *Applied Optics and Optical Engineering* XI, ch. 1).
     """
 
-    norm_radius_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)]
     ordering: Literal["noll", "fringe"]
-    coefficients_mm: tuple[FiniteFloat, ...] = ()
     kind: ClassVar[str] = "zernike"
 
     def __post_init__(self) -> None:
-        require_finite(self, **{f"coefficients_mm[{i}]": a for i, a in enumerate(self.coefficients_mm)})
-        require_positive(self, norm_radius_mm=self.norm_radius_mm)
         if self.ordering not in MOST_TERMS:
             raise DomainError(f"Zernike.ordering = {self.ordering!r}; 'noll' or 'fringe' is needed")
         if len(self.coefficients_mm) > MOST_TERMS[self.ordering]:
@@ -45,10 +39,6 @@ class Zernike(PolynomialFreeform):
                 f"{MOST_TERMS[self.ordering]} are possible in {self.ordering} order"
             )
         PolynomialFreeform.__post_init__(self)
-
-    @property
-    def norm_mm(self) -> float:
-        return self.norm_radius_mm
 
     def _terms(self) -> Iterator[tuple[int, int, float, float]]:
         """Radial degree, azimuthal order (negative: sine), normalisation and coefficient of every term."""
@@ -67,16 +57,16 @@ class Zernike(PolynomialFreeform):
 
     def flipped(self) -> Self:
         """The surface seen from behind; cosines of odd orders and sines of even ones are odd in x."""
-        kept = tuple(a if (m % 2 == 1) == (m > 0) and m else -a for _, m, _, a in self._terms())
-        return replace(self, radius_mm=-self.radius_mm, coefficients_mm=kept)
+        coefficients = tuple(a if (m % 2 == 1) == (m > 0) and m else -a for _, m, _, a in self._terms())
+        return replace(self, radius_mm=-self.radius_mm, coefficients_mm=coefficients)
 
 
 @lru_cache
 def noll_index(j: int) -> tuple[int, int]:
     """Radial degree n and azimuthal order m (negative: sine) of Noll's polynomial j = 1, 2, ..."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
-    place = j - n * (n + 1) // 2 - 1
-    m = 2 * ((place + 1) // 2) if n % 2 == 0 else 2 * (place // 2) + 1
+    within = j - n * (n + 1) // 2 - 1  # position within the degree
+    m = 2 * ((within + 1) // 2) if n % 2 == 0 else 2 * (within // 2) + 1
     return n, m if j % 2 == 0 else -m
 
 
@@ -86,9 +76,9 @@ def fringe_index(j: int) -> tuple[int, int]:
     if j == MOST_TERMS["fringe"]:
         return 12, 0
     group = math.isqrt(j - 1)  # (n + m) / 2
-    place = j - group**2 - 1  # orders fall from group to 0, cosine before sine
-    m = group - place // 2
-    return 2 * group - m, -m if place % 2 else m
+    within = j - group**2 - 1  # orders fall from group to 0, cosine before sine
+    m = group - within // 2
+    return 2 * group - m, -m if within % 2 else m
 
 
 @lru_cache

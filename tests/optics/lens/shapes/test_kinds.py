@@ -13,9 +13,8 @@ from optics.errors import ConfigError, DomainError
 from optics.lens.perturb import change_shape, change_temperature, decentre, tilt
 from optics.lens.shapes.biconic import Biconic
 from optics.lens.shapes.cylinder import Cylinder
+from optics.lens.shapes.forbes_asphere import Qbfs, Qcon
 from optics.lens.shapes.odd_asphere import OddAsphere
-from optics.lens.shapes.qbfs import Qbfs
-from optics.lens.shapes.qcon import Qcon
 from optics.lens.shapes.registry import SHAPES
 from optics.lens.shapes.thin_lens import ThinLens
 from optics.lens.shapes.toroid import Toroid

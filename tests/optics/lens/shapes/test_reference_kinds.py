@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from optics.arrays import NUMPY
+from optics.lens.shapes.forbes_asphere import Qbfs
 from optics.lens.shapes.odd_asphere import OddAsphere
-from optics.lens.shapes.qbfs import Qbfs
 from optics.lens.shapes.toroid import Toroid
 from optics.lens.shapes.xy_polynomial import XYPolynomial
 from optics.lens.shapes.zernike import Zernike
