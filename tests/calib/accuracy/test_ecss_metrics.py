@@ -12,7 +12,6 @@ from calib.accuracy.ecss_metrics import (
     runs_needed,
     success_limit,
 )
-from optics.errors import DomainError
 
 
 def test_factors_of_a_normal_error():
@@ -94,16 +93,3 @@ def test_interpretations():
     error = np.ones((10, 200))
     error[:, 7] = 9.0
     assert (bound_at_level(error, 0.85, "temporal"), bound_at_level(error, 0.85, "ensemble")) == (1.0, 9.0)
-
-
-def test_input_that_cannot_be():
-    with pytest.raises(DomainError, match=r"level = 1\.5"):
-        normal_factor(1.5)
-    with pytest.raises(DomainError, match="window of 50"):
-        ecss_metrics(np.zeros((2, 40)), 50, 0.9)
-    with pytest.raises(DomainError, match="no finite error"):
-        ecss_metrics(np.full((2, 40), np.nan), 10, 0.9)
-    with pytest.raises(DomainError, match="6 successes in 5 runs"):
-        success_limit(6, 5, 0.9)
-    with pytest.raises(DomainError, match="failures"):
-        runs_needed(0.9, 0.9, -1)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from star_directions import field_directions, noisy_directions
 
 from calib.attitude.attitude_covariance import (
     attitude_covariance,
@@ -15,24 +16,18 @@ from optics.attitude import attitude_error_arcsec
 from optics.stellar_aberration import aberrated
 from optics.units import RAD_ARCSEC
 
-
-def field_of_stars(rng, count, half_rad=0.1):
-    plane = rng.uniform(-half_rad, half_rad, (count, 2))
-    v = np.column_stack([plane, np.ones(count)])
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
+HALF_RAD = 0.05
+PAIR = np.array([[np.sin(a), 0.0, np.cos(HALF_RAD)] for a in (HALF_RAD, -HALF_RAD)])
 
 
 def test_scatter_of_solved_frames():
     """4000 frames of one field, stars of two qualities: a variance is known to sqrt(2 / 4000) = 2.2 %; four of it."""
     rng, frames = np.random.default_rng(4), 4000
-    v = field_of_stars(rng, 9)
+    v = field_directions(rng, 9, 5.7)
     sigma = np.where(np.arange(9) < 4, 2.0, 9.0) / RAD_ARCSEC
-    many = np.tile(v, (frames, 1))
-    across = np.tile(sigma, frames)[:, None] * rng.standard_normal(many.shape)
-    seen = many + across - (across * many).sum(1, keepdims=True) * many
-    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
-    frame = np.repeat(np.arange(frames), 9)
-    solved = solve_wahba_many(seen, many, frame, frames=frames, sigma_rad=np.tile(sigma, frames))
+    many, many_sigma = np.tile(v, (frames, 1)), np.tile(sigma, frames)
+    noisy = noisy_directions(rng, many, many_sigma[:, None])
+    solved = solve_wahba_many(noisy, many, np.repeat(np.arange(frames), 9), frames=frames, sigma_rad=many_sigma)
     scatter = np.sqrt((attitude_error_arcsec(solved.rotation, Rotation.identity(frames)) ** 2).mean(0))
     predicted = attitude_covariance(v, sigma**2, np.zeros(9, int), 1)[0]
     np.testing.assert_allclose(np.sqrt(np.diag(predicted)) * RAD_ARCSEC, scatter, rtol=0.045)
@@ -40,16 +35,15 @@ def test_scatter_of_solved_frames():
 
 def test_two_stars_across_and_roll():
     """At +-a along x: sigma / (sqrt 2 cos a) about x, sigma / sqrt 2 about y, sigma / (sqrt 2 sin a) about z."""
-    a, sigma = 0.05, 1e-5
-    v = np.array([[np.sin(a), 0.0, np.cos(a)], [-np.sin(a), 0.0, np.cos(a)]])
-    found = np.sqrt(np.diag(attitude_covariance(v, np.full(2, sigma**2), np.zeros(2, int), 1)[0]))
-    expected = sigma / np.sqrt(2.0) * np.array([1.0 / np.cos(a), 1.0, 1.0 / np.sin(a)])
+    sigma = 1e-5
+    found = np.sqrt(np.diag(attitude_covariance(PAIR, np.full(2, sigma**2), np.zeros(2, int), 1)[0]))
+    expected = sigma / np.sqrt(2.0) * np.array([1.0 / np.cos(HALF_RAD), 1.0, 1.0 / np.sin(HALF_RAD)])
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 def test_one_star_leaves_the_roll_open_and_half_a_star_counts_half():
     rng = np.random.default_rng(2)
-    v = field_of_stars(rng, 6)
+    v = field_directions(rng, 6, 5.7)
     frame = np.array([0, 0, 0, 0, 0, 2])
     found = attitude_covariance(v, np.full(6, 1e-10), frame, 3)
     assert np.isfinite(found[0]).all()
@@ -61,7 +55,7 @@ def test_one_star_leaves_the_roll_open_and_half_a_star_counts_half():
 def test_attitude_of_stars_follows_their_errors_to_first_order():
     """Against the estimator itself: Wahba's problem with weights, stars displaced and stars with noise."""
     rng = np.random.default_rng(4)
-    v = field_of_stars(rng, 9)
+    v = field_directions(rng, 9, 5.7)
     sigma, shift = rng.uniform(1.0, 3.0, 9) * 1e-6, 1e-5 * rng.normal(size=(9, 3))
     shift -= (shift * v).sum(1)[:, None] * v
     seen = v + shift
@@ -75,18 +69,16 @@ def test_attitude_of_stars_follows_their_errors_to_first_order():
 
 def test_wrong_weights_cost_what_unequal_errors_make_of_them():
     """Two stars at +-a along x, equal weights, variances 1 and 9: a quarter of the sum, over sin(a)^2 in roll."""
-    a = 0.05
-    v = np.array([[np.sin(a), 0.0, np.cos(a)], [-np.sin(a), 0.0, np.cos(a)]])
-    covariance = covariance_of_noise(v, np.ones(2), np.array([1.0, 9.0]))
+    covariance = covariance_of_noise(PAIR, np.ones(2), np.array([1.0, 9.0]))
     assert covariance[1, 1] == pytest.approx(10.0 / 4.0, rel=1e-12)
-    assert covariance[2, 2] == pytest.approx(10.0 / 4.0 / np.sin(a) ** 2, rel=1e-12)
-    half = covariance_of_noise(v, np.ones(2), np.array([1.0, 9.0]), share=0.5)
+    assert covariance[2, 2] == pytest.approx(10.0 / 4.0 / np.sin(HALF_RAD) ** 2, rel=1e-12)
+    half = covariance_of_noise(PAIR, np.ones(2), np.array([1.0, 9.0]), share=0.5)
     np.testing.assert_allclose(half, 2.0 * covariance, rtol=1e-12)
 
 
 def test_an_unknown_velocity_turns_the_attitude_as_it_turns_the_stars():
     rng, velocity = np.random.default_rng(5), np.array([0.4, -0.7, 0.2])
-    v = field_of_stars(rng, 30, half_rad=0.02)
+    v = field_directions(rng, 30, 1.1)
     solved = solve_wahba(aberrated(v, velocity), v)
     np.testing.assert_allclose(attitude_of_velocity(velocity), solved.rotation.as_rotvec(), atol=5e-8)
     assert np.abs(attitude_of_velocity(velocity)).max() > 2e-6

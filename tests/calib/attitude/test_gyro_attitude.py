@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.gyro_attitude import integrate_rates, integrate_rates_many
-from optics.errors import DomainError
 
 
 def mean_rates(rate, time_s, nodes=8):
@@ -136,23 +135,3 @@ def test_many_records_are_each_alone():
     at = [0.0, 0.5, 1.4]
     for many, rate in zip(integrate_rates_many(time, rates, at), rates, strict=True):
         assert (many * integrate_rates(time, rate, at).inv()).magnitude().max() < 1e-15
-
-
-@pytest.mark.parametrize(
-    ("time", "rate", "at", "line"),
-    [
-        ([0, 1], np.zeros((2, 3)), None, "the 3 ends of the intervals are needed"),
-        ([0, 1, 1], np.zeros((2, 3)), None, "increasing"),
-        ([0, 1, np.nan], np.zeros((2, 3)), None, "finite"),
-        ([0, 1, 2], np.full((2, 3), np.nan), None, "fill gaps"),
-        ([0, 1, 2], np.full((2, 3), 30.0), None, "rates are in rad/s"),
-        ([0, 1, 2], np.zeros((2, 2)), None, r"shape \(2, 2\)"),
-        ([0], np.zeros((0, 3)), None, r"shape \(0, 3\)"),
-        ([0, 1, 2], np.zeros((2, 3)), [2.5], "at_s = 2.5 s lies outside"),
-        ([0, 1, 2], np.zeros((2, 3)), [np.nan], "at_s = nan s"),
-        ([0, 1, 2], np.zeros((2, 3)), 1.0, r"times of shape \(f,\)"),
-    ],
-)
-def test_bad_records(time, rate, at, line):
-    with pytest.raises(DomainError, match=line):
-        integrate_rates(time, rate, at)

@@ -5,32 +5,31 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from calibration_scene import CAMERA, GEOMETRY
 from scipy.spatial.transform import Rotation
+from star_directions import sky_directions
 
 from calib.attitude.star_attitude import identify_stars, solve_attitude
-from calib.cameras import BrownConrady, SensorGeometry
+from calib.cameras import BrownConrady
 from calib.flags import StarFlag
 from calib.records import StarTable
 from optics.attitude import attitude_from_angles
 from optics.records import locked
 
-GEOMETRY = SensorGeometry(width_px=1024, height_px=1024, pixel_pitch_mm=5.5e-3)
-MODEL = BrownConrady.create(GEOMETRY, focal_length_mm=25.6, q1_per_mm2=-1e-4)
 TRUTH = attitude_from_angles(120.0, 35.0, 200.0)
 
 
-def random_sky(count=20_000):
-    v = np.random.default_rng(5).normal(size=(count, 3))
-    v /= np.linalg.norm(v, axis=1, keepdims=True)
-    return SimpleNamespace(id=locked(np.arange(count) * 7, np.int64), direction=locked(v))  # locked as records are
+def random_sky(count=6000):
+    """Arrays are write-locked as those of records."""
+    return SimpleNamespace(id=locked(np.arange(count) * 7, np.int64), direction=locked(sky_directions(count, 5)))
 
 
 def measured(sky, *, sigma_px=0.05, common_px=0.0, false=10, seed=0):
     """Stars of the sky in the field as a star table that states sigma_px, with errors of both kinds."""
     rng = np.random.default_rng(seed)
     v = TRUTH.apply(np.array(sky.direction))
-    row = np.flatnonzero(MODEL.visible(v))
-    place = MODEL.project(v[row]) + rng.normal(0.0, np.hypot(sigma_px, common_px), (len(row), 2))
+    row = np.flatnonzero(CAMERA.visible(v))
+    place = CAMERA.project(v[row]) + rng.normal(0.0, np.hypot(sigma_px, common_px), (len(row), 2))
     place = np.vstack([place, rng.uniform(0, 1023, (false, 2))])
     n = len(place)
     covariance = np.zeros((n, 3, 3))
@@ -49,7 +48,7 @@ def measured(sky, *, sigma_px=0.05, common_px=0.0, false=10, seed=0):
 
 
 def solved(sky, stars, near):
-    return solve_attitude(stars, identify_stars(stars, MODEL, sky, near=near), MODEL, sky)
+    return solve_attitude(stars, identify_stars(stars, CAMERA, sky, near=near), CAMERA, sky)
 
 
 @pytest.mark.slow
@@ -74,7 +73,7 @@ def test_errors_are_as_large_as_predicted_with_and_without_a_common_error():
 def test_identification_names_stars_and_rows():
     sky = random_sky()
     stars, row = measured(sky)
-    found = identify_stars(stars, MODEL, sky, near=TRUTH)
+    found = identify_stars(stars, CAMERA, sky, near=TRUTH)
     assert found.ok
     mine = found.detected < len(row)
     assert (found.catalogue_id[mine] == 7 * row[found.detected[mine]]).all()
@@ -84,19 +83,19 @@ def test_identification_names_stars_and_rows():
 def test_stars_within_their_noise_need_no_word():
     sky = random_sky()
     stars, row = measured(sky, false=0)
-    found = identify_stars(stars, MODEL, sky, near=TRUTH)
+    found = identify_stars(stars, CAMERA, sky, near=TRUTH)
     mine = found.detected[found.detected < len(row)]
     assert len(mine) > 20
     assert not found.beyond.any()
     assert found.misfit.probability > 1e-3
     assert "stated" not in found.message
-    place = MODEL.project(TRUTH.apply(np.array(found.direction)))
+    place = CAMERA.project(TRUTH.apply(np.array(found.direction)))
     np.testing.assert_allclose(found.residual_px, stars.pixel_px[found.detected] - place, atol=0.1)
 
 
 def test_a_residual_beyond_the_noise_is_said_and_a_stated_model_error_covers_it():
     """Distortion unknown to the model: matched within 10 px, which noise of 0.05 px does not allow."""
-    sky = random_sky(4000)
+    sky = random_sky(1200)
     stars, _ = measured(sky, false=0)
     poor = BrownConrady.create(GEOMETRY, focal_length_mm=25.6, q1_per_mm2=-6e-4)
     found = identify_stars(stars, poor, sky, near=TRUTH, tolerance_px=10.0)
@@ -112,12 +111,12 @@ def test_a_residual_beyond_the_noise_is_said_and_a_stated_model_error_covers_it(
 
 
 def test_single_stars_beyond_their_noise_are_named():
-    sky = random_sky(4000)
+    sky = random_sky(1200)
     stars, _ = measured(sky, false=0)
     place = np.array(stars.pixel_px)
     place[:3] += 1.0  # 20 sigma each way: a blend, within the tolerance of a match
     moved = replace(stars, x_px=place[:, 0], y_px=place[:, 1])
-    found = identify_stars(moved, MODEL, sky, near=TRUTH)
+    found = identify_stars(moved, CAMERA, sky, near=TRUTH)
     assert set(found.detected[found.beyond]) == {0, 1, 2}
     assert f"3 of {len(found.detected)} stars lie beyond 5 sigma" in found.message
     assert found.misfit.probability > 1e-3
@@ -131,7 +130,7 @@ def test_flagged_stars_do_not_vote():
     flagged = StarTable(
         **{name: getattr(stars, name) for name in StarTable.__dataclass_fields__ if name != "flags"}, flags=flags
     )
-    assert 2 not in identify_stars(flagged, MODEL, sky, near=TRUTH).detected  # a spike is no star
+    assert 2 not in identify_stars(flagged, CAMERA, sky, near=TRUTH).detected  # a spike is no star
     one = solved(sky, flagged, TRUTH)
     assert not set(one.detected) & {0, 1, 2}
     assert len(one) > 0.8 * (len(row) - 3)
@@ -156,9 +155,9 @@ def test_weights_are_the_mean_variance_of_both_axes():
 def test_nothing_identified_is_an_attitude_that_is_not_ok():
     sky = random_sky()
     stars, _ = measured(sky)
-    lost = identify_stars(stars, MODEL, sky, near=attitude_from_angles(300.0, -35.0, 0.0))
+    lost = identify_stars(stars, CAMERA, sky, near=attitude_from_angles(300.0, -35.0, 0.0))
     assert lost.status == "no_match"
-    one = solve_attitude(stars, lost, MODEL, sky)
+    one = solve_attitude(stars, lost, CAMERA, sky)
     assert (one.ok, len(one)) == (False, 0)
-    empty = identify_stars(StarTable.empty(), MODEL, sky, near=TRUTH)
+    empty = identify_stars(StarTable.empty(), CAMERA, sky, near=TRUTH)
     assert empty.status == "too_few"

@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.attitude.triad import angle_between_rad, triad
-from optics.errors import DomainError
 
 TURN = Rotation.from_rotvec([0.3, -1.2, 0.7])
 
@@ -36,11 +35,3 @@ def test_covariance_is_the_scatter(angle_deg):
 
 def test_small_angles_are_exact():
     assert angle_between_rad([0, 0, 1], [1e-9, 0, 1]) == pytest.approx(1e-9, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("directions", "words"), [([[0, 0, 1], [0, 1e-3, -1]], "not parallel"), ([[0, 0, 1]], "two directions")]
-)
-def test_directions_that_do_not_fix_a_frame(directions, words):
-    with pytest.raises(DomainError, match=words):
-        triad(directions, directions)

@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
+from calibration_scene import CAMERA
 from scipy.spatial.transform import Rotation
 
 from calib.calibration.drawn_stars import draw_stars
-from calib.cameras import BrownConrady, SensorGeometry
 
-SENSOR = SensorGeometry(width_px=1024, height_px=1024, pixel_pitch_mm=0.01)
-CAMERA = BrownConrady.create(SENSOR, focal_length_mm=25.6, x0_px=10.0, y0_px=-10.0, q1_per_mm2=2e-4)
 ATTITUDE = Rotation.from_rotvec(np.linspace(0.0, 0.5, 60)[:, None] * [0.6, 0.0, 0.8])
 
 

@@ -11,7 +11,6 @@ from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes
 from calib.calibration.observations import Observations
 from calib.cameras.per_band import PerBand
-from optics.errors import ConfigError, DomainError
 
 
 def test_exact_data_give_the_truth_from_the_document_s_start(scenes):
@@ -138,11 +137,3 @@ def test_other_camera_models_need_no_change(scenes):
     found = calibrate(observed, start, FreeAttitudes())
     assert found.converged
     assert np.all(np.abs(found.solution.pulls(truth.parameters)) < 5)
-
-
-def test_bad_input(scenes):
-    scene = scenes.make_scene(frames=4, stars=5)
-    with pytest.raises(DomainError, match="3 attitudes for 4 frames"):
-        calibrate(scene.observations, scenes.START, FreeAttitudes(attitude=scene.attitude[:3]))
-    with pytest.raises(ConfigError, match="unknown camera parameter 'focal_length_px'"):
-        calibrate(scene.observations, scenes.START, FreeAttitudes(), free=("focal_length_px",))

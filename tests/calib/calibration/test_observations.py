@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from star_directions import sky_directions
 
 from calib.calibration.observations import Observations
 from optics.errors import DomainError
@@ -9,15 +10,10 @@ from optics.errors import DomainError
 N = 6
 
 
-def unit_vectors(count=N):
-    v = np.random.default_rng(3).normal(size=(count, 3))
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
-
-
 def made(**change):
     values = {
         "pixel_px": np.arange(2.0 * N).reshape(N, 2),
-        "direction": unit_vectors(),
+        "direction": sky_directions(N),
         "frame": [0, 0, 1, 1, 3, 3],
         "sigma_px": 0.1,
     }
@@ -63,65 +59,7 @@ def test_an_empty_list_has_all_its_columns():
 
 
 def test_directions_from_single_precision_are_brought_to_length_one():
-    exact = unit_vectors()
+    exact = sky_directions(N)
     observations = made(direction=exact.astype(np.float32))
     np.testing.assert_allclose(np.linalg.norm(observations.direction, axis=1), 1.0, rtol=0, atol=3e-16)
     np.testing.assert_array_equal(made(direction=exact).direction, exact)
-
-
-def degrees_as_vectors():
-    return np.column_stack([np.linspace(10, 350, N), np.linspace(-80, 80, N), np.zeros(N)])
-
-
-def hours_as_vectors():
-    return np.column_stack([np.linspace(0.1, 23, N), np.linspace(-1, 1, N), np.ones(N)])
-
-
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        ({"direction": degrees_as_vectors()}, "degrees or hours"),
-        ({"direction": hours_as_vectors()}, "degrees or hours"),
-        ({"direction": degrees_as_vectors()[:, :2]}, "right ascension, declination"),
-        ({"direction": unit_vectors() * 1.001}, "row 0 has length 1.001"),
-        ({"direction": np.zeros((N, 3))}, "unit vectors"),
-        ({"direction": unit_vectors(5)}, "shape"),
-        ({"direction": np.where(np.eye(N, 3), np.nan, unit_vectors())}, "finite"),
-        ({"pixel_px": np.full((N, 2), np.nan)}, "finite"),
-        ({"pixel_px": np.zeros((N, 3))}, "shape"),
-        ({"pixel_px": np.zeros(N)}, "shape"),
-        ({"frame": [0, 0, 1, 1, 3]}, "shape"),
-        ({"frame": [0, 0, 1, 1, 3, 4], "frames": 4}, r"0 \.\. 3"),
-        ({"frame": [-1, 0, 1, 1, 3, 3]}, "frame"),
-        ({"frame": [0.5, 0, 1, 1, 3, 3]}, "whole numbers"),
-        ({"frame": [np.nan, 0, 1, 1, 3, 3], "frames": 4}, "whole numbers"),
-        ({"frames": -1}, "frames"),
-        ({"frames": 4.0}, "frames"),
-        ({"band": [-1, 0, 0, 0, 0, 0]}, "band"),
-        ({"star": [-2, 0, 0, 0, 0, 0]}, "star"),
-        ({"sigma_px": 0.0}, "positive"),
-        ({"sigma_px": np.nan}, "positive"),
-        ({"sigma_px": [0.1, 0.2]}, "sigma_px"),
-    ],
-)
-def test_bad_input_is_refused_in_one_line(change, match):
-    with pytest.raises(DomainError, match=match) as caught:
-        made(**change)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "covariance",
-    [[[0.01, 0.0], [0.0, 0.0]], [[0.01, 0.02], [0.02, 0.01]], [[0.01, 0.001], [0.0, 0.01]], [[-1.0, 0.0], [0.0, -1.0]]],
-    ids=["singular", "correlation above 1", "not symmetric", "negative"],
-)
-def test_covariances_must_be_covariances(covariance):
-    given = made()
-    with pytest.raises(DomainError, match=r"row 0 .* positive definite"):
-        Observations(
-            pixel_px=given.pixel_px,
-            covariance_px2=np.tile(covariance, (N, 1, 1)),
-            direction=given.direction,
-            frame=given.frame,
-            frames=4,
-        )

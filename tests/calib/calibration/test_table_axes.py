@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.calibration.table_axes import TableAxes
-from optics.errors import ConfigError, DomainError
 from optics.units import ARCSEC_RAD
 
 
@@ -55,31 +54,3 @@ def test_rates_are_the_derivatives() -> None:
         other = TableAxes.create("zxy", non_orthogonality_arcsec=np.array(leans) + step / ARCSEC_RAD * np.eye(2)[i])
         moved = _turn_rate(table, angle, (other, angle), step)
         np.testing.assert_allclose(moved, table.lean_rates(angle)[:, i], atol=3e-6)
-
-
-@pytest.mark.parametrize(
-    ("axes", "options", "words"),
-    [
-        ("x", {}, "1 axes; a table of 2 or 3"),
-        ("xyzx", {}, "4 axes"),
-        ("xx", {}, "enclose 0.000000 deg"),
-        ("xy", {"reading_noise_arcsec": -0.3}, "must not be negative"),
-        ("xy", {"reading_noise_arcsec": np.nan}, "finite"),
-        ("xy", {"non_orthogonality_arcsec": 40000.0}, "at most 36000 arcsec"),
-    ],
-)
-def test_bad_tables(axes: object, options: dict, words: str) -> None:
-    with pytest.raises(DomainError, match=words):
-        TableAxes.create(axes, **options)
-
-
-@pytest.mark.parametrize("axes", ["", "xq", "x-", "--x", "1"])
-def test_unreadable_axes(axes: str) -> None:
-    with pytest.raises(ConfigError, match="letters x, y, z"):
-        TableAxes.create(axes)
-
-
-@pytest.mark.parametrize("angle", [[0.0, 0.0], [[0.0]], [[0.0, np.nan]]])
-def test_bad_angles(angle: list) -> None:
-    with pytest.raises(DomainError):
-        TableAxes.create("xy").rotation(angle)

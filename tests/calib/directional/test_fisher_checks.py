@@ -88,13 +88,6 @@ def test_false_alarms_of_the_outlier_test() -> None:
     assert 0.02 < np.mean(alarms) < 0.05 + 4 * 0.007
 
 
-def test_bad_input() -> None:
-    w = sample_fisher(MEAN, 1e12, 3, np.random.default_rng(1))
-    for check in (isotropy_check, exponential_check, fisher_outliers):
-        refuses(DomainError, "3 directions; at least 4", check, w)
-    refuses(DomainError, "level = 0", fisher_outliers, w, level=0.0)
-
-
 def test_effective_degrees() -> None:
     """N = 20000 vectors: known to some 2 % in a Fisher distribution; an ellipse has (l1 + l2)^2 / (l1^2 + l2^2) / 2."""
     rng, n = np.random.default_rng(15), 20000

@@ -2,22 +2,18 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from star_bench_scene import MODEL, SENSOR, star_bench
 
 from calib.calibration.star_bench import (
-    StarBench,
     aiming_angles,
     design_star_last,
     reading_covariance_px2,
     residual_px,
-    star_direction,
     star_last,
     star_vector_by_pixel,
     star_vectors,
 )
-from calib.calibration.table_axes import TableAxes
 from calib.calibration.table_reduction import PoseData, calibrate_on_table, calibrated_bench, predicted_scatter
-from calib.cameras import BrownConrady, SensorGeometry
 from calib.directional.fisher import mean_and_chords
 from calib.directional.pixel_method import residual_sigma_px
 from calib.directional.vector_accuracy import vector_accuracy
@@ -34,36 +30,26 @@ READING_RAD = np.array([0.2, 0.5]) * ARCSEC_RAD
 
 
 @pytest.fixture(scope="module")
-def model() -> BrownConrady:
-    geometry = SensorGeometry(width_px=2048, height_px=2048, pixel_pitch_mm=0.0055)
-    return BrownConrady.create(geometry, focal_length_mm=50.0, x0_px=6.0, y0_px=-4.0, q1_per_mm2=2e-5)
+def bench():
+    return star_bench(lean=4.0, reading=(0.2, 0.5))
 
 
 @pytest.fixture(scope="module")
-def bench() -> StarBench:
-    return StarBench(
-        table=TableAxes.create("xy", reading_noise_arcsec=(0.2, 0.5), non_orthogonality_arcsec=4.0),
-        star=star_direction(0.3, -0.2),
-        installation=Rotation.from_rotvec([0.01, -0.02, 0.3]),
-    )
+def angle(bench):
+    return aiming_angles(bench, MODEL.unproject(SENSOR.grid_px(9)), np.zeros(81))
 
 
-@pytest.fixture(scope="module")
-def angle(model: BrownConrady, bench: StarBench) -> np.ndarray:
-    return aiming_angles(bench, model.unproject(model.geometry.grid_px(9)), np.zeros(81))
-
-
-def test_the_prediction_is_what_noisy_data_scatter(model, bench, angle) -> None:
+def test_the_prediction_is_what_noisy_data_scatter(bench, angle):
     """N = 800 runs of 81 vectors: the mean sum of squares is known to 0.3 %, variances to 5 %."""
-    by_pixel, design = star_vector_by_pixel(model, bench, angle), design_star_last(model, bench, angle)
-    noise = SIGMA_PX**2 * np.broadcast_to(np.eye(2), by_pixel.shape) + reading_covariance_px2(model, bench, angle)
+    by_pixel, design = star_vector_by_pixel(MODEL, bench, angle), design_star_last(MODEL, bench, angle)
+    noise = SIGMA_PX**2 * np.broadcast_to(np.eye(2), by_pixel.shape) + reading_covariance_px2(MODEL, bench, angle)
     predicted = scatter_of_other_data(by_pixel, noise, design, np.zeros((design.shape[2], design.shape[2])))
-    rng, exact, sums, ratios = np.random.default_rng(3), model.project(bench.star_in_cam(angle)), [], []
+    rng, exact, sums, ratios = np.random.default_rng(3), MODEL.project(bench.star_in_cam(angle)), [], []
     for _ in range(800):
         pixel = exact + SIGMA_PX * rng.standard_normal(exact.shape)
         read = angle + READING_RAD * rng.standard_normal(angle.shape)
-        sums.append(mean_and_chords(star_vectors(model, bench, pixel, read)[None])[1].sum())
-        ratios.append(residual_sigma_px(residual_px(model, bench, pixel, read)) / np.sqrt(sums[-1]))
+        sums.append(mean_and_chords(star_vectors(MODEL, bench, pixel, read)[None])[1].sum())
+        ratios.append(residual_sigma_px(residual_px(MODEL, bench, pixel, read)) / np.sqrt(sums[-1]))
     error = np.std(sums) / np.sqrt(len(sums))
     assert np.mean(sums) == pytest.approx(predicted.sum_rad2, abs=4 * error)
     assert np.var(sums) == pytest.approx(predicted.variance_rad4, rel=4 * np.sqrt(2 / 800))
@@ -74,8 +60,8 @@ def test_the_prediction_is_what_noisy_data_scatter(model, bench, angle) -> None:
     assert predicted.sigma_arcsec == pytest.approx(vector_sigma_arcsec(by_pixel, noise), rel=1e-3)
 
 
-def test_same_data_lose_as_many_degrees_as_there_are_unknowns(model, bench, angle) -> None:
-    by_pixel, design = star_vector_by_pixel(model, bench, angle), design_star_last(model, bench, angle)
+def test_same_data_lose_as_many_degrees_as_there_are_unknowns(bench, angle):
+    by_pixel, design = star_vector_by_pixel(MODEL, bench, angle), design_star_last(MODEL, bench, angle)
     even = np.linalg.inv(np.swapaxes(by_pixel, 1, 2) @ by_pixel)  # isotropic on the sphere
     same = scatter_of_own_data(by_pixel, even, design)
     assert same.sum_rad2 / same.noise_rad2 == pytest.approx(2 * len(by_pixel) - design.shape[2], rel=1e-9)
@@ -83,13 +69,13 @@ def test_same_data_lose_as_many_degrees_as_there_are_unknowns(model, bench, angl
 
 
 @pytest.mark.slow
-def test_same_data_and_others_by_real_calibrations(model, bench) -> None:
+def test_same_data_and_others_by_real_calibrations(bench):
     """N = 30 calibrations at 36 places: variances known to some 4 %."""
-    angle = aiming_angles(bench, model.unproject(model.geometry.grid_px(6)), np.zeros(36))
+    angle = aiming_angles(bench, MODEL.unproject(SENSOR.grid_px(6)), np.zeros(36))
     centroid = np.tile(SIGMA_PX**2 * np.eye(2), (36, 1, 1))
-    by_pixel, design = star_vector_by_pixel(model, bench, angle), design_star_last(model, bench, angle)
-    noise = centroid + reading_covariance_px2(model, bench, angle)
-    exact, rng, sums, covariance = model.project(bench.star_in_cam(angle)), np.random.default_rng(5), [], []
+    by_pixel, design = star_vector_by_pixel(MODEL, bench, angle), design_star_last(MODEL, bench, angle)
+    noise = centroid + reading_covariance_px2(MODEL, bench, angle)
+    exact, rng, sums, covariance = MODEL.project(bench.star_in_cam(angle)), np.random.default_rng(5), [], []
     for _ in range(30):
         first, second = (
             PoseData(
@@ -99,7 +85,7 @@ def test_same_data_and_others_by_real_calibrations(model, bench) -> None:
             )
             for _ in range(2)
         )
-        found = calibrate_on_table(first, bench.table, model, leans=True, start_star=np.array(bench.star))
+        found = calibrate_on_table(first, bench.table, MODEL, leans=True, start_star=np.array(bench.star))
         assert found.converged
         own = calibrated_bench(found, bench.table)
         vectors = [star_vectors(found.model, own, data.pixel_px, data.reading_rad) for data in (first, second)]
@@ -119,24 +105,24 @@ def test_same_data_and_others_by_real_calibrations(model, bench) -> None:
     assert other.sum_rad2 > 1.1 * 70 * same.noise_rad2
 
 
-def test_evaluation_of_coordinates(model, bench, angle) -> None:
+def test_evaluation_of_coordinates(bench, angle):
     """N = 81 vectors of one acquisition: sigma known to 5.6 %."""
     rng = np.random.default_rng(4)
     reading = angle + READING_RAD * rng.standard_normal(angle.shape)
-    pixel = model.project(bench.star_in_cam(angle)) + SIGMA_PX * rng.standard_normal((81, 2))
+    pixel = MODEL.project(bench.star_in_cam(angle)) + SIGMA_PX * rng.standard_normal((81, 2))
     pixel[40] += [1.5, 0.0]  # a wrong centroid
-    vectors = star_vectors(model, bench, pixel, reading)
-    judged = vector_accuracy(vectors, residual_px(model, bench, pixel, reading))
+    vectors = star_vectors(MODEL, bench, pixel, reading)
+    judged = vector_accuracy(vectors, residual_px(MODEL, bench, pixel, reading))
     np.testing.assert_array_equal(np.flatnonzero(judged.outlier), [40])
     assert judged.fit.count == 80
     across = np.cross(bench.table.angle_rates(angle), bench.star)  # of a reading's error, what moves the vector
     table = np.sqrt(((across**2).sum(2) * [0.2**2, 0.5**2]).sum(1).mean() / 2)
-    expected = np.hypot(SIGMA_PX * 0.0055 / 50.0 * RAD_ARCSEC, table)
+    expected = np.hypot(SIGMA_PX * 0.0055 / 40.0 * RAD_ARCSEC, table)
     assert judged.sigma_arcsec == pytest.approx(expected, rel=4 / np.sqrt(4 * 80))
     low, high = judged.interval_arcsec(0.9999)
     assert low < expected < high
     np.testing.assert_allclose(judged.fit.mean, bench.star, atol=2e-6)
-    pixel_arcsec = 0.0055 / 50 * RAD_ARCSEC
+    pixel_arcsec = 0.0055 / 40 * RAD_ARCSEC
     assert judged.pixel_method_arcsec(pixel_arcsec) == pytest.approx(judged.sigma_arcsec, rel=0.03)
     wide = judged.effective_interval_arcsec()
     assert wide[0] < judged.sigma_arcsec < wide[1]

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.optimize import least_squares
 
 from calib.fitting.least_squares import DenseProblem, solve
-from optics.errors import ConfigError, DomainError
 
 # NIST StRD nonlinear regression, Misra1a: data, both starts, and the certified values
 MISRA_X = np.array([77.6, 114.9, 141.1, 190.8, 239.9, 289.0, 332.8, 378.4, 434.8, 477.3, 536.8, 593.1, 689.1, 760.0])
@@ -157,11 +155,3 @@ def test_steps_do_not_leave_the_domain():
     fit = solve(problem, problem.start).solution
     assert fit.converged
     assert fit.value[0] == pytest.approx(1e-3)
-
-
-def test_bad_input():
-    with pytest.raises(ConfigError, match="unknown parameter 'b3'"):
-        DenseProblem(*misra(), ("b1", "b2"), (1.0, 1.0), free=("b3",))
-    refuses(DomainError, "start of shape", lambda: DenseProblem(*misra(), ("b1", "b2"), (1.0,)))
-    with pytest.raises(ConfigError, match="unknown loss"):
-        solve(DenseProblem(*misra(), ("b1", "b2"), (500.0, 1e-4)), np.array([500.0, 1e-4]), loss="l2")

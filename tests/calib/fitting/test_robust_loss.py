@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from calib.fitting.robust_loss import Loss, get_loss, list_losses
-from optics.errors import ConfigError, DomainError
+from calib.fitting.robust_loss import get_loss, list_losses
 
 ROBUST = [name for name in list_losses() if name != "linear"]
 
@@ -52,10 +50,3 @@ def test_efficiency_and_variance_factor_of_a_mean(name):
     assert variance * loss.efficiency(2) == pytest.approx(1.0, abs=spread + 1 / n)
     predicted = loss.variance_factor(2) / weight.sum(axis=1)
     assert np.mean(mean**2) / np.mean(predicted) == pytest.approx(1.0, abs=spread + 1 / n)
-
-
-def test_bad_input():
-    refuses(ConfigError, "did you mean huber", get_loss, "hubert")
-    refuses(DomainError, "tuning = -1", get_loss, "tukey", tuning=-1)
-    custom = Loss(name="cauchy", tuning=2.0)
-    assert get_loss(custom) is custom

@@ -1,10 +1,8 @@
 """Solutions and calibrations: statistics of a fit, and the shapes they insist on."""
 
 import numpy as np
-import pytest
 from refusals import refuses
 
-from calib import BrownConrady, Calibration, SensorGeometry
 from calib.fitting.solution import Solution
 from optics.errors import ConfigError, DomainError
 
@@ -54,23 +52,3 @@ def test_reduced_chi2_and_names():
     assert np.isnan(solution(degrees_of_freedom=0).reduced_chi2)
     assert solution().index("c_mm") == 2
     refuses(ConfigError, "a_px", lambda: solution().index("a_mm"))
-
-
-@pytest.mark.parametrize("change", [{"value": [1.0]}, {"covariance": np.eye(2)}, {"residual_pulls": np.zeros((3, 3))}])
-def test_shapes_must_fit_the_names(change):
-    refuses(DomainError, "shape", solution, **change)
-
-
-def test_a_calibration_holds_the_covariance_of_all_parameters():
-    geometry = SensorGeometry(width_px=100, height_px=100, pixel_pitch_mm=0.01)
-    values = {
-        "method": "free_attitude",
-        "model": BrownConrady.create(geometry, focal_length_mm=10.0),
-        "covariance": np.zeros((8, 8)),
-        "solution": solution(status="stalled"),
-        "attitude": None,
-        "installation": None,
-        "used": np.ones(3, bool),
-    }
-    assert not Calibration(**values).converged
-    refuses(DomainError, r"\(8, 8\)", lambda: Calibration(**(values | {"covariance": np.zeros((3, 3))})))
