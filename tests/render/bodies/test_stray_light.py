@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.spatial.transform import Rotation
 
 from optics.attitude import attitude_from_angles
-from optics.errors import ConfigError
 from optics.light.pst import PointSourceTransmittance, write_pst
 from render.bodies.stray_light import EARTH_ALBEDO, StrayLight, band_light, earth_limb_pst, earth_points, limb_pst
 from render.catalogue.motion import earth_observer
@@ -63,7 +61,6 @@ def test_the_sun_gives_its_photons_times_pst_and_efficiency() -> None:
     assert found["sun"] == pytest.approx(1e-6 * light.sun_e_per_s / (observer.from_sun_au**2).sum(), rel=1e-9)
     behind, _ = Rotation.align_vectors([[0.0, 0.0, -1.0]], [to_sun])
     assert stray.whole(behind)["sun"] == 0.0
-    refuses(ConfigError, "observer", lambda: StrayLight(flat(), light, observer=None, epoch_year=2020.0))
 
 
 @pytest.mark.slow
@@ -79,7 +76,6 @@ def test_a_frame_holds_the_stray_light(tmp_path) -> None:
     apart = lit.expected.electrons - dark.expected.electrons
     np.testing.assert_allclose(apart, 0.2 * sum(wanted.values()), rtol=1e-5)
     assert apart.mean() > 100.0
-    refuses(ConfigError, "observer", lambda: SkySimulator(sensor, load_sky(faintest_mag=5.0), stray_light=table))
 
 
 @pytest.mark.slow

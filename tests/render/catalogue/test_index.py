@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 from fields import star_catalog
-from refusals import refuses
 
-from optics.errors import DomainError
 from render.catalogue.index import build_index
 
 
@@ -41,23 +39,3 @@ def test_tiny_cones_hold_their_star(index):
     # 1e-9 rad, 0.2 mas: a cosine would not tell it from 0
     for row in range(20):
         assert index.within(index.catalog.direction[row], 1e-9).tolist() == [row]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (([0, 0, 2], 0.1), "unit vector"),
-        (([0, 0], 0.1), "unit vector"),
-        (([0, 0, np.nan], 0.1), "unit vector"),
-        (([0, 0, 1], 0.0), "radius_rad"),
-        (([0, 0, 1], 10.0), "radius_rad"),
-        (([0, 0, 1], np.nan), "radius_rad"),
-    ],
-)
-def test_refused(index, arguments, told):
-    refuses(DomainError, told, index.within, *arguments)
-    refuses(DomainError, "NaN", index.within, [0, 0, 1], 0.1, magnitude_limit=np.nan)
-
-
-def test_empty_catalogue():
-    refuses(DomainError, "empty", lambda: build_index(star_catalog(3).select([])))

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from astropy import units as u
 from astropy.table import MaskedColumn, Table
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
 from render.catalogue.presets import ColumnPreset, get_preset, preset_names
 from render.catalogue.read import catalog_from_table, read_catalog
 from render.catalogue.record import MAS_RAD
@@ -266,24 +264,6 @@ def test_ids_that_are_no_numbers():
     assert any("row of the file" in note for note in catalog.notes)
 
 
-@pytest.mark.parametrize(
-    ("table", "arguments", "told"),
-    [
-        (plain(magnitude=np.full(30, 99.0)), {}, "outside -28"),
-        (plain(radial_velocity=np.full(30, 3.1e5) * u.km / u.s), {}, "outside -30000"),
-        (plain(b_v=np.full(30, 40.0)), {}, "outside -3"),
-        (plain(dec=np.full(30, 120.0)), {}, "dec up to 120 deg"),
-        (plain(ra=np.full(30, 500.0)), {}, "ra up to 500 deg"),
-        (plain(ra=np.linspace(0, 6.28, 30), dec=np.linspace(-1.5, 1.5, 30)), {}, "looks like radians"),
-        (plain(ra=np.linspace(0, 23.9, 30)), {}, "looks like hours"),
-        (plain(pm_ra=np.full(30, 1.0) * u.deg / u.yr), {}, "more than the 30 any star has"),
-        (plain(parallax=np.full(30, 379.0) * u.arcsec), {}, "check its unit"),
-    ],
-)
-def test_values_refused(table, arguments, told):
-    assert "\n" not in refuses(DomainError, told, read_plain, table, **arguments)
-
-
 def test_stated_units_are_believed():
     # a field of 6 deg at ra 0 in degrees looks like radians; who states the unit is believed
     table = plain(ra=np.linspace(0, 6.0, 30), dec=np.linspace(-1.5, 1.5, 30))
@@ -293,50 +273,9 @@ def test_stated_units_are_believed():
     assert catalog.ra_rad.max() == pytest.approx(6.0)
 
 
-@pytest.mark.parametrize(
-    ("change", "arguments", "told"),
-    [
-        (lambda t: t.remove_column("magnitude"), {}, "no column for magnitude"),
-        (lambda t: t.remove_column("ra"), {}, "no column for ra"),
-        (lambda t: None, {"columns": {"magnitude": "Kmag"}}, "no column 'Kmag'"),
-        (lambda t: None, {"columns": {"mag": "magnitude"}}, "not a known quantity"),
-        (lambda t: None, {"units": {"ra": "km"}}, "not convertible to rad"),
-        (lambda t: None, {"units": {"ra": "degrees of arc"}}, "not convertible to rad"),
-        (lambda t: None, {"epoch_year": None}, "no epoch"),
-        (lambda t: None, {"magnitude_system": None}, "no magnitude system"),
-        (lambda t: t.add_column(np.linspace(2000, 2016, 30), name="epoch"), {"epoch_year": None}, "a single epoch"),
-        (lambda t: t.add_column(["x"] * 30, name="parallax"), {}, "does not hold numbers"),
-    ],
-)
-def test_tables_refused(change, arguments, told):
-    table = plain()
-    change(table)
-    assert "\n" not in refuses(ConfigError, told, read_plain, table, **arguments)
-
-
-def test_files_refused(tmp_path):
-    assert "\n" not in refuses(ConfigError, "no such file", read_catalog, tmp_path / "none.fits", "hipparcos")
-    (tmp_path / "a.fits").write_text("this is no FITS")
-    assert "\n" not in refuses(
-        ConfigError, "not a readable FITS file", lambda: read_catalog(tmp_path / "a.fits", "hipparcos")
-    )
-    (tmp_path / "a.vot").write_text("<xml")
-    assert "\n" not in refuses(ConfigError, "cannot be read as votable", read_catalog, tmp_path / "a.vot", "hipparcos")
-    (tmp_path / "a.odd").write_text("1 2 3")
-    assert "\n" not in refuses(ConfigError, "does not identify a format", read_catalog, tmp_path / "a.odd", "hipparcos")
-    hipparcos_table().write(tmp_path / "a.ecsv")
-    assert "\n" not in refuses(ConfigError, "did you mean hipparcos", read_catalog, tmp_path / "a.ecsv", "hiparcos")
-    with pytest.raises(ConfigError, match="does not hold angles"):
-        catalog_from_table(Table({"ra": ["a"], "dec": ["b"], "magnitude": [1.0]}), "plain", name="x",
-                           epoch_year=2000.0, magnitude_system="V")  # fmt: skip
-
-
 def test_presets():
     assert set(preset_names()) == {"hipparcos", "gaia", "bright_star", "open_bright_star", "plain"}
     for name in preset_names():
         assert get_preset(name).source
     own = ColumnPreset(name="mine", source="me", columns={"ra": ("x",)})
     assert get_preset(own) is own
-    with pytest.raises(ConfigError, match="unknown meaning of a column"):
-        ColumnPreset(name="mine", source="me", columns={"rightascension": ("x",)})
-    refuses(ConfigError, "a name", get_preset, 3)

@@ -1,11 +1,8 @@
 """The catalogue record: what it keeps, what it refuses."""
 
 import numpy as np
-import pytest
 from fields import star_catalog
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
 from render.catalogue.record import direction_from_angles
 
 
@@ -22,10 +19,6 @@ def test_angles_come_back():
     catalog = star_catalog(1000, direction=direction_from_angles(ra, dec))
     np.testing.assert_allclose(catalog.dec_rad, dec, atol=1e-15)
     np.testing.assert_allclose(catalog.ra_rad * np.cos(dec), ra * np.cos(dec), atol=1e-14)
-
-
-def test_degrees_are_no_radians():
-    refuses(DomainError, "degrees", direction_from_angles, [10.0], [45.0])
 
 
 def test_what_is_left_out_is_not_known():
@@ -45,25 +38,3 @@ def test_select_keeps_rows_together():
     assert len(catalog.select([])) == 0
     assert len(catalog.select(np.zeros(5, bool))) == 0
     assert catalog.row_of(2) == 2
-
-
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        ({"direction": np.ones((5, 3))}, "unit vectors"),
-        ({"direction": np.ones((4, 3))}, "shape"),
-        ({"magnitude": np.ones(4)}, "shape"),
-        ({"magnitude": np.array([1, 2, 3, 4, np.inf])}, "infinite"),
-        ({"proper_motion_rad_per_year": np.full((5, 2), 1.2)}, "unit"),
-        ({"parallax_rad": np.full(5, 0.379)}, "unit"),
-        ({"magnitude_system": "R"}, "'V' or 'G'"),
-        ({"source": ""}, "source"),
-        ({"epoch_year": 57000.0}, "Julian year"),
-    ],
-)
-def test_refused(changes, told):
-    assert "\n" not in refuses((DomainError, ConfigError), told, star_catalog, **changes)
-
-
-def test_no_such_star():
-    refuses(ConfigError, "no star with id 7", lambda: star_catalog().row_of(7))

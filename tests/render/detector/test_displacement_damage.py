@@ -5,9 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import DomainError
 from render.detector.displacement_damage import aged, damage_factor
 from render.detector.maps import sensor_maps
 from render.detector.spec import load_detector
@@ -61,24 +59,3 @@ def test_unknown_defects_and_known_ones() -> None:
     surely = np.abs(added - 5000.0) > 1.0
     assert np.array_equal((known.defect & ~before.defect)[surely], ((added > 5000.0) & ~before.defect)[surely])
     assert np.array_equal(known.offset_dn, before.offset_dn)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"displacement_dose_tev_per_g": -1.0}, "displacement_dose_tev_per_g = -1 TeV/g"),
-        ({"depleted_volume_um3": float("nan")}, "depleted_volume_um3 = nan um3"),
-        ({"displacement_dose_tev_per_g": 1e9}, "damage centres per pixel"),
-        ({"temperature_c": 140.0}, "temperature_c = 140 C"),
-        ({"annealed_s": 1.0}, "annealed_s = 1 s"),
-        ({"known_above_e_per_s": -1.0}, "damage_known_e_per_s"),
-    ],
-)
-def test_bad_input(options: dict[str, float], words: str) -> None:
-    settings = {"displacement_dose_tev_per_g": 10.0, "depleted_volume_um3": 50.0} | options
-    assert "\n" not in refuses(DomainError, words, aged, NEW, **settings)
-
-
-def test_not_aged_twice() -> None:
-    once = aged(NEW, displacement_dose_tev_per_g=10.0, depleted_volume_um3=50.0)
-    refuses(DomainError, "already aged", aged, once, displacement_dose_tev_per_g=10.0, depleted_volume_um3=50.0)

@@ -4,11 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
 from render.detector.full_well import bloomed
-from render.detector.readout import expose, expose_windows
+from render.detector.readout import expose
 from render.detector.spec import load_detector
 from render.engine.random import Streams
 
@@ -59,7 +57,6 @@ def test_lag_leaves_its_share_up_to_the_full_well():
     assert dn[40, 16] == pytest.approx(200.0, abs=6.0)
     assert dn.sum() == pytest.approx(dn[30, 16] + dn[40, 16])
     assert not read(np.zeros(PLAIN.shape), lag=0.02).dn.any()
-    refuses(DomainError, "before has shape", lambda: read(np.zeros(PLAIN.shape), lag=0.02, before=np.zeros((4, 4))))
 
 
 @pytest.mark.parametrize(("share", "length"), [(0.0, 1), (0.5, 11), (1.0, 21)])
@@ -84,9 +81,3 @@ def test_blooming_keeps_charge_until_it_reaches_the_ends():
     charge = np.minimum(bloomed(image, dataclasses.replace(PLAIN, blooming=1.0)), 1e4)
     assert (charge[:, 5] == 1e4).all()
     assert charge.sum() < image.sum()
-
-
-def test_windows_cannot_know_whole_columns():
-    bloom, options = dataclasses.replace(PLAIN, blooming=0.3), {"streams": Streams(1), "frames": 1, "exposure_s": 0.1}
-    corner = np.zeros((1, 2), int)
-    refuses(ConfigError, "read whole frames", expose_windows, np.zeros((1, 9, 9)), corner, bloom, **options)

@@ -5,10 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.ndimage import convolve
 
-from optics.errors import ConfigError, DomainError
 from render.detector.readout import expose, expose_windows
 from render.detector.spec import Detector, load_detector
 from render.engine.random import Streams
@@ -316,56 +314,6 @@ def test_inputs_are_unchanged() -> None:
 
 
 BANDS = ExpectedImage(electrons=np.ones((*SHAPE, 2)), band=("red", "blue"), exposure_s=1.0, diffused=True)
-
-
-@pytest.mark.parametrize(
-    ("expected", "options", "error", "words"),
-    [
-        (flat(1)[:10], {}, DomainError, r"shape \(10, 512\) on detector"),
-        (flat(1)[None], {}, DomainError, "2 axes"),
-        (flat(-1), {}, DomainError, "contains -1 e-"),
-        (flat(np.nan), {}, DomainError, "contains nan e-"),
-        (flat(1), {"exposure_s": None}, ConfigError, "exposure_s is missing"),
-        (flat(1), {"exposure_s": 0.0}, DomainError, "exposure_s = 0 s"),
-        (flat(1), {"exposure_s": np.nan}, DomainError, "exposure_s = nan s"),
-        (flat(1), {"exposure_s": 1e300}, DomainError, "exposure_s = 1e\\+300 s; it must be .* at most 1e\\+07 s"),
-        (flat(1), {"background_e_per_s": -1.0}, DomainError, "background_e_per_s = -1"),
-        (flat(1), {"temperature_c": np.nan}, DomainError, "temperature_c = nan"),
-        (flat(1), {"frame": -1}, DomainError, "frame = -1"),
-        (BANDS, {}, ConfigError, "band is missing; the image has 2: red, blue"),
-        (BANDS, {"band": "bleu"}, ConfigError, "did you mean blue"),
-        (BANDS, {"band": "red", "exposure_s": -1.0}, DomainError, "exposure_s = -1 s"),
-    ],
-)
-def test_bad_frame_input_is_one_clear_line(expected: Any, options: dict[str, Any], error: type, words: str) -> None:
-    assert "\n" not in refuses(error, words, shot, expected, SHIPPED, **options)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"frames": 0}, "frames = 0; at least 1"),
-        ({"exposure_s": -1.0}, "exposure_s = -1 s"),
-        ({"stamps": np.ones((9, 9))}, "3 axes"),
-        ({"stamps": -np.ones((2, 9, 9))}, "contains -1 e-"),
-        ({"corner_px": np.zeros((3, 2), int)}, r"\(3, 2\) where \(2, 2\)"),
-        ({"corner_px": np.zeros((2, 2))}, "whole pixels"),
-        ({"corner_px": np.array([[0, 0], [510, 3]])}, "window 1 at column 510, row 3 .* not inside"),
-        ({"margin_px": 5}, "margin_px = 5"),
-        ({"margin_px": -1}, "margin_px = -1"),
-        ({"first_frame": -2}, "frame = -2"),
-    ],
-)
-def test_bad_window_input_is_one_clear_line(changes: dict[str, Any], words: str) -> None:
-    settings: dict[str, Any] = {
-        "stamps": np.ones((2, 9, 9)),
-        "corner_px": np.zeros((2, 2), int),
-        "streams": Streams(1),
-        "frames": 2,
-        "exposure_s": 1.0,
-    } | changes
-    parts = settings.pop("stamps"), settings.pop("corner_px"), SHIPPED
-    assert "\n" not in refuses(DomainError, words, expose_windows, *parts, **settings)
 
 
 @pytest.mark.parametrize("changes", [{"transfer_line_us": 20.0}, {"blooming": 0.5}, {"lag": 0.1}])

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.spatial.transform import Rotation
 
-from optics.errors import DomainError
 from render.engine.random import Streams
 from render.motion.gyro import Gyro, simulate_gyro, simulate_gyro_runs, true_rates
 from render.motion.trajectory import ConstantRate, Slew
@@ -99,24 +97,3 @@ def test_a_run_is_the_same_alone_and_among_others():
     # a longer record begins with the same white noise
     longer = simulate_gyro(REST, Gyro(), streams, run=4, end_s=4.0).rate_rad_per_s[:200]
     assert (longer == simulate_gyro(REST, Gyro(), streams, run=4, end_s=2.0).rate_rad_per_s).all()
-
-
-@pytest.mark.parametrize(
-    ("change", "line"),
-    [
-        ({"rate_hz": 0.0}, "rate_hz = 0.0 Hz"),
-        ({"bias_deg_per_h": np.nan}, "bias_deg_per_h"),
-        ({"bias_deg_per_h": [1, 2]}, r"shape \(2,\)"),
-        ({"angle_random_walk_deg_per_sqrt_h": -1.0}, "a density cannot be negative"),
-        ({"misalignment_arcsec": np.eye(3)}, "its diagonal must be zero"),
-        ({"sensor_from_body": np.eye(3)}, "one scipy Rotation"),
-    ],
-)
-def test_bad_gyros(change, line):
-    refuses(DomainError, line, Gyro, **change)
-
-
-def test_bad_times():
-    refuses(DomainError, "no complete sampling interval", lambda: true_rates(REST, Gyro(rate_hz=1.0), end_s=0.5))
-    refuses(DomainError, "outside of the trajectory", lambda: true_rates(REST, Gyro(rate_hz=1.0), end_s=101.0))
-    refuses(DomainError, "no complete sampling interval", lambda: true_rates(REST, Gyro(), end_s=np.nan))

@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.integrate import quad
 from scipy.signal import welch
 from scipy.spatial.transform import Rotation
 
-from optics.errors import DomainError
 from render.engine.random import Streams
 from render.motion.jitter import JitterSpectrum, jittered
 from render.motion.trajectory import ConstantRate
@@ -71,24 +69,3 @@ def test_keys():
     assert np.array_equal(first, again)
     assert np.abs(first - other).max() > 0.1 * ARCSEC
     assert np.abs(first - frame).max() > 0.1 * ARCSEC
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"frequency_hz": [0.0, 1.0, 2.0]}, r"at least two increasing frequencies above 0 Hz"),
-        ({"frequency_hz": [1.0, 1.0, 2.0]}, r"at least two increasing frequencies"),
-        ({"psd_arcsec2_per_hz": [[1.0, 0.0, 1.0]] * 3}, r"about x contains 0 arcsec\^2/Hz; it must be positive"),
-        ({"psd_arcsec2_per_hz": [[1.0, 1.0]] * 3}, r"psd_arcsec2_per_hz: shape \(3, 2\) where \(3, 3\)"),
-    ],
-)
-def test_bad_spectra(change, message):
-    good = {"frequency_hz": SPECTRUM.frequency_hz, "psd_arcsec2_per_hz": SPECTRUM.psd_arcsec2_per_hz}
-    refuses(DomainError, message, JitterSpectrum, **good | change)
-
-
-def test_times_outside_of_the_trajectory_are_refused():
-    motion = jittered(BASE, SPECTRUM, streams=Streams(1))
-    assert (motion.start_s, motion.end_s) == (0.0, 400.0)
-    for time in (np.nan, 401.0):
-        refuses(DomainError, "time_s", motion.attitude, time)

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import DomainError
 from render.motion.orbit import EARTH_RADIUS_KM, GM_KM3_PER_S2, kepler_orbit, sgp4_orbit
 
 ELEMENTS = {
@@ -33,7 +31,6 @@ def test_an_elliptic_orbit_moves_by_newtons_law():
     np.testing.assert_allclose(np.cross(position, velocity), np.tile(momentum, (40, 1)), atol=1e-6)
     assert np.degrees(np.arccos(orbit.pole[2])) == pytest.approx(97.8, abs=1e-9)
     assert orbit.period_s == pytest.approx(2.0 * np.pi * np.sqrt(axis_km**3 / GM_KM3_PER_S2))
-    refuses(DomainError, r"eccentricity = 1\.2", kepler_orbit, **ELEMENTS | {"eccentricity": 1.2})
 
 
 def test_two_line_elements_fly_as_sgp4_and_astropy_have_them():
@@ -57,9 +54,6 @@ def test_two_line_elements_fly_as_sgp4_and_astropy_have_them():
     np.testing.assert_allclose(orbit.state(3000.0)[1], true.differentials["s"].d_xyz.to_value(u.km / u.s), atol=4e-6)
     assert orbit.period_s == pytest.approx(86400.0 / 15.501, rel=1e-4)
     assert orbit.epoch_year == pytest.approx(2019.9376, abs=1e-3)
-    refuses(DomainError, "checksum", lambda: sgp4_orbit(lines[0][:-1] + "5", lines[1]))
-    with pytest.raises(DomainError, match="two-line elements"):
-        orbit.state(np.array([0.0, 1e10]))  # decayed
 
 
 def test_a_camera_fixed_to_the_local_vertical_turns_once_per_revolution():

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.spatial.transform import Rotation
 
-from optics.errors import DomainError
 from render.motion.trajectory import (
     ConstantRate,
     SampledAttitude,
@@ -55,13 +53,6 @@ def test_one_time_and_many(trajectory):
         assert trajectory.attitude(one).single
         assert (trajectory.attitude(one) * many[k].inv()).magnitude() < 1e-14
         assert trajectory.rate(one) == pytest.approx(rates[k], abs=1e-15)
-
-
-@pytest.mark.parametrize("trajectory", FAMILY.values(), ids=FAMILY.keys())
-@pytest.mark.parametrize("time_s", [-0.1, 20.1, np.nan])
-def test_times_outside_are_refused(trajectory, time_s):
-    refuses(DomainError, "runs from 0 to 20 s", trajectory.attitude, [1.0, time_s])
-    refuses(DomainError, "outside of the trajectory", trajectory.rate, time_s)
 
 
 def test_ends_are_kept_in_spite_of_rounding():
@@ -130,25 +121,6 @@ def test_camera_on_the_body():
     v = np.array([0.36, 0.48, 0.8])
     assert FAMILY["camera"].attitude(t).apply(v) == pytest.approx(mount.apply(body.attitude(t).apply(v)), abs=1e-15)
     assert np.linalg.norm(FAMILY["camera"].rate(t), axis=1) == pytest.approx(np.linalg.norm(body.rate(t), axis=1))
-
-
-@pytest.mark.parametrize(
-    ("make", "line"),
-    [
-        (lambda: ConstantRate(initial=START, rate_rad_per_s=[0, np.nan, 0], end_s=1), "rate_rad_per_s"),
-        (lambda: ConstantRate(initial=START, rate_rad_per_s=[0, 0, 1], end_s=0), "the end after the start"),
-        (lambda: ConstantRate(initial=START, rate_rad_per_s=[0, 0, 1], end_s=np.inf), "finite times"),
-        (lambda: ConstantRate(initial=Rotation.identity(2), rate_rad_per_s=[0, 0, 1], end_s=1), "one scipy Rotation"),
-        (lambda: SampledAttitude(samples_s=[0, 1, 1], attitudes=Rotation.identity(3)), "increasing times"),
-        (lambda: SampledAttitude(samples_s=[0], attitudes=Rotation.identity(1)), "at least two"),
-        (lambda: SampledAttitude(samples_s=[0, 1], attitudes=Rotation.identity(3)), "2 rotations are needed"),
-        (lambda: Slew(initial=START, final=START, end_s=-1), "Slew runs from 0.0 to -1"),
-        (lambda: mounted(wobble(), np.eye(3)), "one scipy Rotation"),
-        (lambda: FAMILY["slew"].attitude(np.zeros((2, 2))), r"shape \(2, 2\)"),
-    ],
-)
-def test_bad_input_is_one_clear_line(make, line):
-    refuses(DomainError, line, make)
 
 
 def test_a_star_on_the_boresight_trails_where_the_rate_is_made_for():

@@ -4,15 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
 from optics.lens.perturb import decentre
 from optics.rays.entrance_pupil import entrance_pupil
 from optics.rays.paraxial import axial_paraxial
 from optics.rays.spots import spot_moments
 from optics.units import ARCSEC_RAD
-from optics.validate import parse_model
 from optics.waves.pupil_field import trace_pupil
 from optics.waves.wavefront import wavefront
 from render.fits.wcs import lens_wcs
@@ -89,31 +86,6 @@ def test_lens_is_focused_at_its_own_temperature_and_warmed_with_its_housing():
         )  # prescriptions hold at 20 C
 
 
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"f_number": 1.0}, r"instrument.f_number = 1; lens .* fully open: at least F/"),
-        ({"width_px": 9000}, r"instrument.width_px = 9000 px; detector .* has 2048 px"),
-        ({"lens_temperature_c": 140.0}, r"instrument.lens_temperature_c = 140 C: .* -?\d+ ... \d+"),
-    ],
-)
-def test_what_the_instrument_cannot_do_is_refused_with_the_range(settings, said):
-    refuses(DomainError, said, lambda: build_instrument(InstrumentConfig(**INNER_STOP, **settings)))
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"lens": "star_camera_206"}, "star_camera_206mm"),
-        ({"detector": "acc18_mosiac"}, "acc18_mosaic"),
-        ({"housing": "aluminum_6061"}, "aluminium_6061"),
-        ({"housing": 200.1}, "at most 200"),
-    ],
-)
-def test_a_misspelt_name_brings_the_nearest_and_an_expansion_its_range(settings, said):
-    refuses(ConfigError, said, lambda: build_instrument(parse_model(InstrumentConfig, settings, "instrument")))
-
-
 def test_housing_of_a_sensor_file_reaches_the_lens():
     """Spacers and rims stated: the chip moves by the rule of spacers; a material alone is the barrel's."""
     table = {
@@ -151,15 +123,3 @@ def test_coefficients_and_a_map_of_them(tmp_path):
     nominal = rms_nm()
     assert rms_nm(wavefront_zernike_nm=(0, 0, 0, 0, 0, 50.0)) - nominal == pytest.approx(50.0, abs=0.2)
     assert rms_nm(wavefront_map=str(tmp_path / "map.npy")) - nominal == pytest.approx(50.0, abs=0.2)
-
-
-def test_what_an_interferometer_masks_is_refused(tmp_path):
-    values = np.zeros((9, 9))
-    values[0, 2] = np.nan
-    np.savetxt(tmp_path / "map.txt", values)
-    with pytest.raises(DomainError, match=r"instrument.wavefront_map = .*map.txt: .*not finite, the first at row 0"):
-        configured_lens(InstrumentConfig(wavefront_map=str(tmp_path / "map.txt")))
-    with pytest.raises(ConfigError, match="map cannot be read"):
-        configured_lens(InstrumentConfig(wavefront_map=str(tmp_path / "none.npy")))
-    refuses(ValueError, "finite number", lambda: InstrumentConfig(wavefront_zernike_nm=(0.0, float("nan"))))
-    refuses(ValueError, "give one of them", InstrumentConfig, wavefront_map="m.npy", wavefront_zernike_nm=(1.0,))

@@ -1,11 +1,8 @@
 """A sensor file is the sensor that its keys describe."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from optics.errors import ConfigError
 from optics.rays.paraxial import axial_paraxial
 from render.sensor_file.load import load_star_sensor
 
@@ -49,18 +46,3 @@ def test_the_best_focus_of_the_pass_band(tmp_path):
     best, left_out = (load_star_sensor(tmp_path / f"{name}.toml") for name in ("best", "left_out"))
     assert best.camera.defocus_mm == left_out.camera.defocus_mm
     assert 0.0 < abs(best.camera.defocus_mm) < 0.2
-
-
-@pytest.mark.parametrize(
-    ("given", "hardware", "message"),
-    [
-        ("star_tracker_26mm", {}, "lens 'star_tracker_26mm' without a detector: give that too, or a sensor file"),
-        ("sensor.toml", {"defocus_mm": 0.1}, "defocus_mm with sensor file .*: state them in the file"),
-        ("wrong.toml", {}, "unknown key 'instrument.exposure'; did you mean 'exposure_s'"),
-    ],
-)
-def test_what_is_missing_or_wrong_is_said(tmp_path, given, hardware, message):
-    (tmp_path / "sensor.toml").write_text(FILE.format(defocus=0.0))
-    (tmp_path / "wrong.toml").write_text("[instrument]\nexposure = 0.1\n")
-    with pytest.raises(ConfigError, match=message):
-        load_star_sensor(tmp_path / given if Path(given).suffix else given, **hardware)

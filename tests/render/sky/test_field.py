@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fields import star_catalog
-from refusals import refuses
 from scipy.spatial.transform import Rotation
 
-from optics.errors import ConfigError, DomainError
 from optics.frames import field_angles_deg
 from optics.light.band import TopHat
 from optics.rays.chief_ray import chief_ray_points
@@ -127,24 +125,6 @@ def test_light_follows_colour_or_effective_temperature(bench):
     np.testing.assert_allclose(rate, light.photon_rate(sky.magnitude, expected), rtol=1e-12)
     rate = star_field(field, light, temperature="effective", typical_temperature_k=6000.0).photon_rate
     np.testing.assert_allclose(rate, light.photon_rate(sky.magnitude, [4000, expected[1], 6000, 5000]), rtol=1e-12)
-    refuses(DomainError, "star 2 has no colour", star_field, field, light, typical_temperature_k=None)
-
-
-def test_refused(bench, index):
-    camera = bench.camera_of("star_tracker_26mm")
-    view = field_of_view(camera)
-    refuses(DomainError, "margin_px", field_of_view, camera, margin_px=-1.0)
-    refuses(ConfigError, "one scipy Rotation", lambda: field_of(index, view, np.eye(3)))
-    refuses(ConfigError, "one scipy Rotation", lambda: field_of(index, view, Rotation.random(2, random_state=0)))
-    field = field_of(index, view, Rotation.identity())
-    with pytest.raises(ConfigError, match="prepared for V"):
-        star_field(field, star_light([TopHat(centre_nm=600, width_nm=100)], magnitude_system="V"))
-    with pytest.raises(ConfigError, match="'colour' or 'effective'"):
-        star_field(field, star_light([TopHat(centre_nm=600, width_nm=100)]), temperature="hot")
-    dim = build_index(sky_of(3, direction=np.tile([[0.0, 0.0, 1.0]], (3, 1)), magnitude=[1.0, np.nan, 3.0]))
-    field = field_of(dim, view, Rotation.identity())
-    with pytest.raises(DomainError, match="magnitude of star 1 is nan"):
-        star_field(field, star_light([TopHat(centre_nm=600, width_nm=100)]))
 
 
 @pytest.mark.slow

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.spatial.transform import Rotation
 
-from optics.errors import DomainError
 from render.sky.partition import cone_directions, leakage, parts_by_arcs, parts_by_caps, parts_by_latitude
 
 FRACTION = {"train": 0.8, "validation": 0.1, "test": 0.1}
@@ -32,7 +30,6 @@ def test_caps_have_their_fractions_and_gaps():
     for name, wanted in FRACTION.items():
         assert parts[name] == pytest.approx(wanted, abs=4.0 * np.sqrt(wanted / 3000.0))
     assert least_angle(names, boresights) >= 0.3
-    refuses(DomainError, "gap_deg = 90 deg", lambda: parts_by_caps(FRACTION, POLE, np.pi / 2.0))
 
 
 def test_sides_of_a_cone():
@@ -43,7 +40,6 @@ def test_sides_of_a_cone():
     names, parts = counted(parts_by_latitude(FRACTION, cone, 0.02, np.array([0.3, -1.0, 0.5])), cone)
     assert parts == pytest.approx(FRACTION, abs=0.01)
     assert least_angle(names, cone) >= 0.02
-    refuses(DomainError, "less than half", lambda: parts_by_latitude(FRACTION, cone, 0.3, np.ones(3)))
 
 
 def test_arcs_of_a_scan():
@@ -54,8 +50,6 @@ def test_arcs_of_a_scan():
     assert parts == pytest.approx(FRACTION, abs=0.02)
     assert least_angle(names, boresights) >= 0.05 - 2e-3
     assert (names != "gap").mean() > 0.5
-    with pytest.raises(DomainError, match="has no room"):
-        parts_by_arcs(FRACTION, np.array([0.0, 0.0, 1.0]), np.array([1e-3, 0.0, 1.0]), 0.5)
 
 
 def test_leakage_is_counted():

@@ -2,10 +2,8 @@
 
 import numpy as np
 from fields import star_catalog
-from refusals import refuses
 from scipy.spatial.transform import Rotation
 
-from optics.errors import ConfigError
 from render.catalogue.index import build_index
 from render.sky.field import field_of, field_of_view
 from render.sky.sampling import sample_sky
@@ -22,4 +20,3 @@ def test_same_stars_as_one_by_one(bench):
         order = np.argsort(sample.row[mine])
         np.testing.assert_array_equal(sample.row[mine][order], np.sort(one.row))
         np.testing.assert_allclose(sample.pixel_px[mine][order], one.pixel_px[np.argsort(one.row)], atol=1e-8)
-    refuses(ConfigError, "several attitudes", lambda: sample_sky(index, view, attitudes[0]))

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import ConfigError, DomainError
-from optics.light.band import TabulatedBand, TopHat, band_nodes
+from optics.light.band import TopHat, band_nodes
 from optics.light.magnitudes import band_photon_rate, photon_rate
 from optics.light.spectrum import Blackbody, TabulatedSed
 from render.sky.star_light import star_light
@@ -43,15 +41,3 @@ def test_ones_own_spectra():
     light = star_light(BANDS, spectrum=lambda _: flat)
     rate = light.photon_rate([5.0, 5.0], [2000.0, 20000.0])
     np.testing.assert_allclose(rate[0], rate[1], rtol=1e-12)
-
-
-def test_refused():
-    light = star_light(BANDS)
-    refuses(DomainError, r"magnitude of star 1 is nan", light.photon_rate, [5.0, np.nan], [6000.0, 6000.0])
-    refuses(DomainError, r"temperature of star 0 is 100 K; 900", light.photon_rate, [5.0], [100.0])
-    refuses(ConfigError, "no band", star_light, [])
-    refuses(ConfigError, "magnitude system", star_light, BANDS, magnitude_system="R")
-    dark = TabulatedBand(
-        name="gap", source="made up", wavelength_nm=[500, 510, 520, 600, 610, 620], value=[0, 1, 0, 0, 1, 0]
-    )
-    refuses(DomainError, "opaque", star_light, [dark], nodes=3)

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from optics.errors import DomainError
 from optics.light.magnitudes import synthetic_magnitude
 from render.sky.sunlight import sun_spectrum, sunlight
 
@@ -24,4 +22,3 @@ def test_energy_of_the_fine_spectrum_is_kept():
 
 def test_four_times_weaker_at_twice_the_distance():
     assert sunlight(600.0, distance_au=2.0) == pytest.approx(sunlight(600.0) / 4, rel=1e-12)
-    refuses(DomainError, "distance", sunlight, 600.0, distance_au=0.0)

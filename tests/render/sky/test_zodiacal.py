@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from astropy import units
 from astropy.coordinates import ICRS, BarycentricMeanEcliptic, SkyCoord
-from refusals import refuses
 
-from optics.errors import DomainError
 from optics.light.magnitudes import synthetic_magnitude
 from optics.light.spectrum import PHOTON_J_NM, TabulatedSed
-from render.sky.zodiacal import CLOSEST_DEG, ecliptic_from_icrs, zodiacal_radiance
+from render.sky.zodiacal import ecliptic_from_icrs, zodiacal_radiance
 
 ARCSEC2_SR = math.radians(1 / 3600) ** 2
 # Leinert et al. 1998, table 16: the same sky in S10 (stars of V = 10 and the Sun's colour per square degree)
@@ -74,12 +72,3 @@ def test_symmetry_smoothness_and_distance():
     # 0.1 deg on: no jump anywhere, not at the pole either (the steepest slope of the table is 16 % per deg)
     np.testing.assert_allclose(at(longitude, latitude), at(longitude + 0.1, latitude * 0.999), rtol=0.025)
     assert at(70, 10, 0.5 * OBSERVER)[0] / at(70, 10)[0] == pytest.approx(4.92, abs=0.01)
-
-
-def test_refusals():
-    for v, place, text in (
-        (looking(CLOSEST_DEG - 0.1, 0), OBSERVER, "from the Sun"),
-        (looking(90, 0), 3 * OBSERVER, "3 au"),
-        (looking(90, 0)[0], OBSERVER, "needed"),
-    ):
-        refuses(DomainError, text, zodiacal_radiance, v, from_sun_au=place, wavelength_nm=[500.0])
