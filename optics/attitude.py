@@ -44,8 +44,8 @@ def attitude_from_angles(ra_deg: ArrayLike, dec_deg: ArrayLike, roll_deg: ArrayL
     if dec.size and float(np.abs(dec).max()) > 90.0:
         raise DomainError(f"declination {float(dec.flat[np.abs(dec).argmax()]):g} deg is outside -90 ... 90 deg")
     boresight, north, east = _triad(ra * DEG_RAD, dec * DEG_RAD)
-    turn = (roll * DEG_RAD)[..., None]
-    up = np.cos(turn) * north + np.sin(turn) * east
+    angle = (roll * DEG_RAD)[..., None]
+    up = np.cos(angle) * north + np.sin(angle) * east
     return Rotation.from_matrix(np.stack([np.cross(boresight, up), -up, boresight], axis=-2))
 
 
@@ -67,13 +67,13 @@ def angles_from_attitude(attitude: Rotation) -> tuple[float, float, float]:
     dec = np.arctan2(boresight[2], np.hypot(boresight[0], boresight[1]))
     _, north, east = _triad(ra, dec)
     roll = np.arctan2(-down @ east, -down @ north)
-    return _turn(float(ra * RAD_DEG)), float(dec * RAD_DEG), _turn(float(roll * RAD_DEG))
+    return _wrapped_deg(float(ra * RAD_DEG)), float(dec * RAD_DEG), _wrapped_deg(float(roll * RAD_DEG))
 
 
-def _turn(angle_deg: float) -> float:
-    """The same angle from 0 to below 360; the rest of a tiny negative one rounds to 360."""
-    rest = angle_deg % 360.0
-    return rest if rest < 360.0 else 0.0
+def _wrapped_deg(angle_deg: float) -> float:
+    """The same angle from 0 to below 360; a tiny negative one modulo 360 rounds to 360."""
+    wrapped = angle_deg % 360.0
+    return wrapped if wrapped < 360.0 else 0.0
 
 
 def quat_xyzw(attitude: Rotation) -> FloatArray:
@@ -104,6 +104,6 @@ def attitude_error_arcsec(estimated: Rotation, truth: Rotation) -> FloatArray:
     Returns
     -------
     (3,) or (f, 3)
-        Errors about cam x, y (across the boresight) and z (roll) [arcsec]; report x, y and z apart.
+        Errors about cam x, y (cross-boresight) and z (roll) [arcsec].
     """
     return np.asarray((estimated * truth.inv()).as_rotvec() * RAD_ARCSEC)

@@ -83,10 +83,7 @@ def star_direction(d_lens: ArrayLike) -> FloatArray:
 
 
 def pixel_from_lens(x_mm: ArrayLike, y_mm: ArrayLike, *, pitch_mm: float, size_px: tuple[int, int]) -> Pair:
-    """Pixel (column, row) of points of the image plane.
-
-    Shapes: ``size_px`` (int, int).
-    """
+    """Pixel (column, row) of points of the image plane, of an image of ``size_px`` (width, height)."""
     width, height = size_px
     column = (width - 1) / 2 + np.asarray(x_mm, float) / pitch_mm
     return column, (height - 1) / 2 - np.asarray(y_mm, float) / pitch_mm

@@ -20,23 +20,12 @@ def bracket(nodes: FloatArray, at: FloatArray) -> list[tuple[IntArray, FloatArra
 def bilinear(
     values: ArrayLike, knots: tuple[FloatArray, FloatArray], positions: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """Bilinear interpolation of a table, constant beyond its edges.
+    """Bilinear interpolation of a table (a, b), constant beyond its edges, at positions along rows and columns.
 
-    Parameters
-    ----------
-    values : (a, b)
-        Table.
-    knots : (a,), (b,)
-        Increasing positions of its rows and columns.
-    positions : (n,), (n,)
-        Where it is read along rows and columns.
-
-    Returns
-    -------
-    (n,)
-        Interpolated values.
+    Shapes: ``knots`` (a,) and (b,), increasing; ``positions`` (...) and (...), like the result.
     """
     from scipy.ndimage import map_coordinates  # here: every command would wait for it
 
-    steps = [np.interp(x, k, np.arange(len(k))) for x, k in zip(positions, knots, strict=True)]
-    return np.asarray(map_coordinates(np.asarray(values, np.float64), np.stack(steps), order=1, mode="nearest"))
+    index = np.stack([np.interp(x, k, np.arange(len(k))) for x, k in zip(positions, knots, strict=True)])
+    flat = map_coordinates(np.asarray(values, np.float64), index.reshape(2, -1), order=1, mode="nearest")
+    return np.asarray(flat).reshape(index.shape[1:])

@@ -1,4 +1,4 @@
-"""Stellar aberration: directions of stars as a moving observer sees them."""
+"""Stellar aberration: apparent directions of stars for a moving observer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from optics.errors import DomainError
 
 
 def aberrated(direction: ArrayLike, velocity_km_per_s: ArrayLike) -> FloatArray:
-    """Directions (n, 3) seen by an observer of velocity (3,); the opposite velocity gives the inverse.
+    """Apparent directions (n, 3) for an observer of velocity (3,); the opposite velocity gives the inverse.
 
     The exact formula of special relativity: S. A. Klioner, AJ 125, 1580 (2003), eq. 10. `DomainError` from the speed of
     light on.
@@ -28,5 +28,5 @@ def aberrated(direction: ArrayLike, velocity_km_per_s: ArrayLike) -> FloatArray:
         )
     inverse_gamma = math.sqrt(1.0 - float(beta @ beta))
     along = r @ beta
-    seen = inverse_gamma * r + (1.0 + along / (1.0 + inverse_gamma))[:, None] * beta
-    return np.asarray(seen / np.sqrt(np.einsum("ij,ij->i", seen, seen))[:, None])
+    apparent = inverse_gamma * r + (1.0 + along / (1.0 + inverse_gamma))[:, None] * beta
+    return np.asarray(apparent / np.sqrt(np.einsum("ij,ij->i", apparent, apparent))[:, None])

@@ -14,7 +14,7 @@ from optics.errors import DomainError, unknown_name
 from optics.frames import field_angles_deg
 from optics.glass.coating import Coating
 from optics.lens.system import LensSystem
-from optics.light.bsdf import ABg, HarveyShack, Particles, Together
+from optics.light.bsdf import ABg, HarveyShack, Particles, SummedScatter
 from optics.light.transmission import lens_transmission
 from optics.rays.chief_ray import chief_ray_points
 from optics.rays.entrance_pupil import EntrancePupil, entrance_pupil
@@ -64,7 +64,7 @@ class FarLight:
         return min(self.saturated_e, 2e4 * self.ends_e)
 
 
-ScatterLaw = HarveyShack | ABg | Particles | Together
+ScatterLaw = HarveyShack | ABg | Particles | SummedScatter
 """Angular law of light that is scattered."""
 MOST_SCATTERED = 0.5
 
@@ -96,7 +96,7 @@ class Camera:
         axial loss holds for all rays.
     far : FarLight or None
         Extent of diffraction images of bright stars; None: all end at their stamps.
-    scatter : HarveyShack, ABg, Particles, Together or None
+    scatter : HarveyShack, ABg, Particles, SummedScatter or None
         Scatter law of the whole lens, over differences of sines from the star; the light of the halos is taken from the
         stars' cores. None: no scatter.
     blind_columns_px : tuple of (int, int)

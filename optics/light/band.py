@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
-from optics.records import freeze
+from optics.records import freeze_alike
 from optics.response import Curve
 
 
@@ -53,12 +53,12 @@ class TopHat:
     width_nm : float
         Full width at half maximum [nm].
     edge_nm : float
-        Length of each edge, from no transmission to the top [nm]; 0.8 of it lies between 10 % and 90 %, the way makers
-        state an edge. 0 is a step.
+        Length of each edge, from no transmission to the top [nm]; 0.8 of it lies between 10 % and 90 %, the usual
+        specification of an edge. 0 is a step.
     peak : float
         Transmission of the top, above 0, at most 1.
     name : str
-        Left out, it is made of centre and width.
+        Centre and width if left out.
 
     Raises
     ------
@@ -75,17 +75,17 @@ class TopHat:
     def __post_init__(self) -> None:
         if not self.name:
             object.__setattr__(self, "name", f"{self.centre_nm:g}/{self.width_nm:g}")
-        what = f"band {self.name!r}"
+        title = f"band {self.name!r}"
         if not (math.isfinite(self.centre_nm) and math.isfinite(self.width_nm) and self.width_nm > 0.0):
             raise DomainError(
-                f"{what}: centre {self.centre_nm:g} nm, width {self.width_nm:g} nm; a positive width is needed"
+                f"{title}: centre {self.centre_nm:g} nm, width {self.width_nm:g} nm; a positive width is needed"
             )
         if not 0.0 <= self.edge_nm <= self.width_nm:
-            raise DomainError(f"{what}: edge {self.edge_nm:g} nm is outside 0 ... {self.width_nm:g} nm, its width")
+            raise DomainError(f"{title}: edge {self.edge_nm:g} nm is outside 0 ... {self.width_nm:g} nm, its width")
         if not 0.0 < self.peak <= 1.0:
-            raise DomainError(f"{what}: peak transmission {self.peak:g} is outside 0 ... 1 (0 excluded)")
+            raise DomainError(f"{title}: peak transmission {self.peak:g} is outside 0 ... 1 (0 excluded)")
         if not self.centre_nm - 0.5 * (self.width_nm + self.edge_nm) > 0.0:
-            raise DomainError(f"{what}: it reaches below 0 nm; raise the centre or narrow the band")
+            raise DomainError(f"{title}: it reaches below 0 nm; raise the centre or narrow the band")
 
     @property
     def breakpoints_nm(self) -> FloatArray:
@@ -152,15 +152,11 @@ class BandNodes:
     transmission: FloatArray  # (b, k) Transmission of the filter at the nodes
 
     def __post_init__(self) -> None:
-        sizes = {"b": len(self.name)}
-        for field in ("wavelength_nm", "weight_nm", "transmission"):
-            freeze(self, field, shape=("b", "k"), sizes=sizes)
+        shape = (len(self.name), "k")
+        freeze_alike(self, "wavelength_nm", "weight_nm", "transmission", shape=shape)
 
     def integrate(self, values: ArrayLike) -> FloatArray:
-        """Integral over each band of values at the nodes.
-
-        Shapes: ``values`` (..., b, k).
-        """
+        """Integral over each band of values (..., b, k) at the nodes."""
         return np.asarray((np.asarray(values) * self.weight_nm * self.transmission).sum(axis=-1))
 
 
@@ -212,7 +208,7 @@ def piecewise_nodes(edges_nm: FloatArray, order: int) -> tuple[FloatArray, Float
 
 
 def _gauss_of_curve(band: Band, count: int) -> tuple[FloatArray, FloatArray]:
-    """Gaussian rule whose weight function is the transmission; the weights handed back are divided by it."""
+    """Gaussian rule whose weight function is the transmission; the weights are divided by it."""
     edges = band.breakpoints_nm
     # the curve is linear on a piece, so `count + 1` points make the discrete measure exact for degree 2 count
     wave, weight = piecewise_nodes(edges, count + 1)
@@ -220,20 +216,20 @@ def _gauss_of_curve(band: Band, count: int) -> tuple[FloatArray, FloatArray]:
     centre, half = 0.5 * (edges[0] + edges[-1]), 0.5 * (edges[-1] - edges[0])
     x = (wave - centre) / half
     alpha, beta = np.zeros(count), np.zeros(count)
-    before, now, norm_before = np.zeros_like(x), np.ones_like(x), 1.0
+    previous, polynomial, previous_norm = np.zeros_like(x), np.ones_like(x), 1.0
     for j in range(count):
-        norm = float(mass @ (now * now))
-        alpha[j] = float(mass @ (x * now * now)) / norm
-        beta[j] = norm / norm_before if j else norm
-        before, now = now, (x - alpha[j]) * now - (beta[j] if j else 0.0) * before
-        norm_before = norm
+        norm = float(mass @ (polynomial * polynomial))
+        alpha[j] = float(mass @ (x * polynomial * polynomial)) / norm
+        beta[j] = norm / previous_norm if j else norm
+        previous, polynomial = polynomial, (x - alpha[j]) * polynomial - (beta[j] if j else 0.0) * previous
+        previous_norm = norm
     jacobi = np.diag(alpha) + np.diag(np.sqrt(beta[1:]), 1) + np.diag(np.sqrt(beta[1:]), -1)
     nodes, vectors = np.linalg.eigh(jacobi)
-    at = centre + half * nodes
-    transmission = band.transmission(at)
+    node_nm = centre + half * nodes
+    transmission = band.transmission(node_nm)
     if not (transmission > 0.0).all():
-        gap = at[np.argmin(transmission)]
+        gap = node_nm[np.argmin(transmission)]
         raise DomainError(
             f"band {band.name!r} is opaque at {gap:g} nm, where one of {count} nodes falls; split it in two bands"
         )
-    return at, mass.sum() * vectors[0] ** 2 / transmission
+    return node_nm, mass.sum() * vectors[0] ** 2 / transmission

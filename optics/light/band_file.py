@@ -1,4 +1,4 @@
-"""Filter curves from CSV files, as makers and spectrophotometers write them."""
+"""Filter curves from CSV files of filter makers and spectrophotometers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from optics.response import check_table
 from optics.textfile import read_text, two_columns
 
 BLOCKED_FRACTION = 1e-3
-"""Of the peak: tails below it are left out, or a curve of a blocked filter would be light at all wavelengths."""
+"""Of the peak: tails below it are left out; the curve of a blocked filter would transmit at all wavelengths."""
 NOISE_FRACTION = 0.005
 """Readings down to minus this are the noise of a spectrophotometer at zero."""
 _COLUMNS = {
@@ -49,15 +49,14 @@ def load_band(path: str | Path, name: str = "") -> TabulatedBand:
     value = np.where((value < 0.0) & (value >= -NOISE_FRACTION), 0.0, value)
     check_table(wave, value, shown, upper=1.0)
     lit = np.flatnonzero(value >= BLOCKED_FRACTION * value.max())
+    inside = (np.arange(len(wave)) >= lit[0]) & (np.arange(len(wave)) <= lit[-1])
+    value = np.where(inside, value, 0.0)
     part = slice(max(int(lit[0]) - 1, 0), int(lit[-1]) + 2)
-    outside = np.ones(len(wave), bool)
-    outside[lit[0] : lit[-1] + 1] = False
-    value = np.where(outside, 0.0, value)
     return TabulatedBand(name=name or Path(path).stem, source=shown, wavelength_nm=wave[part], value=value[part])
 
 
 def _table(lines: Sequence[str], shown: str) -> tuple[FloatArray, float]:
-    """Rows (n, 2), and what the second column is multiplied with."""
+    """Rows (n, 2), and the factor of the second column."""
     head, rows = two_columns(lines, shown, "a wavelength and a value")
     scales = [_scale(cells, f"{shown}, line {number}") for number, cells in head]
     if len(rows) < 2:
@@ -66,7 +65,7 @@ def _table(lines: Sequence[str], shown: str) -> tuple[FloatArray, float]:
 
 
 def _scale(cells: list[str], where: str) -> float:
-    """Factor of the column of a header; a header is words, and percent has to be called so."""
+    """Factor of the second column by its header; percent has to be named."""
     words = [cell.strip("\"'").lower() for cell in cells]
     if len(words) > 1 and words[1] in _COLUMNS:
         return _COLUMNS[words[1]]

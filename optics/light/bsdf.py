@@ -1,4 +1,4 @@
-r"""Total integrated scatter (TIS) of surfaces by roughness and by dust, and its angular law.
+r"""BSDF of surfaces and their total integrated scatter (TIS): roughness and dust.
 
 Design programs use the same letters for different quantities; here (Stover, *Optical Scattering*, 3rd ed.; Pfisterer,
 "Approximated scatter models for stray light analysis", Optics & Photonics News 22 (10), 16, 2011), with
@@ -44,7 +44,7 @@ def roughness_tis(
     n_after: ArrayLike,
     cos_incidence: ArrayLike = 1.0,
 ) -> FloatArray:
-    r"""Share of the light that a smooth surface scatters, :math:`(2 \pi \sigma (n' \cos i' - n \cos i) / \lambda)^2`.
+    r"""TIS of a smooth surface, :math:`(2 \pi \sigma (n' \cos i' - n \cos i) / \lambda)^2`.
 
     ``sigma_nm`` is the RMS roughness in the band of spatial frequencies that scatter; ``n_after = -n_before`` is a
     mirror. All broadcast. `DomainError` above 0.3, where the law no longer holds.
@@ -55,14 +55,14 @@ def roughness_tis(
     if (sigma < 0.0).any() or (wave <= 0.0).any():
         raise DomainError("roughness must not be negative [nm], and wavelengths be positive [nm]")
     behind = np.sign(n2) * np.sqrt(np.maximum(n2**2 - n1**2 * (1.0 - cosine**2), 0.0))
-    share = np.asarray((2.0 * np.pi * sigma * (behind - n1 * cosine) / wave) ** 2)
-    if (share > 0.3).any():
-        raise DomainError(f"a surface that scatters {share.max():.3g} of the light is not smooth; at most 0.3")
-    return share
+    tis = np.asarray((2.0 * np.pi * sigma * (behind - n1 * cosine) / wave) ** 2)
+    if (tis > 0.3).any():
+        raise DomainError(f"a surface that scatters {tis.max():.3g} of the light is not smooth; at most 0.3")
+    return tis
 
 
 def lens_scatter(lens: Any, sigma_nm: float, wavelength_nm: float) -> float:
-    """Share of the light along the axis that the surfaces of a `LensSystem` scatter, all equally rough."""
+    """Fraction of the light along the axis that the surfaces of a `LensSystem` scatter, all equally rough."""
     lens.check_surfaces()
     index = lens.indices(wavelength_nm)
     sign = np.array([-1.0 if surface.mirror else 1.0 for surface in lens.surfaces])
@@ -89,8 +89,8 @@ class HarveyShack:
     def tis(self) -> float:
         """2 pi b0 l^2 [(1 + 1 / l^2)^(s / 2 + 1) - 1] / (s + 2), for s = -2 its limit."""
         power, log = 0.5 * self.slope + 1.0, math.log1p(self.shoulder**-2)
-        grown = log if power == 0.0 else math.expm1(power * log) / power
-        return math.pi * self.b0 * self.shoulder**2 * grown
+        integral = log if power == 0.0 else math.expm1(power * log) / power
+        return math.pi * self.b0 * self.shoulder**2 * integral
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,12 +111,12 @@ class ABg:
     @property
     def tis(self) -> float:
         """pi A / B 2F1(1, 2 / g; 1 + 2 / g; -1 / B); pi A ln(1 + 1 / B) for g = 2."""
-        share = 2.0 / self.g
-        return float(math.pi * self.a / self.b * hyp2f1(1.0, share, 1.0 + share, -1.0 / self.b))
+        order = 2.0 / self.g
+        return float(math.pi * self.a / self.b * hyp2f1(1.0, order, 1.0 + order, -1.0 / self.b))
 
 
 def polished(tis: float, shoulder: float, slope: float) -> HarveyShack:
-    """The Harvey-Shack law of a surface that scatters a share ``tis`` of its light."""
+    """The Harvey-Shack law of a surface that scatters a fraction ``tis`` of its light."""
     unit = HarveyShack(b0=1.0, shoulder=shoulder, slope=slope)
     return HarveyShack(b0=tis / unit.tis, shoulder=shoulder, slope=slope)
 
@@ -136,23 +136,23 @@ def particles_per_mm2(level: float, size_um: ArrayLike) -> FloatArray:
 
 
 def area_coverage(level: float) -> float:
-    r"""Share of a surface that particles of a cleanliness level cover; twice that is the light removed from the beam.
+    r"""Fraction of a surface covered by particles of a cleanliness level; twice that is lost from the beam.
 
     The integral of the distribution over disks as wide as the particles from 1 um to the level L [um], 1 to 5000, with
     :math:`a = 0.926 / \ln 10`, :math:`u = \ln x`:
 
     .. math:: \int_0^U \frac{\pi}{4} e^{2 u} \, 2 a u \, e^{a (U^2 - u^2)} \, du
 
-    Fibres cover less than disks of the same diameter. One particle, the largest, remains and is counted as well.
+    Fibres cover less than disks of the same diameter. The largest particle is a separate term.
     """
-    counted = float(particles_per_mm2(level, 1.0))
+    count = float(particles_per_mm2(level, 1.0))
     a, end = SLOPE / math.log(10.0), math.log(level)
     centre, root = 1.0 / a, math.sqrt(a)
     # e^(2u - a u^2) = e^(1/a) e^(-a (u - 1/a)^2); by parts 2 a u e^(2u - a u^2) = 2 e^(...) - d/du e^(...)
     area = math.exp(centre) * math.sqrt(math.pi) / root * (erf(root * (end - centre)) + erf(root * centre))
     area -= math.exp(2.0 * end - a * end**2) - 1.0
     largest = math.exp(2.0 * end) / REFERENCE_MM2
-    return float(0.25 * math.pi * 1e-6 * (counted * area + largest))
+    return float(0.25 * math.pi * 1e-6 * (count * area + largest))
 
 
 SIZES = 400
@@ -161,7 +161,7 @@ SIZES = 400
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Particles:
-    r"""Angular law of dust: opaque disks that diffract and scatter a share of the intercepted light forwards.
+    r"""Angular law of dust: opaque disks that diffract and scatter a fraction of the intercepted light forwards.
 
     .. math:: \int n(D) \left( \frac{\pi D^2}{4 \lambda} \right)^2 \left( \frac{2 J_1(x)}{x} \right)^2 dD
               + \frac{g\, C}{\pi}, \qquad x = \pi D \Delta\beta / \lambda
@@ -171,7 +171,7 @@ class Particles:
 
     level: float  # Cleanliness level (IEST-STD-CC1246) [um], 1 to 5000
     wavelength_nm: float
-    # g, share of the intercepted light that goes on, like that of a Lambertian sheet: an assumption
+    # g, fraction of the intercepted light that is scattered forwards as by a Lambertian sheet: an assumption
     forward: float = 0.5
 
     def __post_init__(self) -> None:
@@ -185,30 +185,29 @@ class Particles:
         delta = np.abs(np.asarray(sine_difference, dtype=np.float64))
         edges = np.geomspace(1.0, max(self.level, 1.0), SIZES + 1)
         counts = particles_per_mm2(self.level, edges)
-        share = np.append(counts[:-1] - counts[1:], counts[-1])  # what is left at the end is the largest size
+        number = np.append(counts[:-1] - counts[1:], counts[-1])  # the last one is the largest size
         size_mm = 1e-3 * np.append(np.sqrt(edges[:-1] * edges[1:]), edges[-1])
         wave_mm = 1e-6 * self.wavelength_nm
-        peak = share * (0.25 * math.pi * size_mm**2 / wave_mm) ** 2
+        peak = number * (0.25 * math.pi * size_mm**2 / wave_mm) ** 2
         knots = np.concatenate([[0.0], np.geomspace(1e-7, 4.0, 1200)])
         x = np.maximum(math.pi * size_mm * knots[:, None] / wave_mm, 1e-9)
         # beyond the second ring the mean of the rings: J1^2 -> 1 / (pi x)
         airy = np.where(x < 7.0156, (2.0 * j1(x) / x) ** 2, 4.0 / (math.pi * x**3))
-        law = np.log(airy @ peak)
-        diffracted = np.exp(np.interp(np.log(np.maximum(delta, 1e-7)), np.log(np.maximum(knots[1:], 1e-7)), law[1:]))
-        return np.asarray(np.where(delta < 1e-7, math.exp(law[0]), diffracted) + self.forward * self._area / math.pi)
-
-    @property
-    def _area(self) -> float:
-        return area_coverage(self.level)
+        log_bsdf = np.log(airy @ peak)
+        diffracted = np.exp(
+            np.interp(np.log(np.maximum(delta, 1e-7)), np.log(np.maximum(knots[1:], 1e-7)), log_bsdf[1:])
+        )
+        diffracted = np.where(delta < 1e-7, math.exp(log_bsdf[0]), diffracted)
+        return np.asarray(diffracted + self.forward * area_coverage(self.level) / math.pi)
 
     @property
     def tis(self) -> float:
         """Scattered in all, (1 + g) C; the covered fraction C is lost from the beam in addition to diffracted light."""
-        return (1.0 + self.forward) * self._area
+        return (1.0 + self.forward) * area_coverage(self.level)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Together:
+class SummedScatter:
     """Laws of many surfaces in sequence; small scatter adds up."""
 
     laws: tuple[HarveyShack | ABg | Particles, ...]

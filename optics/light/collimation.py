@@ -23,8 +23,8 @@ class Collimation:
     """Error of collimated light against wavelength, the same for all points of a target; b bands, k wavelengths."""
 
     wavelength_nm: FloatArray  # (b, k) Increasing in each band; linear in between, constant beyond
-    # (b, k, 2) By how much the direction towards a source is turned, along X and Y of cam: a wedge, air,
-    # decollimation beside the axis of the beam
+    # (b, k, 2) Deviation of the direction towards a source along X and Y of cam: a wedge, air, decollimation off the
+    # axis of the beam
     slope_rad: FloatArray
     # (b, k) Reciprocal distance from the launch disk of the camera to the source; positive where light diverges
     vergence_per_mm: FloatArray
@@ -38,12 +38,9 @@ class Collimation:
 
     def at(self, wavelength_nm: FloatArray) -> FloatArray:
         """Slopes along X and Y [rad] and vergence [1/mm] (b, m, 3) at other wavelengths (b, m) of the same bands."""
-        parts = np.concatenate([self.slope_rad, self.vergence_per_mm[..., None]], axis=2)
-        found = np.empty((*wavelength_nm.shape, 3))
-        for band, (known, values) in enumerate(zip(self.wavelength_nm, parts, strict=True)):
-            for part in range(3):
-                found[band, :, part] = np.interp(wavelength_nm[band], known, values[:, part])
-        return found
+        values = np.concatenate([self.slope_rad, self.vergence_per_mm[..., None]], axis=2)
+        bands = zip(wavelength_nm, self.wavelength_nm, values, strict=True)
+        return np.array([np.stack([np.interp(x, knots, v) for v in value.T], axis=-1) for x, knots, value in bands])
 
 
 def wedge_deviation_rad(
@@ -55,7 +52,7 @@ def wedge_deviation_rad(
 
 
 def air_deviation_rad(path_m: float, wavelength_nm: FloatArray, environment: Environment) -> FloatArray:
-    """Angle by which a source seems to move towards the warm side, per 1 K/m across the path: path times -dn/dT."""
+    """Apparent angle of a source towards the warm side, per 1 K/m across the path: path times -dn/dT."""
     cold, warm = (
         air_index(wavelength_nm, environment.temperature_c + kelvin, environment.pressure_hpa)
         for kelvin in (-AIR_STEP_K, AIR_STEP_K)
@@ -66,9 +63,8 @@ def air_deviation_rad(path_m: float, wavelength_nm: FloatArray, environment: Env
 def decollimated(light: tuple[Any, Any, Any], x_mm: Any, y_mm: Any, error: tuple[Any, Any, Any], sqrt: Any) -> Any:
     """Unit vectors of rays through points of the launch disk for imperfectly collimated light.
 
-    Exact for a point source at a finite distance; written once for NumPy and Dr.Jit.
-
-    Shapes: ``light`` (dx, dy, dz), ``error`` (slope along X_cam, slope along Y_cam, vergence).
+    Exact for a point source at a finite distance; written once for NumPy and Dr.Jit. ``light`` are direction cosines
+    (dx, dy, dz) of collimated light, ``error`` is (slope along X_cam, slope along Y_cam, vergence).
     """
     slope_x, slope_y, vergence = error
     dx = light[0] + slope_x + vergence * x_mm

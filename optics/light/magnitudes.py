@@ -38,12 +38,12 @@ _GAIA_PUPIL_MM2 = 0.7278e6
 class MagnitudeSystem:
     """A magnitude scale."""
 
-    name: str  # Its name and where passband and zero point come from
-    source: str
+    name: str
+    source: str  # Of passband and zero point
     band: TabulatedBand  # Passband
     detects: Literal["energy", "photon"]  # What the passband responds to
-    scale: float  # What turns the integral (of W or photons s^-1 mm^-2) into the number whose logarithm is taken
-    zero_point: float  # Magnitude of a source for which that number is 1
+    scale: float  # Factor from the integral (W or photons s^-1 mm^-2) to the argument of the logarithm
+    zero_point: float  # Magnitude of a source for which the argument is 1
 
 
 def _band(file: str, name: str, source: str) -> TabulatedBand:
@@ -58,15 +58,13 @@ def magnitude_system(name: str) -> MagnitudeSystem:
     if name == "V":
         source = "passband: Bessell, PASP 102, 1181 (1990); zero point: Bessell, Castelli, Plez, A&A 333, 231 (1998)"
         band = _band("johnson_v_bessell1990.csv", "V", source)
-        width = band_integral(band, np.ones_like)
-        return MagnitudeSystem(
-            name=name, source=source, band=band, detects="energy", scale=_ERG_S_CM2_A / width, zero_point=-21.100
-        )
+        scale = _ERG_S_CM2_A / band_integral(band, np.ones_like)
+        return MagnitudeSystem(name=name, source=source, band=band, detects="energy", scale=scale, zero_point=-21.100)
     if name == "G":
         source = "Riello et al., A&A 649, A3 (2021), GaiaEDR3_passbands_zeropoints_version2 (ESA/Gaia/DPAC)"
-        band = _band("gaia_g_dr3.csv", "G", source)
+        band, zero_point = _band("gaia_g_dr3.csv", "G", source), 25.6873668671
         return MagnitudeSystem(
-            name=name, source=source, band=band, detects="photon", scale=_GAIA_PUPIL_MM2, zero_point=25.6873668671
+            name=name, source=source, band=band, detects="photon", scale=_GAIA_PUPIL_MM2, zero_point=zero_point
         )
     raise unknown_name("magnitude system", name, ("V", "G"))
 
@@ -87,7 +85,7 @@ def _fine_nodes(band: Band, breakpoints_nm: FloatArray, order: int) -> tuple[Flo
     return wave, weight * band.transmission(wave)
 
 
-def _covered(sed: Sed, system: MagnitudeSystem) -> None:
+def _check_covered(sed: Sed, system: MagnitudeSystem) -> None:
     low, high = sed.range_nm
     first, last = system.band.breakpoints_nm[[0, -1]]
     if low > first or high < last:
@@ -120,7 +118,7 @@ def synthetic_magnitude(sed: Sed, *, system: str = "V") -> float:
         The spectrum does not cover the passband, or has no light in it.
     """
     scale = magnitude_system(system)
-    _covered(sed, scale)
+    _check_covered(sed, scale)
     wave, weight = _fine_nodes(scale.band, sed.breakpoints_nm, 4)
     photons = sed.photon_density(wave)
     signal = float((photons * PHOTON_J_NM / wave if scale.detects == "energy" else photons) @ weight)
@@ -167,9 +165,6 @@ def photon_rate(sed: Sed, magnitude: ArrayLike, *, wavelength_nm: ArrayLike, sys
 
 
 def band_photon_rate(sed: Sed, magnitude: ArrayLike, bands: Sequence[Band], *, system: str = "V") -> FloatArray:
-    """Photons that pass each filter, integrated over all of its pieces.
-
-    Shapes: ``bands`` (b,).
-    """
+    """Photons s^-1 mm^-2 (..., b) that pass each of b filters, integrated over all of its pieces."""
     rates = [band_integral(band, sed.photon_density, breakpoints_nm=sed.breakpoints_nm, order=8) for band in bands]
     return np.multiply.outer(_brightening(sed, magnitude, system), np.array(rates))

@@ -7,7 +7,6 @@ direct image of the source is excluded.
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,12 +16,13 @@ from numpy.typing import ArrayLike
 from optics.arrays import FloatArray
 from optics.errors import ConfigError, DomainError
 from optics.frames import polar_direction
+from optics.interpolation import bilinear
 from optics.records import freeze
 
 FLOOR = 1e-30
 """Value in place of zero light where logarithms are taken."""
 FINE = 4000
-"""Angles between which a value is looked up."""
+"""Angles of the grid on which a value is searched."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,20 +37,20 @@ class PointSourceTransmittance:
     azimuth_deg: FloatArray  # (z,) Increasing, 0 ... 90, from columns towards rows
     causes: tuple[str, ...]  # Names of the c parts
     value: FloatArray  # (c, z, a) PST of each part
-    error: FloatArray  # (c, z, a) Standard errors, which count as independent
-    source: str = ""  # Where the table comes from
+    error: FloatArray  # (c, z, a) Standard errors, independent of each other
+    source: str = ""  # Origin of the table
 
     def __post_init__(self) -> None:
         sizes = {"c": len(self.causes)}
         angle = freeze(self, "angle_deg", shape=("a",), sizes=sizes)
         azimuth = freeze(self, "azimuth_deg", shape=("z",), sizes=sizes)
-        for name, one, low in (("angle", angle, 0.0), ("azimuth", azimuth, -1e-12)):
-            if not len(one) or one[0] <= low or one[-1] > 90.0 or (np.diff(one) <= 0.0).any():
-                raise DomainError(f"PST: {name}s must increase within 0 ... 90 deg; they are {one.tolist()}")
+        for name, grid, low in (("angle", angle, 0.0), ("azimuth", azimuth, -1e-12)):
+            if not len(grid) or grid[0] <= low or grid[-1] > 90.0 or (np.diff(grid) <= 0.0).any():
+                raise DomainError(f"PST: {name}s must increase within 0 ... 90 deg; they are {grid.tolist()}")
         for name in ("value", "error"):
-            one = freeze(self, name, shape=("c", "z", "a"), sizes=sizes)
-            if (one < 0.0).any():
-                raise DomainError(f"PST: {name} of {one.min():g}; it must not be negative")
+            table = freeze(self, name, shape=("c", "z", "a"), sizes=sizes)
+            if (table < 0.0).any():
+                raise DomainError(f"PST: {name} of {table.min():g}; it must not be negative")
 
     def only(self, cause: str) -> PointSourceTransmittance:
         """The table of one cause."""
@@ -76,15 +76,10 @@ class PointSourceTransmittance:
         v = np.asarray(v_cam, dtype=np.float64)
         angle = np.degrees(np.arctan2(np.hypot(v[..., 0], v[..., 1]), v[..., 2]))
         azimuth = np.degrees(np.arctan2(np.abs(v[..., 1]), np.abs(v[..., 0])))
-        log = np.log(np.maximum(self.total, FLOOR))
-        place = np.log(np.maximum(angle, self.angle_deg[0]))
-        rows = np.stack([np.interp(place, np.log(self.angle_deg), row) for row in log])
-        number = np.interp(azimuth, self.azimuth_deg, np.arange(len(self.azimuth_deg)))
-        below = np.minimum(number.astype(int), len(rows) - 1)
-        above, share = np.minimum(below + 1, len(rows) - 1), number - below
-        lower, upper = (np.take_along_axis(rows, at[None], axis=0)[0] for at in (below, above))
-        found = np.exp((1.0 - share) * lower + share * upper)
-        return np.where((angle > 90.0) | (found <= 2.0 * FLOOR), 0.0, found)
+        knots = self.azimuth_deg, np.log(self.angle_deg)
+        position = azimuth, np.log(np.maximum(angle, self.angle_deg[0]))
+        value = np.exp(bilinear(np.log(np.maximum(self.total, FLOOR)), knots, position))
+        return np.where((angle > 90.0) | (value <= 2.0 * FLOOR), 0.0, value)
 
     def last_angle_deg(self, value: ArrayLike) -> FloatArray:
         """Largest angles (...,) at which the total of the first azimuth reaches values (...,); 0: nowhere."""
@@ -127,7 +122,7 @@ def write_pst(path: str | Path, pst: PointSourceTransmittance) -> Path:
 
 
 def read_pst(path: str | Path) -> PointSourceTransmittance:
-    """Read a table of `write_pst`, or an own one.
+    """Read a table of `write_pst`, or one of the user.
 
     Parameters
     ----------
@@ -148,17 +143,18 @@ def read_pst(path: str | Path) -> PointSourceTransmittance:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read as a table of PST ({error})") from None
     plain = "\n".join(line for line in text.splitlines() if line.strip() and not line.startswith("#"))
-    head, _, rest = plain.partition("\n")
-    comma = "," in head
-    names = [name.strip().strip('"') for name in (head.split(",") if comma else head.split())]
+    head, _, body = plain.partition("\n")
+    delimiter = "," if "," in head else None
+    names = [name.strip().strip('"') for name in head.split(delimiter)]
     try:
-        table = np.loadtxt(io.StringIO(rest), delimiter="," if comma else None, ndmin=2)
+        table = np.loadtxt(io.StringIO(body), delimiter=delimiter, ndmin=2)
     except ValueError as error:
         raise ConfigError(f"{path}: not a table of numbers ({error})") from None
     if "angle_deg" not in names or table.shape[1:] != (len(names),) or not len(table):
         raise ConfigError(f"{path}: a PST table needs a header with angle_deg, and as many numbers in every row")
     columns = dict(zip(names, table.T, strict=True))
-    causes = _causes(names)
+    parts = [n for n in names if n not in ("angle_deg", "azimuth_deg") and not n.endswith("_error")]
+    causes = [name for name in parts if name != "total"] or parts
     if not causes:
         raise ConfigError(f"{path}: there is no PST column; at least one besides the angles is needed")
     azimuth = columns.get("azimuth_deg", np.zeros(len(table)))
@@ -168,17 +164,12 @@ def read_pst(path: str | Path) -> PointSourceTransmittance:
     if not full or not np.array_equal(columns["angle_deg"][order], np.tile(angles, len(azimuths))):
         raise ConfigError(f"{path}: every azimuth needs the same angles, each once")
     shape = (len(azimuths), len(angles))
-    none = np.zeros(len(table))
+    zero = np.zeros(len(table))
     return PointSourceTransmittance(
         angle_deg=angles,
         azimuth_deg=azimuths,
         causes=tuple(causes),
-        value=np.stack([columns[one][order].reshape(shape) for one in causes]),
-        error=np.stack([columns.get(f"{one}_error", none)[order].reshape(shape) for one in causes]),
+        value=np.stack([columns[cause][order].reshape(shape) for cause in causes]),
+        error=np.stack([columns.get(f"{cause}_error", zero)[order].reshape(shape) for cause in causes]),
         source=str(path),
     )
-
-
-def _causes(names: Sequence[str]) -> list[str]:
-    own = [n for n in names if n not in ("angle_deg", "azimuth_deg") and not n.endswith("_error")]
-    return [name for name in own if name != "total"] or own

@@ -23,13 +23,13 @@ from optics.response import Response
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Layout:
+class AxialLayout:
     """Surfaces and media along the axis."""
 
     media: tuple[Glass | None, ...]  # Medium behind each surface, None for air; in front of the first surface is air
-    thickness_mm: FloatArray  # (n,) Axial length of each of these media; that behind the last surface is not used
-    coatings: tuple[Coating | None, ...] = ()  # What is on each surface; None, or none at all: not stated
-    mirrors: tuple[bool, ...] = ()  # Whether it reflects; none at all: lenses only
+    thickness_mm: FloatArray  # (n,) Axial length of each of these media; behind the last surface it is not used
+    coatings: tuple[Coating | None, ...] = ()  # Of each surface; None, or an empty tuple: not stated
+    mirrors: tuple[bool, ...] = ()  # Whether each surface reflects; an empty tuple: lenses only
 
     def __post_init__(self) -> None:
         thickness = freeze(self, "thickness_mm", shape=("n",), sizes={"n": len(self.media)})
@@ -43,14 +43,14 @@ class Layout:
         return ((glass, float(thickness)) for glass, thickness in pairs if glass is not None)
 
 
-def axial_layout(lens: Any) -> Layout:
+def axial_layout(lens: Any) -> AxialLayout:
     """Axial layout of a `optics.lens.system.LensSystem`: distances between vertices, media by name."""
     try:
         vertices = np.array([surface.position_mm for surface in lens.surfaces] + [lens.image_position_mm])
         media = tuple(lens.glasses.get(surface.medium) for surface in lens.surfaces)
     except AttributeError:
         raise ConfigError(f"a lens or a layout is needed, got {type(lens).__name__}") from None
-    return Layout(
+    return AxialLayout(
         media=media,
         thickness_mm=np.linalg.norm(np.diff(vertices, axis=0), axis=1),
         coatings=tuple(surface.coating for surface in lens.surfaces),
@@ -65,8 +65,8 @@ def lens_transmission(
 
     Parameters
     ----------
-    lens : LensSystem or Layout
-        What light passes.
+    lens : LensSystem or AxialLayout
+        The lens.
     wavelength_nm : array_like
         Wavelengths [nm], any shape.
     coating : Coating, optional
@@ -90,20 +90,20 @@ def lens_transmission(
     throughput: Response | None = getattr(lens, "throughput", None)
     if throughput is not None:
         return throughput.interpolate(wavelength_nm)
-    layout = lens if isinstance(lens, Layout) else axial_layout(lens)
+    layout = lens if isinstance(lens, AxialLayout) else axial_layout(lens)
     wave = np.asarray(wavelength_nm, dtype=np.float64)
-    through = np.ones_like(wave)
+    transmission = np.ones_like(wave)
     before: Glass | None = None
     for number, after in enumerate(layout.media):
-        own = layout.coatings[number] if layout.coatings else None
+        stated = layout.coatings[number] if layout.coatings else None
         index = [1.0 if glass is None else glass.index(wave) for glass in (before, after)]
         if layout.mirrors and layout.mirrors[number]:
-            through = through if own is None else through * own.split(wave, *index).reflectance
+            transmission = transmission if stated is None else transmission * stated.split(wave, *index).reflectance
         elif before is not after:
             default = coating if before is None or after is None else None
-            through = through * (own or default or BARE).split(wave, *index).transmittance
+            transmission = transmission * (stated or default or BARE).split(wave, *index).transmittance
         before = after
     if absorption:
         for glass, thickness in layout.slabs:
-            through = through * glass.internal_transmittance(wave, thickness)
-    return through
+            transmission = transmission * glass.internal_transmittance(wave, thickness)
+    return transmission

@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
+from optics.field_map import polynomial_basis
 from optics.lens.sag_map import SagMap
 from optics.lens.system import LensSystem
 from optics.rays.trace import Rays, trace_path
@@ -23,13 +23,13 @@ from optics.waves.wavefront import PathMap
 
 ORDER = (12, 32)
 DEGREE = 7
-"""Of the polynomials that lead from the surface back to the pupil."""
+"""Of the polynomials from the surface to the pupil."""
 PROBE_MM = 1e-5
 POINTS = 129
 MARGIN = 1.3
 """Width of the map in footprints of the light on the axis, at least; the rims of the surface, if they are wider."""
 REACH = 1.04
-"""Radius of the pupil up to which a map is read; the beams of other fields that lie further out get what is there."""
+"""Radius of the pupil up to which a map is read; the beams of other fields that lie further out get its edge."""
 
 
 def with_wavefront(lens: LensSystem, error: PathMap) -> LensSystem:
@@ -51,7 +51,7 @@ def with_wavefront(lens: LensSystem, error: PathMap) -> LensSystem:
     Raises
     ------
     DomainError
-        No refracting or reflecting surface without a measured error of its own.
+        No refracting or reflecting surface without a measured error.
     """
     lens.check_surfaces()
     at = _surface(lens)
@@ -59,37 +59,39 @@ def with_wavefront(lens: LensSystem, error: PathMap) -> LensSystem:
     pupil = trace_pupil(lens, [0.0], [0.0], [wave], order=ORDER)
     raised = trace_pupil(_with_error(lens, at, np.full((5, 5), PROBE_MM), 1e5), [0.0], [0.0], [wave], order=ORDER)
     lit = (pupil.area_mm2[0, 0] > 0.0) & (raised.area_mm2[0, 0] > 0.0)
-    gain = (raised.path_to([[0.0]], [[0.0]]) - pupil.path_to([[0.0]], [[0.0]]))[0, 0][lit] / PROBE_MM
+    path_per_height = (raised.path_to([[0.0]], [[0.0]]) - pupil.path_to([[0.0]], [[0.0]]))[0, 0][lit] / PROBE_MM
     u, v = (p[lit] for p in pupil.unit_pupil((0, 0)))
-    foot = _footprint(lens, at, pupil)[:, lit]
-    radius = float(np.hypot(*foot).max())
+    footprint = _footprint(lens, at, pupil)[lit]
+    radius = float(np.linalg.norm(footprint, axis=1).max())
     rim = lens.surfaces[at].semi_diameter_mm
     width = 2.0 * max(MARGIN * radius, 1.01 * rim if np.isfinite(rim) else 0.0)
     side = np.linspace(-0.5 * width, 0.5 * width, POINTS)
-    x, y = np.meshgrid(side, side)
-    within = np.minimum(1.0, radius / np.maximum(np.hypot(x, y), 1e-300))  # polynomials hold on the footprint
-    back = _fitted(foot / radius, np.stack([u, v, gain]), x * within / radius, y * within / radius)
-    outward = np.maximum(1.0 / within, 1.0)
-    px, py = back[0] * outward, back[1] * outward
+    point = np.stack(np.meshgrid(side, side), axis=-1)
+    # polynomials hold on the footprint: points beyond are read on its edge, and their pupil coordinates scaled
+    within = np.minimum(1.0, radius / np.maximum(np.linalg.norm(point, axis=-1), 1e-300))
+    values = np.stack([u, v, path_per_height], axis=-1)
+    coefficients = np.linalg.lstsq(polynomial_basis(footprint / radius, DEGREE), values, rcond=None)[0]
+    px, py, gain = np.moveaxis(polynomial_basis(point * within[..., None] / radius, DEGREE) @ coefficients, -1, 0)
+    px, py = px / within, py / within
     end = min(REACH, *(abs(float(edge)) for grid in (error.x, error.y) for edge in (grid[0], grid[-1])))
     inside = np.minimum(1.0, end / np.maximum(np.hypot(px, py), 1e-300))
-    return _with_error(lens, at, 1e-6 * error(px * inside, py * inside) / back[2], width)
+    return _with_error(lens, at, 1e-6 * error(px * inside, py * inside) / gain, width)
 
 
 def _surface(lens: LensSystem) -> int:
-    """The surface next to the stop that turns light and has no measured error; of two as near, the later one."""
+    """The refracting or reflecting surface without measured error nearest to the stop; of two as near, the later."""
     index = lens.indices(np.array([lens.design_wavelength_nm]))[:, 0]
-    able = [
+    candidates = [
         i
         for i, surface in enumerate(lens.surfaces)
         if surface.error is None and (surface.mirror or abs(index[i + 1] - index[i]) > 1e-3)
     ]
-    if not able:
+    if not candidates:
         raise DomainError(
             f"lens {lens.name!r}: no surface can carry the measured wavefront error: it needs a change of index or "
             "a mirror, and no surface map yet"
         )
-    return min(able, key=lambda i: (abs(i - lens.stop_index), -i))
+    return min(candidates, key=lambda i: (abs(i - lens.stop_index), -i))
 
 
 def _with_error(lens: LensSystem, at: int, height_mm: FloatArray, width_mm: float) -> LensSystem:
@@ -99,7 +101,7 @@ def _with_error(lens: LensSystem, at: int, height_mm: FloatArray, width_mm: floa
 
 
 def _footprint(lens: LensSystem, at: int, pupil: PupilField) -> FloatArray:
-    """Where the rays of a pupil on the axis meet a surface, (2, rings, arms), in its own frame."""
+    """Intersections (rings, arms, 2) of the rays of a pupil on the axis with a surface, in its vertex frame."""
     surface = lens.surfaces[at]
     start = Rays.create(
         x_mm=pupil.pupil_x[0, 0],
@@ -109,13 +111,4 @@ def _footprint(lens: LensSystem, at: int, pupil: PupilField) -> FloatArray:
         wavelength_nm=lens.design_wavelength_nm,
     )
     point = trace_path(lens, start)[at + 1]
-    return np.moveaxis((point - surface.position_mm) @ surface.rotation, -1, 0)[:2]
-
-
-def _fitted(at: FloatArray, values: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Values (k, n) at points (2, n) of the unit disk, on other points of it by polynomials."""
-    some = np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1)) <= DEGREE
-    terms = legendre.legvander2d(at[0], at[1], [DEGREE, DEGREE])[:, some.ravel()]
-    found = np.zeros((len(values), DEGREE + 1, DEGREE + 1))
-    found[:, some] = np.linalg.lstsq(terms, values.T, rcond=None)[0].T
-    return np.stack([legendre.legval2d(x, y, one) for one in found])
+    return np.asarray((point - surface.position_mm) @ surface.rotation)[..., :2]

@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from optics.arrays import FloatArray
+from optics.arrays import BoolArray, FloatArray
 from optics.errors import DomainError
 from optics.frames import field_direction, light_direction
 from optics.lens.system import LensSystem
@@ -48,12 +49,12 @@ class PupilField:
 
     wavelength_nm: FloatArray  # (w,) Vacuum wavelengths
     index: FloatArray  # (w,) Refractive index of the image space
-    ring: FloatArray  # (rings,) Radii of the rings, parts of the radius of the pupil's rim
+    ring: FloatArray  # (rings,) Radii of the rings over the radius of the pupil's rim
     pupil_x: FloatArray  # (f, w, rings, arms) Launch points [mm]
     pupil_y: FloatArray  # (f, w, rings, arms)
-    # (f, w, rings, arms) Area of the launch plane that each ray stands for; 0 where no light passes
+    # (f, w, rings, arms) Area of the launch plane represented by each ray; 0 where no light passes
     area_mm2: FloatArray
-    x_mm: FloatArray  # (f, w, rings, arms) Where rays land
+    x_mm: FloatArray  # (f, w, rings, arms) Landing points
     y_mm: FloatArray  # (f, w, rings, arms)
     l: FloatArray  # noqa: E741
     m: FloatArray  # (f, w, rings, arms) Direction cosines there
@@ -62,12 +63,10 @@ class PupilField:
     jacobian: FloatArray  # (f, w, rings, arms) ``|d(l, m) / d(pupil)|`` [1/mm^2]
 
     def __post_init__(self) -> None:
+        shapes = dict.fromkeys(list(self.__dataclass_fields__)[3:], ("f", "w", "rings", "arms"))
         sizes: dict[str, int] = {}
-        for name in ("wavelength_nm", "index"):
-            freeze(self, name, shape=("w",), sizes=sizes)
-        freeze(self, "ring", shape=("rings",), sizes=sizes)
-        for name in list(self.__dataclass_fields__)[3:]:
-            freeze(self, name, shape=("f", "w", "rings", "arms"), sizes=sizes)
+        for name, shape in ({"wavelength_nm": ("w",), "index": ("w",), "ring": ("rings",)} | shapes).items():
+            freeze(self, name, shape=shape, sizes=sizes)
         aperture = float(np.hypot(self.l, self.m).max(initial=0.0))
         if aperture > LARGEST_APERTURE:
             raise DomainError(
@@ -90,14 +89,30 @@ class PupilField:
         with np.errstate(invalid="ignore"):
             return (self.area_mm2 * self.x_mm).sum((2, 3)) / light, (self.area_mm2 * self.y_mm).sum((2, 3)) / light
 
+    def centroid_mm(self, at: tuple[int, int]) -> tuple[float, float]:
+        """`mean_mm` of one field and wavelength."""
+        x, y = self.mean_mm
+        return float(x[at]), float(y[at])
+
+    def frequency_per_mm(self, at: tuple[int, int]) -> float:
+        """Index of the image space over the wavelength [1/mm]: spatial frequency per direction cosine."""
+        return float(self.index[at[1]]) / (float(self.wavelength_nm[at[1]]) * 1e-6)
+
+    def lit(self, at: tuple[int, int]) -> BoolArray:
+        """Rays (rings, arms) of one field and wavelength that carry light; `DomainError` if none does."""
+        lit = self.area_mm2[at] > 0.0
+        if not lit.any():
+            raise DomainError(f"field {at[0]}, wavelength {at[1]}: no light reaches the image plane")
+        return np.asarray(lit)
+
     def shifted(self, focus_mm: float) -> PupilField:
         """The same light in an image plane that lies further along the light."""
-        way = focus_mm / np.where(self.n > 0.0, self.n, 1.0)
+        length = focus_mm / np.where(self.n > 0.0, self.n, 1.0)
         return replace(
             self,
-            x_mm=self.x_mm + self.l * way,
-            y_mm=self.y_mm + self.m * way,
-            path_mm=self.path_mm + self.index[:, None, None] * way,
+            x_mm=self.x_mm + self.l * length,
+            y_mm=self.y_mm + self.m * length,
+            path_mm=self.path_mm + self.index[:, None, None] * length,
         )
 
     def with_path(self, extra_mm: FloatArray) -> PupilField:
@@ -113,36 +128,34 @@ class PupilField:
     def amplitude(
         self, x_mm: FloatArray, y_mm: FloatArray, *, at: tuple[int, int] = (0, 0), dtype: DTypeLike = np.complex128
     ) -> NDArray[np.complexfloating]:
-        """Field U (Y, X) on the grid of columns ``x_mm`` and rows ``y_mm`` of the image plane.
+        """Field U (Y, X) on the grid of columns ``x_mm`` (X,) and rows ``y_mm`` (Y,) of the image plane.
 
-        Scaled so that ``|U|^2`` is the share of the pupil's light per mm^2: its integral over the plane is 1.
-
-        Shapes: ``x_mm`` (X,), ``y_mm`` (X,), ``at`` (int, int).
+        Scaled so that ``|U|^2`` is the fraction of the pupil's light per mm^2: its integral over the plane is 1.
         """
-        lit = self.area_mm2[at] > 0.0
+        lit = self.lit(at)
         x, y, l, m, path, area, jacobian = (  # noqa: E741
             v[at][lit] for v in (self.x_mm, self.y_mm, self.l, self.m, self.path_mm, self.area_mm2, self.jacobian)
         )
-        if not len(x):
-            raise DomainError(f"field {at[0]}, wavelength {at[1]}: no light reaches the image plane")
         self._check_sampling(x_mm, y_mm, at)
         wave_mm = self.wavelength_nm[at[1]] * 1e-6
         n = self.index[at[1]]
         x0, y0 = float(np.mean(x_mm)), float(np.mean(y_mm))
         phase = (path + n * (l * (x0 - x) + m * (y0 - y))) / wave_mm
         weight = area * np.sqrt(jacobian) * (n / wave_mm / math.sqrt(area.sum()))
-        left = _waves(np.outer(np.asarray(y_mm) - y0, n * m / wave_mm), dtype)
-        right = _waves(np.outer(n * l / wave_mm, np.asarray(x_mm) - x0), dtype)
+        left = phasor(np.outer(np.asarray(y_mm) - y0, n * m / wave_mm), dtype)
+        right = phasor(np.outer(n * l / wave_mm, np.asarray(x_mm) - x0), dtype)
         right *= (weight * np.exp(2j * np.pi * (phase - phase[0]))).astype(dtype)[:, None]
         return np.asarray(left @ right)
 
     def _check_sampling(self, x_mm: FloatArray, y_mm: FloatArray, at: tuple[int, int]) -> None:
         """Refuse a pupil that is sampled too coarsely for the phase differences between neighbours."""
-        one = self.one(at)
-        half = [0.5 * float(np.ptp(v)) for v in (x_mm, y_mm)]
-        middle = [np.full((1, 1), 0.5 * float(np.min(v) + np.max(v))) for v in (x_mm, y_mm)]
-        radial, around = _phase_changes(one, half[0], half[1], (middle[0], middle[1]))
-        rings, arms = one.area_mm2.shape[2:]
+        part = slice(at[0], at[0] + 1), slice(at[1], at[1] + 1)
+        arrays = {name: getattr(self, name)[part] for name in list(self.__dataclass_fields__)[3:]}
+        single = replace(self, wavelength_nm=self.wavelength_nm[part[1]], index=self.index[part[1]], **arrays)
+        half_x, half_y = (0.5 * float(np.ptp(v)) for v in (x_mm, y_mm))
+        middle_x, middle_y = (np.full((1, 1), 0.5 * float(np.min(v) + np.max(v))) for v in (x_mm, y_mm))
+        radial, around = _phase_changes(single, half_x, half_y, (middle_x, middle_y))
+        rings, arms = single.area_mm2.shape[2:]
         if rings < radial / 4.0 or arms < around:
             raise DomainError(
                 f"a pupil of {rings} rings x {arms} azimuths is too coarse for a wavefront that changes by "
@@ -150,21 +163,19 @@ class PupilField:
                 f"least {math.ceil(radial / 4.0)} x {math.ceil(around)} are needed, or a smaller window"
             )
 
-    def one(self, at: tuple[int, int]) -> PupilField:
-        """One field and wavelength alone."""
-        part = slice(at[0], at[0] + 1), slice(at[1], at[1] + 1)
-        arrays = {name: getattr(self, name)[part] for name in list(self.__dataclass_fields__)[3:]}
-        return replace(self, wavelength_nm=self.wavelength_nm[part[1]], index=self.index[part[1]], **arrays)
-
     def intensity(
         self, x_mm: FloatArray, y_mm: FloatArray, *, at: tuple[int, int] = (0, 0), dtype: DTypeLike = np.complex128
     ) -> FloatArray:
-        """Share of the light per mm^2 (Y, X) on a grid; parameters as `amplitude`."""
-        field = self.amplitude(x_mm, y_mm, at=at, dtype=dtype)
-        return np.asarray(field.real.astype(np.float64) ** 2 + field.imag.astype(np.float64) ** 2)
+        """Fraction of the light per mm^2 (Y, X) on a grid; parameters as `amplitude`."""
+        return squared_modulus(self.amplitude(x_mm, y_mm, at=at, dtype=dtype))
 
 
-def _waves(turns: FloatArray, dtype: DTypeLike) -> NDArray[np.complexfloating]:
+def squared_modulus(field: NDArray[np.complexfloating]) -> FloatArray:
+    """``|U|^2`` in double precision."""
+    return np.asarray(field.real.astype(np.float64) ** 2 + field.imag.astype(np.float64) ** 2)
+
+
+def phasor(turns: FloatArray, dtype: DTypeLike) -> NDArray[Any]:
     """exp(2 pi i turns), reduced to one turn before the precision is lowered."""
     dtype = np.dtype(dtype)
     angle = ((turns - np.rint(turns)) * (2.0 * np.pi)).astype(np.float32 if dtype == np.complex64 else np.float64)
@@ -196,8 +207,8 @@ def needed_order(field: PupilField, half_width_mm: float) -> tuple[int, int]:
 def _phase_changes(
     field: PupilField, half_x_mm: float, half_y_mm: float, points: tuple[FloatArray, FloatArray] | None = None
 ) -> tuple[float, float]:
-    """Largest change of phase along a radius [rad] and per radian of the rim, for the corners of a window about the
-    mean landing points or other ones (f, w)."""
+    """Largest change of phase along a radius [rad] and per radian of the rim, for the corners of a window about points
+    (f, w), the mean landing points if left out."""
     mean_x, mean_y = (np.nan_to_num(v) for v in (field.mean_mm if points is None else points))
     k = 2.0 * np.pi * 1e6 / field.wavelength_nm[:, None, None]
     lit = field.area_mm2 > 0.0
@@ -206,10 +217,10 @@ def _phase_changes(
     for sx, sy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
         path = field.path_to(mean_x + sx * half_x_mm, mean_y + sy * half_y_mm)
         phase = np.where(lit, k * path, np.nan)
-        along = np.nan_to_num(np.abs(np.diff(phase, axis=2))).sum(2)
-        turn = np.nan_to_num(np.abs(np.roll(phase, -1, axis=3) - phase))
-        radial = max(radial, float(along.max(initial=0.0)))
-        around = max(around, float(turn.max(initial=0.0)) * per_radian)
+        radial_change = np.nan_to_num(np.abs(np.diff(phase, axis=2))).sum(2)
+        step_change = np.nan_to_num(np.abs(np.roll(phase, -1, axis=3) - phase))
+        radial = max(radial, float(radial_change.max(initial=0.0)))
+        around = max(around, float(step_change.max(initial=0.0)) * per_radian)
     return radial, around
 
 
@@ -226,12 +237,8 @@ def trace_pupil(
 
     Parameters
     ----------
-    lens : LensSystem
-        The lens, perturbed or not.
-    field_x_deg, field_y_deg : (f,)
-        Field angles.
-    wavelength_nm : (w,)
-        Vacuum wavelengths.
+    lens, field_x_deg, field_y_deg, wavelength_nm
+        As of `optics.rays.spots.trace_spots`.
     order : (int, int), optional
         Rings and azimuths; as many as a window needs if left out (`needed_order`).
     half_width_mm : float
@@ -278,23 +285,19 @@ def _points(
 
 
 def _inside_outlines(
-    beams: VignettedPupils, rings: int
+    pupils: VignettedPupils, rings: int
 ) -> tuple[FloatArray, FloatArray, float, FloatArray, FloatArray]:
-    """The same inside beams of any outline, known by two of their rings.
+    """`_points` inside pupils of any outline, given by two of their rings.
 
     Gauss nodes in the radius itself, not in its square: about a point that is not a centre of symmetry odd powers of
     the radius come with odd harmonics of the outline.
     """
     inner, outer = np.sqrt(0.5 * (1.0 + np.polynomial.legendre.leggauss(2)[0]))
-    x, y, area = (v.reshape(*v.shape[:2], 2, -1) for v in (beams.x_mm, beams.y_mm, beams.area_mm2))
+    x, y, area = (v.reshape(*v.shape[:2], 2, -1) for v in (pupils.x_mm, pupils.y_mm, pupils.area_mm2))
     node, weight = np.polynomial.legendre.leggauss(rings)
     radius = 0.5 * (1.0 + node)[:, None]
-    points = []
-    for v in (x, y):
-        reach = (v[:, :, 1:] - v[:, :, :1]) / (outer - inner)
-        points.append(v[:, :, :1] + reach * (radius - inner))
-    share = area.sum(2, keepdims=True) * weight[:, None] * radius
-    return points[0], points[1], beams.z_mm, share, radius[:, 0]
+    px, py = (v[:, :, :1] + (v[:, :, 1:] - v[:, :, :1]) / (outer - inner) * (radius - inner) for v in (x, y))
+    return px, py, pupils.z_mm, area.sum(2, keepdims=True) * weight[:, None] * radius, radius[:, 0]
 
 
 def _traced(lens: LensSystem, stars: FloatArray, waves: FloatArray, order: tuple[int, int]) -> PupilField:
@@ -316,23 +319,15 @@ def _traced(lens: LensSystem, stars: FloatArray, waves: FloatArray, order: tuple
         raise DomainError(f"lens {lens.name!r}: no light of any field reaches the image plane")
     right, left, up, down = launch(h, 0.0), launch(-h, 0.0), launch(0.0, h), launch(0.0, -h)
     jacobian = (right.dx - left.dx) * (up.dy - down.dy) - (right.dy - left.dy) * (up.dx - down.dx)
-    lit = (out.status == 0) & (area > 0.0) & np.isfinite(jacobian)
-
-    def kept(values: FloatArray) -> FloatArray:
-        return np.where(lit, values, 0.0)
-
+    lit = out.ok & (area > 0.0) & np.isfinite(jacobian)
+    values = {"area_mm2": area, "x_mm": out.x, "y_mm": out.y, "l": out.dx, "m": out.dy, "path_mm": out.opl_mm,
+              "jacobian": np.abs(jacobian) / (4.0 * h * h)}  # fmt: skip
     return PupilField(
         wavelength_nm=waves,
         index=indices[-1],
         ring=ring,
         pupil_x=x,
         pupil_y=y,
-        area_mm2=kept(area),
-        x_mm=kept(out.x),
-        y_mm=kept(out.y),
-        l=kept(out.dx),
-        m=kept(out.dy),
         n=np.where(lit, out.dz, 1.0),
-        path_mm=kept(out.opl_mm),
-        jacobian=kept(np.abs(jacobian) / (4.0 * h * h)),
+        **{name: np.where(lit, value, 0.0) for name, value in values.items()},
     )

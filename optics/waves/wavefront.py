@@ -15,7 +15,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from optics.arrays import FloatArray
 from optics.errors import DomainError
-from optics.records import freeze, freeze_all
+from optics.records import freeze, freeze_alike, freeze_all
 from optics.waves.pupil_field import PupilField
 from optics.waves.zernike import ZernikeOrder, fit_zernikes, zernike_numbers, zernikes
 
@@ -26,14 +26,12 @@ class Wavefront:
 
     x: FloatArray  # (p,) Points of the pupil, its centre 0 and its largest radius 1; axes as in the lens frame
     y: FloatArray  # (p,)
-    weight: FloatArray  # (p,) Share of the light, sum 1
+    weight: FloatArray  # (p,) Fraction of the light, sum 1
     error_nm: FloatArray  # (p,) Optical path less its mean
     wavelength_nm: float  # Vacuum wavelength
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        for name in ("x", "y", "weight", "error_nm"):
-            freeze(self, name, shape=("p",), sizes=sizes)
+        freeze_alike(self, "x", "y", "weight", "error_nm", shape=("p",))
 
     @property
     def rms_nm(self) -> float:
@@ -71,10 +69,8 @@ def wavefront(
 
     Parameters
     ----------
-    field : PupilField
-        Traced pupils (`optics.waves.pupil_field.trace_pupil`).
-    at : (int, int)
-        Field and wavelength.
+    field, at
+        Traced pupils (`optics.waves.pupil_field.trace_pupil`), and numbers of field and wavelength.
     point_mm : (float, float), optional
         Reference point in the image plane; the one with the smallest error (tilt removed) if left out.
     radius_mm : float
@@ -90,11 +86,8 @@ def wavefront(
     DomainError
         No light there.
     """
-    area = field.area_mm2[at]
-    lit = area > 0.0
-    if not lit.any():
-        raise DomainError(f"field {at[0]}, wavelength {at[1]}: no light reaches the image plane")
-    weight = area[lit] / area.sum()
+    lit = field.lit(at)
+    weight = field.area_mm2[at][lit] / field.area_mm2[at].sum()
     x, y, l, m, path = (v[at][lit] for v in (field.x_mm, field.y_mm, field.l, field.m, field.path_mm))  # noqa: E741
     index = float(field.index[at[1]])
 
@@ -103,13 +96,13 @@ def wavefront(
         along = l * dx + m * dy
         if math.isinf(radius_mm):
             to_sphere = -along
-        else:  # back along the ray to the sphere, and forward by its radius
+        else:  # along the ray from the image to the sphere, then by its radius to the reference point
             to_sphere = radius_mm - along - np.sqrt(radius_mm**2 - (dx * dx + dy * dy - along * along))
         value = path + index * to_sphere
         return np.asarray(value - weight @ value)
 
     if point_mm is None:
-        px, py = (float(v[at]) for v in field.mean_mm)
+        px, py = field.centroid_mm(at)
         for _ in range(4):  # the error changes by n (l, m) times the shift of the point, nearly
             slopes = np.stack([l - weight @ l, m - weight @ m]) * index
             shift = np.linalg.lstsq((slopes * np.sqrt(weight)).T, -error(px, py) * np.sqrt(weight), rcond=None)[0]
@@ -136,14 +129,14 @@ class PathMap:
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
         freeze_all(self, x=("c",), y=("r",), sizes=sizes)
-        if np.size(self.error_nm) and not np.all(np.isfinite(np.asarray(self.error_nm, float))):
-            bad = np.argwhere(~np.isfinite(np.asarray(self.error_nm, float)))
+        error_nm = freeze(self, "error_nm", shape=("r", "c"), sizes=sizes, finite=False)
+        masked = np.argwhere(~np.isfinite(error_nm))
+        if len(masked):
             raise DomainError(
-                f"wavefront map: {len(bad)} of {np.size(self.error_nm)} values are not finite, the first at row "
-                f"{bad[0][0]}, column {bad[0][1]}; fill the points masked by the interferometer (outside the pupil "
-                "the mean of neighbours suffices)"
+                f"wavefront map: {len(masked)} of {error_nm.size} values are not finite, the first at row "
+                f"{masked[0][0]}, column {masked[0][1]}; fill the points masked by the interferometer (outside the "
+                "pupil the mean of neighbours suffices)"
             )
-        freeze(self, "error_nm", shape=("r", "c"), sizes=sizes)
         for name in ("x", "y"):
             grid = getattr(self, name)
             if len(grid) < 4 or not np.all(np.diff(grid) > 0.0):
@@ -161,7 +154,7 @@ class PathMap:
         return np.asarray(RectBivariateSpline(self.y, self.x, self.error_nm).ev(py, px))
 
     def added_to(self, field: PupilField) -> PupilField:
-        """Pupils with this map added; the rays' landing points, which the sum of plane waves carries apart, stay."""
+        """Pupils with this map added to the optical paths; landing points of the rays stay."""
         fields, waves = field.area_mm2.shape[:2]
         errors = [[self(*field.unit_pupil((f, w))) for w in range(waves)] for f in range(fields)]
         return field.with_path(1e-6 * np.array(errors))
@@ -175,7 +168,7 @@ def zernike_map(coefficients_nm: ArrayLike, order: ZernikeOrder = "noll", *, siz
     coefficients_nm : (n,)
         Coefficients [nm].
     order : {"noll", "ansi", "fringe"}
-        Whose numbering they follow.
+        Their numbering.
     size : int
         Points across the map.
 

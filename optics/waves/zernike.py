@@ -46,7 +46,7 @@ def zernike_numbers(count: int, order: ZernikeOrder = "noll") -> tuple[tuple[int
 
 
 def zernikes(x: FloatArray, y: FloatArray, count: int, order: ZernikeOrder = "noll") -> FloatArray:
-    """The first terms (count, ...) at points of the unit disk; errors as `zernike_numbers`.
+    """The first terms of an order at points of the unit disk; errors as `zernike_numbers`.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def zernikes(x: FloatArray, y: FloatArray, count: int, order: ZernikeOrder = "no
     count : int
         Number of terms.
     order : {"noll", "ansi", "fringe"}
-        Whose numbering.
+        Numbering and norm.
 
     Returns
     -------
@@ -67,8 +67,8 @@ def zernikes(x: FloatArray, y: FloatArray, count: int, order: ZernikeOrder = "no
     for n, m in zernike_numbers(count, order):
         k = abs(m)
         radial = r**k * eval_jacobi((n - k) // 2, 0, k, 2.0 * r * r - 1.0)
-        size = 1.0 if order == "fringe" else np.sqrt((n + 1) * (1.0 if m == 0 else 2.0))
-        terms.append(size * radial * (np.sin(k * angle) if m < 0 else np.cos(k * angle)))
+        norm = 1.0 if order == "fringe" else np.sqrt((n + 1) * (1.0 if m == 0 else 2.0))
+        terms.append(norm * radial * (np.sin(k * angle) if m < 0 else np.cos(k * angle)))
     return np.stack(terms)
 
 

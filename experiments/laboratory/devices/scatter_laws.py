@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from optics.lens.system import AMBIENT, LensSystem
-from optics.light.bsdf import HarveyShack, Particles, Together, polished, roughness_tis
+from optics.light.bsdf import HarveyShack, Particles, SummedScatter, polished, roughness_tis
 from optics.rays.surface_scatter import scattering_surfaces
 from render.camera import Camera
 from render.sensor_file.stray import ContaminationConfig, ScatterConfig
@@ -38,4 +38,4 @@ def with_halos(camera: Camera, scatter: ScatterConfig, dust: ContaminationConfig
     if not scatter.halos:
         return camera
     laws = surface_laws(camera.lens, scatter, dust)
-    return replace(camera, scatter=Together(laws=(*laws["polish"].values(), *laws["dust"].values())))
+    return replace(camera, scatter=SummedScatter(laws=(*laws["polish"].values(), *laws["dust"].values())))

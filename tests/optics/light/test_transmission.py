@@ -9,13 +9,13 @@ from refusals import refuses
 
 from optics import Glass, QuarterWave, Response, get_glass
 from optics.errors import ConfigError, DomainError
-from optics.light.transmission import Layout, axial_layout, lens_transmission
+from optics.light.transmission import AxialLayout, axial_layout, lens_transmission
 
 LINES = np.array([450.0, 550.0, 650.0])
 
 
-def plate(glass: Glass, thickness_mm: float = 10.0) -> Layout:
-    return Layout(media=(glass, None), thickness_mm=np.array([thickness_mm, 0.0]))
+def plate(glass: Glass, thickness_mm: float = 10.0) -> AxialLayout:
+    return AxialLayout(media=(glass, None), thickness_mm=np.array([thickness_mm, 0.0]))
 
 
 def test_bare_plate_of_index_one_and_a_half_loses_four_percent_twice() -> None:
@@ -36,7 +36,7 @@ def test_film_against_a_sum_over_reflections() -> None:
 
 def test_absorption_and_reflection_multiply_and_cement_is_uncoated() -> None:
     crown, flint = get_glass("N-BK7"), get_glass("F2")
-    doublet = Layout(media=(crown, flint, None), thickness_mm=np.array([8.0, 3.0, 100.0]))
+    doublet = AxialLayout(media=(crown, flint, None), thickness_mm=np.array([8.0, 3.0, 100.0]))
     coating = made_coating(0.01)
     cement = ((crown.index(LINES) - flint.index(LINES)) / (crown.index(LINES) + flint.index(LINES))) ** 2
     inside = crown.internal_transmittance(LINES, 8.0) * flint.internal_transmittance(LINES, 3.0)
@@ -64,7 +64,7 @@ def test_a_stop_in_air_costs_nothing_and_a_lens_is_read_along_its_vertices() -> 
 def test_mistakes() -> None:
     refuses(ConfigError, "a lens or a layout is needed, got str", lens_transmission, "star_camera", LINES)
     refuses(DomainError, "negative", lambda: plate(made_glass(1.5), -1.0))
-    refuses(DomainError, "shape", lambda: Layout(media=(None,), thickness_mm=np.array([1.0, 2.0])))
+    refuses(DomainError, "shape", lambda: AxialLayout(media=(None,), thickness_mm=np.array([1.0, 2.0])))
     refuses(DomainError, "no internal transmittance", lambda: lens_transmission(plate(made_glass(1.5)), LINES))
     refuses(DomainError, "MgF2: wavelength 100 nm", QuarterWave, design_wavelength_nm=100.0)
     refuses(DomainError, r"N-BK7: wavelength 250 nm", lambda: lens_transmission(plate(get_glass("N-BK7")), 250.0))
