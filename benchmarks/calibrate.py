@@ -47,7 +47,7 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from calib.attitude.gyro_link import link_attitudes
+from calib.attitude.gyro_attitude import link_attitudes
 from calib.calibration.attitude_correlated import AttitudeCorrelated
 from calib.calibration.calibrate import calibrate
 from calib.calibration.cramer_rao_bound import bound as cramer_rao_bound

@@ -83,19 +83,10 @@ def smooth_maps(position: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 
 def attitude_rule_arcsec(errors: DirectionErrors, half_field: FloatArray, stars: int) -> FloatArray:
-    """Total / sqrt(N), (3,) for x, y and roll, 3 sigma.
+    """Total / sqrt(N), (3,) for x, y and roll, 3 sigma; ``half_field`` (2,): half width and height as tangents.
 
     Roll is the total across the direction to a star, over the RMS distance of a star from the middle; stars at a
     distance along x turn the field by their error along y, and the other way round.
-
-    Parameters
-    ----------
-    errors : DirectionErrors
-        Errors of one star.
-    half_field : (2,)
-        Half width and half height of the field, as tangents.
-    stars : int
-        N.
     """
     total, square = errors.total_arcsec, np.square(half_field)
     fraction = square / square.sum()
@@ -141,22 +132,9 @@ def simulate_attitudes(
     rng: np.random.Generator,
     correlation: Correlation = "independent",
 ) -> AttitudeScatter:
-    """Solve the attitudes of drawn fields of stars.
+    """Solve the attitudes of drawn fields of two stars or more.
 
-    Parameters
-    ----------
-    errors : DirectionErrors
-        Errors of one star.
-    half_field : (2,)
-        Half width and half height of the field, as tangents.
-    stars : int
-        Stars in a field, two at least.
-    trials : int
-        Fields.
-    rng : numpy.random.Generator
-        Source of stars and errors.
-    correlation : str
-        Of the low-frequency error from star to star (see the module).
+    ``half_field`` (2,): half width and height as tangents; ``correlation`` of the low-frequency error as of the module.
     """
     position = rng.uniform(-1.0, 1.0, (trials, stars, 2))
     plane = position * half_field

@@ -183,24 +183,12 @@ class AttitudePrediction:
         aberration_arcsec: Sequence[FloatArray],
         false_alarm: float = 1e-3,
     ) -> dict[str, TermEstimate]:
-        """Terms of measured errors about some axes, one number for all of these, beside their prediction.
+        """Estimates of `TERMS` and ``total``: measured errors about some axes (0: x, 1: y, 2: roll), and prediction.
 
-        Parameters
-        ----------
-        axes : sequence of int
-            0: x, 1: y, 2: roll.
-        error_arcsec : p arrays (2, n, 3)
-            Errors of both readouts of n frames of every segment, NaN where there is no attitude; two frames of each
-            are needed.
-        thermal_arcsec, aberration_arcsec : p arrays (s, 3)
-            Changes of the error by switching the cause.
-        false_alarm : float
-            Errors of slopes of few segments are wider by Student's distribution at this level.
-
-        Returns
-        -------
-        dict
-            Term -> estimate, for `TERMS` and ``total``.
+        ``error_arcsec``: p arrays (2, n, 3), errors of both readouts of n frames of every segment, NaN where there is
+        no attitude; two frames of each are needed. ``thermal_arcsec``, ``aberration_arcsec``: p arrays (s, 3), changes
+        of the error by switching the cause. Errors of slopes of few segments are wider by Student's distribution at
+        ``false_alarm``.
         """
         pick, predicted = list(axes), self.squares(axes)
         signed = {

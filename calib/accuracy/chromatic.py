@@ -55,14 +55,8 @@ def rms_shift_px(shift_px: FloatArray) -> FloatArray:
 def chromatic_error(table1_px: FloatArray, sigma_px: FloatArray, pixel_arcsec: float, n: int = 0) -> ErrorTerm:
     """Chromatic term of the budget, 3 sigma: per axis the largest entry of Table 1 as three standard deviations.
 
-    Parameters
-    ----------
-    table1_px, sigma_px : (k, 2)
-        Entries of Table 1 for k pairs of bands, and their standard deviations [px].
-    pixel_arcsec : float
-        Angle of a pixel [arcsec].
-    n : int
-        Frames of an entry; 0 for a prediction.
+    Shapes: ``table1_px``, ``sigma_px`` (k, 2), entries for k pairs of bands and their standard deviations; ``n``:
+    frames of an entry, 0 for a prediction.
     """
     largest = np.abs(table1_px).argmax(0)[None]
     entry, sigma = (np.take_along_axis(v, largest, axis=0)[0] for v in (np.abs(table1_px), np.asarray(sigma_px)))
@@ -70,14 +64,9 @@ def chromatic_error(table1_px: FloatArray, sigma_px: FloatArray, pixel_arcsec: f
 
 
 def after_calibration(shift_px: FloatArray, from_centre_px: FloatArray) -> dict[str, FloatArray]:
-    """Shifts that remain when a camera model has parameters for the band, by the names of `CALIBRATIONS`.
+    """Shifts (..., 2) that remain when a camera model has parameters for the band, by the names of `CALIBRATIONS`.
 
-    Parameters
-    ----------
-    shift_px : (..., 2)
-        Shifts of one pair of bands [px].
-    from_centre_px : (..., 2)
-        Positions from the principal point [px].
+    Shapes: ``shift_px`` (..., 2) of one pair of bands, ``from_centre_px`` (..., 2) positions from the principal point.
     """
     shift, position = shift_px.reshape(-1, 2), from_centre_px.reshape(-1, 2)
     unit, zero = np.ones(len(shift)), np.zeros(len(shift))
@@ -106,18 +95,9 @@ def shift_sigma(
     pulls of Student's law) and distributed over them as predicted: the centroid error of a small spot changes by a
     factor of three with its position on the pixels.
 
-    Parameters
-    ----------
-    sigma_px : (p, j, b, 2)
-        Standard deviation of the centroid of a frame [px].
-    frames : (p, j, b)
-        Number of frames.
-    pattern_px : (q, p, j, b, 2)
-        Effect of q fixed patterns of the pixels on the centroids, common to the filters [px].
-    pairs : sequence of (name, high, low)
-        Pairs of bands (`band_pairs`).
-    variance_fraction : (p, j, b, 2), optional
-        Predicted variance of a frame's centroid, in any unit.
+    Shapes: ``sigma_px`` (p, j, b, 2) of the centroid of a frame, ``frames`` (p, j, b), ``pattern_px`` (q, p, j, b, 2)
+    effect of q fixed patterns of the pixels on the centroids, common to the filters; ``variance_fraction`` (p, j, b, 2)
+    predicted variance of a frame's centroid, in any unit.
     """
     pattern = shifts(pattern_px, pairs)
     fraction = np.broadcast_to(variance_fraction, sigma_px.shape)
@@ -137,14 +117,10 @@ def table1_sigma(
     *,
     common_px: float = 0.0,
 ) -> dict[str, FloatArray]:
-    """Standard deviation (2,) of an entry of Table 1, by pair of bands.
+    """Standard deviation (2,) of an entry of Table 1, by pair of bands; arguments as in `shift_sigma`.
 
-    Parameters
-    ----------
-    sigma_px, frames, pattern_px, pairs
-        As in `shift_sigma`.
-    common_px : float
-        Part of the mean centroids' standard deviation that all points of a place share (motion of the line of sight).
+    ``common_px``: part of the mean centroids' standard deviation that all points of a place share (motion of the line
+    of sight).
     """
     pattern = shifts(pattern_px, pairs)
     of_mean = (sigma_px**2).mean(1, keepdims=True) / frames[..., None]

@@ -80,10 +80,7 @@ def camera_terms(position: FloatArray, reference: Reference) -> FloatArray:
 def fit_camera_terms(position: FloatArray, offset_px: FloatArray, reference: Reference) -> FloatArray:
     """Coefficients (k,) of `camera_terms` for offsets (n, 2) [px] of measured from nominal pixels, least squares.
 
-    Raises
-    ------
-    DomainError
-        Too few points.
+    `DomainError` on too few points.
     """
     terms = camera_terms(position, reference)
     if not terms.shape[2]:
@@ -170,21 +167,12 @@ def distortion_statistics(position: FloatArray, d_px: FloatArray, order: int) ->
 
 
 def deleted_residuals_px(position: FloatArray, offset_px: FloatArray, order: int, reference: Reference) -> FloatArray:
-    """Errors of fits at points left out (3, n, 2), camera and polynomial fitted together.
+    """Errors of fits at points left out (3, n, 2), camera terms (`REFERENCES`) and polynomial fitted together.
 
-    First every point left out alone; then with all points of its row, then of its column, except those of the
-    outermost ones, beyond which no point is left. NaN where the other points do not determine the map.
+    First every point left out alone; then with all points of its row, then of its column, except those of the outermost
+    ones, beyond which no point is left. NaN where the other points do not determine the map.
 
-    Parameters
-    ----------
-    position : (n, 2)
-        Points in units of order 1.
-    offset_px : (n, 2)
-        Measured minus nominal coordinates [px].
-    order : int
-        Total degree of the polynomial.
-    reference : {"nominal", "aligned", "calibrated"}
-        Camera terms that are fitted with it.
+    Shapes: ``position`` (n, 2) in units of order 1, ``offset_px`` (n, 2) measured minus nominal coordinates.
     """
     count = len(position)
     polynomial = np.kron(polynomial_terms(position, order), np.eye(2))
@@ -315,18 +303,9 @@ def map_error_px(
 ) -> FloatArray:
     """True error (m, 2) of a correction at field points, shift and roll taken out (ACC18 Fig. 8: at target points).
 
-    Parameters
-    ----------
-    position : (m, 2)
-        Field points in units of order 1.
-    offset_px : (m, 2)
-        True minus nominal pixels there, such as of traced bundles.
-    camera_px : (k,)
-        Coefficients of the camera (`grid_residual_px`).
-    polynomial_px : (l, 2)
-        Coefficients of the polynomial (`distortion_statistics`).
-    reference, order
-        As these were fitted.
+    Shapes: ``position`` (m, 2) in units of order 1, ``offset_px`` (m, 2) true minus nominal pixels there, such as of
+    traced bundles; ``camera_px`` (k,) of `grid_residual_px`, ``polynomial_px`` (l, 2) of `distortion_statistics`, with
+    the reference and order of their fits.
     """
     corrected = offset_px - camera_terms(position, reference) @ camera_px
     return without_pointing(position, corrected - polynomial_terms(position, order) @ polynomial_px)

@@ -86,17 +86,7 @@ def _blocks(covariance: FloatArray) -> FloatArray:
 
 
 def expected_numbers(errors: GridErrors, order: int, reference: Reference) -> ExpectedNumbers:
-    """Numbers of `calib.accuracy.distortion.distortion_statistics` expected from the errors in the residuals.
-
-    Parameters
-    ----------
-    errors : GridErrors
-        Distortion and errors of the points.
-    order : int
-        Total degree of the polynomial.
-    reference : {"nominal", "aligned", "calibrated"}
-        Conversion of target coordinates to pixels.
-    """
+    """Numbers of `calib.accuracy.distortion.distortion_statistics` expected from the errors in the residuals."""
     points, identity = len(errors.position), np.eye(2 * len(errors.position))
     camera = identity - camera_projector(errors.position, reference)
     chip, session, known = (_blocks(v) for v in (errors.chip_px2, errors.session_px2, errors.mean_px2))
@@ -153,23 +143,11 @@ def expected_map_error(
 ) -> ExpectedMapError:
     """Expected error of a map fitted to a grid target, over the field.
 
-    Parameters
-    ----------
-    position, offset_px : (n, 2)
-        Target points in units of order 1, and their distortion (true minus nominal pixels).
-    field_position, field_offset_px : (m, 2)
-        The same at points over the field.
-    order : int
-        Total degree of the polynomial.
-    reference : {"nominal", "aligned", "calibrated"}
-        Camera terms fitted before it.
-    point_error_px : float
-        Standard deviation per axis of the offset of a point: centroid and marking error.
+    The errors of the points are taken as the same in the sessions of camera and polynomial; ``point_error_px`` is the
+    standard deviation per axis of the offset of a point, by centroid and marking.
 
-    Returns
-    -------
-    ExpectedMapError
-        Bias and noise. The points' errors are taken as the same in the sessions of camera and polynomial.
+    Shapes: ``position``, ``offset_px`` (n, 2), target points in units of order 1 and their distortion (true minus
+    nominal pixels); ``field_position``, ``field_offset_px`` (m, 2), the same at points over the field.
     """
     polynomial, field_polynomial = (
         np.kron(polynomial_basis(at, order), np.eye(2)) for at in (position, field_position)

@@ -56,17 +56,11 @@ def separate_wedge(
 ) -> ShiftParts:
     """Lens and wedge by weighted least squares of the module's equation; undetermined modes by the SVD.
 
-    Parameters
-    ----------
-    shift_px, sigma_px, from_centre_px : (p, j, 2)
-        Shifts of j points at p places, their standard deviations, positions from the principal point [px].
-    filter_deg, reference_deg : (p,)
-        Angle of filter and reference filter to the camera [deg].
+    Standard deviations are widened where the misfit exceeds them.
 
-    Returns
-    -------
-    ShiftParts
-        Standard deviations are widened where the misfit exceeds them.
+    Shapes: ``shift_px``, ``sigma_px``, ``from_centre_px`` (p, j, 2), shifts of j points at p places, their standard
+    deviations and positions from the principal point; ``filter_deg``, ``reference_deg`` (p,), angles of filter and
+    reference filter to the camera.
     """
     places, points, _ = shift_px.shape
     design_matrix = np.zeros((places, 2, 6))
@@ -126,10 +120,8 @@ def spot_radius_px(mean_e: FloatArray) -> float:
 def exchanged_filters(light: FloatArray, radius_px: FloatArray) -> list[tuple[int, int, int]]:
     """Exchanged filters (place, filter, filter); several where the data do not tell them apart.
 
-    Parameters
-    ----------
-    light, radius_px : (p, b)
-        Light per second and `spot_radius_px` of b filters at p places; a single place shows no exchange.
+    Shapes: ``light`` (per second), ``radius_px`` (`spot_radius_px`) (p, b) of b filters at p places; a single place
+    shows no exchange.
     """
     places, filters = light.shape
     if places < 2:

@@ -143,14 +143,8 @@ def scatter_ratio(
 ) -> tuple[float, float]:
     """Root of the sum of measured variances over that of predicted ones, and its standard error.
 
-    Parameters
-    ----------
-    variance, predicted : (k,)
-        Variance of samples, and as predicted; normal.
-    degrees : (k,)
-        Degrees of freedom of each.
-    effective_fraction : (k,)
-        Independent frames over frames, where these are correlated.
+    Shapes (k,): normal samples of the variance ``variance`` with ``degrees`` of freedom; ``effective_fraction`` is the
+    number of independent frames over that of frames, where these are correlated.
     """
     predicted, degrees = np.asarray(predicted, float), np.asarray(degrees, float)
     total = float((predicted * degrees).sum())

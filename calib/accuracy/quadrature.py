@@ -36,17 +36,10 @@ def stratified_variance_ratio(stratified: Sequence[FloatArray], total: FloatArra
     """Variance of a measured mean square over that of independent draws, where some terms are stratified.
 
     The mean square of a sum of terms holds the mean squares of the terms and their products. Stratified inputs
-    (`render.engine.random.stratified`) bring the mean square of their own term to its expectation, so its part
-    ``term^4 / total^4`` of the variance is missing; the error of this is at most of the order of one draw.
+    (`render.engine.random.stratified`) bring the mean square of their own term to its expectation, so its part ``term^4
+    / total^4`` of the variance is missing; the error of this is at most of the order of one draw.
 
-    Parameters
-    ----------
-    stratified : sequence of (n,)
-        Standard deviations of the stratified terms.
-    total : (n,)
-        Standard deviation of the sum of all terms.
-    draws : int
-        Draws.
+    Shapes: standard deviations (n,) of each stratified term and of the sum of all terms.
     """
     missing = sum(((term / total) ** 4 for term in stratified), np.zeros_like(total))
     return np.maximum(1.0 - missing, 1.0 / draws)

@@ -100,18 +100,9 @@ class StepModel:
     ) -> StepPrediction:
         """Expected results of a centroider.
 
-        Parameters
-        ----------
-        centroider : Centroider
-            The estimator.
-        rng : numpy.random.Generator
-            Source of chips, noise and roll.
-        sessions : sequence of Centroider
-            The same estimator with the PSFs that several sessions might have given.
-        noise_draws : int
-            Noisy copies of each window whose mean is the centroid, for an estimator that is not linear (a threshold).
-        fit_draws : int
-            Pairs of noisy copies by which the bias of a fit is drawn where its noise is large.
+        ``sessions``: the same estimator with the PSFs that several sessions might have given. ``noise_draws``: noisy
+        copies of each window whose mean is the centroid, for an estimator that is not linear (a threshold).
+        ``fit_draws``: pairs of noisy copies by which the bias of a fit is drawn where its noise is large.
         """
         windows, m = self.windows, self.positions
         response = window_response(centroider, windows, self.noise)

@@ -53,20 +53,9 @@ def expected_temporal_error(
 ) -> ErrorTerm:
     """Temporal error of predicted standard deviations, and how far that of a chip and a series may lie from it.
 
-    Parameters
-    ----------
-    sigma_px : (j, 2)
-        Predicted standard deviation of the centroid of each star [px].
-    pixel_arcsec : float
-        Angle of a pixel [arcsec].
-    frames : int
-        Frames N of the series.
-    chip_px : (j, 2)
-        Standard deviation of ``sigma_px`` from chip to chip.
-    common_px : (j, 2)
-        Part of ``sigma_px`` that is a motion of the line of sight, the same for all stars: N frames draw it.
-    draws : int
-        Noisy copies of a window from which ``sigma_px`` was estimated; fewer than two if it was computed.
+    Shapes (j, 2): ``sigma_px`` of the centroid of each star in a frame; ``chip_px``, its standard deviation from chip
+    to chip; ``common_px``, its part by a motion of the line of sight, the same for all stars, which N frames draw.
+    ``draws``: noisy copies of a window from which ``sigma_px`` was estimated; fewer than two if it was computed.
     """
     drawn = sigma_px / np.sqrt(2.0 * (draws - 1)) if draws >= 2 else np.zeros_like(sigma_px)
     spread = np.sqrt((chip_px**2 + drawn**2).sum(0)) / len(sigma_px)

@@ -1,4 +1,4 @@
-"""Attitude by integration of gyro rates.
+"""Attitude by integration of gyro rates, and attitudes of a camera linked by it.
 
 A gyro gives the mean rate of each interval in body axes. With the rotation vector p of an interval, the body at its end
 seen from its start is ``exp(-p)`` (a body that turns forward sees the world turn back), and the attitudes are the exact
@@ -14,6 +14,10 @@ Where the direction moves within a step (coning), Bortz's equation (1971, IEEE T
 
 which is Savage's ``d_(k-1) x d_k / 12`` (1998, J. Guid. Control Dyn. 21, 19) for equal steps; the first interval uses
 its follower. The error left is of the fourth order in the step where the plain sum has the second.
+
+Link (ACF17 eq. 6). The gyro tells how its body turned, G_k = C_b1_to_bk; with the installation A (camera from gyro
+body) and the attitude R_1 of the camera in the first frame, R_k = (A G_k A^T) R_1. The printed text calls C_i_to_S the
+matrix "from S to i"; eq. 1 says what is meant.
 """
 
 from __future__ import annotations
@@ -167,3 +171,8 @@ def integrate_rates_many(
     """
     time, rates = _checked(time_s, rate_rad_per_s, 3)
     return tuple(Rotation.from_quat(q) for q in _integrated(time, rates, at_s, coning))
+
+
+def link_attitudes(first: Rotation, installation: Rotation, gyro_rotation: Rotation) -> Rotation:
+    """Attitudes of all frames from the first one (eq. 6): ``R_k = A G_k A^T R_1``."""
+    return installation * gyro_rotation * installation.inv() * first

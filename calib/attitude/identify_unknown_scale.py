@@ -25,19 +25,8 @@ TOLERANCE_PART = 0.01
 class BlindIdentifier:
     """Identifies frames of one camera of unknown focal length.
 
-    Parameters
-    ----------
-    width_px, height_px : int
-        The detector.
-    field_deg : float, optional
-        Approximate field along the width; searched if left out.
-    fields_deg : sequence of float
-        Fields that are tried instead of `FIELDS_DEG`.
-
-    Attributes
-    ----------
-    focal_px : float or None
-        Focal length of the first frame that was identified.
+    ``field_deg``: approximate field along the width [deg]; left out, ``fields_deg`` are tried. ``focal_px``: focal
+    length of the first frame that was identified, or None.
     """
 
     def __init__(

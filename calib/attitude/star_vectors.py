@@ -70,28 +70,10 @@ def sampled_method_ratios(
 ) -> tuple[float, float, float]:
     """Ratios of the two methods for the accuracy of star vectors, from drawn noise at even places of a detector.
 
-    The bench is perfect: camera, table and star are known.
-
-    Parameters
-    ----------
-    model : CameraModel
-        The camera.
-    count : int
-        Star vectors.
-    sigma_rad : float
-        Noise per axis at the boresight [rad].
-    rng : numpy.random.Generator
-        Source of randomness.
-
-    Returns
-    -------
-    pixel_over_fisher : float
-        Pixel method over Fisher, noise isotropic on the sphere; expected
-        `calib.directional.pixel_method.spherical_noise_ratio` over a square field.
-    fisher_over_truth : float
-        Fisher over the truth, the same noise.
-    fisher_over_axis : float
-        Fisher over the pixel method, noise isotropic in pixels; expected `pixel_noise_ratio` over a square field.
+    The bench is perfect: camera, table and star are known; ``sigma_rad`` is the noise per axis at the boresight.
+    Returns pixel method over Fisher for noise isotropic on the sphere (expected over a square field:
+    `calib.directional.pixel_method.spherical_noise_ratio`), Fisher over the truth for the same noise, and Fisher over
+    the pixel method for noise isotropic in pixels (expected: `pixel_noise_ratio`).
     """
     size = [model.geometry.width_px, model.geometry.height_px]
     pixel_rad = model.geometry.pixel_pitch_mm / model.value("focal_length_mm")

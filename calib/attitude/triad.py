@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import skew
+from calib.fitting.rotation_vectors import skew
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze

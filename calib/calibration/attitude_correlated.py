@@ -9,7 +9,7 @@ Steps are rotation vectors, w_R of R_1 and w_A of A; frame k turns by (`calib.ca
     w_k = M_k w_R + (I - M_k) w_A.
 
 No angle is singular inside. The results are the document's angles phi of R_1 and theta of A
-(`calib.attitude.gyro_link`), with the covariance carried over. If the body turns about a single axis, the turn of A
+(`calib.attitude.euler_angles`), with the covariance carried over. If the body turns about a single axis, the turn of A
 about that axis does not show in any star, and A is "singular"; the camera is not.
 
 The start of ACF17 is 0 px, 20 mm, no distortion, phi = 0 and theta = 0. With phi = 0 the stars stand 62 deg from where
@@ -25,13 +25,14 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import angle_per_increment, angles_of_rotation, exponential
+from calib.attitude.euler_angles import angle_per_increment, angles_of_rotation
 from calib.attitude.wahba import rotations_of_groups
 from calib.calibration.attitude_family import RotationFamily
 from calib.calibration.free_attitudes import frame_parity
 from calib.calibration.observations import Observations
 from calib.calibration.verdict import parity_hint
 from calib.cameras.base import CameraModel
+from calib.fitting.rotation_vectors import exponential
 from optics.arrays import FloatArray
 from optics.records import locked
 

@@ -80,10 +80,7 @@ def cross_validate(stars: Observations, camera: CameraModel, order: str) -> Orde
 def simplest_adequate(models: Sequence[OrderValidation]) -> OrderValidation:
     """The first model whose predictions are within one standard error of the best ones (paired by frames).
 
-    Raises
-    ------
-    DomainError
-        If no model converges in two frames.
+    `DomainError` if no model converges in two frames.
     """
     known = [model for model in models if np.isfinite(model.chi2).sum() >= 2]
     if not known:

@@ -256,22 +256,11 @@ def trimmed_offset_px(
     count: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """RMS of the offset [px], x and y, that a stop rule leaves, played on numbers.
+    """RMS of the offset [px], x and y, that a stop rule leaves, simulated ``count`` times.
 
-    Parameters
-    ----------
-    start_px : float
-        Largest offset before the first setting, uniformly distributed per axis.
-    step_px, noise_px : float
-        Step of the table; standard deviation of a measured offset.
-    stop_px : float
-        Offset per axis below which the operator stops.
-    gain : float
-        Part of a measured offset that the operator takes away.
-    settings, count : int
-        Settings allowed; trims played.
-    rng : numpy.random.Generator
-        Source of randomness.
+    Offsets are at first uniform to ``start_px`` per axis. In each of at most ``settings`` settings the operator takes
+    away the part ``gain`` of an offset that is measured with the noise ``noise_px``, in steps of the table of
+    ``step_px``, until both axes are below ``stop_px``.
     """
     offset = rng.uniform(-1, 1, (count, 2)) * start_px
     phase = rng.uniform(0, 1, (count, 2)) * step_px

@@ -36,20 +36,9 @@ class DrawnStars:
 def draw_stars(
     camera: CameraModel, attitude: Rotation, rng: np.random.Generator, *, mean: float | None = None, exactly: int = 0
 ) -> DrawnStars:
-    """A uniform random sky as a camera sees it in f frames.
+    """A uniform random sky as a camera with ``focal_length_mm`` sees it in f attitudes, cam from icrs.
 
-    Parameters
-    ----------
-    camera : CameraModel
-        The camera, with ``focal_length_mm`` among its parameters.
-    attitude : Rotation
-        Attitudes of the frames, cam from icrs (f rotations).
-    rng : numpy.random.Generator
-        Source of randomness.
-    mean : float, optional
-        Mean number of stars in a frame: the brightest of the sky.
-    exactly : int
-        Number of stars in every frame, the brightest in it; used without ``mean``.
+    The brightest stars of the sky, ``mean`` per frame on average; without it the ``exactly`` brightest of every frame.
     """
     geometry = camera.geometry
     dense = SPARE * (exactly if mean is None else mean) + 20.0

@@ -41,10 +41,7 @@ def predicted_residuals(stars: Observations, camera: CameraModel) -> tuple[Float
 def frame_attitude(stars: Observations, camera: CameraModel) -> Rotation:
     """Attitude of a frame with a given camera: stars with equal weights, outliers left out.
 
-    Raises
-    ------
-    DomainError
-        If the stars determine no attitude.
+    `DomainError` if the stars determine no attitude.
     """
     _, used = predicted_residuals(stars, camera)
     solution = solve_wahba(camera.unproject(stars.pixel_px[used]), np.array(stars.direction[used]))

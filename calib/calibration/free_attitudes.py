@@ -15,7 +15,6 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import exponential
 from calib.attitude.wahba import rotations_of_groups
 from calib.calibration.attitude_family import RotationFamily, frames_with_stars
 from calib.calibration.observations import Observations
@@ -23,6 +22,7 @@ from calib.calibration.star_problem import StarState
 from calib.calibration.verdict import parity_hint
 from calib.cameras.base import CameraModel
 from calib.fitting.least_squares import Fit
+from calib.fitting.rotation_vectors import exponential
 from optics.arrays import FloatArray
 
 LOST_PART = 0.5  # of a frame's stars without weight, above which its attitude is looked for again

@@ -24,12 +24,12 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import exponential, right_jacobian
 from calib.calibration.attitude_correlated import AttitudeCorrelated, LinkState
 from calib.calibration.attitude_family import RotationFamily
 from calib.calibration.observations import Observations
 from calib.calibration.star_problem import Prior
 from calib.cameras.base import CameraModel
+from calib.fitting.rotation_vectors import exponential, right_jacobian
 from optics.arrays import FloatArray
 from optics.errors import DomainError
 from optics.records import freeze, locked

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import skew
 from calib.cameras.base import CameraModel
+from calib.fitting.rotation_vectors import skew
 from optics.arrays import FloatArray, IntArray
 from optics.records import freeze, freeze_all
 
@@ -231,16 +231,10 @@ def reprojections(
 def stars_of_reprojection(
     used: LinkedDesign, judged: LinkedDesign, sigma_px: float, gyro: GyroDrift, mean_square_px2: float
 ) -> tuple[float, float]:
-    """Number of stars at which the expected mean square of the reprojection error is a given one.
+    """Number of stars at which the reprojection error has a given mean square, over that of the designs.
 
-    The stars' part of the mean square is proportional to 1 / n, the gyro's does not depend on n.
-
-    Returns
-    -------
-    factor : float
-        Number of stars over that of the designs; infinite where the gyro alone gives more.
-    gyro_px2 : float
-        Mean square by the gyro alone.
+    The stars' part of the mean square is proportional to 1 / n, the gyro's does not depend on n: infinite where the
+    gyro alone gives more. Also the mean square by the gyro alone [px^2].
     """
     stars_px2 = reprojection(used, judged, sigma_px).total_px ** 2
     gyro_px2 = reprojection(used, judged, sigma_px, gyro).total_px ** 2 - stars_px2

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import increment_per_angle, rotation_of_angles
+from calib.attitude.euler_angles import increment_per_angle, rotation_of_angles
 from calib.calibration.calibrate import calibrate
 from calib.calibration.observations import Observations
 from calib.calibration.table_axes import TableAxes
@@ -61,27 +61,10 @@ def calibrate_mask_sensor(
     *,
     free_lean: bool = False,
 ) -> MaskSensorCalibration:
-    """Joint fit to the spots of all positions of the table.
+    """Joint fit to the spots (n, 2) [px] of all positions of the table, with its readings (n, 2) [rad].
 
-    Parameters
-    ----------
-    geometry : SensorGeometry
-        Detector of the sensor.
-    gap_mm : float
-        Start of the distance from mask to detector.
-    pixel_px : (n, 2)
-        Spots.
-    reading_rad : (n, 2)
-        Readings of the table.
-    table : TableAxes
-        Table; its axes are taken as orthogonal.
-    free_lean : bool
-        Whether their non-orthogonality is fitted.
-
-    Raises
-    ------
-    ConvergenceError
-        If the spots do not determine the sensor.
+    ``gap_mm`` is the start of the distance from mask to detector. The axes of the table are taken as orthogonal;
+    ``free_lean``: their non-orthogonality is fitted. `ConvergenceError` if the spots do not determine the sensor.
     """
     nominal = table.nominal
     count = len(pixel_px)
@@ -144,18 +127,8 @@ def mask_sensor_noise(
     Noise of spots and readings is propagated through the least squares of a pinhole on a table by finite differences;
     the cube stands as designed, its Z backwards, its X against the table's.
 
-    Parameters
-    ----------
-    table : TableAxes
-        The table with the noise of its readings.
-    angle_rad : (n, 2)
-        Positions.
-    spot_px2 : (n,)
-        Variance of each spot per axis.
-    per_rad_px : float
-        Distance from mask to detector over the pixel pitch.
-    free_lean : bool
-        Whether the squareness is fitted.
+    Shapes: ``angle_rad`` (n, 2), ``spot_px2`` (n,) variance of a spot per axis; ``per_rad_px`` is the distance from
+    mask to detector over the pixel pitch.
     """
     start, step = np.zeros(7), 1e-5
 

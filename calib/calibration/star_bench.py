@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import angles_of_rotation, increment_per_angle
+from calib.attitude.euler_angles import angles_of_rotation, increment_per_angle
 from calib.attitude.star_vectors import initial_frame_vectors
 from calib.calibration.table_axes import TableAxes
 from calib.cameras.base import CameraModel, unproject_jacobian
@@ -73,23 +73,10 @@ def star_angles_deg(direction: ArrayLike) -> FloatArray:
 
 
 def aiming_angles(bench: StarBench, wanted_cam: FloatArray, roll_rad: FloatArray) -> FloatArray:
-    """Angles (n, k) of the table that put the star at directions in cam.
+    """Angles (n, k) of the table that put the star at directions (n, 3) in cam.
 
-    Newton's method on the outer two axes; a third, inner axis stands at ``roll_rad``.
-
-    Parameters
-    ----------
-    bench : StarBench
-        The bench.
-    wanted_cam : (n, 3)
-        Unit vectors in cam.
-    roll_rad : (n,)
-        Angles of a third axis; without effect on a table of two.
-
-    Raises
-    ------
-    DomainError
-        If the table cannot reach a direction.
+    Newton's method on the outer two axes; a third, inner axis stands at ``roll_rad`` (n,). `DomainError` if the table
+    cannot reach a direction.
     """
     table, count = bench.table, len(bench.table.axis)
     on_table = bench.installation.inv().apply(wanted_cam)

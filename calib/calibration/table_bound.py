@@ -60,27 +60,10 @@ def table_bound(
 ) -> TableBound:
     """Smallest covariance of all unknowns together, at the true camera and bench.
 
-    Parameters
-    ----------
-    model : CameraModel
-        True camera.
-    bench : StarBench
-        True star, table and installation.
-    angle_rad : (n, k)
-        Angles of the table.
-    covariance_px2 : (n, 2, 2)
-        Of the images; readings of the table are included with `reading_covariance_px2`.
-    map_direction : (m, 3)
-        Where in cam the line of sight is judged.
-    leans, star : bool
-        Whether the non-orthogonality of the axes, and the direction of the star, are unknown.
-    free : sequence of str, optional
-        Unknown parameters of the camera; all by default.
-
-    Raises
-    ------
-    DomainError
-        On fewer measurements than unknowns, or positions that do not determine them.
+    Shapes: ``angle_rad`` (n, k) of the table; ``covariance_px2`` (n, 2, 2) of the images, readings of the table
+    included (`reading_covariance_px2`); ``map_direction`` (m, 3), where in cam the line of sight is judged. ``leans``,
+    ``star``: whether the non-orthogonality of the axes and the direction of the star are unknown; ``free``: unknown
+    parameters of the camera, by default all. `DomainError` on positions that do not determine the unknowns.
     """
     columns = design_matrix(model, bench, angle_rad, leans=leans)
     names = unknown_names(model, bench, leans=leans)

@@ -61,18 +61,8 @@ def calibrate_on_table(
 ) -> Calibration:
     """Joint calibration (S100 of FISHER23).
 
-    Parameters
-    ----------
-    data : PoseData
-        Images and readings.
-    table : TableAxes
-        Axes as assumed, with the noise of a reading.
-    start : CameraModel
-        Start of the camera.
-    leans : bool
-        Whether the non-orthogonality of the axes is an unknown.
-    start_star : (3,), optional
-        Start of the star's direction in the laboratory; +Z by default.
+    ``leans``: whether the non-orthogonality of the axes is unknown; ``start_star`` (3,): start of the direction of the
+    star in the laboratory, by default +Z.
     """
     count = len(data.pixel_px)
     observations = Observations(
@@ -106,18 +96,10 @@ def calibrated_bench(calibration: Calibration, table: TableAxes) -> StarBench:
 def predicted_scatter(
     calibration: Calibration, bench: StarBench, angle_rad: FloatArray, noise_px2: FloatArray
 ) -> VectorScatter:
-    """Expected scatter of the star vectors of other poses, evaluated with a calibration.
+    """Expected scatter of the star vectors of other poses, evaluated with a calibration with unknown leans.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Of `calibrate_on_table` with unknown leans.
-    bench : StarBench
-        The same as a bench (`calibrated_bench`).
-    angle_rad : (n, k)
-        Angles of the table.
-    noise_px2 : (n, 2, 2)
-        Covariance of the images, with what readings of the table add.
+    ``bench`` is the calibration as a bench (`calibrated_bench`). Shapes: ``angle_rad`` (n, k), ``noise_px2`` (n, 2, 2)
+    covariance of the images, with what readings of the table add.
     """
     model, solution = calibration.model, calibration.solution
     order = star_last(solution.names)

@@ -29,7 +29,7 @@ from it is refused.
 
 s is reported as azimuth and elevation, s = (cos e sin a, sin e, cos e cos a): azimuth from +Z towards +X, elevation
 towards +Y; near e = 90 deg the azimuth loses its meaning, nothing else does. A is reported by the angles theta of ACF17
-(`calib.attitude.gyro_link`).
+(`calib.attitude.euler_angles`).
 
 False minima. With few poses and strong distortion the fit from an undistorted camera can end where the camera folds its
 image or chi-square contradicts the stated noise. Such a fit is repeated from cameras of barrel and pincushion
@@ -53,7 +53,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import angle_per_increment, angles_of_rotation, exponential, right_jacobian, skew
+from calib.attitude.euler_angles import angle_per_increment, angles_of_rotation
 from calib.attitude.wahba import rotations_of_groups
 from calib.calibration.attitude_family import FamilyFit, RotationFamily
 from calib.calibration.observations import Observations
@@ -65,6 +65,7 @@ from calib.cameras.base import CameraModel
 from calib.fitting.linearity import chi_square_rise
 from calib.fitting.misfit import joined
 from calib.fitting.robust_loss import Loss
+from calib.fitting.rotation_vectors import exponential, right_jacobian, skew
 from optics.arrays import BoolArray, FloatArray
 from optics.errors import DomainError
 from optics.frames import perpendicular

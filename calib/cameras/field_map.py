@@ -9,17 +9,10 @@ from optics.field_map import polynomial_basis
 
 
 def smooth_map_rms(position_px: FloatArray, shift_px: FloatArray, degree: int = 3) -> tuple[FloatArray, FloatArray]:
-    """RMS (2,) of a smooth map less its mean, and its standard deviation, from measured shifts.
+    """RMS (2,) of a smooth map less its mean, and its standard deviation, from measured shifts (n, 2) [px].
 
-    A polynomial is fitted; its scatter, with free parameters counted (noise, S-curve and response of the pixels), is
-    subtracted from the mean square.
-
-    Parameters
-    ----------
-    position_px, shift_px : (n, 2)
-        Positions, and shifts along x and y [px].
-    degree : int
-        Total degree of the polynomial (ACC18 eq. 19: 3).
+    A polynomial is fitted (ACC18 eq. 19: cubic); its scatter, with free parameters counted (noise, S-curve and response
+    of the pixels), is subtracted from the mean square.
     """
     smooth, noise = _smooth(position_px, shift_px, degree)
     count, free = len(shift_px), (degree + 1) * (degree + 2) // 2

@@ -6,8 +6,8 @@ places its axis elsewhere than the lens, and because lines of sight are compared
 
     minimise  sum |project(exp(w) d_i) - pixel_i|^2
 
-over the model's parameters and w. With v = exp(w) d and V the left Jacobian of the rotation group at w, d pixel / d w =
--A [v] V, A = d pixel / d v.
+over the model's parameters and w. With v = exp(w) d and V the left Jacobian of SO(3) at w (the right one at -w),
+d pixel / d w = -A [v] V, A = d pixel / d v.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from calib.cameras.brown_conrady import BrownConrady
 from calib.cameras.line_of_sight import LineOfSightMap, line_of_sight_map
 from calib.cameras.polynomial import Polynomial
 from calib.fitting.least_squares import DenseProblem, solve
+from calib.fitting.rotation_vectors import right_jacobian
 from calib.fitting.solution import Solution
 from optics.arrays import FloatArray
 from optics.errors import DomainError
@@ -120,7 +121,7 @@ def fit_to_map(
     def jacobian(state: FloatArray) -> FloatArray:
         turned = vector @ Rotation.from_rotvec(state[size:]).as_matrix().T
         at = model.with_parameters(state[:size]).project_jacobian(turned, band)
-        by_turn = np.cross(turned[:, None, :], at.by_direction) @ left_jacobian(state[size:])
+        by_turn = np.cross(turned[:, None, :], at.by_direction) @ right_jacobian(-state[size:])
         return np.concatenate([at.by_parameter, by_turn], axis=2).reshape(2 * len(vector), size + 3)
 
     start = np.concatenate([model.parameters, np.zeros(3)])
@@ -205,16 +206,3 @@ def as_brown_conrady(camera: CameraModel, *, grid: int = 15) -> BrownConrady:
     fitted = fit_to_map(start, ray, pixel, turn=False).model
     assert isinstance(fitted, BrownConrady)
     return fitted
-
-
-def left_jacobian(vector: FloatArray) -> FloatArray:
-    """V (3, 3) with exp(w + dw) = exp(V dw) exp(w), to first order; w a rotation vector (3,).
-
-    V = 1 + (1 - cos a)/a^2 [w] + (a - sin a)/a^3 [w]^2 with a = |w| (Barfoot 2017, State Estimation for Robotics, 7.1).
-    """
-    a2 = float(vector @ vector)
-    cross = np.cross(np.eye(3), vector)
-    if a2 < 1e-6:
-        return np.asarray(np.eye(3) + (0.5 - a2 / 24.0) * cross + (1.0 / 6.0 - a2 / 120.0) * cross @ cross)
-    a = np.sqrt(a2)
-    return np.asarray(np.eye(3) + (1.0 - np.cos(a)) / a2 * cross + (a - np.sin(a)) / (a2 * a) * cross @ cross)

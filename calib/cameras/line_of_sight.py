@@ -233,19 +233,8 @@ def drawn_rms(
 ) -> tuple[FloatArray, FloatArray]:
     """RMS errors (count,) of an efficient estimate and of a worse one from the same data, for drawn parameter errors.
 
-    The additional error of the worse one is independent of the efficient one's error (otherwise their mean would be
-    better still).
-
-    Parameters
-    ----------
-    matrix : (p, p)
-        Of `mean_square_matrix`.
-    better, worse : (p, p)
-        Covariances of the parameters.
-    count : int
-        Draws.
-    rng : numpy.random.Generator
-        Source of randomness.
+    ``matrix`` is that of `mean_square_matrix`, the others are covariances (p, p). The additional error of the worse
+    estimate is independent of the error of the efficient one (otherwise their mean would be better still).
     """
     scale = np.sqrt(np.diag(worse))
     errors = []

@@ -56,14 +56,9 @@ def vectors_needed(excess: float, level: float = 0.95) -> float:
 def pixel_method_ratio(by_pixel: FloatArray, axis_by_pixel: FloatArray, noise_px2: FloatArray | None = None) -> float:
     """Pixel method over the truth for any camera, with the angle per pixel of the axis.
 
-    Parameters
-    ----------
-    by_pixel : (n, 3, 2)
-        Derivatives of unit vectors by the pixel at the images (`calib.cameras.base.unproject_jacobian`).
-    axis_by_pixel : (3, 2)
-        The same on the axis.
-    noise_px2 : (n, 2, 2), optional
-        Covariance of the images; by default noise that is equal in all directions on the sphere.
+    Shapes: ``by_pixel`` (n, 3, 2), ``axis_by_pixel`` (3, 2), derivatives of unit vectors by the pixel
+    (`calib.cameras.base.unproject_jacobian`); ``noise_px2`` (n, 2, 2), by default equal in all directions on the
+    sphere.
     """
     metric = np.swapaxes(by_pixel, 1, 2) @ by_pixel  # angle^2 per pixel^2
     noise = np.linalg.inv(metric) if noise_px2 is None else noise_px2

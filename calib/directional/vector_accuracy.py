@@ -75,23 +75,11 @@ def vector_accuracy(
     outlier_probability: float | None = 0.01,
     degrees_of_freedom: float | None = None,
 ) -> VectorAccuracy:
-    """Accuracy of star vectors that should all be equal.
+    """Accuracy of star vectors (n, 3), in the table's frame at zero angles, that should all be equal.
 
-    Parameters
-    ----------
-    vectors : (n, 3)
-        Unit vectors in the table's frame at zero angles.
-    residual_px : (n, 2)
-        Images minus the reprojected star.
-    outlier_probability : float or None
-        False-alarm probability of the outlier test; None: no test.
-    degrees_of_freedom : float, optional
-        Of all vectors; 2 (n - 1) unless the calibration used the same data.
-
-    Raises
-    ------
-    DomainError
-        As `calib.directional.fisher.fit_fisher` and its checks.
+    ``residual_px`` (n, 2) are images minus the reprojected star; ``outlier_probability`` is the false-alarm probability
+    of the outlier test, None for no test; ``degrees_of_freedom`` are 2 (n - 1) unless the calibration used the same
+    data. Raises `DomainError` as `calib.directional.fisher.fit_fisher` and its checks.
     """
     every, residual = np.asarray(vectors, np.float64), np.asarray(residual_px, np.float64)
     outlier = np.zeros(len(every), dtype=bool)

@@ -18,9 +18,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from optics.arrays import FloatArray
+from optics.arrays import BoolArray, FloatArray
 
 # Eigenvalues of the scaled information below this part of the largest one are rounding, not information.
 NULL_PART = 1e-13
@@ -43,7 +42,6 @@ class Reduced:
     information: FloatArray  # (p, p) Schur complement S
     scale: FloatArray  # (p,) Square roots of the diagonal of C: the effect of each common unknown with all others fixed
     border: FloatArray | None  # (f, b, p) A^-1 B^T
-    block_covariance: FloatArray | None  # (f, b, b) Diagonal blocks of A^-1; None as well where they are not asked for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,45 +75,35 @@ class ArrowSystem:
                 # a frame that sees too little keeps a solvable block; 1e-14 is below its rounding
                 (damping + 1e-14) * block_scale,
             )
-            flat = self.border.swapaxes(1, 2).reshape(-1, len(right))
-            pulled = flat.T @ solved.reshape(len(flat), -1)
-            damped = damped - pulled[:, :-1]
-            right = right - pulled[:, -1]
+            border = self.border.swapaxes(1, 2).reshape(-1, len(right))
+            eliminated = border.T @ solved.reshape(len(border), -1)
+            damped = damped - eliminated[:, :-1]
+            right = right - eliminated[:, -1]
         common = -_solve_scaled(damped, right)
         block = None if solved is None else -(solved[:, :, :-1] @ common + solved[:, :, -1])
         slope = float(self.gradient @ common)
-        size = damping * float(common_scale @ common**2)
+        damped_square = damping * float(common_scale @ common**2)
         if block is not None and self.block_gradient is not None and block_scale is not None:
             slope += float(np.sum(self.block_gradient * block))
-            size += damping * float(np.sum(block_scale * block**2))
-        # H step = -g - damping D step: step^T H step = -slope - size, the model falls by -2 slope - step^T H step
-        curvature = max(-slope - size, 0.0)
+            damped_square += damping * float(np.sum(block_scale * block**2))
+        # from H step = -g - damping D step; the model falls by -2 slope - step^T H step
+        curvature = max(-slope - damped_square, 0.0)
         return GaussNewtonStep(
             common=common, block=block, decrease=-2.0 * slope - curvature, length=float(np.sqrt(curvature))
         )
 
-    def reduce(self, *, with_blocks: bool = False) -> Reduced:
-        """Eliminate the frames, undamped; ``with_blocks`` also inverts their blocks."""
+    def reduce(self) -> Reduced:
+        """Eliminate the frames, undamped."""
         scale = np.sqrt(np.maximum(np.diagonal(self.common), 0.0))
         if self.border is None or self.block is None:
-            return Reduced(information=self.common, scale=scale, border=None, block_covariance=None)
+            return Reduced(information=self.common, scale=scale, border=None)
         right = self.border.swapaxes(1, 2)
         diagonal = np.einsum("fii->fi", self.block)
         floor = np.where(diagonal > 0, 1e-14 * diagonal, 1.0)  # frames without stars keep a solvable block
         border = self._eliminate(right, floor)
-        frames, size, common = right.shape
+        common = right.shape[2]
         information = self.common - right.reshape(-1, common).T @ border.reshape(-1, common)
-        covariance = None
-        if with_blocks:
-            if self.coupling is None:
-                covariance = np.asarray(np.linalg.inv(self.block), np.float64)
-            else:
-                full = self._eliminate(np.eye(frames * size).reshape(frames, size, frames * size), floor)
-                k = np.arange(frames)
-                covariance = full.reshape(frames, size, frames, size)[k, :, k]
-        return Reduced(
-            information=0.5 * (information + information.T), scale=scale, border=border, block_covariance=covariance
-        )
+        return Reduced(information=0.5 * (information + information.T), scale=scale, border=border)
 
     def _eliminate(self, right: FloatArray, extra: FloatArray) -> FloatArray:
         """A^-1 ``right`` (f, b, m), with ``extra`` (f, b) on the diagonal of A."""
@@ -139,15 +127,17 @@ class ArrowSystem:
 def _solve_scaled(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solution of a symmetric system, scaled; directions without information stay where they are."""
     diagonal = np.diagonal(matrix)
-    inverse = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    value, vector = np.linalg.eigh(matrix * inverse[:, None] * inverse)
-    known = value > NULL_PART * max(float(value[-1]), 0.0)
-    part = (vector.T @ (right * inverse)) * known / np.where(known, value, 1.0)
-    return np.asarray(vector @ part * inverse)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    eigenvalues, eigenvectors, determined = _scaled_spectrum(matrix, scale)
+    coordinates = (eigenvectors.T @ (right / scale)) * determined / np.where(determined, eigenvalues, 1.0)
+    return np.asarray(eigenvectors @ coordinates / scale)
 
 
-def spectrum(reduced: Reduced) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def spectrum(reduced: Reduced) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Eigenvalues (p,), eigenvectors (p, p) of the scaled information, and which of them carry information."""
-    inverse = 1.0 / np.where(reduced.scale > 0, reduced.scale, 1.0)
-    value, vector = np.linalg.eigh(reduced.information * inverse[:, None] * inverse)
-    return value, vector, value > NULL_PART * max(float(value[-1]), 0.0)
+    return _scaled_spectrum(reduced.information, np.where(reduced.scale > 0, reduced.scale, 1.0))
+
+
+def _scaled_spectrum(matrix: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    eigenvalues, eigenvectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    return eigenvalues, eigenvectors, eigenvalues > NULL_PART * max(float(eigenvalues[-1]), 0.0)

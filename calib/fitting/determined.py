@@ -28,28 +28,30 @@ class Determined(NamedTuple):
 
 
 def covariance_of_spectrum(
-    value: FloatArray,
-    vector: FloatArray,
-    known: BoolArray,
+    eigenvalues: FloatArray,
+    eigenvectors: FloatArray,
+    determined: BoolArray,
     scale: FloatArray,
     names: tuple[str, ...],
     *,
     factor: float = 1.0,
 ) -> Determined:
-    """Covariance from the eigenvalues of the scaled information.
+    """Covariance from the spectrum (`calib.fitting.block_arrow.spectrum`) of the scaled information."""
+    directions = eigenvectors / np.where(scale > 0, scale, 1.0)[:, None]
+    known = directions[:, determined]
+    covariance = factor * (known / eigenvalues[determined]) @ known.T
+    full_rank = determined.all() and len(eigenvalues) > 0
+    condition = float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if full_rank else float("inf")
+    lost = np.sum(eigenvectors[:, ~determined] ** 2, axis=1) > TAKES_PART
+    _make_infinite(covariance, lost)
+    unknown = [name for name, gone in zip(names, lost, strict=True) if gone]
+    return Determined(covariance, condition, unknown, _message(unknown, directions[:, ~determined], names))
 
-    Shapes: ``value`` (p,), ``vector`` (p,), ``known`` (p,), ``scale`` (p,).
-    """
-    inverse = 1.0 / np.where(scale > 0, scale, 1.0)
-    part = vector[:, known] * inverse[:, None]
-    covariance = factor * (part / value[known]) @ part.T
-    condition = float(np.sqrt(value[-1] / value[0])) if known.all() and len(value) else float("inf")
-    lost = np.sum(vector[:, ~known] ** 2, axis=1) > TAKES_PART
+
+def _make_infinite(covariance: FloatArray, lost: BoolArray) -> None:
     covariance[lost, :] = 0.0
     covariance[:, lost] = 0.0
     covariance[lost, lost] = np.inf
-    unknown = [name for name, gone in zip(names, lost, strict=True) if gone]
-    return Determined(covariance, condition, unknown, _message(unknown, vector[:, ~known] * inverse[:, None], names))
 
 
 def covariance_of_jacobian(jacobian: FloatArray, names: tuple[str, ...], *, factor: float = 1.0) -> Determined:
@@ -58,9 +60,9 @@ def covariance_of_jacobian(jacobian: FloatArray, names: tuple[str, ...], *, fact
     scaled = jacobian / np.where(scale > 0, scale, 1.0)
     if len(scaled) < len(names):
         scaled = np.concatenate([scaled, np.zeros((len(names) - len(scaled), len(names)))])
-    _, size, vt = np.linalg.svd(scaled, full_matrices=False)
-    known = size > NULL_RATIO * size[0]
-    return covariance_of_spectrum(size[::-1] ** 2, vt[::-1].T, known[::-1], scale, names, factor=factor)
+    _, singular_values, vt = np.linalg.svd(scaled, full_matrices=False)
+    values, determined = singular_values[::-1], singular_values[::-1] > NULL_RATIO * singular_values[0]
+    return covariance_of_spectrum(values**2, vt[::-1].T, determined, scale, names, factor=factor)
 
 
 def _message(unknown: list[str], direction: FloatArray, names: tuple[str, ...]) -> str:
@@ -85,8 +87,5 @@ def transformed_covariance(covariance: FloatArray, derivative: FloatArray) -> Fl
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     turned = np.where(np.isfinite(derivative), derivative, 0.0)
     out = turned @ finite @ turned.T
-    touched = np.any((np.abs(derivative) > 1e-12) & lost | ~np.isfinite(derivative), axis=1)
-    out[touched, :] = 0.0
-    out[:, touched] = 0.0
-    out[touched, touched] = np.inf
+    _make_infinite(out, np.any((np.abs(derivative) > 1e-12) & lost | ~np.isfinite(derivative), axis=1))
     return np.asarray(0.5 * (out + out.T))

@@ -8,29 +8,16 @@ from scipy.optimize import brentq
 from optics.arrays import FloatArray
 
 CLIP_SIGMA = 5.0
+LARGEST = 10.0
+"""Largest value that is sought, in the unit of the residuals."""
 
 
-def excess_sigma(residual: FloatArray, variance: FloatArray, *, expected: float = 1.0, largest: float = 10.0) -> float:
-    """Standard deviation per axis to be added to all stated errors, in the unit of the residuals.
+def excess_sigma(residual: FloatArray, variance: FloatArray, *, expected: float = 1.0) -> float:
+    """Standard deviation per axis to be added to all stated errors; 0 where these explain the residuals.
 
-    With it the mean square of the standardised residuals, outliers beyond five sigma left out, is ``expected`` (R. C.
-    Paule and J. Mandel, J. Res. NBS 87, 377 (1982)).
-
-    Parameters
-    ----------
-    residual : (n, k)
-        Residuals along k axes.
-    variance : (n,)
-        Stated variance, mean of the axes.
-    expected : float
-        Degrees of freedom over the number of residuals.
-    largest : float
-        Largest value that is sought.
-
-    Returns
-    -------
-    float
-        0 where the stated errors explain the residuals, and where ``largest`` does not.
+    With it the mean square of the standardised residuals (n, k) of k axes, outliers beyond five sigma left out, is
+    ``expected``, the degrees of freedom over the number of residuals (R. C. Paule and J. Mandel, J. Res. NBS 87, 377
+    (1982)); 0 as well where `LARGEST` does not reach it. ``variance`` (n,) is the stated one, mean of the axes.
     """
     axes = residual.shape[1]
     squared, stated = (residual**2).sum(axis=1), axes * variance
@@ -41,4 +28,4 @@ def excess_sigma(residual: FloatArray, variance: FloatArray, *, expected: float 
         # where all lie beyond five sigma the sought value is larger
         return float(np.mean(squared[inside] / total[inside])) - expected if inside.any() else CLIP_SIGMA**2
 
-    return float(brentq(excess, 0.0, largest)) if excess(0.0) > 0.0 > excess(largest) else 0.0
+    return float(brentq(excess, 0.0, LARGEST)) if excess(0.0) > 0.0 > excess(LARGEST) else 0.0

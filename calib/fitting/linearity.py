@@ -21,24 +21,10 @@ NAMED_PART = 0.1
 
 
 def chi_square_rise(problem: Problem, state: Any, weight: FloatArray) -> tuple[float, list[str]]:
-    """Rise of chi-square at one standard deviation along the least determined direction.
+    """Rise of chi-square at one sigma along the least determined direction; unknowns that take part in it.
 
-    Parameters
-    ----------
-    problem : Problem
-        Problem of `calib.fitting.least_squares`.
-    state : Any
-        Its state at the minimum.
-    weight : (n,)
-        Weights of the groups of residuals.
-
-    Returns
-    -------
-    rise : float
-        Mean over both directions; 1 for a linear problem, infinite if a side leaves the domain, NaN if a direction is
-        not determined at all.
-    names : list of str
-        Unknowns that take part in the direction.
+    The mean over both directions, with weights (n,) of the groups of residuals at the minimum: 1 for a linear problem,
+    infinite if a side leaves the domain, NaN if a direction is not determined at all.
     """
     evaluation = problem.evaluate(state)
     reduced = problem.system(evaluation, weight).reduce()

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.attitude.euler_angles import rotation_of_angles
 from calib.attitude.gyro_attitude import integrate_rates_many
-from calib.attitude.gyro_link import rotation_of_angles
 from calib.calibration.drawn_stars import DrawnStars
 from calib.calibration.observations import Observations
 from calib.cameras.base import SensorGeometry

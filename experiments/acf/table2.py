@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.attitude.gyro_link import angle_per_increment, angles_of_rotation, rotation_of_angles
+from calib.attitude.euler_angles import angle_per_increment, angles_of_rotation, rotation_of_angles
 from calib.calibration.linked_design import LinkedDesign, correlated_covariance, free_bound, linked_bound
 from calib.fitting.normal_errors import log_likelihood
 from experiments.acf.reprojection import root_mean_square, table2_point

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import angles_of_rotation, link_attitudes
+from calib.attitude.euler_angles import angles_of_rotation
+from calib.attitude.gyro_attitude import link_attitudes
 from calib.calibration.attitude_correlated import AttitudeCorrelated
 from calib.calibration.attitude_family import AttitudeFamily
 from calib.calibration.calibrate import calibrate

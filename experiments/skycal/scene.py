@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.attitude.euler_angles import rotation_of_angles
 from calib.attitude.gyro_attitude import integrate_rates
-from calib.attitude.gyro_link import rotation_of_angles
 from calib.cameras.base import SensorGeometry
 from experiments.skycal.settings import CameraConfig, Config, MotionConfig, SkyConfig
 from optics.arrays import FloatArray

@@ -15,8 +15,8 @@ from calib.accuracy import distortion, ecss_metrics
 from calib.accuracy.high_frequency import step_residual_px
 from calib.attitude.association import match_stars
 from calib.attitude.attitude_solution import solve_wahba_many
+from calib.attitude.euler_angles import rotation_of_angles
 from calib.attitude.gyro_attitude import integrate_rates
-from calib.attitude.gyro_link import rotation_of_angles
 from calib.attitude.identify import build_database, identify, load_database
 from calib.attitude.star_vectors import initial_frame_vectors
 from calib.attitude.tracker import StarTracker, guide_catalogue

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_attitude import integrate_rates, integrate_rates_many
+from calib.attitude.gyro_attitude import integrate_rates, integrate_rates_many, link_attitudes
 
 
 def mean_rates(rate, time_s, nodes=8):
@@ -135,3 +135,13 @@ def test_many_records_are_each_alone():
     at = [0.0, 0.5, 1.4]
     for many, rate in zip(integrate_rates_many(time, rates, at), rates, strict=True):
         assert (many * integrate_rates(time, rate, at).inv()).magnitude().max() < 1e-15
+
+
+def test_frames_linked_by_a_gyro(scenes):
+    """Eq. 6 with the matrices multiplied out."""
+    a, first = scenes.document_matrix(scenes.THETA_DEG), scenes.document_matrix(scenes.PHI_DEG)
+    turn = scenes.body_turns(5, 3.0)
+    linked = link_attitudes(Rotation.from_matrix(first), Rotation.from_matrix(a), Rotation.from_matrix(turn))
+    for k in range(5):
+        np.testing.assert_allclose(linked[k].as_matrix(), a @ turn[k] @ a.T @ first, atol=1e-14)
+    assert (linked[0] * Rotation.from_matrix(first).inv()).magnitude() < 1e-14

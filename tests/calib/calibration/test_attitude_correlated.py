@@ -5,7 +5,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import angles_of_rotation, link_attitudes, rotation_of_angles
+from calib.attitude.euler_angles import angles_of_rotation, rotation_of_angles
+from calib.attitude.gyro_attitude import link_attitudes
 from calib.calibration.attitude_correlated import ANGLE_NAMES, AttitudeCorrelated
 from calib.calibration.calibrate import calibrate
 from calib.calibration.free_attitudes import FreeAttitudes

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import link_attitudes
+from calib.attitude.gyro_attitude import link_attitudes
 from calib.calibration.drawn_stars import draw_stars
 from calib.calibration.linked_design import (
     GyroDrift,

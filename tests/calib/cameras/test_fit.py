@@ -6,7 +6,7 @@ from calibration_scene import CAMERA, GEOMETRY
 from scipy.spatial.transform import Rotation
 
 from calib.cameras import BrownConrady, PerBand, Polynomial, SensorGeometry
-from calib.cameras.fit import fit_camera, fit_to_map, left_jacobian
+from calib.cameras.fit import fit_camera, fit_to_map
 from optics import chief_ray_points, load_lens, plate_scale_mm
 from optics.frames import field_direction, pixel_from_lens
 from render.records import PixelMap
@@ -99,13 +99,3 @@ def test_a_traced_lens_is_followed_and_better_by_richer_models(lens, geometry, l
         )
     assert left[0] > 10 * left[1]
     assert left[2] > 5 * left[3]
-
-
-def test_the_left_jacobian_is_the_derivative_of_the_rotation():
-    for vector in ([0.0, 0.0, 0.0], [1e-4, 2e-4, -1e-4], [0.4, -0.2, 1.1], [0.0, 0.0, 3.0]):
-        w, h = np.array(vector), 1e-6
-        slope = [
-            (Rotation.from_rotvec(w + h * axis) * Rotation.from_rotvec(w - h * axis).inv()).as_rotvec() / (2 * h)
-            for axis in np.eye(3)
-        ]
-        np.testing.assert_allclose(left_jacobian(w), np.transpose(slope), atol=1e-9)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.attitude.gyro_link import angles_of_rotation, link_attitudes
+from calib.attitude.euler_angles import angles_of_rotation
+from calib.attitude.gyro_attitude import link_attitudes
 from calib.calibration.drawn_stars import draw_stars
 from experiments.acf.settings import Config, SkyConfig
 from experiments.acf.simulate import build_scene, choose_frames, gyro_rotations, observe

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import link_attitudes
+from calib.attitude.gyro_attitude import link_attitudes
 from experiments.skycal.scene import _detectable_mag, build_scene
 from experiments.skycal.settings import Config, model_label, parse_model_name
 from optics.light.magnitudes import photon_rate

@@ -1,6 +1,6 @@
-"""Attitude angles of ACF17, and the link of the frames through a gyro.
+"""Euler angles of attitudes as ACF17 has them (eq. 1-2), and their rates.
 
-Angles (eq. 1-2). An attitude C from frame i to frame S, ``v_S = C v_i``, is
+An attitude C from frame i to frame S, ``v_S = C v_i``, is
 
     C = R_y(a2) R_x(a1) R_z(a3),
 
@@ -10,13 +10,6 @@ Angles (eq. 1-2). An attitude C from frame i to frame S, ``v_S = C v_i``, is
 
 which turn the frame, not the vector. At a1 = +-90 deg only a3 -+ a2 is defined. The initial attitude has the angles
 phi, the installation (camera from gyro body, C_b_to_S) the angles theta.
-
-Link (eq. 6). The gyro tells how its body turned, G_k = C_b1_to_bk; with the installation A and the attitude R_1 of the
-camera in the first frame,
-
-    R_k = (A G_k A^T) R_1.
-
-The printed text of ACF17 calls C_i_to_S the matrix "from S to i"; eq. 1 says what is meant.
 """
 
 from __future__ import annotations
@@ -78,44 +71,3 @@ def angle_per_increment(angle_rad: ArrayLike) -> FloatArray:
     out = np.linalg.pinv(increment_per_angle(angle))
     out[1:] = np.inf
     return np.asarray(out)
-
-
-def link_attitudes(first: Rotation, installation: Rotation, gyro_rotation: Rotation) -> Rotation:
-    """Attitudes of all frames from the first one (eq. 6): ``R_k = A G_k A^T R_1``."""
-    return installation * gyro_rotation * installation.inv() * first
-
-
-def skew(v: FloatArray) -> FloatArray:
-    """Matrices (..., 3, 3) with ``skew(v) @ w = v x w``."""
-    out = np.zeros((*v.shape, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return out
-
-
-def exponential(vector: FloatArray) -> FloatArray:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]; Rodrigues' formula, for the hot path."""
-    cross = skew(vector)
-    angle2 = np.einsum("...i,...i->...", vector, vector)
-    first, second, _ = _series(angle2)
-    return np.asarray(np.eye(3) + first[..., None, None] * cross + second[..., None, None] * (cross @ cross))
-
-
-def right_jacobian(vector: FloatArray) -> FloatArray:
-    """Matrices J (..., 3, 3) with ``exp(v + dv) = exp(v) exp(J dv)`` to first order (Chirikjian 2012, eq. 10.86)."""
-    cross = skew(vector)
-    angle2 = np.einsum("...i,...i->...", vector, vector)
-    _, second, third = _series(angle2)
-    return np.asarray(np.eye(3) - second[..., None, None] * cross + third[..., None, None] * (cross @ cross))
-
-
-def _series(angle2: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """sin a / a, (1 - cos a) / a^2, (a - sin a) / a^3 of squared angles."""
-    small = angle2 < 1e-4
-    a2 = np.where(small, 1.0, angle2)
-    a = np.sqrt(a2)
-    return (
-        np.where(small, 1.0 - angle2 / 6.0 + angle2**2 / 120.0, np.sin(a) / a),
-        np.where(small, 0.5 - angle2 / 24.0 + angle2**2 / 720.0, (1.0 - np.cos(a)) / a2),
-        np.where(small, 1.0 / 6.0 - angle2 / 120.0 + angle2**2 / 5040.0, (a - np.sin(a)) / (a * a2)),
-    )

@@ -4,16 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.attitude.gyro_link import (
-    angle_per_increment,
-    angles_of_rotation,
-    exponential,
-    increment_per_angle,
-    link_attitudes,
-    right_jacobian,
-    rotation_of_angles,
-    skew,
-)
+from calib.attitude.euler_angles import angle_per_increment, angles_of_rotation, increment_per_angle, rotation_of_angles
 
 ANGLES = [(0.0, 0.0, 0.0), (56.9476, -1.0046, -25.3335), (2.0, 2.0, 2.0), (-89.0, 170.0, -120.0)]
 
@@ -52,33 +43,6 @@ def test_increments_of_the_angles(angles_deg):
         for e in np.eye(3)
     ]
     np.testing.assert_allclose(increment_per_angle(angle), np.column_stack(columns), atol=1e-9)
-
-
-def test_link(scenes):
-    """Eq. 6 with the matrices multiplied out."""
-    a, first = scenes.document_matrix(scenes.THETA_DEG), scenes.document_matrix(scenes.PHI_DEG)
-    turn = scenes.body_turns(5, 3.0)
-    linked = link_attitudes(Rotation.from_matrix(first), Rotation.from_matrix(a), Rotation.from_matrix(turn))
-    for k in range(5):
-        np.testing.assert_allclose(linked[k].as_matrix(), a @ turn[k] @ a.T @ first, atol=1e-14)
-    assert (linked[0] * Rotation.from_matrix(first).inv()).magnitude() < 1e-14
-
-
-@pytest.mark.parametrize("size", [0.0, 1e-9, 5e-3, 0.1, 3.0])
-def test_exponential_and_its_derivative(size):
-    vector = size * np.array([[0.6, -0.48, 0.64], [0.0, 1.0, 0.0]])
-    np.testing.assert_allclose(exponential(vector), Rotation.from_rotvec(vector).as_matrix(), atol=2e-15)
-    for v, j in zip(vector, right_jacobian(vector), strict=True):
-        for axis, e in enumerate(np.eye(3)):
-            h = 1e-6
-            ahead = (Rotation.from_rotvec(v).inv() * Rotation.from_rotvec(v + h * e)).as_rotvec()
-            behind = (Rotation.from_rotvec(v).inv() * Rotation.from_rotvec(v - h * e)).as_rotvec()
-            np.testing.assert_allclose(j[:, axis], (ahead - behind) / (2 * h), atol=1e-9)
-
-
-def test_skew_is_the_cross_product():
-    a, b = np.random.default_rng(0).standard_normal((2, 7, 3))
-    np.testing.assert_allclose(np.einsum("nij,nj->ni", skew(a), b), np.cross(a, b), atol=1e-15)
 
 
 def test_angles_that_only_their_sum_defines_have_no_finite_rate():
