@@ -207,8 +207,8 @@ class Camera:
     def chief_px(self, x: FloatArray, y: FloatArray, wavelength_nm: float | None = None) -> FloatArray:
         """Pixels (n, 2) of chief rays (design wavelength) of stars at X/Z = x, Y/Z = y in cam; rims stop none."""
         fx, fy = field_angles_deg(np.stack([x, y, np.ones_like(x)], axis=-1))
-        place = chief_ray_points(self.focused_lens, fx, fy, wavelength_nm, blocked="follow")
-        return np.stack(self.to_pixel(*place), axis=-1)
+        landing_mm = chief_ray_points(self.focused_lens, fx, fy, wavelength_nm, blocked="follow")
+        return np.stack(self.to_pixel(*landing_mm), axis=-1)
 
     def response_at(self, wavelength_nm: FloatArray) -> FloatArray:
         """Electrons per photon at each wavelength."""
@@ -284,18 +284,18 @@ def build_camera(
         name=f"{lens.name} on {detector.name}",
         source=f"{lens.source}; {efficiency.source}",
     )
-    held = lens.measured is not None and lens.measured.includes_charge_diffusion
-    known = lens.measured is None and lens.throughput is None
+    diffused = lens.measured is not None and lens.measured.includes_charge_diffusion
+    traceable = lens.measured is None and lens.throughput is None
     return Camera(
         lens=lens,
         width_px=detector.width_px,
         height_px=detector.height_px,
         pixel_pitch_mm=detector.pixel_pitch_mm,
         defocus_mm=defocus_mm,
-        charge_diffusion_px=0.0 if held else detector.diffusion_sigma_px,
+        charge_diffusion_px=0.0 if diffused else detector.diffusion_sigma_px,
         rotation_cam_from_world=np.eye(3) if rotation_cam_from_world is None else rotation_cam_from_world,
         response=response,
-        losses=PathLosses(coating=coating, absorption=absorption) if known else None,
+        losses=PathLosses(coating=coating, absorption=absorption) if traceable else None,
         far=FarLight(ends_e=FAR_NOISE * max(detector.read_noise_e, 1.0), saturated_e=detector.full_well_e),
         blind_columns_px=detector.gap_columns_px,
         diffraction=diffraction,

@@ -120,7 +120,7 @@ class FieldResponse:
     def moving(self, trail_px: FloatArray) -> FieldResponse:
         """The response to stars whose images trail by (2,) px, columns and rows, during an exposure."""
         psfs, cold, hot = (
-            tuple(trailed(one, trail_px) for one in still) for still in (self.psfs, self.cold_psfs, self.hot_psfs)
+            tuple(trailed(psf, trail_px) for psf in still) for still in (self.psfs, self.cold_psfs, self.hot_psfs)
         )
         fwhm_px = _fwhm((self.fwhm_px / _FWHM) ** 2 + float(trail_px @ trail_px) / 24.0)
         return replace(self, trail_px=trail_px, fwhm_px=fwhm_px, psfs=psfs, cold_psfs=cold, hot_psfs=hot)

@@ -197,8 +197,8 @@ class StarRenderer:
         """Tracer of the last image; by waves it has the light of its stars (`render.tracing.psf.render_epsf`)."""
         if self._scene is None:
             return None
-        found: Tracer = self._scene.integrator().tracer(self._scene.sensors()[0], self.seed)
-        return found
+        tracer: Tracer = self._scene.integrator().tracer(self._scene.sensors()[0], self.seed)
+        return tracer
 
     def save(self, path: str | Path) -> list[Path]:
         """Write the scene of the last image (`render.plugins.scene_files.save_scene`), for ``mi.load_file``.
@@ -219,7 +219,7 @@ class StarRenderer:
         mi = self._mi
         if self._scene is None:
             self._scene = mi.load_dict(star_scene(self.camera, stars, **self._settings))
-            self._field = next(one for one in self._scene.emitters() if hasattr(one, "photon_rate"))
+            self._field = next(emitter for emitter in self._scene.emitters() if hasattr(emitter, "photon_rate"))
             self._params = mi.traverse(self._scene)
             self._params.keep(["camera.rotation", *(f"stars.{name}" for name in STARS)])
         self._scene.sensors()[0].exposure_motion = motion

@@ -60,8 +60,8 @@ class SkyLight:
     disks : tuple of BodyDisk
         Bodies larger than a pixel, the nearest first.
     ghosts : GhostTruth or None
-        Ghosts in the frame, where the simulator renders them: rows from ``len(field)`` on count in ``beside``.
-    beside : tuple of str
+        Ghosts in the frame, where the simulator renders them: rows from ``len(field)`` on count in ``sources_outside``.
+    sources_outside : tuple of str
         Sources of ghosts outside the field: ids of bright stars anywhere in front of the lens, bodies.
     attitude : Rotation
         cam from icrs in the middle of the exposure.
@@ -79,7 +79,7 @@ class SkyLight:
     planets: SolarSystem | None
     disks: tuple[BodyDisk, ...]
     ghosts: GhostTruth | None
-    beside: tuple[str, ...]
+    sources_outside: tuple[str, ...]
     attitude: Rotation
     band: str
     exposure_s: float
@@ -87,7 +87,7 @@ class SkyLight:
     @property
     def bodies(self) -> dict[str, tuple[float, float, float]]:
         """Column and row [px] of the centroid, and electrons, of each body whose light reaches the detector."""
-        found = {
+        bodies = {
             disk.name: (*disk.image.photon_px[0].tolist(), float(disk.image.electrons[0]))
             for disk in self.disks
             if disk.image.electrons[0] > 0.0
@@ -99,8 +99,8 @@ class SkyLight:
                 for column in ("photon_x_px", "photon_y_px", "electrons_image")
             )
             if electrons > 0.0:
-                found[name] = x, y, electrons
-        return found
+                bodies[name] = x, y, electrons
+        return bodies
 
     def image(self) -> ExpectedImage:
         """The electrons as `expose` and FITS files take them, with the truth."""
@@ -174,13 +174,13 @@ class Observation:
 
     @property
     def ghosts(self) -> GhostTruth | None:
-        """Ghosts in the frame; their stars count in ``field``, from ``len(field)`` on in ``beside``."""
+        """Ghosts in the frame; their stars count in ``field``, from ``len(field)`` on in ``sources_outside``."""
         return self.light.ghosts
 
     @property
-    def beside(self) -> tuple[str, ...]:
+    def sources_outside(self) -> tuple[str, ...]:
         """Sources of ghosts outside the field: ids of bright stars anywhere in front of the lens, bodies."""
-        return self.light.beside
+        return self.light.sources_outside
 
     def to_table(self) -> Any:
         """Truth as an `astropy.table.Table`: a row per star with identity, position and electrons."""
@@ -258,13 +258,13 @@ class Observation:
         """
         frame, true = self.frame, self._true_marks()
         measured = [layer for layer in layers if layer.shape not in ("arrow", "cross")]
-        known = [replace(layer, shown=layer.shape != "arrow") for layer in layers]  # the truth says more than residuals
+        given = [replace(layer, shown=layer.shape != "arrow") for layer in layers]  # the truth says more than residuals
         cards = lens_wcs(self.sensor.camera).header(self.attitude.as_matrix())
         ra, dec, roll = angles_from_attitude(self.attitude)
         return save_frame_page(
             path,
             frame.dn,
-            [true, *known, *([differences(measured, true)] if measured else [])],
+            [true, *given, *([differences(measured, true)] if measured else [])],
             title=f"{self.sensor.camera.lens.name}, {frame.exposure_s:g} s",
             facts={
                 "right ascension": f"{ra:.4f}°",

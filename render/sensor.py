@@ -152,13 +152,13 @@ class StarSensor:
             Naming the key, the band and the range.
         """
         lens = self.camera.lens
-        known = [(glass.range_nm, f"glass {name}") for name, glass in lens.glasses.items()]
-        known.append((lens.wavelength_range_nm, "the lens"))
+        ranges = [(glass.range_nm, f"glass {name}") for name, glass in lens.glasses.items()]
+        ranges.append((lens.wavelength_range_nm, "the lens"))
         if self.camera.response is not None:
-            known.append((self.camera.response.range_nm, "the quantum efficiency and transmission tables"))
+            ranges.append((self.camera.response.range_nm, "the quantum efficiency and transmission tables"))
         (low, first), (high, last) = (
-            max((range_nm[0], what) for range_nm, what in known),
-            min((range_nm[1], what) for range_nm, what in known),
+            max((range_nm[0], what) for range_nm, what in ranges),
+            min((range_nm[1], what) for range_nm, what in ranges),
         )
         start, end = min(band.breakpoints_nm), max(band.breakpoints_nm)
         if start < low * (1.0 - _ROUNDING) or end > high * (1.0 + _ROUNDING):
@@ -209,19 +209,19 @@ class StarSensor:
         traced so far gives `render.camera.Camera.nominal_direction`.
         """
         camera, scale = self.camera, self.camera.pixel_pitch_mm / self.focal_length_mm
-        wanted = np.stack([x_px, y_px], axis=-1)
+        target_px = np.stack([x_px, y_px], axis=-1)
         near = _NEAR * 0.5 * math.hypot(camera.width_px, camera.height_px)
-        told = wanted
+        aim_px = target_px
         try:
             for _ in range(_STEPS if camera.lens.measured is None else 0):
-                tangent = (told - camera.centre_px) * scale
-                off = wanted - camera.chief_px(tangent[:, 0], tangent[:, 1])
-                if np.hypot(off[:, 0], off[:, 1]).max(initial=0.0) <= near:
+                tangent = (aim_px - camera.centre_px) * scale
+                miss_px = target_px - camera.chief_px(tangent[:, 0], tangent[:, 1])
+                if np.hypot(miss_px[:, 0], miss_px[:, 1]).max(initial=0.0) <= near:
                     break
-                told = told + off
+                aim_px = aim_px + miss_px
         except ConvergenceError:
-            told = wanted
-        return camera.nominal_direction(told[:, 0], told[:, 1], self.focal_length_mm)
+            aim_px = target_px
+        return camera.nominal_direction(aim_px[:, 0], aim_px[:, 1], self.focal_length_mm)
 
     def radial_field_deg(self, radius_px: FloatArray) -> FloatArray:
         """Field angles (n,) at distances (n,) from the middle of the detector."""
@@ -267,19 +267,19 @@ class StarSensor:
         wave = nodes.wavelength_nm[0]
         spectrum = Blackbody(temperature_k=temperature_k).photon_density(wave) * camera.response_at(wave)
         spots = spot_moments(camera.focused_lens, *field_angles_deg(direction), wave, order=_MAP_ORDER)
-        share, pull = _through(camera, direction, wave)
-        light = nodes.weight_nm[0] * nodes.transmission[0] * spectrum * spots.transmitted_mm2 * share
-        seen = light.sum(1) > 0.0
-        if np.count_nonzero(seen) < _MAP_GRID**2 // 2:
+        transmission, shift_mm = _through(camera, direction, wave)
+        light = nodes.weight_nm[0] * nodes.transmission[0] * spectrum * spots.transmitted_mm2 * transmission
+        lit = light.sum(1) > 0.0
+        if np.count_nonzero(lit) < _MAP_GRID**2 // 2:
             raise ConvergenceError(
-                f"lens {camera.lens.name!r}: light reaches {np.count_nonzero(seen)} of {_MAP_GRID**2} places of the "
+                f"lens {camera.lens.name!r}: light reaches {np.count_nonzero(lit)} of {_MAP_GRID**2} places of the "
                 "detector; a smaller window is needed to calibrate it"
             )
-        light = light[seen] / light[seen].sum(1, keepdims=True)
-        places = [v + p for v, p in zip((spots.x_mm, spots.y_mm), pull, strict=True)]
-        mean = [(np.where(light > 0.0, v[seen], 0.0) * light).sum(1) for v in places]
+        light = light[lit] / light[lit].sum(1, keepdims=True)
+        landing_mm = [v + p for v, p in zip((spots.x_mm, spots.y_mm), shift_mm, strict=True)]
+        mean = [(np.where(light > 0.0, v[lit], 0.0) * light).sum(1) for v in landing_mm]
         return PixelMap(
-            direction=direction[seen],
+            direction=direction[lit],
             pixel_px=np.stack(camera.to_pixel(*mean), axis=-1),
             width_px=camera.width_px,
             height_px=camera.height_px,
@@ -301,11 +301,11 @@ class StarSensor:
         corner_deg = math.degrees(math.atan2(math.hypot(corner[0], corner[1]), corner[2]))
         if corner_deg > _REACH * limit:
             edge = camera.chief_px(np.array([math.tan(math.radians(limit))]), np.zeros(1))[0]
-            share = float(np.hypot(*(edge - camera.centre_px))) / corner_px
+            fraction = float(np.hypot(*(edge - camera.centre_px))) / corner_px
             raise DomainError(
                 f"the corners of {camera.width_px} x {camera.height_px} px see {corner_deg:.1f} deg from the axis, "
-                f"lens {camera.lens.name!r} is made for {limit:g} deg; read at most {int(camera.width_px * share)} x "
-                f"{int(camera.height_px * share)} px"
+                f"lens {camera.lens.name!r} is made for {limit:g} deg; read at most "
+                f"{int(camera.width_px * fraction)} x {int(camera.height_px * fraction)} px"
             )
 
 
@@ -316,7 +316,7 @@ def _through(camera: Camera, direction: FloatArray, wave: FloatArray) -> tuple[F
     """
     lens, losses = camera.focused_lens, camera.losses
     points = gauss_disk(*_THROUGH_ORDER)
-    share, pull = np.ones((len(direction), len(wave))), np.zeros((2, len(direction), len(wave)))
+    transmission, shift_mm = np.ones((len(direction), len(wave))), np.zeros((2, len(direction), len(wave)))
     if losses is not None:
         disks, path = (
             launch_disks(lens, direction, wave),
@@ -331,12 +331,12 @@ def _through(camera: Camera, direction: FloatArray, wave: FloatArray) -> tuple[F
             )
             out = path.trace(start, np.ones(x.size))
             light = out.weight.reshape(x.shape) * points.weight
-            place = np.where(light > 0.0, np.stack([out.rays.x, out.rays.y]).reshape(2, *x.shape), 0.0)
-            equal = points.weight * (light > 0.0)
-            sums = [np.maximum(one.sum(1), 1e-300) for one in (light, equal)]
-            share[:, w] = np.where(equal.any(1), sums[0] / sums[1] / axis, 1.0)
-            pull[:, :, w] = (place * light).sum(2) / sums[0] - (place * equal).sum(2) / sums[1]
-    return share, pull
+            landing_mm = np.where(light > 0.0, np.stack([out.rays.x, out.rays.y]).reshape(2, *x.shape), 0.0)
+            uniform = points.weight * (light > 0.0)
+            sums = [np.maximum(weights.sum(1), 1e-300) for weights in (light, uniform)]
+            transmission[:, w] = np.where(uniform.any(1), sums[0] / sums[1] / axis, 1.0)
+            shift_mm[:, :, w] = (landing_mm * light).sum(2) / sums[0] - (landing_mm * uniform).sum(2) / sums[1]
+    return transmission, shift_mm
 
 
 def build_star_sensor(

@@ -193,10 +193,13 @@ class SkySimulator:
         self.disks: SolarSystem | None = None
         self._points: tuple[SolarSystem, StarField] | None = None
         if len(bodies):
-            known = self._solar_system(bodies)
-            large = known.angular_diameter_rad > disks_above_px * np.radians(sensor.pixel_arcsec / 3600.0)
-            points = known.select(~large & np.isfinite(known.magnitude_v))
-            self.disks, self._points = known.select(large), (points, planet_field(points, [self.band], nodes=nodes))
+            system_bodies = self._solar_system(bodies)
+            large = system_bodies.angular_diameter_rad > disks_above_px * np.radians(sensor.pixel_arcsec / 3600.0)
+            points = system_bodies.select(~large & np.isfinite(system_bodies.magnitude_v))
+            self.disks, self._points = (
+                system_bodies.select(large),
+                (points, planet_field(points, [self.band], nodes=nodes)),
+            )
         self._planet_margin_px = max(self.view.margin_px, _wing_px(sensor.camera))
         self._motion_tolerance = MOTION_TOLERANCE if tolerance is None else tolerance
         self._rendering: dict[str, Any] = {
@@ -329,9 +332,9 @@ class SkySimulator:
         traced = renderer.trace(stars, **pose)
         layers = {name: image[:, :, 0] for name, image in traced.layers().items()}
         ghosts: GhostTruth | None = None
-        beside: tuple[str, ...] = ()
+        sources_outside: tuple[str, ...] = ()
         if self._ghost_sources is not None:
-            layers["ghosts"], ghosts, beside = self._ghost_light(stars, traced.truth, count, field, middle)
+            layers["ghosts"], ghosts, sources_outside = self._ghost_light(stars, traced.truth, count, field, middle)
         layers |= self._diffuse_light(middle)
         disks = self._seen_disks(middle, path, begin)
         if self.disks is not None:
@@ -347,7 +350,7 @@ class SkySimulator:
             planets=planets,
             disks=disks,
             ghosts=ghosts,
-            beside=beside,
+            sources_outside=sources_outside,
             attitude=middle,
             band=stars.band[0],
             exposure_s=self.exposure_s,
@@ -589,16 +592,16 @@ class SkySimulator:
         assert self._ghost_sources is not None
         image = np.zeros((*self.sensor.detector.shape, 1), np.float32)
         stars = replace(sources, direction=sources.direction[:count], photon_rate=sources.photon_rate[:count])
-        known = truth.select(slice(count))
+        star_truth = truth.select(slice(count))
         if field is None:
             v = stars.direction @ attitude.as_matrix().T
-            return image[:, :, 0], self._ghost_sources.ghosting.add(image, v, stars.wavelength_nm, known), ()
-        ghosts, beside = self._ghost_sources.add(image, attitude, stars, field.stars.id, known)
-        return image[:, :, 0], ghosts, beside
+            return image[:, :, 0], self._ghost_sources.ghosting.add(image, v, stars.wavelength_nm, star_truth), ()
+        ghosts, sources_outside = self._ghost_sources.add(image, attitude, stars, field.stars.id, star_truth)
+        return image[:, :, 0], ghosts, sources_outside
 
     def _diffuse_light(self, attitude: Rotation) -> dict[str, NDArray[np.float32]]:
         """Light of the sky and stray light [e-]; uniform light of ``background_e_per_s`` is not part of it."""
-        found, seconds = dict[str, NDArray[np.float32]](), np.float32(self.exposure_s * self.throughput_fraction)
+        light, seconds = dict[str, NDArray[np.float32]](), np.float32(self.exposure_s * self.throughput_fraction)
         if self.diffuse is not None:
             rate = sky_background(
                 self.diffuse,
@@ -608,10 +611,10 @@ class SkySimulator:
                 zodiacal=self.zodiacal,
                 uniform=self.uniform,
             )
-            found["sky"] = rate[:, :, 0] * seconds
+            light["sky"] = rate[:, :, 0] * seconds
         if stray := self.stray_e_per_s(attitude):
-            found["stray"] = np.full(self.sensor.detector.shape, sum(stray.values()) * seconds, np.float32)
-        return found
+            light["stray"] = np.full(self.sensor.detector.shape, sum(stray.values()) * seconds, np.float32)
+        return light
 
     def _seen_disks(self, attitude: Rotation, path: Trajectory | None, begin_s: float) -> tuple[BodyDisk, ...]:
         """Bodies larger than a pixel, with their light, the nearest first."""

@@ -146,7 +146,7 @@ def _named_ghosts(light: SkyLight) -> tuple[FrameGhost, ...]:
     ghosts, field = light.ghosts, light.field
     if ghosts is None or field is None:
         return ()
-    names = [*map(str, field.stars.id.tolist()), *light.beside]
+    names = [*map(str, field.stars.id.tolist()), *light.sources_outside]
     columns = [field.name for field in fields(FrameGhost) if field.name != "source"]
     rows = zip(ghosts.star.tolist(), *(getattr(ghosts, name).tolist() for name in columns), strict=True)
     return tuple(FrameGhost(source=names[star], **dict(zip(columns, row, strict=True))) for star, *row in rows)

@@ -93,14 +93,14 @@ class BodyRenderer:
         # rotation_cam_from_icrs (3, 3)
         _check(exposure_s, line_time_s, noise_share, in_front)
         camera = self.camera
-        own = camera.rotation_cam_from_world if rotation_cam_from_icrs is None else rotation_cam_from_icrs
+        rotation = camera.rotation_cam_from_world if rotation_cam_from_icrs is None else rotation_cam_from_icrs
         duration_s = exposure_s + (camera.height_px - 1) * line_time_s
-        attitudes = np.asarray(own, float)[None]
+        attitudes = np.asarray(rotation, float)[None]
         if trajectory is not None:
             attitudes = trajectory.attitude(start_s + duration_s * np.linspace(0.0, 1.0, STEPS)).as_matrix()
         window = _window(camera, self.view, body, attitudes)
         electrons = np.zeros((camera.height_px, camera.width_px, len(self.bands)), np.float32)
-        share = 0.0
+        worst_share = 0.0
         if window is not None:
             columns, rows = window
             exposed = BodyExposure(
@@ -116,20 +116,20 @@ class BodyRenderer:
                 sequence = (streams or Streams(0)).child("body", body.name).sequence("rays", frame)
                 mean, error = self._mesh(body, attitudes, exposed, light, window, quiet | {"sequence": sequence})
             lit = (mean > 0.0) & (mean < ceiling_e)
-            share = float((error[lit] ** 2 / mean[lit]).max(initial=0.0))
+            worst_share = float((error[lit] ** 2 / mean[lit]).max(initial=0.0))
             for band in range(len(self.bands)):
                 electrons[rows, columns, band] = diffuse(mean[..., band], camera.blur_px)
             if camera.sensitive_columns is not None:
                 electrons[:, ~camera.sensitive_columns] = 0.0
-        return _finished(electrons, self.rule.name, exposure_s, share)
+        return _finished(electrons, self.rule.name, exposure_s, worst_share)
 
     def render_system(
         self, system: SolarSystem, rotation_cam_from_icrs: FloatArray, *, turn_rad: float = 0.0, **settings: Any
     ) -> list[tuple[int, BodyImage]]:
         """The Moon, planets and Earth that an attitude sees, the nearest first: row of the body, its image."""
         reach = self.view.radius_rad + 0.5 * system.angular_diameter_rad + turn_rad
-        seen = np.flatnonzero(system.direction @ rotation_cam_from_icrs[2] > np.cos(np.minimum(reach, np.pi)))
-        order = seen[np.argsort(system.distance_au[seen])]
+        visible = np.flatnonzero(system.direction @ rotation_cam_from_icrs[2] > np.cos(np.minimum(reach, np.pi)))
+        order = visible[np.argsort(system.distance_au[visible])]
         bodies = [planet_body(system, system.name[i]) for i in order]
         settings["rotation_cam_from_icrs"] = rotation_cam_from_icrs
         return [
@@ -219,14 +219,16 @@ def _quaternions(attitudes: FloatArray) -> FloatArray:
     return quaternion
 
 
-def _finished(electrons: NDArray[np.float32], band: tuple[str, ...], exposure_s: float, share: float) -> BodyImage:
+def _finished(
+    electrons: NDArray[np.float32], band: tuple[str, ...], exposure_s: float, noise_share: float
+) -> BodyImage:
     light = electrons.astype(float)
     total = light.sum((0, 1))
     row, column = (np.arange(size) for size in light.shape[:2])
     with np.errstate(invalid="ignore", divide="ignore"):
         x, y = np.einsum("hwb,w->b", light, column) / total, np.einsum("hwb,h->b", light, row) / total
     image = ExpectedImage(electrons=electrons, band=band, exposure_s=exposure_s, diffused=True)
-    return BodyImage(image=image, electrons=total, photon_px=np.stack([x, y], axis=-1), noise_share=share)
+    return BodyImage(image=image, electrons=total, photon_px=np.stack([x, y], axis=-1), noise_share=noise_share)
 
 
 def _light(camera: Camera, body: SunlitBody, bands: Sequence[Band], rule: BandNodes) -> FloatArray:
@@ -253,13 +255,13 @@ def _window(camera: Camera, view: FieldOfView, body: SunlitBody, attitudes: Floa
     if not near.any():
         return None
     limb = _limb(body)
-    seen = np.concatenate([limb @ attitude.T for attitude in attitudes[near][:: max(1, len(attitudes) // 64)]])
-    if (seen[:, 2] <= 0.1).any():  # round the camera
+    limb_cam = np.concatenate([limb @ attitude.T for attitude in attitudes[near][:: max(1, len(attitudes) // 64)]])
+    if (limb_cam[:, 2] <= 0.1).any():  # round the camera
         return slice(0, camera.width_px), slice(0, camera.height_px)
-    pixel = view.pixel_of(seen)
+    pixel = view.pixel_of(limb_cam)
     beyond = np.isnan(pixel[:, 0])  # the field: about where it would be
     half_px = 0.5 * np.array([camera.width_px, camera.height_px]) + view.margin_px
-    pixel[beyond] = camera.centre_px + seen[beyond, :2] / seen[beyond, 2:] / view.half_width * half_px
+    pixel[beyond] = camera.centre_px + limb_cam[beyond, :2] / limb_cam[beyond, 2:] / view.half_width * half_px
     low = np.floor(pixel.min(0)).astype(int) - MARGIN_PX
     high = np.ceil(pixel.max(0)).astype(int) + MARGIN_PX + 1
     columns = slice(max(low[0], 0), min(high[0], camera.width_px))

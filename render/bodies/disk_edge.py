@@ -46,16 +46,16 @@ class Edge:
 
     def density(self, depth: Any) -> Any:
         """Part of the cell per sine of depth."""
-        left = 0.5 * (self.a + self.b) - dr.abs(depth / self.size - self.d)
-        value = dr.clip(left, 0.0, dr.minimum(self.a, self.b)) / (self.a * self.b * self.size)
+        ramp = 0.5 * (self.a + self.b) - dr.abs(depth / self.size - self.d)
+        value = dr.clip(ramp, 0.0, dr.minimum(self.a, self.b)) / (self.a * self.b * self.size)
         return dr.select(self.ahead, value, 0.0)
 
     def normal(self, c: list[Any], sine: Any, above: Any, mu: Any) -> list[Any]:
         """Normal where a ray leaves the sphere under an angle of sine ``above`` (from its centre) and cosine mu."""
         off = sine * above
         along = dr.safe_sqrt(1.0 - off * off)
-        out, back = above * along - mu * off, mu * along + above * off
-        return [out * e - back * m for e, m in zip(self.outwards, c, strict=True)]
+        outwards, inwards = above * along - mu * off, mu * along + above * off
+        return [outwards * e - inwards * m for e, m in zip(self.outwards, c, strict=True)]
 
     def inside(self) -> Any:
         """Part of the cell that lies in the disk."""

@@ -28,12 +28,15 @@ from render.tracing.ghosts import Ghosting, GhostTruth
 
 def sun_field(from_sun_au: FloatArray, bands: Sequence[Band], *, nodes: int = 5) -> tuple[StarField, float]:
     """The Sun, seen from a place along icrs [au], as a point of light; and the radius of its disk [rad]."""
-    rule, far = band_nodes(bands, nodes), float(np.linalg.norm(from_sun_au))
-    rate = sunlight(rule.wavelength_nm, distance_au=far) * rule.weight_nm * rule.transmission
+    rule, distance_au = band_nodes(bands, nodes), float(np.linalg.norm(from_sun_au))
+    rate = sunlight(rule.wavelength_nm, distance_au=distance_au) * rule.weight_nm * rule.transmission
     sun = StarField(
-        direction=-from_sun_au[None] / far, wavelength_nm=rule.wavelength_nm, photon_rate=rate[None], band=rule.name
+        direction=-from_sun_au[None] / distance_au,
+        wavelength_nm=rule.wavelength_nm,
+        photon_rate=rate[None],
+        band=rule.name,
     )
-    return sun, math.asin(SUN_RADIUS_KM * 1e3 / constants.au / far)
+    return sun, math.asin(SUN_RADIUS_KM * 1e3 / constants.au / distance_au)
 
 
 class GhostSources:
@@ -68,9 +71,9 @@ class GhostSources:
         if stray is not None and stray.draws_ghosts and observer.from_sun_au is not None:
             named.add("moon")
             self._bodies.append(("sun", *sun_field(observer.from_sun_au, bands, nodes=nodes)))
-        known = solar_system(epoch_year, observer=observer, bodies=sorted(named))
-        for row in np.flatnonzero(np.isfinite(known.magnitude_v)):
-            body = known.select([row])
+        system = solar_system(epoch_year, observer=observer, bodies=sorted(named))
+        for row in np.flatnonzero(np.isfinite(system.magnitude_v)):
+            body = system.select([row])
             radius = 0.5 * float(body.angular_diameter_rad[0]) if body.name[0] == "moon" else 0.0
             self._bodies.append((body.name[0], planet_field(body, bands, nodes=nodes), radius))
 
@@ -84,30 +87,30 @@ class GhostSources:
         bodies.
         """
         turn = attitude.as_matrix().T
-        found = [self.ghosting.add(image, stars.direction @ turn, stars.wavelength_nm, truth)]
+        ghosts = [self.ghosting.add(image, stars.direction @ turn, stars.wavelength_nm, truth)]
         direction = self._stars.direction @ turn
-        beside = (direction[:, 2] > 0.0) & ~np.isin(self._id, star_id)
-        names = [str(one) for one in self._id[beside].tolist()]
-        others = replace(self._stars, direction=direction[beside], photon_rate=self._stars.photon_rate[beside])
+        outside = (direction[:, 2] > 0.0) & ~np.isin(self._id, star_id)
+        names = [str(ghost) for ghost in self._id[outside].tolist()]
+        others = replace(self._stars, direction=direction[outside], photon_rate=self._stars.photon_rate[outside])
         first, seconds = len(stars), self.exposure_s
-        found.append(self.ghosting.add_beside(image, others, exposure_s=seconds, first=first))
-        mean = {} if self._stray is None else self._stray.ghosts(attitude)
+        ghosts.append(self.ghosting.add_beside(image, others, exposure_s=seconds, first=first))
+        table_e_per_s = {} if self._stray is None else self._stray.ghosts(attitude)
         for name, light, radius in self._bodies:
-            own, number = np.zeros_like(image), first + len(names)
+            body_image, number = np.zeros_like(image), first + len(names)
             inside = replace(light, direction=light.direction @ turn)
-            one = self.ghosting.add_beside(own, inside, exposure_s=seconds, radius_rad=radius, first=number)
-            if name in mean and own.any():
-                scale = seconds * mean[name] / float(own.mean(dtype=float))
-                own *= np.float32(scale)
-                scaled = {key: scale * getattr(one, key) for key in ("electrons", "electrons_image", "peak_e")}
-                one = replace(one, **scaled)
-            elif name in mean:
-                own += np.float32(seconds * mean[name])
-            image += own
-            found.append(one)
+            ghost = self.ghosting.add_beside(body_image, inside, exposure_s=seconds, radius_rad=radius, first=number)
+            if name in table_e_per_s and body_image.any():
+                scale = seconds * table_e_per_s[name] / float(body_image.mean(dtype=float))
+                body_image *= np.float32(scale)
+                scaled = {key: scale * getattr(ghost, key) for key in ("electrons", "electrons_image", "peak_e")}
+                ghost = replace(ghost, **scaled)
+            elif name in table_e_per_s:
+                body_image += np.float32(seconds * table_e_per_s[name])
+            image += body_image
+            ghosts.append(ghost)
             names.append(name)
-        parts = {f.name: np.concatenate([getattr(one, f.name) for one in found]) for f in fields(GhostTruth)}
+        parts = {f.name: np.concatenate([getattr(ghost, f.name) for ghost in ghosts]) for f in fields(GhostTruth)}
         rows = parts["star"] >= first
-        kept, places = np.unique(parts["star"][rows], return_inverse=True)
-        parts["star"][rows] = first + places
-        return GhostTruth(**parts), tuple(names[k - first] for k in kept)
+        source, order = np.unique(parts["star"][rows], return_inverse=True)
+        parts["star"][rows] = first + order
+        return GhostTruth(**parts), tuple(names[k - first] for k in source)

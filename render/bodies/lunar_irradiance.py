@@ -51,9 +51,9 @@ def moon_reflectance(
     if phase > KNOWN_DEG:
         return np.full(x.shape, np.nan)
     longitude, latitude = math.degrees(math.atan2(observer[1], observer[0])), math.degrees(math.asin(observer[2]))
-    apart = (math.degrees(math.atan2(sun[1], sun[0])) - longitude + 180.0) % 360.0 - 180.0
+    elongation = (math.degrees(math.atan2(sun[1], sun[0])) - longitude + 180.0) % 360.0 - 180.0
     longitude, latitude = (max(-LIBRATION_DEG, min(LIBRATION_DEG, v)) for v in (longitude, latitude))
-    solar = math.radians(max(-FITTED_DEG, min(FITTED_DEG, apart)) + longitude)
+    solar = math.radians(max(-FITTED_DEG, min(FITTED_DEG, elongation)) + longitude)
     g = min(phase, FITTED_DEG)
     libration = _C[0] * latitude + _C[1] * longitude + solar * (_C[2] * latitude + _C[3] * longitude)
     terms = (

@@ -108,10 +108,10 @@ class RayMaps:
         """Maps that cover a window."""
         width, height = self.camera.width_px, self.camera.height_px
         return [
-            found
+            tile_map
             for row in range(TILE_PX * (rows.start // TILE_PX), rows.stop, TILE_PX)
             for column in range(TILE_PX * (columns.start // TILE_PX), columns.stop, TILE_PX)
-            for found in self._maps(
+            for tile_map in self._maps(
                 Tile(column, row, min(column + TILE_PX, width), min(row + TILE_PX, height)), columns, rows
             )
         ]
@@ -122,10 +122,10 @@ class RayMaps:
             return []
         if tile not in self._found:
             self._found[tile] = self._fit(tile)
-        found, error = self._found[tile]
+        tile_map, error = self._found[tile]
         small = min(tile.end_column - tile.first_column, tile.end_row - tile.first_row) <= SMALLEST_PX
-        if found is None or small or error < FIT_PX:
-            return [] if found is None else [found]
+        if tile_map is None or small or error < FIT_PX:
+            return [] if tile_map is None else [tile_map]
         return [m for part in tile.quarters() for m in self._maps(part, columns, rows)]
 
     def _fit(self, tile: Tile) -> tuple[TileMap | None, float]:
@@ -163,26 +163,26 @@ class RayMaps:
         """X/Z and Y/Z (f, 2) of directions whose beams cover a tile, and the rays that their spots need."""
         side = np.cos(np.pi * (np.arange(4) + 0.5) / 4)
         corners = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-        wanted = tile.centre_px + corners * tile.half_px
-        tangent = (wanted - self.camera.centre_px) / self._focal_px
+        target_px = tile.centre_px + corners * tile.half_px
+        tangent = (target_px - self.camera.centre_px) / self._focal_px
         spread = 0.0
         for _ in range(3):  # distortion: a straight line from where rays land to where they come from
             landed = self._landed(tangent, COARSE)
             lit = landed.area_mm2 > 0.0
-            seen = lit.any((1, 2))
-            if seen.sum() < 4:
+            lit_beams = lit.any((1, 2))
+            if lit_beams.sum() < 4:
                 return None, LEAST_ORDER
-            share = lit / np.maximum(lit.sum((1, 2), keepdims=True), 1)
-            mean = (share[..., None] * np.where(lit[..., None], landed.position, 0.0)).sum((1, 2))
-            away = np.linalg.norm(landed.position - mean[:, None, None], axis=-1)
-            spread = float(np.where(lit, away, 0.0).max())
-            design = np.column_stack([np.ones(seen.sum()), mean[seen]])
-            line = np.linalg.lstsq(design, tangent[seen], rcond=None)[0]
+            weights = lit / np.maximum(lit.sum((1, 2), keepdims=True), 1)
+            mean = (weights[..., None] * np.where(lit[..., None], landed.position, 0.0)).sum((1, 2))
+            distance_px = np.linalg.norm(landed.position - mean[:, None, None], axis=-1)
+            spread = float(np.where(lit, distance_px, 0.0).max())
+            design = np.column_stack([np.ones(lit_beams.sum()), mean[lit_beams]])
+            inverse_map = np.linalg.lstsq(design, tangent[lit_beams], rcond=None)[0]
             reach = tile.half_px + spread
-            tangent = np.column_stack([np.ones(len(corners)), tile.centre_px + corners * reach]) @ line
+            tangent = np.column_stack([np.ones(len(corners)), tile.centre_px + corners * reach]) @ inverse_map
         side = np.cos(np.pi * (np.arange(GRID) + 0.5) / GRID) / math.cos(0.5 * np.pi / GRID)
         grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-        full = np.column_stack([np.ones(len(grid)), tile.centre_px + grid * (tile.half_px + spread)]) @ line
+        full = np.column_stack([np.ones(len(grid)), tile.centre_px + grid * (tile.half_px + spread)]) @ inverse_map
         kinks = landed.area_mm2.shape[2] > COARSE[0] * LEAST_ORDER[1]
         finer = (int(spread), 0 if kinks else 4 * int(spread))
         order = tuple(min(most, least + more) for least, most, more in zip(LEAST_ORDER, MOST_ORDER, finer, strict=True))

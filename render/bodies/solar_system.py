@@ -130,12 +130,12 @@ def solar_system(epoch_year: float, *, observer: Observer | None = None, bodies:
             raise unknown_name("body of the solar system", name, RADIUS_KM)
     if not 1900.0 <= epoch_year <= 2100.0:
         raise DomainError(f"epoch_year = {epoch_year:g}; positions of the planets are available for 1900 ... 2100")
-    seen_by = earth_observer(epoch_year) if observer is None else observer
-    place = np.array([_seen_from(name, epoch_year, seen_by.position_au) for name in bodies]).reshape(-1, 3)
-    towards = place - seen_by.position_au
-    to_sun = _place("sun", epoch_year, 0.0) - place
+    viewer = earth_observer(epoch_year) if observer is None else observer
+    position_au = np.array([_seen_from(name, epoch_year, viewer.position_au) for name in bodies]).reshape(-1, 3)
+    to_body = position_au - viewer.position_au
+    to_sun = _place("sun", epoch_year, 0.0) - position_au
     radius = np.array([RADIUS_KM[name] for name in bodies])
-    distance_km = np.linalg.norm(towards, axis=1) * constants.au / 1e3
+    distance_km = np.linalg.norm(to_body, axis=1) * constants.au / 1e3
     if (distance_km <= radius).any():
         inside = int(np.argmax(distance_km <= radius))
         raise DomainError(
@@ -144,15 +144,15 @@ def solar_system(epoch_year: float, *, observer: Observer | None = None, bodies:
         )
     magnitude = [
         planet_v(name, to_sun_au=s, to_observer_au=-v, epoch_year=epoch_year)
-        for name, s, v in zip(bodies, to_sun, towards, strict=True)
+        for name, s, v in zip(bodies, to_sun, to_body, strict=True)
     ]
-    unit = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    unit = to_body / np.linalg.norm(to_body, axis=1, keepdims=True)
     return SolarSystem(
         name=tuple(bodies),
-        direction=aberrated(unit, seen_by.velocity_km_per_s),
+        direction=aberrated(unit, viewer.velocity_km_per_s),
         to_sun_au=to_sun,
-        to_observer_au=-towards,
-        to_earth_au=_place("earth", epoch_year, 0.0) - place,
+        to_observer_au=-to_body,
+        to_earth_au=_place("earth", epoch_year, 0.0) - position_au,
         radius_km=radius,
         magnitude_v=np.array(magnitude),
         epoch_year=epoch_year,
@@ -173,8 +173,8 @@ def _seen_from(name: str, epoch_year: float, observer_au: FloatArray) -> FloatAr
     """Place of a body when the light left that arrives now."""
     days = 0.0
     for _ in range(_LIGHT_STEPS):
-        place = _place(name, epoch_year, days)
-        days = float(np.linalg.norm(place - observer_au)) * _LIGHT_DAYS_PER_AU
+        position_au = _place(name, epoch_year, days)
+        days = float(np.linalg.norm(position_au - observer_au)) * _LIGHT_DAYS_PER_AU
     return _place(name, epoch_year, days)
 
 
@@ -185,8 +185,8 @@ def hiding_spheres(system: SolarSystem) -> dict[str, Any]:
     """
     sine = np.sin(0.5 * system.angular_diameter_rad)
     return {
-        str(name): {"type": "sphere", "center": (way * HIDING_MM / s).tolist(), "radius": HIDING_MM}
-        for name, way, s in zip(system.name, system.direction, sine, strict=True)
+        str(name): {"type": "sphere", "center": (direction * HIDING_MM / s).tolist(), "radius": HIDING_MM}
+        for name, direction, s in zip(system.name, system.direction, sine, strict=True)
     }
 
 

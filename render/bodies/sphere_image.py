@@ -114,14 +114,14 @@ def sphere_image(
             ),
         )
         row, column = np.mgrid[part]
-        place = column + columns.start, row + rows.start
+        pixel = column + columns.start, row + rows.start
         for band, light in enumerate(light_e):
             nodes = slice(band * len(light), (band + 1) * len(light))
             rays = _BandRays(tile_map, nodes, light * exposed.exposure_s, sphere)
             if rays.count:
                 kernel = _Kernel(rays, sphere, exposed)
                 start = _first(sphere, kernel)
-                image[(*part, band)], error[(*part, band)] = _converged(kernel, place, noise_share, ceiling_e, start)
+                image[(*part, band)], error[(*part, band)] = _converged(kernel, pixel, noise_share, ceiling_e, start)
     return image, error
 
 
@@ -150,27 +150,29 @@ class _BandRays:
 
 def _converged(
     kernel: _Kernel,
-    place: tuple[NDArray[np.int64], NDArray[np.int64]],
+    pixel: tuple[NDArray[np.int64], NDArray[np.int64]],
     noise_share: float,
     ceiling_e: float,
     start: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Image of pixels (h, w) and its error, with finer cells where they are needed."""
-    wanted = maximum_filter(kernel(place[0].ravel(), place[1].ravel(), 1, flat=True).reshape(place[0].shape), 3) > 0.0
-    image, error = np.zeros(wanted.shape), np.zeros(wanted.shape)
-    if wanted.any():
-        image[wanted] = kernel(place[0][wanted], place[1][wanted], CELLS[start])
+    unconverged = (
+        maximum_filter(kernel(pixel[0].ravel(), pixel[1].ravel(), 1, flat=True).reshape(pixel[0].shape), 3) > 0.0
+    )
+    image, error = np.zeros(unconverged.shape), np.zeros(unconverged.shape)
+    if unconverged.any():
+        image[unconverged] = kernel(pixel[0][unconverged], pixel[1][unconverged], CELLS[start])
     for cells in CELLS[start + 1 :]:
-        if not wanted.any():
+        if not unconverged.any():
             break
-        finer = kernel(place[0][wanted], place[1][wanted], cells)
-        error[wanted] = finer - image[wanted]
-        image[wanted] = finer
-        open_ = image < 2.0 * ceiling_e
-        share = np.where(open_, error**2 / np.clip(image, 1e-12, ceiling_e), 0.0)
-        wanted &= (
-            maximum_filter(share, 3) > noise_share
-        ) & open_  # a pixel may change little by chance, not all around
+        finer = kernel(pixel[0][unconverged], pixel[1][unconverged], cells)
+        error[unconverged] = finer - image[unconverged]
+        image[unconverged] = finer
+        unsaturated = image < 2.0 * ceiling_e
+        noise_fraction = np.where(unsaturated, error**2 / np.clip(image, 1e-12, ceiling_e), 0.0)
+        unconverged &= (
+            maximum_filter(noise_fraction, 3) > noise_share
+        ) & unsaturated  # a pixel may change little by chance, not all around
     return image, error
 
 
@@ -207,7 +209,7 @@ class _Kernel:
         x, y = (uploaded(F, column.astype(float)) - centre[0]) / half[0], (rows - centre[1]) / half[1]
         look, cell, times = self._look(), self._cell(flat), self.number(self.times)
         side, sides = self.number(1.0 / cells), dr.opaque(U, cells)
-        count, every = dr.opaque(U, self.rays.count), dr.opaque(U, self.rays.count * self.times)
+        count, ray_times = dr.opaque(U, self.rays.count), dr.opaque(U, self.rays.count * self.times)
 
         def step(i: Any, total: Any) -> tuple[Any, Any]:
             turn = i // count
@@ -217,19 +219,19 @@ class _Kernel:
             tx, ty, light, *slope = self._polynomials(ray, x, y)
             slope = [v / half[k % 2] for k, v in enumerate(slope)]
             axes = look(time, rows)
-            through = None if self.air is None else [dr.gather(F, v, ray) for v in self.air]
+            air_of_ray = None if self.air is None else [dr.gather(F, v, ray) for v in self.air]
 
             def one(k: Any, part: Any) -> tuple[Any, Any]:
                 down = k // sides
                 dx, dy = (F(k - down * sides) + 0.5) * side - 0.5, (F(down) + 0.5) * side - 0.5
                 at = tx + slope[0] * dx + slope[1] * dy, ty + slope[2] * dx + slope[3] * dy
-                return k + 1, part + cell(axes, *at, slope, side, through)
+                return k + 1, part + cell(axes, *at, slope, side, air_of_ray)
 
             inner = dr.while_loop((U(0), dr.zeros(F, dr.width(x))), lambda k, part: k < sides * sides, one)[1]
             return i + 1, total + dr.maximum(light, 0.0) * inner * side * side
 
         start = (U(0), dr.zeros(F, dr.width(x)))
-        total = dr.while_loop(start, lambda i, total: i < every, step, label="sphere_image")[1]
+        total = dr.while_loop(start, lambda i, total: i < ray_times, step, label="sphere_image")[1]
         return np.array(total) / self.times
 
     def _polynomials(self, ray: Any, x: Any, y: Any) -> list[Any]:
@@ -281,7 +283,7 @@ class _Kernel:
         covers = [(self.vector(cover.direction), self.number(cover.sine)) for cover in sphere.covers]
         surface, air = self._surface(c, sine), self._air(c, sine)
 
-        def cell(axes: list[Any], tx: Any, ty: Any, slope: list[Any], side: Any, through: Any) -> Any:
+        def cell(axes: list[Any], tx: Any, ty: Any, slope: list[Any], side: Any, air_of_ray: Any) -> Any:
             inverse = dr.rsqrt(1.0 + tx * tx + ty * ty)
             cam = (tx * inverse, ty * inverse, inverse)
             v = _turned(axes, *cam)
@@ -295,7 +297,7 @@ class _Kernel:
             inside = edge.inside()
             value = inside if flat else surface(edge)
             if air is not None:
-                value += (1.0 - inside) * air(v, *through)
+                value += (1.0 - inside) * air(v, *air_of_ray)
             for direction, size in covers:
                 value *= 1.0 - Edge.of(direction, size, v, moves).inside()
             return value / math.pi
@@ -388,22 +390,22 @@ class _Kernel:
         lights = [(self.vector(light.towards), self.number(light.irradiance)) for light in self.sphere.lights]
         scale, slant, ground = (self.number(v) for v in (air.height, air.slant, 0.5 * air.ground))
 
-        def halo(v: list[Any], thickness: Any, unit: Any) -> Any:
+        def halo(v: list[Any], thickness: Any, albedo_inverse: Any) -> Any:
             along, off2 = apart(c, v)
             off = dr.sqrt(off2)
             above = dr.maximum(off / sine - 1.0, 0.0)
-            way = thickness * dr.exp(-above / scale)
+            slant_depth = thickness * dr.exp(-above / scale)
             value = self.F(0.0)
             for towards, irradiance in lights:
                 mu0 = sum((along * a - m) * t for a, m, t in zip(v, c, towards, strict=True)) / off
                 grazing = dr.rsqrt(mu0 * mu0 + 4.0 / dr.square(slant))  # Chapman's function up to 90 deg
                 lowest = (1.0 + above) * dr.safe_sqrt(1.0 - mu0 * mu0) - 1.0  # of a ray that comes from below
                 beyond = dr.exp(-dr.clip((lowest - above) / scale, -40.0, 0.0)) * slant - grazing
-                left = dr.exp(-dr.minimum(way, 1.0) / slant * dr.select(mu0 > 0.0, grazing, beyond))
-                left = dr.select((mu0 > 0.0) | (lowest > 0.0), left, 0.0)
+                transmitted = dr.exp(-dr.minimum(slant_depth, 1.0) / slant * dr.select(mu0 > 0.0, grazing, beyond))
+                transmitted = dr.select((mu0 > 0.0) | (lowest > 0.0), transmitted, 0.0)
                 phase = 0.1875 * (1.0 + dr.square(_dot(v, towards)))
-                value += (phase * left + ground * dr.maximum(mu0, 0.0)) * irradiance
-            return dr.select(along > 0.0, value * unit * (1.0 - dr.exp(-way)), 0.0)
+                value += (phase * transmitted + ground * dr.maximum(mu0, 0.0)) * irradiance
+            return dr.select(along > 0.0, value * albedo_inverse * (1.0 - dr.exp(-slant_depth)), 0.0)
 
         return halo
 
@@ -414,15 +416,15 @@ class _Kernel:
         rows, columns = self.sphere.albedo_map.shape
         u = (dr.atan2(n[1], n[0]) / (2.0 * math.pi) + 0.5) * columns - 0.5
         v = dr.clip((dr.safe_asin(n[2]) / math.pi + 0.5) * rows - 0.5, 0.0, rows - 1.0)
-        left, low = dr.floor(u), dr.minimum(dr.floor(v), rows - 2.0)
-        x0 = self.U(dr.select(left < 0.0, left + columns, left))
+        column, row = dr.floor(u), dr.minimum(dr.floor(v), rows - 2.0)
+        x0 = self.U(dr.select(column < 0.0, column + columns, column))
         x1 = dr.select(x0 + 1 >= columns, self.U(0), x0 + 1)
-        first = self.U(low) * columns
+        first = self.U(row) * columns
         below, above = (
-            dr.lerp(dr.gather(self.F, albedo, start + x0), dr.gather(self.F, albedo, start + x1), u - left)
+            dr.lerp(dr.gather(self.F, albedo, start + x0), dr.gather(self.F, albedo, start + x1), u - column)
             for start in (first, first + columns)
         )
-        return dr.lerp(below, above, v - low)
+        return dr.lerp(below, above, v - row)
 
 
 def _dot(a: list[Any], b: list[Any]) -> Any:

@@ -53,8 +53,8 @@ def band_light(detector: Detector, band: Band, *, nodes: int = 12) -> BandLight:
     sun = float((sunlight(wave) * weight).sum()) * area
     shape = planet_spectrum("moon")
     passed = float((shape.photon_density(wave) * rule.weight_nm[0] * rule.transmission[0]).sum())
-    share = float((shape.photon_density(wave) * weight).sum()) / passed
-    zero = float(np.ravel(band_photon_rate(shape, 0.0, [band], system="V"))[0]) * share * area
+    weights = float((shape.photon_density(wave) * weight).sum()) / passed
+    zero = float(np.ravel(band_photon_rate(shape, 0.0, [band], system="V"))[0]) * weights * area
     return BandLight(sun_e_per_s=sun, full_moon_e_per_s=zero * 10.0 ** (-0.4 * FULL_MOON_V), moon_zero_e_per_s=zero)
 
 
@@ -114,8 +114,8 @@ class StrayLight:
             )
         self.pst = table if isinstance(table, PointSourceTransmittance) else read_pst(table)
         self._drawn = self.pst.only("ghosts") if ghosts and "ghosts" in self.pst.causes else None
-        far, self._earth = float(np.linalg.norm(observer.from_sun_au)), earth
-        self._sun, self._to_sun = light.sun_e_per_s / far**2, -observer.from_sun_au / far
+        distance_au, self._earth = float(np.linalg.norm(observer.from_sun_au)), earth
+        self._sun, self._to_sun = light.sun_e_per_s / distance_au**2, -observer.from_sun_au / distance_au
         self._bodies = solar_system(epoch_year, observer=observer, bodies=("moon", "earth") if earth else ("moon",))
         self._moon = light.moon_zero_e_per_s * 10.0 ** (-0.4 * float(self._bodies.magnitude_v[0]))
 
@@ -126,19 +126,19 @@ class StrayLight:
 
     def _of(self, pst: PointSourceTransmittance, attitude: Rotation) -> dict[str, float]:
         towards = attitude.apply(np.array(self._bodies.direction))
-        found = {"sun": float(self._sun * pst.at(attitude.apply(self._to_sun)))}
+        light = {"sun": float(self._sun * pst.at(attitude.apply(self._to_sun)))}
         if math.isfinite(self._moon):
-            found["moon"] = float(self._moon * pst.at(towards[0]))
-        return found
+            light["moon"] = float(self._moon * pst.at(towards[0]))
+        return light
 
     def whole(self, attitude: Rotation) -> dict[str, float]:
         """All of it, by its source."""
-        found = self._of(self.pst, attitude)
+        light = self._of(self.pst, attitude)
         if self._earth:
-            far_km = float(np.linalg.norm(self._bodies.to_observer_au[1])) * constants.au * 1e-3
-            radius, towards = math.asin(min(1.0, RADIUS_KM["earth"] / far_km)), self._bodies.direction[1]
-            found["earth"] = self._sun * limb_pst(self.pst, attitude.apply(np.array(towards)), radius)
-        return found
+            distance_km = float(np.linalg.norm(self._bodies.to_observer_au[1])) * constants.au * 1e-3
+            angular_radius, direction = math.asin(min(1.0, RADIUS_KM["earth"] / distance_km)), self._bodies.direction[1]
+            light["earth"] = self._sun * limb_pst(self.pst, attitude.apply(np.array(direction)), angular_radius)
+        return light
 
     def ghosts(self, attitude: Rotation) -> dict[str, float]:
         """Stray light by separately drawn ghosts; empty without them."""

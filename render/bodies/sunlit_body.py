@@ -144,11 +144,11 @@ def map_factor(body: SunlitBody, normal: FloatArray) -> FloatArray:
     v = normal @ body.rotation_icrs_from_body
     u = (np.arctan2(v[..., 1], v[..., 0]) / (2.0 * np.pi) + 0.5) * columns - 0.5
     w = np.clip((np.arcsin(np.clip(v[..., 2], -1.0, 1.0)) / np.pi + 0.5) * rows - 0.5, 0.0, rows - 1.0)
-    left, low = np.floor(u).astype(int), np.minimum(np.floor(w).astype(int), rows - 2)
-    a, b = u - left, w - low
-    x0, x1 = left % columns, (left + 1) % columns
+    column, row = np.floor(u).astype(int), np.minimum(np.floor(w).astype(int), rows - 2)
+    a, b = u - column, w - row
+    west, east = column % columns, (column + 1) % columns
     grid = body.albedo_map
-    below, above = (grid[r, x0] * (1.0 - a) + grid[r, x1] * a for r in (low, low + 1))
+    below, above = (grid[r, west] * (1.0 - a) + grid[r, east] * a for r in (row, row + 1))
     return np.asarray(below * (1.0 - b) + above * b)
 
 
@@ -238,12 +238,14 @@ def _earthlight(moon: SolarSystem, body: SunlitBody) -> DirectionalLight | None:
     v = planet_v("earth", to_sun_au=to_sun - to_earth, to_observer_au=-to_earth, epoch_year=moon.epoch_year)
     if math.isnan(v):
         return None
-    at = np.array([SCALED_AT_NM])
-    share = float((photon_rate(planet_spectrum("earth"), v, wavelength_nm=at) / sunlight(at))[0])
-    share *= float(moon.sun_distance_au[0]) ** 2
+    wavelength_nm = np.array([SCALED_AT_NM])
+    irradiance = float(
+        (photon_rate(planet_spectrum("earth"), v, wavelength_nm=wavelength_nm) / sunlight(wavelength_nm))[0]
+    )
+    irradiance *= float(moon.sun_distance_au[0]) ** 2
     towards = to_earth / np.linalg.norm(to_earth)
-    lit_so = _lunar_albedo(replace(body, to_sun=towards), at, moon.epoch_year)
-    return DirectionalLight(towards, share * float((lit_so / body.albedo_at(at))[0]))
+    albedo_towards_earth = _lunar_albedo(replace(body, to_sun=towards), wavelength_nm, moon.epoch_year)
+    return DirectionalLight(towards, irradiance * float((albedo_towards_earth / body.albedo_at(wavelength_nm))[0]))
 
 
 def covers(body: SunlitBody, direction: ArrayLike) -> NDArray[np.bool_]:

@@ -158,15 +158,15 @@ def _meaning(stars: NDArray[Any], file: Path) -> Literal["magnitudes", "motions"
     Proper motions are about as often negative as positive, and range over hundreds of mas/year.
     """
     fifth, sixth = stars["fifth"].astype(np.float64), stars["sixth"].astype(np.float64)
-    known = (fifth != 0.0) & (sixth != 0.0)
+    stated = (fifth != 0.0) & (sixth != 0.0)
     if not (np.isfinite(fifth).all() and np.isfinite(sixth).all()):
         raise DomainError(f"{file}: columns 5 or 6 contain values that are not finite")
-    if known.sum() < _FEWEST:
+    if stated.sum() < _FEWEST:
         raise DomainError(
-            f"{file}: {int(known.sum())} Gaia stars with values in columns 5 and 6; at least {_FEWEST} are needed to "
+            f"{file}: {int(stated.sum())} Gaia stars with values in columns 5 and 6; at least {_FEWEST} are needed to "
             "tell whether these are magnitudes or proper motions"
         )
-    g, fifth, sixth = stars["g"][known], fifth[known], sixth[known]
+    g, fifth, sixth = stars["g"][stated], fifth[stated], sixth[stated]
     ordered = float(((fifth > g) & (g > sixth)).mean())
     if ordered > 0.9 and min(fifth.min(), sixth.min()) > -5.0 and max(fifth.max(), sixth.max()) < 25.0:
         return "magnitudes"
@@ -210,16 +210,16 @@ def _bright_hipparcos() -> StarCatalog:
 def _with_bright_stars(catalog: StarCatalog) -> StarCatalog:
     """Colour, motion and place of the stars from Hipparcos, with the stars that the package misses."""
     bright = _bright_hipparcos()
-    fills = np.flatnonzero(catalog.id < 0)
-    ours = {int(identifier): row for row, identifier in enumerate(bright.id)}
-    pairs = [(int(row), ours[int(catalog.id[row])]) for row in fills if int(catalog.id[row]) in ours]
-    there, here = (np.array(rows, dtype=np.int64) for rows in (zip(*pairs, strict=True) if pairs else ((), ())))
-    apart = 2.0 * np.arcsin(np.linalg.norm(catalog.direction[there] - bright.direction[here], axis=1) / 2.0)
-    if len(apart) and apart.max() > _SAME_STAR_RAD:
-        worst = int(np.argmax(apart))
+    filled = np.flatnonzero(catalog.id < 0)
+    bright_row = {int(identifier): row for row, identifier in enumerate(bright.id)}
+    pairs = [(int(row), bright_row[int(catalog.id[row])]) for row in filled if int(catalog.id[row]) in bright_row]
+    row, bright_match = (np.array(rows, dtype=np.int64) for rows in (zip(*pairs, strict=True) if pairs else ((), ())))
+    separation = 2.0 * np.arcsin(np.linalg.norm(catalog.direction[row] - bright.direction[bright_match], axis=1) / 2.0)
+    if len(separation) and separation.max() > _SAME_STAR_RAD:
+        worst = int(np.argmax(separation))
         raise DomainError(
-            f"star {catalog.id[there[worst]]} is {apart[worst] * RAD_ARCSEC:.1f} arcsec from where Hipparcos puts it "
-            f"in {EPOCH_YEAR:g}; the file has another epoch or order of columns"
+            f"star {catalog.id[row[worst]]} is {separation[worst] * RAD_ARCSEC:.1f} arcsec from where Hipparcos puts "
+            f"it in {EPOCH_YEAR:g}; the file has another epoch or order of columns"
         )
     columns: dict[str, Any] = {}
     for name in (
@@ -227,16 +227,20 @@ def _with_bright_stars(catalog: StarCatalog) -> StarCatalog:
         "effective_temperature_k",
     ):  # fmt: skip
         values = np.array(getattr(catalog, name))
-        values[there] = getattr(bright, name)[here]
+        values[row] = getattr(bright, name)[bright_match]
         columns[name] = values
-    absent = [row for row in range(len(bright)) if row not in set(here.tolist()) and not _present(catalog, bright, row)]
+    absent = [
+        row
+        for row in range(len(bright))
+        if row not in set(bright_match.tolist()) and not _present(catalog, bright, row)
+    ]
     added = bright.select(absent)
     columns = {name: np.concatenate([values, getattr(added, name)]) for name, values in columns.items()}
     for name in ("magnitude", "bp_rp_mag"):
         columns[name] = np.concatenate([getattr(catalog, name), getattr(added, name)])
-    notes: tuple[str, ...] = (f"{len(there)} bright stars completed from Hipparcos, {len(added)} added",)
-    if len(fills) > len(there):
-        notes += (f"{len(fills) - len(there)} bright stars remain without colour and motion",)
+    notes: tuple[str, ...] = (f"{len(row)} bright stars completed from Hipparcos, {len(added)} added",)
+    if len(filled) > len(row):
+        notes += (f"{len(filled) - len(row)} bright stars remain without colour and motion",)
     identifier: Any = np.concatenate([catalog.id, added.id])
     return replace(catalog, id=identifier, notes=catalog.notes + notes, **columns)
 

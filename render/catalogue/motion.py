@@ -162,23 +162,23 @@ def _moved(catalog: StarCatalog, years: FloatArray | float) -> tuple[FloatArray,
     velocity, parallax = _motion(catalog)
     distance = _light_years(velocity, parallax)
     elapsed = np.broadcast_to(np.asarray(years, np.float64), parallax.shape)
-    place = catalog.direction + elapsed[:, None] * velocity
+    position = catalog.direction + elapsed[:, None] * velocity
     near = np.flatnonzero(distance)
-    r, observed, far, wait = catalog.direction[near], velocity[near], distance[near], elapsed[near]
+    r, observed, distance_ly, waiting = catalog.direction[near], velocity[near], distance[near], elapsed[near]
     # velocities in units of that of light; d is the Doppler factor without the clock, slow the slower clock
-    beta_radial = np.einsum("ij,ij->i", observed, r) * far
-    across = observed * far[:, None] - beta_radial[:, None] * r
-    radial, d, slow = beta_radial, np.ones_like(far), np.zeros_like(far)
+    beta_radial = np.einsum("ij,ij->i", observed, r) * distance_ly
+    across = observed * distance_ly[:, None] - beta_radial[:, None] * r
+    radial, d, slow = beta_radial, np.ones_like(distance_ly), np.zeros_like(distance_ly)
     for _ in range(_STEPS):  # each is nearer by the star's velocity over that of light
         d = 1.0 + radial
         slow = _clock(radial, d * _length(across))
         radial = d * beta_radial + slow
-    true = (d[:, None] * across + (d * beta_radial + slow)[:, None] * r) / far[:, None]
-    there = r + wait[:, None] * true
+    true = (d[:, None] * across + (d * beta_radial + slow)[:, None] * r) / distance_ly[:, None]
+    end = r + waiting[:, None] * true
     for _ in range(_STEPS):
-        there = r + (wait + far * (1.0 - _length(there)))[:, None] * true
-    place[near], velocity[near] = there, true
-    return place, velocity, parallax
+        end = r + (waiting + distance_ly * (1.0 - _length(end)))[:, None] * true
+    position[near], velocity[near] = end, true
+    return position, velocity, parallax
 
 
 def _clock(radial: FloatArray, across: FloatArray) -> FloatArray:
@@ -187,16 +187,16 @@ def _clock(radial: FloatArray, across: FloatArray) -> FloatArray:
     return np.asarray(-square / (np.sqrt(1.0 - square) + 1.0))
 
 
-def _observed(place: FloatArray, velocity: FloatArray, parallax: FloatArray) -> FloatArray:
+def _observed(position: FloatArray, velocity: FloatArray, parallax: FloatArray) -> FloatArray:
     """Velocity over distance (n, 3) per year of arrival, from the one in the frame of the barycentre."""
-    r = _unit(place)
+    r = _unit(position)
     distance = _light_years(velocity, parallax)
     radial = np.einsum("ij,ij->i", velocity, r)
     across = velocity - radial[:, None] * r
     slow = _clock(radial * distance, _length(across) * distance)
     d = 1.0 + radial * distance
     slow = np.divide(slow, distance, out=np.zeros_like(slow), where=distance > 0)
-    return np.asarray((across + (radial - slow)[:, None] * r) / (d * _length(place))[:, None])
+    return np.asarray((across + (radial - slow)[:, None] * r) / (d * _length(position))[:, None])
 
 
 def _length(vectors: FloatArray) -> FloatArray:
@@ -216,25 +216,25 @@ def directions_at(catalog: StarCatalog, epoch_year: float, observer: Observer | 
     if observer is None:
         return _unit(_moved(catalog, years)[0])
     earlier = np.einsum("ij,j->i", catalog.direction, observer.position_au * _LIGHT_YEAR_PER_AU)
-    place, _, parallax = _moved(catalog, years + earlier)
-    seen = _unit(place - parallax[:, None] * observer.position_au)
+    position, _, parallax = _moved(catalog, years + earlier)
+    apparent = _unit(position - parallax[:, None] * observer.position_au)
     if observer.from_sun_au is not None:
-        seen = deflected(seen, observer.from_sun_au)
-    return aberrated(seen, observer.velocity_km_per_s)
+        apparent = deflected(apparent, observer.from_sun_au)
+    return aberrated(apparent, observer.velocity_km_per_s)
 
 
 def deflected(direction: ArrayLike, from_sun_au: ArrayLike) -> FloatArray:
     """Directions of stars whose light the Sun bends; behind its disk the deflection is that of the edge."""
     # direction (n, 3), from_sun_au (3,) [au] -> (n, 3)
-    r, place = np.asarray(direction, np.float64), np.asarray(from_sun_au, np.float64)
-    if r.ndim != 2 or r.shape[1] != 3 or place.shape != (3,):
-        raise DomainError(f"directions (n, 3) and a place (3,) are needed, got {r.shape} and {place.shape}")
-    distance = float(np.linalg.norm(place))
+    r, sun_to_observer = np.asarray(direction, np.float64), np.asarray(from_sun_au, np.float64)
+    if r.ndim != 2 or r.shape[1] != 3 or sun_to_observer.shape != (3,):
+        raise DomainError(f"directions (n, 3) and a place (3,) are needed, got {r.shape} and {sun_to_observer.shape}")
+    distance = float(np.linalg.norm(sun_to_observer))
     if not distance > _SUN_RADIUS_AU:
         raise DomainError(
             f"the observer is {distance:g} au from the centre of the Sun; {_SUN_RADIUS_AU} au is its edge"
         )
-    away = place / distance
+    away = sun_to_observer / distance
     along = r @ away  # minus the cosine of the angle to the Sun
     edge = (_SUN_RADIUS_AU / distance) ** 2 / 2.0
     bend = _SUN_AU / distance / np.maximum(1.0 + along, edge)
@@ -243,10 +243,10 @@ def deflected(direction: ArrayLike, from_sun_au: ArrayLike) -> FloatArray:
 
 def propagate(catalog: StarCatalog, epoch_year: float) -> StarCatalog:
     """The catalogue at another epoch; a motion or parallax that is not known counts as zero and stays NaN."""
-    place, velocity, parallax = _moved(catalog, _interval(catalog, epoch_year))
-    nearer = 1.0 / _length(place)
-    direction = place * nearer[:, None]
-    rate = _observed(place, velocity, parallax)
+    position, velocity, parallax = _moved(catalog, _interval(catalog, epoch_year))
+    nearer = 1.0 / _length(position)
+    direction = position * nearer[:, None]
+    rate = _observed(position, velocity, parallax)
     along = np.einsum("ij,ij->i", rate, direction)
     horizontal = np.hypot(direction[:, 0], direction[:, 1])
     polar = horizontal == 0.0

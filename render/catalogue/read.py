@@ -127,8 +127,8 @@ def _read_table(path: Path, preset: ColumnPreset, form: str | None, readme: str 
     except StarbenchError:
         raise
     except Exception as error:  # astropy raises what its readers happen to raise
-        told = " ".join(str(error).split())[:200] or type(error).__name__
-        raise ConfigError(f"{path} cannot be read as {arguments['format']}: {told}") from None
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ConfigError(f"{path} cannot be read as {arguments['format']}: {reason}") from None
 
 
 def check_votable(content: bytes, path: Path) -> None:
@@ -136,8 +136,8 @@ def check_votable(content: bytes, path: Path) -> None:
     parser = expat.ParserCreate(namespace_separator=" ")
 
     def start(name: str, attributes: dict[str, str]) -> None:
-        if name.rpartition(" ")[2].upper() == "STREAM" and any(one.lower() == "href" for one in attributes):
-            where = next(value for one, value in attributes.items() if one.lower() == "href")
+        if name.rpartition(" ")[2].upper() == "STREAM" and any(attribute.lower() == "href" for attribute in attributes):
+            where = next(value for attribute, value in attributes.items() if attribute.lower() == "href")
             raise ConfigError(f"{path}: its data are in another file ({where[:80]!r}); fetch a file that holds them")
 
     def entity(*_: Any) -> None:
@@ -164,27 +164,29 @@ def catalog_from_table(
     if system is None:
         raise ConfigError(f"{name}: preset {chosen.name!r} has no magnitude system; give magnitude_system=")
     ra, dec = reader.position()
-    placed = np.isfinite(ra) & np.isfinite(dec)
-    found = {target: reader.values(meaning) for meaning, target in _OUTPUT.items()}
-    if found["magnitude"] is None:
+    has_position = np.isfinite(ra) & np.isfinite(dec)
+    measured = {target: reader.values(meaning) for meaning, target in _OUTPUT.items()}
+    if measured["magnitude"] is None:
         raise reader.missing("magnitude")
     colour = reader.values("bp_rp")
     blue, red = reader.values("bp"), reader.values("rp")
     if colour is None and blue is not None and red is not None:
         colour = blue - red
-    count = len(placed)
+    count = len(has_position)
     nothing = np.full(count, np.nan)
     motion = [nothing if value is None else value for value in (reader.values("pm_ra"), reader.values("pm_dec"))]
-    kept = {target: nothing if value is None else value for target, value in found.items()}
-    kept["bp_rp_mag"] = nothing if colour is None else colour
+    columns_of_record = {target: nothing if value is None else value for target, value in measured.items()}
+    columns_of_record["bp_rp_mag"] = nothing if colour is None else colour
     given = reader.values("effective_temperature")
-    by_colour = effective_temperature(kept["bp_rp_mag"], kept["b_v_mag"])
-    kept["effective_temperature_k"] = by_colour if given is None else np.where(np.isnan(given), by_colour, given)
+    by_colour = effective_temperature(columns_of_record["bp_rp_mag"], columns_of_record["b_v_mag"])
+    columns_of_record["effective_temperature_k"] = (
+        by_colour if given is None else np.where(np.isnan(given), by_colour, given)
+    )
     identifier, notes = reader.identifiers()
-    if not placed.all():
-        notes += (f"{int((~placed).sum())} rows without a position left out",)
-    if np.isnan(kept["magnitude"]).any():
-        notes += (f"{int(np.isnan(kept['magnitude']).sum())} stars without a magnitude",)
+    if not has_position.all():
+        notes += (f"{int((~has_position).sum())} rows without a position left out",)
+    if np.isnan(columns_of_record["magnitude"]).any():
+        notes += (f"{int(np.isnan(columns_of_record['magnitude']).sum())} stars without a magnitude",)
     catalog = StarCatalog(
         name=name,
         source=chosen.source,
@@ -192,12 +194,12 @@ def catalog_from_table(
         epoch_year=reader.epoch(epoch_year),
         magnitude_system=system,
         id=identifier,
-        direction=direction_from_angles(np.where(placed, ra, 0.0), np.where(placed, dec, 0.0)),
+        direction=direction_from_angles(np.where(has_position, ra, 0.0), np.where(has_position, dec, 0.0)),
         proper_motion_rad_per_year=np.stack(motion, axis=1),
         notes=notes,
-        **{target: np.where(np.isinf(value), np.nan, value) for target, value in kept.items()},
+        **{target: np.where(np.isinf(value), np.nan, value) for target, value in columns_of_record.items()},
     )
-    return catalog if placed.all() else replace(catalog.select(placed), notes=notes)
+    return catalog if has_position.all() else replace(catalog.select(has_position), notes=notes)
 
 
 class _Columns:
@@ -355,12 +357,12 @@ class _Columns:
         if column is None:
             return rows, ("id: row of the file",)
         try:
-            held = np.ma.asarray(column)
-            if held.dtype.kind == "f":  # a gap makes a column of whole numbers one of floats
-                held = np.ma.masked_invalid(held)
-                if not (np.abs(held.compressed()) < 2**63).all() or (held.compressed() % 1 != 0).any():
+            numbers = np.ma.asarray(column)
+            if numbers.dtype.kind == "f":  # a gap makes a column of whole numbers one of floats
+                numbers = np.ma.masked_invalid(numbers)
+                if not (np.abs(numbers.compressed()) < 2**63).all() or (numbers.compressed() % 1 != 0).any():
                     raise ValueError
-                held = np.ma.array(held.filled(-1.0), mask=np.ma.getmaskarray(held))
-            return np.ma.filled(held.astype(np.int64), -1), ()
+                numbers = np.ma.array(numbers.filled(-1.0), mask=np.ma.getmaskarray(numbers))
+            return np.ma.filled(numbers.astype(np.int64), -1), ()
         except (TypeError, ValueError, OverflowError):
             return rows, (f"id: row of the file, column {column.name!r} does not hold whole numbers",)

@@ -82,9 +82,9 @@ def effective_temperature(bp_rp_mag: ArrayLike | None = None, b_v_mag: ArrayLike
     # bp_rp_mag, b_v_mag (n,) -> (n,)
     red, blue = _colours(bp_rp_mag, b_v_mag)
     log_t = np.log(_SEQUENCE[:, 0])
-    known = ~np.isnan(_SEQUENCE[:, 2])
+    tabulated = ~np.isnan(_SEQUENCE[:, 2])
     ends = {"left": np.nan, "right": np.nan}
-    by_red = np.interp(red, _SEQUENCE[known, 2], log_t[known], **ends)
+    by_red = np.interp(red, _SEQUENCE[tabulated, 2], log_t[tabulated], **ends)
     by_blue = np.interp(blue, _SEQUENCE[:, 1], log_t, **ends)
     return np.asarray(np.exp(np.where(np.isnan(by_red), by_blue, by_red)))
 
@@ -133,7 +133,7 @@ def star_temperature(
     """
     if kind not in ("colour", "effective"):
         raise ConfigError(f"temperature = {kind!r}; 'colour' or 'effective' is needed")
-    known = (colour_temperature(stars.bp_rp_mag, stars.b_v_mag), stars.effective_temperature_k)
-    first, second = known if kind == "colour" else known[::-1]
+    temperatures = (colour_temperature(stars.bp_rp_mag, stars.b_v_mag), stars.effective_temperature_k)
+    first, second = temperatures if kind == "colour" else temperatures[::-1]
     kelvin = np.where(np.isnan(first), second, first)
     return np.where(np.isnan(kelvin), typical_k, kelvin)

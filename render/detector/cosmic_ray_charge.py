@@ -35,26 +35,26 @@ def window_deposit(
     inside = inside & ((column >= 0) & (column < detector.width_px))[:, None, :]
     pixel = np.where(inside, row[:, :, None] * detector.width_px + column[:, None, :], -1).ravel()
     order = np.argsort(pixel, kind="stable")
-    places: list[NDArray[np.int64]] = []
+    indices: list[NDArray[np.int64]] = []
     charges: list[NDArray[np.float64]] = []
-    for frame, held in enumerate(hits):
-        _same_size(held, detector)
-        wanted = held.row * detector.width_px + held.column
-        first, last = (np.searchsorted(pixel, wanted, side, sorter=order) for side in ("left", "right"))
+    for frame, frame_hits in enumerate(hits):
+        _same_size(frame_hits, detector)
+        hit_pixel = frame_hits.row * detector.width_px + frame_hits.column
+        first, last = (np.searchsorted(pixel, hit_pixel, side, sorter=order) for side in ("left", "right"))
         count = last - first  # windows may overlap: a pixel can stand in several
         start = np.repeat(first - np.concatenate([[0], np.cumsum(count)[:-1]]), count) if count.size else first
-        places.append(frame * pixel.size + order[start + np.arange(count.sum())])
-        charges.append(np.repeat(held.charge_e, count))
-    place = np.concatenate(places)
-    return _scattered(types, len(hits) * pixel.size, place, np.concatenate(charges)) if place.size else None
+        indices.append(frame * pixel.size + order[start + np.arange(count.sum())])
+        charges.append(np.repeat(frame_hits.charge_e, count))
+    index = np.concatenate(indices)
+    return _scattered(types, len(hits) * pixel.size, index, np.concatenate(charges)) if index.size else None
 
 
-def _scattered(types: Any, size: int, place: NDArray[np.int64], charge: NDArray[np.float64]) -> Any:
+def _scattered(types: Any, size: int, index: NDArray[np.int64], charge: NDArray[np.float64]) -> Any:
     from render.engine.jit import dr
     from render.engine.upload import uploaded
 
     deposit = dr.zeros(types.Float32, size)
-    to = uploaded(types.UInt32, place.astype(np.uint32))
+    to = uploaded(types.UInt32, index.astype(np.uint32))
     dr.scatter(deposit, uploaded(types.Float32, charge.astype(np.float32)), to)
     return deposit
 

@@ -52,10 +52,10 @@ class CosmicRayEnvironment:
         freeze(self, "nucleus_charge", shape=("c",), sizes=sizes)
         energy = freeze(self, "energy_mev", shape=("k",), sizes=sizes)
         for name, size in (("nucleus_share", "c"), ("energy_share", "k")):
-            share = freeze(self, name, shape=(size,), sizes=sizes)
-            if not (len(share) and share.min() >= 0 and share.sum() > 0):
+            weights = freeze(self, name, shape=(size,), sizes=sizes)
+            if not (len(weights) and weights.min() >= 0 and weights.sum() > 0):
                 raise DomainError(f"CosmicRayEnvironment.{name} must not be negative or zero everywhere")
-            object.__setattr__(self, name, locked(share / share.sum()))
+            object.__setattr__(self, name, locked(weights / weights.sum()))
         if self.nucleus_charge.min() < 1:
             raise DomainError(
                 f"CosmicRayEnvironment.nucleus_charge = {self.nucleus_charge.min():g}; at least 1 is needed"
@@ -234,13 +234,13 @@ def _collected(
         inside = ((row >= 0) & (row < height))[:, :, None] & ((column >= 0) & (column < width))[:, None, :]
         inside &= (column % period < detector.chip_width_px)[:, None, :]
         index = row[:, :, None] * width + column[:, None, :]
-        found, at = np.unique(index[inside], return_inverse=True)
-        indices.append(found)
-        charges.append(np.bincount(at, charge[inside], len(found)).astype(np.float64))
+        unique, at = np.unique(index[inside], return_inverse=True)
+        indices.append(unique)
+        charges.append(np.bincount(at, charge[inside], len(unique)).astype(np.float64))
     pixel, at = np.unique(np.concatenate(indices), return_inverse=True)
     total = np.bincount(at, np.concatenate(charges), len(pixel)).astype(np.float64)
-    seen = total > 1e-3
-    return pixel[seen].astype(np.int64), total[seen]
+    charged = total > 1e-3
+    return pixel[charged].astype(np.int64), total[charged]
 
 
 def _shares(x: FloatArray, sigma: float, reach: int) -> tuple[NDArray[np.int64], FloatArray]:

@@ -81,9 +81,13 @@ class _Recipe:
 def sensor_maps(detector: Detector) -> SensorMaps:
     """Patterns of the whole detector; ``sensor_seed`` selects the individual chip."""
     maps = full_maps(detector, Engine.active().types)
-    held = [np.array(value).reshape(detector.shape) for value in maps[:5]]
+    arrays = [np.array(value).reshape(detector.shape) for value in maps[:5]]
     return SensorMaps(
-        response=held[0], dark_current_e_per_s=held[1], read_noise_e=held[2], offset_dn=held[3], defect=held[4]
+        response=arrays[0],
+        dark_current_e_per_s=arrays[1],
+        read_noise_e=arrays[2],
+        offset_dn=arrays[3],
+        defect=arrays[4],
     )
 
 
@@ -148,10 +152,10 @@ def _maps(recipe: _Recipe, types: Any, column: Any, row: Any) -> PixelMaps:
     spread = dr.exp(dr.sqrt(variance) * normal(types, pixel, key("dark current")) - 0.5 * variance)
     dark_rate = p.dark_current_e_per_s * spread + dr.select(hot, -p.hot_dark_e_per_s * dr.log(chance[2]), 0.0)
     read_noise = p.read_noise_e * dr.exp(p.read_noise_spread * normal(types, pixel, key("read noise spread")))
-    known = dead | hot
+    listed = dead | hot
     if recipe.damage_centres_per_px > 0.0:
         centres = _damage(types, p, pixel, key("damage centres"), key("damage current"))
-        dark_rate, known = dark_rate + centres, known | (centres > p.damage_known_e_per_s)
+        dark_rate, listed = dark_rate + centres, listed | (centres > p.damage_known_e_per_s)
     pattern = p.dsnu_e * normal(types, pixel, key("offset"))
     pattern = pattern + p.column_pattern_e * normal(types, column, key("column offset"))
     maps = PixelMaps(
@@ -159,7 +163,7 @@ def _maps(recipe: _Recipe, types: Any, column: Any, row: Any) -> PixelMaps:
         dark_rate=dr.select(gap, 0.0, dark_rate),
         read_noise=dr.select(gap, 0.0, read_noise),
         offset=p.offset_dn + dr.select(gap, 0.0, p.gain_dn_per_e * pattern),
-        defect=known,
+        defect=listed,
         pixel=pixel,
     )
     dr.eval(*maps)

@@ -145,8 +145,8 @@ def damage_steps(detector: Detector, steps: int = 24) -> tuple[FloatArray, Float
     if n <= 0.0 or d <= 0.0:
         return np.zeros(1), np.ones(1)
     k = np.arange(1.0, n + 6.0 * np.sqrt(n) + 4.0)
-    known = gammainc(k, detector.damage_known_e_per_s / d)
-    part = gammaincinv(k[:, None], known[:, None] * (np.arange(steps) + 0.5) / steps)
-    chance = np.exp(xlogy(k, n) - n - gammaln(k + 1.0)) * known
-    share = np.concatenate([[np.exp(-n)], np.repeat(chance / steps, steps)])
-    return np.concatenate([[0.0], d * part.ravel()]), share / share.sum()
+    listed_below = gammainc(k, detector.damage_known_e_per_s / d)
+    part = gammaincinv(k[:, None], listed_below[:, None] * (np.arange(steps) + 0.5) / steps)
+    chance = np.exp(xlogy(k, n) - n - gammaln(k + 1.0)) * listed_below
+    fractions = np.concatenate([[np.exp(-n)], np.repeat(chance / steps, steps)])
+    return np.concatenate([[0.0], d * part.ravel()]), fractions / fractions.sum()

@@ -112,11 +112,11 @@ def expose(
         background_e = background_e_per_s * exposure_s
         light = with_smear(electrons.astype(float) * factor + background_e, detector, exposure_s)
         if before is not None:
-            earlier, _, _, share = _expectation(before, detector, band, exposure_s)
+            earlier, _, _, factor_before = _expectation(before, detector, band, exposure_s)
             if earlier.shape != detector.shape:
                 raise DomainError(f"before has shape {earlier.shape}, the detector {detector.shape}; they must agree")
             light = with_lag(
-                light, detector, with_smear(earlier.astype(float) * share + background_e, detector, exposure_s)
+                light, detector, with_smear(earlier.astype(float) * factor_before + background_e, detector, exposure_s)
             )
         electrons, factor, background_e_per_s = bloomed(light, detector).astype(np.float32), 1.0, 0.0
     maps = full_maps(detector, types)

@@ -197,13 +197,13 @@ class Detector:
         for key, (low, high, unit) in RANGES.items():
             name = _LENGTHS.get(key, key)
             scale = UM_MM if key in _LENGTHS else 1.0
-            held = getattr(self, name)
-            for value in held if isinstance(held, tuple) else (held,):
+            field = getattr(self, name)
+            for value in field if isinstance(field, tuple) else (field,):
                 number = isinstance(value, Real) and not isinstance(value, bool)
                 if not (number and low * scale <= value <= high * scale):  # NaN fails too
-                    said = unit.replace("um", "mm")
-                    shown = f"{value:g} {said}".rstrip() if number else f"{value!r}"
-                    allowed = f"{low * scale:g} to {high * scale:g} {said}".rstrip()
+                    shown_unit = unit.replace("um", "mm")
+                    shown = f"{value:g} {shown_unit}".rstrip() if number else f"{value!r}"
+                    allowed = f"{low * scale:g} to {high * scale:g} {shown_unit}".rstrip()
                     raise DomainError(
                         f"Detector.{name} = {shown}; it must be {'' if number else 'a number, '}{allowed}"
                     )
@@ -273,21 +273,21 @@ class Detector:
 
     def remarks(self) -> tuple[str, ...]:
         """Numbers that are not from the data sheet, and a converter that ends below half the full well."""
-        said = []
+        remarks = []
         for keys, words in (
             (self.from_base, "taken from base"),
             (self.from_default, "left out of the file, so the default"),
             (self.assumed, "assumed, not in the source"),
         ):
             if keys:
-                said.append(f"Detector {self.name}: {words}: {', '.join(keys)}.")
+                remarks.append(f"Detector {self.name}: {words}: {', '.join(keys)}.")
         if self.converter_top_e < 0.5 * self.full_well_e:
-            said.append(
+            remarks.append(
                 f"Detector {self.name}: the converter ends at {self.converter_top_e:.0f} e-, "
                 f"{100.0 * self.converter_top_e / self.full_well_e:.0f} % of the full well of {self.full_well_e:.0f} "
                 "e-: gain_dn_per_e is high for adc_bits."
             )
-        return tuple(said)
+        return tuple(remarks)
 
     def dark_factor(self, temperature_c: float) -> float:
         """Dark current at a temperature over that at the reference.
@@ -464,7 +464,7 @@ def load_detector(name_or_path: str | Path) -> Detector:
     values = checked.model_dump(exclude={"base", "quantum_efficiency", "dark_current", "assumed"} | set(_LENGTHS))
     if checked.offset_dn is None:
         values["offset_dn"] = OFFSET_SIGMA * checked.read_noise_e * checked.gain_dn_per_e
-    lengths = {held: getattr(checked, key) * UM_MM for key, held in _LENGTHS.items()}
+    lengths = {field: getattr(checked, key) * UM_MM for key, field in _LENGTHS.items()}
     table, dark = checked.quantum_efficiency, checked.dark_current
     silent = {key for key in DetectorFile.model_fields if key.startswith("damage")} | UNSAID
     if dark is not None:
@@ -520,14 +520,17 @@ def _read(path: Path, above: tuple[Path, ...]) -> tuple[Mapping[str, Any], froze
         raise ConfigError(f"{path}: base: {error}") from None
     below = below if below.is_absolute() else path.parent / below
     lower, _ = _read(below, (*above, path.resolve()))
-    kept = {key: value for key, value in lower.items() if key not in mapping and key not in ("base", "assumed")}
+    inherited = {key: value for key, value in lower.items() if key not in mapping and key not in ("base", "assumed")}
     if "dark_current_e_per_s" in mapping:  # one law of the dark current takes the place of the other
-        kept.pop("dark_current", None)
+        inherited.pop("dark_current", None)
     marks = [mapping.get("assumed", []), lower.get("assumed", [])]
-    if all(isinstance(one, list) for one in marks):
-        own, theirs = marks
-        mapping = {**mapping, "assumed": [*own, *(key for key in theirs if key in kept and key not in own)]}
-    return {**kept, **mapping}, frozenset(kept) - UNSAID
+    if all(isinstance(marked, list) for marked in marks):
+        assumed, base_assumed = marks
+        mapping = {
+            **mapping,
+            "assumed": [*assumed, *(key for key in base_assumed if key in inherited and key not in assumed)],
+        }
+    return {**inherited, **mapping}, frozenset(inherited) - UNSAID
 
 
 def _with_curves(mapping: dict[str, Any], path: Path) -> dict[str, Any]:

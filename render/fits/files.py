@@ -98,12 +98,12 @@ def write_frame(
         raise unknown_name("compression", str(compression), _CODECS)
     if mask not in _MASKS:
         raise unknown_name("mask", str(mask), _MASKS)
-    own = [*_frame_cards(frame), _PIXEL_OFFSET]
-    own += [*checked_cards(cards, [keyword for keyword, _, _ in own]), _COMMENT]
+    frame_cards = [*_frame_cards(frame), _PIXEL_OFFSET]
+    frame_cards += [*checked_cards(cards, [keyword for keyword, _, _ in frame_cards]), _COMMENT]
     flags, behind = _flags(frame, mask, dict(marks or {}))
     if compression is None:
-        return _write(_plain_frame(frame.dn, own, flags, behind), Path(path))
-    return _write(_compressed_frame(frame.dn, own, flags, behind, _CODECS[compression]), Path(path))
+        return _write(_plain_frame(frame.dn, frame_cards, flags, behind), Path(path))
+    return _write(_compressed_frame(frame.dn, frame_cards, flags, behind, _CODECS[compression]), Path(path))
 
 
 def _flags(
@@ -161,9 +161,9 @@ def _plain_frame(
 
     def write(stream: BinaryIO) -> None:
         for header, data in parts:
-            held = data.data.cast("B") if data.size else b""
-            stream.write(summed(header, held))
-            stream.write(held)
+            content = data.data.cast("B") if data.size else b""
+            stream.write(summed(header, content))
+            stream.write(content)
             stream.write(bytes(-data.nbytes % BLOCK))
 
     return write
@@ -190,9 +190,9 @@ def _tiles(data: NDArray[Any], cards: Iterable[Card], codec: str, *, primary: bo
     """
     tile = (min(_TILE_ROWS, data.shape[0]), data.shape[1])
     table = fits.CompImageHDU(data, compression_type=codec, tile_shape=tile)
-    held = io.BytesIO()
-    fits.HDUList([fits.PrimaryHDU(), table]).writeto(held)
-    content = held.getvalue()
+    buffer = io.BytesIO()
+    fits.HDUList([fits.PrimaryHDU(), table]).writeto(buffer)
+    content = buffer.getvalue()
     end = next(at for at in range(BLOCK, len(content), 80) if content[at : at + 8] == b"END     ")
     structure = [content[at : at + 80] for at in range(BLOCK, end, 80)]
     header = b"".join(card for card in structure if not card.startswith(b"EXTNAME ")) + block([*cards, *SUMS]).rstrip()
@@ -318,19 +318,19 @@ def _frame(
 
 def _write(content: Callable[[BinaryIO], None], path: Path) -> Path:
     try:
-        handle, beside = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror})") from None
     try:
         with os.fdopen(handle, "wb") as stream:
             content(stream)
-        os.chmod(beside, 0o666 & ~_umask())
-        os.replace(beside, path)
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror})") from None
     finally:
         with suppress(FileNotFoundError):
-            os.unlink(beside)
+            os.unlink(temporary)
     return path
 
 
@@ -345,7 +345,7 @@ def _images(path: Path | str) -> Iterator[tuple[fits.Header, NDArray[Any], fits.
     with open_fits(path) as content:
         pictures = [hdu for hdu in content if hdu.is_image and hdu.header.get("NAXIS", 0)]
         masks = {hdu.ver: hdu for hdu in pictures if hdu.name == "MASK"}
-        found = [
+        images = [
             (
                 hdu.header.copy(),
                 np.array(hdu.data),
@@ -358,12 +358,12 @@ def _images(path: Path | str) -> Iterator[tuple[fits.Header, NDArray[Any], fits.
             dict(hdu.header)  # every value is looked at, and the data, while what is wrong can be told
         for mask in masks.values():
             mask.data  # noqa: B018
-    if not found:
+    if not images:
         raise ConfigError(f"{path}: holds no image")
-    for header, image, beside in found:
+    for header, image, mask_of_image in images:
         if image.ndim not in (2, 3) or not image.size:
             raise ConfigError(f"{path}: image has {image.ndim} axes; a frame has 2, a cube of frames 3")
-        yield header, image, beside
+        yield header, image, mask_of_image
 
 
 def _mask_planes(

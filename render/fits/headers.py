@@ -42,7 +42,7 @@ _STRUCTURE = (
 def checked_cards(cards: Iterable[Card] | fits.Header, taken: Iterable[str]) -> list[Card]:
     """Validated cards of the caller as a list."""
     given: Iterable[Any] = cards.cards if isinstance(cards, fits.Header) else cards
-    seen = set(taken)
+    keywords = set(taken)
     checked: list[Card] = []
     for card in given:
         try:
@@ -53,9 +53,9 @@ def checked_cards(cards: Iterable[Card] | fits.Header, taken: Iterable[str]) -> 
         if name in _STRUCTURE or name.startswith("NAXIS"):
             raise ConfigError(f"card {name} describes the file itself and is written by it; leave it out")
         if name not in _MANY:
-            if name in seen:
+            if name in keywords:
                 raise ConfigError(f"card {name} exists already; a keyword must be unique")
-            seen.add(name)
+            keywords.add(name)
         value = value.item() if isinstance(value, np.generic) else value
         if not isinstance(value, str | bool | int | float | None):
             raise ConfigError(f"card {name} = {value!r}; text, a number, a truth value or None is needed")
@@ -89,11 +89,11 @@ SUMS: tuple[Card, ...] = (
 def _ones_complement(content: Any, start: int = 0) -> int:
     """Sum of 32-bit words, most significant byte first, carries added at the low end; zeros follow the last byte."""
     view = memoryview(content).cast("B")
-    whole = len(view) // 4 * 4
-    words = np.frombuffer(view[:whole], np.uint32)
+    full = len(view) // 4 * 4
+    words = np.frombuffer(view[:full], np.uint32)
     if sys.byteorder == "little":
         words = words.byteswap()  # and sum what the machine counts in: a third of the time
-    total = start + int(words.sum(dtype=np.uint64)) + int.from_bytes(bytes(view[whole:]).ljust(4, b"\0"), "big")
+    total = start + int(words.sum(dtype=np.uint64)) + int.from_bytes(bytes(view[full:]).ljust(4, b"\0"), "big")
     while total >> 32:
         total = (total & 0xFFFFFFFF) + (total >> 32)
     return total

@@ -187,10 +187,10 @@ def sky_grid(header: fits.Header | Iterable[Card], shape: tuple[int, int], *, no
             if not world.has_celestial:
                 return None
             x, y = np.meshgrid(*(np.linspace(-0.5, size - 0.5, nodes) for size in reversed(shape)))
-            seen = world.celestial.pixel_to_world(x, y).icrs.cartesian.xyz.value
+            directions = world.celestial.pixel_to_world(x, y).icrs.cartesian.xyz.value
         except Exception:  # wcslib and astropy raise what they happen to raise over headers of others
             return None
-    grid = np.moveaxis(np.asarray(seen, np.float64), 0, -1)
+    grid = np.moveaxis(np.asarray(directions, np.float64), 0, -1)
     return grid if np.isfinite(grid).all() else None
 
 
@@ -226,12 +226,12 @@ def _raised(
     Without ``linear`` the linear part becomes L; with it, it stays in the polynomial. All (n, 2), pixels in x.
     """
     for order in range(_LOWEST_ORDER, HIGHEST_ORDER + 1):
-        held, matrix = _fitted(x, y, order, linear)
-        gap = check_x + _value(held, check_x) - _solved(matrix, check_y)
+        coefficient, matrix = _fitted(x, y, order, linear)
+        gap = check_x + _value(coefficient, check_x) - _solved(matrix, check_y)
         residual = float(np.hypot(*gap.T).max())
         if residual < tolerance_px:
             break
-    return held, matrix, residual
+    return coefficient, matrix, residual
 
 
 def _fitted(x: FloatArray, y: FloatArray, order: int, linear: FloatArray | None) -> tuple[FloatArray, FloatArray]:
@@ -244,10 +244,10 @@ def _fitted(x: FloatArray, y: FloatArray, order: int, linear: FloatArray | None)
     solution = _solved(matrix, solution)  # in pixels
     solution[:2] = 0.0 if linear is None else solution[:2] - size * np.eye(2)
     solution[np.abs(solution) < _NEGLIGIBLE_PX] = 0.0  # what symmetry forbids, to the rounding error of the fit
-    held = np.zeros((order + 1, order + 1, 2))
+    coefficient = np.zeros((order + 1, order + 1, 2))
     for (p, q), value in zip(power, solution, strict=True):
-        held[p, q] = value / size ** (p + q)
-    return held, matrix
+        coefficient[p, q] = value / size ** (p + q)
+    return coefficient, matrix
 
 
 def _value(coefficient: FloatArray, x: FloatArray) -> FloatArray:

@@ -90,9 +90,9 @@ def _running_power(frequency: FloatArray, psd: FloatArray, at: FloatArray) -> Fl
         return np.asarray(level * start * log * ratio)
 
     pieces = np.arange(len(slope))
-    whole = np.concatenate([[0.0], np.cumsum(up_to(pieces, frequency[1:]))])
+    cumulative = np.concatenate([[0.0], np.cumsum(up_to(pieces, frequency[1:]))])
     piece = np.clip(np.searchsorted(frequency, at, side="right") - 1, 0, len(slope) - 1)
-    return whole[piece] + up_to(piece, at)
+    return cumulative[piece] + up_to(piece, at)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,8 +138,8 @@ class Jittered:
         first = np.where(angle2 > 1e-8, (1.0 - np.cos(angle)) / np.maximum(angle2, 1e-16), 0.5 - angle2 / 24.0)
         second = np.where(angle2 > 1e-8, (angle - np.sin(angle)) / angle**3, 1.0 / 6.0 - angle2 / 120.0)
         across = -np.cross(delta, speed)
-        own = speed + first * across - second * np.cross(delta, across)
-        return np.asarray(own + Rotation.from_rotvec(-delta).apply(base))
+        jitter_rate = speed + first * across - second * np.cross(delta, across)
+        return np.asarray(jitter_rate + Rotation.from_rotvec(-delta).apply(base))
 
     def _sum(self, time_s: ArrayLike, wave: np.ufunc, amplitude_rad: FloatArray) -> FloatArray:
         """Sum of oscillations (..., 3)."""

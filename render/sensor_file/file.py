@@ -127,10 +127,10 @@ def in_best_focus(instrument: InstrumentConfig, passband: PassbandConfig) -> Ins
     from render.sensor_file.instrument import best_defocus_mm
 
     try:
-        found = best_defocus_mm(instrument, passband)
+        defocus_mm = best_defocus_mm(instrument, passband)
     except StarbenchError:  # said where the lens is needed
-        found = 0.0
-    return instrument.model_copy(update={"defocus_mm": found})
+        defocus_mm = 0.0
+    return instrument.model_copy(update={"defocus_mm": defocus_mm})
 
 
 def read_sensor(file: str | Path, model: type[SensorFile] = SensorFile) -> dict[str, Any]:

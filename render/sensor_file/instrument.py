@@ -47,16 +47,18 @@ def stated_lens(config: InstrumentConfig) -> LensSystem:
     ideal = config.lens
     if isinstance(ideal, str):
         return load_lens(ideal)
-    through: float | Response = ideal.transmission
+    transmission: float | Response = ideal.transmission
     if ideal.transmission_file:
         curve = load_band(ideal.transmission_file)
-        through = Response(name=curve.name, source=curve.source, wavelength_nm=curve.wavelength_nm, value=curve.value)
+        transmission = Response(
+            name=curve.name, source=curve.source, wavelength_nm=curve.wavelength_nm, value=curve.value
+        )
     return ideal_lens(
         focal_length_mm=ideal.focal_length_mm,
         f_number=ideal.f_number,
         spot_um=ideal.spot_um,
         psf_fwhm_px=ideal.psf_fwhm_px,
-        transmission=through,
+        transmission=transmission,
         design_wavelength_nm=ideal.design_wavelength_nm,
         max_field_deg=ideal.max_field_deg,
         name=ideal.label,

@@ -56,10 +56,10 @@ def _window_px(file: LensFile, detector: Any) -> tuple[int, int] | None:
     except StarbenchError:
         return None
     corner = hypot(chip.width_px, chip.height_px) * chip.pixel_pitch_mm / 2.0
-    share = abs(float(x_mm[1] - x_mm[0])) / corner
-    if chip.chips > 1 or not isfinite(share) or share >= 1.0:
+    fraction = abs(float(x_mm[1] - x_mm[0])) / corner
+    if chip.chips > 1 or not isfinite(fraction) or fraction >= 1.0:
         return None
-    width, height = (int(share * n) // STEP_PX * STEP_PX for n in (chip.width_px, chip.height_px))
+    width, height = (int(fraction * n) // STEP_PX * STEP_PX for n in (chip.width_px, chip.height_px))
     return (width, height) if min(width, height) > 0 else None
 
 
@@ -73,18 +73,18 @@ def lens_defaults(values: Mapping[str, Any], usual: Any = "star_camera_206mm") -
         return {"instrument": {"defocus_mm": 0.0}}
     if not isinstance(instrument, Mapping):
         return {}
-    found: dict[str, Any] = {} if instrument.get("lens") == usual else {"instrument": {"defocus_mm": "best"}}
+    defaults: dict[str, Any] = {} if instrument.get("lens") == usual else {"instrument": {"defocus_mm": "best"}}
     file = _of_program(instrument.get("lens"))
     if file is None:
-        return found
+        return defaults
     band = _range_nm(file)
     if isinstance(passband, Mapping) and band is not None and band[1] - band[0] > passband.get("edge_nm", 0.0):
-        found["passband"] = {"range_nm": band}
+        defaults["passband"] = {"range_nm": band}
     if not (instrument.get("width_px") or instrument.get("height_px")):
         window = _window_px(file, instrument.get("detector"))
         if window is not None:
-            found["instrument"] = {**found.get("instrument", {}), "width_px": window[0], "height_px": window[1]}
-    return found
+            defaults["instrument"] = {**defaults.get("instrument", {}), "width_px": window[0], "height_px": window[1]}
+    return defaults
 
 
 def lens_remarks(instrument: InstrumentConfig, passband: PassbandConfig | None) -> tuple[str, ...]:

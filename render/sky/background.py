@@ -177,9 +177,9 @@ def sky_background(
     rate = np.zeros((len(background.band), *grid))
     weight = background.weight_nm
     if zodiacal:
-        place = _from_sun(epoch_year, observer)
+        from_sun_au = _from_sun(epoch_year, observer)
         icrs = background.direction.reshape(-1, 3) @ attitude.as_matrix()
-        radiance = zodiacal_radiance(icrs, from_sun_au=place, wavelength_nm=background.wavelength_nm.ravel())
+        radiance = zodiacal_radiance(icrs, from_sun_au=from_sun_au, wavelength_nm=background.wavelength_nm.ravel())
         rate += np.einsum(
             "nbk,bk,b->bn", radiance.reshape(-1, *weight.shape), weight, background.sunlight_factor
         ).reshape(rate.shape)

@@ -212,12 +212,12 @@ def field_of(
         velocity = np.asarray(velocity_km_per_s, np.float64)
         observer = None if observer is None else replace(observer, velocity_km_per_s=velocity)
     speed = float(np.linalg.norm(velocity))
-    far = 0.0 if observer is None else float(np.linalg.norm(observer.position_au))
+    distance_au = 0.0 if observer is None else float(np.linalg.norm(observer.position_au))
     # what may move in from outside; twice, for second orders
     slack = 2.0 * (
         abs(epoch - index.catalog.epoch_year) * index.fastest_rad_per_year
         + speed / _LIGHT_KM_PER_S
-        + far * index.nearest_rad
+        + distance_au * index.nearest_rad
     )
     boresight = matrix[2] / math.sqrt(float(matrix[2] @ matrix[2]))
     rows = index.within(boresight, min(view.radius_rad + slack, math.pi), magnitude_limit=magnitude_limit)
@@ -227,12 +227,12 @@ def field_of(
     if observer is None and speed:
         direction = aberrated(direction, velocity)
     pixel = view.pixel_of(_turned(direction, matrix))
-    seen = view.on_detector(pixel)
+    on_detector = view.on_detector(pixel)
     return SkyField(
-        stars=stars if seen.all() else stars.select(seen),
-        row=rows[seen],
-        direction=direction[seen],
-        pixel_px=pixel[seen],
+        stars=stars if on_detector.all() else stars.select(on_detector),
+        row=rows[on_detector],
+        direction=direction[on_detector],
+        pixel_px=pixel[on_detector],
         rotation_cam_from_icrs=matrix,
     )
 

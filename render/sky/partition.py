@@ -170,13 +170,13 @@ def leakage(boresights: Mapping[str, Sequence[tuple[float, float]]], diagonal_de
 
     training, leaks = directions("train"), {}
     for name in PARTS[1:]:
-        mine = directions(name)
-        if not len(mine):
+        part_directions = directions(name)
+        if not len(part_directions):
             continue
-        chord = cKDTree(training).query(mine)[0] if len(training) else np.full(len(mine), np.nan)
+        chord = cKDTree(training).query(part_directions)[0] if len(training) else np.full(len(part_directions), np.nan)
         angle = np.degrees(2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0)))
         leaks[name] = Leak(
-            frames=len(mine),
+            frames=len(part_directions),
             near=int((angle < 0.5 * diagonal_deg).sum()),
             shared=int((angle < diagonal_deg).sum()),
             nearest_deg=float(angle.min()),

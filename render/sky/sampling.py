@@ -46,9 +46,9 @@ def sample_sky(index: SkyIndex, view: FieldOfView, attitudes: Rotation) -> SkySa
     matrix = attitudes.as_matrix()
     boresight = matrix[:, 2] / np.linalg.norm(matrix[:, 2], axis=1, keepdims=True)
     chord = 2.0 * np.sin(min(view.radius_rad, np.pi) / 2.0)
-    found = index.tree.query_ball_point(boresight, chord, return_sorted=True)
-    count = np.array([len(rows) for rows in found], np.int64)
-    row = np.concatenate([np.asarray(rows, np.int64) for rows in found]) if count.sum() else np.empty(0, np.int64)
+    neighbours = index.tree.query_ball_point(boresight, chord, return_sorted=True)
+    count = np.array([len(rows) for rows in neighbours], np.int64)
+    row = np.concatenate([np.asarray(rows, np.int64) for rows in neighbours]) if count.sum() else np.empty(0, np.int64)
     frame = np.repeat(np.arange(len(matrix)), count)
     direction = np.empty((len(row), 3))
     sky = index.catalog.direction[row]
@@ -57,7 +57,11 @@ def sample_sky(index: SkyIndex, view: FieldOfView, attitudes: Rotation) -> SkySa
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     pixel = view.pixel_of(direction)
     size = np.array([view.width_px, view.height_px])
-    seen = ((pixel > -0.5) & (pixel < size - 0.5)).all(axis=1)  # NaN fails
+    on_detector = ((pixel > -0.5) & (pixel < size - 0.5)).all(axis=1)  # NaN fails
     return SkySample(
-        frames=len(matrix), frame=frame[seen], row=row[seen], direction=direction[seen], pixel_px=pixel[seen]
+        frames=len(matrix),
+        frame=frame[on_detector],
+        row=row[on_detector],
+        direction=direction[on_detector],
+        pixel_px=pixel[on_detector],
     )

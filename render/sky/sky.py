@@ -144,19 +144,21 @@ def load_sky(
     DomainError
         No star is bright enough; epoch out of range.
     """
-    whole = _gaia(epoch_year != EPOCH_YEAR) if catalogue is None else catalogue
-    bright = np.flatnonzero(whole.magnitude <= faintest_mag)
+    stars_of_sky = _gaia(epoch_year != EPOCH_YEAR) if catalogue is None else catalogue
+    bright = np.flatnonzero(stars_of_sky.magnitude <= faintest_mag)
     if not len(bright):
-        raise DomainError(f"faintest_mag = {faintest_mag:g}: catalogue {whole.name} has no star that bright; raise it")
-    stars = whole.select(bright)
-    seen_from = earth_observer(epoch_year) if observer == "earth" else observer
-    assert not isinstance(seen_from, str)
+        raise DomainError(
+            f"faintest_mag = {faintest_mag:g}: catalogue {stars_of_sky.name} has no star that bright; raise it"
+        )
+    stars = stars_of_sky.select(bright)
+    viewer = earth_observer(epoch_year) if observer == "earth" else observer
+    assert not isinstance(viewer, str)
     return Sky(
         index=build_index(stars),
-        direction=directions_at(stars, epoch_year, seen_from),
+        direction=directions_at(stars, epoch_year, viewer),
         temperature_k=star_temperature(stars, temperature),
         epoch_year=epoch_year,
-        observer=seen_from,
+        observer=viewer,
     )
 
 

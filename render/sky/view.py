@@ -85,9 +85,9 @@ def neighbours(direction: FloatArray, magnitude: FloatArray, reach_rad: float) -
     """
     pairs = cKDTree(direction).query_pairs(reach_rad, output_type="ndarray")
     brightest, nearest = np.full(len(direction), np.inf), np.full(len(direction), np.inf)
-    apart = np.linalg.norm(np.subtract(*(direction[k] for k in pairs.T)), axis=1)
+    separation = np.linalg.norm(np.subtract(*(direction[k] for k in pairs.T)), axis=1)
     for a, b in (pairs.T, pairs[:, ::-1].T):
         np.minimum.at(brightest, a, magnitude[b])
         outshone = magnitude[b] < magnitude[a]
-        np.minimum.at(nearest, a[outshone], apart[outshone])
+        np.minimum.at(nearest, a[outshone], separation[outshone])
     return brightest, nearest

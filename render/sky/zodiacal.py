@@ -124,23 +124,23 @@ def _at_500_nm(longitude_deg: FloatArray, latitude_deg: FloatArray) -> FloatArra
 
 def _colour(wavelength_nm: FloatArray, angle_deg: FloatArray) -> FloatArray:
     """Reddening factor (n, k), Leinert eq. 22."""
-    beyond = np.clip((angle_deg - 30.0) / 60.0, 0.0, 1.0)[:, None]
-    near = np.where(wavelength_nm < 500.0, 1.2, 0.8)
-    far = np.where(wavelength_nm < 500.0, 0.9, 0.6)
-    return np.asarray(1.0 + (near + (far - near) * beyond) * np.log10(wavelength_nm / 500.0))
+    fraction = np.clip((angle_deg - 30.0) / 60.0, 0.0, 1.0)[:, None]
+    within_30 = np.where(wavelength_nm < 500.0, 1.2, 0.8)
+    beyond_90 = np.where(wavelength_nm < 500.0, 0.9, 0.6)
+    return np.asarray(1.0 + (within_30 + (beyond_90 - within_30) * fraction) * np.log10(wavelength_nm / 500.0))
 
 
 def zodiacal_radiance(direction: ArrayLike, *, from_sun_au: ArrayLike, wavelength_nm: ArrayLike) -> FloatArray:
     """Radiance of the zodiacal light."""
     # direction (n, 3), from_sun_au (3,) [au], wavelength_nm (k,) [nm] -> (n, k)
-    v, place = np.asarray(direction, np.float64), np.asarray(from_sun_au, np.float64)
+    v, sun_to_observer = np.asarray(direction, np.float64), np.asarray(from_sun_au, np.float64)
     wave = np.atleast_1d(np.asarray(wavelength_nm, np.float64))
-    if v.ndim != 2 or v.shape[1] != 3 or place.shape != (3,) or wave.ndim != 1:
+    if v.ndim != 2 or v.shape[1] != 3 or sun_to_observer.shape != (3,) or wave.ndim != 1:
         raise DomainError(
-            f"directions (n, 3), a place (3,) and wavelengths (k,) are needed, got {v.shape}, {place.shape} and "
-            f"{wave.shape}"
+            f"directions (n, 3), a place (3,) and wavelengths (k,) are needed, got {v.shape}, "
+            f"{sun_to_observer.shape} and {wave.shape}"
         )
-    distance = float(np.linalg.norm(place))
+    distance = float(np.linalg.norm(sun_to_observer))
     if not _NEAREST_AU <= distance <= _FARTHEST_AU:
         raise DomainError(
             f"the observer is {distance:g} au from the Sun; the zodiacal light is known for {_NEAREST_AU} ... "
@@ -148,7 +148,7 @@ def zodiacal_radiance(direction: ArrayLike, *, from_sun_au: ArrayLike, wavelengt
         )
     turn = ecliptic_from_icrs()
     x, y, z = np.clip(v @ turn.T, -1.0, 1.0).T
-    sun = turn @ (-place / distance)
+    sun = turn @ (-sun_to_observer / distance)
     angle = np.degrees(np.arccos(np.clip(x * sun[0] + y * sun[1] + z * sun[2], -1.0, 1.0)))
     if len(v) and angle.min() < CLOSEST_DEG - 1e-6:
         raise DomainError(

@@ -92,5 +92,7 @@ def test_ghosts_of_the_sun_fall_where_paths_lead_with_the_light_of_the_table() -
     assert seen.layers["ghosts"].mean(dtype=float) == pytest.approx(wanted, rel=1e-3)
     assert seen.layers["stray"] == pytest.approx(wanted, rel=1e-3)
     assert np.ptp(seen.layers["ghosts"]) > 0.1 * wanted
-    assert "sun" in seen.beside
-    assert {seen.beside[row - len(seen.field)] for row in seen.ghosts.star if row >= len(seen.field)} == {*seen.beside}
+    assert "sun" in seen.sources_outside
+    assert {seen.sources_outside[row - len(seen.field)] for row in seen.ghosts.star if row >= len(seen.field)} == {
+        *seen.sources_outside
+    }
